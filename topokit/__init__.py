@@ -1,0 +1,29 @@
+"""topokit: sequential topology for deformable objects.
+
+Loops of point clouds by exact Vietoris-Rips persistence, located by the edge that kills them and followed through time.
+
+    >>> import topokit as tk
+    >>> tk.rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]])
+    Diagram(1 loops of 4 points, longest lifetime 0.4142)
+"""
+
+from __future__ import annotations
+
+from .rips import Diagram, rips_persistence
+from .sampling import covering_radius, farthest_point_sample, hausdorff
+from .seqph import SeqPH, track
+from .state import Loop, TopologicalState
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Diagram",
+    "Loop",
+    "SeqPH",
+    "TopologicalState",
+    "covering_radius",
+    "farthest_point_sample",
+    "hausdorff",
+    "rips_persistence",
+    "track",
+]

@@ -1,0 +1,109 @@
+"""Archives: the one way in which topokit writes arrays with a JSON document beside them.
+
+An archive is an `.npz` without pickle, checksummed, of fixed time stamps (same content, same bytes), replaced in one piece.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FormatError", "atomic_file", "load_archive", "save_archive"]
+
+
+class FormatError(ValueError):
+    """A file that is not a whole one of the kind and schema asked for. The message says which and what is wrong."""
+
+
+def save_archive(path: str | Path, kind: str, text: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Path:
+    """Write arrays and a JSON document to one `.npz`, checksummed; same input, same bytes."""
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise ValueError(f"{path}: the name of an archive ends in .npz")
+    document = {"kind": kind, "sha256": _digest(arrays), **text}
+    parts = {**arrays, "json": np.frombuffer(json.dumps(document, sort_keys=True).encode(), dtype=np.uint8)}
+    with atomic_file(path) as handle, zipfile.ZipFile(handle, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in sorted(
+            parts
+        ):  # np.savez stamps the time of day into the file; a fixed one keeps the bytes the same
+            buffer = io.BytesIO()
+            np.lib.format.write_array(buffer, np.ascontiguousarray(parts[name]), allow_pickle=False)
+            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, buffer.getvalue())
+    return path
+
+
+def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Read what `save_archive` wrote: the JSON document (without kind and checksum) and the arrays."""
+    path = Path(path)
+    what = kind.replace("topokit-", "topokit ")
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path}: there is no such file" if not path.exists() else f"{path}: a folder, not a file"
+        )
+    if path.stat().st_size == 0:
+        raise FormatError(f"{path}: the file is empty (0 bytes)")
+    if path.read_bytes()[:4] != b"PK\x03\x04":
+        raise FormatError(f"{path}: not a {what}: the file is no .npz archive")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    except (zipfile.BadZipFile, ValueError, EOFError, OSError, zlib.error) as error:
+        raise FormatError(f"{path}: the file is truncated or damaged ({error}); copy or record it again") from error
+    try:
+        document = json.loads(arrays.pop("json").tobytes())
+        found = document.pop("kind")
+        digest = document.pop("sha256")
+    except (KeyError, ValueError, AttributeError) as error:
+        raise FormatError(f"{path}: not a {what}: an .npz archive that topokit did not write") from error
+    if found != kind:
+        raise FormatError(f"{path}: holds a {str(found).replace('topokit-', 'topokit ')}, not a {what}")
+    if _digest(arrays) != digest:
+        raise FormatError(
+            f"{path}: the checksum does not match: the file was changed or damaged; copy or record it again"
+        )
+    return document, arrays
+
+
+@contextlib.contextmanager
+def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
+    """Open a file that takes the place of `path` when the block ends well, and leaves no trace when it does not."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    try:
+        with os.fdopen(descriptor, "wb") as handle:
+            yield handle
+            handle.flush()
+            os.fsync(handle.fileno())
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(temporary, 0o666 & ~umask)  # mkstemp makes files that only their owner can read
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)
+        raise
+
+
+def _digest(arrays: dict[str, NDArray[Any]]) -> str:
+    """SHA-256 over names, types, shapes and values, in the order of the names."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name}|{array.dtype.str}|{array.shape}|".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,76 @@
+"""Checks that turn bad input into an error that says what was wrong, where, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["as_points", "as_sequence", "positive"]
+
+
+def as_points(points: ArrayLike, name: str = "points") -> NDArray[np.float64]:
+    """Return `points` as a C-contiguous (n, d) float64 array, or say why it is not a point cloud.
+
+    Raises
+    ------
+    TypeError
+        When the values are not real numbers.
+    ValueError
+        When the array is not two-dimensional, has no columns, or holds a value that is not finite.
+    """
+    try:
+        array = np.asarray(points)
+    except ValueError as error:  # ragged nested lists
+        raise ValueError(f"{name} must be an (n, d) array of coordinates; its rows differ in length") from error
+    if array.dtype == object or not (np.issubdtype(array.dtype, np.number) or array.dtype == bool):
+        raise TypeError(f"{name} must hold real numbers, not {array.dtype}")
+    if np.iscomplexobj(array):
+        raise TypeError(f"{name} must hold real numbers, not complex ones")
+    if array.ndim != 2 or array.shape[1] == 0:
+        raise ValueError(
+            f"{name} must be an (n, d) array, one row a point, not an array of shape {array.shape}"
+            + ("; for a sequence of clouds use topokit.track" if array.ndim == 3 else "")
+        )
+    array = np.ascontiguousarray(array, dtype=np.float64)
+    finite = np.isfinite(array).all(axis=1)
+    if not finite.all():
+        bad = np.flatnonzero(~finite)
+        raise ValueError(
+            f"{name} has {len(bad)} of {len(array)} points with a NaN or infinite coordinate, the first at row {bad[0]}: "
+            f"{array[bad[0]].tolist()}; drop them first, for example {name}[np.isfinite({name}).all(axis=1)]"
+        )
+    return array
+
+
+def as_sequence(sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence") -> list[NDArray[np.float64]]:
+    """Return a sequence of point clouds as a list of (n_t, d) float64 arrays; errors name the frame.
+
+    Clouds may differ in their number of points (a camera sees what it sees), not in their dimension.
+    """
+    if isinstance(sequence, np.ndarray) and sequence.ndim != 3:
+        raise ValueError(
+            f"{name} must be a (T, n, d) array or a list of (n, d) arrays, not an array of shape {sequence.shape}"
+        )
+    clouds: list[NDArray[np.float64]] = []
+    for frame, cloud in enumerate(sequence):  # type: ignore[arg-type]
+        array = as_points(cloud, f"{name}[{frame}]")
+        if clouds and array.shape[1] != clouds[0].shape[1]:
+            raise ValueError(
+                f"{name}[{frame}] has points in {array.shape[1]} dimensions where the frames before it have {clouds[0].shape[1]}"
+            )
+        clouds.append(array)
+    return clouds
+
+
+def positive(value: float, name: str, *, zero: bool = True, infinite: bool = False) -> float:
+    """Return `value` as a float, or say that it must be a (finite) number that is not negative."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name} must be a number, not {value!r}") from error
+    if np.isnan(number) or number < 0 or (number == 0 and not zero) or (np.isinf(number) and not infinite):
+        bound = "zero or more" if zero else "more than zero"
+        raise ValueError(f"{name} must be {bound}{'' if infinite else ' and finite'}, not {value!r}")
+    return number

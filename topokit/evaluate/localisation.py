@@ -1,0 +1,141 @@
+"""Where tracked loops are, measured against the true ones of a recorded episode.
+
+Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from topokit._validate import as_points
+from topokit.state import TopologicalState
+
+__all__ = ["TrackSummary", "distance_to_hull", "summarise_tracks"]
+
+
+def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
+    """Return how far `point` is from the convex hull of `points`; zero inside, to rounding.
+
+    Flat hulls are no special case: this is the nearest point among all convex combinations, a non-negative least-squares
+    problem, not a search among facets.
+
+    Parameters
+    ----------
+    point : (d,) array_like
+    points : (n, d) array_like
+
+    Examples
+    --------
+    >>> triangle = [[0, 0, 0], [2, 0, 0], [0, 2, 0]]
+    >>> round(distance_to_hull([0.5, 0.5, 0.0], triangle), 9), round(distance_to_hull([0.5, 0.5, 0.3], triangle), 9)
+    (0.0, 0.3)
+    """
+    from scipy.optimize import nnls
+
+    corners = as_points(points)
+    offsets = corners - np.asarray(point, dtype=np.float64)
+    scale = float(np.abs(offsets).max(initial=0.0))
+    if scale == 0.0:
+        return 0.0
+    # Minimise |offsets^T w| over w >= 0 with sum(w) = 1, the sum kept by a heavily weighted row.
+    system = np.vstack([offsets.T / scale, np.full((1, len(corners)), 1e4)])
+    weights, _ = nnls(system, np.append(np.zeros(corners.shape[1]), 1e4))
+    return float(np.linalg.norm(offsets.T @ (weights / weights.sum())))
+
+
+@dataclass(frozen=True)
+class TrackSummary:
+    """One identity over a whole sequence, against the true loop it is nearest to.
+
+    Attributes
+    ----------
+    id : int
+    first, last : int
+        Frames of its first and last appearance.
+    frames : int
+        In how many frames it appears.
+    lifetime : float
+        Mean lifetime, metres.
+    true_loop : int
+        Which of the episode's loops it is nearest to, on the mean over its frames; -1 when the episode has none.
+    distance : float
+        Mean distance of the mean of the killer triangles to the centroid of that loop's vertices, metres.
+    in_hull : float
+        Share of its frames in which that mean lies in the convex hull of the true loop, or within `tolerance` of it.
+    """
+
+    id: int
+    first: int
+    last: int
+    frames: int
+    lifetime: float
+    true_loop: int
+    distance: float
+    in_hull: float
+
+
+def summarise_tracks(
+    states: Sequence[TopologicalState],
+    points: NDArray[np.floating] | None = None,
+    loops: Sequence[NDArray[np.integer]] = (),
+    *,
+    tolerance: float = 0.0,
+) -> list[TrackSummary]:
+    """Summarise every identity, the one seen in most frames first.
+
+    Parameters
+    ----------
+    states : sequence of TopologicalState
+    points : (T, N, 3) array
+        Positions of the garment's vertices, a row a frame of `states`.
+    loops : sequence of (L,) int arrays
+        True loops as vertex ids into `points`.
+    tolerance : float
+        How far outside the hull still counts as in it, metres. A loop that lies nearly flat has a hull without
+        thickness, and a mean over a band of cloth around it is then always a little off.
+
+    Raises
+    ------
+    ValueError
+        When `points` and `states` differ in their number of frames.
+    """
+    if loops and (points is None or len(points) != len(states)):
+        raise ValueError(f"points has {0 if points is None else len(points)} frames, states {len(states)}")
+    tracks: dict[int, list[tuple[int, TopologicalState]]] = {}
+    for row, state in enumerate(states):
+        for loop in state.loops:
+            tracks.setdefault(loop.id, []).append((row, state))
+    summaries = [_summarise(identity, seen, points, loops, tolerance) for identity, seen in tracks.items()]
+    return sorted(summaries, key=lambda track: (-track.frames, -track.lifetime))
+
+
+def _summarise(
+    identity: int,
+    seen: list[tuple[int, TopologicalState]],
+    points: NDArray[np.floating] | None,
+    loops: Sequence[NDArray[np.integer]],
+    tolerance: float,
+) -> TrackSummary:
+    centres = np.array([state[identity].centre for _, state in seen])
+    nearest, distance, in_hull = -1, float("nan"), float("nan")
+    if loops and points is not None:
+        rows = [row for row, _ in seen]
+        away = [np.linalg.norm(points[rows][:, loop].mean(axis=1) - centres, axis=1).mean() for loop in loops]
+        nearest = int(np.argmin(away))
+        distance = float(away[nearest])
+        outside = [distance_to_hull(c, points[row][loops[nearest]]) for c, row in zip(centres, rows, strict=True)]
+        in_hull = float(np.mean(np.array(outside) <= max(tolerance, 1e-9)))
+    return TrackSummary(
+        id=identity,
+        first=seen[0][1].frame,
+        last=seen[-1][1].frame,
+        frames=len(seen),
+        lifetime=float(np.mean([state[identity].lifetime for _, state in seen])),
+        true_loop=nearest,
+        distance=distance,
+        in_hull=in_hull,
+    )

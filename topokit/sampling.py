@@ -1,0 +1,98 @@
+"""Farthest-point subsamples, covering radii and Hausdorff distances.
+
+Source: Gonzalez 1985 (farthest-point traversal); Antonova et al. 2021, Assumption 1 (the covering radius alpha).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._validate import as_points
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+__all__ = ["covering_radius", "farthest_point_sample", "hausdorff"]
+
+
+def farthest_point_sample(points: ArrayLike, n: int, start: int = 0) -> tuple[NDArray[np.int64], float]:
+    """Choose `n` points, each the farthest from those chosen before it.
+
+    Parameters
+    ----------
+    points : (m, d) array_like
+    n : int
+        How many to choose, 1 to m.
+    start : int
+        The first one.
+
+    Returns
+    -------
+    idx : (n,) int64
+        In the order chosen; ties go to the smaller index.
+    radius : float
+        The covering radius: every point is within this distance of a chosen one. At most twice the best possible
+        (Gonzalez 1985).
+
+    Raises
+    ------
+    ValueError
+        When `n` or `start` is out of range, or `points` is no point cloud.
+
+    Examples
+    --------
+    >>> farthest_point_sample([[0.0], [1.0], [2.0], [4.0]], 2)
+    (array([0, 3]), 2.0)
+    """
+    array = as_points(points)
+    if not 1 <= n <= len(array):
+        raise ValueError(f"n must be 1 to {len(array)}, the number of points, not {n}")
+    if not -len(array) <= start < len(array):
+        raise ValueError(f"start must be the index of one of {len(array)} points, not {start}")
+    idx = np.empty(n, dtype=np.int64)
+    idx[0] = start % len(array)
+    nearest = ((array - array[idx[0]]) ** 2).sum(axis=1)
+    for k in range(1, n):
+        idx[k] = np.argmax(nearest)
+        np.minimum(nearest, ((array - array[idx[k]]) ** 2).sum(axis=1), out=nearest)
+    return idx, float(np.sqrt(nearest.max()))
+
+
+def covering_radius(dense: ArrayLike, sample: ArrayLike) -> float:
+    """Return the largest distance from a point of `dense` to its nearest point of `sample`: the paper's alpha.
+
+    This is the directed Hausdorff distance, in the unit of the points.
+
+    Examples
+    --------
+    >>> covering_radius([[0.0], [1.0], [3.0]], [[0.0]])
+    3.0
+    """
+    everything, some = as_points(dense, "dense"), as_points(sample, "sample")
+    if len(everything) == 0 or len(some) == 0:
+        raise ValueError("dense and sample need at least one point each")
+    if everything.shape[1] != some.shape[1]:
+        raise ValueError(f"dense has {everything.shape[1]} dimensions, sample {some.shape[1]}")
+    return float(_tree(some).query(everything)[0].max())
+
+
+def hausdorff(a: ArrayLike, b: ArrayLike) -> float:
+    """Return the Hausdorff distance between two finite point sets, in the unit of the points.
+
+    For two edges this is the paper's distance between killer edges: each taken as the set of its two end points.
+
+    Examples
+    --------
+    >>> hausdorff([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.0], [1.0, 2.0]])
+    2.0
+    """
+    return max(covering_radius(a, b), covering_radius(b, a))
+
+
+def _tree(points: NDArray[np.float64]) -> cKDTree:
+    from scipy.spatial import cKDTree  # here, because importing topokit must be quick
+
+    return cKDTree(points)
