@@ -9,6 +9,7 @@ Loops of point clouds by exact Vietoris-Rips persistence, located by the edge th
 
 from __future__ import annotations
 
+from .linking import linking_number
 from .rips import Diagram, rips_persistence
 from .sampling import covering_radius, farthest_point_sample, hausdorff
 from .seqph import SeqPH, track
@@ -24,6 +25,7 @@ __all__ = [
     "covering_radius",
     "farthest_point_sample",
     "hausdorff",
+    "linking_number",
     "rips_persistence",
     "track",
 ]

@@ -12,7 +12,6 @@ import json
 import os
 import tempfile
 import zipfile
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
@@ -56,12 +55,18 @@ def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str,
         )
     if path.stat().st_size == 0:
         raise FormatError(f"{path}: the file is empty (0 bytes)")
-    if path.read_bytes()[:4] != b"PK\x03\x04":
-        raise FormatError(f"{path}: not a {what}: the file is no .npz archive")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except (zipfile.BadZipFile, ValueError, EOFError, OSError, zlib.error) as error:
+        with path.open("rb") as handle:
+            if handle.read(4) != b"PK\x03\x04":
+                raise FormatError(f"{path}: not a {what}: the file is no .npz archive")
+            handle.seek(0)
+            with np.load(handle, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+    except FormatError:
+        raise
+    except (
+        Exception
+    ) as error:  # a damaged archive fails in a dozen ways: bad zip, bad deflate, unknown compression, ...
         raise FormatError(f"{path}: the file is truncated or damaged ({error}); copy or record it again") from error
     try:
         document = json.loads(arrays.pop("json").tobytes())

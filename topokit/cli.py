@@ -56,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     for name, what in (("alpha", "sampling"), ("beta", "jitter of killers"), ("epsilon", "motion a frame")):
         tracker.add_argument(f"--{name}", type=float, help=f"{what} in metres (default: estimated)")
     tracker.add_argument("--gates", choices=("paper", "proved"), default="paper", help="how far a loop may move")
-    tracker.add_argument("--tolerance", type=float, default=0.01, help="metres beside the hull that count as in it")
+    tracker.add_argument("--tolerance", type=float, default=0.0, help="metres beside the hull that count as in it")
     tracker.add_argument("--json", action="store_true", help="print the answer as JSON")
     tracker.set_defaults(run=_track)
     return parser
@@ -96,6 +96,10 @@ def _track(options: argparse.Namespace) -> int:
     out = options.out or options.episode.with_suffix(".tracks.npz")
     if out.resolve() == options.episode.resolve():
         raise ValueError(f"--out {out}: that is the episode itself")
+    if out.suffix != ".npz":
+        raise ValueError(f"--out {out}: the name of tracks ends in .npz")
+    if options.plot:
+        from .view import track_figure  # before the work, so that a missing matplotlib is said at once
     episode = load_episode(options.episode)
     states = track(
         getattr(episode, options.cloud),
@@ -108,8 +112,6 @@ def _track(options: argparse.Namespace) -> int:
     summaries = summarise_tracks(states, episode.points, episode.loops, tolerance=options.tolerance)
     save_states(out, states)
     if options.plot:
-        from .view import track_figure
-
         options.plot.parent.mkdir(parents=True, exist_ok=True)
         track_figure(episode, states).savefig(options.plot)
     if options.json:

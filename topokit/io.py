@@ -143,12 +143,12 @@ def load_episode(path: str | Path) -> Episode:
 def _check(episode: Episode) -> None:
     """Raise ValueError when the parts of an episode do not fit each other."""
     frames, vertices = episode.points.shape[:2] if episode.points.ndim == 3 else (0, 0)
+    if episode.points.ndim == 3 and frames == 0:
+        raise ValueError("points holds no frame")
     for name, rows in (("points", None), ("observed", None), ("actions", 2), ("grippers", 2)):
         shape = getattr(episode, name).shape
         if len(shape) != 3 or shape != (frames, rows or shape[1], 3):
             raise ValueError(f"{name} has shape {shape}; expected ({frames or 'T'}, {rows or 'N'}, 3), a row a frame")
-    if frames == 0:
-        raise ValueError("points holds no frame")
     if episode.held.shape != (frames,):
         raise ValueError(f"held has shape {episode.held.shape}; expected ({frames},)")
     for name in ("points", "observed", "actions", "grippers"):

@@ -70,7 +70,8 @@ def _gauss_terms(a: Array, b: Array) -> Array:
     a_next, b_next = np.roll(a, -1, axis=0)[:, None], np.roll(b, -1, axis=0)[None]
     a, b = a[:, None], b[None]
     corners = (b - a, b - a_next, b_next - a_next, b_next - a)
-    return _half_solid_angle(corners[0], corners[1], corners[2]) + _half_solid_angle(corners[2], corners[3], corners[0])
+    first, second = (corners[0], corners[1], corners[2]), (corners[2], corners[3], corners[0])
+    return _half_solid_angle(*first) + _half_solid_angle(*second)
 
 
 def _half_solid_angle(u: Array, v: Array, w: Array) -> Array:
@@ -78,7 +79,8 @@ def _half_solid_angle(u: Array, v: Array, w: Array) -> Array:
     lu, lv, lw = (np.linalg.norm(x, axis=-1) for x in (u, v, w))
     volume = np.einsum("...i,...i", u, np.cross(v, w))
     dot_uv, dot_vw, dot_wu = (np.einsum("...i,...i", x, y) for x, y in ((u, v), (v, w), (w, u)))
-    return np.arctan2(volume, lu * lv * lw + dot_uv * lw + dot_vw * lu + dot_wu * lv)
+    half: Array = np.arctan2(volume, lu * lv * lw + dot_uv * lw + dot_vw * lu + dot_wu * lv)
+    return half
 
 
 def _segment_distances(a: Array, a_end: Array, b: Array, b_end: Array) -> Array:
@@ -97,11 +99,13 @@ def _segment_distances(a: Array, a_end: Array, b: Array, b_end: Array) -> Array:
     uu, vv, uv = (np.einsum("...i,...i", x, y) for x, y in ((u, u), (v, v), (u, v)))
     uw, vw = np.einsum("...i,...i", u, w), np.einsum("...i,...i", v, w)
     determinant = uu * vv - uv**2
-    with np.errstate(divide="ignore", invalid="ignore"):  # parallel segments: an end is always a nearest point
-        s, t = (uw * vv - vw * uv) / determinant, (uw * uv - vw * uu) / determinant
-    inside = (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
-    gap = np.linalg.norm(w + np.nan_to_num(t)[..., None] * v - np.nan_to_num(s)[..., None] * u, axis=-1)
-    return np.minimum.reduce([*ends, np.where(inside, gap, np.inf)])
+    skew = determinant > 1e-14 * uu * vv  # for parallel segments an end is always a nearest point
+    divisor = np.where(skew, determinant, 1.0)
+    s, t = (uw * vv - vw * uv) / divisor, (uw * uv - vw * uu) / divisor
+    inside = skew & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
+    gap = np.linalg.norm(w + t[..., None] * v - s[..., None] * u, axis=-1)
+    nearest: Array = np.minimum.reduce([*ends, np.where(inside, gap, np.inf)])
+    return nearest
 
 
 def _to_segment(point: Array, start: Array, end: Array) -> Array:
@@ -109,4 +113,5 @@ def _to_segment(point: Array, start: Array, end: Array) -> Array:
     along = end - start
     length = np.maximum(np.einsum("...i,...i", along, along), np.finfo(float).tiny)
     t = np.clip(np.einsum("...i,...i", point - start, along) / length, 0, 1)
-    return np.linalg.norm(point - start - t[..., None] * along, axis=-1)
+    distance: Array = np.linalg.norm(point - start - t[..., None] * along, axis=-1)
+    return distance

@@ -37,8 +37,8 @@ class SeqPH:
     ----------
     alpha : float, optional
         How far the scene may be from the nearest observed point (Assumption 1). Loops of a lifetime below it are dropped.
-        Estimated, when not given, as half the longest edge of the frame's minimum spanning tree: the smallest alpha with
-        which the cloud can be a sample of a connected scene.
+        Estimated, when not given, as half the largest distance from a point of the frame to its nearest other point: no
+        smaller alpha is possible when no piece of the scene is a single point.
     beta : float, optional
         How far two killers of one loop may lie apart (Assumption 3). Estimated, when not given, as the length of the longest
         killer edge of the two frames: on cloth the candidates for a loop's killer lie around that loop.
@@ -111,7 +111,7 @@ class SeqPH:
                 f"frame {self._frame} has {cloud.shape[1]} dimensions, the frames before it {self._cloud.shape[1]}"
             )
         diagram = rips_persistence(cloud)
-        alpha = _spanning_radius(cloud) if self.alpha is None else self.alpha
+        alpha = _spacing(cloud) if self.alpha is None else self.alpha
         found = [i for i in range(len(diagram)) if diagram.lifetime[i] >= alpha]
         epsilon, beta = self._motion(cloud, diagram, found)
         steps = self._match(cloud, diagram, found, (alpha, beta, epsilon))
@@ -203,14 +203,13 @@ def assign(cost: NDArray[np.float64], allowed: NDArray[np.bool_]) -> list[tuple[
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if allowed[i, j]]
 
 
-def _spanning_radius(cloud: NDArray[np.float64]) -> float:
-    """Half the longest edge of the minimum spanning tree of a cloud."""
-    from scipy.sparse.csgraph import minimum_spanning_tree
-    from scipy.spatial.distance import pdist, squareform
+def _spacing(cloud: NDArray[np.float64]) -> float:
+    """Half the largest distance from a point to its nearest other one."""
+    from scipy.spatial import cKDTree
 
     if len(cloud) < 2:
         return 0.0
-    return float(minimum_spanning_tree(squareform(pdist(cloud))).data.max(initial=0.0)) / 2
+    return float(cKDTree(cloud).query(cloud, k=2)[0][:, 1].max()) / 2
 
 
 def _loop(diagram: Diagram, i: int, cloud: NDArray[np.float64], identity: int, step: float) -> Loop:

@@ -87,24 +87,26 @@ def _pairs(
     n = len(array)
     if n < 4:  # the smallest loop has four vertices
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
-    from ._dense import dense_pairs  # numba takes a while to import
+    if precomputed:
+        from ._dense import dense_pairs  # numba takes a while to import
 
-    distances = array if precomputed else np.sqrt(_squared_distances(array))
-    i, j = np.triu_indices(n, k=1)
-    lengths = distances[i, j]
-    order = np.argsort(lengths, kind="stable")  # (i, j) come in order, so a stable sort breaks ties by them
-    created, killed = dense_pairs(distances, i[order], j[order], 2 * max_radius)
-    birth = distances[created[:, 0], created[:, 1]] / 2
-    death = np.where(killed[:, 0] >= 0, distances[killed[:, 0], killed[:, 1]] / 2, np.inf)
+        i, j = np.triu_indices(n, k=1)
+        lengths = array[i, j]
+        order = np.argsort(lengths, kind="stable")  # (i, j) come in order, so a stable sort breaks ties by them
+        created, killed = dense_pairs(array, i[order], j[order], 2 * max_radius)
+    else:
+        from ._reduce import tree_pairs
+
+        created, killed = tree_pairs(array, (0,) * array.shape[1], (2 * max_radius) ** 2)
+    birth = _lengths(array, created, precomputed) / 2
+    death = np.where(killed[:, 0] >= 0, _lengths(array, killed, precomputed) / 2, np.inf)
     return created, killed, birth, death
 
 
-def _squared_distances(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, n) squared distances, the same to the last bit for (i, j) and (j, i)."""
-    squares = np.zeros((len(points), len(points)))
-    for column in points.T:
-        squares += (column[:, None] - column[None, :]) ** 2
-    return squares
+def _lengths(array: NDArray[np.float64], edges: NDArray[np.int64], precomputed: bool) -> NDArray[np.float64]:
+    """Lengths of the edges in the first two columns."""
+    x, y = edges[:, 0], edges[:, 1]
+    return array[x, y] if precomputed else np.sqrt(((array[x] - array[y]) ** 2).sum(axis=1))
 
 
 def _check_distances(matrix: NDArray[np.float64]) -> None:

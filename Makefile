@@ -1,0 +1,58 @@
+# make book   build the environment if needed, run every chapter on data_small, build the HTML book
+# make test   the same environment; unit tests, doctests, notebooks, lint
+# make lab    open JupyterLab on the first chapter
+# make clean  remove what the others made (environment, book, caches)
+
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/ready
+OPENGL := apt-get install libegl1 libgl1-mesa-dri
+export PYTHONHASHSEED = 0
+export PIP_DISABLE_PIP_VERSION_CHECK = 1
+
+.PHONY: book test lint lab env clean clean-kernels help
+.DEFAULT_GOAL := help
+
+help:
+	@sed -n 's/^# //p' Makefile
+
+book: env opengl
+	@$(BIN)/python -m sphinx -n -W --keep-going -q -b html -c book . _build/html
+	@echo "The book: file://$(CURDIR)/_build/html/index.html"
+
+test: env opengl lint
+	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --nbmake notebooks/ -p no:doctest -o addopts=""
+
+lint: env
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/codespell
+	$(BIN)/nbstripout --verify notebooks/*.ipynb
+
+lab: env opengl
+	$(BIN)/jupyter lab notebooks/00_an_apron_finds_its_hook.ipynb
+
+# The environment is rebuilt when the requirements or the package's own metadata change.
+env: $(READY)
+$(READY): requirements.txt pyproject.toml
+	@command -v $(PYTHON) >/dev/null 2>&1 && $(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
+	  || { echo "topokit: needs Python 3.11 as '$(PYTHON)': install it, or name it (make PYTHON=/path/to/python3.11 ...), or for another version use conda: conda env create -f environment.yml" >&2; exit 1; }
+	@echo "topokit: making the environment in $(VENV) (a few minutes, once)"
+	@$(PYTHON) -m venv --clear $(VENV)
+	@$(BIN)/python -m pip install --quiet --requirement requirements.txt
+	@$(BIN)/python -m pip install --quiet --no-deps --editable .
+	@touch $(READY)
+
+.PHONY: opengl
+opengl: env
+	@$(BIN)/python -c 'from topokit.view import pyvista_works; ok, why = pyvista_works(); print("" if ok else f"topokit: no 3D pictures by PyVista here ({why}); flat ones instead. For them: $(OPENGL)", end="" if ok else "\n")'
+
+# numba does not notice when a function imported from another file changes.
+clean-kernels:
+	find topokit -name '*.nb[ic]' -delete
+
+clean:
+	rm -rf $(VENV) _build .pytest_cache .ruff_cache .mypy_cache .hypothesis *.egg-info

@@ -1,0 +1,125 @@
+"""How the book is built: the source directory is the repository, so that chapters and prose refer to each other.
+
+    python -m sphinx -n -W --keep-going -b html -c book . _build/html
+
+Nothing is fetched: MathJax lies in `_static`, and the moving figures bring their own script.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import topokit  # noqa: E402
+from topokit.view import pyvista_works  # noqa: E402
+
+# ---- what the book is
+
+project = "topokit"
+author = "The topokit authors"
+copyright = f"2026, {author}"
+version = release = topokit.__version__
+
+# ---- what it is made of
+
+root_doc = "book/index"
+include_patterns = ["book/**", "notebooks/**"]
+exclude_patterns = ["**/_build/**", "**/.ipynb_checkpoints/**"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "sphinxcontrib.bibtex",
+]
+myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath", "smartquotes"]
+myst_heading_anchors = 3
+numfig = True
+bibtex_bibfiles = ["references.bib"]
+bibtex_reference_style = "author_year"
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+napoleon_google_docstring = False
+napoleon_use_param = napoleon_use_rtype = False  # shapes such as "(n, 3) float" are no classes to link to
+napoleon_custom_sections = [("Returns", "params_style")]
+
+# ---- how chapters run
+
+
+def _digest() -> str:
+    """Name everything that a chapter's outputs depend on: its text, the library, the data and the environment.
+
+    myst-nb's cache looks at a notebook alone; with the cache in a folder of this name, a change of anything else makes
+    a new cache, so no output on a page can be older than what made it.
+    """
+    hashed = hashlib.sha256()
+    files = [ROOT / "requirements.txt"]
+    for folder, pattern in (("topokit", "**/*"), ("data_small", "**/*"), ("notebooks", "*.ipynb")):
+        files += [path for path in (ROOT / folder).glob(pattern) if "__pycache__" not in path.parts]
+    for path in sorted(path for path in files if path.is_file()):
+        hashed.update(f"{path.relative_to(ROOT)}\0{path.stat().st_size}\0".encode())
+        hashed.update(path.read_bytes())
+    packages = sorted({(d.metadata["Name"], d.version) for d in metadata.distributions()}, key=str)
+    switches = sorted((name, value) for name, value in os.environ.items() if name.startswith("TOPOKIT_"))
+    hashed.update(repr((sys.version, packages, switches, pyvista_works()[0])).encode())
+    return hashed.hexdigest()[:16]
+
+
+def _fresh_cache() -> str:
+    """Return the folder of the cache for the present digest; older ones are removed."""
+    caches, digest = ROOT / "_build" / "jupyter_cache", _digest()
+    for old in caches.glob("*"):
+        if old.is_dir() and old.name != digest:
+            shutil.rmtree(old)
+    return str(caches / digest)
+
+
+nb_execution_mode = "cache"
+nb_execution_cache_path = _fresh_cache()
+nb_execution_raise_on_error = True
+nb_execution_in_temp = False  # chapters read ../data_small
+nb_execution_timeout = 300
+nb_execution_show_tb = True
+nb_merge_streams = True
+
+# ---- how it looks
+
+html_theme = "sphinx_book_theme"
+html_title = "topokit"
+html_static_path = ["_static"]
+html_css_files = ["topokit.css"]
+html_copy_source = False
+html_show_sourcelink = False
+html_last_updated_fmt = None
+html_theme_options: dict[str, Any] = {
+    "home_page_in_toc": True,
+    "show_toc_level": 2,
+    "use_download_button": False,
+    "use_fullscreen_button": False,
+    "navbar_persistent": [],  # the theme would show its search field twice
+    "navbar_end": [],
+}
+mathjax_path = "mathjax/tex-svg.js"
+
+
+def _entrance(app: Any, error: Exception | None) -> None:
+    """Make index.html of the built folder lead to the landing page, which lies in the folder of its source."""
+    if error is None and app.builder.name == "html":
+        page = '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url=book/index.html">'
+        page += '<title>topokit</title><a href="book/index.html">topokit</a>\n'
+        (Path(app.outdir) / "index.html").write_text(page, encoding="utf-8")
+
+
+def setup(app: Any) -> dict[str, bool]:
+    # As a value that Sphinx remembers, the digest also makes it read every page again when it changes.
+    app.add_config_value("chapters_digest", Path(nb_execution_cache_path).name, "env")
+    app.connect("build-finished", _entrance)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

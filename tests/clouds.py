@@ -1,0 +1,48 @@
+"""Random clouds where distances tie, and an oracle that shares no code with topokit."""
+
+from __future__ import annotations
+
+import gudhi
+import numpy as np
+
+FAMILIES = ("gaussian", "grid", "polygon", "duplicates", "collinear", "sphere", "cocircular", "coplanar")
+
+
+def random_cloud(rng: np.random.Generator, family: str, max_points: int = 24) -> np.ndarray:
+    """One cloud of a family, 1 to `max_points` points in 1 to 4 dimensions."""
+    n, d = int(rng.integers(1, max_points + 1)), int(rng.integers(1, 5))
+    if family == "gaussian":
+        return rng.normal(size=(n, d))
+    if family == "grid":
+        return rng.integers(0, rng.integers(2, 6), size=(n, d)).astype(float)
+    if family == "polygon":
+        angle = 2 * np.pi * np.arange(n) / n
+        return np.column_stack([np.cos(angle), np.sin(angle)])
+    if family == "duplicates":
+        return rng.normal(size=(n, d))[rng.integers(0, n, size=n)]
+    if family == "collinear":
+        return rng.permutation(np.linspace(0, 1, n))[:, None] * rng.integers(-2, 3, size=d)
+    if family == "sphere":
+        points = rng.normal(size=(n, 3))
+        return points / np.linalg.norm(points, axis=1, keepdims=True)
+    if family == "cocircular":  # integer points on circles through many lattice points: exact ties
+        ring = np.array([(a, b) for a in range(-8, 9) for b in range(-8, 9) if a * a + b * b in (25, 50, 65)], float)
+        return rng.permutation(ring)[:n]
+    if family == "coplanar":
+        plane = rng.integers(0, 6, size=(n, 2)).astype(float)
+        return np.column_stack([plane, plane.sum(axis=1)])
+    raise ValueError(family)
+
+
+def gudhi_pairs(points: np.ndarray) -> np.ndarray:
+    """(k, 2) births and deaths of the degree-1 bars by GUDHI, half-diameter units, sorted; bars of length zero left out."""
+    tree = gudhi.RipsComplex(points=points).create_simplex_tree(max_dimension=2)
+    tree.compute_persistence(homology_coeff_field=2)
+    return sorted_pairs(tree.persistence_intervals_in_dimension(1).reshape(-1, 2) / 2)
+
+
+def sorted_pairs(pairs: np.ndarray) -> np.ndarray:
+    """Bars in lexical order, rounding noise out of the keys; those shorter than 1e-12 left out."""
+    pairs = pairs[pairs[:, 1] - pairs[:, 0] > 1e-12]
+    keys = pairs.round(9)
+    return pairs[np.lexsort((keys[:, 1], keys[:, 0]))]

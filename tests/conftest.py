@@ -1,0 +1,25 @@
+"""Shapes and recorded episodes that several tests use."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+os.environ.setdefault("MPLBACKEND", "Agg")  # tests have no display
+
+import numpy as np
+import pytest
+
+DATA = Path(__file__).parent.parent / "data_small"
+
+
+def polygon(n: int, radius: float = 1.0) -> np.ndarray:
+    """Corners of a regular n-gon in the plane."""
+    angle = 2 * np.pi * np.arange(n) / n
+    return radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+@pytest.fixture(scope="session")
+def episode_path() -> Path:
+    """The first recorded apron episode."""
+    return DATA / "apron_hook_0.npz"

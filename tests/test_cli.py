@@ -1,0 +1,96 @@
+"""The `topokit` command on a recorded episode and on files that are none."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from topokit.cli import main
+from topokit.io import load_states
+
+
+@pytest.fixture
+def episode(tmp_path, episode_path):
+    return shutil.copy(episode_path, tmp_path / "episode.npz")
+
+
+def test_track_prints_a_table_and_writes_the_tracks(episode, capsys, tmp_path):
+    assert main(["track", str(episode)]) == 0
+    out = capsys.readouterr().out
+    assert "lifetime" in out
+    assert "true loop" in out
+    states = load_states(tmp_path / "episode.tracks.npz")
+    assert len(states) >= 76
+
+
+def test_the_neck_loop_keeps_one_name(episode, capsys, tmp_path):
+    """Under one id in at least 95 % of the frames, and in the hull of the true loop in at least 90 % of those."""
+    assert main(["track", str(episode), "--json", "--out", str(tmp_path / "t.npz")]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    longest = answer["loops"][0]
+    assert longest["frames"] >= 0.95 * answer["frames"]
+    assert longest["in_hull"] >= 0.9
+    assert 0 < longest["distance"] < 0.1
+
+
+def test_plot(episode, tmp_path):
+    picture = tmp_path / "deep" / "tracks.png"
+    assert main(["track", str(episode), "--plot", str(picture)]) == 0
+    assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["nowhere.npz"], "nowhere.npz: there is no such file"),
+        (["empty.npz"], "empty"),
+        (["half.npz"], "truncated or damaged"),
+        (["table.npz"], "not a topokit episode"),
+        (["episode.npz", "--alpha", "-1"], "alpha must be zero or more"),
+        (["episode.npz", "--out", "episode.npz"], "that is the episode itself"),
+        (["episode.npz", "--out", "tracks.csv"], "ends in .npz"),
+    ],
+)
+def test_bad_calls_say_what_is_wrong_and_write_nothing(arguments, says, episode, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    raw = (tmp_path / "episode.npz").read_bytes()
+    (tmp_path / "empty.npz").write_bytes(b"")
+    (tmp_path / "half.npz").write_bytes(raw[: len(raw) // 2])
+    (tmp_path / "table.npz").write_text("x,y,z\n")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert main(["track", *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("topokit track: error: ")
+    assert says in captured.err
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_simulate_refuses_a_bad_name_before_it_works(capsys):
+    assert main(["simulate", "--out", "episode.txt"]) == 2
+    assert "ends in .npz" in capsys.readouterr().err
+
+
+def test_help_and_version(capsys):
+    for arguments in (["--help"], ["track", "--help"], ["simulate", "--help"], ["--version"]):
+        with pytest.raises(SystemExit) as stop:
+            main(arguments)
+        assert stop.value.code == 0
+    assert "topokit 0" in capsys.readouterr().out
+
+
+def test_recorded_episodes_follow_the_format(episode_path):
+    from topokit.io import load_episode
+
+    for path in sorted(episode_path.parent.glob("apron_hook_*.npz")):
+        episode = load_episode(path)
+        assert len(episode) >= 76
+        assert episode.observed.shape[1:] == (500, 3)
+        assert episode.success
+        assert episode.held[0]
+        assert not episode.held[-1]
+        loop = episode.points[:, episode.loops[0]]
+        assert np.linalg.norm(loop - np.roll(loop, 1, axis=1), axis=2).max() < 0.08  # a cycle of mesh edges, in metres

@@ -1,0 +1,185 @@
+"""seqPH: identities on moving shapes, the gates, and that a bad frame changes nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topokit import SeqPH, TopologicalState, farthest_point_sample, hausdorff, track
+from topokit.seqph import assign
+
+from conftest import polygon
+
+
+def two_circles(shift: float, growth: float = 1.0) -> np.ndarray:
+    left = polygon(20, growth) + [shift, 0]
+    right = polygon(16, 0.6) + [4 + shift, 0]
+    return np.vstack([left, right])
+
+
+@pytest.mark.parametrize("gates", ["paper", "proved"])
+def test_two_loops_keep_their_names(gates):
+    rng = np.random.default_rng(0)
+    frames = [
+        rng.permutation(two_circles(0.03 * t, 1 + 0.01 * t)) for t in range(12)
+    ]  # identity is not the order of points
+    states = track(frames, alpha=0.2, beta=1.8, epsilon=0.05, gates=gates)
+    assert [len(state) for state in states] == [2] * 12
+    assert {tuple(loop.id for loop in state.loops) for state in states} == {(0, 1)}
+    assert [loop.lifetime for loop in states[3].loops] == sorted(
+        (loop.lifetime for loop in states[3].loops), reverse=True
+    )
+    assert np.linalg.norm(states[5][1].centre - [4.15, 0]) < 0.35
+
+
+def test_loop_holds_what_the_paper_asks_for():
+    cloud = np.column_stack([two_circles(0.0), np.zeros(36)])
+    first, second = track([cloud, cloud + [0, 0, 0.02]], alpha=0.2)
+    loop = second[0]
+    assert np.isnan(first[0].step)
+    assert loop.step == pytest.approx(0.02)
+    assert loop.killer_triangles.shape == (2, 3, 3)
+    assert 1 <= len(loop.neighbours) <= 4
+    np.testing.assert_array_equal(loop.killer_triangles, (cloud + [0, 0, 0.02])[loop.killer_triangle_ids])
+    np.testing.assert_allclose(loop.killer_values, loop.death)
+    assert (loop.neighbour_values <= loop.death).all()
+    assert hausdorff(loop.killer_edge_points[:1], loop.killer_edge_points[1:]) / 2 == pytest.approx(loop.death)
+    with pytest.raises(ValueError, match="read-only"):
+        loop.killer_triangles[0, 0, 0] = 1.0
+    with pytest.raises(KeyError, match="has no loop 9"):
+        second[9]
+
+
+def test_an_identity_is_never_used_again():
+    circle, other = polygon(20), polygon(20) + [50, 0]
+    blob = np.random.default_rng(0).normal(size=(5, 2)) * 0.01
+    states = track([circle, blob, circle, other], alpha=0.3, beta=1.8, epsilon=0.1)
+    assert [[loop.id for loop in state.loops] for state in states] == [[0], [], [1], [2]]
+
+
+def test_gates_forbid_a_loop_that_changed_too_much():
+    options = {"alpha": 0.1, "beta": 1.8, "epsilon": 0.05}
+    small, large = polygon(20), polygon(20, 1.4)  # the death moves by 0.35, more than 2 alpha + epsilon
+    assert [state.loops[0].id for state in track([small, large], **options)] == [0, 1]
+    assert [state.loops[0].id for state in track([small, polygon(20, 1.2)], **options)] == [0, 0]
+    assert [state.loops[0].id for state in track([small, polygon(20, 1.2)], gates="proved", **options)] == [0, 1]
+
+
+def test_lifetimes_below_alpha_are_dropped():
+    lifetime = track([polygon(20)], alpha=0.0)[0].loops[0].lifetime
+    assert len(track([polygon(20)], alpha=lifetime)[0]) == 1
+    assert len(track([polygon(20)], alpha=np.nextafter(lifetime, 9))[0]) == 0
+
+
+def test_estimates_are_reported():
+    states = track([polygon(20), polygon(20) + [0.07, 0]])
+    assert states[0].parameters["alpha"] == pytest.approx(np.sin(np.pi / 20))  # half the distance to the nearest point
+    assert states[0].parameters["epsilon"] == 0.0
+    assert 0 < states[1].parameters["epsilon"] <= 0.07 + 1e-12  # the Hausdorff distance is at most the motion
+    assert states[1].parameters["beta"] == pytest.approx(2 * states[1].loops[0].death)
+    assert track([polygon(20)], alpha=0.01)[0].parameters["alpha"] == 0.01
+
+
+def test_streaming_and_whole_sequence_agree():
+    frames = [two_circles(0.05 * t) for t in range(6)]
+    tracker = SeqPH()
+    streamed = [tracker.update(frame) for frame in frames]
+    whole = track(np.array(frames))
+    for one, other in zip(streamed, whole, strict=True):
+        assert [loop.id for loop in one.loops] == [loop.id for loop in other.loops]
+        assert one.parameters == other.parameters
+        assert one.time == other.time == one.frame
+
+
+def test_a_bad_frame_leaves_the_tracker_as_it_was():
+    frames = [two_circles(0.05 * t) for t in range(4)]
+    tracker = SeqPH()
+    tracker.update(frames[0])
+    for bad, says in (
+        (np.full((9, 2), np.nan), "frame 1 .* NaN"),
+        (np.empty((0, 2)), "frame 1 has no points"),
+        (np.zeros((9, 3)), "frame 1 has 3 dimensions"),
+        (np.zeros(9), "frame 1 must be"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            tracker.update(bad)
+    after = [tracker.update(frame) for frame in frames[1:]]
+    assert [state.frame for state in after] == [1, 2, 3]
+    assert [[loop.id for loop in state.loops] for state in after] == [[0, 1]] * 3
+
+
+def test_bad_sequences_name_the_frame():
+    good = two_circles(0)
+    bad = good.copy()
+    bad[4, 1] = np.inf
+    with pytest.raises(ValueError, match=r"sequence\[2\].*row 4"):
+        track([good, good, bad])
+    with pytest.raises(ValueError, match=r"sequence\[1\] has points in 3 dimensions"):
+        track([good, np.zeros((5, 3))])
+    with pytest.raises(ValueError, match="shape"):
+        track(good)
+    with pytest.raises(ValueError, match="1 values for 2 frames"):
+        track([good, good], times=[0.0])
+
+
+def test_few_points_have_no_loops():
+    states = track([np.zeros((1, 3)), np.zeros((3, 3)), np.ones((40, 3))])
+    assert [len(state) for state in states] == [0, 0, 0]
+    assert track([]) == []
+
+
+@pytest.mark.parametrize(
+    ("option", "error"),
+    [
+        ({"alpha": -1}, ValueError),
+        ({"beta": "wide"}, TypeError),
+        ({"gates": "loose"}, ValueError),
+        ({"identity": "soul"}, ValueError),
+    ],
+)
+def test_bad_options(option, error):
+    with pytest.raises(error, match=next(iter(option))):
+        SeqPH(**option)
+
+
+def test_assignment_never_takes_a_forbidden_pair():
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        shape = rng.integers(1, 6, size=2)
+        cost, allowed = rng.random(shape), rng.random(shape) < 0.4
+        pairs = assign(cost, allowed)
+        assert all(allowed[pair] for pair in pairs)
+        assert len({i for i, _ in pairs}) == len({j for _, j in pairs}) == len(pairs)
+        size, total = best_matching(cost, allowed)
+        assert len(pairs) == size
+        assert sum(cost[pair] for pair in pairs) == pytest.approx(total)
+
+
+def best_matching(
+    cost: np.ndarray, allowed: np.ndarray, row: int = 0, used: frozenset = frozenset()
+) -> tuple[int, float]:
+    """Size and cost of the largest, then cheapest matching, by trying all."""
+    if row == len(cost):
+        return 0, 0.0
+    best = best_matching(cost, allowed, row + 1, used)
+    for column in range(cost.shape[1]):
+        if allowed[row, column] and column not in used:
+            size, total = best_matching(cost, allowed, row + 1, used | {column})
+            best = max(best, (size + 1, total + cost[row, column]), key=lambda pair: (pair[0], -pair[1]))
+    return best
+
+
+def test_farthest_points_cover():
+    cloud = np.random.default_rng(2).random((300, 3))
+    idx, radius = farthest_point_sample(cloud, 40, start=7)
+    assert idx[0] == 7
+    assert len(set(idx.tolist())) == 40
+    away = np.linalg.norm(cloud[:, None] - cloud[idx][None], axis=2).min(axis=1)
+    assert radius == pytest.approx(away.max())
+    for bad, says in (({"n": 0}, "n must be"), ({"n": 301}, "n must be"), ({"n": 3, "start": 300}, "start")):
+        with pytest.raises(ValueError, match=says):
+            farthest_point_sample(cloud, **bad)
+
+
+def test_state_of_nothing():
+    assert len(TopologicalState(frame=0, time=0.0)) == 0

@@ -1,0 +1,86 @@
+"""The numbers of a simulation, in one place, checked and recorded with every episode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from topokit._validate import positive
+
+__all__ = ["SimulationConfig"]
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """Physics, grippers and clock of a simulation. SI units.
+
+    Attributes
+    ----------
+    dt : float
+        Seconds of a physics step.
+    mass : float
+        Of the garment, kg.
+    stiffness : float
+        Elastic stiffness of the springs as a multiple of mass / (N dt^2), the stiffness at which a vertex of a garment of N
+        vertices oscillates as fast as the clock can follow. 0.4 to 0.8 is cloth; above about 1.5 it buzzes, at 3 it explodes.
+    bending : float
+        Bending stiffness as a share of the elastic one.
+    damping : float
+        Of the springs, in all directions.
+    friction : float
+        Coefficient of friction of cloth on target and cloth.
+    self_collision : bool
+        Whether the garment collides with itself. With it an episode repeats bit by bit in a fresh process only.
+    margin : float
+        Collision margin as a share of the shortest edge.
+    gripper_mass, kp, kd, max_force : float
+        Each gripper is a body of this mass (kg) without a shape, drawn to its target by a force kp * error - kd * velocity
+        (N/m, Ns/m) of at most `max_force` newtons.
+    frames, steps_per_frame : int
+        What is recorded: `frames` frames, `steps_per_frame` physics steps apart.
+    settle : float
+        Seconds for the garment to hang still between the grippers before the first frame.
+    max_stretch : float
+        An episode in which the 99th percentile of edge length over rest length exceeds this is refused.
+
+    Raises
+    ------
+    TypeError, ValueError
+        When a number is out of its range; the message names it.
+    """
+
+    dt: float = 1 / 500
+    mass: float = 0.3
+    stiffness: float = 0.6
+    bending: float = 0.01
+    damping: float = 0.1
+    friction: float = 1.0
+    self_collision: bool = True
+    margin: float = 0.3
+    gripper_mass: float = 0.1
+    kp: float = 200.0
+    kd: float = 20.0
+    max_force: float = 30.0
+    frames: int = 96
+    steps_per_frame: int = 18
+    settle: float = 0.8
+    max_stretch: float = 1.8
+
+    def __post_init__(self) -> None:
+        may_be_zero = ("bending", "damping", "friction", "kd", "settle")
+        for field in fields(self):
+            if field.name == "self_collision":
+                continue
+            value = positive(getattr(self, field.name), field.name, zero=field.name in may_be_zero)
+            if field.type == "int" and value != int(value):
+                raise ValueError(f"{field.name} must be a whole number, not {value}")
+        if self.max_stretch <= 1:
+            raise ValueError(f"max_stretch must be more than 1, not {self.max_stretch}")
+
+    @property
+    def frame_time(self) -> float:
+        """Seconds between two frames."""
+        return self.dt * self.steps_per_frame
+
+    def elastic_stiffness(self, n_vertices: int) -> float:
+        """Return the stiffness of the springs, N/m, of a garment of that many vertices."""
+        return self.stiffness * self.mass / (n_vertices * self.dt**2)

@@ -1,0 +1,39 @@
+"""Pictures: diagrams, tracks, cloths, and a player that needs no kernel.
+
+Everything here needs Matplotlib; `render_cloth` draws better with PyVista, which is imported only there.
+
+    >>> from topokit.view import loop_colour
+    >>> loop_colour(0)
+    '#D55E00'
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+if find_spec("matplotlib") is None:
+    raise ImportError("topokit.view needs matplotlib: pip install 'topokit[view]'")
+
+from ._flow import DataFlow, data_flow
+from ._palette import OKABE_ITO, appearances, long_lived, loop_colour
+from ._player import Player, player, telling_frame
+from ._plots import plot_cloth, plot_diagram, plot_tracks, track_figure
+from ._render import pyvista_works, render_cloth
+
+__all__ = [
+    "OKABE_ITO",
+    "DataFlow",
+    "Player",
+    "appearances",
+    "data_flow",
+    "long_lived",
+    "loop_colour",
+    "player",
+    "plot_cloth",
+    "plot_diagram",
+    "plot_tracks",
+    "pyvista_works",
+    "render_cloth",
+    "telling_frame",
+    "track_figure",
+]

@@ -1,0 +1,197 @@
+"""The figure that moves without a kernel: a small page of its own, with its data inside, in a frame.
+
+Idea: everything the figure shows is packed once (coordinates in 16 bits, base64) beside a script without dependencies,
+and the page is handed to the browser as the `srcdoc` of an iframe. So it works the same in Jupyter, on a built page
+and as a file on a disk, and asks nothing of the network.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topokit.io import Episode
+from topokit.state import Loop, TopologicalState
+from topokit.view._geometry import as_line, rod_radius, subdivide
+from topokit.view._palette import OKABE_ITO, long_lived
+
+__all__ = ["Player", "pack", "pack_coordinates", "player", "telling_frame", "unpack"]
+
+_TYPES = {"u1": np.uint8, "u2": np.uint16, "i4": np.int32, "f4": np.float32}
+
+
+def pack(array: NDArray[Any]) -> dict[str, Any]:
+    """Return an array as a JSON-ready dict: little-endian bytes in base64, in the smallest type the player reads."""
+    array = np.asarray(array)
+    if np.issubdtype(array.dtype, np.floating):
+        kind = "f4"
+    elif array.dtype == bool or array.dtype == np.uint8:
+        kind = "u1"
+    else:
+        kind = "u2" if array.size == 0 or (array.min() >= 0 and array.max() < 2**16) else "i4"
+    values = np.ascontiguousarray(array, dtype=np.dtype(_TYPES[kind]).newbyteorder("<"))
+    return {"type": kind, "shape": list(array.shape), "values": base64.b64encode(values.tobytes()).decode("ascii")}
+
+
+def pack_coordinates(points: NDArray[np.floating[Any]]) -> dict[str, Any]:
+    """Pack (..., 3) coordinates to 16 bits with one scale for the three axes; the error is at most half the scale."""
+    flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    low = flat.min(axis=0) if len(flat) else np.zeros(3)
+    scale = float((flat.max(axis=0) - low).max()) / (2**16 - 1) if len(flat) else 0.0
+    scale = scale or 1.0  # all points equal
+    steps = np.rint((flat - low) / scale).astype(np.uint16).reshape(np.shape(points))
+    return pack(steps) | {"scale": scale, "low": low.tolist()}
+
+
+def unpack(packed: dict[str, Any]) -> NDArray[Any]:
+    """Return the array that `pack` or the player's coordinates hold: what the script sees, for tests and for readers."""
+    kind = np.dtype(_TYPES[packed["type"]]).newbyteorder("<")
+    array = np.frombuffer(base64.b64decode(packed["values"]), dtype=kind).reshape(packed["shape"])
+    return array * packed["scale"] + packed["low"] if "scale" in packed else array
+
+
+@dataclass(frozen=True)
+class Player:
+    """A figure that plays an episode and its loops; the last value of a notebook cell shows it.
+
+    Attributes
+    ----------
+    page : str
+        The whole HTML page, its data and its script inside.
+    height : int
+        Height of the frame around it in CSS pixels.
+    title : str
+        What the frame is called for readers who hear the page.
+    """
+
+    page: str
+    height: int
+    title: str
+
+    def _repr_html_(self) -> str:
+        source = html.escape(self.page, quote=True)
+        return (
+            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" '
+            f'style="width:100%;height:{self.height}px;border:0;display:block"></iframe>'
+        )
+
+    def __repr__(self) -> str:
+        return f"Player({self.title!r}, {len(self.page) / 1000:.0f} kB)"
+
+    def save(self, path: str | Path) -> Path:
+        """Write the figure as one HTML file that opens in any browser, and return its path."""
+        path = Path(path)
+        path.write_text(self.page, encoding="utf-8")
+        return path
+
+
+def player(
+    episode: Episode,
+    states: Sequence[TopologicalState],
+    *,
+    height: int = 520,
+    start: int | None = None,
+    view: tuple[float, float] = (-60.0, 15.0),
+    show_truth: bool = False,
+) -> Player:
+    """Return an interactive figure of an episode: the cloth, its loops, their diagram and their lifetimes over time.
+
+    Parameters
+    ----------
+    episode : Episode
+    states : sequence of TopologicalState
+        One a frame, in order, as `topokit.track` returns them.
+    height : int
+        Height of the frame in CSS pixels; a narrow page stacks the parts and takes more.
+    start : int, optional
+        The frame shown before anyone touches the figure; the one where the weightiest loop lives longest by default.
+    view : (2,) float
+        Azimuth and elevation of the eye in degrees, as in Matplotlib's `view_init`.
+    show_truth : bool
+        Whether the garment's true loops are drawn from the start; the reader can turn them on and off.
+
+    Raises
+    ------
+    ValueError
+        When `states` has another length than the episode, or `start` is no frame of it.
+    """
+    if len(states) != len(episode):
+        raise ValueError(f"states has {len(states)} frames where episode has {len(episode)}; track the same episode")
+    start = telling_frame(states) if start is None else start
+    if not 0 <= start < len(episode):
+        raise ValueError(f"start must be a frame from 0 to {len(episode) - 1}, not {start}")
+    title = f"{episode.garment}, {episode.target}"
+    data = _scene(episode) | {
+        "title": title,
+        "start": int(start),
+        "height": int(height),
+        "view": [float(view[0]), float(view[1])],
+        "show_truth": bool(show_truth),
+        "palette": list(OKABE_ITO),
+        "long": list(long_lived(states)),
+    }
+    data["arrays"] |= _tracks(states)
+    return Player(_page(data), height, f"Player: {title}")
+
+
+def telling_frame(states: Sequence[TopologicalState]) -> int:
+    """Return the frame at which the weightiest identity has its longest lifetime; 0 when there are no loops."""
+    ids = long_lived(states)
+    if not ids:
+        return 0
+    lifetimes = [max((loop.lifetime for loop in state.loops if loop.id == ids[0]), default=-1.0) for state in states]
+    return int(np.argmax(lifetimes))
+
+
+def _scene(episode: Episode) -> dict[str, Any]:
+    """The parts of the payload that come from the episode."""
+    points = np.asarray(episode.points, dtype=np.float64)
+    low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
+    return {
+        "frames": len(episode),
+        "dt": float(episode.dt),
+        "unit": "m",
+        "centre": ((low + high) / 2).tolist(),
+        "radius": float(np.linalg.norm(high - low) / 2) or 1.0,
+        "thickness": rod_radius(episode),
+        "truth": [np.asarray(loop).tolist() for loop in episode.loops],
+        "arrays": {
+            "points": pack_coordinates(points),
+            "faces": pack(np.asarray(episode.faces).reshape(-1, 3)),
+            "line": pack_coordinates(subdivide(as_line(episode.centre_line, "centre_line"))),
+            "grippers": pack_coordinates(episode.grippers),
+            "held": pack(np.asarray(episode.held, dtype=bool)),
+        },
+    }
+
+
+def _tracks(states: Sequence[TopologicalState]) -> dict[str, dict[str, Any]]:
+    """The loops of all frames in one table; the loops of frame t are its rows first[t] to first[t + 1]."""
+    loops: list[Loop] = [loop for state in states for loop in state.loops]
+    corners = [np.concatenate([loop.killer_edge_points, loop.killer_triangles.reshape(6, 3)]) for loop in loops]
+    return {
+        "first": pack(np.cumsum([0] + [len(state.loops) for state in states])),
+        "id": pack(np.array([loop.id for loop in loops], dtype=np.int64)),
+        "birth": pack(np.array([loop.birth for loop in loops], dtype=np.float64)),
+        "death": pack(np.array([loop.death for loop in loops], dtype=np.float64)),
+        "killer": pack_coordinates(np.array(corners, dtype=np.float64).reshape(-1, 8, 3)),
+        "alpha": pack(np.array([float(state.parameters.get("alpha") or 0.0) for state in states])),
+    }
+
+
+def _page(data: dict[str, Any]) -> str:
+    """Put data and script into the page. A `</` inside the JSON could end the script element: it is escaped."""
+    files = resources.files("topokit.view")
+    page = files.joinpath("player.html").read_text(encoding="utf-8")
+    script = files.joinpath("player.js").read_text(encoding="utf-8")
+    text = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
+    return page.replace("__SCRIPT__", script).replace("__DATA__", text)

@@ -1,0 +1,388 @@
+// The player of topokit.view: a cloth, its loops, their diagram and their lifetimes, on three 2D canvases.
+// Idea: unpack once; every change of frame, camera, size or theme redraws all three canvases from scratch.
+"use strict";
+(() => {
+  const $ = (id) => document.getElementById(id);
+  const data = JSON.parse($("data").textContent);
+  const types = { u1: Uint8Array, u2: Uint16Array, i4: Int32Array, f4: Float32Array };
+  const unpack = ({ type, values, scale, low }) => {
+    const bytes = Uint8Array.from(atob(values), (c) => c.charCodeAt(0));
+    const array = new types[type](bytes.buffer);
+    return scale === undefined ? array : Float32Array.from(array, (v, i) => v * scale + low[i % 3]);
+  };
+  const a = Object.fromEntries(Object.entries(data.arrays).map(([name, packed]) => [name, unpack(packed)]));
+  const frames = data.frames, N = a.points.length / 3 / frames, F = a.faces.length / 3;
+  const [scene, diagram, strip] = [$("scene"), $("diagram"), $("strip")];
+  const home = { az: (data.view[0] * Math.PI) / 180, el: (data.view[1] * Math.PI) / 180, zoom: 1 };
+  const cam = { ...home };
+  let frame = data.start, dark = false, playing = false, runs = 0, fit = null;
+
+  // ---- theme -------------------------------------------------------------------------------------------------
+  function theme() {
+    dark = matchMedia("(prefers-color-scheme: dark)").matches;
+    try { // the page around the frame knows better; a page of another origin does not let us ask
+      const root = parent.document.documentElement.dataset.theme, lab = parent.document.body.dataset.jpThemeLight;
+      if (parent !== window && (root || lab)) dark = root ? root === "dark" : lab === "false";
+    } catch { /* keep the system's */ }
+    document.documentElement.classList.toggle("dark", dark);
+  }
+  const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
+  const fade = (hex, alpha) => hex + Math.round(alpha * 255).toString(16).padStart(2, "0");
+
+  function start(canvas) { // a cleared context in CSS pixels, whatever the screen's density
+    const ratio = devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight, g = canvas.getContext("2d");
+    canvas.width = Math.round(w * ratio);
+    canvas.height = Math.round(h * ratio);
+    g.scale(ratio, ratio);
+    g.font = getComputedStyle(document.body).font;
+    g.lineCap = g.lineJoin = "round";
+    return [g, w, h];
+  }
+
+  // ---- the loops of a frame ----------------------------------------------------------------------------------
+  const loopsOf = (t) => {
+    const list = [];
+    for (let i = a.first[t]; i < a.first[t + 1]; i++) list.push(i);
+    return list;
+  };
+  const colour = (i) => data.palette[a.id[i] % data.palette.length];
+  const main = (i) => data.long.includes(a.id[i]);
+
+  // ---- the cloth ---------------------------------------------------------------------------------------------
+  function camera() {
+    const [sa, ca, se, ce] = [Math.sin(cam.az), Math.cos(cam.az), Math.sin(cam.el), Math.cos(cam.el)];
+    return (p, i, out) => { // right, up, towards the eye
+      const x = p[i] - data.centre[0], y = p[i + 1] - data.centre[1], z = p[i + 2] - data.centre[2];
+      out[0] = -sa * x + ca * y;
+      out[1] = -se * (ca * x + sa * y) + ce * z;
+      out[2] = ce * (ca * x + sa * y) + se * z;
+    };
+  }
+  function measure(w, h) { // one scale for the whole run, so that playing does not make the picture breathe
+    const see = camera(), q = [0, 0, 0], low = [1e9, 1e9], high = [-1e9, -1e9];
+    const take = (p, i) => {
+      see(p, i, q);
+      for (const k of [0, 1]) [low[k], high[k]] = [Math.min(low[k], q[k]), Math.max(high[k], q[k])];
+    };
+    for (let i = 0; i < a.points.length; i += 9) take(a.points, i);
+    for (let i = 0; i < a.line.length; i += 3) take(a.line, i);
+    const scale = Math.min((w - 36) / (high[0] - low[0] || 1), (h - 52) / (high[1] - low[1] || 1));
+    return { scale, x: (low[0] + high[0]) / 2, y: (low[1] + high[1]) / 2 };
+  }
+  const V = new Float32Array(3 * N), S = new Float32Array(2 * N), normal = new Float32Array(3 * N);
+  function shade(i, j, k) { // mean of the corners' normals: softer than a flat face, cheaper than a smooth one
+    let [x, y, z] = [0, 1, 2].map((c) => normal[3 * i + c] + normal[3 * j + c] + normal[3 * k + c]);
+    const length = Math.hypot(x, y, z) || 1, back = z < 0;
+    if (back) [x, y, z] = [-x, -y, -z];
+    const light = 0.5 + 0.5 * Math.max(0, (-0.35 * x + 0.5 * y + 0.79 * z) / length);
+    const base = dark ? (back ? [150, 148, 158] : [186, 182, 172]) : back ? [203, 204, 214] : [232, 226, 212];
+    return [1, 0.94].map((k) => `rgb(${base.map((c) => Math.round(c * light * k)).join()})`); // face, and its edges
+  }
+  function drawScene() {
+    const [g, w, h] = start(scene);
+    fit = fit || measure(w, h);
+    const see = camera(), q = [0, 0, 0], size = fit.scale * cam.zoom, far = 5 * data.radius;
+    const place = (p, i) => {
+      see(p, i, q);
+      const k = size / (1 - q[2] / far);
+      return [w / 2 + (q[0] - fit.x) * k, h / 2 + 8 - (q[1] - fit.y) * k, q[2], k];
+    };
+    for (let i = 0, o = 3 * N * frame; i < N; i++) {
+      const s = place(a.points, o + 3 * i);
+      V.set(q, 3 * i);
+      S[2 * i] = s[0];
+      S[2 * i + 1] = s[1];
+    }
+    const items = [], path = (list, close) => {
+      g.beginPath();
+      list.forEach(([x, y], n) => (n ? g.lineTo(x, y) : g.moveTo(x, y)));
+      if (close) g.closePath();
+    };
+    normal.fill(0);
+    for (let f = 0; f < F; f++) {
+      const [i, j, k] = a.faces.subarray(3 * f, 3 * f + 3);
+      const [e, d] = [0, 1].map((s) => [0, 1, 2].map((c) => V[3 * (s ? k : j) + c] - V[3 * i + c]));
+      const n = [e[1] * d[2] - e[2] * d[1], e[2] * d[0] - e[0] * d[2], e[0] * d[1] - e[1] * d[0]];
+      for (const v of [i, j, k]) for (const c of [0, 1, 2]) normal[3 * v + c] += n[c];
+      items.push([(V[3 * i + 2] + V[3 * j + 2] + V[3 * k + 2]) / 3, () => {
+        [g.fillStyle, g.strokeStyle] = shade(i, j, k);
+        g.lineWidth = 0.7;
+        path([i, j, k].map((v) => [S[2 * v], S[2 * v + 1]]), true);
+        g.fill();
+        g.stroke();
+      }]);
+    }
+    if (!F) for (let i = 0; i < N; i++) items.push([V[3 * i + 2], () => {
+      g.fillStyle = fade(dark ? "#babac4" : "#5d6b7a", 0.8);
+      g.fillRect(S[2 * i] - 1.5, S[2 * i + 1] - 1.5, 3, 3);
+    }]);
+    const rod = dark ? "#7f8fa1" : "#4a5868";
+    for (let i = 0; i + 3 < a.line.length; i += 3) {
+      const p = place(a.line, i), s = place(a.line, i + 3);
+      items.push([(p[2] + s[2]) / 2, () => {
+        g.strokeStyle = rod;
+        g.lineWidth = Math.max(2, 2 * data.thickness * p[3]);
+        path([p, s]);
+        g.stroke();
+      }]);
+    }
+    for (let i = 0; i < a.grippers.length / frames; i += 3) {
+      const p = place(a.grippers, a.grippers.length / frames * frame + i);
+      items.push([p[2] + 0.1 * data.radius, () => {
+        g.strokeStyle = css("--ink");
+        g.fillStyle = a.held[frame] ? css("--ink") : css("--panel");
+        g.lineWidth = 1.5;
+        g.beginPath();
+        g.arc(p[0], p[1], 4.5, 0, 7);
+        g.fill();
+        g.stroke();
+      }]);
+    }
+    items.sort((p, s) => p[0] - s[0]).forEach((item) => item[1]());
+    if ($("truth").checked) data.truth.forEach((loop) => {
+      for (const [style, width] of [[css("--panel"), 5], [css("--ink"), 2]]) {
+        g.strokeStyle = style;
+        g.lineWidth = width;
+        path(loop.map((v) => [S[2 * v], S[2 * v + 1]]), true);
+        g.stroke();
+      }
+    });
+    for (const i of loopsOf(frame).reverse()) {
+      const corner = (n) => place(a.killer, 24 * i + 3 * n), strong = main(i), paint = colour(i);
+      for (const n of [5, 2]) {
+        path([corner(n), corner(n + 1), corner(n + 2)], true);
+        g.fillStyle = fade(paint, strong ? 0.42 : 0.13);
+        g.strokeStyle = fade(paint, strong ? 0.95 : 0.35);
+        g.lineWidth = strong ? 1.4 : 0.8;
+        g.fill();
+        g.stroke();
+      }
+      for (const [style, width] of strong ? [[css("--panel"), 6], [paint, 3.4]] : [[fade(paint, 0.45), 1.8]]) {
+        g.strokeStyle = style;
+        g.lineWidth = width;
+        path([corner(0), corner(1)]);
+        g.stroke();
+      }
+    }
+    for (const i of loopsOf(frame).filter(main)) { // names last, above everything
+      const corners = [2, 3, 4, 5, 6, 7].map((n) => place(a.killer, 24 * i + 3 * n));
+      const x = Math.max(...corners.map((c) => c[0])) + 8, y = corners.reduce((s, c) => s + c[1], 0) / 6;
+      tag(g, "loop " + a.id[i], Math.min(x, w - 58), y, colour(i));
+    }
+  }
+  function tag(g, text, x, y, paint) {
+    const width = g.measureText(text).width;
+    g.fillStyle = css("--ground");
+    g.strokeStyle = paint;
+    g.lineWidth = 1.5;
+    g.beginPath();
+    g.rect(x - 4, y - 9, width + 8, 18);
+    g.fill();
+    g.stroke();
+    g.fillStyle = css("--ink");
+    g.textBaseline = "middle";
+    g.fillText(text, x, y + 0.5);
+  }
+
+  // ---- the two charts ----------------------------------------------------------------------------------------
+  function ticks(high) {
+    const rough = high / 4, ten = 10 ** Math.floor(Math.log10(rough));
+    const step = [1, 2, 5, 10].map((m) => m * ten).find((s) => s >= rough);
+    return Array.from({ length: Math.floor(high / step + 1e-9) + 1 }, (_, k) => +(k * step).toPrecision(6));
+  }
+  function axes(canvas, highX, highY, title, unitX, square) {
+    const [g, w, h] = start(canvas), box = { x: 44, y: 28, w: w - 58, h: h - 64 };
+    if (square) box.w = Math.min(box.w, box.h * 1.6);
+    const X = (v) => box.x + (v / highX) * box.w, Y = (v) => box.y + box.h - (v / highY) * box.h;
+    g.fillStyle = css("--soft");
+    g.strokeStyle = css("--line");
+    g.lineWidth = 1;
+    g.textBaseline = "middle";
+    g.fillText(title, 10, 14);
+    for (const v of ticks(highX)) {
+      g.textAlign = "center";
+      g.fillText(v, X(v), box.y + box.h + 12);
+    }
+    g.textAlign = "right";
+    g.fillText(unitX, box.x + box.w, box.y + box.h + 27);
+    for (const v of ticks(highY)) {
+      g.fillText(v, box.x - 6, Y(v));
+      line(g, X(0), Y(v), X(highX), Y(v));
+    }
+    g.textAlign = "left";
+    return [g, X, Y, box];
+  }
+  function line(g, x, y, u, v, dash = []) {
+    g.setLineDash(dash);
+    g.beginPath();
+    g.moveTo(x, y);
+    g.lineTo(u, v);
+    g.stroke();
+    g.setLineDash([]);
+  }
+  const top = (1.06 * a.death.reduce((m, v) => Math.max(m, v), 0)) || 1;
+  const tall = (1.1 * a.death.reduce((m, v, i) => Math.max(m, v - a.birth[i]), 0)) || 1;
+  const find = (id, t) => loopsOf(t).find((i) => a.id[i] === id);
+  function drawDiagram() {
+    const wide = 1.5 * a.birth.reduce((m, v) => Math.max(m, v), top / 3);
+    const [g, X, Y] = axes(diagram, wide, top, "diagram: death against birth (" + data.unit + ")", "birth");
+    const end = Math.min(wide, top);
+    g.strokeStyle = css("--soft");
+    g.lineWidth = 1.2;
+    line(g, X(0), Y(0), X(end), Y(end));
+    const alpha = a.alpha[frame];
+    if (alpha > 0 && alpha < top) {
+      const stop = Math.min(wide, top - alpha);
+      line(g, X(0), Y(alpha), X(stop), Y(stop + alpha), [4, 4]);
+      g.fillStyle = css("--soft");
+      g.fillText("alpha", X(stop) - 40, Y(stop + alpha) + 18);
+    }
+    const list = loopsOf(frame).reverse();
+    for (const i of list.filter(main)) for (let t = frame, now = i; t > Math.max(0, frame - 14); t--) { // where it came from
+      const last = find(a.id[i], t - 1);
+      if (last === undefined) break;
+      g.strokeStyle = fade(colour(i), 0.5 * (1 - (frame - t) / 14));
+      g.lineWidth = 3;
+      line(g, X(a.birth[now]), Y(a.death[now]), X(a.birth[last]), Y(a.death[last]));
+      now = last;
+    }
+    for (const i of list) {
+      g.beginPath();
+      g.arc(X(a.birth[i]), Y(a.death[i]), main(i) ? 6 : 3.5, 0, 7);
+      g.fillStyle = fade(colour(i), main(i) ? 1 : 0.55);
+      g.fill();
+      g.strokeStyle = css("--panel");
+      g.lineWidth = 1;
+      g.stroke();
+    }
+    for (const i of list.filter(main)) {
+      g.fillStyle = css("--ink");
+      g.fillText("loop " + a.id[i], X(a.birth[i]) + 11, Y(a.death[i]));
+    }
+  }
+  const seconds = Math.max(data.dt * (frames - 1), 1e-9);
+  const ids = [...new Set(a.id)].sort((p, s) => data.long.includes(p) - data.long.includes(s) || p - s);
+  function drawStrip() {
+    const [g, X, Y, box] = axes(strip, seconds, tall, "lifetime of every loop (" + data.unit + ")", "time (s)");
+    const at = (t) => X(t * data.dt), released = a.held.indexOf(0);
+    strip.box = box;
+    if (released > 0) {
+      g.strokeStyle = g.fillStyle = css("--soft");
+      line(g, at(released), box.y, at(released), box.y + box.h, [2, 3]);
+      g.fillText("let go", at(released) + 4, box.y + 7);
+    }
+    for (const id of ids) {
+      const strong = data.long.includes(id);
+      g.strokeStyle = g.fillStyle = fade(data.palette[id % data.palette.length], strong ? 1 : 0.4);
+      g.lineWidth = strong ? 2.2 : 1.2;
+      g.beginPath();
+      for (let t = 0, on = false; t < frames; t++) {
+        const i = find(id, t);
+        if (i !== undefined) {
+          const y = Y(a.death[i] - a.birth[i]);
+          if (on) g.lineTo(at(t), y);
+          else {
+            g.moveTo(at(t) - 0.5, y);
+            g.lineTo(at(t) + 0.5, y);
+          }
+        }
+        on = i !== undefined;
+      }
+      g.stroke();
+    }
+    g.strokeStyle = css("--ink");
+    g.lineWidth = 1.5;
+    line(g, at(frame), box.y - 4, at(frame), box.y + box.h);
+  }
+
+  // ---- time --------------------------------------------------------------------------------------------------
+  function draw() {
+    drawScene();
+    drawDiagram();
+    drawStrip();
+    const loops = loopsOf(frame), best = loops[0];
+    const text = `frame ${frame} of ${frames - 1} \u00b7 ${(frame * data.dt).toFixed(2)} s \u00b7 ${loops.length} loop${loops.length === 1 ? "" : "s"}`;
+    $("status").textContent = text;
+    $("time").value = frame;
+    $("time").setAttribute("aria-valuetext", text);
+    const word = best === undefined ? "no loops" : `the longest is loop ${a.id[best]}: born ${a.birth[best].toFixed(3)}, dies ${a.death[best].toFixed(3)}`;
+    diagram.setAttribute("aria-label", `persistence diagram, ${text}; ${word} ${data.unit}`);
+    scene.setAttribute("aria-label", `${data.title}, ${text}. Drag or use the arrow keys to turn it, plus and minus to zoom.`);
+  }
+  let queued = false;
+  const later = () => {
+    if (!queued) requestAnimationFrame(() => ((queued = false), draw()));
+    queued = true;
+  };
+  const go = (t) => {
+    frame = Math.max(0, Math.min(frames - 1, Math.round(t)));
+    later();
+  };
+  function play(on) {
+    const began = performance.now(), from = frame >= frames - 1 ? 0 : frame, mine = ++runs;
+    playing = on;
+    $("icon").setAttribute("d", on ? "M1 0h3v10h-3zM6 0h3v10h-3z" : "M1.5 0 9.5 5 1.5 10z");
+    $("play").setAttribute("aria-label", on ? "pause" : "play");
+    const rate = (frames - 1) / Math.max(seconds, 8) / 1000; // a run shorter than 8 s is shown slowed to 8 s
+    const step = (now) => {
+      if (runs !== mine) return; // paused or started anew
+      go(from + Math.max(0, now - began) * rate);
+      if (frame >= frames - 1) play(false);
+      else requestAnimationFrame(step);
+    };
+    if (on) requestAnimationFrame(step);
+  }
+  $("play").onclick = () => play(!playing);
+  $("time").oninput = (e) => (play(false), go(+e.target.value));
+  $("truth").onchange = later;
+  strip.onpointerdown = strip.onpointermove = (e) => {
+    if (!e.buttons) return;
+    strip.setPointerCapture(e.pointerId);
+    play(false);
+    go(((e.offsetX - strip.box.x) / strip.box.w) * (frames - 1));
+  };
+
+  // ---- camera ------------------------------------------------------------------------------------------------
+  const turn = (dx, dy) => {
+    cam.az -= dx;
+    cam.el = Math.max(-1.5, Math.min(1.5, cam.el + dy));
+    later();
+  };
+  const zoom = (by) => ((cam.zoom = Math.max(0.4, Math.min(8, cam.zoom * by))), later());
+  scene.onpointerdown = (e) => scene.setPointerCapture(e.pointerId);
+  scene.onpointermove = (e) => e.buttons && turn(e.movementX / 120, e.movementY / 120);
+  scene.ondblclick = () => (Object.assign(cam, home), later());
+  scene.onkeydown = (e) => {
+    const act = { ArrowLeft: () => turn(0.1, 0), ArrowRight: () => turn(-0.1, 0), ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1),
+      "+": () => zoom(1.15), "=": () => zoom(1.15), "-": () => zoom(0.87), " ": () => play(!playing) }[e.key];
+    if (act) (e.preventDefault(), act());
+  };
+  scene.addEventListener("wheel", (e) => { // only once the picture was clicked: a reader who scrolls by is left in peace
+    if (document.activeElement !== scene) return;
+    e.preventDefault();
+    zoom(Math.exp(-e.deltaY / 500));
+  }, { passive: false });
+
+  // ---- start -------------------------------------------------------------------------------------------------
+  function layout() {
+    fit = null;
+    try { // stacked on a narrow page, the figure needs more height than it was given
+      if (frameElement) frameElement.style.height = innerWidth < 640 ? document.querySelector("main").offsetHeight + "px" : data.height + "px";
+    } catch { /* the page around us is of another origin */ }
+    later();
+  }
+  document.querySelector("figcaption").textContent = data.title;
+  $("time").max = frames - 1;
+  $("truth").checked = data.show_truth;
+  $("truth").closest("label").hidden = !data.truth.length;
+  const repaint = () => (theme(), later());
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
+  try {
+    const watch = new MutationObserver(repaint), what = { attributes: true, attributeFilter: ["data-theme", "data-jp-theme-light"] };
+    if (parent !== window) [parent.document.documentElement, parent.document.body].forEach((node) => watch.observe(node, what));
+  } catch { /* another origin */ }
+  new ResizeObserver(layout).observe(document.body);
+  theme();
+  play(false);
+  layout();
+})();
