@@ -20,7 +20,7 @@ from ._tree import before, between_boxes, farthest_in_box, nearest_in_box, neare
 CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)  # a little less, for rounding
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def in_lune(tree, z, x, y, length):
     """Whether the edges {x, z} and {y, z} both precede {x, y}, whose squared length is `length`."""
     to_x, to_y = square(tree, x, z), square(tree, y, z)
@@ -132,7 +132,7 @@ def _is_cone(tree, x, y, length, z, far, size):
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _near_axis(tree, x, y, length, z):
     """Whether z is so near the segment from x to y that it is nearer than the edge's length to every place of the lune.
 

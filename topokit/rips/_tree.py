@@ -74,7 +74,7 @@ def build_tree(points, axes):
     return Tree(points[order], order, start, end, low, high, first_leaf, axes)
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def square(tree, i, j):
     """Squared distance of two points; the same to the last bit for (i, j) and (j, i)."""
     total = 0.0
@@ -84,7 +84,7 @@ def square(tree, i, j):
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def before(tree, a, b, length, x, y):
     """Whether the edge {a, b}, of squared length `length`, precedes {x, y} in the total order."""
     other = square(tree, x, y)
@@ -94,7 +94,7 @@ def before(tree, a, b, length, x, y):
     return min(a, b) < min(x, y) or (min(a, b) == min(x, y) and max(a, b) < max(x, y))
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def nearest_in_box(tree, place, node):
     """Smallest squared distance from a place to the box of a node."""
     total = 0.0
@@ -104,7 +104,7 @@ def nearest_in_box(tree, place, node):
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def farthest_in_box(tree, place, node):
     """Largest squared distance from a place to the box of a node."""
     total = 0.0
@@ -114,7 +114,7 @@ def farthest_in_box(tree, place, node):
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def between_boxes(tree, a, b):
     """Smallest and largest squared distance between points of two boxes."""
     least, most = 0.0, 0.0
