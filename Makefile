@@ -7,7 +7,6 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
-OPENGL := apt-get install libegl1 libgl1-mesa-dri
 export PYTHONHASHSEED = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
@@ -23,14 +22,14 @@ book: env opengl
 
 test: env opengl lint
 	$(BIN)/python -m pytest
-	$(BIN)/python -m pytest --nbmake notebooks/ -p no:doctest -o addopts=""
+	$(BIN)/python -m pytest --nbmake notebooks/ -o addopts=""
 
 lint: env
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/codespell
-	$(BIN)/nbstripout --verify notebooks/*.ipynb
+	$(BIN)/nbstripout --keep-id --verify notebooks/*.ipynb
 
 lab: env opengl
 	$(BIN)/jupyter lab notebooks/00_an_apron_finds_its_hook.ipynb
@@ -48,7 +47,7 @@ $(READY): requirements.txt pyproject.toml
 
 .PHONY: opengl
 opengl: env
-	@$(BIN)/python -c 'from topokit.view import pyvista_works; ok, why = pyvista_works(); print("" if ok else f"topokit: no 3D pictures by PyVista here ({why}); flat ones instead. For them: $(OPENGL)", end="" if ok else "\n")'
+	@$(BIN)/python -c 'from topokit.view import pyvista_works; ok, why = pyvista_works(); ok or print("topokit:", why)'
 
 # numba does not notice when a function imported from another file changes.
 clean-kernels:

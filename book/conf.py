@@ -49,7 +49,8 @@ autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 napoleon_use_param = napoleon_use_rtype = False  # shapes such as "(n, 3) float" are no classes to link to
-napoleon_custom_sections = [("Returns", "params_style")]
+napoleon_custom_sections = [("Attributes", "params_style")]
+nitpick_ignore_regex = [("py:(class|exc)", r"(?!topokit\.).*")]  # nor are "array_like" and errors named in prose
 
 # ---- how chapters run
 
@@ -118,8 +119,15 @@ def _entrance(app: Any, error: Exception | None) -> None:
         (Path(app.outdir) / "index.html").write_text(page, encoding="utf-8")
 
 
+def _property(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """Keep napoleon from reading a property's first line, "what it is: how", as "type: description"."""
+    if what == "property":
+        lines.insert(0, "")
+
+
 def setup(app: Any) -> dict[str, bool]:
     # As a value that Sphinx remembers, the digest also makes it read every page again when it changes.
     app.add_config_value("chapters_digest", Path(nb_execution_cache_path).name, "env")
     app.connect("build-finished", _entrance)
+    app.connect("autodoc-process-docstring", _property, priority=400)  # before napoleon's 500
     return {"parallel_read_safe": True, "parallel_write_safe": True}

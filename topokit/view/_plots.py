@@ -58,7 +58,8 @@ def plot_diagram(diagram: Diagram | TopologicalState, ax: Axes | None = None, *,
     longest = max((death - birth for birth, death, _, _ in points), default=0.0)
     for birth, death, colour, name in points:
         alive = not np.isfinite(death)  # a loop that no edge has ended yet stands on the upper border
-        axes.plot(birth, high if alive else death, "^" if alive else "o", color=colour, markeredgecolor="white")
+        style: dict[str, Any] = {"color": colour, "markersize": 7 if name else 5, "alpha": 1.0 if name else 0.8}
+        axes.plot(birth, high if alive else death, "^" if alive else "o", markeredgecolor="white", mew=0.4, **style)
         if name and death - birth >= longest / 2:
             axes.annotate(name, (birth, death), xytext=(8, 0), textcoords="offset points", va="center")
     axes.set(xlabel="birth (m)", ylabel="death (m)", xlim=(0, high), ylim=(0, high), aspect="equal")
@@ -113,6 +114,7 @@ def plot_cloth(
     ax: Axes | None = None,
     view: tuple[float, float] = (-60.0, 15.0),
     zoom: float = 1.0,
+    focus: ArrayLike | None = None,
 ) -> Axes:
     """Draw a cloth in space with the killer triangles of its loops, by Matplotlib alone: it works on every machine.
 
@@ -136,6 +138,8 @@ def plot_cloth(
         Azimuth and elevation of the eye in degrees.
     zoom : float
         Above one comes nearer than the fit around everything.
+    focus : (3,) array_like, optional
+        The point in the middle of the picture; the middle of everything when not given.
 
     Returns
     -------
@@ -171,7 +175,7 @@ def plot_cloth(
         killers.set(facecolor=(colour, 0.45), edgecolor=colour)
         axes.add_collection3d(killers)
         axes.add_collection3d(Line3DCollection([loop.killer_edge_points], colors=colour, linewidths=3, zorder=4))
-    _frame(axes, np.concatenate([cloud, rod]), view, zoom)
+    _frame(axes, np.concatenate([cloud, rod]), view, zoom, focus)
     drawn: Axes = axes
     return drawn
 
@@ -243,7 +247,9 @@ def _shaded(polygons: list[NDArray[np.float64]], n_cloth: int, view: tuple[float
     return shaded
 
 
-def _frame(axes: Any, everything: NDArray[np.float64], view: tuple[float, float], zoom: float) -> None:
+def _frame(
+    axes: Any, everything: NDArray[np.float64], view: tuple[float, float], zoom: float, focus: ArrayLike | None
+) -> None:
     """Fit a 3D axes tightly around the points as the eye sees them, without box or ticks."""
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
@@ -260,4 +266,6 @@ def _frame(axes: Any, everything: NDArray[np.float64], view: tuple[float, float]
     flat = np.array(proj_transform(*everything.T, axes.get_proj())[:2])
     half = 0.53 * float(np.ptp(flat, axis=1).max()) / zoom or 0.1
     centre = (flat.min(axis=1) + flat.max(axis=1)) / 2
+    if focus is not None:
+        centre = np.array(proj_transform(*np.asarray(focus, dtype=np.float64), axes.get_proj())[:2])
     axes.viewLim.intervalx, axes.viewLim.intervaly = (tuple(m + half * np.array([-1, 1])) for m in centre)

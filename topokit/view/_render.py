@@ -72,6 +72,7 @@ def render_cloth(
     size: tuple[int, int] = (900, 700),
     view: tuple[float, float] = (-60.0, 15.0),
     zoom: float = 1.0,
+    focus: ArrayLike | None = None,
 ) -> Image:
     """Return a shaded picture of a cloth with the killer triangles of its loops.
 
@@ -94,6 +95,8 @@ def render_cloth(
         Azimuth and elevation of the eye in degrees.
     zoom : float
         Above one comes nearer than the fit around everything.
+    focus : (3,) array_like, optional
+        The point in the middle of the picture; the middle of everything when not given.
 
     Returns
     -------
@@ -116,7 +119,7 @@ def render_cloth(
         _told.add(reason)
         print(f"topokit.view: a plainer picture by Matplotlib. {reason}", file=sys.stderr)
     draw = _by_pyvista if works else _by_matplotlib
-    return Image.fromarray(draw(cloud, triangles, size=size, zoom=zoom, **parts))
+    return Image.fromarray(draw(cloud, triangles, size=size, zoom=zoom, focus=focus, **parts))
 
 
 def _window() -> dict[str, str]:
@@ -132,7 +135,7 @@ def _pyvista() -> Any:
 
 
 def _by_matplotlib(
-    cloud: NDArray[np.float64], faces: NDArray[np.int64], *, size: tuple[int, int], zoom: float, **parts: Any
+    cloud: NDArray[np.float64], faces: NDArray[np.int64], *, size: tuple[int, int], **parts: Any
 ) -> NDArray[np.uint8]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -142,7 +145,7 @@ def _by_matplotlib(
     figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100)
     canvas: Any = FigureCanvasAgg(figure)
     axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
-    plot_cloth(cloud, faces, ax=axes, zoom=zoom, **parts)
+    plot_cloth(cloud, faces, ax=axes, **parts)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
@@ -158,6 +161,7 @@ def _by_pyvista(
     size: tuple[int, int],
     view: tuple[float, float],
     zoom: float,
+    focus: ArrayLike | None,
 ) -> NDArray[np.uint8]:
     os.environ.update(_window())
     pyvista = _pyvista()
@@ -169,8 +173,8 @@ def _by_pyvista(
     if len(faces):
         # Normals first, so that triangles and normals agree about the front: a face where they do not is drawn black.
         mesh = pyvista.PolyData.from_regular_faces(cloud, faces).compute_normals(split_vertices=False)
-        back = {"color": "#C3C6D6", "ambient": 0.3}
-        plotter.add_mesh(mesh, color="#EDE6D6", smooth_shading=True, specular=0.02, ambient=0.3, backface_params=back)
+        back = {"color": "#CFD2E0", "ambient": 0.42}
+        plotter.add_mesh(mesh, color="#F3EDE0", smooth_shading=True, specular=0.0, ambient=0.42, backface_params=back)
     else:
         plotter.add_mesh(pyvista.PolyData(cloud), color="#5B6B7C", point_size=7, render_points_as_spheres=True)
     if len(centre_line) > 1:
@@ -181,7 +185,7 @@ def _by_pyvista(
     for loop in loops:
         _add_loop(plotter, loop, extent, eye)
     _light(plotter, view)
-    _look(plotter, np.concatenate([cloud, centre_line]), view, size, zoom)
+    _look(plotter, np.concatenate([cloud, centre_line]), view, size, zoom, focus)
     plotter.enable_anti_aliasing("ssaa")
     image: NDArray[np.uint8] = plotter.screenshot(None, return_img=True)
     plotter.close()
@@ -195,16 +199,21 @@ def _direction(azimuth: float, elevation: float) -> NDArray[np.float64]:
 
 
 def _look(
-    plotter: Any, everything: NDArray[np.float64], view: tuple[float, float], size: tuple[int, int], zoom: float
+    plotter: Any,
+    everything: NDArray[np.float64],
+    view: tuple[float, float],
+    size: tuple[int, int],
+    zoom: float,
+    focus: ArrayLike | None,
 ) -> None:
     """Put the eye so that everything just fits, in parallel projection: near and far are drawn to one scale."""
     eye = _direction(*view)
     right = _direction(view[0] + 90, 0.0)
     axes = np.stack([right, np.cross(eye, right), eye])
     seen = everything @ axes.T
-    middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
+    middle = (seen.min(axis=0) + seen.max(axis=0)) / 2 if focus is None else axes @ np.asarray(focus)
     width, height, depth = np.ptp(seen, axis=0)
-    plotter.camera.position = middle @ axes + (depth + 1.0) * eye
+    plotter.camera.position = middle @ axes + 2 * (depth + width + height) * eye
     plotter.camera.focal_point = middle @ axes
     plotter.camera.up = axes[1]
     plotter.camera.parallel_projection = True
