@@ -33,8 +33,9 @@ class SimulationConfig:
     margin : float
         Collision margin as a share of the shortest edge.
     gripper_mass, kp, kd, max_force : float
-        Each gripper is a body of this mass (kg) without a shape, drawn to its target by a force kp * error - kd * velocity
-        (N/m, Ns/m) of at most `max_force` newtons.
+        Each gripper is a body of this mass (kg) without a shape, drawn to its target by a force
+        kp * error + kd * (velocity of the target - velocity) (N/m, Ns/m), plus the weight it carries, of at most
+        `max_force` newtons.
     frames, steps_per_frame : int
         What is recorded: `frames` frames, `steps_per_frame` physics steps apart.
     settle : float
@@ -48,11 +49,11 @@ class SimulationConfig:
         When a number is out of its range; the message names it.
     """
 
-    dt: float = 1 / 500
+    dt: float = 1 / 1000
     mass: float = 0.3
     stiffness: float = 0.6
-    bending: float = 0.01
-    damping: float = 0.1
+    bending: float = 0.003
+    damping: float = 0.5
     friction: float = 1.0
     self_collision: bool = True
     margin: float = 0.3
@@ -61,7 +62,7 @@ class SimulationConfig:
     kd: float = 20.0
     max_force: float = 30.0
     frames: int = 96
-    steps_per_frame: int = 18
+    steps_per_frame: int = 36
     settle: float = 0.8
     max_stretch: float = 1.8
 

@@ -25,6 +25,7 @@ from .world import World
 __all__ = ["SimulationError", "simulate"]
 
 Array = NDArray[np.float64]
+_AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 
 
 class SimulationError(RuntimeError):
@@ -73,7 +74,7 @@ def simulate(
     Returns
     -------
     Episode
-        With `success` when, after release, the garment's loop winds around the target and has not fallen.
+        With `success` when, after release, the garment's loop winds around the target and the garment is at rest there.
 
     Raises
     ------
@@ -141,7 +142,7 @@ class _Recorder:
         self._check(points)
         self.points.append(points)
         self.actions.append(goal)
-        self.grippers.append(world.grippers() if held else goal)
+        self.grippers.append(world.grippers())
         self.held.append(held)
         if self.progress:
             end = "\n" if len(self.points) == self.config.frames else ""
@@ -181,7 +182,7 @@ class _Recorder:
             centre_line=target.centre_line.astype(np.float32),
             garment=self.garment.name,
             target=target.name,
-            success=_hangs(points[-1], self.held[-1], loops, target),
+            success=_hangs(points, self.held[-1], loops, target, self.config.frame_time),
             seed=seed,
             dt=self.config.frame_time,
             physics={
@@ -198,12 +199,19 @@ class _Recorder:
         )
 
 
-def _hangs(points: NDArray[np.float32], held: bool, loops: tuple[NDArray[np.int32], ...], target: Hook) -> bool:
-    """Whether the grippers have let go, a true loop winds around the target, and it has not slid to the floor."""
-    if held:
+def _hangs(
+    frames: NDArray[np.float32], held: bool, loops: tuple[NDArray[np.int32], ...], target: Hook, frame_time: float
+) -> bool:
+    """Whether the garment, let go, is at rest with a true loop around the target and not on the floor.
+
+    A loop that flies past the arm links it too: hence the rest.
+    """
+    if held or len(frames) < 2:
         return False
+    points = frames[-1]
+    speed = float(np.linalg.norm(points - frames[-2], axis=1).mean()) / frame_time
     hung = [loop for loop in loops if target.holds(points[loop])]
-    return any(points[loop][:, 2].max() > target.height for loop in hung)
+    return speed < _AT_REST and any(points[loop][:, 2].max() > target.height for loop in hung)
 
 
 def _version(package: str) -> str:

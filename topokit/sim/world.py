@@ -21,6 +21,7 @@ from .garments import Garment
 __all__ = ["World"]
 
 Array = NDArray[np.float64]
+_GRAVITY = 9.8  # m/s^2
 
 
 def _pybullet() -> ModuleType:
@@ -71,11 +72,12 @@ class World:
     def __init__(self, garment: Garment, offset: Array, config: SimulationConfig) -> None:
         self._p = _pybullet()
         self._config = config
+        self._targets: Array | None = None
         with _silent():
             self._client = self._p.connect(self._p.DIRECT)
         try:
             self._bullet("resetSimulation", self._p.RESET_USE_DEFORMABLE_WORLD)
-            self._bullet("setGravity", 0, 0, -9.8)
+            self._bullet("setGravity", 0, 0, -_GRAVITY)
             self._bullet("setPhysicsEngineParameter", fixedTimeStep=config.dt)
             self._cloth = self._load(garment, offset)
             self._grippers = [self._gripper(vertex, garment.vertices[vertex] + offset) for vertex in garment.grips]
@@ -118,12 +120,15 @@ class World:
     def step(self, targets: Array | None) -> None:
         """Advance one step of `dt`, drawing the grippers to `targets` (2, 3); None when they have let go."""
         if targets is not None:
-            for body, target in zip(self._grippers, targets, strict=True):
-                self._draw(body, target)
+            before = targets if self._targets is None else self._targets
+            speeds = (targets - before) / self._config.dt
+            for body, target, speed in zip(self._grippers, targets, speeds, strict=True):
+                self._draw(body, target, speed)
+            self._targets = targets.copy()
         self._bullet("stepSimulation")
 
     def release(self) -> None:
-        """Let go of the garment and take the grippers out of the scene."""
+        """Let go of the garment; the grippers stay, without a shape that could touch it."""
         for anchor in self._anchors:
             self._bullet("removeConstraint", anchor)
         self._anchors = []
@@ -172,10 +177,12 @@ class World:
         body: int = self._bullet("createMultiBody", self._config.gripper_mass, -1, -1, basePosition=place.tolist())
         return body
 
-    def _draw(self, body: int, target: Array) -> None:
+    def _draw(self, body: int, target: Array, speed: Array) -> None:
         place, _ = self._bullet("getBasePositionAndOrientation", body)
         velocity, _ = self._bullet("getBaseVelocity", body)
-        force = self._config.kp * (target - np.array(place)) - self._config.kd * np.array(velocity)
+        force = self._config.kp * (target - np.array(place)) + self._config.kd * (speed - np.array(velocity))
+        carried = self._config.mass / 2 if self._anchors else 0.0  # fed forward: the error alone would let it sag
+        force[2] += _GRAVITY * (self._config.gripper_mass + carried)
         size = float(np.linalg.norm(force))
         if size > self._config.max_force:
             force *= self._config.max_force / size
