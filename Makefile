@@ -3,7 +3,8 @@
 # make lab    open JupyterLab on the first chapter
 # make clean  remove what the others made (environment, book, caches)
 
-PYTHON ?= python3.11
+IS_311 := -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))'
+PYTHON ?= $(shell for p in python3.11 python3 python; do $$p $(IS_311) 2>/dev/null && echo $$p && break; done)
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
@@ -37,8 +38,8 @@ lab: env opengl
 # The environment is rebuilt when the requirements or the package's own metadata change.
 env: $(READY)
 $(READY): requirements.txt pyproject.toml
-	@command -v $(PYTHON) >/dev/null 2>&1 && $(PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
-	  || { echo "topokit: needs Python 3.11 as '$(PYTHON)': install it, or name it (make PYTHON=/path/to/python3.11 ...), or for another version use conda: conda env create -f environment.yml" >&2; exit 1; }
+	@$(or $(PYTHON),false) $(IS_311) 2>/dev/null || { echo "topokit: needs Python 3.11$(if $(PYTHON), and '$(PYTHON)' is not that):\
+	 install it, or name it (make PYTHON=/path/to/python3.11 ...), or for other versions: conda env create -f environment.yml" >&2; exit 1; }
 	@echo "topokit: making the environment in $(VENV) (a few minutes, once)"
 	@$(PYTHON) -m venv --clear $(VENV)
 	@$(BIN)/python -m pip install --quiet --requirement requirements.txt

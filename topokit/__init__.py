@@ -10,7 +10,7 @@ Loops of point clouds by exact Vietoris-Rips persistence, located by the edge th
 from __future__ import annotations
 
 from .linking import linking_number
-from .rips import Diagram, rips_persistence
+from .rips import Diagram, rips_persistence, rips_persistence_many
 from .sampling import covering_radius, farthest_point_sample, hausdorff
 from .seqph import SeqPH, track
 from .state import Loop, TopologicalState
@@ -27,5 +27,6 @@ __all__ = [
     "hausdorff",
     "linking_number",
     "rips_persistence",
+    "rips_persistence_many",
     "track",
 ]

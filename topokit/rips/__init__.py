@@ -6,13 +6,19 @@ Taught in chapter 0.
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._validate import as_points, positive
+from .._validate import as_points, as_sequence, positive
+from ._compute import pairs
 from ._diagram import Diagram
 
-__all__ = ["Diagram", "rips_persistence"]
+__all__ = ["Diagram", "rips_persistence", "rips_persistence_many"]
 
 
 def rips_persistence(
@@ -64,7 +70,7 @@ def rips_persistence(
     precomputed = metric == "precomputed"
     if precomputed:
         _check_distances(array)
-    created, killed, birth, death = _pairs(array, cutoff, precomputed)
+    created, killed, birth, death = pairs(array, cutoff, precomputed)
     keep = np.flatnonzero((death > birth) & (death - birth >= shortest))
     keep = keep[np.lexsort((created[keep, 1], created[keep, 0], birth[keep], -(death - birth)[keep]))]
     return Diagram(
@@ -80,33 +86,61 @@ def rips_persistence(
     )
 
 
-def _pairs(
-    array: NDArray[np.float64], max_radius: float, precomputed: bool
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Creating edges (c, 2), killer edges with their apexes (c, 4), births and deaths (c,)."""
-    n = len(array)
-    if n < 4:  # the smallest loop has four vertices
-        return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
-    if precomputed:
-        from ._dense import dense_pairs  # numba takes a while to import
+def rips_persistence_many(
+    clouds: ArrayLike | Sequence[ArrayLike],
+    n_jobs: int | None = None,
+    *,
+    progress: bool = False,
+    max_radius: float = np.inf,
+    min_lifetime: float = 0.0,
+) -> list[Diagram]:
+    """Compute the diagrams of many point clouds on all cores.
 
-        i, j = np.triu_indices(n, k=1)
-        lengths = array[i, j]
-        order = np.argsort(lengths, kind="stable")  # (i, j) come in order, so a stable sort breaks ties by them
-        created, killed = dense_pairs(array, i[order], j[order], 2 * max_radius)
-    else:
-        from ._reduce import tree_pairs
+    The clouds are shared with threads, not copied: the compiled kernel runs without Python's lock.
 
-        created, killed = tree_pairs(array, (0,) * array.shape[1], (2 * max_radius) ** 2)
-    birth = _lengths(array, created, precomputed) / 2
-    death = np.where(killed[:, 0] >= 0, _lengths(array, killed, precomputed) / 2, np.inf)
-    return created, killed, birth, death
+    Parameters
+    ----------
+    clouds : (T, n, d) array_like or list of (n_t, d) array_like
+    n_jobs : int, optional
+        Threads; as many as there are cores to run on when not given.
+    progress : bool
+        Count the clouds done on stderr.
+    max_radius, min_lifetime : float
+        As in `rips_persistence`.
 
+    Returns
+    -------
+    list of Diagram
+        In the order of the clouds.
 
-def _lengths(array: NDArray[np.float64], edges: NDArray[np.int64], precomputed: bool) -> NDArray[np.float64]:
-    """Lengths of the edges in the first two columns."""
-    x, y = edges[:, 0], edges[:, 1]
-    return array[x, y] if precomputed else np.sqrt(((array[x] - array[y]) ** 2).sum(axis=1))
+    Raises
+    ------
+    TypeError, ValueError
+        As `rips_persistence`, naming the cloud, before anything is computed.
+
+    Examples
+    --------
+    >>> square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    >>> [len(dgm) for dgm in rips_persistence_many([square, 2 * square, square[:3]])]
+    [1, 1, 0]
+    """
+    arrays = as_sequence(clouds, "clouds")
+    if n_jobs is not None and n_jobs < 1:
+        raise ValueError(f"n_jobs must be 1 or more, not {n_jobs}")
+    workers = n_jobs or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    diagrams = []
+    with ThreadPoolExecutor(workers) as pool:
+        jobs = [pool.submit(rips_persistence, a, max_radius=max_radius, min_lifetime=min_lifetime) for a in arrays]
+        try:
+            for done, job in enumerate(jobs, 1):
+                diagrams.append(job.result())
+                if progress:
+                    print(f"\rpersistence: {done} of {len(jobs)} clouds", end="", file=sys.stderr, flush=True)
+        finally:
+            pool.shutdown(cancel_futures=True)  # an error or Ctrl-C does not wait for the rest
+            if progress and jobs:
+                print(file=sys.stderr)
+    return diagrams
 
 
 def _check_distances(matrix: NDArray[np.float64]) -> None:

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Diagram"]
+from .._validate import positive
+
+if TYPE_CHECKING:
+    from ._cycles import Homology
+
+__all__ = ["Diagram", "tighten"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +82,7 @@ class Diagram:
         IndexError
             When there is no loop `i`.
         """
-        if not -len(self) <= i < len(self):
-            raise IndexError(f"no loop {i}: the diagram has {len(self)}")
+        self._check_index(i)
         found: list[tuple[int, int, int]] = []
         if np.isinf(self.death[i]):
             return np.empty((0, 3), dtype=np.int64)
@@ -90,6 +96,131 @@ class Diagram:
                     found.append((a, b, c))
         return np.array(found, dtype=np.int64).reshape(-1, 3)
 
+    def cycle(self, i: int) -> NDArray[np.int64]:
+        """A closed walk around loop `i`, tight at its birth: the birth edge and the shortest path around it.
+
+        It is born with the loop and becomes a boundary with the killer edge, not before. Its first and last vertex are the
+        ends of the birth edge; the path between them is the shortest, along edges that precede the birth edge in the total
+        order, for which this is so. (The shortest of all may go around an older loop as well, and would outlive the bar.)
+
+        There are two exceptions. The search for that path gives up where very many older loops are alive. And where the
+        class that dies needs an older loop of another component, no connected walk at birth is in it: of the two rings at
+        the ends of a pipe the older lives on, and what dies is both together. In these cases walks around the older loops
+        are added, there and back over a bridge. Its edges precede the killer edge; used twice, they count as nothing.
+
+        Around a loop that `max_radius` keeps from dying the walk is the shortest.
+
+        Returns
+        -------
+        (length,) int64
+            Vertex ids; the last joins the first.
+
+        Raises
+        ------
+        IndexError
+            When there is no loop `i`.
+
+        Examples
+        --------
+        >>> from topokit import rips_persistence
+        >>> rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2], [1, 1.9]]).cycle(0)
+        array([1, 0, 3, 4, 2])
+        """
+        self._check_index(i)
+        birth_edge, killer_edge = (tuple(edge[i].tolist()) for edge in (self.birth_edge, self.killer_edge))
+        walk = self._homology.representative(birth_edge, None if np.isinf(self.death[i]) else killer_edge)
+        return np.array(walk, dtype=np.int64)
+
+    @cached_property
+    def _homology(self) -> Homology:
+        from ._cycles import homology  # numba takes a while to import
+
+        return homology(self._points, self._precomputed, self.max_radius)
+
+    def _check_index(self, i: int) -> None:
+        if not -len(self) <= i < len(self):
+            raise IndexError(f"no loop {i}: the diagram has {len(self)}")
+
     def value(self, simplex: NDArray[np.int64]) -> float:
         """Filtration value of a simplex, given by its vertex ids: half its longest edge."""
         return max(float(self.distances_from(int(v))[simplex].max()) for v in simplex) / 2
+
+
+def tighten(
+    points: ArrayLike | Diagram, cycle: ArrayLike, *, radius: float | None = None, metric: str = "euclidean"
+) -> NDArray[np.int64]:
+    """Shorten a closed walk without leaving its homology class.
+
+    Stretches of a third of the walk are replaced by the shortest path between their ends that is homologous to them, until
+    none can be. The walk that comes out has the same class over Z/2 in degree 1 of the complex, and is never longer. It is
+    not always the shortest of its class. A walk that is a boundary shrinks to its first vertex.
+
+    `Diagram.cycle` is already as short as its class allows at its own birth; with a radius between birth and death the loop
+    is drawn tighter, over longer edges.
+
+    Parameters
+    ----------
+    points : (n, d) array_like or Diagram
+        Coordinates, with ``metric="precomputed"`` the (n, n) distances, or a diagram of either.
+    cycle : (length,) array_like of int
+        Vertex ids; the last joins the first.
+    radius : float, optional
+        The complex is VR_radius. By default it is the one at the walk's own birth: all edges up to and with the walk's
+        latest one in the total order (length, smaller index, larger index), and the triangles among them.
+    metric : {"euclidean", "precomputed"}
+        Of `points`; ignored for a diagram.
+
+    Returns
+    -------
+    (new_length,) int64
+        Vertex ids of a closed walk along edges of the complex, from the first of the old ones that is still there.
+
+    Raises
+    ------
+    TypeError, ValueError
+        When `points` is not a cloud, `cycle` does not hold vertex ids, or the walk has edges longer than the radius allows.
+
+    Examples
+    --------
+    Around the square; at radius 1.2 the corner at vertex 4 can be cut.
+
+    >>> points = [[0, 0], [2, 0], [2, 2], [0, 2], [1, 2.5]]
+    >>> tighten(points, [0, 1, 2, 4, 3])
+    array([0, 1, 2, 4, 3])
+    >>> tighten(points, [0, 1, 2, 4, 3], radius=1.2)
+    array([0, 1, 2, 3])
+    """
+    from . import rips_persistence  # it imports this module
+    from ._cycles import homology, sides
+
+    diagram = points if isinstance(points, Diagram) else rips_persistence(points, max_radius=0.0, metric=metric)
+    walk = _as_walk(cycle, diagram.n_points)
+    classes = diagram._homology
+    latest = max(classes.time(a, b) for a, b in sides(walk))
+    own = classes.side(*latest[1:]) / (2 * classes.scale)
+    scale = own if radius is None else positive(radius, "radius", infinite=True)
+    if own > scale * (1 + 1e-12):
+        raise ValueError(
+            f"cycle is not in the complex: it has an edge of half length {own}, longer than radius {scale}"
+        )
+    if scale * (1 + 1e-12) > diagram.max_radius:
+        classes = homology(diagram._points, diagram._precomputed, scale * (1 + 1e-12))
+    time = (latest[0], latest[1], latest[2] + 1)  # just after its latest edge
+    if radius is not None:
+        longest = 2 * scale * classes.scale * (1 + 1e-15)
+        time = max(time, (longest if diagram._precomputed else longest**2, diagram.n_points, 0))
+    tight = classes.tightened(walk, time)
+    if classes.length(tight) > classes.length(walk):  # by rounding
+        tight = walk
+    first = next((tight.index(v) for v in walk if v in tight), 0)
+    return np.array([*tight[first:], *tight[:first]], dtype=np.int64)
+
+
+def _as_walk(cycle: ArrayLike, n_points: int) -> list[int]:
+    """Vertex ids of a closed walk, repeated ones next to each other left out, or say why they are not."""
+    ids = np.asarray(cycle)
+    if ids.ndim != 1 or len(ids) == 0 or not np.issubdtype(ids.dtype, np.integer):
+        raise TypeError(f"cycle must be a sequence of vertex ids, not of shape {ids.shape} and type {ids.dtype}")
+    if ids.min() < 0 or ids.max() >= n_points:
+        raise ValueError(f"cycle must hold vertex ids from 0 to {n_points - 1}, not {ids.min()} to {ids.max()}")
+    return ids[np.append(ids[1:] != ids[:-1], ids[-1] != ids[0]) | (len(ids) == 1)].tolist() or ids[:1].tolist()

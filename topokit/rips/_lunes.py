@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ._tree import before, between_boxes, farthest_in_box, nearest_in_box, nearest_point, square
+from ._tree import LEAF, before, between_boxes, farthest_in_box, nearest_in_box, nearest_point, square
 
 CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)  # a little less, for rounding
 
@@ -253,81 +253,63 @@ def special_edges(tree, shortest, longest):
 
 
 @njit(cache=True)
-def long_empty_lunes(tree, shortest):
-    """Find the edges with an empty lune among those with squared length >= shortest.
+def long_empty_lunes(tree, shortest, rows):
+    """Find the edges with an empty lune among those with squared length >= shortest, as (k, 2) indices into the tree.
 
-    A point z nearer to x than y is, with y nearer to z than to x, is in the lune of {x, y}: y lies beyond the plane half
-    way to z. The near points of x shut off all of space but its cell, and boxes beyond one of the planes are not entered.
+    A point that is nearer to all of two boxes than they are to each other is in the lune of every edge between them; a
+    point that served two boxes is tried first on the boxes in them. `rows` (n or 0, words) are bitsets of the points nearer
+    than sqrt(shortest), for a quick look before a search.
     """
-    n = len(tree.points)
+    points, axes, start, end = tree.points, tree.axes, tree.start, tree.end
     found, size = np.empty((64, 4), dtype=np.int64), 0
-    stack, other = np.empty(256, dtype=np.int64), np.empty(256, dtype=np.int64)
-    place = np.empty(len(tree.axes))
-    near = np.empty(48, dtype=np.int64)
-    extent = between_boxes(tree, 0, 0)[1]
-    for x in range(n):
-        n_near = _near_points(tree, x, shortest, near, stack)
-        top = 0
-        stack[0] = 0
-        while top >= 0:
-            node = stack[top]
-            top -= 1
-            if tree.end[node] <= x + 1 or farthest_in_box(tree, tree.points[x], node) < shortest:
+    pairs, top = np.zeros((272, 3), dtype=np.int64), 0  # two boxes, and a point that may be between them
+    stack, place, to_z = np.empty(256, dtype=np.int64), np.empty(len(axes)), np.empty(LEAF + 1)
+    while top >= 0:
+        a, b, z = pairs[top, 0], pairs[top, 1], pairs[top, 2]
+        top -= 1
+        least, most = between_boxes(tree, a, b)
+        least = max(least, shortest)
+        if most < shortest or _between(tree, z, a, b, least):
+            continue
+        if a < tree.first_leaf:
+            _centre(tree, a, b, place)
+            z = nearest_point(tree, place, np.inf, 0.05 * least, stack)[0]
+            if _between(tree, z, a, b, least):
                 continue
-            if _shut_off(tree, x, node, near, n_near, extent):
-                continue
-            if node < tree.first_leaf:
-                stack[top + 1], stack[top + 2] = 2 * node + 1, 2 * node + 2
-                top += 2
-                continue
-            for y in range(max(tree.start[node], x + 1), tree.end[node]):
-                length = square(tree, x, y)
-                hidden = length < shortest
-                for i in range(n_near):
-                    if hidden:
-                        break
-                    hidden = in_lune(tree, near[i], x, y, length)
-                if not hidden and lune_vertex(tree, x, y, other, place) < 0:
+            for i in range(1, 3):
+                for j in range(1, 3):
+                    if a != b or i <= j:
+                        top += 1
+                        pairs[top, 0], pairs[top, 1], pairs[top, 2] = 2 * a + i, 2 * b + j, z
+            continue
+        for y in range(start[b], end[b]):
+            to_z[y - start[b]] = square(tree, y, z)
+        for x in range(start[a], end[a]):
+            x_to_z = square(tree, x, z)
+            for y in range(x + 1 if a == b else start[b], end[b]):
+                length = 0.0
+                for k in range(len(axes)):
+                    step = points[x, k] - points[y, k]
+                    length += step * step
+                if length < shortest or (x_to_z < length and to_z[y - start[b]] < length and z != x and z != y):
+                    continue
+                if not _share(rows, x, y) and lune_vertex(tree, x, y, stack, place) < 0:
                     found, size = _append(found, size, x, y, -1, -1)
     return found[:size, :2]
 
 
-@njit(cache=True)
-def _near_points(tree, x, bound, near, stack):
-    """Some points within sqrt(bound) of x: at most as many as `near` holds."""
-    size, top = 0, 0
-    stack[0] = 0
-    while top >= 0:
-        node = stack[top]
-        top -= 1
-        if nearest_in_box(tree, tree.points[x], node) > bound:
-            continue
-        if node < tree.first_leaf:
-            left, right = 2 * node + 1, 2 * node + 2
-            if nearest_in_box(tree, tree.points[x], left) <= nearest_in_box(tree, tree.points[x], right):
-                left, right = right, left
-            stack[top + 1], stack[top + 2] = left, right
-            top += 2
-            continue
-        for y in range(tree.start[node], tree.end[node]):
-            if y != x and 0.0 < square(tree, x, y) <= bound and size < len(near):
-                near[size] = y
-                size += 1
-    return size
+@njit(cache=True, forceinline=True)
+def _between(tree, z, a, b, least):
+    """Whether z is nearer to all of two boxes than sqrt(least), which is at most their distance."""
+    place = tree.points[z]
+    return farthest_in_box(tree, place, a) < least and farthest_in_box(tree, place, b) < least
 
 
-@njit(cache=True)
-def _shut_off(tree, x, node, near, n_near, extent):
-    """Whether every point of a box has one of the near points in its lune with x."""
-    gap = nearest_in_box(tree, tree.points[x], node)
-    for i in range(n_near):
-        reach, beyond = 0.0, 0.0
-        for k in range(len(tree.axes)):
-            step = tree.points[near[i], k] - tree.points[x, k]
-            reach += step * step
-            beyond += min(
-                (tree.low[node, k] - tree.points[x, k]) * step, (tree.high[node, k] - tree.points[x, k]) * step
-            )
-        if reach < gap and beyond > 0.5 * reach + 1e-12 * extent:
-            return True
+@njit(cache=True, forceinline=True)
+def _share(rows, x, y):
+    """Whether two bitsets have a bit in common; not when there are none."""
+    if len(rows) > 0:
+        for w in range(rows.shape[1]):
+            if rows[x, w] & rows[y, w]:
+                return True
     return False

@@ -133,7 +133,7 @@ def _first_window(tree):
     return max((2.5 * total / max(count, 1)) ** 2, 1e-6 * extent)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def tree_pairs(points, axes, max_length):
     """Pair the edges that create loops with the edges that kill them.
 
@@ -156,7 +156,7 @@ def tree_pairs(points, axes, max_length):
     extent = between_boxes(tree, 0, 0)[1]
     shortest, longest = 0.0, _first_window(tree)
     empty, relations = special_edges(tree, shortest, longest)
-    rng = np.concatenate((empty, long_empty_lunes(tree, longest)))
+    rng = np.concatenate((empty, long_empty_lunes(tree, longest, np.zeros((0, 0), dtype=np.uint64))))
     rng = rng[_sorted(tree, rng)]
     creator, born = _creators(n, rng)
     graph = _incidence(n, rng)

@@ -131,7 +131,7 @@ def nearest_point(tree, place, bound, enough, stack):
     """A point within sqrt(bound) of `place` and its squared distance: the nearest, or any nearer than sqrt(enough); or -1."""
     best, top = -1, 0
     stack[0] = 0
-    while top >= 0 and bound > enough:
+    while top >= 0 and (best < 0 or bound > enough):
         node = stack[top]
         top -= 1
         if nearest_in_box(tree, place, node) >= bound:

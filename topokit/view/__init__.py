@@ -1,4 +1,4 @@
-"""Pictures: diagrams, tracks, cloths, and a player that needs no kernel.
+"""Pictures: diagrams, tracks, cloths, and figures that move without a kernel.
 
 Everything here needs Matplotlib; `render_cloth` draws better with PyVista, which is imported only there.
 
@@ -15,6 +15,8 @@ if find_spec("matplotlib") is None:
     raise ImportError("topokit.view needs matplotlib: pip install 'topokit[view]'")
 
 from ._flow import DataFlow, data_flow
+from ._growth import Growth, growth
+from ._lunes import plot_lune
 from ._palette import OKABE_ITO, appearances, long_lived, loop_colour
 from ._player import Player, player, telling_frame
 from ._plots import plot_cloth, plot_diagram, plot_tracks, track_figure
@@ -23,14 +25,17 @@ from ._render import pyvista_works, render_cloth
 __all__ = [
     "OKABE_ITO",
     "DataFlow",
+    "Growth",
     "Player",
     "appearances",
     "data_flow",
+    "growth",
     "long_lived",
     "loop_colour",
     "player",
     "plot_cloth",
     "plot_diagram",
+    "plot_lune",
     "plot_tracks",
     "pyvista_works",
     "render_cloth",

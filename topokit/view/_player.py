@@ -1,19 +1,13 @@
-"""The figure that moves without a kernel: a small page of its own, with its data inside, in a frame.
+"""The figure that plays an episode and its loops, without a kernel.
 
-Idea: everything the figure shows is packed once (coordinates in 16 bits, base64) beside a script without dependencies,
-and the page is handed to the browser as the `srcdoc` of an iframe. So it works the same in Jupyter, on a built page
-and as a file on a disk, and asks nothing of the network.
+Idea: everything it shows is packed once, coordinates in 16 bits and base64; `player.js` unpacks and draws it.
 """
 
 from __future__ import annotations
 
 import base64
-import html
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +15,7 @@ from numpy.typing import NDArray
 
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
+from topokit.view._frame import Framed, framed_page
 from topokit.view._geometry import as_line, rod_radius, subdivide
 from topokit.view._palette import OKABE_ITO, long_lived
 
@@ -59,8 +54,8 @@ def unpack(packed: dict[str, Any]) -> NDArray[Any]:
     return array * packed["scale"] + packed["low"] if "scale" in packed else array
 
 
-@dataclass(frozen=True)
-class Player:
+@dataclass(frozen=True, repr=False)
+class Player(Framed):
     """A figure that plays an episode and its loops; the last value of a notebook cell shows it.
 
     Attributes
@@ -72,26 +67,6 @@ class Player:
     title : str
         What the frame is called for readers who hear the page.
     """
-
-    page: str
-    height: int
-    title: str
-
-    def _repr_html_(self) -> str:
-        source = html.escape(self.page, quote=True)
-        return (
-            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" '
-            f'style="width:100%;height:{self.height}px;border:0;display:block"></iframe>'
-        )
-
-    def __repr__(self) -> str:
-        return f"Player({self.title!r}, {len(self.page) / 1000:.0f} kB)"
-
-    def save(self, path: str | Path) -> Path:
-        """Write the figure as one HTML file that opens in any browser, and return its path."""
-        path = Path(path)
-        path.write_text(self.page, encoding="utf-8")
-        return path
 
 
 def player(
@@ -140,7 +115,7 @@ def player(
         "long": list(long_lived(states)),
     }
     data["arrays"] |= _tracks(states)
-    return Player(_page(data), height, f"Player: {title}")
+    return Player(framed_page("player", data), height, f"Player: {title}")
 
 
 def telling_frame(states: Sequence[TopologicalState]) -> int:
@@ -186,12 +161,3 @@ def _tracks(states: Sequence[TopologicalState]) -> dict[str, dict[str, Any]]:
         "killer": pack_coordinates(np.array(corners, dtype=np.float64).reshape(-1, 8, 3)),
         "alpha": pack(np.array([float(state.parameters.get("alpha") or 0.0) for state in states])),
     }
-
-
-def _page(data: dict[str, Any]) -> str:
-    """Put data and script into the page. A `</` inside the JSON could end the script element: it is escaped."""
-    files = resources.files("topokit.view")
-    page = files.joinpath("player.html").read_text(encoding="utf-8")
-    script = files.joinpath("player.js").read_text(encoding="utf-8")
-    text = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
-    return page.replace("__SCRIPT__", script).replace("__DATA__", text)

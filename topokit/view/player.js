@@ -1,9 +1,6 @@
 // The player of topokit.view: a cloth, its loops, their diagram and their lifetimes, on three 2D canvases.
 // Idea: unpack once; every change of frame, camera, size or theme redraws all three canvases from scratch.
-"use strict";
 (() => {
-  const $ = (id) => document.getElementById(id);
-  const data = JSON.parse($("data").textContent);
   const types = { u1: Uint8Array, u2: Uint16Array, i4: Int32Array, f4: Float32Array };
   const unpack = ({ type, values, scale, low }) => {
     const bytes = Uint8Array.from(atob(values), (c) => c.charCodeAt(0));
@@ -15,29 +12,7 @@
   const [scene, diagram, strip] = [$("scene"), $("diagram"), $("strip")];
   const home = { az: (data.view[0] * Math.PI) / 180, el: (data.view[1] * Math.PI) / 180, zoom: 1 };
   const cam = { ...home };
-  let frame = data.start, dark = false, playing = false, runs = 0, fit = null;
-
-  // ---- theme -------------------------------------------------------------------------------------------------
-  function theme() {
-    dark = matchMedia("(prefers-color-scheme: dark)").matches;
-    try { // the page around the frame knows better; a page of another origin does not let us ask
-      const root = parent.document.documentElement.dataset.theme, lab = parent.document.body.dataset.jpThemeLight;
-      if (parent !== window && (root || lab)) dark = root ? root === "dark" : lab === "false";
-    } catch { /* keep the system's */ }
-    document.documentElement.classList.toggle("dark", dark);
-  }
-  const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
-  const fade = (hex, alpha) => hex + Math.round(alpha * 255).toString(16).padStart(2, "0");
-
-  function start(canvas) { // a cleared context in CSS pixels, whatever the screen's density
-    const ratio = devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight, g = canvas.getContext("2d");
-    canvas.width = Math.round(w * ratio);
-    canvas.height = Math.round(h * ratio);
-    g.scale(ratio, ratio);
-    g.font = getComputedStyle(document.body).font;
-    g.lineCap = g.lineJoin = "round";
-    return [g, w, h];
-  }
+  let frame = data.start, fit = null;
 
   // ---- the loops of a frame ----------------------------------------------------------------------------------
   const loopsOf = (t) => {
@@ -185,41 +160,6 @@
   }
 
   // ---- the two charts ----------------------------------------------------------------------------------------
-  function ticks(high) {
-    const rough = high / 4, ten = 10 ** Math.floor(Math.log10(rough));
-    const step = [1, 2, 5, 10].map((m) => m * ten).find((s) => s >= rough);
-    return Array.from({ length: Math.floor(high / step + 1e-9) + 1 }, (_, k) => +(k * step).toPrecision(6));
-  }
-  function axes(canvas, highX, highY, title, unitX, square) {
-    const [g, w, h] = start(canvas), box = { x: 44, y: 28, w: w - 58, h: h - 64 };
-    if (square) box.w = Math.min(box.w, box.h * 1.6);
-    const X = (v) => box.x + (v / highX) * box.w, Y = (v) => box.y + box.h - (v / highY) * box.h;
-    g.fillStyle = css("--soft");
-    g.strokeStyle = css("--line");
-    g.lineWidth = 1;
-    g.textBaseline = "middle";
-    g.fillText(title, 10, 14);
-    for (const v of ticks(highX)) {
-      g.textAlign = "center";
-      g.fillText(v, X(v), box.y + box.h + 12);
-    }
-    g.textAlign = "right";
-    g.fillText(unitX, box.x + box.w, box.y + box.h + 27);
-    for (const v of ticks(highY)) {
-      g.fillText(v, box.x - 6, Y(v));
-      line(g, X(0), Y(v), X(highX), Y(v));
-    }
-    g.textAlign = "left";
-    return [g, X, Y, box];
-  }
-  function line(g, x, y, u, v, dash = []) {
-    g.setLineDash(dash);
-    g.beginPath();
-    g.moveTo(x, y);
-    g.lineTo(u, v);
-    g.stroke();
-    g.setLineDash([]);
-  }
   const top = (1.06 * a.death.reduce((m, v) => Math.max(m, v), 0)) || 1;
   const tall = (1.1 * a.death.reduce((m, v, i) => Math.max(m, v - a.birth[i]), 0)) || 1;
   const find = (id, t) => loopsOf(t).find((i) => a.id[i] === id);
@@ -309,30 +249,13 @@
     diagram.setAttribute("aria-label", `persistence diagram, ${text}; ${word} ${data.unit}`);
     scene.setAttribute("aria-label", `${data.title}, ${text}. Drag or use the arrow keys to turn it, plus and minus to zoom.`);
   }
-  let queued = false;
-  const later = () => {
-    if (!queued) requestAnimationFrame(() => ((queued = false), draw()));
-    queued = true;
-  };
+  const later = lazily(draw);
   const go = (t) => {
     frame = Math.max(0, Math.min(frames - 1, Math.round(t)));
     later();
   };
-  function play(on) {
-    const began = performance.now(), from = frame >= frames - 1 ? 0 : frame, mine = ++runs;
-    playing = on;
-    $("icon").setAttribute("d", on ? "M1 0h3v10h-3zM6 0h3v10h-3z" : "M1.5 0 9.5 5 1.5 10z");
-    $("play").setAttribute("aria-label", on ? "pause" : "play");
-    const rate = (frames - 1) / Math.max(seconds, 8) / 1000; // a run shorter than 8 s is shown slowed to 8 s
-    const step = (now) => {
-      if (runs !== mine) return; // paused or started anew
-      go(from + Math.max(0, now - began) * rate);
-      if (frame >= frames - 1) play(false);
-      else requestAnimationFrame(step);
-    };
-    if (on) requestAnimationFrame(step);
-  }
-  $("play").onclick = () => play(!playing);
+  // a run shorter than 8 s is shown slowed to 8 s
+  const play = playback(() => frame, go, () => frames - 1, Math.max(seconds, 8));
   $("time").oninput = (e) => (play(false), go(+e.target.value));
   $("truth").onchange = later;
   strip.onpointerdown = strip.onpointermove = (e) => {
@@ -354,7 +277,7 @@
   scene.ondblclick = () => (Object.assign(cam, home), later());
   scene.onkeydown = (e) => {
     const act = { ArrowLeft: () => turn(0.1, 0), ArrowRight: () => turn(-0.1, 0), ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1),
-      "+": () => zoom(1.15), "=": () => zoom(1.15), "-": () => zoom(0.87), " ": () => play(!playing) }[e.key];
+      "+": () => zoom(1.15), "=": () => zoom(1.15), "-": () => zoom(0.87), " ": () => play() }[e.key];
     if (act) (e.preventDefault(), act());
   };
   scene.addEventListener("wheel", (e) => { // only once the picture was clicked: a reader who scrolls by is left in peace
@@ -364,25 +287,8 @@
   }, { passive: false });
 
   // ---- start -------------------------------------------------------------------------------------------------
-  function layout() {
-    fit = null;
-    try { // stacked on a narrow page, the figure needs more height than it was given
-      if (frameElement) frameElement.style.height = innerWidth < 640 ? document.querySelector("main").offsetHeight + "px" : data.height + "px";
-    } catch { /* the page around us is of another origin */ }
-    later();
-  }
-  document.querySelector("figcaption").textContent = data.title;
   $("time").max = frames - 1;
   $("truth").checked = data.show_truth;
   $("truth").closest("label").hidden = !data.truth.length;
-  const repaint = () => (theme(), later());
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
-  try {
-    const watch = new MutationObserver(repaint), what = { attributes: true, attributeFilter: ["data-theme", "data-jp-theme-light"] };
-    if (parent !== window) [parent.document.documentElement, parent.document.body].forEach((node) => watch.observe(node, what));
-  } catch { /* another origin */ }
-  new ResizeObserver(layout).observe(document.body);
-  theme();
-  play(false);
-  layout();
+  watch(later, () => (fit = null));
 })();

@@ -1,0 +1,327 @@
+"""Differential fuzz of the fast kernel: small clouds where distances tie, against GUDHI and the textbook reduction.
+
+    python tests/fuzz_rips.py --clouds 20000 --seed 0
+
+Every cloud is given twice, as points and as a matrix of distances, and every eighth time as a matrix that is no metric. What
+is checked is in `CHECKS`. Exits with 1 at the first mismatch, after taking points away for as long as it stays.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Iterable
+
+import gudhi
+import numpy as np
+
+from topokit.rips import Diagram, rips_persistence
+from topokit.rips._diagram import tighten
+from topokit.rips.reduction import Pair, Reduction, filtration, reduce
+
+from clouds import FAMILIES, random_cloud, sorted_pairs
+
+
+class Case:
+    """A cloud with its fast diagram and its textbook reduction, and homology read off the latter."""
+
+    def __init__(self, data: np.ndarray, metric: str = "euclidean") -> None:
+        self.data, self.metric = data, metric
+        self.fast: Diagram = rips_persistence(data, metric=metric)
+        self.slow: Reduction = reduce(filtration(data, 2, metric=metric))
+        self.pairs: list[Pair] = [pair for pair in self.slow.pairs(1) if pair.death > pair.birth]
+        self.position = {simplex.vertices: i for i, simplex in enumerate(self.slow.simplices)}
+
+    def edge(self, i: int, j: int) -> int:
+        """Position of an edge in the filtration."""
+        return self.position[min(i, j), max(i, j)]
+
+    def chain(self, *walks: Iterable[int]) -> set[int]:
+        """The edges that closed walks cross an odd number of times."""
+        edges: set[int] = set()
+        for walk in walks:
+            for a, b in sides(walk):
+                edges ^= {self.edge(a, b)}
+        return edges
+
+    def dies(self, chain: set[int]) -> float:
+        """Position of the edge with which a cycle becomes a boundary: the latest whose triangles are needed to fill it."""
+        chain, latest = set(chain), -1.0
+        while chain:
+            killer = self.slow.killer.get(max(chain))
+            if killer is None:
+                return np.inf
+            latest = max(latest, self.edge(*self.slow.simplices[killer].latest_edge))
+            chain ^= self.slow.columns[killer]
+        return latest
+
+    def youngest_before(self, chain: set[int], time: int) -> int:
+        """The youngest creator in a cycle's class just before an edge, whose loop the cycle is (up to older ones)."""
+        chain = set(chain)
+        while True:
+            killer = self.slow.killer.get(max(chain), None)
+            if killer is None or self.edge(*self.slow.simplices[killer].latest_edge) >= time:
+                return max(chain)
+            chain ^= self.slow.columns[killer]
+
+    def keys(self) -> np.ndarray:
+        """(n, n) what orders edges: distances, or squared distances of points."""
+        return self.data if self.metric == "precomputed" else squares(self.data)
+
+
+def squares(points: np.ndarray) -> np.ndarray:
+    """(n, n) squared distances."""
+    return sum((points[:, None, k] - points[None, :, k]) ** 2 for k in range(points.shape[1]))
+
+
+def random_matrix(rng: np.random.Generator, max_points: int = 14) -> np.ndarray:
+    """A symmetric matrix of small integers that need not satisfy the triangle inequality."""
+    n = int(rng.integers(1, max_points + 1))
+    upper = np.triu(rng.integers(0, rng.integers(3, 40), size=(n, n)), 1).astype(float)
+    return upper + upper.T
+
+
+def check_diagram(case: Case) -> None:
+    """The bars are those of GUDHI."""
+    name = "distance_matrix" if case.metric == "precomputed" else "points"
+    tree = gudhi.RipsComplex(**{name: case.data}).create_simplex_tree(max_dimension=2)
+    tree.compute_persistence(homology_coeff_field=2)
+    theirs = sorted_pairs(tree.persistence_intervals_in_dimension(1).reshape(-1, 2) / 2)
+    ours = sorted_pairs(np.column_stack([case.fast.birth, case.fast.death]))
+    assert ours.shape == theirs.shape, f"{len(ours)} bars, GUDHI has {len(theirs)}"
+    np.testing.assert_allclose(ours, theirs, atol=1e-9)
+
+
+def check_pairing(case: Case) -> None:
+    """The same edge bears and the same edge kills each loop as in the textbook, whatever ties."""
+    ours = set(zip(map(tuple, case.fast.birth_edge.tolist()), map(tuple, case.fast.killer_edge.tolist()), strict=True))
+    assert len(ours) == len(case.fast)
+    assert ours == {(pair.birth_edge, pair.killer_edge) for pair in case.pairs}
+
+
+def check_killers(case: Case) -> None:
+    """Lengths say birth and death; the triangles arrive with the killer edge, thick first, in two components of its lune."""
+    fast, d = case.fast, case.keys()
+    lengths = d if case.metric == "precomputed" else np.sqrt(d)
+    np.testing.assert_allclose(fast.birth, lengths[tuple(fast.birth_edge.T)] / 2, rtol=1e-15)
+    np.testing.assert_allclose(fast.death, lengths[tuple(fast.killer_edge.T)] / 2, rtol=1e-15)
+    for (x, y), triangles in zip(fast.killer_edge.tolist(), fast.killer_triangles.tolist(), strict=True):
+        assert [t[:2] for t in triangles] == [[x, y]] * 2
+        for triangle in triangles:
+            arrived = case.slow.simplices[case.position[tuple(sorted(triangle))]]
+            assert arrived.latest_edge == (x, y)  # so it is in the complex at death and not before
+        thick, thin = (z for _, _, z in triangles)
+        assert max(d[x, thick], d[y, thick]) >= max(d[x, thin], d[y, thin])
+        components = lune_components(case, x, y)
+        home = [next(c for c in components if z in c) for z in (thick, thin)]
+        assert home[0] is not home[1]
+        for z, component in zip((thick, thin), home, strict=True):
+            assert z == min(component, key=lambda v: (max(d[x, v], d[y, v]), v))
+
+
+def lune_components(case: Case, x: int, y: int) -> list[set[int]]:
+    """Components of the graph on the vertices joined to both ends of an edge before it arrives."""
+    time = case.edge(x, y)
+    rest = {z for z in range(len(case.data)) if z not in (x, y) and max(case.edge(x, z), case.edge(y, z)) < time}
+    components = []
+    while rest:
+        component, waiting = set(), [rest.pop()]
+        while waiting:
+            z = waiting.pop()
+            component.add(z)
+            reached = {w for w in rest if case.edge(z, w) < time}
+            rest -= reached
+            waiting += reached
+        components.append(component)
+    return components
+
+
+def check_quadrilaterals(case: Case) -> None:
+    """x, z1, y, z2 is in a class of a loop that the killer edge kills: not a boundary before, a boundary with it."""
+    for (x, y), ((_, _, z1), (_, _, z2)) in zip(
+        case.fast.killer_edge.tolist(), case.fast.killer_triangles.tolist(), strict=True
+    ):
+        death, curve = case.edge(x, y), case.chain([x, z1, y, z2])
+        assert max(curve) < death
+        assert case.dies(curve) == death
+        killed = {case.edge(*pair.birth_edge) for pair in case.slow.pairs(1) if pair.killer_edge == (x, y)}
+        assert case.youngest_before(curve, death) in killed - {death}
+
+
+def check_cycles(case: Case) -> None:
+    """The representative cycle is born with the birth edge and is a boundary with the killer edge, not before."""
+    for i in range(len(case.fast)):
+        walk = case.fast.cycle(i).tolist()
+        birth, death = case.edge(*case.fast.birth_edge[i]), case.edge(*case.fast.killer_edge[i])
+        assert {walk[0], walk[-1]} == set(case.fast.birth_edge[i].tolist())
+        arrivals, chain = [case.edge(a, b) for a, b in sides(walk)], case.chain(walk)
+        assert len(arrivals) == len(walk)  # no vertex follows itself
+        assert max(chain) == birth
+        assert case.dies(chain) == death
+        assert max(arrivals) < death
+        assert max(arrivals) == birth or in_components(case, chain) > 1
+
+
+def in_components(case: Case, chain: set[int]) -> int:
+    """In how many components of the graph at its birth a cycle lies."""
+    birth, parent = max(chain), list(range(len(case.data)))
+    for edge in range(birth + 1):
+        if len(vertices := case.slow.simplices[edge].vertices) == 2:
+            a, b = (root(parent, v) for v in vertices)
+            parent[a] = b
+    return len({root(parent, case.slow.simplices[edge].vertices[0]) for edge in chain})
+
+
+def root(parent: list[int], v: int) -> int:
+    """The root of a vertex in a forest."""
+    while parent[v] != v:
+        v = parent[v]
+    return v
+
+
+def check_tighten(case: Case) -> None:
+    """A tightened walk is homologous to what it was, and not longer: at its own scale and at larger ones."""
+    for i in range(min(len(case.fast), 3)):
+        (x, y), ((_, _, z1), (_, _, z2)) = case.fast.killer_edge[i].tolist(), case.fast.killer_triangles[i].tolist()
+        cycle, middle = case.fast.cycle(i).tolist(), float(case.fast.birth[i] + case.fast.death[i]) / 2
+        for walk in (cycle, [x, z1, y, z2], [*cycle, *range(len(case.data))]):
+            latest = max(case.edge(a, b) for a, b in sides(walk))
+            for radius in (None, max(case.slow.simplices[latest].value, middle)):
+                tight = tighten(case.fast, walk, radius=radius).tolist()
+                time = latest if radius is None else max(latest, latest_edge_within(case, radius))
+                assert max((case.edge(a, b) for a, b in sides(tight)), default=0) <= time
+                assert length(case, tight) <= length(case, walk) * (1 + 1e-12)
+                assert case.dies(case.chain(walk, tight)) <= time
+        assert length(case, tighten(case.fast, cycle)) >= length(case, cycle) * (1 - 1e-12)
+
+
+def sides(walk: Iterable[int]) -> list[tuple[int, int]]:
+    """The edges of a closed walk; a vertex that follows itself makes none."""
+    ids = list(walk)
+    return [(a, b) for a, b in zip(ids, ids[1:] + ids[:1], strict=True) if a != b]
+
+
+def length(case: Case, walk: Iterable[int]) -> float:
+    """Length of a closed walk."""
+    return 2 * sum(case.slow.simplices[case.edge(a, b)].value for a, b in sides(walk))
+
+
+def latest_edge_within(case: Case, radius: float) -> int:
+    """Position of the last edge that is in VR_radius."""
+    simplices = enumerate(case.slow.simplices)
+    return max(i for i, s in simplices if len(s.vertices) == 2 and s.value <= radius * (1 + 1e-12))
+
+
+def check_cut(case: Case) -> None:
+    """max_radius makes later deaths infinite and drops later births; min_lifetime drops short loops."""
+    fast = case.fast
+    if not len(fast):
+        return
+    values = np.sort(np.concatenate([fast.birth, fast.death]))
+    for radius in (values[0], values[len(values) // 2], values[-1], (values[0] + values[-1]) / 2):
+        cut = rips_persistence(case.data, metric=case.metric, max_radius=float(radius))
+        here = [p for p in case.slow.pairs(1) if p.birth <= radius and p.death > p.birth]
+        expected = {(p.birth_edge, p.killer_edge if p.death <= radius else (-1, -1)) for p in here}
+        assert {
+            (tuple(a), tuple(b)) for a, b in zip(cut.birth_edge.tolist(), cut.killer_edge.tolist(), strict=True)
+        } == expected
+        assert (np.isinf(cut.death) == (cut.killer_edge[:, 0] < 0)).all()
+        for i in np.flatnonzero(np.isinf(cut.death)).tolist():
+            chain = case.chain(cut.cycle(i))
+            assert max(chain) == case.edge(*cut.birth_edge[i])
+            assert case.dies(chain) > latest_edge_within(case, radius * (1 - 1e-12)) or radius in values
+    shortest = float(np.median(fast.lifetime))
+    long = rips_persistence(case.data, metric=case.metric, min_lifetime=shortest)
+    keep = fast.lifetime >= shortest
+    for name in ("birth", "death", "birth_edge", "killer_edge", "killer_triangles"):
+        np.testing.assert_array_equal(getattr(long, name), getattr(fast, name)[keep])
+
+
+CHECKS = (
+    check_diagram,
+    check_pairing,
+    check_killers,
+    check_quadrilaterals,
+    check_cycles,
+    check_tighten,
+    check_cut,
+)
+
+
+def clouds(seed: int, index: int) -> Iterable[tuple[str, np.ndarray, str]]:
+    """The inputs of one number: (family, data, metric). They do not depend on how many are asked for."""
+    rng = np.random.default_rng([seed, index])
+    family = FAMILIES[index % len(FAMILIES)]
+    points = random_cloud(rng, family)
+    yield family, points, "euclidean"
+    yield family, np.sqrt(squares(points)), "precomputed"
+    if index % 8 == 0:
+        yield "no metric", random_matrix(rng), "precomputed"
+
+
+def failure(data: np.ndarray, metric: str) -> tuple[str, str] | None:
+    """The first check that fails, and how."""
+    check = "computation"
+    try:
+        case = Case(data, metric)
+        for function in CHECKS:
+            check = function.__name__
+            function(case)
+    except Exception:
+        return check, traceback.format_exc(limit=-3)
+    return None
+
+
+def smallest(data: np.ndarray, metric: str, check: str) -> np.ndarray:
+    """Take points away for as long as the same check fails."""
+    i = 0
+    while i < len(data):
+        fewer = np.delete(data, i, axis=0)
+        fewer = np.delete(fewer, i, axis=1) if metric == "precomputed" else fewer
+        found = failure(fewer, metric)
+        data, i = (fewer, 0) if found and found[0] == check else (data, i + 1)
+    return data
+
+
+def run(n_clouds: int, seed: int, first: int = 0, progress: bool = False) -> tuple[Counter, str | None]:
+    """Check clouds `first` to `first + n_clouds`; return counts, and a reproducer of the first mismatch."""
+    counts: Counter = Counter()
+    start = said = time.monotonic()
+    for index in range(first, first + n_clouds):
+        for family, data, metric in clouds(seed, index):
+            if (found := failure(data, metric)) is not None:
+                less = smallest(data, metric, found[0])
+                _, how = failure(less, metric) or found
+                call = f"rips_persistence({less.tolist()}, metric={metric!r})"
+                return counts, f"cloud {index} ({family}) fails {found[0]}\n{how}\n{call}"
+            counts[f"{family}, {'points' if metric == 'euclidean' else 'matrix'}"] += 1
+            counts["loops"] += len(rips_persistence(data, metric=metric))
+        if progress and (time.monotonic() - said > 1 or index == first + n_clouds - 1):
+            said = time.monotonic()
+            print(
+                f"\r{index + 1 - first} of {n_clouds} clouds, {said - start:.0f} s", end="", file=sys.stderr, flush=True
+            )
+    if progress:
+        print(file=sys.stderr)
+    return counts, None
+
+
+def main() -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clouds", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0, help="number of the first cloud")
+    options = parser.parse_args()
+    counts, reproducer = run(options.clouds, options.seed, options.first, progress=True)
+    for what, count in sorted(counts.items()):
+        print(f"{count:8d}  {what}")
+    print(reproducer or f"no mismatch in {options.clouds} clouds by {len(CHECKS)} checks")
+    return reproducer is not None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,341 @@
+"""Cycles: born when the bar is, a boundary at death and not before, short; checked by ranks over GF(2)."""
+
+from __future__ import annotations
+
+import pickle
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from topokit import rips_persistence
+from topokit.rips import _cycles
+from topokit.rips._diagram import tighten
+
+from clouds import FAMILIES, random_cloud
+from conftest import polygon
+
+# The shortest way around loop 1 is the outline of loop 0's other side, {1, 3, 5, 4}, and lives on when loop 1 dies.
+MIXED = np.array([[1, 5], [3, 2], [4, 6], [5, 0], [6, 4], [7, 1]], float)
+
+
+class Ranks:
+    """Degree-1 homology of the Rips complex at every step of the total order, by Gaussian elimination and nothing else."""
+
+    def __init__(self, data: np.ndarray, metric: str = "euclidean") -> None:
+        n = len(data)
+        key = data
+        if metric != "precomputed":
+            key = sum((data[:, None, k] - data[None, :, k]) ** 2 for k in range(data.shape[1]))
+        order = sorted(combinations(range(n), 2), key=lambda e: (key[e], *e))
+        self.edges = {edge: k for k, edge in enumerate(order)}
+        self.triangles = [[self.edges[e] for e in combinations(t, 2)] for t in combinations(range(n), 3)]
+        self.n = n
+
+    def __getitem__(self, edge) -> int:
+        a, b = sorted(int(v) for v in edge)
+        return self.edges[a, b]
+
+    def sides(self, walk) -> list[int]:
+        return [self[a, b] for a, b in zip(walk, np.roll(walk, -1), strict=True)]
+
+    def chain(self, *walks) -> int:
+        total = 0
+        for walk in walks:
+            for side in self.sides(walk) if len(walk) > 1 else ():
+                total ^= 1 << side
+        return total
+
+    def bounds(self, chain: int, last: int) -> bool:
+        """Whether a cycle is a boundary in the complex of the edges up to `last`."""
+        boundaries = [sum(1 << k for k in triangle) for triangle in self.triangles if max(triangle) <= last]
+        return rank([*boundaries, chain]) == rank(boundaries)
+
+    def is_older(self, chain: int, last: int) -> bool:
+        """Whether a cycle is homologous, in the complex of the edges up to `last`, to one without the edge `last`."""
+        boundaries = [sum(1 << k for k in triangle) for triangle in self.triangles if max(triangle) <= last]
+        at_vertices = [sum(1 << v for v in edge) for edge, k in self.edges.items() if k < last]
+        older = cycles(at_vertices)
+        return rank([*boundaries, *older, chain]) == rank([*boundaries, *older])
+
+
+def rank(rows: list[int]) -> int:
+    """Rank over GF(2) of rows of bits."""
+    pivots: dict[int, int] = {}
+    for row in rows:
+        while row and row.bit_length() in pivots:
+            row ^= pivots[row.bit_length()]
+        if row:
+            pivots[row.bit_length()] = row
+    return len(pivots)
+
+
+def cycles(boundaries: list[int]) -> list[int]:
+    """A basis of the relations between rows of bits, each as the set of the rows that add up to nothing."""
+    pivots: dict[int, tuple[int, int]] = {}
+    found = []
+    for k, row in enumerate(boundaries):
+        chain = 1 << k
+        while row and row.bit_length() in pivots:
+            other, with_it = pivots[row.bit_length()]
+            row, chain = row ^ other, chain ^ with_it
+        if row:
+            pivots[row.bit_length()] = row, chain
+        else:
+            found.append(chain)
+    return found
+
+
+def check_cycles(data: np.ndarray, metric: str = "euclidean") -> int:
+    """Check every cycle of a cloud by ranks; return how many there are."""
+    diagram, ranks = rips_persistence(data, metric=metric), Ranks(data, metric)
+    for i in range(len(diagram)):
+        walk = diagram.cycle(i)
+        birth, death = ranks[diagram.birth_edge[i]], ranks[diagram.killer_edge[i]]
+        chain = ranks.chain(walk)
+        assert max(ranks.sides(walk)) == birth == chain.bit_length() - 1
+        assert not ranks.is_older(chain, birth)
+        assert ranks.bounds(chain, death)
+        assert not ranks.bounds(chain, death - 1)
+    return len(diagram)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_cycle_is_born_and_dies_with_its_loop(family):
+    rng = np.random.default_rng(500 + FAMILIES.index(family))
+    found = 0
+    for _ in range(150):
+        cloud = random_cloud(rng, family, 12)
+        found += check_cycles(cloud)
+        found += check_cycles(np.sqrt(((cloud[:, None] - cloud[None]) ** 2).sum(axis=2)), "precomputed")
+    assert (found == 0) == (family == "collinear")
+
+
+def test_square_by_hand():
+    diagram = rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]])
+    assert diagram.cycle(0).tolist() == [2, 1, 0, 3]  # birth edge {2, 3} closes it
+    assert diagram.cycle(-1).tolist() == diagram.cycle(0).tolist()
+    with pytest.raises(IndexError, match="no loop 1"):
+        diagram.cycle(1)
+
+
+def test_cycle_goes_around_the_polygon():
+    diagram = rips_persistence(polygon(24))
+    walk = diagram.cycle(0)
+    assert sorted(walk.tolist()) == list(range(24))
+    assert set(walk[[0, -1]].tolist()) == set(diagram.birth_edge[0].tolist())
+
+
+def test_shortest_walk_that_outlives_the_bar_is_not_taken():
+    diagram, ranks = rips_persistence(MIXED), Ranks(MIXED)
+    assert diagram.birth_edge[1].tolist() == [1, 4]
+    classes = diagram._homology
+    shortest = classes.path(1, [4], classes.time(1, 4))
+    assert shortest == [1, 3, 5, 4]
+    death = ranks[diagram.killer_edge[1]]
+    assert not ranks.bounds(ranks.chain(shortest), death)  # it outlives the bar
+    assert diagram.cycle(1).tolist() == [1, 0, 2, 4]
+    assert check_cycles(MIXED) == 2
+
+
+def test_cycle_is_the_shortest_that_will_do():
+    """Against all simple paths between the ends of the birth edge."""
+    rng = np.random.default_rng(77)
+    for _ in range(60):
+        cloud = rng.integers(0, 6, size=(8, 2)).astype(float)
+        cloud = np.unique(cloud, axis=0)
+        diagram, ranks = rips_persistence(cloud), Ranks(cloud)
+        for i in range(len(diagram)):
+            birth, death = ranks[diagram.birth_edge[i]], ranks[diagram.killer_edge[i]]
+            best = min(
+                length(cloud, walk)
+                for walk in simple_paths(ranks, *diagram.birth_edge[i].tolist(), birth)
+                if ranks.bounds(ranks.chain(walk), death)
+            )
+            assert length(cloud, diagram.cycle(i)) <= best * (1 + 1e-12)
+
+
+def simple_paths(ranks: Ranks, x: int, y: int, time: int, so_far: tuple[int, ...] = ()):
+    """All paths from x to y without repetition along edges before a time."""
+    path = (*so_far, x)
+    if x == y:
+        yield path
+        return
+    for v in range(ranks.n):
+        if v not in path and ranks[x, v] < time:
+            yield from simple_paths(ranks, v, y, time, path)
+
+
+def length(cloud: np.ndarray, walk) -> float:
+    walk = np.asarray(walk)
+    return float(np.linalg.norm(cloud[walk] - cloud[np.roll(walk, -1)], axis=1).sum())
+
+
+def pipe(height: float) -> np.ndarray:
+    """Two rings, the lower denser, hence older, and wider, so that it lives on when the pipe between them is filled."""
+    return np.vstack(
+        [np.column_stack([polygon(16), np.zeros(16)]), np.column_stack([polygon(12, 0.8), np.full(12, height)])]
+    )
+
+
+def test_two_rings_of_a_pipe_die_together():
+    """What dies when the pipe is filled is the sum of the rings, which no connected walk at birth is in."""
+    cloud = pipe(0.6)
+    diagram, ranks = rips_persistence(cloud), Ranks(cloud)
+    assert diagram.cycle(0).tolist() == list(range(16))
+    walk = diagram.cycle(1)
+    chain = ranks.chain(walk)
+    birth, death = ranks[diagram.birth_edge[1]], ranks[diagram.killer_edge[1]]
+    assert chain == ranks.chain(range(16), range(16, 28))
+    assert chain.bit_length() - 1 == birth
+    assert ranks.bounds(chain, death)
+    assert not ranks.bounds(chain, death - 1)
+    bridge = [side for side in ranks.sides(walk) if side > birth]
+    assert len(bridge) == 2
+    assert bridge[0] == bridge[1] < death
+    assert set(walk[[0, -1]].tolist()) == set(diagram.birth_edge[1].tolist())
+
+
+def test_search_that_gives_up_still_dies_with_its_loop(monkeypatch):
+    monkeypatch.setattr(_cycles, "SEARCH_LIMIT", 0)
+    rng = np.random.default_rng(78)
+    for _ in range(150):
+        cloud = np.unique(rng.integers(0, 9, size=(10, 2)).astype(float), axis=0)
+        diagram, ranks = rips_persistence(cloud), Ranks(cloud)
+        for i in range(len(diagram)):
+            walk = diagram.cycle(i)
+            chain, death = ranks.chain(walk), ranks[diagram.killer_edge[i]]
+            assert chain.bit_length() - 1 == ranks[diagram.birth_edge[i]]
+            assert ranks.bounds(chain, death)
+            assert not ranks.bounds(chain, death - 1)
+    walk = rips_persistence(MIXED).cycle(1)
+    assert Ranks(MIXED).chain(walk) == Ranks(MIXED).chain([1, 0, 2, 4])
+
+
+def test_loops_that_max_radius_keeps_open():
+    cloud = polygon(30)
+    cut, whole = rips_persistence(cloud, max_radius=0.5), rips_persistence(cloud)
+    assert cut.death.tolist() == [np.inf]
+    assert cut.cycle(0).tolist() == whole.cycle(0).tolist()
+    at_birth = rips_persistence(cloud, max_radius=float(whole.birth[0]))
+    assert at_birth.cycle(0).tolist() == whole.cycle(0).tolist()
+
+
+def test_min_lifetime_does_not_change_the_cycles():
+    cloud = np.random.default_rng(79).normal(size=(60, 2))
+    whole = rips_persistence(cloud)
+    few = rips_persistence(cloud, min_lifetime=float(whole.lifetime[4]))
+    assert [few.cycle(i).tolist() for i in range(5)] == [whole.cycle(i).tolist() for i in range(5)]
+
+
+def test_cycles_do_not_depend_on_the_order_of_points():
+    rng = np.random.default_rng(80)
+    cloud = rng.normal(size=(80, 3))
+    order = rng.permutation(80)
+    one, other = rips_persistence(cloud), rips_persistence(cloud[order])
+    for i in range(len(one)):
+        walk, same = one.cycle(i).tolist(), order[other.cycle(i)].tolist()
+        assert same in (walk, walk[::-1])
+
+
+@pytest.mark.parametrize("size", [1e200, 1e-200])
+def test_sizes_whose_squares_overflow(size):
+    cloud = np.random.default_rng(81).normal(size=(40, 2))
+    one, other = rips_persistence(cloud), rips_persistence(cloud * size)
+    assert [one.cycle(i).tolist() for i in range(len(one))] == [other.cycle(i).tolist() for i in range(len(other))]
+    radius = float(one.birth[0] + one.death[0]) / 2
+    tight = tighten(one, one.cycle(0), radius=radius)
+    assert tight.tolist() == tighten(other, other.cycle(0), radius=radius * size).tolist()
+
+
+def test_duplicated_points_do_not_lengthen_a_walk():
+    cloud = np.repeat(polygon(12), 3, axis=0)
+    diagram = rips_persistence(cloud)
+    assert len(diagram) == 1
+    assert len(diagram.cycle(0)) <= 13  # all at its place in the ring but the birth edge's other end
+    assert length(cloud, diagram.cycle(0)) == pytest.approx(length(polygon(12), range(12)))
+
+
+def test_a_diagram_with_cycles_can_be_pickled():
+    diagram = rips_persistence(polygon(10))
+    before = diagram.cycle(0).tolist()
+    assert pickle.loads(pickle.dumps(diagram)).cycle(0).tolist() == before
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_tightened_walk_is_homologous_and_not_longer(family):
+    rng = np.random.default_rng(600 + FAMILIES.index(family))
+    for _ in range(150):
+        cloud = random_cloud(rng, family, 11)
+        ranks = Ranks(cloud)
+        walk = rng.integers(0, len(cloud), size=rng.integers(1, 9))
+        tight = tighten(cloud, walk)
+        if len(set(walk.tolist())) == 1:
+            assert tight.tolist() == [walk[0]]
+            continue
+        walk = walk[walk != np.roll(walk, -1)]
+        latest = max(ranks.sides(walk))
+        assert length(cloud, tight) <= length(cloud, walk) * (1 + 1e-12)
+        assert ranks.bounds(ranks.chain(walk, tight), latest)
+        assert len(tight) == 1 or max(ranks.sides(tight)) <= latest
+        assert (len(tight) == 1) == ranks.bounds(ranks.chain(walk), latest)
+
+
+def test_tighten_at_a_radius():
+    """A dented ring: at its own scale nothing is shorter; a larger radius cuts across the dent, and across corners."""
+    ring = polygon(40)
+    ring[5] *= 0.7
+    diagram = rips_persistence(ring)
+    own = diagram.cycle(0)
+    assert sorted(tighten(diagram, own).tolist()) == sorted(own.tolist())
+    radii = [0.2, 0.4, 0.6, float(diagram.death[0]) * 0.999]
+    walks = [tighten(diagram, own, radius=radius) for radius in radii]
+    lengths = [length(ring, walk) for walk in walks]
+    assert length(ring, own) > lengths[0]
+    assert lengths == sorted(lengths, reverse=True)
+    ranks = Ranks(ring)
+    for walk, radius in zip(walks, radii, strict=True):
+        sides = np.linalg.norm(ring[walk] - ring[np.roll(walk, -1)], axis=1)
+        assert sides.max() <= 2 * radius
+        assert not ranks.bounds(ranks.chain(walk), ranks[diagram.killer_edge[0]] - 1)
+    assert tighten(diagram, own, radius=2.0).tolist() == [own[0]]  # it is a boundary by then
+
+
+def test_tighten_takes_points_a_diagram_or_a_matrix():
+    cloud = np.random.default_rng(82).normal(size=(50, 2))
+    matrix = np.sqrt(((cloud[:, None] - cloud[None]) ** 2).sum(axis=2))
+    diagram = rips_persistence(cloud)
+    walk = diagram.cycle(0)
+    for radius in (None, float(diagram.death[0]) * 0.99):
+        expected = tighten(diagram, walk, radius=radius).tolist()
+        assert tighten(cloud, walk, radius=radius).tolist() == expected
+        assert tighten(matrix, walk, radius=radius, metric="precomputed").tolist() == expected
+        cut = rips_persistence(cloud, max_radius=float(diagram.birth[0]))
+        assert tighten(cut, walk, radius=radius).tolist() == expected
+
+
+def test_tighten_of_a_killer_quadrilateral_stays_around_the_loop():
+    ring = polygon(30)
+    diagram, ranks = rips_persistence(ring), Ranks(ring)
+    (x, y, thick), (_, _, thin) = diagram.killer_triangles[0].tolist()
+    outline = tighten(diagram, [x, thick, y, thin])
+    assert not ranks.bounds(ranks.chain(outline), ranks[diagram.killer_edge[0]] - 1)
+    assert ranks.bounds(ranks.chain(outline, diagram.cycle(0)), ranks[diagram.killer_edge[0]] - 1)
+
+
+@pytest.mark.parametrize(
+    ("cycle", "options", "error", "says"),
+    [
+        ([0, 1, 4], {}, ValueError, "vertex ids from 0 to 3"),
+        ([0, -1], {}, ValueError, "vertex ids from 0 to 3"),
+        ([0.0, 1.0], {}, TypeError, "sequence of vertex ids"),
+        ([[0, 1]], {}, TypeError, "sequence of vertex ids"),
+        (np.empty(0, int), {}, TypeError, "sequence of vertex ids"),
+        ([0, 1, 2, 3], {"radius": 0.9}, ValueError, "edge of half length 1.0, longer than radius 0.9"),
+        ([0, 1, 2, 3], {"radius": -1}, ValueError, "radius"),
+        ([0, 1, 2, 3], {"metric": "l1"}, ValueError, "metric"),
+    ],
+)
+def test_bad_walks_are_told(cycle, options, error, says):
+    with pytest.raises(error, match=says):
+        tighten([[0, 0], [2, 0], [2, 2], [0, 2]], cycle, **options)

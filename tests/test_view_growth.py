@@ -1,0 +1,220 @@
+"""The growing complex: what the page holds, and that its script finds the loops that topokit finds."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from importlib import resources
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from topokit import rips_persistence, view
+
+from clouds import gudhi_pairs, sorted_pairs
+from conftest import polygon
+
+SQUARE = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
+
+
+def payload(figure: view.Growth) -> dict:
+    return json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', figure.page, re.DOTALL).group(1))
+
+
+# ---- the page
+
+
+def test_holds_the_points_to_the_last_digit():
+    points = np.random.default_rng(0).normal(size=(30, 2)) / 3
+    np.testing.assert_array_equal(payload(view.growth(points))["points"], points)
+
+
+def test_holds_its_options():
+    data = payload(view.growth(SQUARE, start=1, max_radius=3, height=321, balls=False, title="four </script> corners"))
+    assert (data["start"], data["end"], data["height"], data["balls"]) == (1.0, 3.0, 321, False)
+    assert data["title"] == "four </script> corners"
+    assert data["palette"] == list(view.OKABE_ITO)
+    plain = payload(view.growth(SQUARE))
+    assert (plain["start"], plain["end"], plain["balls"]) == (None, None, True)
+
+
+def test_asks_nothing_of_the_network():
+    page = view.growth(SQUARE).page
+    assert not re.search(r"https?:|//[a-z]+\.[a-z]|@import|url\(|<link|src=|fetch\(|XMLHttpRequest|WebSocket", page)
+    assert "__" not in re.sub(r"__proto__", "", page)  # nothing left to fill in
+
+
+def test_is_a_frame_that_text_cannot_break_out_of():
+    figure = view.growth(SQUARE, title='"</script><b>', height=400)
+    markup = figure._repr_html_()
+    assert markup.startswith("<iframe srcdoc=")
+    assert "height:400px" in markup
+    assert markup.count('"') == 8  # srcdoc, title, loading, style: nothing inside is unescaped
+    assert figure.page.count("</script>") == 2
+    assert repr(figure).startswith("Growth('Rips complex of 4 points'")
+
+
+def test_saves_a_small_whole_page(tmp_path):
+    path = view.growth(np.random.default_rng(0).normal(size=(60, 2))).save(tmp_path / "growth.html")
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("<!doctype html>")
+    assert text.rstrip().endswith("</html>")
+    assert len(text) < 40_000
+
+
+@pytest.mark.parametrize(
+    ("points", "options", "message"),
+    [
+        (np.zeros((5, 3)), {}, r"points must lie in the plane, not in 3 dimensions"),
+        (np.zeros((61, 2)), {}, "growth shows 1 to 60 points, not 61; see topokit.farthest_point_sample"),
+        (np.zeros((0, 2)), {}, "growth shows 1 to 60 points, not 0"),
+        ([[0.0, np.nan]], {}, "NaN or infinite"),
+        (SQUARE, {"max_radius": 0}, "max_radius must be more than zero"),
+        (SQUARE, {"start": -1}, "start must be zero or more"),
+        (SQUARE, {"start": 2, "max_radius": 1}, "start must be at most max_radius, 1.0, not 2.0"),
+    ],
+)
+def test_refuses_what_it_cannot_show(points, options, message):
+    with pytest.raises(ValueError, match=message):
+        view.growth(points, **options)
+
+
+# ---- its script, run by node
+
+needs_node = pytest.mark.skipif(
+    shutil.which("node") is None, reason="node, which runs the page's script, is not installed"
+)
+
+RUN = """
+const clouds = JSON.parse(require("fs").readFileSync(0, "utf8"));
+const answer = clouds.map((points) => {
+  const { loops, merges, cone, edges } = rips(points);
+  return { merges, cone, edges: edges.length, loops: loops.map((l) => ({ ...l, cycle: l.cycle })) };
+});
+console.log(JSON.stringify(answer));
+"""
+
+
+def by_script(clouds: list[np.ndarray]) -> list[dict]:
+    """What `rips.js` finds in every cloud."""
+    script = resources.files("topokit.view").joinpath("rips.js").read_text(encoding="utf-8") + RUN
+    text = json.dumps([np.asarray(cloud).tolist() for cloud in clouds])
+    done = subprocess.run(["node", "-e", script], input=text, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+def planar_clouds(n_clouds: int, most: int, seed: int) -> list[np.ndarray]:
+    """Clouds of the plane, generic and with as many ties as the plane allows."""
+    rng = np.random.default_rng(seed)
+    circles = [(a, b) for a in range(-8, 9) for b in range(-8, 9) if a * a + b * b in (25, 50, 65)]
+    families = [
+        lambda n: rng.normal(size=(n, 2)),
+        lambda n: polygon(n, 1.7) + rng.normal(0, 0.1, (n, 2)),  # one wide loop
+        lambda n: rng.integers(0, 7, size=(n, 2)).astype(float),  # grid: ties and duplicates
+        lambda n: polygon(n),  # ties up to rounding
+        lambda n: rng.normal(size=(n, 2))[rng.integers(0, n, n)],  # duplicates
+        lambda n: rng.permutation(np.array(circles, float))[:n],  # cocircular: exact ties
+    ]
+    return [families[k % len(families)](int(rng.integers(1, most + 1))) for k in range(n_clouds)]
+
+
+@needs_node
+def test_script_finds_what_topokit_finds():
+    """The same births and deaths to the last bit, the same birth edges, killer edges and killer triangles."""
+    clouds = planar_clouds(600, 40, seed=1)
+    found = 0
+    for cloud, theirs in zip(clouds, by_script(clouds), strict=True):
+        diagram = rips_persistence(cloud)
+        ours = zip(
+            diagram.birth.tolist(),
+            diagram.death.tolist(),
+            diagram.birth_edge.tolist(),
+            diagram.killer_edge.tolist(),
+            [[sorted(t) for t in pair] for pair in diagram.killer_triangles.tolist()],  # the thick one first
+            strict=True,
+        )
+        loops = [
+            (x["birth"], x["death"], x["birthEdge"], x["killerEdge"], [sorted(t) for t in x["triangles"]])
+            for x in theirs["loops"]
+        ]
+        assert sorted(ours) == sorted(loops), cloud.tolist()
+        found += len(loops)
+    assert found > 1000
+
+
+@needs_node
+def test_script_agrees_with_gudhi():
+    clouds = planar_clouds(60, 20, seed=2)
+    for cloud, theirs in zip(clouds, by_script(clouds), strict=True):
+        bars = np.array([(loop["birth"], loop["death"]) for loop in theirs["loops"]]).reshape(-1, 2)
+        np.testing.assert_allclose(sorted_pairs(bars), gudhi_pairs(cloud), atol=1e-9, err_msg=str(cloud.tolist()))
+
+
+def bounds(cycle_edges, edges) -> bool:
+    """Whether a sum of edges bounds triangles of the complex whose edges, in order, are `edges`; Z/2."""
+    bit = {edge: 1 << k for k, edge in enumerate(edges)}
+    pivots: dict[int, int] = {}
+    for i, j, k in combinations(sorted({v for edge in edges for v in edge}), 3):
+        if (i, j) in bit and (i, k) in bit and (j, k) in bit:
+            rest = reduced(bit[i, j] ^ bit[i, k] ^ bit[j, k], pivots)
+            if rest:
+                pivots[rest.bit_length()] = rest
+    return reduced(sum(bit[edge] for edge in cycle_edges), pivots) == 0
+
+
+def reduced(column: int, pivots: dict[int, int]) -> int:
+    while column and column.bit_length() in pivots:
+        column ^= pivots[column.bit_length()]
+    return column
+
+
+@needs_node
+def test_cycles_are_born_with_their_bars_and_bound_at_death_and_not_before():
+    clouds = planar_clouds(120, 16, seed=3)
+    seen = 0
+    for cloud, theirs in zip(clouds, by_script(clouds), strict=True):
+        square = ((cloud[:, None] - cloud[None, :]) ** 2).sum(axis=-1)
+        order = sorted(combinations(range(len(cloud)), 2), key=lambda edge: (square[edge], edge))
+        for loop in theirs["loops"]:
+            walk = loop["cycle"]
+            steps = [tuple(sorted(edge)) for edge in zip(walk, walk[1:] + walk[:1], strict=True)]
+            assert len(set(steps)) == len(steps) >= 4
+            assert max(steps, key=order.index) == tuple(loop["birthEdge"])
+            killer = order.index(tuple(loop["killerEdge"]))
+            assert bounds(steps, order[: killer + 1]), cloud.tolist()
+            assert not bounds(steps, order[:killer]), cloud.tolist()
+            seen += 1
+    assert seen > 60
+
+
+@needs_node
+def test_the_cycle_of_a_slot_does_not_run_around_the_ring_beside_it():
+    """The birth edge closes the mouth of a slot that opens into a ring. The shortest way back is around the ring, whose
+    loop lives on; the loop that was born there and dies soon is the slot's."""
+    angle = np.arcsin(0.5 / 1.5) + np.linspace(0, 2 * (np.pi - np.arcsin(0.5 / 1.5)), 19)
+    ring = 1.5 * np.column_stack([np.cos(angle), np.sin(angle)])  # its ends are 1 apart: the mouth
+    along = ring[0, 0] + 0.5 * np.arange(1, 13)
+    slot = np.vstack([np.column_stack([along, np.full(12, side)]) for side in (0.6, -0.6)] + [[[along[-1] + 0.3, 0.0]]])
+    cloud = np.vstack([ring, slot])
+    [found] = by_script([cloud])
+    [mouth] = [loop for loop in found["loops"] if loop["birthEdge"] == [0, 18]]
+    assert mouth["birth"] == pytest.approx(0.5)
+    assert 0.5 < mouth["death"] < 1.0
+    assert set(mouth["cycle"]) >= {0, 18, len(cloud) - 1}  # to the far end of the slot and back
+    assert not set(mouth["cycle"]) & set(range(4, 15))
+    assert found["loops"][0]["death"] > 1.2
+
+
+@needs_node
+def test_components_merge_along_a_spanning_tree():
+    from scipy.sparse.csgraph import minimum_spanning_tree
+    from scipy.spatial.distance import cdist
+
+    cloud = np.random.default_rng(4).normal(size=(35, 2))
+    [found] = by_script([cloud])
+    np.testing.assert_allclose(found["merges"], np.sort(minimum_spanning_tree(cdist(cloud, cloud)).data) / 2)
+    assert found["edges"] == 35 * 34 // 2
+    assert found["cone"] == pytest.approx(cdist(cloud, cloud).max(axis=1).min() / 2)

@@ -1,0 +1,111 @@
+// What the moving figures share: the page's theme, canvases, charts, the play button, and a height that fits.
+"use strict";
+const $ = (id) => document.getElementById(id);
+const data = JSON.parse($("data").textContent);
+
+// ---- theme ---------------------------------------------------------------------------------------------------
+let dark = false;
+function theme() {
+  dark = matchMedia("(prefers-color-scheme: dark)").matches;
+  try { // the page around the frame knows better; a page of another origin does not let us ask
+    const root = parent.document.documentElement.dataset.theme, lab = parent.document.body.dataset.jpThemeLight;
+    if (parent !== window && (root || lab)) dark = root ? root === "dark" : lab === "false";
+  } catch { /* keep the system's */ }
+  document.documentElement.classList.toggle("dark", dark);
+}
+const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
+const fade = (hex, alpha) => hex + Math.round(alpha * 255).toString(16).padStart(2, "0");
+
+// ---- drawing -------------------------------------------------------------------------------------------------
+function start(canvas) { // a cleared context in CSS pixels, whatever the screen's density
+  const ratio = devicePixelRatio || 1, w = canvas.clientWidth, h = canvas.clientHeight, g = canvas.getContext("2d");
+  canvas.width = Math.round(w * ratio);
+  canvas.height = Math.round(h * ratio);
+  g.scale(ratio, ratio);
+  g.font = getComputedStyle(document.body).font;
+  g.lineCap = g.lineJoin = "round";
+  return [g, w, h];
+}
+function line(g, x, y, u, v, dash = []) {
+  g.setLineDash(dash);
+  g.beginPath();
+  g.moveTo(x, y);
+  g.lineTo(u, v);
+  g.stroke();
+  g.setLineDash([]);
+}
+function ticks(high) {
+  const rough = high / 5, ten = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((m) => m * ten).find((s) => s >= rough);
+  return Array.from({ length: Math.floor(high / step + 1e-9) + 1 }, (_, k) => +(k * step).toPrecision(6));
+}
+function axes(canvas, highX, highY, title, unitX, marks = ticks(highY)) {
+  const [g, w, h] = start(canvas), box = { x: 44, y: 28, w: w - 58, h: h - 64 };
+  const X = (v) => box.x + (v / highX) * box.w, Y = (v) => box.y + box.h - (v / highY) * box.h;
+  g.fillStyle = css("--soft");
+  g.strokeStyle = css("--line");
+  g.lineWidth = 1;
+  g.textBaseline = "middle";
+  g.fillText(title, 10, 14);
+  for (const v of ticks(highX)) {
+    g.textAlign = "center";
+    g.fillText(v, X(v), box.y + box.h + 12);
+  }
+  g.textAlign = "right";
+  g.fillText(unitX, box.x + box.w, box.y + box.h + 27);
+  for (const v of marks) {
+    g.fillText(v, box.x - 6, Y(v));
+    line(g, X(0), Y(v), X(highX), Y(v));
+  }
+  g.textAlign = "left";
+  return [g, X, Y, box];
+}
+
+// ---- time ----------------------------------------------------------------------------------------------------
+function lazily(draw) { // at most one drawing a frame of the screen
+  let queued = false;
+  return () => {
+    if (!queued) requestAnimationFrame(() => ((queued = false), draw()));
+    queued = true;
+  };
+}
+function playback(at, go, end, seconds) { // the button plays at() from where it is, or from 0, to end() by calling go
+  let playing = false, runs = 0;
+  const play = (on = !playing) => {
+    const began = performance.now(), from = at() >= end() ? 0 : at(), mine = ++runs;
+    playing = on;
+    $("icon").setAttribute("d", on ? "M1 0h3v10h-3zM6 0h3v10h-3z" : "M1.5 0 9.5 5 1.5 10z");
+    $("play").setAttribute("aria-label", on ? "pause" : "play");
+    const step = (now) => {
+      if (runs !== mine) return; // paused or started anew
+      go(from + (Math.max(0, now - began) / seconds / 1000) * end());
+      if (at() >= end()) play(false);
+      else requestAnimationFrame(step);
+    };
+    if (on) requestAnimationFrame(step);
+  };
+  $("play").onclick = () => play();
+  play(false);
+  return play;
+}
+
+// ---- the page around -----------------------------------------------------------------------------------------
+function watch(draw, resized) { // redraw when the theme or the size changes
+  const repaint = () => (theme(), draw());
+  const layout = () => {
+    try { // stacked on a narrow page, the figure needs more height than it was given
+      if (frameElement) frameElement.style.height = innerWidth < 640 ? document.querySelector("main").offsetHeight + "px" : data.height + "px";
+    } catch { /* the page around us is of another origin */ }
+    resized();
+    draw();
+  };
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", repaint);
+  try {
+    const observer = new MutationObserver(repaint), what = { attributes: true, attributeFilter: ["data-theme", "data-jp-theme-light"] };
+    if (parent !== window) [parent.document.documentElement, parent.document.body].forEach((node) => observer.observe(node, what));
+  } catch { /* another origin */ }
+  new ResizeObserver(layout).observe(document.body);
+  document.querySelector("figcaption").textContent = data.title;
+  theme();
+  layout();
+}

@@ -1,0 +1,93 @@
+// Degree-1 Rips persistence of a small planar cloud, by lunes, as topokit.rips does it.
+// Idea: edges arrive by (length, smaller index, larger index). The lune of an edge is the set of points already joined to
+// both of its ends. An empty lune joins two components or creates a loop; each further component of a lune is a relation
+// that may kill one. A cycle is written in creators, a bit each: an edge with a lune counts as the two other edges of a
+// triangle on it, an edge of the spanning forest as nothing.
+function rips(points) {
+  const n = points.length, edges = [], at = new Int32Array(n * n).fill(-1), ends = [...points.keys()];
+  const find = (i) => (ends[i] === i ? i : (ends[i] = find(ends[i])));
+  for (let i = 0; i < n; i++) for (let j = i + 1; j < n; j++) {
+    const dx = points[i][0] - points[j][0], dy = points[i][1] - points[j][1];
+    edges.push({ i, j, square: dx * dx + dy * dy, cycle: 0n });
+  }
+  edges.sort((a, b) => a.square - b.square); // stable, and i, j came in order
+  edges.forEach((edge, rank) => {
+    edge.value = Math.sqrt(edge.square) / 2;
+    at[edge.i * n + edge.j] = at[edge.j * n + edge.i] = rank;
+  });
+  const edge = (i, j) => edges[at[i * n + j]], joined = (i, j, rank) => at[i * n + j] >= 0 && at[i * n + j] < rank;
+  const later = (edge, z) => Math.max(edges[at[edge.i * n + z]].square, edges[at[edge.j * n + z]].square);
+
+  // From the moment when one point is joined to all others the complex is a cone: no loop is alive or will be born.
+  let cone = Infinity;
+  for (let i = 0; i < n; i++) cone = Math.min(cone, edges.reduce((m, e) => (e.i === i || e.j === i ? Math.max(m, e.value) : m), 0));
+
+  function apexes(e, rank) { // one a component of the lune: the point that is joined to both ends first
+    const left = [], found = [];
+    for (let z = 0; z < n; z++) if (joined(e.i, z, rank) && joined(e.j, z, rank)) left.push(z);
+    left.sort((a, b) => later(e, a) - later(e, b) || a - b);
+    while (left.length) {
+      const queue = [left.shift()];
+      found.push(queue[0]);
+      while (queue.length && left.length) {
+        const z = queue.pop();
+        for (let k = left.length - 1; k >= 0; k--) if (joined(z, left[k], rank)) queue.push(...left.splice(k, 1));
+      }
+    }
+    return found;
+  }
+
+  const creators = [], merges = [];
+  const through = (e, z) => edge(e.i, z).cycle ^ edge(e.j, z).cycle;
+  edges.every((e, rank) => {
+    if (e.value > cone) return false;
+    const [first, ...further] = apexes(e, rank);
+    if (first !== undefined) e.cycle = through(e, first);
+    else if (find(e.i) !== find(e.j)) {
+      ends[find(e.i)] = find(e.j);
+      merges.push(e.value);
+    } else {
+      e.cycle = 1n << BigInt(creators.length);
+      creators.push({ e, rank, bit: e.cycle, killer: null });
+    }
+    for (const z of further) {
+      let column = through(e, first) ^ through(e, z), youngest;
+      while ((youngest = column && creators[column.toString(2).length - 1]) && youngest.killer) column ^= youngest.column;
+      if (youngest) Object.assign(youngest, { column, killer: e, death: rank, apexes: [z, first] }); // the thick triangle first
+    }
+    return true;
+  });
+
+  // A shortest closed walk at birth through the birth edge, in the very class that the killer ends. (The birth edge and
+  // the shortest way back may run around an older loop as well, and outlive the bar.) Idea: Dijkstra over pairs (vertex,
+  // class of the way so far), classes up to the relations that came before the birth edge.
+  function cycle({ e: born, rank, bit, column }) {
+    const known = creators.filter((c) => c.killer && c.death < rank).reverse();
+    const reduce = (mask) => known.reduce((m, c) => (m & c.bit ? m ^ c.column : m), mask);
+    const goal = reduce(column ^ bit), best = new Map(), open = [{ v: born.i, mask: 0n, length: 0, from: null }];
+    while (open.length) {
+      const here = open.splice(open.reduce((m, s, k) => (s.length < open[m].length ? k : m), 0), 1)[0], key = here.v + ":" + here.mask;
+      if (best.has(key)) continue;
+      best.set(key, here);
+      if (here.v === born.j && here.mask === goal) {
+        const walk = [];
+        for (let s = here; s; s = s.from) walk.push(s.v);
+        return walk;
+      }
+      for (let v = 0; v < n; v++) if (joined(here.v, v, rank)) {
+        const e = edge(here.v, v), mask = reduce(here.mask ^ e.cycle);
+        if (!best.has(v + ":" + mask)) open.push({ v, mask, length: here.length + 2 * e.value, from: here });
+      }
+    }
+    return [];
+  }
+
+  const loops = creators.filter((c) => c.killer && c.killer.value > c.e.value).map((c) => ({
+    birth: c.e.value, death: c.killer.value, birthEdge: [c.e.i, c.e.j], killerEdge: [c.killer.i, c.killer.j],
+    triangles: c.apexes.map((z) => [c.killer.i, c.killer.j, z]),
+    get cycle() { // found when it is first asked for
+      return (this.walk ??= cycle(c));
+    },
+  })).sort((a, b) => b.death - b.birth - (a.death - a.birth));
+  return { edges, merges, loops, cone };
+}
