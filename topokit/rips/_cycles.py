@@ -209,17 +209,16 @@ class Homology:
         """Shorten a closed walk within its class before a time, until no third of it can be made shorter."""
         if self.class_of(sides(walk), time) == 0:
             return walk[:1]
-        start = 0
-        while start < len(walk):
-            turned = walk[start:] + walk[:start]
-            reach = np.cumsum([self.side(a, b) for a, b in sides(turned)])
+        settled: set[tuple[int, ...]] = set()
+        turns = 0
+        while turns < len(walk):
+            reach = np.cumsum([self.side(a, b) for a, b in sides(walk)])
             end = max(int(np.searchsorted(reach, reach[-1] / 3)), 2) + 1
-            arc, rest = turned[:end], turned[end:]
-            path = self._shorter(arc, time)
-            if path:
-                walk, start = path + rest, 0
-            else:
-                start += 1
+            arc, rest = walk[:end], walk[end:]
+            path = [] if tuple(arc) in settled else self._shorter(arc, time)
+            settled.add(tuple(path or arc))
+            walk, turns = (path or arc) + rest, 0 if path else turns + 1
+            walk = [*walk[1:], walk[0]]
         return walk
 
     def _shorter(self, arc: list[int], time: Time) -> list[int]:
