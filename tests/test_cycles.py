@@ -246,6 +246,7 @@ def test_sizes_whose_squares_overflow(size):
     radius = float(one.birth[0] + one.death[0]) / 2
     tight = tighten(one, one.cycle(0), radius=radius)
     assert tight.tolist() == tighten(other, other.cycle(0), radius=radius * size).tolist()
+    assert one.neighbours(0).tolist() == other.neighbours(0).tolist()
 
 
 def test_duplicated_points_do_not_lengthen_a_walk():

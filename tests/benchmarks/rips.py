@@ -110,12 +110,17 @@ def main() -> int:
     parser.add_argument(
         "--large", type=int, nargs="*", metavar="N", help="large aprons, topokit alone, with peak memory"
     )
+    parser.add_argument(
+        "--profile", action="store_true", help="where the time goes, against reading every needed pair once"
+    )
     parser.add_argument("--json", type=Path, help="also write the numbers there")
     options = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     if options.large is not None:
         return large(options.large or [10_000])
+    if options.profile:
+        return profile(options.shapes, options.sizes, options.repeat)
     others = {} if options.alone else peers()
     missing = {"redzed-tda", "giotto-ph", "GUDHI", "ripser.py"} - set(others)
     if missing and not options.alone:
@@ -137,6 +142,36 @@ def main() -> int:
         options.json.write_text(
             json.dumps({"machine": platform.processor() or platform.machine(), "rows": rows}, indent=2) + "\n"
         )
+    return 0
+
+
+def profile(shapes: list[str], sizes: list[int], repeat: int) -> int:
+    """Time of the whole against its floor: reading once the pairs that are no longer than the last death, then sorting them.
+
+    A pair is read by computing its distance and looking at it; all pairs of the cloud are what a matrix would need.
+    """
+    from topokit.rips import _edges
+    from topokit.rips._tree import build_tree
+
+    print(
+        f"{'cloud':>8} {'points':>6} {'pairs':>8} {'needed':>8} {'read':>9} {'sorted':>9} {'whole':>9} {'whole/read':>11}"
+    )
+    for shape in shapes:
+        for n in sizes:
+            points = cloud(shape, n)
+            tree = build_tree(points, (0, 0, 0))
+            window = 0.0, (2 * tk.rips_persistence(points).death.max()) ** 2 * (1 + 1e-9)
+            needed = len(_edges._edges_of_points(tree, *window)[1])
+            read = median_ms(lambda _, t=tree, w=window: _edges._edges_of_points(t, *w), points, repeat)
+            ordered = median_ms(
+                lambda _, t=tree, w=window: _edges.edges_between(t.points, t.axes, t, *w), points, repeat
+            )
+            whole = median_ms(tk.rips_persistence, points, repeat)
+            print(
+                f"{shape:>8} {n:>6} {n * (n - 1) // 2:>8} {needed:>8} {read:>6.2f} ms {ordered:>6.2f} ms {whole:>6.2f} ms"
+                f" {whole / read:>10.1f}x",
+                flush=True,
+            )
     return 0
 
 

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._validate import as_points, as_sequence, positive
 from ._compute import pairs
-from ._diagram import Diagram
+from ._diagram import Diagram, tighten
 
-__all__ = ["Diagram", "rips_persistence", "rips_persistence_many"]
+__all__ = ["Diagram", "rips_persistence", "rips_persistence_many", "tighten"]
 
 
 def rips_persistence(
@@ -83,6 +83,7 @@ def rips_persistence(
         max_radius=cutoff,
         _points=array,
         _precomputed=precomputed,
+        _simplices=(created, killed),
     )
 
 

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from ._lengths import power_of_two
+
 MOST_ROWS = 4096  # points with a bitset each; more are handled without any n x n table
 _PATIENCE = 3.0  # seconds of compiling before it is said
 _ready: set[int] = set()
@@ -26,7 +28,7 @@ def pairs(array: NDArray[np.float64], max_radius: float, precomputed: bool) -> P
         array = np.column_stack([array, np.zeros(len(array))])
     _compile(0 if precomputed else array.shape[1])
     # Lengths of points are compared squared. A power of two saves squares from overflow and underflow, and costs no digit.
-    scale = 1.0 if precomputed else 2.0 ** -int(np.frexp(np.ptp(array, axis=0).max())[1])
+    scale = 1.0 if precomputed else power_of_two(array)
     created, killed = _kernel(array * scale, 2 * max_radius * scale, precomputed)
     birth, death = (_lengths(array, edges, scale, precomputed) / 2 for edges in (created, killed))
     death[(killed[:, 0] < 0) | (death > max_radius)] = np.inf
@@ -61,7 +63,10 @@ def _lengths(
     x, y = edges[:, 0], edges[:, 1]
     if precomputed:
         return array[x, y]
-    return np.sqrt((((array[x] - array[y]) * scale) ** 2).sum(axis=1)) / scale
+    total = np.zeros(len(edges))
+    for axis in range(array.shape[1]):  # in the order of the kernels: NumPy's sum pairs the terms
+        total += ((array[x, axis] - array[y, axis]) * scale) ** 2
+    return np.sqrt(total) / scale
 
 
 def _compile(dimension: int) -> None:

@@ -23,6 +23,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ._compute import pairs
+from ._lengths import power_of_two
 from ._paths import Time, edge_key, lune_vertex, neighbours, shortest_paths
 
 __all__ = ["Homology", "homology"]
@@ -233,13 +235,15 @@ class Homology:
         return path if sum(map(self.side, path, path[1:])) < bound else []
 
 
-def homology(data: _Array, precomputed: bool, max_radius: float) -> Homology:
-    """The classes of a cloud up to a filtration value."""
-    from ._compute import pairs
-
-    created, killed, *_ = pairs(data, max_radius, precomputed)
-    # A power of two saves squared distances from overflow and underflow, and changes no digit.
-    scale = 1.0 if precomputed else 2.0 ** -int(np.frexp(np.ptp(data, axis=0).max())[1])
+def homology(
+    data: _Array,
+    precomputed: bool,
+    max_radius: float,
+    simplices: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None,
+) -> Homology:
+    """The classes of a cloud up to a filtration value; `simplices` are what creates and kills its loops, when known."""
+    created, killed = simplices or pairs(data, max_radius, precomputed)[:2]
+    scale = 1.0 if precomputed else power_of_two(data)
     return Homology(data * scale, precomputed, created, killed, scale)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._validate import positive
+from ._lengths import power_of_two, squares_from
 
 if TYPE_CHECKING:
     from ._cycles import Homology
@@ -45,6 +46,7 @@ class Diagram:
     max_radius: float
     _points: NDArray[np.float64]  # (n_points, d) coordinates, or the (n_points, n_points) distances
     _precomputed: bool = False
+    _simplices: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None  # of all loops: created (c, 2), killed (c, 4)
 
     def __post_init__(self) -> None:
         for name in ("birth", "death", "birth_edge", "killer_edge", "killer_triangles"):
@@ -66,7 +68,8 @@ class Diagram:
         """(n_points,) distances from vertex `i` to every vertex."""
         if self._precomputed:
             return np.asarray(self._points[i])
-        return np.asarray(np.sqrt(((self._points - self._points[i]) ** 2).sum(axis=1)))
+        scale = power_of_two(self._points)
+        return np.asarray(np.sqrt(squares_from(self._points * scale, i)) / scale)
 
     def neighbours(self, i: int) -> NDArray[np.int64]:
         """Triangles next to the killer triangles of loop `i`: on each of their four outer edges the one that comes first.
@@ -135,7 +138,7 @@ class Diagram:
     def _homology(self) -> Homology:
         from ._cycles import homology  # numba takes a while to import
 
-        return homology(self._points, self._precomputed, self.max_radius)
+        return homology(self._points, self._precomputed, self.max_radius, self._simplices)
 
     def _check_index(self, i: int) -> None:
         if not -len(self) <= i < len(self):

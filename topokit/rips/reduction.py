@@ -20,9 +20,10 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._validate import as_points, positive
+from ._lengths import power_of_two, squares_from
 
 __all__ = ["MAX_SIMPLICES", "Pair", "Reduction", "Simplex", "filtration", "persistence", "reduce"]
 
@@ -267,24 +268,15 @@ def _edges(points: ArrayLike, max_radius: float, metric: str) -> tuple[int, list
     if metric == "precomputed":
         _check_distances(array)
     n = len(array)
-    # Edges of points are ordered by squared length: roots may hide a difference. A power of two saves the squares from
-    # overflow and changes no digit.
-    scale = 1.0 if metric == "precomputed" else 2.0 ** -int(np.frexp(np.ptp(array, axis=0).max() if n else 0.0)[1])
+    # Edges of points are ordered by squared length: roots may hide a difference.
+    scale = 1.0 if metric == "precomputed" else power_of_two(array)
     edges: list[tuple[float, int, int, float]] = []
     for i in range(len(array)):
-        keys = array[i] if metric == "precomputed" else _squares(array * scale, i)
+        keys = array[i] if metric == "precomputed" else squares_from(array * scale, i)
         lengths = keys if metric == "precomputed" else np.sqrt(keys) / scale
         edges += [(float(keys[j]), i, j, float(lengths[j])) for j in range(i + 1, n) if lengths[j] / 2 <= max_radius]
         _check_size(n + len(edges), n, 1)
     return n, [(length, i, j) for _, i, j, length in sorted(edges)]
-
-
-def _squares(array: NDArray[np.float64], i: int) -> NDArray[np.float64]:
-    """Squared distances from vertex i, summed axis by axis so that they are the same to the last bit from both ends."""
-    total = np.zeros(len(array))
-    for axis in range(array.shape[1]):
-        total += (array[:, axis] - array[i, axis]) ** 2
-    return total
 
 
 def _check_size(count: int, n: int, dimension: int) -> None:
