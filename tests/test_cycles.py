@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
+import copy
 from itertools import combinations
 
 import numpy as np
@@ -257,10 +257,10 @@ def test_duplicated_points_do_not_lengthen_a_walk():
     assert length(cloud, diagram.cycle(0)) == pytest.approx(length(polygon(12), range(12)))
 
 
-def test_a_diagram_with_cycles_can_be_pickled():
+def test_a_diagram_with_cycles_can_be_copied():
     diagram = rips_persistence(polygon(10))
     before = diagram.cycle(0).tolist()
-    assert pickle.loads(pickle.dumps(diagram)).cycle(0).tolist() == before
+    assert copy.deepcopy(diagram).cycle(0).tolist() == before
 
 
 @pytest.mark.parametrize("family", FAMILIES)

@@ -191,7 +191,7 @@ def _doubled(array):
 
 
 @njit(cache=True)
-def _find(parent, x):
+def find(parent, x):
     while parent[x] != x:
         parent[x] = parent[parent[x]]
         x = parent[x]
@@ -231,7 +231,7 @@ def _last_empty_lune(data, axes, tree, rows, reached):
 
 
 @njit(cache=True)
-def _loses(column, columns, killed):
+def loses(column, columns, killed):
     """Reduce a column by those of the loops that are dead; return the loop it kills, -1 for none."""
     pivot = _pivot(column)
     while pivot >= 0 and killed[pivot, 0] >= 0:
@@ -307,7 +307,7 @@ def pair_edges(data, axes, tree, max_length, half):
             if z < 0:  # the edge joins two components or creates a loop
                 if slots + 2 > len(graph[1]):
                     graph = (graph[0], _doubled(graph[1]), _doubled(graph[2]), _doubled(graph[3]))
-                a, b = _find(parent, x), _find(parent, y)
+                a, b = find(parent, x), find(parent, y)
                 _note(graph, slots, x, y, born if a == b else -1)
                 slots += 2
                 if a != b:
@@ -325,7 +325,7 @@ def pair_edges(data, axes, tree, max_length, half):
                 column[:] = 0
                 for a, b in ((x, apexes[0]), (apexes[0], y), (y, apexes[i]), (apexes[i], x)):
                     _add_in_creators(data, axes, rows, label, graph, a, b, half, column, stack)
-                loop = _loses(column, columns, killed)
+                loop = loses(column, columns, killed)
                 if loop >= 0:
                     columns[loop] = column
                     killed[loop, 0], killed[loop, 1], killed[loop, 2], killed[loop, 3] = x, y, apexes[0], apexes[i]

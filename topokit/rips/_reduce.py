@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from ._bits import find, loses
 from ._lunes import long_empty_lunes, lune_vertex, special_edges
 from ._tree import before, between_boxes, build_tree, square
 
@@ -39,21 +40,13 @@ def _sorted(tree, edges):
 
 
 @njit(cache=True)
-def _find(parent, x):
-    while parent[x] != x:
-        parent[x] = parent[parent[x]]
-        x = parent[x]
-    return x
-
-
-@njit(cache=True)
 def _creators(n, edges):
     """For each edge of the relative-neighbourhood graph, in order: the number of the loop it creates, -1 for a tree edge."""
     creator = np.full(len(edges), -1, dtype=np.int64)
     parent = np.arange(n)
     born = 0
     for e in range(len(edges)):
-        a, b = _find(parent, edges[e, 0]), _find(parent, edges[e, 1])
+        a, b = find(parent, edges[e, 0]), find(parent, edges[e, 1])
         if a != b:
             parent[a] = b
         else:
@@ -102,18 +95,6 @@ def _add_in_creators(tree, graph, creator, a, b, column, stack, visit, place):
             top += 2
         elif creator[edge] >= 0:
             column[creator[edge] >> 6] ^= _ONE << np.uint64(creator[edge] & 63)
-
-
-@njit(cache=True)
-def _pivot(column):
-    """The youngest creator of a column, -1 when it is empty."""
-    for w in range(len(column) - 1, -1, -1):
-        if column[w]:
-            bit = 63
-            while not (column[w] >> np.uint64(bit)) & _ONE:
-                bit -= 1
-            return (w << 6) + bit
-    return -1
 
 
 @njit(cache=True)
@@ -177,14 +158,10 @@ def tree_pairs(points, axes, max_length):
             column[:] = 0
             for a, b in ((x, first), (first, y), (y, further), (further, x)):
                 _add_in_creators(tree, graph, creator, a, b, column, stack, visit, place)
-            pivot = _pivot(column)
-            while pivot >= 0 and killed[pivot, 0] >= 0:
-                for w in range((pivot >> 6) + 1):
-                    column[w] ^= columns[pivot, w]
-                pivot = _pivot(column)
-            if pivot >= 0:
-                columns[pivot] = column
-                killed[pivot] = relations[r]
+            loop = loses(column, columns, killed)
+            if loop >= 0:
+                columns[loop] = column
+                killed[loop] = relations[r]
                 alive -= 1
                 if alive == 0:
                     break
