@@ -159,6 +159,8 @@ def plot_cloth(
     axes: Any = _axes(ax, projection="3d")
     if not hasattr(axes, "add_collection3d"):
         raise ValueError("ax must be a 3D one: plt.figure().add_subplot(projection='3d')")
+    # `_frame` sets the limits. Matplotlib's own would be taken over faces padded to one length with whatever is in memory.
+    axes.set_autoscale_on(False)
     axes.computed_zorder = False  # the killers stand above the cloth, whatever their depth
     # Cloth and rod are one collection, because Matplotlib sorts by depth only inside a collection.
     polygons = [*cloud[triangles], *tube(subdivide(rod, 40), thickness)]
