@@ -68,8 +68,14 @@ class Diagram:
         """(n_points,) distances from vertex `i` to every vertex."""
         if self._precomputed:
             return np.asarray(self._points[i])
+        points, scale = self._scaled
+        return np.asarray(np.sqrt(squares_from(points, i)) / scale)
+
+    @cached_property
+    def _scaled(self) -> tuple[NDArray[np.float64], float]:
+        """The coordinates times a power of two, and that factor."""
         scale = power_of_two(self._points)
-        return np.asarray(np.sqrt(squares_from(self._points * scale, i)) / scale)
+        return self._points * scale, scale
 
     def neighbours(self, i: int) -> NDArray[np.int64]:
         """Triangles next to the killer triangles of loop `i`: on each of their four outer edges the one that comes first.

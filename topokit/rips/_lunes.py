@@ -7,7 +7,7 @@ nothing. For two boxes of a kd-tree one such point dismisses every edge between 
 is kept, and the few points that lie farther from z than an edge is long are all that can prevent a cone. What is left is
 examined exactly.
 
-Source: Koyama, Memoli, Robins, Turner 2023; the cone argument is Lemma "cone" of chapter 2.
+Source: Koyama, Memoli, Robins, Turner 2023; the cone argument is taught in chapter 2.
 """
 
 from __future__ import annotations

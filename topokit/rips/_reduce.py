@@ -13,8 +13,9 @@ import numpy as np
 from numba import njit
 
 from ._bits import find, loses
+from ._edges import first_window, greatest_length
 from ._lunes import long_empty_lunes, lune_vertex, special_edges
-from ._tree import before, between_boxes, build_tree, square
+from ._tree import before, build_tree, square
 
 GROWTH = 1.25  # of the length of edges from one window to the next
 _ONE = np.uint64(1)
@@ -97,23 +98,6 @@ def _add_in_creators(tree, graph, creator, a, b, column, stack, visit, place):
             column[creator[edge] >> 6] ^= _ONE << np.uint64(creator[edge] & 63)
 
 
-@njit(cache=True)
-def _first_window(tree):
-    """Squared length below which most neighbours lie: a few times the mean distance to the nearest in one's leaf."""
-    total, count = 0.0, 0
-    for node in range(tree.first_leaf, len(tree.start)):
-        for x in range(tree.start[node], tree.end[node]):
-            best = np.inf
-            for y in range(tree.start[node], tree.end[node]):
-                if y != x:
-                    best = min(best, square(tree, x, y))
-            if best < np.inf:
-                total += np.sqrt(best)
-                count += 1
-    extent = between_boxes(tree, 0, 0)[1]
-    return max((2.5 * total / max(count, 1)) ** 2, 1e-6 * extent)
-
-
 @njit(cache=True, nogil=True)
 def tree_pairs(points, axes, max_length):
     """Pair the edges that create loops with the edges that kill them.
@@ -134,8 +118,8 @@ def tree_pairs(points, axes, max_length):
     """
     n = len(points)
     tree = build_tree(points, axes)
-    extent = between_boxes(tree, 0, 0)[1]
-    shortest, longest = 0.0, _first_window(tree)
+    extent = greatest_length(tree.points, axes, tree)
+    shortest, longest = 0.0, first_window(tree.points, axes, tree)
     empty, relations = special_edges(tree, shortest, longest)
     rng = np.concatenate((empty, long_empty_lunes(tree, longest, np.zeros((0, 0), dtype=np.uint64))))
     rng = rng[_sorted(tree, rng)]

@@ -24,14 +24,7 @@ MOST_POINTS = 60  # as many as the script can follow while a point is dragged
 class Growth(Framed):
     """A figure in which the Rips complex of a planar cloud grows; the last value of a notebook cell shows it.
 
-    Attributes
-    ----------
-    page : str
-        The whole HTML page, its data and its script inside.
-    height : int
-        Height of the frame around it in CSS pixels.
-    title : str
-        What the frame is called for readers who hear the page.
+    Attributes are those of `Framed`.
     """
 
 

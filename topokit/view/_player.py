@@ -58,14 +58,7 @@ def unpack(packed: dict[str, Any]) -> NDArray[Any]:
 class Player(Framed):
     """A figure that plays an episode and its loops; the last value of a notebook cell shows it.
 
-    Attributes
-    ----------
-    page : str
-        The whole HTML page, its data and its script inside.
-    height : int
-        Height of the frame around it in CSS pixels.
-    title : str
-        What the frame is called for readers who hear the page.
+    Attributes are those of `Framed`.
     """
 
 
