@@ -161,10 +161,11 @@ def profile(shapes: list[str], sizes: list[int], repeat: int) -> int:
             points = cloud(shape, n)
             tree = build_tree(points, (0, 0, 0))
             window = 0.0, (2 * tk.rips_persistence(points).death.max()) ** 2 * (1 + 1e-9)
-            needed = len(_edges._edges_of_points(tree, *window)[1])
-            read = median_ms(lambda _, t=tree, w=window: _edges._edges_of_points(t, *w), points, repeat)
+            room, keys, _ = _edges.edges_between(tree.points, tree.axes, tree, *window, _edges.new_room())
+            needed = len(keys)
+            read = median_ms(lambda _, t=tree, w=window, r=room: _edges._edges_of_points(t, *w, *r[:2]), points, repeat)
             ordered = median_ms(
-                lambda _, t=tree, w=window: _edges.edges_between(t.points, t.axes, t, *w), points, repeat
+                lambda _, t=tree, w=window, r=room: _edges.edges_between(t.points, t.axes, t, *w, r), points, repeat
             )
             whole = median_ms(tk.rips_persistence, points, repeat)
             print(

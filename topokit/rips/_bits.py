@@ -1,9 +1,10 @@
 """Degree-1 Rips persistence of up to a few thousand points: lunes as the AND of two bitsets.
 
 Idea: edges arrive in the total order (length, smaller index, larger index). Every vertex keeps a bitset of the vertices it
-is joined to, so the lune of an arriving edge {x, y} is row x AND row y. An empty lune joins two components or creates a
-loop; a connected one changes nothing; each further component of a disconnected one brings a relation x, z_i, y, z_1 that
-may kill one loop. Triangles are never listed.
+is joined to, so the lune of an arriving edge {x, y} is row x AND row y. Most lunes are cones: one vertex near the middle of the
+edge, the same for all edges between two small boxes, is joined to all the others, and one pass over three rows shows it. Of
+the rest, an empty lune joins two components or creates a loop; a connected one changes nothing; each further component of a
+disconnected one brings a relation x, z_i, y, z_1 that may kill one loop. Triangles are never listed.
 
 A relation is written in *creators*, the edges that made loops: an edge with a non-empty lune is replaced by the two other
 edges of a triangle on it, until only edges with empty lunes are left; those that joined components are a spanning tree and
@@ -18,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ._edges import edge_length, edges_between, first_window, greatest_length, tie_precedes
+from ._edges import edge_length, edges_between, ends_of, first_window, greatest_length, tie_precedes
 from ._lunes import long_empty_lunes
 
 __all__ = ["pair_edges"]
@@ -28,7 +29,7 @@ _BIT = np.zeros(64, dtype=np.int64)
 for _k in range(64):
     _BIT[((int(_DEBRUIJN) << _k) & (2**64 - 1)) >> 58] = _k
 _ONE = np.uint64(1)
-GROWTH = 0.4  # of the window of lengths; twice that for squared ones
+GROWTH = 0.5  # of the window of lengths; twice that for squared ones
 
 
 @njit(cache=True, forceinline=True)
@@ -41,6 +42,17 @@ def _lowest(word):
 def _join(rows, x, y):
     rows[x, y >> 6] |= _ONE << np.uint64(y & 63)
     rows[y, x >> 6] |= _ONE << np.uint64(x & 63)
+
+
+@njit(cache=True, forceinline=True)
+def _is_cone(rows, x, y, z):
+    """Whether z is in the lune of {x, y} and joined to all of it."""
+    if not (rows[x, z >> 6] & rows[y, z >> 6]) >> np.uint64(z & 63) & _ONE:
+        return False
+    outside = np.uint64(0)
+    for w in range(rows.shape[1]):
+        outside |= rows[x, w] & rows[y, w] & ~rows[z, w]
+    return outside == 0
 
 
 @njit(cache=True, forceinline=True)
@@ -116,7 +128,7 @@ def _components(data, axes, rows, label, x, y, lune, stack, apexes, values):
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _lune_vertex(data, axes, rows, label, a, b, half):
     """A vertex of the lune that {a, b} had when it arrived, near the middle: the first whose edges are at most `half` as long
     (or little more than that, by the caller's choice), or the one whose longer edge is shortest."""
@@ -141,7 +153,7 @@ def _lune_vertex(data, axes, rows, label, a, b, half):
     return best
 
 
-@njit(cache=True)
+@njit(cache=True, forceinline=True)
 def _add_in_creators(data, axes, rows, label, graph, a, b, half, column, stack):
     """Add the edge {a, b}, written in creators, to `column` (a bitset, mod 2)."""
     head, following, other, creator = graph
@@ -206,7 +218,7 @@ def _last_empty_lune(data, axes, tree, rows, reached):
     edge too many: it costs time, nothing else.
     """
     if len(axes) > 0:
-        found, latest = long_empty_lunes(tree, reached, rows), 0.0
+        found, latest = long_empty_lunes(tree, reached), 0.0
         for e in range(len(found)):
             latest = max(latest, edge_length(data, found[e, 0], found[e, 1], axes))
         return latest
@@ -255,8 +267,20 @@ def _more_loops(created, killed, columns):
     )
 
 
+@njit(cache=True)
+def _label(label, created, killed):
+    """Write edges and apexes by the labels of their vertices, the smaller end of an edge first."""
+    for i in range(len(created)):
+        a, b = label[created[i, 0]], label[created[i, 1]]
+        created[i, 0], created[i, 1] = min(a, b), max(a, b)
+        if killed[i, 0] >= 0:
+            a, b = label[killed[i, 0]], label[killed[i, 1]]
+            killed[i, 0], killed[i, 1] = min(a, b), max(a, b)
+            killed[i, 2], killed[i, 3] = label[killed[i, 2]], label[killed[i, 3]]
+
+
 @njit(cache=True, nogil=True)
-def pair_edges(data, axes, tree, max_length, half):
+def pair_edges(data, axes, tree, max_length, half, room):
     """Pair the edges that create loops with the edges that kill them.
 
     Parameters
@@ -272,9 +296,13 @@ def pair_edges(data, axes, tree, max_length, half):
     half : float
         An edge is replaced by two edges at most this share of its length where there are such; a little more than a half
         for distances, than a quarter for squared ones.
+    room : tuple
+        Of `edges_between`; `new_room()` at first.
 
     Returns
     -------
+    room : tuple
+        For the next call.
     created : (c, 2) int64
         The edges that create loops, in order, smaller label first.
     killed : (c, 4) int64
@@ -294,12 +322,19 @@ def pair_edges(data, axes, tree, max_length, half):
     born, alive, last = 0, 0, -1.0  # `last` is the length of the last edge with an empty lune, once it is known
     shortest, longest, greatest = 0.0, first_window(data, axes, tree), greatest_length(data, axes, tree)
     while greatest > 0:
-        ends, lengths = edges_between(data, axes, tree, shortest, longest)
-        for e in range(len(lengths)):
-            x, y, length = np.int64(ends[e, 0]), np.int64(ends[e, 1]), lengths[e]
+        room, keys, lengths = edges_between(data, axes, tree, shortest, longest, room)
+        for e in range(len(keys)):
+            x, y, middle = ends_of(keys[e])
+            length = lengths[e]
             if length > max_length or (alive == 0 and 0 <= last < length):
-                return _labelled(label, created[:born], killed[:born])
+                greatest = 0.0
+                break
+            if _is_cone(rows, x, y, middle):
+                _join(rows, x, y)
+                continue
             z = _lune(rows, x, y, lune)
+            if (lune[middle >> 6] >> np.uint64(middle & 63)) & _ONE:
+                z = middle
             connected = z >= 0 and (alive == 0 or _is_connected(rows, lune, z, left))
             _join(rows, x, y)
             if connected:
@@ -335,17 +370,6 @@ def pair_edges(data, axes, tree, max_length, half):
         if longest > greatest:
             break
         shortest, longest = longest, longest * (1 + GROWTH * (1 + (len(axes) > 0)))
-    return _labelled(label, created[:born], killed[:born])
-
-
-@njit(cache=True)
-def _labelled(label, created, killed):
-    """Edges and apexes by the labels of their vertices, the smaller end of an edge first."""
-    for i in range(len(created)):
-        a, b = label[created[i, 0]], label[created[i, 1]]
-        created[i, 0], created[i, 1] = min(a, b), max(a, b)
-        if killed[i, 0] >= 0:
-            a, b = label[killed[i, 0]], label[killed[i, 1]]
-            killed[i, 0], killed[i, 1] = min(a, b), max(a, b)
-            killed[i, 2], killed[i, 3] = label[killed[i, 2]], label[killed[i, 3]]
-    return created, killed
+    created, killed = created[:born], killed[:born]
+    _label(label, created, killed)
+    return room, created, killed

@@ -16,6 +16,8 @@ MOST_ROWS = 4096  # points with a bitset each; more are handled without any n x 
 _PATIENCE = 3.0  # seconds of compiling before it is said
 _ready: set[int] = set()
 _compiling = threading.Lock()
+_kept = threading.local()  # each thread's room for edges, kept from one cloud to the next
+_MOST_KEPT = 1 << 22  # edges
 
 Pairs = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
 
@@ -42,18 +44,23 @@ def _kernel(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Run the kernel for the array: by bitsets, or for many points without them."""
     from ._bits import pair_edges  # numba takes a while to import
+    from ._edges import new_room
     from ._reduce import tree_pairs
     from ._tree import build_tree
 
     if precomputed:
-        labels = build_tree(np.zeros((1, 1)), (0,))._replace(label=np.arange(len(array)))
-        return pair_edges(array, (), labels, max_length, 0.63)
-    axes = (0,) * array.shape[1]
-    limit = max_length**2 * (1 + 1e-15)  # rather an edge too many, which `pairs` leaves out, than one too few
-    if len(array) > MOST_ROWS:
-        return tree_pairs(array, axes, limit)
-    tree = build_tree(array, axes)
-    return pair_edges(tree.points, axes, tree, limit, 0.4)
+        points, axes, limit, half = array, (), max_length, 0.63
+        tree = build_tree(np.zeros((1, 1)), (0,))._replace(label=np.arange(len(array)))
+    else:
+        axes, half = (0,) * array.shape[1], 0.4
+        limit = max_length**2 * (1 + 1e-15)  # rather an edge too many, which `pairs` leaves out, than one too few
+        if len(array) > MOST_ROWS:
+            return tree_pairs(array, axes, limit)
+        tree = build_tree(array, axes)
+        points = tree.points
+    room, created, killed = pair_edges(points, axes, tree, limit, half, getattr(_kept, "room", None) or new_room())
+    _kept.room = room if len(room[0]) <= _MOST_KEPT else None
+    return created, killed
 
 
 def _lengths(

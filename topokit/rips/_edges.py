@@ -9,7 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ._tree import LEAF, between_boxes
+from ._tree import between_boxes, centre, nearby_point
+
+_BITS = 21  # of an int64 for a vertex, three times: two million vertices
+_MASK = (1 << _BITS) - 1
 
 
 @njit(cache=True, forceinline=True)
@@ -32,21 +35,22 @@ def tie_precedes(label, a, b, x, y):
 
 
 @njit(cache=True)
-def _with_room(ends, lengths, size, more):
-    """The same arrays with room for `more` after `size`."""
-    if size + more <= len(lengths):
-        return ends, lengths
-    new_ends, new_lengths = np.empty((2 * size + more, 2), dtype=np.int32), np.empty(2 * size + more)
-    new_ends[:size], new_lengths[:size] = ends[:size], lengths[:size]
-    return new_ends, new_lengths
+def new_room():
+    """Arrays for `edges_between` to fill, handed on from window to window: fresh memory costs more than what is done in it."""
+    return np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty(0), np.empty(0, np.int32)
+
+
+@njit(cache=True, forceinline=True)
+def ends_of(key):
+    """Both ends of an edge, and a vertex near its middle."""
+    return key & _MASK, (key >> _BITS) & _MASK, key >> (2 * _BITS)
 
 
 @njit(cache=True)
-def _edges_of_points(tree, shortest, longest):
-    """All edges with shortest <= squared length < longest, by walking pairs of boxes of the tree."""
-    points, axes, start, end = tree.points, tree.axes, tree.start, tree.end
-    ends, lengths, size = np.empty((4096, 2), dtype=np.int32), np.empty(4096), 0
-    pairs, top = np.zeros((272, 2), dtype=np.int64), 0
+def _most_edges(tree, shortest, longest):
+    """An upper bound for the edges that the walk below finds."""
+    start, end = tree.start, tree.end
+    pairs, top, most_edges = np.zeros((272, 2), dtype=np.int64), 0, 0
     while top >= 0:
         a, b = pairs[top, 0], pairs[top, 1]
         top -= 1
@@ -60,71 +64,110 @@ def _edges_of_points(tree, shortest, longest):
                         top += 1
                         pairs[top, 0], pairs[top, 1] = 2 * a + i, 2 * b + j
             continue
-        ends, lengths = _with_room(ends, lengths, size, LEAF * LEAF)
+        most_edges += (end[a] - start[a]) * (end[b] - start[b])
+    return most_edges
+
+
+@njit(cache=True)
+def _edges_of_points(tree, shortest, longest, keys, lengths):
+    """All edges with shortest <= squared length < longest, by walking pairs of boxes of the tree; their number."""
+    points, axes, start, end = tree.points, tree.axes, tree.start, tree.end
+    pairs, top, size = np.zeros((272, 2), dtype=np.int64), 0, 0
+    place = np.empty(len(axes))
+    while top >= 0:
+        a, b = pairs[top, 0], pairs[top, 1]
+        top -= 1
+        least, most = between_boxes(tree, a, b)
+        if least >= longest or most < shortest:
+            continue
+        if a < tree.first_leaf:
+            for i in range(1, 3):
+                for j in range(1, 3):
+                    if a != b or i <= j:
+                        top += 1
+                        pairs[top, 0], pairs[top, 1] = 2 * a + i, 2 * b + j
+            continue
+        centre(tree, a, b, place)
+        middle = nearby_point(tree, place) << (2 * _BITS)
         for x in range(start[a], end[a]):
             for y in range(x + 1 if a == b else start[b], end[b]):
-                length = edge_length(points, x, y, axes)
-                if shortest <= length < longest:
-                    ends[size, 0], ends[size, 1], lengths[size] = x, y, length
-                    size += 1
-    return ends[:size], lengths[:size]
+                length = 0.0
+                for k in range(len(axes)):
+                    step = points[x, k] - points[y, k]
+                    length += step * step
+                keys[size] = middle | (y << _BITS) | x
+                lengths[size] = length
+                size += (shortest <= length) & (length < longest)  # no branch: it could not be foreseen
+    return size
 
 
 @njit(cache=True)
-def _edges_of_matrix(data, shortest, longest):
-    """All edges with shortest <= length < longest."""
-    ends, lengths, size = np.empty((4096, 2), dtype=np.int32), np.empty(4096), 0
+def _edges_of_matrix(data, shortest, longest, keys, lengths):
+    """All edges with shortest <= length < longest; their number. One end stands for the middle."""
+    size = 0
     for x in range(len(data)):
-        ends, lengths = _with_room(ends, lengths, size, len(data))
         for y in range(x + 1, len(data)):
-            length = data[x, y]
-            if shortest <= length < longest:
-                ends[size, 0], ends[size, 1], lengths[size] = x, y, length
-                size += 1
-    return ends[:size], lengths[:size]
+            keys[size] = (x << (2 * _BITS)) | (y << _BITS) | x
+            lengths[size] = length = data[x, y]
+            size += (shortest <= length) & (length < longest)
+    return size
 
 
 @njit(cache=True)
-def _sorted(ends, lengths, label, shortest, longest):
-    """Edges in the total order: a slice of lengths holds about one edge, and insertion does the rest."""
-    m = len(lengths)
+def _sort(room, m, label, shortest, longest):
+    """Put m edges in the total order: a slice of lengths holds about one edge, and insertion does the rest."""
+    keys, lengths, sorted_keys, sorted_lengths, start = room
     scale = m / (longest - shortest)
-    start = np.zeros(m + 2, dtype=np.int64)
+    start[: m + 2] = 0
     for e in range(m):
         start[min(int((lengths[e] - shortest) * scale), m - 1) + 2] += 1
     for s in range(1, m + 2):
         start[s] += start[s - 1]
-    sorted_ends, sorted_lengths = np.empty_like(ends), np.empty_like(lengths)
     for e in range(m):
         s = min(int((lengths[e] - shortest) * scale), m - 1) + 1
-        sorted_ends[start[s], 0], sorted_ends[start[s], 1] = ends[e, 0], ends[e, 1]
-        sorted_lengths[start[s]] = lengths[e]
+        sorted_keys[start[s]], sorted_lengths[start[s]] = keys[e], lengths[e]
         start[s] += 1
     for e in range(1, m):
-        x, y, length = sorted_ends[e, 0], sorted_ends[e, 1], sorted_lengths[e]
+        key, length = sorted_keys[e], sorted_lengths[e]
         i = e
         while i > 0 and (
             sorted_lengths[i - 1] > length
-            or (
-                sorted_lengths[i - 1] == length
-                and tie_precedes(label, x, y, sorted_ends[i - 1, 0], sorted_ends[i - 1, 1])
-            )
+            or (sorted_lengths[i - 1] == length and _tied_before(label, key, sorted_keys[i - 1]))
         ):
-            sorted_ends[i, 0], sorted_ends[i, 1] = sorted_ends[i - 1, 0], sorted_ends[i - 1, 1]
-            sorted_lengths[i] = sorted_lengths[i - 1]
+            sorted_keys[i], sorted_lengths[i] = sorted_keys[i - 1], sorted_lengths[i - 1]
             i -= 1
-        sorted_ends[i, 0], sorted_ends[i, 1], sorted_lengths[i] = x, y, length
-    return sorted_ends, sorted_lengths
+        sorted_keys[i], sorted_lengths[i] = key, length
+
+
+@njit(cache=True, forceinline=True)
+def _tied_before(label, key, other):
+    a, b, _ = ends_of(key)
+    x, y, _ = ends_of(other)
+    return tie_precedes(label, a, b, x, y)
 
 
 @njit(cache=True)
-def edges_between(data, axes, tree, shortest, longest):
-    """Ends (m, 2) and lengths (m,) of the edges with shortest <= length < longest, in the total order."""
+def edges_between(data, axes, tree, shortest, longest, room):
+    """The edges with shortest <= length < longest, in the total order.
+
+    Returns
+    -------
+    room : tuple
+        To be handed to the next call.
+    keys, lengths : (m,) int64, float64
+        Views of it, good until then; `ends_of` reads a key.
+    """
+    most = len(data) * len(data) // 2 if len(axes) == 0 else _most_edges(tree, shortest, longest)
+    if most >= len(room[0]):  # memory that is never written to is never taken
+        room = (np.empty(most + 1, np.int64), np.empty(most + 1), room[2], room[3], room[4])
     if len(axes) == 0:
-        ends, lengths = _edges_of_matrix(data, shortest, longest)
+        m = _edges_of_matrix(data, shortest, longest, room[0], room[1])
     else:
-        ends, lengths = _edges_of_points(tree, shortest, longest)
-    return _sorted(ends, lengths, tree.label, shortest, longest)
+        m = _edges_of_points(tree, shortest, longest, room[0], room[1])
+    if m > len(room[2]):
+        room = (room[0], room[1], np.empty(m, np.int64), np.empty(m), np.empty(m + 2, np.int32))
+    _sort(room, m, tree.label, shortest, longest)
+    return room, room[2][:m], room[3][:m]
 
 
 @njit(cache=True)

@@ -15,7 +15,17 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ._tree import LEAF, before, between_boxes, farthest_in_box, nearest_in_box, nearest_point, square
+from ._tree import (
+    LEAF,
+    before,
+    between_boxes,
+    centre,
+    farthest_in_box,
+    nearby_point,
+    nearest_in_box,
+    nearest_point,
+    square,
+)
 
 CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)  # a little less, for rounding
 
@@ -164,16 +174,6 @@ def _append(edges, size, x, y, first, further):
 
 
 @njit(cache=True)
-def _centre(tree, a, b, place):
-    """Put the middle between two boxes into `place`; return the larger of the distances a midpoint may be from it."""
-    spread = 0.0
-    for k in range(len(tree.axes)):
-        place[k] = 0.25 * (tree.low[a, k] + tree.high[a, k] + tree.low[b, k] + tree.high[b, k])
-        spread += (tree.high[a, k] - tree.low[a, k] + tree.high[b, k] - tree.low[b, k]) ** 2
-    return 0.25 * np.sqrt(spread)
-
-
-@njit(cache=True)
 def special_edges(tree, shortest, longest):
     """Find the edges with an empty or a disconnected lune among those with shortest <= squared length < longest.
 
@@ -207,7 +207,7 @@ def special_edges(tree, shortest, longest):
         least, most = between_boxes(tree, a, b)
         if least >= longest or most < shortest:
             continue
-        spread = _centre(tree, a, b, place)
+        spread = centre(tree, a, b, place)
         if a != b:
             room = CONE * np.sqrt(max(least, shortest)) - spread
             if room > 0.0 and nearest_point(tree, place, room * room, room * room, stack)[0] >= 0:
@@ -253,12 +253,12 @@ def special_edges(tree, shortest, longest):
 
 
 @njit(cache=True)
-def long_empty_lunes(tree, shortest, rows):
+def long_empty_lunes(tree, shortest):
     """Find the edges with an empty lune among those with squared length >= shortest, as (k, 2) indices into the tree.
 
-    A point that is nearer to all of two boxes than they are to each other is in the lune of every edge between them; a
-    point that served two boxes is tried first on the boxes in them. `rows` (n or 0, words) are bitsets of the points nearer
-    than sqrt(shortest), for a quick look before a search.
+    A point that is nearer to all of two boxes than they are to each other is in the lune of every edge between them: a point
+    near the middle is tried, and the one that was tried for the boxes around them. What two leaves are left with is tried
+    on the points of the leaves themselves; the few edges that remain are searched.
     """
     points, axes, start, end = tree.points, tree.axes, tree.start, tree.end
     found, size = np.empty((64, 4), dtype=np.int64), 0
@@ -269,13 +269,14 @@ def long_empty_lunes(tree, shortest, rows):
         top -= 1
         least, most = between_boxes(tree, a, b)
         least = max(least, shortest)
-        if most < shortest or _between(tree, z, a, b, least):
+        if most < shortest or _between(tree, z, a, b):
             continue
-        if a < tree.first_leaf:
-            _centre(tree, a, b, place)
-            z = nearest_point(tree, place, np.inf, 0.05 * least, stack)[0]
-            if _between(tree, z, a, b, least):
+        if a != b:
+            centre(tree, a, b, place)
+            z = nearby_point(tree, place)
+            if _between(tree, z, a, b):
                 continue
+        if a < tree.first_leaf:
             for i in range(1, 3):
                 for j in range(1, 3):
                     if a != b or i <= j:
@@ -293,23 +294,41 @@ def long_empty_lunes(tree, shortest, rows):
                     length += step * step
                 if length < shortest or (x_to_z < length and to_z[y - start[b]] < length and z != x and z != y):
                     continue
-                if not _share(rows, x, y) and lune_vertex(tree, x, y, stack, place) < 0:
+                if _leaf_meets_lune(tree, x, y, length, a) or _leaf_meets_lune(tree, x, y, length, b):
+                    continue
+                if lune_vertex(tree, x, y, stack, place) < 0:
                     found, size = _append(found, size, x, y, -1, -1)
     return found[:size, :2]
 
 
 @njit(cache=True, forceinline=True)
-def _between(tree, z, a, b, least):
-    """Whether z is nearer to all of two boxes than sqrt(least), which is at most their distance."""
-    place = tree.points[z]
-    return farthest_in_box(tree, place, a) < least and farthest_in_box(tree, place, b) < least
+def _is_nearer(tree, z, a, b):
+    """Whether the point z is nearer to every place of box b than any place of box a is.
+
+    |z - y|^2 - |x - y|^2 is a sum over the axes; along one it is greatest with y at an end of b and x as near to it as a allows.
+    """
+    total, size = 0.0, 0.0
+    for k in range(len(tree.axes)):
+        most = -np.inf
+        for y in (tree.low[b, k], tree.high[b, k]):
+            gap = max(tree.low[a, k] - y, y - tree.high[a, k], 0.0)
+            step = tree.points[z, k] - y
+            most = max(most, step * step - gap * gap)
+            size = max(size, step * step, gap * gap)
+        total += most
+    return total < -1e-12 * size  # rounding must not decide
 
 
 @njit(cache=True, forceinline=True)
-def _share(rows, x, y):
-    """Whether two bitsets have a bit in common; not when there are none."""
-    if len(rows) > 0:
-        for w in range(rows.shape[1]):
-            if rows[x, w] & rows[y, w]:
-                return True
+def _between(tree, z, a, b):
+    """Whether z is in the lune of every edge between two boxes."""
+    return _is_nearer(tree, z, a, b) and _is_nearer(tree, z, b, a)
+
+
+@njit(cache=True, forceinline=True)
+def _leaf_meets_lune(tree, x, y, length, leaf):
+    """Whether a point of a leaf is in the lune of {x, y}, edges of the same length left out."""
+    for z in range(tree.start[leaf], tree.end[leaf]):
+        if z not in (x, y) and square(tree, x, z) < length and square(tree, y, z) < length:
+            return True
     return False

@@ -121,7 +121,7 @@ def tree_pairs(points, axes, max_length):
     extent = greatest_length(tree.points, axes, tree)
     shortest, longest = 0.0, first_window(tree.points, axes, tree)
     empty, relations = special_edges(tree, shortest, longest)
-    rng = np.concatenate((empty, long_empty_lunes(tree, longest, np.zeros((0, 0), dtype=np.uint64))))
+    rng = np.concatenate((empty, long_empty_lunes(tree, longest)))
     rng = rng[_sorted(tree, rng)]
     creator, born = _creators(n, rng)
     graph = _incidence(n, rng)

@@ -151,3 +151,31 @@ def nearest_point(tree, place, bound, enough, stack):
         stack[top + 1], stack[top + 2] = left, right  # the nearer child is looked at first
         top += 2
     return best, bound
+
+
+@njit(cache=True, forceinline=True)
+def centre(tree, a, b, place):
+    """Put the middle between two boxes into `place`; return the larger of the distances a midpoint may be from it."""
+    spread = 0.0
+    for k in range(len(tree.axes)):
+        place[k] = 0.25 * (tree.low[a, k] + tree.high[a, k] + tree.low[b, k] + tree.high[b, k])
+        spread += (tree.high[a, k] - tree.low[a, k] + tree.high[b, k] - tree.low[b, k]) ** 2
+    return 0.25 * np.sqrt(spread)
+
+
+@njit(cache=True, forceinline=True)
+def nearby_point(tree, place):
+    """A point near a place: the nearest of the leaf that is reached by always taking the nearer box."""
+    node = 0
+    while node < tree.first_leaf:
+        left, right = 2 * node + 1, 2 * node + 2
+        node = left if nearest_in_box(tree, place, left) <= nearest_in_box(tree, place, right) else right
+    best, bound = -1, np.inf
+    for z in range(tree.start[node], tree.end[node]):
+        total = 0.0
+        for k in range(len(tree.axes)):
+            step = tree.points[z, k] - place[k]
+            total += step * step
+        if total < bound:
+            best, bound = z, total
+    return best
