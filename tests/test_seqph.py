@@ -52,7 +52,7 @@ def test_loop_holds_what_the_paper_asks_for():
 
 def test_an_identity_is_never_used_again():
     circle, other = polygon(20), polygon(20) + [50, 0]
-    blob = np.random.default_rng(0).normal(size=(5, 2)) * 0.01
+    blob = np.random.default_rng(0).normal(size=(5, 2)) * 0.1
     states = track([circle, blob, circle, other], alpha=0.3, beta=1.8, epsilon=0.1)
     assert [[loop.id for loop in state.loops] for state in states] == [[0], [], [1], [2]]
 
@@ -183,3 +183,86 @@ def test_farthest_points_cover():
 
 def test_state_of_nothing():
     assert len(TopologicalState(frame=0, time=0.0)) == 0
+
+
+@pytest.mark.parametrize("identity", ["killer-edge", "killer-triangles", "cycle"])
+def test_every_identity_follows_a_loop_that_moves(identity):
+    rng = np.random.default_rng(0)
+    clouds = [polygon(40) + rng.normal(scale=0.005, size=(40, 2)) + [0.02 * t, 0] for t in range(12)]
+    states = track(clouds, alpha=0.1, beta=1.8, epsilon=0.05, identity=identity)
+    assert [[loop.id for loop in state.loops] for state in states] == [[0]] * 12
+
+
+def test_a_round_loop_has_a_killer_edge_that_jumps_and_a_place_that_does_not():
+    """A hexagon of alternating radii: a motion of 1e-9 moves its killer edge by the edge's whole length."""
+    angle = np.pi / 3 * np.arange(6)
+    hexagon = np.column_stack([np.cos(angle), np.sin(angle)]) * np.where(np.arange(6) % 2, 1, 0.95)[:, None]
+    moved = hexagon + np.eye(6)[:, :1] * [0, 1e-9]
+    options = {"alpha": 0.1, "beta": 0.5, "epsilon": 1e-8}
+    edge = track([hexagon - np.eye(6)[:, :1] * [0, 1e-9], moved], **options)
+    assert [state.loops[0].id for state in edge] == [0, 1]
+    for identity in ("killer-triangles", "cycle"):
+        states = track([hexagon - np.eye(6)[:, :1] * [0, 1e-9], moved], identity=identity, **options)
+        assert [state.loops[0].id for state in states] == [0, 0]
+        assert states[1].loops[0].step > 1.6  # what moved is the killer edge
+
+
+def test_memory_gives_a_loop_that_was_missed_its_identity_back():
+    loop, gap = polygon(20), np.vstack([polygon(20)[:16], [[3.0, 0.0]]])  # an arc is no loop
+    options = {"alpha": 0.3, "beta": 1.8, "epsilon": 0.1}
+    frames = [loop, gap, gap, loop]
+    assert [[one.id for one in state.loops] for state in track(frames, **options)] == [[0], [], [], [1]]
+    assert [one.id for one in track(frames, memory=1, **options)[3].loops] == [1]
+    assert [one.id for one in track(frames, memory=2, **options)[3].loops] == [0]
+    away = [loop, gap, gap, loop + [3.0, 0]]  # farther than beta and the motion of three steps allow
+    assert [one.id for one in track(away, memory=2, **options)[3].loops] == [1]
+
+
+@pytest.mark.parametrize(
+    ("frame", "time", "says"),
+    [
+        (np.empty((0, 2)), 2.0, "frame 2 has no points"),
+        (1000 * polygon(20), 2.0, "frame 2 is 2000 across.*units"),
+        (np.vstack([polygon(19), [[np.nan, 0]]]), 2.0, "frame 2 has 1 of 20 points with a NaN"),
+        (polygon(20), 1.0, r"frame 2 is repeated: its time 1.0 s"),
+        (polygon(20), 0.5, r"frame 2 is out of order: its time 0.5 s is not later than 1.0 s"),
+        (polygon(20), np.nan, "frame 2 has time nan"),
+    ],
+)
+def test_a_frame_that_cannot_follow_is_refused_and_forgotten(frame, time, says):
+    tracker, other = SeqPH(memory=3), SeqPH(memory=3)
+    for one in (tracker, other):
+        for t in range(2):
+            one.update(polygon(20), time=float(t))
+    with pytest.raises(ValueError, match=says):
+        tracker.update(frame, time=time)
+    a, b = (one.update(polygon(20) + 0.01, time=2.0) for one in (tracker, other))
+    assert [vars(loop).keys() for loop in a.loops] == [vars(loop).keys() for loop in b.loops]
+    assert (a.frame, a.time, [loop.id for loop in a.loops]) == (b.frame, b.time, [loop.id for loop in b.loops])
+    whole = says.replace("frame 2 has 1", r"sequence\[2\] has 1")
+    with pytest.raises(ValueError, match=whole):  # before anything is computed
+        track([polygon(20), polygon(20), frame], times=[0.0, 1.0, time])
+
+
+def test_part_of_a_scene_is_not_taken_for_other_units():
+    tracker = SeqPH()
+    tracker.update(polygon(200))
+    tracker.update(polygon(200)[:2])
+    tracker.update(polygon(200))
+
+
+def test_streaming_is_updating():
+    clouds = [polygon(20) + [0.05 * t, 0] for t in range(5)]
+    streamed = list(SeqPH(alpha=0.1).stream(iter(clouds)))
+    whole = track(clouds, alpha=0.1, n_jobs=2)
+    for a, b in zip(streamed, whole, strict=True):
+        assert (a.frame, a.time, a.parameters) == (b.frame, b.time, b.parameters)
+        for one, two in zip(a.loops, b.loops, strict=True):
+            for name in vars(one):
+                np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+@pytest.mark.parametrize(("memory", "error"), [(-1, ValueError), (1.5, ValueError), ("all", TypeError)])
+def test_memory_is_a_number_of_frames(memory, error):
+    with pytest.raises(error, match="memory"):
+        SeqPH(memory=memory)

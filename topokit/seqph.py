@@ -5,29 +5,42 @@ death and the place of its killer edge have moved no more than the sampling (alp
 killers (beta) allow. The assignment that moves killers least in total hands the identities on.
 
 Source: Antonova et al. 2021, Algorithm 1 and Corollary 1. In the paper's listing the matching stands inside the loop over
-l; it needs the whole distance matrix, so it follows both loops here. Taught in chapter 0.
+l; it needs the whole distance matrix, so it follows both loops here. Taught in chapters 0 and 6.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._validate import as_points, as_sequence, positive
-from .rips import Diagram, rips_persistence
+from .rips import Diagram, rips_persistence, rips_persistence_many
 from .sampling import hausdorff
 from .state import Loop, TopologicalState
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 __all__ = ["SeqPH", "track"]
 
+Array = NDArray[np.float64]
 _GATES = ("paper", "proved")
-_IDENTITIES = ("killer-edge",)
+_IDENTITIES = ("killer-edge", "killer-triangles", "cycle")
+_OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """A loop that was seen, where it is for its identity (p, d), how far the scene has moved since, and for how many frames."""
+
+    loop: Loop
+    place: Array
+    motion: float = 0.0
+    missed: int = 0
 
 
 class SeqPH:
@@ -46,11 +59,16 @@ class SeqPH:
         How far a point may move from one frame to the next (Assumption 2). Estimated, when not given, as the Hausdorff
         distance between the two clouds.
     gates : {"paper", "proved"}
-        Largest change of birth and death, and largest distance of killers, for the same loop: ``2 alpha + epsilon`` and
+        Largest change of birth and death, and largest distance of places, for the same loop: ``2 alpha + epsilon`` and
         ``2 alpha + beta + epsilon`` as in the paper, or ``alpha + epsilon`` and ``2 beta + epsilon``, which are what the
         proofs give.
-    identity : {"killer-edge"}
-        What a loop's place is: the end points of its killer edge, compared by Hausdorff distance.
+    identity : {"killer-edge", "killer-triangles", "cycle"}
+        What a loop's place is. In the paper, the two ends of its killer edge, compared by Hausdorff distance; on a nearly
+        round loop that edge can jump across the loop between two frames. The barycentre of the thick killer triangle, or
+        the centroid of the representative cycle, stays; the cycle costs a search of its own.
+    memory : int
+        For how many frames a loop that is not found is remembered: when it comes back within its gates, widened by the
+        motion since, it keeps its identity. 0 is the paper's algorithm.
 
     Raises
     ------
@@ -73,6 +91,7 @@ class SeqPH:
         *,
         gates: str = "paper",
         identity: str = "killer-edge",
+        memory: int = 0,
     ) -> None:
         self.alpha = None if alpha is None else positive(alpha, "alpha")
         self.beta = None if beta is None else positive(beta, "beta")
@@ -81,10 +100,13 @@ class SeqPH:
             raise ValueError(f"gates must be one of {_GATES}, not {gates!r}")
         if identity not in _IDENTITIES:
             raise ValueError(f"identity must be one of {_IDENTITIES}, not {identity!r}")
-        self.gates, self.identity = gates, identity
+        if positive(memory, "memory") != int(memory):
+            raise ValueError(f"memory must be a whole number of frames, not {memory}")
+        self.gates, self.identity, self.memory = gates, identity, int(memory)
         self._frame, self._next_id = 0, 0
-        self._cloud: NDArray[np.float64] | None = None
-        self._loops: tuple[Loop, ...] = ()
+        self._time: float | None = None
+        self._cloud: Array | None = None
+        self._known: list[_Known] = []
 
     def update(self, points: ArrayLike, *, time: float | None = None) -> TopologicalState:
         """Take the next frame and return its state. When it raises, the tracker is as it was before the call.
@@ -99,63 +121,79 @@ class SeqPH:
         Raises
         ------
         TypeError, ValueError
-            When the cloud is empty, not finite, or of another dimension; the message names the frame.
+            When the cloud is empty, not finite, of another dimension or in other units than the one before, or its time is
+            not later; the message names the frame.
         """
         cloud = as_points(points, f"frame {self._frame}")
-        if len(cloud) == 0:
-            raise ValueError(
-                f"frame {self._frame} has no points: nothing seen is not the same as no loops; skip the frame"
-            )
-        if self._cloud is not None and cloud.shape[1] != self._cloud.shape[1]:
-            raise ValueError(
-                f"frame {self._frame} has {cloud.shape[1]} dimensions, the frames before it {self._cloud.shape[1]}"
-            )
-        diagram = rips_persistence(cloud)
+        _check(self._frame, (self._cloud, self._time), (cloud, time))
+        return self._advance(cloud, rips_persistence(cloud), time)
+
+    def stream(self, frames: Iterable[ArrayLike]) -> Iterator[TopologicalState]:
+        """Yield the state of every frame as it comes; nothing is kept but what the next frame needs.
+
+        Examples
+        --------
+        >>> square = np.array([[0, 0], [1, 0], [1, 1], [0, 1.01]])
+        >>> [len(state) for state in SeqPH(alpha=0.1).stream(square for _ in range(2))]
+        [1, 1]
+        """
+        for points in frames:
+            yield self.update(points)
+
+    def _advance(self, cloud: Array, diagram: Diagram, time: float | None) -> TopologicalState:
+        """Take a checked frame whose persistence is known."""
         alpha = _spacing(cloud) if self.alpha is None else self.alpha
         found = [i for i in range(len(diagram)) if diagram.lifetime[i] >= alpha]
         epsilon, beta = self._motion(cloud, diagram, found)
-        steps = self._match(cloud, diagram, found, (alpha, beta, epsilon))
+        known = [replace(k, motion=k.motion + epsilon, missed=k.missed + 1) for k in self._known]
+        places = [_place(diagram, i, cloud, self.identity) for i in found]
+        matched = self._match(diagram, found, places, known, (alpha, beta))
         loops, next_id = [], self._next_id
         for k, i in enumerate(found):
-            identity, step = steps.get(k, (next_id, float("nan")))
-            next_id += k not in steps
-            loops.append(_loop(diagram, i, cloud, identity, step))
+            before = known[matched[k]].loop if k in matched else None
+            loops.append(_loop(diagram, i, cloud, next_id if before is None else before.id, before))
+            next_id += before is None
         parameters = {"alpha": alpha, "beta": beta, "epsilon": epsilon}
         state = TopologicalState(self._frame, float(self._frame if time is None else time), tuple(loops), parameters)
-        self._cloud, self._loops, self._next_id, self._frame = cloud, state.loops, next_id, self._frame + 1
+        taken = set(matched.values())
+        kept = [k for j, k in enumerate(known) if j not in taken and k.missed <= self.memory]
+        self._known = [_Known(loop, place) for loop, place in zip(loops, places, strict=True)] + kept
+        self._cloud, self._next_id, self._frame, self._time = cloud, next_id, self._frame + 1, time
         return state
 
-    def _motion(self, cloud: NDArray[np.float64], diagram: Diagram, found: list[int]) -> tuple[float, float]:
+    def _motion(self, cloud: Array, diagram: Diagram, found: list[int]) -> tuple[float, float]:
         """Epsilon and beta of this step, given or estimated."""
         epsilon, beta = self.epsilon, self.beta
         if epsilon is None:
             epsilon = 0.0 if self._cloud is None else hausdorff(cloud, self._cloud)
         if beta is None:
-            beta = 2 * max([*diagram.death[found], *(loop.death for loop in self._loops)], default=0.0)
+            beta = 2 * max([*diagram.death[found], *(known.loop.death for known in self._known)], default=0.0)
         return epsilon, float(beta)
 
     def _match(
-        self, cloud: NDArray[np.float64], diagram: Diagram, found: list[int], parameters: tuple[float, float, float]
-    ) -> dict[int, tuple[int, float]]:
-        """For each matched loop (its place in `found`): the identity it takes over, and how far its killer edge went."""
-        if not found or not self._loops:
+        self, diagram: Diagram, found: list[int], places: list[Array], known: list[_Known], sizes: tuple[float, float]
+    ) -> dict[int, int]:
+        """For each loop that is recognised (its place in `found`): which of the known ones it is."""
+        if not found or not known:
             return {}
-        alpha, beta, epsilon = parameters
-        gate, bound = (2 * alpha + epsilon, 2 * alpha + beta + epsilon)
+        alpha, beta = sizes
+        epsilon = np.array([k.motion for k in known])
+        gate, bound = 2 * alpha + epsilon, 2 * alpha + beta + epsilon
         if self.gates == "proved":
-            gate, bound = (alpha + epsilon, 2 * beta + epsilon)
-        old = self._loops
-        distance = np.array(
-            [[hausdorff(cloud[diagram.killer_edge[i]], loop.killer_edge_points) for loop in old] for i in found]
-        )
-        births = np.abs(diagram.birth[found][:, None] - [loop.birth for loop in old])
-        deaths = np.abs(diagram.death[found][:, None] - [loop.death for loop in old])
-        pairs = assign(distance, (births < gate) & (deaths < gate) & (distance < bound))
-        return {k: (old[j].id, float(distance[k, j])) for k, j in pairs}
+            gate, bound = alpha + epsilon, 2 * beta + epsilon
+        births = np.abs(diagram.birth[found][:, None] - [k.loop.birth for k in known])
+        deaths = np.abs(diagram.death[found][:, None] - [k.loop.death for k in known])
+        distance = hausdorff_table(np.array(places), np.array([k.place for k in known]))
+        return dict(assign(distance, (births < gate) & (deaths < gate) & (distance < bound)))
 
 
 def track(
-    sequence: ArrayLike | Sequence[ArrayLike], *, times: Iterable[float] | None = None, **options: Any
+    sequence: ArrayLike | Sequence[ArrayLike],
+    *,
+    times: Iterable[float] | None = None,
+    n_jobs: int | None = None,
+    progress: bool = False,
+    **options: Any,
 ) -> list[TopologicalState]:
     """Track the loops of a whole sequence of clouds; `SeqPH.update` frame by frame gives the same.
 
@@ -164,6 +202,10 @@ def track(
     sequence : (T, n, d) array_like or list of (n_t, d) array_like
     times : T floats, optional
         Seconds of the frames.
+    n_jobs : int, optional
+        Threads for the persistence of the frames; as many as there are cores when not given.
+    progress : bool
+        Count the frames done on stderr.
     **options
         Those of `SeqPH`.
 
@@ -178,11 +220,27 @@ def track(
         As `SeqPH` does, naming the frame; before anything is computed when a frame is not a cloud.
     """
     clouds = as_sequence(sequence)
-    stamps = list(range(len(clouds))) if times is None else list(times)
+    stamps: list[float | None] = [None] * len(clouds) if times is None else list(times)
     if len(stamps) != len(clouds):
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
     tracker = SeqPH(**options)
-    return [tracker.update(cloud, time=time) for cloud, time in zip(clouds, stamps, strict=True)]
+    frames = list(zip(clouds, stamps, strict=True))
+    for number, frame in enumerate(frames):
+        _check(number, frames[number - 1] if number else (None, None), frame)
+    diagrams = rips_persistence_many(clouds, n_jobs, progress=progress)
+    return [tracker._advance(*frame) for frame in zip(clouds, diagrams, stamps, strict=True)]
+
+
+def hausdorff_table(a: Array, b: Array) -> Array:
+    """(m, k) Hausdorff distances between small sets of points, each of a (m, p, d) and each of b (k, q, d).
+
+    Examples
+    --------
+    >>> hausdorff_table(np.array([[[0.0], [1.0]]]), np.array([[[0.0], [3.0]], [[1.0], [0.0]]]))
+    array([[2., 0.]])
+    """
+    apart = np.linalg.norm(a[:, None, :, None] - b[None, :, None], axis=-1)  # (m, k, p, q)
+    return np.asarray(np.maximum(apart.min(axis=3).max(axis=2), apart.min(axis=2).max(axis=2)))
 
 
 def assign(cost: NDArray[np.float64], allowed: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -203,6 +261,36 @@ def assign(cost: NDArray[np.float64], allowed: NDArray[np.bool_]) -> list[tuple[
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if allowed[i, j]]
 
 
+def _check(frame: int, before: tuple[Array | None, float | None], now: tuple[Array, float | None]) -> None:
+    """Raise ValueError unless a cloud and its time can follow those before."""
+    (cloud_before, time_before), (cloud, time) = before, now
+    if len(cloud) == 0:
+        raise ValueError(f"frame {frame} has no points: nothing seen is not the same as no loops; skip the frame")
+    if time is not None and not np.isfinite(time):
+        raise ValueError(f"frame {frame} has time {time}; it must be a finite number of seconds")
+    if time is not None and time_before is not None and time <= time_before:
+        what = "is repeated" if time == time_before else "is out of order"
+        raise ValueError(
+            f"frame {frame} {what}: its time {time} s is not later than {time_before} s, that of the frame before; "
+            "sort the frames by time and drop repeated ones"
+        )
+    if cloud_before is None:
+        return
+    if cloud.shape[1] != cloud_before.shape[1]:
+        raise ValueError(f"frame {frame} has {cloud.shape[1]} dimensions, the frames before it {cloud_before.shape[1]}")
+    size, size_before = (float(np.ptp(points, axis=0).max()) for points in (cloud, cloud_before))
+    if _differ_in_units(size, size_before) and _differ_in_units(_spacing(cloud), _spacing(cloud_before)):
+        raise ValueError(
+            f"frame {frame} is {size:.4g} across, the frame before it {size_before:.4g}, and its points are as much farther "
+            "apart or nearer: is it in other units? Convert it, or start a new tracker"
+        )
+
+
+def _differ_in_units(size: float, before: float) -> bool:
+    """Whether a length and the same one before differ as metres and inches do (39), or centimetres, or millimetres."""
+    return min(size, before) > 0 and max(size, before) > _OTHER_UNITS * min(size, before)
+
+
 def _spacing(cloud: NDArray[np.float64]) -> float:
     """Half the largest distance from a point to its nearest other one."""
     from scipy.spatial import cKDTree
@@ -212,9 +300,24 @@ def _spacing(cloud: NDArray[np.float64]) -> float:
     return float(cKDTree(cloud).query(cloud, k=2)[0][:, 1].max()) / 2
 
 
-def _loop(diagram: Diagram, i: int, cloud: NDArray[np.float64], identity: int, step: float) -> Loop:
+def _place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
+    """(p, d) where loop `i` of a diagram is."""
+    if identity == "killer-edge":
+        return cloud[diagram.killer_edge[i]]
+    if identity == "killer-triangles":
+        return cloud[diagram.killer_triangles[i, 0]].mean(axis=0, keepdims=True)
+    walk = cloud[diagram.cycle(i)]
+    following = np.roll(walk, -1, axis=0)
+    weight = np.linalg.norm(following - walk, axis=1)  # by length: vertices may crowd on one side
+    return np.average((walk + following) / 2, axis=0, weights=weight)[None]
+
+
+def _loop(diagram: Diagram, i: int, cloud: Array, identity: int, before: Loop | None) -> Loop:
     """Gather what the state keeps of loop `i` of a diagram."""
     killers, neighbours = diagram.killer_triangles[i], diagram.neighbours(i)
+    edge, step = cloud[diagram.killer_edge[i]], float("nan")
+    if before is not None:
+        step = float(hausdorff_table(edge[None], before.killer_edge_points[None])[0, 0])
     return Loop(
         id=identity,
         birth=float(diagram.birth[i]),
@@ -223,10 +326,16 @@ def _loop(diagram: Diagram, i: int, cloud: NDArray[np.float64], identity: int, s
         killer_edge=diagram.killer_edge[i],
         killer_triangle_ids=killers,
         neighbour_ids=neighbours,
-        killer_edge_points=cloud[diagram.killer_edge[i]],
+        killer_edge_points=edge,
         killer_triangles=cloud[killers],
         neighbours=cloud[neighbours],
-        killer_values=np.array([diagram.value(triangle) for triangle in killers]),
-        neighbour_values=np.array([diagram.value(triangle) for triangle in neighbours]),
+        killer_values=np.full(2, diagram.death[i]),  # their longest edge is the killer edge
+        neighbour_values=_values(cloud[neighbours]),
         step=step,
     )
+
+
+def _values(triangles: Array) -> Array:
+    """(m,) half the longest side of triangles (m, 3, d)."""
+    sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2)
+    return np.asarray(sides.max(axis=1, initial=0.0) / 2)
