@@ -1,29 +1,32 @@
 """Garments: triangle meshes that know their true loops and where to be held.
 
-A garment is cut from flat patterns: an outline and its holes are sampled at the spacing, the inside is filled with a
-triangular lattice, relaxed and triangulated. Triangles are near-equilateral, so that a mass-spring cloth behaves alike in
-every direction, and the border of a hole keeps its order: it is the true loop.
+A garment is cut from flat patterns and sewn together. Triangles are near-equilateral, so that a mass-spring cloth behaves
+alike in every direction, and the border of an opening keeps its order: it is the true loop.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping, Sequence
+import functools
+import logging
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import Delaunay, cKDTree
+from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import as_points, positive
 
-__all__ = ["Garment"]
+from . import _wardrobe
+from ._mesh import load_cloth
+from ._surface import as_ids, check_loop, check_mesh, half_edges
+
+__all__ = ["WARDROBE", "Garment"]
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +34,7 @@ class Garment:
     """A triangle mesh with its true loops and the two vertices by which grippers hold it.
 
     Everything that makes a physics engine fail or hang is refused here: vertices in no face, several components, edges
-    of three faces, faces that name a vertex twice.
+    without length, faces that name a vertex twice. An edge may be in three faces, as where a strap is sewn on.
 
     Attributes
     ----------
@@ -46,6 +49,8 @@ class Garment:
         The two vertices that the grippers hold.
     parameters : mapping of str to float
         The sizes it was made from, kept with every episode.
+    repairs : tuple of str
+        What `from_mesh` did to the mesh of a file, in words.
 
     Raises
     ------
@@ -65,20 +70,21 @@ class Garment:
     loops: tuple[Ids, ...]
     grips: Ids
     parameters: Mapping[str, float] = field(default_factory=dict)
+    repairs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         vertices = as_points(self.vertices, "vertices")
         if vertices.shape[1] != 3:
             raise ValueError(f"vertices must be an (N, 3) array, not of shape {vertices.shape}")
-        faces = _as_ids(self.faces, "faces", len(vertices))
+        faces = as_ids(self.faces, "faces", len(vertices))
         if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
             raise ValueError(
                 f"faces must be an (F, 3) array of vertex ids with at least one row, not of shape {faces.shape}"
             )
-        grips = _as_ids(self.grips, "grips", len(vertices))
+        grips = as_ids(self.grips, "grips", len(vertices))
         if grips.shape != (2,) or grips[0] == grips[1]:
             raise ValueError(f"grips must be two different vertex ids, not {grips.tolist()}")
-        loops = tuple(_as_ids(loop, f"loops[{i}]", len(vertices)) for i, loop in enumerate(self.loops))
+        loops = tuple(as_ids(loop, f"loops[{i}]", len(vertices)) for i, loop in enumerate(self.loops))
         values = {
             "vertices": vertices.copy(),
             "faces": faces,
@@ -90,14 +96,14 @@ class Garment:
             object.__setattr__(self, key, value)
         for array in (self.vertices, self.faces, self.grips, *self.loops):
             array.setflags(write=False)
-        _check_mesh(vertices, faces)
+        check_mesh(vertices, faces)
         for i, loop in enumerate(loops):
-            _check_loop(loop, self.edges, f"loops[{i}]")
+            check_loop(loop, self.edges, f"loops[{i}]")
 
     @property
     def edges(self) -> Ids:
         """(E, 2) every edge once, smaller id first, in lexicographic order."""
-        return np.unique(_half_edges(self.faces), axis=0)
+        return np.unique(half_edges(self.faces), axis=0)
 
     @property
     def edge_lengths(self) -> Array:
@@ -109,6 +115,7 @@ class Garment:
     def apron(
         cls,
         *,
+        loops: int = 1,
         spacing: float = 0.03,
         body_width: float = 0.56,
         body_height: float = 0.46,
@@ -116,211 +123,306 @@ class Garment:
         bib_height: float = 0.30,
         strap_length: float = 0.62,
         strap_width: float = 0.052,
+        waist_strap_length: float = 0.90,
+        waist_strap_width: float = 0.06,
     ) -> Garment:
-        """Return an apron with one loop, its neck strap; all sizes in metres.
+        """Return an apron with one loop, its neck strap, or with two; all sizes in metres.
 
         The apron hangs in the plane y = 0 with the top of its bib at z = 0. The strap is three vertices wide at the
         default spacing and runs from one top corner of the bib to the other; the true loop is the border of the neck
-        opening. The grips are on the strap, at a third of its length from either end.
+        opening. With `loops=2` a second strap closes behind the waist (towards +y), and the second true loop runs along
+        its upper border and across the apron. The grips are on the neck strap, at a third of its length from either end.
 
         Raises
         ------
         ValueError
-            When a size is not positive, the bib is wider than the body, or the strap is too short or too wide to leave
-            an opening.
+            When a size is not positive, the bib is wider than the body, or a strap is too short or too wide to leave an
+            opening; with any garment also when the spacing is too coarse for its sizes.
         """
-        sizes = {
-            "spacing": spacing,
-            "body_width": body_width,
-            "body_height": body_height,
-            "bib_width": bib_width,
-            "bib_height": bib_height,
-            "strap_length": strap_length,
-            "strap_width": strap_width,
-        }
-        sizes = {name: positive(value, name, zero=False) for name, value in sizes.items()}
-        if sizes["bib_width"] > sizes["body_width"]:
-            raise ValueError(f"bib_width {bib_width} must not exceed body_width {body_width}")
-        if sizes["bib_width"] < 2 * sizes["strap_width"] + 3 * sizes["spacing"]:
-            raise ValueError(f"bib_width {bib_width} leaves no opening between straps of strap_width {strap_width}")
-        arch = _Arch.of_length(sizes["bib_width"] - sizes["strap_width"], sizes["strap_length"])
-        outline, opening, middle = _apron_pattern(sizes, arch)
-        flat, faces, (_, loop) = _mesh_pattern(outline, [opening], sizes["spacing"], middle)
-        vertices = np.column_stack([flat[:, 0], np.zeros(len(flat)), flat[:, 1]])
-        held = arch.points(np.array([1 / 3, 2 / 3]))
-        grips = cKDTree(flat).query(held)[1]
-        return cls("apron", vertices, faces, (loop,), grips, sizes)
-
-
-@dataclass(frozen=True)
-class _Arch:
-    """A half-ellipse over the bib, the middle line of the neck strap: half its span and its height, in metres."""
-
-    half_span: float
-    height: float
+        _one_or_two(loops, "loops")
+        sizes = _sizes(locals(), without=("waist_strap_length", "waist_strap_width") if loops == 1 else ())
+        return cls(_named("apron", loops), *_wardrobe.apron(sizes, loops), sizes)
 
     @classmethod
-    def of_length(cls, span: float, length: float) -> _Arch:
-        """Return the arch over `span` whose arc length is `length`."""
-        if span <= 0 or length <= 1.3 * span:
-            raise ValueError(
-                f"strap_length {length} is too short for a span of {span:.3f} between the middles of its ends"
-            )
-        height = brentq(lambda h: cls(span / 2, h)._polyline_length() - length, 1e-6, length)
-        return cls(span / 2, float(height))
+    def tote(
+        cls,
+        *,
+        handles: int = 1,
+        spacing: float = 0.03,
+        width: float = 0.36,
+        height: float = 0.38,
+        depth: float = 0.10,
+        handle_length: float | None = None,
+        handle_width: float = 0.052,
+        handle_span: float = 0.20,
+    ) -> Garment:
+        """Return a bag open at its top, whose panels bulge to `depth`, with one handle or two; sizes in metres.
 
-    def _polyline_length(self) -> float:
-        return float(np.linalg.norm(np.diff(self._dense(0.0), axis=0), axis=1).sum())
+        The open top is no loop in degree 1, since the bag closes it: a tote has as many classes as handles. One handle
+        runs over the top from side to side; of two, each stands on its own panel, `handle_span` between the middles of
+        its ends. A handle is `handle_length` long: 0.72 m when it is the only one and 0.50 m otherwise. A true loop is the
+        border of the opening under a handle. The grips are on the one handle, at a third of its length from either end, or
+        one on each of the two, near the top.
 
-    def _dense(self, offset: float) -> Array:
-        """(721, 2) points from the right end over the top to the left end, moved outwards by `offset`."""
-        angle = np.linspace(0, np.pi, 721)
-        points = np.column_stack([self.half_span * np.cos(angle), self.height * np.sin(angle)])
-        normal = np.column_stack([self.height * np.cos(angle), self.half_span * np.sin(angle)])
-        return points + offset * normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        Raises
+        ------
+        ValueError
+            When a size is not positive, or the handle is too short, or too wide for its span or the bag.
+        """
+        _one_or_two(handles, "handles")
+        handle_length = (0.72 if handles == 1 else 0.50) if handle_length is None else handle_length
+        sizes = _sizes(locals(), without=("handle_span",) if handles == 1 else ())
+        return cls(_named("tote", handles), *_wardrobe.bag(sizes, handles), sizes)
 
-    def points(self, share: Array, offset: float = 0.0) -> Array:
-        """(k, 2) points at these shares of the arc length of the arch moved outwards by `offset`."""
-        dense = self._dense(offset)
-        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
-        return np.column_stack([np.interp(share * length[-1], length, dense[:, i]) for i in range(2)])
+    @classmethod
+    def backpack(
+        cls,
+        *,
+        spacing: float = 0.03,
+        width: float = 0.24,
+        height: float = 0.60,
+        depth: float = 0.12,
+        box_height: float = 0.30,
+        strap_length: float = 0.66,
+        strap_width: float = 0.05,
+        strap_angle: float = 40.0,
+    ) -> Garment:
+        """Return a backpack open at its top: a back, a box below its lower half, two straps; sizes in metres.
+
+        The straps join the sides of the back at its top and just above the box, and are folded by `strap_angle` degrees
+        from the plane of the back towards +y. There are two classes; each true loop is the border of the opening between
+        a strap and the back, the left one (x < 0) first. There is one grip on each strap.
+
+        Raises
+        ------
+        ValueError
+            When a size is not positive, or the straps are too short, or too wide to leave an opening.
+        """
+        sizes = _sizes(locals())
+        return cls("backpack", *_wardrobe.backpack(sizes), sizes)
+
+    @classmethod
+    def shirt(
+        cls,
+        *,
+        spacing: float = 0.035,
+        width: float = 0.52,
+        length: float = 0.60,
+        depth: float = 0.16,
+        neck_width: float = 0.24,
+        neck_depth: float = 0.09,
+        sleeve_length: float = 0.16,
+        sleeve_width: float = 0.17,
+        sleeve_angle: float = 25.0,
+    ) -> Garment:
+        """Return a shirt with short sleeves, front towards -y, blown up to `depth`; sizes in metres.
+
+        The loops are its four openings: neck, right sleeve (x > 0), left sleeve, hem. They make three classes: any three
+        are independent, the fourth is their sum. The sleeves fall by `sleeve_angle` degrees. The grips are on the
+        shoulders of the front.
+
+        Raises
+        ------
+        ValueError
+            When a size is not positive, the neck is wider than the shirt, or the sleeves do not fit it.
+        """
+        sizes = _sizes(locals())
+        return cls("shirt", *_wardrobe.shirt(sizes), sizes)
+
+    @classmethod
+    def vest(
+        cls,
+        *,
+        spacing: float = 0.035,
+        width: float = 0.52,
+        length: float = 0.58,
+        depth: float = 0.16,
+        neck_width: float = 0.24,
+        neck_depth: float = 0.12,
+        shoulder_width: float = 0.08,
+        armhole_depth: float = 0.24,
+    ) -> Garment:
+        """Return a vest without sleeves, front towards -y, blown up to `depth`; sizes in metres.
+
+        The loops are its four openings: neck, right armhole (x > 0), left armhole, hem. They make three classes: any
+        three are independent, the fourth is their sum. The grips are on the shoulders of the front.
+
+        Raises
+        ------
+        ValueError
+            When a size is not positive, or the shoulders and armholes do not fit the width and the length.
+        """
+        sizes = _sizes(locals())
+        return cls("vest", *_wardrobe.vest(sizes), sizes)
+
+    @classmethod
+    def mask(
+        cls,
+        *,
+        spacing: float = 0.016,
+        width: float = 0.18,
+        height: float = 0.20,
+        depth: float = 0.04,
+        bow: float = 0.02,
+        strap_length: float = 0.34,
+        strap_width: float = 0.03,
+        strap_span: float = 0.12,
+    ) -> Garment:
+        """Return a face mask with two ear loops, hung by one of them, the other one below; sizes in metres.
+
+        The cloth is cupped by `depth` towards -y and its sides bow out by `bow`; `strap_span` lies between the middles of
+        a strap's ends. There are two classes; the true loops are the borders of the openings, the upper one first. The
+        grips are on the upper ear loop.
+
+        Raises
+        ------
+        ValueError
+            When a size is not positive, or the ear loops do not fit the mask or leave no opening.
+        """
+        sizes = _sizes(locals())
+        return cls("mask", *_wardrobe.mask(sizes), sizes)
+
+    @classmethod
+    def sheet(
+        cls,
+        *,
+        holes: int = 1,
+        spacing: float = 0.03,
+        width: float = 0.60,
+        height: float = 0.50,
+        hole_radius: float = 0.08,
+        hole_drop: float = 0.16,
+        hole_distance: float = 0.26,
+    ) -> Garment:
+        """Return a rectangle of cloth with one round hole, or two side by side; sizes in metres.
+
+        The middles of the holes lie `hole_drop` below the upper edge, z = 0; the true loops are their borders, the left
+        one (x < 0) first. The grips are the upper corners.
+
+        Raises
+        ------
+        ValueError
+            When a size is not positive, or the holes do not fit the sheet or each other.
+        """
+        _one_or_two(holes, "holes")
+        sizes = _sizes(locals(), without=("hole_distance",) if holes == 1 else ())
+        return cls(_named("sheet", holes), *_wardrobe.sheet(sizes, holes), sizes)
+
+    @classmethod
+    def from_mesh(
+        cls,
+        path: str | Path,
+        *,
+        loops: Sequence[ArrayLike] | Literal["borders"] = (),
+        grips: ArrayLike | None = None,
+        size: float | None = None,
+        scale: float | None = None,
+        up: Literal["y", "z"] | None = None,
+        weld: float | None = None,
+        name: str | None = None,
+        max_vertices: int = 3000,
+    ) -> Garment:
+        """Return the garment of an OBJ, PLY or STL file as it comes; what had to be repaired is in `repairs` and logged.
+
+        Welded are vertices at one place (UV seams, STL corners). Dropped are vertices in no face, faces without three
+        different vertices, faces that lie on another one, and small separate components (what touches at a vertex only is
+        separate). Polygons are cut into triangles and faces turned to agree with their neighbours. Edges in more than two
+        faces are kept: cloth may be sewn so.
+
+        Parameters
+        ----------
+        path : str or Path
+            Of all objects and groups of an OBJ file the garment is made.
+        loops : sequence of sequences of int, or "borders"
+            Vertex ids of the true loops as the file numbers them, counted from 0 (in an STL file, corner k of triangle i is
+            3 i + k). In order they need not name every vertex: gaps of up to four edges are closed along the mesh. Given
+            in no order, the cycle they lie around is found by persistence. With "borders", every border of the mesh,
+            the longest first; of m borders of a garment without handles m - 1 are independent.
+        grips : (2,) int, optional
+            Vertex ids as the file numbers them; two near the top when not given, to the left and to the right.
+        size : float, optional
+            Largest extent that the garment shall have, metres.
+        scale : float, optional
+            Metres in one unit of the file. When neither is given: metres if the garment's largest extent is then 0.15 to
+            2.5, else millimetres or centimetres if they make it so, else it is made 1 m.
+        up : {"y", "z"}, optional
+            The axis that points up; y is turned to z. When not given, y if the grips lie higher above the middle that way,
+            without grips if the garment is much longer along y; else z.
+        weld : float, optional
+            Distance within which vertices are one, in the file's units; 1e-5 of the diagonal or 0.01 of the usual edge, if
+            that is less, when not given.
+        name : str, optional
+            The file's name when not given.
+        max_vertices : int
+            More of them are refused.
+
+        Raises
+        ------
+        FileNotFoundError
+            When there is no such file.
+        ValueError, TypeError
+            When the file is empty, damaged or of another kind, the mesh has no faces, a vertex of a face is not finite,
+            there are separate components of similar size, a loop or a grip names a vertex that is not part of the garment,
+            or a loop cannot be closed; the message says which, where, and what to do.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "flag.obj"
+        ...     _ = path.write_text("v 0 0 0\\nv 90 0 0\\nv 90 0 60\\nv 0 0 60\\nf 1 2 3 4\\n")
+        ...     flag = Garment.from_mesh(path, grips=[2, 3])
+        >>> flag.repairs
+        ('1 faces of four corners or more were cut into triangles', 'its largest extent, 90, was taken for centimetres: ...')
+        """
+        if up not in (None, "y", "z"):
+            raise ValueError(f"up must be 'y' or 'z', not {up!r}")
+        if isinstance(loops, str) and loops != "borders":
+            raise ValueError(f"loops must be lists of vertex ids, or 'borders', not {loops!r}")
+        if size is not None and scale is not None:
+            raise ValueError("give size or scale, not both")
+        numbers = {"size": size, "scale": scale, "weld": weld, "max_vertices": max_vertices}
+        checked = {key: None if value is None else positive(value, key, zero=False) for key, value in numbers.items()}
+        cloth = load_cloth(path, loops, grips, up=up, **checked)  # type: ignore[arg-type]
+        name = Path(path).stem if name is None else name
+        for repair in cloth.repairs:
+            _log.warning("%s: %s", path, repair)
+        parts = (cloth.vertices, cloth.faces, cloth.loops, cloth.grips)
+        return cls(name, *parts, {"scale": cloth.scale}, cloth.repairs)
 
 
-def _apron_pattern(sizes: Mapping[str, float], arch: _Arch) -> tuple[list[Array], list[Array], Array]:
-    """Return the outline and the neck opening as lists of polylines (x, z), and the points of the strap's middle line."""
-    half_body, half_bib, width = sizes["body_width"] / 2, sizes["bib_width"] / 2, sizes["strap_width"]
-    waist, hem = -sizes["bib_height"], -sizes["bib_height"] - sizes["body_height"]
-    share = np.linspace(0, 1, 181)
-    # The armhole leaves the bib vertically and reaches the waist horizontally: a quarter of an ellipse.
-    angle = np.pi / 2 * share
-    right = np.column_stack([half_body - (half_body - half_bib) * np.sin(angle), waist * np.cos(angle)])
-    left = (right * [-1, 1])[::-1]
-    outer, inner = arch.points(share, width / 2), arch.points(share, -width / 2)
-    hem_right, hem_left = np.array([half_body, hem]), np.array([-half_body, hem])
-    sides = [
-        np.array([hem_right, right[0]]),
-        right,
-        outer,
-        left,
-        np.array([left[-1], hem_left]),
-        np.array([hem_left, hem_right]),
-    ]
-    opening = [inner, np.array([inner[-1], inner[0]])]
-    if width < 1.4 * sizes["spacing"]:  # too narrow for a row between its borders
-        return sides, opening, np.zeros((0, 2))
-    count = max(2, round(sizes["strap_length"] / sizes["spacing"]))
-    return sides, opening, arch.points((np.arange(count) + 0.5) / count)
+WARDROBE: Mapping[str, Callable[[], Garment]] = {
+    "apron": Garment.apron,
+    "apron2": functools.partial(Garment.apron, loops=2),
+    "tote": Garment.tote,
+    "tote2": functools.partial(Garment.tote, handles=2),
+    "backpack": Garment.backpack,
+    "shirt": Garment.shirt,
+    "vest": Garment.vest,
+    "mask": Garment.mask,
+    "sheet": Garment.sheet,
+    "sheet2": functools.partial(Garment.sheet, holes=2),
+}
+"""Every garment by the name that episodes record, as a function that makes it at its default sizes."""
 
 
-def _mesh_pattern(
-    outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Array, rounds: int = 12
-) -> tuple[Array, Ids, list[Ids]]:
-    """Triangulate a flat pattern; return its vertices (n, 2), faces (f, 3) and borders (ids of the outline and of each hole).
-
-    `outline` and `holes` are closed chains of polylines; the joints between polylines stay vertices. `fixed` are inner
-    vertices to keep where they are.
-    """
-    borders = [np.concatenate([_resample(line, spacing) for line in chain]) for chain in (outline, *holes)]
-    kept = np.concatenate([*borders, fixed])
-    lattice = _lattice(borders[0].min(axis=0), borders[0].max(axis=0), spacing)
-    lattice = lattice[_inside(lattice, borders) & (cKDTree(kept).query(lattice)[0] > 0.75 * spacing)]
-    points = np.concatenate([kept, lattice])
-    for _ in range(rounds):  # Laplacian relaxation of the lattice towards the border
-        faces = _triangulate(points, borders, spacing)
-        ends = np.concatenate([_half_edges(faces), _half_edges(faces)[:, ::-1]])
-        count = np.bincount(ends[:, 0], minlength=len(points))[:, None]
-        mean = np.column_stack([np.bincount(ends[:, 0], points[ends[:, 1], i], len(points)) for i in range(2)]) / count
-        points[len(kept) :] = mean[len(kept) :]
-    first = np.cumsum([0, *map(len, borders)])
-    ids = [np.arange(start, end) for start, end in itertools.pairwise(first)]
-    return points, _triangulate(points, borders, spacing), ids
+def _sizes(given: Mapping[str, Any], without: Sequence[str] = ()) -> dict[str, float]:
+    """The sizes among a method's arguments, each a positive number; an angle lies between 0 and 80 degrees."""
+    skip = {"cls", "loops", "handles", "holes", *without}
+    sizes = {
+        name: positive(value, name, zero=name.endswith("_angle")) for name, value in given.items() if name not in skip
+    }
+    for name, value in sizes.items():
+        if name.endswith("_angle") and value > 80:
+            raise ValueError(f"{name} must be 0 to 80 degrees, not {value}")
+    return sizes
 
 
-def _triangulate(points: Array, borders: Sequence[Array], spacing: float) -> Ids:
-    """Delaunay triangles inside the pattern, counter-clockwise, without the slivers along straight borders."""
-    faces = Delaunay(points).simplices.astype(np.int64)
-    a, b, c = points[faces].transpose(1, 0, 2)
-    area = ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
-    faces = np.where(area[:, None] < 0, faces[:, ::-1], faces)
-    return faces[(np.abs(area) > 1e-3 * spacing**2) & _inside((a + b + c) / 3, borders)]
+def _one_or_two(number: int, name: str) -> None:
+    if number not in (1, 2):
+        raise ValueError(f"{name} must be 1 or 2, not {number!r}")
 
 
-def _resample(line: Array, spacing: float) -> Array:
-    """Points at equal arc lengths of about `spacing` along a polyline, without its last point."""
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    count = max(1, round(length[-1] / spacing))
-    at = length[-1] * np.arange(count) / count
-    return np.column_stack([np.interp(at, length, line[:, i]) for i in range(2)])
-
-
-def _lattice(low: Array, high: Array, spacing: float) -> Array:
-    """Triangular lattice over a box, symmetric in x about 0."""
-    row = spacing * np.sqrt(3) / 2
-    half = int(np.ceil(max(-low[0], high[0]) / spacing)) + 1
-    across = spacing * np.arange(-half, half + 1)
-    heights = np.arange(low[1] + row, high[1], row)
-    return np.array([(x + spacing / 2 * (i % 2), z) for i, z in enumerate(heights) for x in across])
-
-
-def _inside(points: Array, borders: Sequence[Array]) -> NDArray[np.bool_]:
-    """Even-odd rule over all borders: inside the outline and in none of the holes."""
-    x, y = points[:, :1], points[:, 1:]
-    crossings = np.zeros(len(points), dtype=np.int64)
-    for border in borders:
-        (x0, y0), (x1, y1) = border.T, np.roll(border, -1, axis=0).T
-        spans = (y0 > y) != (y1 > y)
-        rise = np.where(y1 == y0, 1.0, y1 - y0)
-        crossings += (spans & (x < x0 + (y - y0) / rise * (x1 - x0))).sum(axis=1)
-    return crossings % 2 == 1
-
-
-def _half_edges(faces: Ids) -> Ids:
-    """(3F, 2) the three edges of every face, smaller id first."""
-    return np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-
-
-def _as_ids(values: object, name: str, n_vertices: int) -> Ids:
-    ids = np.asarray(values)
-    if not np.issubdtype(ids.dtype, np.integer):
-        raise TypeError(f"{name} must hold whole numbers (vertex ids), not {ids.dtype}")
-    if ids.size and (ids.min() < 0 or ids.max() >= n_vertices):
-        bad = int(ids.min()) if ids.min() < 0 else int(ids.max())
-        raise ValueError(f"{name} names vertex {bad}; there are {n_vertices}, numbered from 0")
-    return ids.astype(np.int64)
-
-
-def _check_mesh(vertices: Array, faces: Ids) -> None:
-    """Raise ValueError unless the faces make one manifold component that uses every vertex."""
-    repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
-    if repeats.any():
-        raise ValueError(f"faces[{np.argmax(repeats)}] names a vertex twice: {faces[np.argmax(repeats)].tolist()}")
-    unused = np.setdiff1d(np.arange(len(vertices)), faces)
-    if len(unused):
-        raise ValueError(f"{len(unused)} vertices are in no face, the first is vertex {unused[0]}; remove them")
-    edges, count = np.unique(_half_edges(faces), axis=0, return_counts=True)
-    if count.max() > 2:
-        worst = int(np.argmax(count))
-        raise ValueError(
-            f"edge {edges[worst].tolist()} is in {count[worst]} faces; a cloth has at most two on each side of an edge"
-        )
-    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(len(vertices),) * 2)
-    parts = connected_components(graph, directed=False)[0]
-    if parts > 1:
-        raise ValueError(f"the mesh has {parts} components; weld or keep one of them")
-    length = np.linalg.norm(np.diff(vertices[edges], axis=1)[:, 0], axis=1)
-    if length.min() <= 0:
-        raise ValueError(f"edge {edges[np.argmin(length)].tolist()} has length 0; weld its two vertices")
-
-
-def _check_loop(loop: Ids, edges: Ids, name: str) -> None:
-    """Raise ValueError unless `loop` is a simple closed cycle along edges."""
-    if loop.ndim != 1 or len(loop) < 3:
-        raise ValueError(f"{name} must be a cycle of at least 3 vertex ids, not of shape {loop.shape}")
-    if len(np.unique(loop)) != len(loop):
-        raise ValueError(f"{name} passes through a vertex twice")
-    known = set(map(tuple, edges.tolist()))
-    for a, b in zip(loop.tolist(), np.roll(loop, -1).tolist(), strict=True):
-        if (min(a, b), max(a, b)) not in known:
-            raise ValueError(
-                f"{name} is not a closed cycle of the mesh: vertices {a} and {b} follow each other but share no edge"
-            )
+def _named(kind: str, number: int) -> str:
+    return kind if number == 1 else f"{kind}{number}"

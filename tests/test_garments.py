@@ -1,0 +1,223 @@
+"""The wardrobe: what every garment is as a surface, its true loops, its sizes, and that it hangs still."""
+
+from __future__ import annotations
+
+import itertools
+
+import gudhi
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+pytest.importorskip("pybullet")
+
+from topokit import rips_persistence
+from topokit.io import load_episode
+from topokit.sim import SimulationConfig
+from topokit.sim.garments import WARDROBE, Garment
+from topokit.sim.world import World
+
+CLASSES = {"apron": 1, "apron2": 2, "tote": 1, "tote2": 2, "backpack": 2, "shirt": 3, "vest": 3, "mask": 2, "sheet": 1}
+CLASSES["sheet2"] = 2
+COARSE = {
+    "apron": {"spacing": 0.05, "strap_width": 0.05},
+    "apron2": {"loops": 2, "spacing": 0.05, "strap_width": 0.05},
+    "tote": {"spacing": 0.045},
+    "tote2": {"handles": 2, "spacing": 0.04},
+    "backpack": {"spacing": 0.045},
+    "shirt": {"spacing": 0.05},
+    "vest": {"spacing": 0.05},
+    "mask": {"spacing": 0.025},
+    "sheet": {"spacing": 0.05},
+    "sheet2": {"holes": 2, "spacing": 0.05},
+}
+
+
+def coarse(name: str) -> Garment:
+    """A garment of the wardrobe at about half its resolution."""
+    return getattr(Garment, name.rstrip("2"))(**COARSE[name])
+
+
+def rank(rows: list[int]) -> int:
+    """Rank over Z/2 of rows given as the bits of whole numbers."""
+    pivots: dict[int, int] = {}
+    for row in rows:
+        while row:
+            top = row.bit_length()
+            if top not in pivots:
+                pivots[top] = row
+                break
+            row ^= pivots[top]
+    return len(pivots)
+
+
+def chains(garment: Garment) -> tuple[list[int], list[int]]:
+    """Boundaries of the faces, and the loops, as chains of edges over Z/2."""
+    number = {tuple(edge): i for i, edge in enumerate(garment.edges.tolist())}
+
+    def chain(cycle: list[int]) -> int:
+        return sum(1 << number[min(a, b), max(a, b)] for a, b in itertools.pairwise([*cycle, cycle[0]]))
+
+    return [chain(face) for face in garment.faces.tolist()], [chain(loop) for loop in map(list, garment.loops)]
+
+
+@pytest.mark.parametrize("name", WARDROBE)
+def test_garment_is_one_two_sided_surface_with_its_classes(name):
+    garment = WARDROBE[name]()
+    assert garment.name == name
+    assert 250 <= len(garment.vertices) <= 1200
+    complex_ = gudhi.SimplexTree()
+    for face in garment.faces.tolist():
+        complex_.insert(face, 0.0)
+    complex_.compute_persistence(persistence_dim_max=True)
+    assert complex_.betti_numbers()[:3] == [1, CLASSES[name], 0]
+    assert len(garment.vertices) - len(garment.edges) + len(garment.faces) == 1 - CLASSES[name]
+    # Manifold, every pair of neighbours running through its edge in opposite directions.
+    directed = garment.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    assert len(np.unique(directed, axis=0)) == len(directed)
+    assert np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)[1].max() <= 2
+
+
+@pytest.mark.parametrize("name", WARDROBE)
+def test_triangles_are_of_the_spacing_and_nothing_starts_in_contact(name):
+    for garment in (WARDROBE[name](), coarse(name)):
+        spacing = garment.parameters["spacing"]
+        assert garment.edge_lengths.min() > 0.4 * spacing
+        assert garment.edge_lengths.max() < 2.1 * spacing
+        assert np.percentile(garment.edge_lengths, 99) < 1.9 * spacing
+        nearest = cKDTree(garment.vertices).query(garment.vertices, k=2)[0][:, 1]
+        assert nearest.min() > 0.4 * spacing
+
+
+@pytest.mark.parametrize("name", WARDROBE)
+def test_loops_are_the_classes(name):
+    garment = WARDROBE[name]()
+    faces, loops = chains(garment)
+    bounding = rank(faces)
+    assert rank(faces + loops) - bounding == CLASSES[name]
+    if name in ("shirt", "vest"):  # four openings, any three of them independent
+        assert len(loops) == 4
+        assert all(rank(faces + list(three)) - bounding == 3 for three in itertools.combinations(loops, 3))
+    else:
+        assert len(loops) == CLASSES[name]
+
+
+@pytest.mark.parametrize("name", [name for name in WARDROBE if name not in ("shirt", "vest")])
+def test_loops_are_what_persistence_finds(name):
+    """As many long bars as classes; a shirt's sleeves are too flat at rest for that."""
+    lifetime = rips_persistence(coarse(name).vertices).lifetime
+    assert lifetime[CLASSES[name] - 1] > 1.5 * lifetime[CLASSES[name]]
+
+
+@pytest.mark.parametrize("name", WARDROBE)
+def test_grips_are_near_the_top_side_by_side(name):
+    garment = WARDROBE[name]()
+    left, right = sorted(garment.vertices[garment.grips].tolist())
+    low, high = garment.vertices[:, 2].min(), garment.vertices[:, 2].max()
+    assert min(left[2], right[2]) > low + 0.7 * (high - low)
+    assert left[0] == pytest.approx(-right[0], abs=0.02)
+    assert left[2] == pytest.approx(right[2], abs=0.02)
+
+
+def test_the_apron_is_the_recorded_one(episode_path):
+    episode, apron = load_episode(episode_path), Garment.apron()
+    np.testing.assert_array_equal(apron.faces, episode.faces)
+    np.testing.assert_array_equal(apron.loops[0], episode.loops[0])
+
+
+EXTREMES = [
+    ("apron", {"strap_length": 1.6}),
+    ("apron", {"spacing": 0.02, "bib_width": 0.5, "body_width": 0.5, "strap_width": 0.03}),
+    ("apron2", {"loops": 2, "waist_strap_length": 2.0, "waist_strap_width": 0.03}),
+    ("apron2", {"loops": 2, "body_height": 0.1, "waist_strap_length": 0.75}),
+    ("tote", {"handle_length": 1.5, "depth": 0.3}),
+    ("tote", {"width": 0.8, "height": 0.1, "depth": 0.02, "handle_length": 1.1}),
+    ("tote", {"handle_width": 0.15}),
+    ("tote2", {"handles": 2, "handle_length": 1.2, "handle_span": 0.12, "handle_width": 0.03}),
+    ("tote2", {"handles": 2, "width": 0.9, "handle_span": 0.7, "handle_length": 1.0, "handle_width": 0.1}),
+    ("backpack", {"strap_angle": 0.0, "strap_length": 1.2}),
+    ("backpack", {"strap_angle": 80.0, "depth": 0.3, "height": 0.9}),
+    ("shirt", {"sleeve_length": 0.5, "sleeve_angle": 0.0}),
+    ("shirt", {"sleeve_angle": 60.0, "sleeve_length": 0.5, "length": 1.2, "neck_depth": 0.02}),
+    ("vest", {"shoulder_width": 0.04, "spacing": 0.02}),
+    ("vest", {"neck_depth": 0.3, "armhole_depth": 0.5, "depth": 0.4}),
+    ("mask", {"depth": 0.1, "bow": 0.06, "strap_length": 0.6}),
+    ("mask", {"width": 0.6, "height": 0.1, "strap_span": 0.5, "strap_length": 0.8}),
+    ("sheet", {"hole_radius": 0.2, "hole_drop": 0.25}),
+    ("sheet2", {"holes": 2, "width": 1.2, "hole_distance": 0.9, "hole_radius": 0.05, "hole_drop": 0.4}),
+]
+
+
+@pytest.mark.parametrize(("name", "sizes"), EXTREMES)
+def test_unusual_sizes_keep_the_classes(name, sizes):
+    garment = getattr(Garment, name.rstrip("2"))(**sizes)
+    assert len(garment.vertices) - len(garment.edges) + len(garment.faces) == 1 - CLASSES[name]
+    faces, loops = chains(garment)
+    assert rank(faces + loops) - rank(faces) == CLASSES[name]
+    assert garment.edge_lengths.min() > 0.15 * garment.parameters["spacing"]
+    assert (
+        dict(garment.parameters).items()
+        >= {key: value for key, value in sizes.items() if key not in ("loops", "handles", "holes")}.items()
+    )
+
+
+def test_sizes_are_what_is_measured():
+    tote = Garment.tote(width=0.5, height=0.3, depth=0.12)
+    np.testing.assert_allclose(np.ptp(tote.vertices, axis=0)[:2], [0.5, 0.12], atol=0.01)
+    assert tote.vertices[:, 2].min() == pytest.approx(-0.3)
+    apron = Garment.apron(loops=2, waist_strap_length=1.1)
+    waist = apron.vertices[apron.loops[1]]
+    behind = waist[waist[:, 1] > 1e-9]
+    assert np.linalg.norm(np.diff(behind, axis=0), axis=1).sum() == pytest.approx(1.1, abs=2.5 * 0.03)
+    sheet = Garment.sheet(hole_radius=0.1, hole_drop=0.2)
+    np.testing.assert_allclose(np.linalg.norm(sheet.vertices[sheet.loops[0]] + [0, 0, 0.2], axis=1), 0.1, atol=1e-3)
+
+
+BAD = [
+    ("apron", {"loops": 3}, "loops"),
+    ("apron", {"loops": 2, "waist_strap_length": 0.4}, "waist_strap_length"),
+    ("apron", {"loops": 2, "waist_strap_width": 0.5}, "waist_strap_width"),
+    ("tote", {"handles": 0}, "handles"),
+    ("tote", {"handle_length": 0.3}, "handle_length"),
+    ("tote", {"handle_width": 0.34}, "handle_width"),
+    ("tote", {"handles": 2, "handle_span": 0.35}, "handle_span"),
+    ("tote", {"handles": 2, "handle_span": 0.1}, "handle_span"),
+    ("tote", {"width": -1}, "width"),
+    ("tote", {"width": "wide"}, "width"),
+    ("backpack", {"box_height": 0.5}, "box_height"),
+    ("backpack", {"strap_length": 0.2}, "strap_length"),
+    ("backpack", {"strap_angle": 170}, "strap_angle"),
+    ("shirt", {"neck_width": 0.6}, "neck_width"),
+    ("shirt", {"sleeve_length": 0.01}, "sleeve_length"),
+    ("shirt", {"sleeve_width": 0.7}, "sleeve_width"),
+    ("vest", {"shoulder_width": 0.3}, "shoulder_width"),
+    ("vest", {"armhole_depth": 0.6}, "armhole_depth"),
+    ("mask", {"strap_span": 0.2}, "strap_span"),
+    ("mask", {"depth": 0}, "depth"),
+    ("sheet", {"hole_radius": 0.02}, "hole_radius"),
+    ("sheet", {"hole_drop": 0.05}, "hole_drop"),
+    ("sheet", {"holes": 2, "hole_distance": 0.1}, "hole_distance"),
+    ("sheet", {"holes": 2, "hole_distance": 0.5}, "width"),
+    ("sheet", {"spacing": float("nan")}, "spacing"),
+    ("tote", {"spacing": 0.3}, "spacing"),
+]
+
+
+@pytest.mark.parametrize(("kind", "sizes", "says"), BAD)
+def test_sizes_that_do_not_fit_are_named(kind, sizes, says):
+    with pytest.raises((ValueError, TypeError), match=says):
+        getattr(Garment, kind)(**sizes)
+
+
+@pytest.mark.parametrize("name", WARDROBE)
+def test_garment_hangs_still_between_the_grippers(name):
+    garment, lift = coarse(name), np.array([0.0, 0.0, 1.5])
+    with World(garment, lift, SimulationConfig()) as world:
+        for _ in range(400):
+            world.step(garment.vertices[garment.grips] + lift)
+        points = world.vertices()
+        np.testing.assert_allclose(world.grippers(), garment.vertices[garment.grips] + lift, atol=0.02)
+    ends = points[garment.edges]
+    stretch = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / garment.edge_lengths
+    assert np.percentile(stretch, 99) < 1.3
+    assert points[:, 2].max() < 1.5 + garment.vertices[:, 2].max() + 0.05

@@ -1,0 +1,266 @@
+"""Flat patterns of cloth: cut at a spacing, bent or inflated into space, sewn together.
+
+Idea: the outline and the holes of a piece are sampled at the spacing, the inside is filled with a triangular lattice,
+relaxed and triangulated. Two pieces sewn together share the vertices of their seam.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.sparse import coo_matrix, diags
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import spsolve
+from scipy.spatial import Delaunay, cKDTree
+
+from ._surface import half_edges, wind
+
+__all__ = ["Arch", "Panel", "cut", "inflate", "sew"]
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A piece of cloth and the vertices along its borders, before it is sewn.
+
+    Attributes
+    ----------
+    vertices : (n, 3) float64
+    faces : (f, 3) int64
+    sides : tuple of (k,) int64
+        Vertex ids along each polyline of the outline, both ends included.
+    holes : tuple of (k,) int64
+        Vertex ids around each hole, once.
+    """
+
+    vertices: Array
+    faces: Ids
+    sides: tuple[Ids, ...]
+    holes: tuple[Ids, ...]
+
+    def placed(self, place: Callable[[Array], Array]) -> Panel:
+        """The panel with its vertices moved by `place`, (n, 3) to (n, 3)."""
+        return replace(self, vertices=place(self.vertices))
+
+    def mirrored(self) -> Panel:
+        """The panel on the other side of the plane y = 0."""
+        return replace(self, vertices=self.vertices * [1, -1, 1])
+
+
+@dataclass(frozen=True)
+class Arch:
+    """A half-ellipse, on straight legs when it is long, over a straight edge: the middle line of a strap. Metres."""
+
+    half_span: float
+    height: float
+    leg: float = 0.0
+
+    @classmethod
+    def of_length(cls, span: float, length: float, name: str = "strap_length") -> Arch:
+        """Return the arch over `span` whose arc length is `length`."""
+        if span <= 0 or length <= 1.3 * span:
+            raise ValueError(f"{name} {length} is too short for a span of {span:.3f} between the middles of its ends")
+        steepest = cls(span / 2, 1.25 * span)  # a higher ellipse would be too pointed for a strap of some width
+        if length > steepest._polyline_length():
+            return cls(span / 2, 1.25 * span, (length - steepest._polyline_length()) / 2)
+        height = brentq(lambda h: cls(span / 2, h)._polyline_length() - length, 1e-6, length)
+        return cls(span / 2, float(height))
+
+    def _polyline_length(self) -> float:
+        return float(np.linalg.norm(np.diff(self._dense(0.0), axis=0), axis=1).sum())
+
+    def _dense(self, offset: float) -> Array:
+        """(721, 2) points from the right end over the top to the left end, moved outwards by `offset`; two more with legs."""
+        angle = np.linspace(0, np.pi, 721)
+        points = np.column_stack([self.half_span * np.cos(angle), self.height * np.sin(angle)])
+        normal = np.column_stack([self.height * np.cos(angle), self.half_span * np.sin(angle)])
+        curve = points + offset * normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        if not self.leg:
+            return curve
+        return np.vstack([curve[:1], curve + [0, self.leg], curve[-1:]])
+
+    def points(self, share: Array, offset: float = 0.0) -> Array:
+        """(k, 2) points at these shares of the arc length of the arch moved outwards by `offset`."""
+        dense = self._dense(offset)
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
+        return np.column_stack([np.interp(share * length[-1], length, dense[:, i]) for i in range(2)])
+
+    def strap(self, width: float, spacing: float, length: float) -> tuple[Array, Array, Array]:
+        """Outer border (181, 2), inner border (181, 2) and inner vertices (k, 2) of a strap along the arch."""
+        narrowest = min(self.half_span**2 / self.height, self.height**2 / self.half_span)  # radius of curvature
+        if width / 2 >= narrowest:
+            raise ValueError(
+                f"a strap of width {width} is too wide to bend over a span of {2 * self.half_span:.3f} at a length of {length}; "
+                f"its width must be less than {2 * narrowest:.3f}"
+            )
+        share = np.linspace(0, 1, 181)
+        outer, inner = self.points(share, width / 2), self.points(share, -width / 2)
+        if width < 1.4 * spacing:  # too narrow for a row between its borders
+            return outer, inner, np.zeros((0, 2))
+        count = max(2, round(length / spacing))
+        return outer, inner, self.points((np.arange(count) + 0.5) / count)
+
+
+def cut(
+    outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Array | None = None
+) -> Panel:
+    """Cut a pattern drawn in (x, z) out of the plane y = 0.
+
+    Parameters
+    ----------
+    outline : sequence of (k, 2) arrays
+        A closed chain of polylines, counter-clockwise; the joints between polylines stay vertices.
+    holes : sequence of such chains
+    spacing : float
+        Edge length, metres.
+    fixed : (k, 2) array, optional
+        Inner vertices to keep where they are.
+
+    Raises
+    ------
+    ValueError
+        When the pattern is too narrow somewhere for this spacing.
+    """
+    flat, faces, borders = _mesh_pattern(outline, holes, spacing, np.zeros((0, 2)) if fixed is None else fixed)
+    known = set(map(tuple, half_edges(faces).tolist()))
+    for border in borders:
+        for a, b in zip(border.tolist(), np.roll(border, -1).tolist(), strict=True):
+            if (min(a, b), max(a, b)) not in known:
+                x, z = flat[a]
+                raise ValueError(
+                    f"spacing {spacing} is too coarse for this pattern: its border is lost near x = {x:.3f}, z = {z:.3f} m; "
+                    "use a smaller spacing or a wider cut"
+                )
+    starts = np.cumsum([0, *(_count(line, spacing) for line in outline)])
+    around = np.append(borders[0], borders[0][:1])
+    sides = tuple(around[a : b + 1] for a, b in itertools.pairwise(starts))
+    vertices = np.column_stack([flat[:, 0], np.zeros(len(flat)), flat[:, 1]])
+    return Panel(vertices, faces, sides, tuple(borders[1:]))
+
+
+def inflate(panel: Panel, seams: Sequence[int], depth: float, top: float = np.inf) -> Panel:
+    """Blow a flat panel up towards -y by `depth`, with the sides of these numbers kept in the plane.
+
+    The height is the square root of a membrane's under even pressure (on all below z = `top`): an ellipse across a tube.
+    """
+    seam = np.unique(np.concatenate([panel.sides[i] for i in seams]))
+    panel = _without_chords(panel, seam)
+    edges = np.unique(half_edges(panel.faces), axis=0)
+    n = len(panel.vertices)
+    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(n, n)).tocsr()
+    graph = graph + graph.T
+    laplacian = (diags(np.asarray(graph.sum(axis=1)).ravel()) - graph).tocsr()
+    free = np.setdiff1d(np.arange(n), seam)
+    pressure = (panel.vertices[:, 2] <= top).astype(float)
+    height = np.zeros(n)
+    height[free] = spsolve(laplacian[free][:, free], pressure[free])
+    height = depth * np.sqrt(height / height.max())
+    return panel.placed(lambda vertices: vertices - height[:, None] * [0, 1, 0])
+
+
+def _without_chords(panel: Panel, seam: Ids) -> Panel:
+    """Halve the inner edges between two vertices of the seam, which the panel on its other side would have as well."""
+    vertices, faces = panel.vertices, panel.faces
+    while True:
+        edges, count = np.unique(half_edges(faces), axis=0, return_counts=True)
+        chords = edges[(count == 2) & np.isin(edges, seam).all(axis=1)]
+        if not len(chords):
+            return replace(panel, vertices=vertices, faces=faces)
+        a, b = chords[0]
+        beside = np.isin(faces, [a, b]).sum(axis=1) == 2
+        halves = [np.where(faces[beside] == end, len(vertices), faces[beside]) for end in (a, b)]
+        faces = np.concatenate([faces[~beside], *halves])
+        vertices = np.vstack([vertices, (vertices[a] + vertices[b]) / 2])
+
+
+def sew(panels: Sequence[Panel], seams: Sequence[tuple[int, Ids, int, Ids]]) -> tuple[Array, Ids, list[Ids]]:
+    """Sew panels together; return vertices (n, 3), faces (f, 3) and for each panel the new ids of its vertices.
+
+    A seam (i, ids, j, other) makes one vertex, where panel i has it, of each vertex of `ids` and its partner in `other`.
+    """
+    first = np.cumsum([0, *(len(panel.vertices) for panel in panels)])
+    pairs = np.concatenate(
+        [np.zeros((0, 2), np.int64)] + [np.column_stack([first[i] + a, first[j] + b]) for i, a, j, b in seams]
+    )
+    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(first[-1],) * 2)
+    _, label = connected_components(graph, directed=False)
+    _, kept, new = np.unique(label, return_index=True, return_inverse=True)
+    vertices = np.concatenate([panel.vertices for panel in panels])[kept]
+    maps = [new[a:b] for a, b in itertools.pairwise(first)]
+    faces = np.concatenate([ids[panel.faces] for ids, panel in zip(maps, panels, strict=True)])
+    wound = wind(faces)[0]
+    first_turned = bool((wound[0] != faces[0]).any())  # the outside is where the first panel has it
+    return vertices, wound[:, ::-1] if first_turned else wound, maps
+
+
+def _mesh_pattern(
+    outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Array, rounds: int = 12
+) -> tuple[Array, Ids, list[Ids]]:
+    """Triangulate a flat pattern; return its vertices (n, 2), faces (f, 3) and borders (ids of the outline and of each hole)."""
+    borders = [np.concatenate([_resample(line, spacing) for line in chain]) for chain in (outline, *holes)]
+    kept = np.concatenate([*borders, fixed])
+    lattice = _lattice(borders[0].min(axis=0), borders[0].max(axis=0), spacing)
+    lattice = lattice[_inside(lattice, borders) & (cKDTree(kept).query(lattice)[0] > 0.75 * spacing)]
+    points = np.concatenate([kept, lattice])
+    for _ in range(rounds):  # Laplacian relaxation of the lattice towards the border
+        faces = _triangulate(points, borders, spacing)
+        ends = np.concatenate([half_edges(faces), half_edges(faces)[:, ::-1]])
+        count = np.bincount(ends[:, 0], minlength=len(points))[:, None]
+        mean = np.column_stack([np.bincount(ends[:, 0], points[ends[:, 1], i], len(points)) for i in range(2)]) / count
+        points[len(kept) :] = mean[len(kept) :]
+    first = np.cumsum([0, *map(len, borders)])
+    ids = [np.arange(start, end) for start, end in itertools.pairwise(first)]
+    return points, _triangulate(points, borders, spacing), ids
+
+
+def _triangulate(points: Array, borders: Sequence[Array], spacing: float) -> Ids:
+    """Delaunay triangles inside the pattern, counter-clockwise, without the slivers along straight borders."""
+    faces = Delaunay(points).simplices.astype(np.int64)
+    a, b, c = points[faces].transpose(1, 0, 2)
+    area = ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
+    faces = np.where(area[:, None] < 0, faces[:, ::-1], faces)
+    return faces[(np.abs(area) > 1e-3 * spacing**2) & _inside((a + b + c) / 3, borders)]
+
+
+def _length(line: Array) -> Array:
+    """(k,) arc length of a polyline up to each of its points."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+
+
+def _count(line: Array, spacing: float) -> int:
+    return max(1, round(float(_length(line)[-1]) / spacing))
+
+
+def _resample(line: Array, spacing: float) -> Array:
+    """Points at equal arc lengths of about `spacing` along a polyline, without its last point."""
+    length, count = _length(line), _count(line, spacing)
+    at = length[-1] * np.arange(count) / count
+    return np.column_stack([np.interp(at, length, line[:, i]) for i in range(2)])
+
+
+def _lattice(low: Array, high: Array, spacing: float) -> Array:
+    """Triangular lattice over a box, symmetric in x about 0."""
+    row = spacing * np.sqrt(3) / 2
+    half = int(np.ceil(max(-low[0], high[0]) / spacing)) + 1
+    across = spacing * np.arange(-half, half + 1)
+    heights = np.arange(low[1] + row, high[1], row)
+    return np.array([(x + spacing / 2 * (i % 2), z) for i, z in enumerate(heights) for x in across]).reshape(-1, 2)
+
+
+def _inside(points: Array, borders: Sequence[Array]) -> NDArray[np.bool_]:
+    """Even-odd rule over all borders: inside the outline and in none of the holes."""
+    x, y = points[:, :1], points[:, 1:]
+    crossings = np.zeros(len(points), dtype=np.int64)
+    for border in borders:
+        (x0, y0), (x1, y1) = border.T, np.roll(border, -1, axis=0).T
+        spans = (y0 > y) != (y1 > y)
+        rise = np.where(y1 == y0, 1.0, y1 - y0)
+        crossings += (spans & (x < x0 + (y - y0) / rise * (x1 - x0))).sum(axis=1)
+    return crossings % 2 == 1

@@ -1,0 +1,204 @@
+"""Read the vertices and the polygons of an OBJ, PLY or STL file, numbered as the file numbers them.
+
+General readers (trimesh, for one) split, merge and drop vertices to suit textures and materials, and then an id of a loop
+means nothing; some read no quads beside triangles, or take half a file for a whole one. Here everything but places and
+polygons is passed over, and what is not whole is refused.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topokit._archive import FormatError
+
+__all__ = ["read_mesh"]
+
+Array = NDArray[np.float64]
+Polygons = list[list[int]]
+_PLY_TYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+}
+_PLY_TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
+_PLY_TYPES |= {"float32": "f4", "float64": "f8"}
+_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def read_mesh(path: str | Path) -> tuple[Array, Polygons]:
+    """Return vertices (n, 3) in the file's units and the polygons as lists of vertex ids counted from 0.
+
+    An STL file has no vertex ids: corner k of triangle i is vertex 3 i + k.
+
+    Raises
+    ------
+    FileNotFoundError
+        When there is no such file.
+    FormatError
+        When the file is not a whole OBJ, PLY or STL file with faces; the message says what is wrong and where.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: {'a folder, not a file' if path.exists() else 'there is no such file'}")
+    readers: dict[str, Callable[[bytes], tuple[Array, Polygons]]] = {".obj": _obj, ".ply": _ply, ".stl": _stl}
+    if path.suffix.lower() not in readers:
+        raise FormatError(f"{path}: a mesh file ends in {', '.join(readers)}, not in {path.suffix!r}; export it as one")
+    data = path.read_bytes()
+    if not data.strip():
+        raise FormatError(f"{path}: the file is empty")
+    try:
+        vertices, polygons = readers[path.suffix.lower()](data)
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from error
+    if not polygons:
+        raise FormatError(f"{path}: {len(vertices)} vertices and no faces; a garment needs a surface")
+    ids = np.concatenate([np.asarray(polygon, dtype=np.int64) for polygon in polygons])
+    if ids.min() < 0 or ids.max() >= len(vertices):
+        bad = int(ids.min() if ids.min() < 0 else ids.max())
+        raise FormatError(
+            f"{path}: a face names vertex {bad} (counted from 0), the file has {len(vertices)}; is it whole?"
+        )
+    return vertices, polygons
+
+
+def _obj(data: bytes) -> tuple[Array, Polygons]:
+    """All objects and groups together; ids in faces count from 1, or backwards from the last vertex before the face."""
+    vertices: list[list[float]] = []
+    polygons: Polygons = []
+    lines = data.decode("utf-8", errors="replace").replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
+    for number, line in enumerate(lines, 1):
+        words = line.split("#")[0].split()
+        if not words or words[0] not in ("v", "f"):
+            continue
+        try:
+            if words[0] == "v":
+                x, y, z = map(float, words[1:4])
+                vertices.append([x, y, z])
+                continue
+            corners = [int(word.split("/")[0]) for word in words[1:]]
+        except ValueError as error:
+            what = "three coordinates" if words[0] == "v" else "vertex numbers"
+            raise FormatError(f"line {number} should hold {what}: {line.strip()[:60]!r}") from error
+        if len(corners) < 3 or 0 in corners:
+            raise FormatError(
+                f"line {number} is no face of three corners or more, numbered from 1: {line.strip()[:60]!r}"
+            )
+        polygons.append([corner - 1 if corner > 0 else len(vertices) + corner for corner in corners])
+    return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons
+
+
+def _stl(data: bytes) -> tuple[Array, Polygons]:
+    """Binary when its length fits the count of triangles in its header, ASCII otherwise."""
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) >= 84 and len(data) == 84 + count * _TRIANGLE.itemsize:
+        corners = np.frombuffer(data, _TRIANGLE, offset=84)["corners"].reshape(-1, 3)
+    elif data.lstrip()[:5].lower() == b"solid":
+        text = data.decode("ascii", errors="replace").lower()
+        rows = re.findall(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", text)
+        facets = len(re.findall(r"\bfacet\s+normal", text))
+        if len(rows) != 3 * facets or "endsolid" not in text:
+            raise FormatError(
+                f"cut off or damaged: {facets} facets have {len(rows)} corners, and the last line is endsolid"
+            )
+        try:
+            corners = np.array(rows, dtype=np.float64).reshape(-1, 3)
+        except ValueError as error:
+            raise FormatError(f"a vertex is no place in space: {error}") from error
+    else:
+        raise FormatError(
+            f"neither ASCII STL nor whole binary STL: its header counts {count} triangles, its {len(data)} bytes do not fit that"
+        )
+    return corners.astype(np.float64), np.arange(len(corners)).reshape(-1, 3).tolist()
+
+
+def _ply(data: bytes) -> tuple[Array, Polygons]:
+    """ASCII or binary of either byte order; of its elements only the places of vertices and the lists of faces are kept."""
+    head, mark, body = data.partition(b"end_header")
+    words = [line.split() for line in head.decode("ascii", errors="replace").splitlines()]
+    if not mark or not words or words[0] != ["ply"]:
+        raise FormatError("not a PLY file: it must begin with 'ply' and have a header that ends in 'end_header'")
+    kind = next((line[1] for line in words if len(line) > 1 and line[0] == "format"), "missing")
+    orders = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+    if kind not in orders:
+        raise FormatError(f"PLY format {kind!r}; expected one of {', '.join(orders)}")
+    values = _Text(body) if kind == "ascii" else _Binary(body.split(b"\n", 1)[-1], orders[kind])
+    vertices, polygons = np.zeros((0, 3)), []
+    for name, count, properties in _ply_elements(words):
+        try:
+            rows = [{key: _ply_value(values, types) for key, types in properties} for _ in range(count)]
+        except ValueError as error:
+            raise FormatError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
+        keys = {key for key, _ in properties}
+        if name == "vertex":
+            if not {"x", "y", "z"} <= keys:
+                raise FormatError("its vertices have no x, y and z")
+            vertices = np.array([[row[axis][0] for axis in "xyz"] for row in rows], dtype=np.float64).reshape(-1, 3)
+        elif name == "face":
+            lists = [key for key in ("vertex_indices", "vertex_index") if key in keys]
+            if not lists:
+                raise FormatError("its faces have no list vertex_indices")
+            polygons = [row[lists[0]].astype(np.int64).tolist() for row in rows]
+    short = next((i for i, polygon in enumerate(polygons) if len(polygon) < 3), None)
+    if short is not None:
+        raise FormatError(f"face {short} has {len(polygons[short])} corners; three at least make a face")
+    return vertices, polygons
+
+
+def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, list[tuple[str, list[str]]]]]:
+    """Name, number of rows and properties of each element; a property is its name and its types, two for a list."""
+    elements: list[tuple[str, int, list[tuple[str, list[str]]]]] = []
+    line: list[str] = []
+    try:
+        for line in header:
+            if line[:1] == ["element"]:
+                elements.append((line[1], int(line[2]), []))
+            elif line[:1] == ["property"]:
+                types = line[2:4] if line[1] == "list" else line[1:2]
+                elements[-1][2].append((line[-1], [_PLY_TYPES[kind] for kind in types]))
+    except (IndexError, KeyError, ValueError) as error:
+        raise FormatError(f"a line of the PLY header is not understood: {' '.join(line)!r}") from error
+    return elements
+
+
+class _Text:
+    """The numbers of an ASCII body, in order."""
+
+    def __init__(self, body: bytes) -> None:
+        self._words, self._at = body.split(), 0
+
+    def take(self, _: str, count: int) -> Array:
+        words = self._words[self._at : self._at + count]
+        self._at += count
+        if len(words) < count:
+            raise ValueError("the file ends too early")
+        return np.array(words, dtype=np.float64)
+
+
+class _Binary:
+    """The numbers of a binary body of a byte order, in order."""
+
+    def __init__(self, body: bytes, order: str) -> None:
+        self._body, self._order, self._at = body, order, 0
+
+    def take(self, kind: str, count: int) -> Array:
+        values = np.frombuffer(self._body, self._order + kind, count, self._at)
+        self._at += values.nbytes
+        return values.astype(np.float64)
+
+
+def _ply_value(values: _Text | _Binary, types: list[str]) -> Array:
+    """The one number of a property, or the numbers of a list."""
+    count = 1 if len(types) == 1 else int(values.take(types[0], 1)[0])
+    if count < 0:
+        raise ValueError(f"a list of {count} numbers")
+    return values.take(types[-1], count)

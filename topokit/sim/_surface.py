@@ -1,0 +1,223 @@
+"""Triangle meshes as surfaces: their edges, their winding, their borders, and closed cycles along their edges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from topokit.rips import rips_persistence, tighten
+
+__all__ = [
+    "EdgeGraph",
+    "as_ids",
+    "border_cycles",
+    "check_loop",
+    "check_mesh",
+    "close_loop",
+    "components",
+    "half_edges",
+    "wind",
+]
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+_GAP = 4  # edges: as far as a hole in a loop is closed without asking
+
+
+def half_edges(faces: Ids) -> Ids:
+    """(3F, 2) the three edges of every face, smaller id first."""
+    return np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+
+
+def wind(faces: Ids) -> tuple[Ids, int, bool]:
+    """Turn faces so that neighbours run through their common edge in opposite directions.
+
+    Idea: every face stands twice in a graph, as it is and turned round; a face as it is joins its neighbour as it is when
+    the two agree, and turned round when not. Of the two halves of the graph the one that turns fewer faces is taken. A
+    surface with one side has one half.
+
+    Returns
+    -------
+    faces : (F, 3) int64
+    turned : int
+        How many were turned round.
+    two_sided : bool
+        Whether that made all neighbours agree.
+    """
+    n = len(faces)
+    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    _, which, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(which.ravel(), kind="stable")
+    order = order[count[which.ravel()[order]] == 2]  # where three faces meet there is no agreeing
+    one, other = order[::2], order[1::2]
+    agree = directed[one, 0] != directed[other, 0]
+    f, g = one // 3, other // 3
+    ends = np.concatenate([np.column_stack([f, g + n * ~agree]), np.column_stack([f + n, g + n * agree])])
+    graph = coo_matrix((np.ones(len(ends)), ends.T), shape=(2 * n, 2 * n))
+    label = connected_components(graph, directed=False)[1].reshape(2, n)
+    as_it_is = np.bincount(label[0], minlength=label.max() + 1)  # faces of each half that stay
+    turn = as_it_is[label[0]] < as_it_is[label[1]]
+    tied = (as_it_is[label[0]] == as_it_is[label[1]]) & (label[0] > label[1])
+    turn |= tied
+    return np.where(turn[:, None], faces[:, ::-1], faces), int(turn.sum()), not (label[0] == label[1]).any()
+
+
+def components(faces: Ids) -> Ids:
+    """(F,) the number of each face's component. Faces are joined by an edge, not by a vertex that they touch at."""
+    _, edge = np.unique(half_edges(faces), axis=0, return_inverse=True)
+    ends = np.column_stack([np.repeat(np.arange(len(faces)), 3), len(faces) + edge.ravel()])
+    graph = coo_matrix((np.ones(len(ends)), ends.T), shape=(int(ends.max()) + 1,) * 2)
+    return np.asarray(connected_components(graph, directed=False)[1][: len(faces)], dtype=np.int64)
+
+
+def border_cycles(faces: Ids) -> list[Ids]:
+    """The borders of a mesh, edges in one face only, as simple closed cycles; where they touch they are taken apart."""
+    edges, count = np.unique(half_edges(faces), axis=0, return_counts=True)
+    rest: dict[int, list[int]] = {}
+    for a, b in edges[count == 1].tolist():
+        rest.setdefault(a, []).append(b)
+        rest.setdefault(b, []).append(a)
+    cycles = []
+    for start in rest:
+        walk = [start]
+        while rest[walk[-1]]:
+            step = rest[walk[-1]].pop()
+            rest[step].remove(walk[-1])
+            if step in walk:  # a cycle is closed; what led up to it goes on
+                at = walk.index(step)
+                cycles.append(np.array(walk[at:], dtype=np.int64))
+                walk = walk[:at]
+            walk.append(step)
+    return cycles
+
+
+class EdgeGraph:
+    """The vertices (N, 3) and the edges (E, 2) of a mesh, weighted by length."""
+
+    def __init__(self, vertices: Array, edges: Ids) -> None:
+        length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+        self._graph = csr_matrix((length, edges.T), shape=(len(vertices),) * 2)
+        self._pairs = set(map(tuple, edges.tolist()))
+
+    def joined(self, a: int, b: int) -> bool:
+        """Whether an edge joins two vertices."""
+        return (min(a, b), max(a, b)) in self._pairs
+
+    def distances(self, ids: Ids) -> Array:
+        """(k, k) lengths of the shortest paths between vertices."""
+        one_way = dijkstra(self._graph, directed=False, indices=ids)[:, ids]
+        return np.asarray(np.minimum(one_way, one_way.T))  # there and back differ by rounding
+
+    def path(self, start: int, end: int) -> list[int]:
+        """The shortest path along edges, both ends included; the mesh must be connected."""
+        if self.joined(start, end):
+            return [start, end]
+        _, before = dijkstra(self._graph, directed=False, indices=start, return_predecessors=True)
+        path = [end]
+        while path[-1] != start:
+            path.append(int(before[path[-1]]))
+        return path[::-1]
+
+
+def close_loop(graph: EdgeGraph, ids: Sequence[int], names: Ids) -> tuple[Ids, str]:
+    """Make a simple closed cycle along edges of the vertices of a loop, in order or not; say in words what it took.
+
+    In order, gaps of a few edges are closed by shortest paths. Without order (most neighbours far apart), or where the order
+    runs into itself, the cycle is the one around the longest-lived loop of these vertices, with distances along the mesh:
+    persistence again. `names` are what messages call the vertices.
+
+    Raises
+    ------
+    ValueError
+        When a gap is wide, or the vertices do not surround anything.
+    """
+    around = [a for a, b in zip(ids, [*ids[1:], ids[0]], strict=True) if a != b]
+    members = np.unique(around)
+    if len(members) < 3:
+        raise ValueError(f"it has {len(members)} different vertices; three at least make a loop")
+    paths = [graph.path(a, b) for a, b in zip(around, [*around[1:], around[0]], strict=True)]
+    gaps = [path for path in paths if len(path) > 2]
+    widest = max(paths, key=len)
+    closed = _walk(paths)
+    if 2 * len(gaps) <= len(paths) and len(widest) <= _GAP + 1 and len(set(closed)) == len(closed):
+        return np.array(closed), f"{len(gaps)} gaps between its vertices were closed along the mesh" if gaps else ""
+    diagram = rips_persistence(graph.distances(members), metric="precomputed")
+    if not len(diagram) or diagram.death[0] < 1.5 * diagram.birth[0]:
+        raise ValueError(
+            f"its vertices {names[widest[0]]} and {names[widest[-1]]} follow each other but are {len(widest) - 1} edges apart, "
+            "and whatever their order its vertices surround nothing; give those between them"
+        )
+    halfway = (
+        diagram.birth[0] + min(diagram.death[0], 2 * diagram.birth[0])
+    ) / 2  # a tighter cycle than the one at birth
+    tight = members[tighten(diagram, diagram.cycle(0), radius=halfway)].tolist()
+    closed = _without_detours(_walk([graph.path(a, b) for a, b in zip(tight, [*tight[1:], tight[0]], strict=True)]))
+    share = len(set(closed) & set(around))
+    return np.array(closed), (
+        f"its {len(members)} vertices are in no order along the mesh; the cycle they lie around, {len(closed)} vertices, "
+        f"{share} of them its own, was found by persistence"
+    )
+
+
+def _walk(paths: Sequence[Sequence[int]]) -> list[int]:
+    """Paths end to end, each joint once."""
+    return [vertex for path in paths for vertex in path[:-1]]
+
+
+def _without_detours(walk: list[int]) -> list[int]:
+    """Cut the shorter way off wherever a closed walk passes through a vertex twice."""
+    at = 0
+    while at < len(walk):
+        if walk[at] in walk[at + 1 :]:
+            again = walk.index(walk[at], at + 1)
+            inner, outer = walk[at:again], walk[:at] + walk[again:]
+            walk, at = (outer, 0) if len(outer) >= len(inner) else (inner, 0)
+        else:
+            at += 1
+    return walk
+
+
+def as_ids(values: object, name: str, n_vertices: int) -> Ids:
+    """Return vertex ids as int64, or raise TypeError or ValueError that names the first that is none."""
+    ids = np.asarray(values)
+    if not np.issubdtype(ids.dtype, np.integer):
+        raise TypeError(f"{name} must hold whole numbers (vertex ids), not {ids.dtype}")
+    if ids.size and (ids.min() < 0 or ids.max() >= n_vertices):
+        bad = int(ids.min()) if ids.min() < 0 else int(ids.max())
+        raise ValueError(f"{name} names vertex {bad}; there are {n_vertices}, numbered from 0")
+    return ids.astype(np.int64)
+
+
+def check_mesh(vertices: Array, faces: Ids) -> None:
+    """Raise ValueError unless the faces make one component that uses every vertex."""
+    repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    if repeats.any():
+        raise ValueError(f"faces[{np.argmax(repeats)}] names a vertex twice: {faces[np.argmax(repeats)].tolist()}")
+    unused = np.setdiff1d(np.arange(len(vertices)), faces)
+    if len(unused):
+        raise ValueError(f"{len(unused)} vertices are in no face, the first is vertex {unused[0]}; remove them")
+    edges = np.unique(half_edges(faces), axis=0)
+    parts = len(np.unique(components(faces)))
+    if parts > 1:  # PyBullet never returns from loading one that hangs together by a vertex
+        raise ValueError(f"the mesh has {parts} components that no edge joins; weld or keep one of them")
+    length = np.linalg.norm(np.diff(vertices[edges], axis=1)[:, 0], axis=1)
+    if length.min() <= 0:
+        raise ValueError(f"edge {edges[np.argmin(length)].tolist()} has length 0; weld its two vertices")
+
+
+def check_loop(loop: Ids, edges: Ids, name: str) -> None:
+    """Raise ValueError unless `loop` is a simple closed cycle along edges."""
+    if loop.ndim != 1 or len(loop) < 3:
+        raise ValueError(f"{name} must be a cycle of at least 3 vertex ids, not of shape {loop.shape}")
+    if len(np.unique(loop)) != len(loop):
+        raise ValueError(f"{name} passes through a vertex twice")
+    known = set(map(tuple, edges.tolist()))
+    for a, b in zip(loop.tolist(), np.roll(loop, -1).tolist(), strict=True):
+        if (min(a, b), max(a, b)) not in known:
+            raise ValueError(
+                f"{name} is not a closed cycle of the mesh: vertices {a} and {b} follow each other but share no edge"
+            )
