@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from topokit.cli import main
 from topokit.io import load_states
+
+from conftest import polygon
 
 
 @pytest.fixture
@@ -94,3 +99,44 @@ def test_recorded_episodes_follow_the_format(episode_path):
         assert not episode.held[-1]
         loop = episode.points[:, episode.loops[0]]
         assert np.linalg.norm(loop - np.roll(loop, 1, axis=1), axis=2).max() < 0.08  # a cycle of mesh edges, in metres
+
+
+def live(data: bytes, *options: str) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run(
+        [sys.executable, "-m", "topokit", "track", "--live", *options], input=data, capture_output=True
+    )
+
+
+def test_live_reads_clouds_from_a_pipe():
+    stream = io.BytesIO()
+    for t in range(3):
+        np.save(stream, np.column_stack([polygon(30), np.full(30, 0.01 * t)]))
+    done = live(stream.getvalue(), "--identity", "killer-triangles", "--memory", "2")
+    assert done.returncode == 0, done.stderr
+    states = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [state["frame"] for state in states] == [0, 1, 2]
+    assert [[loop["id"] for loop in state["loops"]] for state in states] == [[0]] * 3
+    assert states[2]["loops"][0]["centre"][2] == pytest.approx(0.02)
+
+
+def test_live_says_which_frame_is_broken_and_keeps_those_before():
+    stream = io.BytesIO()
+    np.save(stream, polygon(30))
+    whole = stream.getvalue()
+    done = live(whole + whole[:-8])
+    assert done.returncode == 2
+    assert len(done.stdout.splitlines()) == 1
+    assert b"frame 1 on standard input is no whole .npy array" in done.stderr
+    pickled = io.BytesIO()
+    np.lib.format.write_array_header_1_0(pickled, {"descr": "|O", "fortran_order": False, "shape": (1,)})
+    refused = live(pickled.getvalue())
+    assert refused.returncode == 2
+    assert b"frame 0" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments", [["track"], ["track", "--live", "episode.npz"], ["track", "--live", "--out", "t.npz"]]
+)
+def test_track_needs_one_source(arguments, capsys):
+    assert main(arguments) == 2
+    assert "--live" in capsys.readouterr().err

@@ -7,6 +7,7 @@ import pytest
 
 from topokit import SeqPH, TopologicalState, farthest_point_sample, hausdorff, track
 from topokit.seqph import assign
+from topokit.state import as_table
 
 from conftest import polygon
 
@@ -266,3 +267,15 @@ def test_streaming_is_updating():
 def test_memory_is_a_number_of_frames(memory, error):
     with pytest.raises(error, match="memory"):
         SeqPH(memory=memory)
+
+
+def test_states_as_a_table():
+    pandas = pytest.importorskip("pandas")
+    states = track([two_circles(0.0), two_circles(0.1)])
+    table = as_table(states)
+    assert len(table) == sum(len(state) for state in states)
+    assert table["lifetime"].tolist() == [loop.lifetime for state in states for loop in state.loops]
+    assert table.groupby("id")["frame"].count().tolist() == [2, 2]
+    pandas.testing.assert_index_equal(
+        as_table([]).columns, pandas.Index([*table.columns[:7], "x", "y", "z", *table.columns[-2:]])
+    )

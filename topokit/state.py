@@ -8,13 +8,14 @@ Source: Antonova et al. 2021, section 4 (the zeta_l of Algorithm 1). Taught in c
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Loop", "TopologicalState"]
+__all__ = ["Loop", "TopologicalState", "as_table"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +70,18 @@ class Loop:
         """(d,) mean of the barycentres of the two killer triangles: where the loop is."""
         return np.asarray(self.killer_triangles.mean(axis=(0, 1)))
 
+    @property
+    def quadrilateral(self) -> NDArray[np.float64]:
+        """(4, d) the closed curve x, z1, y, z2 around the two killer triangles: the killer edge's ends and the apexes.
+
+        Just before the loop dies this curve is in its class: its own coarse outline. That is its class among the points, which
+        know nothing of a hook: edges as long as the killer may have passed through a thin one. Around a target that fills
+        the opening the outline links as the loop does; around a hook link `Diagram.cycle`, which is tight.
+        """
+        apex = ~np.isin(self.killer_triangle_ids, self.killer_edge)
+        (x, y), (z1, z2) = self.killer_edge_points, self.killer_triangles[apex]
+        return np.array([x, z1, y, z2])
+
 
 @dataclass(frozen=True, eq=False)
 class TopologicalState:
@@ -93,9 +106,61 @@ class TopologicalState:
     def __len__(self) -> int:
         return len(self.loops)
 
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists, for JSON: frame, time, parameters, and of every loop its id, place and values."""
+        return {
+            "frame": self.frame,
+            "time": self.time,
+            "parameters": dict(self.parameters),
+            "loops": [
+                {
+                    "id": loop.id,
+                    "birth": loop.birth,
+                    "death": loop.death,
+                    "lifetime": loop.lifetime,
+                    "centre": loop.centre.tolist(),
+                    "killer_edge": loop.killer_edge.tolist(),
+                    "killer_triangles": loop.killer_triangles.tolist(),
+                }
+                for loop in self.loops
+            ],
+        }
+
     def __getitem__(self, loop_id: int) -> Loop:
         """Return the loop of that identity; KeyError when this frame has none."""
         for loop in self.loops:
             if loop.id == loop_id:
                 return loop
         raise KeyError(f"frame {self.frame} has no loop {loop_id}; it has {[loop.id for loop in self.loops]}")
+
+
+def as_table(states: Iterable[TopologicalState]) -> Any:
+    """Return tracked states as a pandas table, a row for every loop of every frame.
+
+    Columns are frame, time, id, birth, death, lifetime, step, the centre (x, y, z, or x0 to x[d-1] when d is not 3) and the
+    killer edge's vertex ids (killer_a, killer_b).
+
+    Returns
+    -------
+    pandas.DataFrame
+
+    Raises
+    ------
+    ImportError
+        When pandas is not installed.
+    """
+    try:
+        import pandas as pd
+    except ImportError as error:
+        raise ImportError("as_table needs pandas: pip install pandas") from error
+    rows = []
+    for state in states:
+        for loop in state.loops:
+            axes = "xyz" if len(loop.centre) == 3 else [f"x{i}" for i in range(len(loop.centre))]
+            row: dict[str, Any] = {"frame": state.frame, "time": state.time}
+            row |= {name: getattr(loop, name) for name in ("id", "birth", "death", "lifetime", "step")}
+            row |= dict(zip(axes, loop.centre.tolist(), strict=True))
+            row |= dict(zip(("killer_a", "killer_b"), loop.killer_edge.tolist(), strict=True))
+            rows.append(row)
+    names = ["frame", "time", "id", "birth", "death", "lifetime", "step", "x", "y", "z", "killer_a", "killer_b"]
+    return pd.DataFrame(rows, columns=None if rows else names)
