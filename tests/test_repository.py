@@ -89,6 +89,7 @@ LAYERS = [
     {"state"},
     {"seqph"},
     {"io"},
+    {"lemmas"},
     {"sim", "evaluate"},
     {"view"},
     {"cli", "__main__"},

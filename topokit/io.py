@@ -26,7 +26,7 @@ _KIND = "topokit-episode"
 _STATES_KIND = "topokit-states"
 _MAX_PACKING_ERROR = 1e-4  # metres
 _PACKED = ("points", "observed", "actions", "grippers", "centre_line")
-_TEXT = ("garment", "target", "success", "seed", "dt", "physics", "provenance", "schema")
+_TEXT = ("garment", "target", "task", "success", "seed", "dt", "observation", "physics", "provenance", "schema")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Episode:
     points : (T, N, 3) float32
         All vertices of the garment in mesh order, metres.
     observed : (T, M, 3) float32
-        What an observer sees: farthest-point samples of the vertices unless `observation` says otherwise.
+        What an observer sees: farthest-point samples of the vertices, or of what cameras see (`observation` says which).
     actions, grippers : (T, 2, 3) float32
         Where the two grippers were told to be, and where they were.
     held : (T,) bool
@@ -48,11 +48,13 @@ class Episode:
         The true loops, each a closed cycle of vertex ids (the last joins the first).
     centre_line : (K, 3) float32
         The target's centre line, an open polyline.
-    target, garment : str
+    target, garment, task : str
     success : bool
-        Whether the true loop hangs on the target after release.
+        Whether the task's true loops hang on the target, at rest, after release.
+    observation : dict
+        How `observed` was made: its kind and, for cameras, all their parameters.
     physics : dict
-        All parameters of the simulation.
+        All parameters of the simulation, the target's sizes and position, what was randomised and in which ranges.
     seed : int
     dt : float
         Seconds between frames.
@@ -73,6 +75,8 @@ class Episode:
     success: bool
     seed: int
     dt: float
+    task: str = ""
+    observation: dict[str, Any] = field(default_factory=dict)
     physics: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
     schema: int = SCHEMA

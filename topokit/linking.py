@@ -4,19 +4,24 @@ Idea: for a segment of either curve the differences `b - a` fill a parallelogram
 sees it, summed over all pairs of segments, is 4 pi times the Gauss integral, hence 4 pi times an integer.
 
 Source: van Oosterom and Strackee, *The solid angle of a plane triangle*, 1983; Arai, *A rigorous numerical algorithm for
-computing the linking number of links*, 2013.
+computing the linking number of links*, 2013. Taught in chapter 7.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points
+from topokit._validate import as_points, positive
 
-__all__ = ["linking_number"]
+__all__ = ["close_far", "linking_number", "linking_numbers"]
 
 Array = NDArray[np.float64]
+_PAIRS_AT_ONCE = 2**17  # pairs of segments in memory at a time: some 30 MB
+_TOUCH = 1e-12  # curves nearer than this share of their size touch; far from the origin, where digits are lost, sooner
+_NOT_AN_INTEGER = 1e-3  # a Gauss integral that misses its integer by more has lost its digits
 
 
 def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
@@ -25,7 +30,8 @@ def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     Parameters
     ----------
     curve_a, curve_b : (n, 3), (m, 3) array_like
-        Corners in order; the last joins the first. Three at least.
+        Corners in order, three at least; the last joins the first, which is not repeated. A curve with ends, such as a
+        hook, is closed by `close_far` first.
 
     Returns
     -------
@@ -35,7 +41,8 @@ def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     Raises
     ------
     ValueError
-        When a curve has fewer than three corners or is not in space, or when the curves touch.
+        When a curve is not in space, has fewer than three corners or passes through a corner twice, or when the curves
+        touch; the message says where. Also when they come so close that rounding leaves no integer.
 
     Examples
     --------
@@ -46,49 +53,225 @@ def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     >>> abs(linking_number(circle, through)), linking_number(circle, through + [5, 0, 0])
     (1, 0)
     """
-    a, b = _curve(curve_a, "curve_a"), _curve(curve_b, "curve_b")
-    distance = _segment_distances(a, np.roll(a, -1, axis=0), b, np.roll(b, -1, axis=0))
-    scale = float(max(np.ptp(a, axis=0).max(), np.ptp(b, axis=0).max()))
-    i, j = np.unravel_index(np.argmin(distance), distance.shape)
-    if distance[i, j] <= 1e-12 * scale:
+    for curve, name in ((curve_a, "curve_a"), (curve_b, "curve_b")):
+        if isinstance(curve, np.ndarray) and curve.ndim == 3:
+            raise ValueError(
+                f"{name} is a batch of curves, of shape {curve.shape}; topokit.linking.linking_numbers takes it"
+            )
+    numbers, _ = _link(as_points(curve_a, "curve_a")[None], as_points(curve_b, "curve_b")[None], "curve_a", "curve_b")
+    return int(numbers[0])
+
+
+def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[np.int64], Array]:
+    """Return the linking numbers of many pairs of curves at once, and how far each integral was from its integer.
+
+    Parameters
+    ----------
+    curves_a : (B, n, 3) or (n, 3) array_like
+    curves_b : (B, m, 3) or (m, 3) array_like
+        Closed curves as in `linking_number`. A single curve is linked with each of the others.
+
+    Returns
+    -------
+    numbers : (B,) int64
+    errors : (B,) float64
+        Gauss integral minus linking number: the rounding error, about 1e-14 for a hundred segments that keep their
+        distance.
+
+    Raises
+    ------
+    ValueError
+        As `linking_number`; the message also names the curve of the batch.
+
+    Examples
+    --------
+    >>> square = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
+    >>> pole = close_far([[0, 0, 0], [0, 0, 1]])
+    >>> numbers, errors = linking_numbers([square + [0, 0, 0.5], square + [3, 0, 0.5]], pole)
+    >>> numbers.tolist(), bool(abs(errors).max() < 1e-12)
+    ([1, 0], True)
+    """
+    a, b = _batch(curves_a, "curves_a"), _batch(curves_b, "curves_b")
+    if len(a) != len(b) and 1 not in (len(a), len(b)):
+        raise ValueError(f"curves_a and curves_b must be as many, or one of them one; they are {len(a)} and {len(b)}")
+    return _link(a, b, "curves_a[{}]", "curves_b[{}]")
+
+
+def close_far(
+    curve: ArrayLike,
+    *,
+    start: ArrayLike = (0.0, 0.0, -1.0),
+    end: ArrayLike = (0.0, 0.0, 1.0),
+    far: float = 100.0,
+) -> Array:
+    """Close an open curve, such as the centre line of a hook or a pole, far away and always in the same way.
+
+    The first corner is led off along `start` and the last along `end`, each by `far` times the size of the curve; from
+    there both go as far again along start x end (any direction orthogonal to the two when they are parallel), where they
+    are joined. All that is added, but for the two straight leads, keeps that distance from the curve. So what the curve
+    is linked with decides, if it is small against `far`, and the side on which it is closed does not.
+
+    Parameters
+    ----------
+    curve : (n, 3) array_like
+        Corners in order, two at least. By default from the foot, led off down through the floor, to the tip, led off up.
+    start, end : (3,) array_like
+        Directions, of any length but zero.
+    far : float
+        In sizes of the curve, its longest extent along an axis.
+
+    Returns
+    -------
+    (n + 4, 3) float64
+        A closed curve for `linking_number`.
+
+    Raises
+    ------
+    ValueError
+        When there are fewer than two corners, the curve has no extent, or a direction is zero.
+
+    Examples
+    --------
+    >>> close_far([[0, 0, 0], [0, 0, 2]]).tolist()[2:]
+    [[0.0, 0.0, 202.0], [200.0, 0.0, 202.0], [200.0, 0.0, -200.0], [0.0, 0.0, -200.0]]
+    """
+    points = as_points(curve, "curve")
+    if points.shape[1] != 3 or len(points) < 2:
+        raise ValueError(f"curve must be an (n, 3) array of at least 2 corners, not of shape {points.shape}")
+    reach = positive(far, "far", zero=False) * float(np.ptp(points, axis=0).max())
+    if reach == 0:
+        raise ValueError("curve has no extent: all its corners are one point")
+    down, up = _direction(start, "start"), _direction(end, "end")
+    aside = np.cross(down, up)
+    if np.linalg.norm(aside) < 1e-6:
+        aside = np.eye(3)[np.argmin(np.abs(up))]
+        aside = aside - (aside @ up) * up
+    aside = reach * aside / np.linalg.norm(aside)
+    foot, tip = points[0] + reach * down, points[-1] + reach * up
+    return np.vstack([points, tip, tip + aside, foot + aside, foot])
+
+
+def _direction(vector: ArrayLike, name: str) -> Array:
+    value = np.asarray(vector, dtype=np.float64)
+    length = float(np.linalg.norm(value))
+    if value.shape != (3,) or not np.isfinite(length) or length == 0:
+        raise ValueError(f"{name} must be a direction of three numbers, not {vector!r}")
+    return value / length
+
+
+def _batch(curves: ArrayLike, name: str) -> Array:
+    """(B, n, 3): a single curve is a batch of one."""
+    try:
+        array = np.asarray(curves)
+    except ValueError as error:  # ragged nested lists
         raise ValueError(
-            f"the curves touch: segment {i} of curve_a meets segment {j} of curve_b; no linking number exists"
+            f"the curves of {name} must have equally many corners; link the others by themselves"
+        ) from error
+    if array.ndim == 2:
+        return as_points(array, name)[None]
+    if array.ndim != 3 or not len(array):
+        raise ValueError(f"{name} must be a (B, n, 3) array of curves or one (n, 3) curve, not of shape {array.shape}")
+    return np.stack([as_points(curve, f"{name}[{i}]") for i, curve in enumerate(array)])
+
+
+def _link(a: Array, b: Array, name_a: str, name_b: str) -> tuple[NDArray[np.int64], Array]:
+    """Linking numbers and rounding errors of the pairs of (B, n, 3) and (B, m, 3), either B possibly 1."""
+    for curves, name in ((a, name_a), (b, name_b)):
+        for i, curve in enumerate(curves):
+            _check_curve(curve, name.format(i))
+    integral = np.zeros(max(len(a), len(b)))
+    for k in range(len(integral)):
+        i, j = k % len(a), k % len(b)
+        first, second, touch = _scaled(a[i], b[j])
+        for row, block in _blocks(first, len(second)):
+            pair = _touching_pair(block, second, touch)
+            if pair is not None:
+                raise ValueError(
+                    f"the curves touch: segment {row + pair[0]} of {name_a.format(i)} meets segment {pair[1]} of "
+                    f"{name_b.format(j)}; no linking number exists"
+                )
+            integral[k] += _half_solid_angles(block, np.vstack([second, second[:1]])) / (2 * np.pi)
+        if abs(integral[k] - np.rint(integral[k])) > _NOT_AN_INTEGER:
+            raise ValueError(
+                f"{name_a.format(i)} and {name_b.format(j)} come too close: their Gauss integral is {integral[k]:.6f} in "
+                "this arithmetic, no integer; move them apart or subdivide long segments"
+            )
+    numbers = np.rint(integral).astype(np.int64)
+    return numbers, integral - numbers
+
+
+def _check_curve(curve: Array, name: str) -> None:
+    if curve.shape[1] != 3 or len(curve) < 3:
+        raise ValueError(
+            f"{name} must be an (n, 3) array of at least 3 corners, not of shape {curve.shape}; close an open curve first, "
+            "for example by topokit.linking.close_far"
         )
-    total = float(_gauss_terms(a, b).sum() / (2 * np.pi))
-    return round(total)
+    order = np.lexsort(curve.T)
+    same = np.flatnonzero((curve[order[1:]] == curve[order[:-1]]).all(axis=1))
+    if len(same):
+        i, j = sorted(order[same[0] : same[0] + 2].tolist())
+        closes = " (the last joins the first by itself: leave it out)" if (i, j) == (0, len(curve) - 1) else ""
+        raise ValueError(
+            f"{name} passes through a corner twice: corners {i} and {j} are both {curve[i].tolist()}{closes}"
+        )
 
 
-def _curve(curve: ArrayLike, name: str) -> Array:
-    points = as_points(curve, name)
-    if points.shape[1] != 3 or len(points) < 3:
-        raise ValueError(f"{name} must be an (n, 3) array of at least 3 corners, not of shape {points.shape}")
-    return points
+def _scaled(a: Array, b: Array) -> tuple[Array, Array, float]:
+    """Both curves about one origin and in one unit, so that products of lengths neither overflow nor vanish.
+
+    Also the distance, in that unit, at which they touch.
+    """
+    exponent = np.frexp(max(np.abs(a).max(), np.abs(b).max()))[1]
+    a, b = np.ldexp(a, -exponent), np.ldexp(b, -exponent)  # exact; the largest coordinate is now 1/2 to 1
+    middle = a[0]
+    size = max(float(np.abs(a - middle).max()), float(np.abs(b - middle).max()))
+    return (a - middle) / size, (b - middle) / size, _TOUCH + 4 * float(np.finfo(float).eps) / size
 
 
-def _gauss_terms(a: Array, b: Array) -> Array:
-    """(n, m) half the signed solid angle of each parallelogram of differences."""
-    a_next, b_next = np.roll(a, -1, axis=0)[:, None], np.roll(b, -1, axis=0)[None]
-    a, b = a[:, None], b[None]
-    corners = (b - a, b - a_next, b_next - a_next, b_next - a)
-    first, second = (corners[0], corners[1], corners[2]), (corners[2], corners[3], corners[0])
-    return _half_solid_angle(*first) + _half_solid_angle(*second)
+def _blocks(curve: Array, width: int) -> Iterator[tuple[int, Array]]:
+    """Runs of consecutive segments of a closed curve (their first segment, their corners), of bounded size."""
+    closed = np.vstack([curve, curve[:1]])
+    rows = max(1, _PAIRS_AT_ONCE // width)
+    for i in range(0, len(curve), rows):
+        yield i, closed[i : i + rows + 1]
 
 
-def _half_solid_angle(u: Array, v: Array, w: Array) -> Array:
-    """Half the signed solid angle of the triangles u, v, w (..., 3) seen from the origin."""
-    lu, lv, lw = (np.linalg.norm(x, axis=-1) for x in (u, v, w))
-    volume = np.einsum("...i,...i", u, np.cross(v, w))
-    dot_uv, dot_vw, dot_wu = (np.einsum("...i,...i", x, y) for x, y in ((u, v), (v, w), (w, u)))
-    half: Array = np.arctan2(volume, lu * lv * lw + dot_uv * lw + dot_vw * lu + dot_wu * lv)
-    return half
+def _half_solid_angles(a: Array, b: Array) -> float:
+    """Half the solid angle of all parallelograms of differences of the open polylines (n + 1, 3) and (m + 1, 3)."""
+    unit = b[None] - a[:, None]
+    unit /= np.linalg.norm(unit, axis=-1, keepdims=True)
+    u, v, w, x = unit[:-1, :-1], unit[1:, :-1], unit[1:, 1:], unit[:-1, 1:]
+    normal, diagonal = np.cross(w, u), _dot(u, w)
+    first = np.arctan2(_dot(v, normal), 1 + _dot(u, v) + _dot(v, w) + diagonal)
+    second = np.arctan2(-_dot(x, normal), 1 + _dot(w, x) + _dot(x, u) + diagonal)
+    return float((first + second).sum())
+
+
+def _dot(u: Array, v: Array) -> Array:
+    return np.einsum("...i,...i", u, v)
+
+
+def _touching_pair(a: Array, b: Array, touch: float) -> tuple[int, int] | None:
+    """A segment of the polyline `a` and one of the closed curve `b` that are nearer than `touch`, if there are such.
+
+    Two segments whose middles are farther apart than half their lengths together cannot be: few pairs are measured.
+    """
+    starts, ends, heads, tails = a[:-1], a[1:], b, np.roll(b, -1, axis=0)
+    gap = np.linalg.norm((starts + ends)[:, None] - (heads + tails)[None], axis=-1)
+    reach = np.linalg.norm(ends - starts, axis=-1)[:, None] + np.linalg.norm(tails - heads, axis=-1)
+    i, j = np.nonzero(gap <= reach + 4 * touch)
+    if not len(i):
+        return None
+    distance = _segment_distances(starts[i], ends[i], heads[j], tails[j])
+    k = int(np.argmin(distance))
+    return (int(i[k]), int(j[k])) if distance[k] <= touch else None
 
 
 def _segment_distances(a: Array, a_end: Array, b: Array, b_end: Array) -> Array:
-    """(n, m) distances between the segments (a, a_end) and (b, b_end).
+    """(k,) distances between the segments (a, a_end) and (b, b_end), each (k, 3).
 
     The minimum is taken at an end of one segment, or inside both where the joining line is orthogonal to the two.
     """
-    a, a_end, b, b_end = a[:, None], a_end[:, None], b[None], b_end[None]
     ends = [
         _to_segment(a, b, b_end),
         _to_segment(a_end, b, b_end),
@@ -96,8 +279,7 @@ def _segment_distances(a: Array, a_end: Array, b: Array, b_end: Array) -> Array:
         _to_segment(b_end, a, a_end),
     ]
     u, v, w = a_end - a, b_end - b, b - a
-    uu, vv, uv = (np.einsum("...i,...i", x, y) for x, y in ((u, u), (v, v), (u, v)))
-    uw, vw = np.einsum("...i,...i", u, w), np.einsum("...i,...i", v, w)
+    uu, vv, uv, uw, vw = _dot(u, u), _dot(v, v), _dot(u, v), _dot(u, w), _dot(v, w)
     determinant = uu * vv - uv**2
     skew = determinant > 1e-14 * uu * vv  # for parallel segments an end is always a nearest point
     divisor = np.where(skew, determinant, 1.0)
@@ -111,7 +293,6 @@ def _segment_distances(a: Array, a_end: Array, b: Array, b_end: Array) -> Array:
 def _to_segment(point: Array, start: Array, end: Array) -> Array:
     """Distances from points to segments, broadcast over the leading axes."""
     along = end - start
-    length = np.maximum(np.einsum("...i,...i", along, along), np.finfo(float).tiny)
-    t = np.clip(np.einsum("...i,...i", point - start, along) / length, 0, 1)
+    t = np.clip(_dot(point - start, along) / np.maximum(_dot(along, along), np.finfo(float).tiny), 0, 1)
     distance: Array = np.linalg.norm(point - start - t[..., None] * along, axis=-1)
     return distance

@@ -1,217 +1,182 @@
 """Record an episode: two grippers carry a garment to a target, hang it there and let go.
 
-Source: Antonova et al. 2021, section 6 (two anchors, a PD controller, randomised paths). Taught in chapter 0.
+Source: Antonova et al. 2021, section 6 (two anchors, a PD controller, randomised paths). Taught in chapters 0 and 7.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import platform
 import sys
-from dataclasses import dataclass
+from collections.abc import Sequence
 from importlib import metadata
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from topokit._validate import positive
 from topokit.io import Episode
 from topokit.sampling import farthest_point_sample
 
+from ._process import record_in_process
+from .camera import Camera
 from .config import SimulationConfig
 from .garments import Garment
-from .targets import Hook
-from .world import World
+from .randomise import Randomisation, generator
+from .recording import Recording, Report, Run, record
+from .targets import Hook, Target
+from .tasks import TASKS, Task, task_for
 
-__all__ = ["SimulationError", "simulate"]
+__all__ = ["simulate"]
 
-Array = NDArray[np.float64]
 _AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
-
-
-class SimulationError(RuntimeError):
-    """A run that is not physical: cloth that exploded or was stretched too far. The message says when and where."""
-
-
-@dataclass(frozen=True)
-class _Path:
-    """Where the middle between the grippers is meant to be: minimum-jerk moves between places."""
-
-    places: Array  # (k, 3)
-    times: Array  # (k,) seconds, increasing; a move ends when the next begins
-
-    def at(self, time: float) -> Array:
-        """(3,) at rest at every place, and before the first and after the last time."""
-        i = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.times) - 2))
-        s = float(np.clip((time - self.times[i]) / (self.times[i + 1] - self.times[i]), 0, 1))
-        share = s**3 * (10 - 15 * s + 6 * s * s)
-        return np.asarray(self.places[i] + share * (self.places[i + 1] - self.places[i]))
+_FEWEST_FRAMES = 76  # a history of 16 and a horizon of 60
 
 
 def simulate(
     garment: Garment | None = None,
-    target: Hook | None = None,
+    target: Target | None = None,
     *,
+    task: str | Task | None = None,
     seed: int = 0,
     config: SimulationConfig | None = None,
+    randomisation: Randomisation | None = None,
+    cameras: Sequence[Camera] = (),
     n_observed: int = 500,
+    time_limit: float | None = 60.0,
     progress: bool = False,
 ) -> Episode:
-    """Record one episode: `garment` hung between two grippers, carried to `target`, let go there.
+    """Record one episode: a garment hung between two grippers, carried to a target, let go there.
 
     Parameters
     ----------
-    garment : Garment, optional
-        `Garment.apron()` when not given.
-    target : Hook, optional
+    garment, target : optional
+        Those of the task when not given. With neither a task nor these, an apron is hung on a hook.
+    task : str or Task, optional
+        A name in `TASKS` or a task; when not given, the one of that garment and target (`task_for`).
     seed : int
-        Of the start and of the path. The same seed and options give the same bytes in a fresh process.
+        Of everything random: path, physics, cameras and their noise each have a generator of their own.
     config : SimulationConfig, optional
+    randomisation : Randomisation, optional
+        Ranges from which this episode draws its physics, size and cameras; nothing varies but the path when not given.
+    cameras : sequence of Camera, optional
+        What the observer has. Without any it sees all sides: farthest-point samples of the vertices.
     n_observed : int
-        Size of the observation: farthest-point samples of the vertices of each frame.
+        Points of the observation in each frame; at most the garment's vertices, unless cameras see more.
+    time_limit : float, optional
+        The simulation runs in a fresh process, which is stopped when loading, settling or a frame takes longer than so
+        many seconds; then the same call gives the same bytes anywhere in a program. None: in this process, without a
+        limit, for those who keep processes themselves; repeatable bit by bit only as the first simulation of a process.
     progress : bool
         Write the share done to stderr.
 
     Returns
     -------
     Episode
-        With `success` when, after release, the garment's loop winds around the target and the garment is at rest there.
+        With `success` when, after release, the loops of the task are on the target and the garment is at rest there.
 
     Raises
     ------
     SimulationError
-        When the cloth explodes or is over-stretched; the message names frame, edge and stretch.
+        When the cloth explodes or is over-stretched (the message names frame, edge and stretch), when the simulator
+        crashes, or when it is stopped.
     ImportError
         When PyBullet is not installed.
     ValueError
-        When `n_observed` exceeds the number of vertices.
+        When `n_observed` exceeds the number of vertices, `task` is not known, or no camera sees any cloth in some frame.
     """
-    garment, target, config = garment or Garment.apron(), target or Hook(), config or SimulationConfig()
-    if not 1 <= n_observed <= len(garment.vertices):
+    task = _task(task, garment, target)
+    garment, target, config = garment or task.garment(), target or task.target, config or SimulationConfig()
+    drawn: dict[str, Any] | None = None
+    if randomisation is not None:
+        config, garment, cameras, numbers = randomisation.draw(seed, config, garment, cameras)
+        drawn = {**randomisation.describe(), "drawn": numbers}
+    if n_observed < 1 or (n_observed > len(garment.vertices) and not cameras):
         raise ValueError(f"n_observed must be 1 to {len(garment.vertices)}, the garment's vertices, not {n_observed}")
-    path, release_time = _plan(target, config, np.random.default_rng(seed))
-    grips = garment.vertices[garment.grips]
-    middle = grips.mean(axis=0)
-    spread = grips - middle
-    recorder = _Recorder(garment, config, progress)
-    with World(garment, path.at(0.0) - middle, config) as world:
-        world.add_rods(target.rods)
-        for _ in range(round(config.settle / config.dt)):
-            world.step(path.at(0.0) + spread)
-        held = True
-        for step in range(config.frames * config.steps_per_frame):
-            time = step * config.dt
-            if held and time >= release_time:
-                world.release()
-                held = False
-            goal = path.at(min(time, release_time)) + spread
-            if step % config.steps_per_frame == 0:
-                recorder.record(world, goal, held)
-            world.step(goal)
-    return recorder.episode(target, seed, n_observed)
+    path = task.plan(garment, target, generator(seed, "path"))
+    frames = config.frames or max(_FEWEST_FRAMES, math.ceil(path.end / config.frame_time))
+    config = dataclasses.replace(config, frames=frames)
+    goals = path.at(np.arange(frames * config.steps_per_frame) * config.dt)
+    noise = int(generator(seed, "noise").integers(2**63))
+    run = Run(garment, target.rods, goals, round(path.release / config.dt), config, tuple(cameras), n_observed, noise)
+    report = _progress(frames) if progress else None
+    if time_limit is None:
+        recording = record(run, report)
+    else:
+        recording = record_in_process(run, positive(time_limit, "time_limit", zero=False, infinite=True), report)
+    return _episode(run, recording, task, target, seed, drawn)
 
 
-def _plan(target: Hook, config: SimulationConfig, rng: np.random.Generator) -> tuple[_Path, float]:
-    """A path of the middle between the grippers, and when they let go; both vary with the seed.
-
-    The strap between the grippers is carried over the tip, so that the arm comes into the opening below it, then lowered
-    until it rests on the arm.
-    """
-    over = target.seat + [0, 0, target.tip + 0.045]
-    start = over + [rng.uniform(-0.12, 0.12), rng.uniform(-0.55, -0.42), rng.uniform(-0.06, 0.10)]
-    before = over + [rng.uniform(-0.015, 0.015), -target.reach / 2 - 0.12, rng.uniform(0.0, 0.02)]
-    over[0] = rng.uniform(-0.015, 0.015)
-    down = over * [1, 1, 0] + [0, rng.uniform(-0.01, 0.02), target.height + target.radius + 0.005]
-    whole = config.frames * config.frame_time
-    times = whole * np.array([0.06, 0.32, 0.55, 0.69])
-    return _Path(np.array([start, before, over, down]), times), float(times[-1] + 0.02 * whole)
-
-
-class _Recorder:
-    """Collects frames and refuses a run that is not physical."""
-
-    def __init__(self, garment: Garment, config: SimulationConfig, progress: bool) -> None:
-        self.garment, self.config, self.progress = garment, config, progress
-        self.points: list[Array] = []
-        self.actions: list[Array] = []
-        self.grippers: list[Array] = []
-        self.held: list[bool] = []
-
-    def record(self, world: World, goal: Array, held: bool) -> None:
-        """Take a frame of the world."""
-        points = world.vertices()
-        self._check(points)
-        self.points.append(points)
-        self.actions.append(goal)
-        self.grippers.append(world.grippers())
-        self.held.append(held)
-        if self.progress:
-            end = "\n" if len(self.points) == self.config.frames else ""
-            print(
-                f"\rsimulating: frame {len(self.points)} of {self.config.frames}", end=end, file=sys.stderr, flush=True
-            )
-
-    def _check(self, points: Array) -> None:
-        frame = len(self.points)
-        lost = ~np.isfinite(points).all(axis=1)
-        if lost.any():
-            raise SimulationError(
-                f"frame {frame}: vertex {np.argmax(lost)} is at {points[np.argmax(lost)]}: the cloth exploded"
-            )
-        edges = self.garment.edges
-        stretch = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) / self.garment.edge_lengths
-        if np.percentile(stretch, 99) > self.config.max_stretch:
-            worst = int(np.argmax(stretch))
-            raise SimulationError(
-                f"frame {frame}: one edge in a hundred is stretched beyond {np.percentile(stretch, 99):.2f} times its length "
-                f"(limit {self.config.max_stretch}), the worst, {edges[worst].tolist()}, {stretch[worst]:.2f} times"
-            )
-
-    def episode(self, target: Hook, seed: int, n_observed: int) -> Episode:
-        """Everything recorded, with its truth and its parameters."""
-        points = np.array(self.points, dtype=np.float32)
-        observed = np.array([frame[farthest_point_sample(frame, n_observed)[0]] for frame in points])
-        loops = tuple(loop.astype(np.int32) for loop in self.garment.loops)
-        return Episode(
-            points=points,
-            observed=observed,
-            actions=np.array(self.actions, dtype=np.float32),
-            grippers=np.array(self.grippers, dtype=np.float32),
-            held=np.array(self.held),
-            faces=self.garment.faces.astype(np.int32),
-            loops=loops,
-            centre_line=target.centre_line.astype(np.float32),
-            garment=self.garment.name,
-            target=target.name,
-            success=_hangs(points, self.held[-1], loops, target, self.config.frame_time),
-            seed=seed,
-            dt=self.config.frame_time,
-            physics={
-                "config": dataclasses.asdict(self.config),
-                "elastic_stiffness": self.config.elastic_stiffness(len(self.garment.vertices)),
-                "garment": dict(self.garment.parameters),
-                "target": dataclasses.asdict(target),
-            },
-            provenance={
-                "topokit": _version("topokit"),
-                "pybullet": _version("pybullet"),
-                "machine": platform.machine(),
-            },
-        )
+def _episode(
+    run: Run, recording: Recording, task: Task, target: Target, seed: int, randomisation: dict[str, Any] | None
+) -> Episode:
+    """What was recorded, with its truth and its parameters."""
+    garment, config, points = run.garment, run.config, recording.points
+    held = np.arange(len(points)) * config.steps_per_frame < run.release
+    hangs = not held[-1] and _at_rest(points, config) and task.hangs(points[-1], garment.loops, target)
+    physics = {
+        "config": dataclasses.asdict(config),
+        "elastic_stiffness": config.elastic_stiffness(len(garment.vertices)),
+        "garment": dict(garment.parameters),
+        "target": {**dataclasses.asdict(target), "position": target.position.tolist()},
+        "randomisation": randomisation,
+        "stretch": dict(zip(("p99", "worst"), recording.stretch.max(axis=0).tolist(), strict=True)),
+    }
+    views = [dataclasses.asdict(camera) for camera in run.cameras]
+    return Episode(
+        points=points,
+        observed=recording.observed if views else _subsample(points, run.n_observed),
+        actions=run.goals[:: config.steps_per_frame].astype(np.float32),
+        grippers=recording.grippers,
+        held=held,
+        faces=garment.faces.astype(np.int32),
+        loops=tuple(loop.astype(np.int32) for loop in garment.loops),
+        centre_line=target.centre_line.astype(np.float32),
+        garment=garment.name,
+        target=target.name,
+        task=task.name,
+        success=bool(hangs),
+        seed=seed,
+        dt=config.frame_time,
+        observation={"kind": "cameras" if views else "vertices", "cameras": views},
+        physics=physics,
+        provenance={
+            "topokit": _version("topokit"),
+            "pybullet": _version("pybullet"),
+            "machine": platform.machine(),
+        },
+    )
 
 
-def _hangs(
-    frames: NDArray[np.float32], held: bool, loops: tuple[NDArray[np.int32], ...], target: Hook, frame_time: float
-) -> bool:
-    """Whether the garment, let go, is at rest with a true loop around the target and not on the floor.
+def _task(task: str | Task | None, garment: Garment | None, target: Target | None) -> Task:
+    if isinstance(task, Task):
+        return task
+    if task is None:
+        return task_for(garment or Garment.apron(), target or Hook())
+    if task not in TASKS:
+        raise ValueError(f"there is no task {task!r}; there are {', '.join(TASKS)}")
+    return TASKS[task]
 
-    A loop that flies past the arm links it too: hence the rest.
-    """
-    if held or len(frames) < 2:
+
+def _subsample(points: NDArray[np.float32], n: int) -> NDArray[np.float32]:
+    return np.array([frame[farthest_point_sample(frame, n)[0]] for frame in points])
+
+
+def _at_rest(points: NDArray[np.float32], config: SimulationConfig) -> bool:
+    """A loop that flies past the arm links it too, hence the rest."""
+    if len(points) < 2:
         return False
-    points = frames[-1]
-    speed = float(np.linalg.norm(points - frames[-2], axis=1).mean()) / frame_time
-    hung = [loop for loop in loops if target.holds(points[loop])]
-    return speed < _AT_REST and any(points[loop][:, 2].max() > target.height for loop in hung)
+    return float(np.linalg.norm(points[-1] - points[-2], axis=1).mean()) / config.frame_time < _AT_REST
+
+
+def _progress(frames: int) -> Report:
+    def report(frame: int) -> None:
+        end = "\n" if frame + 1 == frames else ""
+        print(f"\rsimulating: frame {frame + 1} of {frames}", end=end, file=sys.stderr, flush=True)
+
+    return report
 
 
 def _version(package: str) -> str:

@@ -1,25 +1,95 @@
-"""What a garment is hung on: collision shapes, and the centre line that decides whether it hangs there."""
+"""What a garment is hung on: collision shapes, and the centre line that decides whether it hangs there.
+
+Every target stands on the floor z = 0 at y = `distance` and faces the grippers, which come from smaller y. Its centre line
+starts at the floor and is closed far away (`closed_centre_line`), so that the linking number of a garment's loop with it is
+defined: not 0 for a loop on the target, 0 for one that slipped off, lies against it or was never on.
+"""
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, fields
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import positive
-from topokit.linking import linking_number
+from topokit._validate import as_points, positive
+from topokit.linking import close_far, linking_number
 
-__all__ = ["Hook"]
+__all__ = ["Hanger", "Hook", "Mannequin", "Rod", "Target"]
 
 Array = NDArray[np.float64]
-_FAR = 100.0  # metres: where an open centre line is closed
+Rod = tuple[Array, Array, float]  # a capsule: start, end, radius
+_SHOULDER = 0.3  # radius of the shoulders as a share of the depth of the chest
 
 
 @dataclass(frozen=True)
-class Hook:
+class Target(ABC):
+    """What `simulate` asks of a target. Subclass it, as a frozen dataclass, to hang garments on something else.
+
+    Attributes
+    ----------
+    distance : float
+        y of its pole or axis, metres.
+
+    Raises
+    ------
+    TypeError, ValueError
+        When a size of a target is not positive and finite, or its sizes do not fit each other; the message names them.
+    """
+
+    distance: float = field(default=0.3, kw_only=True)
+
+    name: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        for size in fields(self):
+            if size.name != "distance":  # the one that may be negative
+                positive(getattr(self, size.name), size.name, zero=False)
+        if not np.isfinite(self.distance):
+            raise ValueError(f"distance must be finite, not {self.distance}")
+
+    @property
+    def position(self) -> Array:
+        """(3,) where it stands; no target is turned."""
+        return np.array([0.0, self.distance, 0.0])
+
+    @property
+    @abstractmethod
+    def centre_line(self) -> Array:
+        """(K, 3) an open polyline from the floor to the tip, in metres."""
+
+    @property
+    @abstractmethod
+    def rods(self) -> list[Rod]:
+        """Its shape: capsules as (start, end, radius)."""
+
+    @property
+    @abstractmethod
+    def seat(self) -> Array:
+        """(3,) the middle of where a strap should come to rest."""
+
+    @property
+    @abstractmethod
+    def lowest(self) -> float:
+        """The z below which a loop does not hang any more, though it may still be around the target: it slid down."""
+
+    def closed_centre_line(self) -> Array:
+        """(K + 4, 3) the centre line closed far away: up from the tip, down from the foot (`topokit.linking.close_far`)."""
+        return close_far(self.centre_line)
+
+    def holds(self, loop: ArrayLike) -> bool:
+        """Whether a closed curve (L, 3) winds around the target: its linking number with the closed centre line is not 0."""
+        return linking_number(loop, self.closed_centre_line()) != 0
+
+
+@dataclass(frozen=True)
+class Hook(Target):
     """A pole with an arm towards the grippers and an upturned tip. Metres, z up; the arm points along -y.
+
+    A loop around the arm links the centre line, and so does one around the tip or the pole: it is not off yet.
 
     Attributes
     ----------
@@ -31,21 +101,14 @@ class Hook:
         Height of the tip over the arm's axis.
     radius : float
         Of all three rods. Cloth tunnels through thin rods; 0.02 and more is reliable.
-    distance : float
-        y of the pole.
     """
 
     height: float = 1.2
     reach: float = 0.2
     tip: float = 0.06
     radius: float = 0.02
-    distance: float = 0.3
 
     name = "hook"
-
-    def __post_init__(self) -> None:
-        for name in ("height", "reach", "tip", "radius"):
-            positive(getattr(self, name), name, zero=False)
 
     @property
     def centre_line(self) -> Array:
@@ -62,24 +125,214 @@ class Hook:
 
     @property
     def seat(self) -> Array:
-        """(3,) where a strap should come to rest: the middle of the arm."""
+        """(3,) the middle of the arm's axis."""
         return np.array([0, self.distance - self.reach / 2, self.height])
 
     @property
-    def rods(self) -> list[tuple[Array, Array, float]]:
-        """Capsules as (start, end, radius)."""
-        line = self.centre_line
-        return [(start, end, self.radius) for start, end in itertools.pairwise(line)]
+    def rods(self) -> list[Rod]:
+        """Pole, arm and tip."""
+        return _tube(self.centre_line, self.radius)
 
-    def closed_centre_line(self) -> Array:
-        """Close the centre line far away, always alike: up from the tip, behind the pole, down and back to its foot.
+    @property
+    def lowest(self) -> float:
+        """The arm's axis."""
+        return self.height
 
-        A loop around the arm links it once; one that has slipped off, or lies on the floor, does not.
-        """
-        line = self.centre_line
-        up = line[-1] + [0, 0, _FAR]
-        return np.vstack([line, up, up + [0, _FAR, 0], line[0] + [0, _FAR, -_FAR], line[0] - [0, 0, _FAR]])
+
+@dataclass(frozen=True)
+class Hanger(Target):
+    """A clothes hanger on a rail, seen as in a wardrobe: the rail runs along x, one arm of the hanger points at the grippers.
+
+    Two arms slope down from the stem, each with an upturned end. A strap hangs when it is around an arm; around the stem it
+    is around both. The rail stands on two posts.
+
+    Attributes
+    ----------
+    height : float
+        Where the arms' axes meet under the stem, above the floor.
+    width : float
+        From the end of one arm to that of the other.
+    drop : float
+        How much lower than their meeting the arms end.
+    tip : float
+        Height of the upturned ends over the arms' axes there.
+    stem : float
+        From the meeting of the arms up to the rail.
+    radius : float
+        Of hanger and rail. Cloth tunnels through thin rods; 0.02 and more is reliable.
+    span : float
+        Between the posts, which stand left and right of the hanger.
+    """
+
+    height: float = 1.3
+    width: float = 0.44
+    drop: float = 0.06
+    tip: float = 0.04
+    stem: float = 0.22
+    radius: float = 0.02
+    span: float = 1.4
+
+    name = "hanger"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.drop >= self.width / 2:
+            raise ValueError(f"drop {self.drop} makes the arms steeper than 45 degrees: width is {self.width}")
+
+    @property
+    def centre_line(self) -> Array:
+        """(6, 3) foot of a post, its top, the rail over the hanger, the meeting of the arms, the end of the near arm, its tip."""
+        return self._line(-1)
+
+    @property
+    def seat(self) -> Array:
+        """(3,) the middle of the near arm's axis."""
+        return np.array([0, self.distance - self.width / 4, self.height - self.drop / 2])
+
+    @property
+    def rods(self) -> list[Rod]:
+        """One post, the rail's half, the stem and the near arm; then the far arm and the rest of the rail."""
+        far, top = self._line(1)[3:], self.height + self.stem
+        rest = np.array(
+            [[0, self.distance, top], [-self.span / 2, self.distance, top], [-self.span / 2, self.distance, 0]]
+        )
+        return _tube(self.centre_line, self.radius) + _tube(far, self.radius) + _tube(rest, self.radius)
+
+    @property
+    def lowest(self) -> float:
+        """The ends of the arms."""
+        return self.height - self.drop
 
     def holds(self, loop: ArrayLike) -> bool:
-        """Whether a closed curve (L, 3) winds around the hook: its linking number with the closed centre line is not 0."""
-        return linking_number(loop, self.closed_centre_line()) != 0
+        """Whether a closed curve (L, 3) winds around either arm."""
+        return any(linking_number(loop, close_far(self._line(side))) != 0 for side in (-1, 1))
+
+    def _line(self, side: int) -> Array:
+        """From the foot of a post to the tip of the near (-1) or the far arm (1)."""
+        top, end = self.height + self.stem, self.distance + side * self.width / 2
+        return np.array(
+            [
+                [self.span / 2, self.distance, 0],
+                [self.span / 2, self.distance, top],
+                [0, self.distance, top],
+                [0, self.distance, self.height],
+                [0, end, self.height - self.drop],
+                [0, end, self.height - self.drop + self.tip],
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class Mannequin(Target):
+    """A tailor's dummy on a stand: torso, shoulders without arms, neck and head, of an adult's proportions.
+
+    Its centre line is the axis from the floor through the head. A loop hangs when it is around the axis and lower than the
+    middle of the head (a neck hole that lies on the crown like a wreath is around the axis too), or when it is around a
+    shoulder, as a backpack's straps are.
+
+    Attributes
+    ----------
+    height : float
+        Top of the head above the floor.
+    head_radius, head_height : float
+        Half the breadth of the head, and its height.
+    neck_radius, neck_length : float
+        The length is that between head and shoulders.
+    shoulder_width : float
+        From the end of one shoulder to that of the other.
+    depth : float
+        Of the chest, front to back.
+    torso_length : float
+        From the top of the shoulders down to the hips.
+    """
+
+    height: float = 1.6
+    head_radius: float = 0.08
+    head_height: float = 0.22
+    neck_radius: float = 0.055
+    neck_length: float = 0.07
+    shoulder_width: float = 0.42
+    depth: float = 0.16
+    torso_length: float = 0.5
+
+    name = "mannequin"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.head_height < 2 * self.head_radius:
+            raise ValueError(f"head_height {self.head_height} must be at least twice head_radius {self.head_radius}")
+        if self.neck_radius >= self.head_radius:
+            raise ValueError(f"neck_radius {self.neck_radius} must be less than head_radius {self.head_radius}")
+        if self.shoulder_width < 2 * self.depth:
+            raise ValueError(f"shoulder_width {self.shoulder_width} must be at least twice the depth {self.depth}")
+        if self.torso_length < 2 * self.depth:
+            raise ValueError(f"torso_length {self.torso_length} must be at least twice the depth {self.depth}")
+        if self.lowest <= 0:
+            raise ValueError(f"height {self.height} puts the hips below the floor")
+
+    @property
+    def shoulder_height(self) -> float:
+        """Top of the shoulders beside the neck."""
+        return self.height - self.head_height - self.neck_length
+
+    @property
+    def head_centre(self) -> Array:
+        """(3,) the middle of the head."""
+        return np.array([0, self.distance, self.height - self.head_height / 2])
+
+    @property
+    def shoulder(self) -> Array:
+        """(3,) the middle of the right shoulder's end (x > 0)."""
+        radius = _SHOULDER * self.depth
+        return np.array([self.shoulder_width / 2 - radius, self.distance, self.shoulder_height - radius - 0.035])
+
+    @property
+    def centre_line(self) -> Array:
+        """(4, 3) foot, hips, shoulders, top of the head."""
+        levels = [0, self.lowest, self.shoulder_height, self.height]
+        return np.array([[0, self.distance, z] for z in levels])
+
+    @property
+    def seat(self) -> Array:
+        """(3,) the axis at the top of the shoulders, where a neck strap lies."""
+        return np.array([0, self.distance, self.shoulder_height])
+
+    @property
+    def lowest(self) -> float:
+        """The hips."""
+        return self.shoulder_height - self.torso_length
+
+    @property
+    def rods(self) -> list[Rod]:
+        """Head, neck, stand and spine; on either side a shoulder and a flank."""
+        foot, hips, neck, top = self.centre_line
+        ball, low = np.array([0, 0, self.head_radius]), neck - [0, 0, _SHOULDER * self.depth]
+        radius = self.depth / 2
+        chest, hip = neck - [0, 0, 1.4 * radius], hips + [0, 0, radius]
+        aside = np.array([self.shoulder_width / 2 - radius - 0.02, 0, 0])
+        rods = [
+            (top - [0, 0, self.head_height] + ball, top - ball, self.head_radius),
+            (low, top - ball, self.neck_radius),
+            (foot, hips, 0.02),
+            (chest, hip, radius),
+        ]
+        for side in (1, -1):
+            rods.append((low, self.shoulder * [side, 1, 1], _SHOULDER * self.depth))
+            rods.append((chest + side * aside, hip + 0.75 * side * aside, radius))
+        return rods
+
+    def holds(self, loop: ArrayLike) -> bool:
+        """Whether a closed curve (L, 3) is around the axis and below the middle of the head, or around a shoulder."""
+        curve = as_points(loop, "loop")
+        if curve[:, 2].mean() < self.head_centre[2] and super().holds(curve):
+            return True
+        return any(linking_number(curve, self._closed_shoulder(side)) != 0 for side in (-1, 1))
+
+    def _closed_shoulder(self, side: int) -> Array:
+        """From the floor up the axis and out through a shoulder, closed far away."""
+        foot, end = self.centre_line[0], self.shoulder * [side, 1, 1]
+        return close_far([foot, end * [0, 1, 1], end], end=(side, 0, 0))
+
+
+def _tube(line: Array, radius: float) -> list[Rod]:
+    return [(start, end, radius) for start, end in itertools.pairwise(line)]

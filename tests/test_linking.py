@@ -1,0 +1,367 @@
+"""Linking numbers: known links, exact crossing counts, another library, properties, errors that say where."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, reject, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from topokit import linking_number, rips_persistence, track
+from topokit.io import load_episode
+from topokit.linking import close_far, linking_numbers
+
+from conftest import DATA, polygon
+
+
+def torus_curve(turns, n=40, phase=0.0):
+    """A curve that goes once around the z axis and `turns` times around the core of a torus."""
+    t = 2 * np.pi * np.arange(n) / n
+    radius = 2 + 0.5 * np.cos(turns * t + phase)
+    return np.column_stack([radius * np.cos(t), radius * np.sin(t), 0.5 * np.sin(turns * t + phase)])
+
+
+def circle(n=24, radius=1.0, axis=2):
+    return np.insert(polygon(n, radius), axis, 0.0, axis=1)
+
+
+T = 2 * np.pi * np.arange(60) / 60
+ELLIPSE = np.column_stack([2.8 * np.cos(T), 2.34 * np.sin(T), 0 * T])
+CLASP = np.column_stack([3 * np.sin(T), np.sin(2 * T), np.cos(3 * T)])  # alternates: the Whitehead link
+BORROMEAN = [np.roll(np.column_stack([2 * np.cos(T), np.sin(T), 0 * T]), k, axis=1) for k in range(3)]
+
+
+class Degenerate(Exception):
+    """A corner of one curve lies on the line through a segment of the other: the projection cannot tell."""
+
+
+class Touch(Exception):
+    """A segment of one curve meets one of the other."""
+
+
+def crossings(a, b, direction=(1, 4099, 4099**2)):
+    """Signs of the crossings at which a passes over b, seen along an integer direction: exact for integer corners.
+
+    The direction is so steep in every coordinate that small integer vectors are orthogonal to it only when they are zero.
+    """
+    a, b = ([[Fraction(x) for x in point] for point in curve.tolist()] for curve in (a, b))
+    signs = []
+    for p, q in zip(a, a[1:] + a[:1], strict=True):
+        for s, e in zip(b, b[1:] + b[:1], strict=True):
+            u, v = minus(q, p), minus(e, s)
+            ahead, behind = (triple(v, minus(end, s), direction) for end in (p, q))
+            left, right = (triple(u, minus(end, p), direction) for end in (s, e))
+            if ahead * behind >= 0 or left * right >= 0:
+                if ahead * behind * left * right == 0:
+                    raise Degenerate
+                continue
+            gap = triple(u, v, minus(s, p))  # 0 when the segments meet
+            if gap == 0:
+                raise Touch
+            turn = triple(u, v, direction)
+            if (gap > 0) != (turn > 0):  # at the crossing the point of a is farther along the direction
+                signs.append(1 if turn > 0 else -1)
+    return signs
+
+
+def generic(curve):
+    """The curve turned askew and rounded, so that no two of its coordinates are equal by symmetry."""
+    return np.rint(1e6 * curve @ Rotation.from_rotvec([0.3, 0.5, 0.7]).as_matrix().T)
+
+
+def minus(p, q):
+    return [x - y for x, y in zip(p, q, strict=True)]
+
+
+def triple(u, v, w):
+    """Determinant of three vectors, exactly."""
+    return u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2]) + u[2] * (v[0] * w[1] - v[1] * w[0])
+
+
+LINKS = {
+    "unlink": (circle(), circle() + [5, 0, 0], 0),
+    "unlink, stacked": (circle(), circle() + [0, 0, 0.1], 0),
+    "Hopf": (circle(), circle(axis=1) + [1, 0, 0], 1),
+    "Whitehead": (ELLIPSE, CLASP, 0),
+    "Borromean": (BORROMEAN[0], BORROMEAN[1], 0),
+    "Solomon": (torus_curve(2), torus_curve(2, 47, np.pi), 2),
+    **{f"T(2, {2 * n})": (torus_curve(n), torus_curve(n, 53, np.pi), n) for n in range(1, 8)},
+}
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_known_links(name):
+    a, b, expected = LINKS[name]
+    number = linking_number(a, b)
+    assert abs(number) == expected
+    assert sum(crossings(generic(a), generic(b), (7, 11, 10**6))) == number
+    assert linking_number(b, a) == number
+    assert linking_number(a[::-1], b) == -number
+    assert linking_number(a * [1, 1, -1], b * [1, 1, -1]) == -number
+
+
+def test_sign_is_the_right_handed_one():
+    """A counter-clockwise circle, and a line that comes up through it: +1, as Ampere's law counts."""
+    assert linking_number(circle(), close_far([[0, 0, -1], [0, 0, 1]])) == 1
+
+
+def test_whitehead_is_clasped_although_its_number_is_zero():
+    """Four crossings between the curves, alternately over and under, whose signs cancel."""
+    above = (1, 7, 1000)
+    over = crossings(np.rint(1000 * ELLIPSE), np.rint(1000 * CLASP), above)
+    under = crossings(np.rint(1000 * CLASP), np.rint(1000 * ELLIPSE), above)
+    assert sorted(over) == sorted(under) == [-1, 1]
+
+
+def test_another_library_agrees():
+    """Topoly's Gauss linking integral; its chains are open: each ends just before its start, and it is right to 0.002."""
+    topoly = pytest.importorskip("topoly", reason="pip install topoly")
+    rng = np.random.default_rng(1)
+
+    def chain(curve):
+        return np.vstack([curve, curve[:1] + 1e-6 * (curve[-1:] - curve[:1])])
+
+    pairs = [(a, b) for a, b, _ in LINKS.values()] + [
+        (rng.normal(size=(15, 3)), rng.normal(size=(20, 3))) for _ in range(20)
+    ]
+    ours = [linking_number(a, b) for a, b in pairs]
+    theirs = [topoly.gln(chain(a).tolist(), chain(b).tolist(), precision_output=6) for a, b in pairs]
+    np.testing.assert_allclose(ours, theirs, atol=5e-3)
+    assert len(set(ours)) > 4
+
+
+corner = st.tuples(*[st.integers(-6, 6)] * 3)
+curves = st.lists(corner, min_size=3, max_size=9, unique=True).map(lambda c: np.array(c, dtype=float))
+
+
+@settings(max_examples=300, deadline=None)
+@given(curves, curves)
+def test_exact_crossing_count(a, b):
+    """Integer corners: parallel, coplanar and touching segments are common, and the count of crossings is exact."""
+    try:
+        expected = sum(crossings(a, b))
+    except Degenerate:
+        reject()
+    except Touch:
+        with pytest.raises(ValueError, match="touch"):
+            linking_number(a, b)
+    else:
+        assert linking_number(a, b) == expected
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(-140, 140), st.floats(0, 6))
+def test_properties(seed, log_scale, log_offset):
+    """Motion, scale, starting corner, direction, mirror and subdivision do to the number what they should."""
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(size=(rng.integers(3, 20), 3)), rng.normal(size=(rng.integers(3, 20), 3))
+    number = linking_number(a, b)
+    turn = Rotation.random(rng=rng).as_matrix()
+    moved = [curve @ turn.T + 10**log_offset * np.array([1, -2, 0.5]) for curve in (a, b)]
+    assert linking_number(*moved) == number
+    assert linking_number(a * 10**log_scale, b * 10**log_scale) == number
+    assert linking_number(np.roll(a, 2, axis=0), b) == linking_number(b, a) == number
+    assert linking_number(a, b[::-1]) == linking_number(a * [-1, 1, 1], b * [-1, 1, 1]) == -number
+    share = rng.uniform(0.1, 0.9, len(a))[:, None]
+    finer = np.stack([a, a + share * (np.roll(a, -1, axis=0) - a)], axis=1).reshape(-1, 3)
+    assert linking_number(finer, b) == number
+
+
+def test_batches_equal_single_links():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(40, 12, 3)), rng.normal(size=(40, 9, 3))
+    numbers, errors = linking_numbers(a, b)
+    assert numbers.dtype == np.int64
+    assert numbers.tolist() == [linking_number(x, y) for x, y in zip(a, b, strict=True)]
+    assert numbers.any()
+    assert np.abs(errors).max() < 1e-12
+    assert linking_numbers(a, b[3])[0].tolist() == [linking_number(x, b[3]) for x in a]
+    assert linking_numbers(a[3], b)[0].tolist() == [linking_number(a[3], y) for y in b]
+    assert linking_numbers(a[0], b[0])[0].shape == (1,)
+
+
+def test_thousands_of_segments():
+    """More pairs than are kept in memory at once; the rounding error stays far below one half."""
+    numbers, errors = linking_numbers(torus_curve(3, 2000), torus_curve(3, 2003, np.pi))
+    assert abs(numbers[0]) == 3
+    assert abs(errors[0]) < 1e-9
+
+
+@pytest.mark.parametrize("gap", [1e-3, 1e-6, 1e-9])
+def test_nearly_touching(gap):
+    """A side passes by the other curve on either side at a hair's breadth: one is linked, the other is not."""
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    upright = np.array([[0, 0.5, -1], [0, 0.5, 1], [-3, 0.5, 1], [-3, 0.5, -1]])
+    inside, outside = linking_numbers([upright + [gap, 0, 0], upright - [gap, 0, 0]], square)[0]
+    assert (abs(inside), outside) == (1, 0)
+
+
+def test_collinear_segments():
+    """Sides on one line, end to end but apart, in linked and in unlinked squares."""
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    assert linking_number(square, square + [2, 0, 0]) == 0
+    assert linking_number(square, [[2, 0, 0], [3, 0, 0], [3, 0, 1], [2, 0, 1]]) == 0
+    around = np.array([[2, 0, 0], [3, 0, 0], [3, 3, 3], [0.5, 0.5, 3], [0.5, 0.5, -1]])
+    assert abs(linking_number(square, around)) == 1
+
+
+SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+
+
+@pytest.mark.parametrize(
+    ("other", "where"),
+    [
+        ([[0.5, 0, -1], [0.5, 0, 1], [0.5, -3, 0]], "segment 0 of curve_a meets segment 0 of curve_b"),  # inside both
+        ([[5, 5, 0], [1, 1, 0], [5, 6, 1]], r"segment \d of curve_a meets segment \d of curve_b"),  # at a corner
+        ([[3, 3, 1], [0.25, 1, 0], [0.75, 1, 0], [3, 4, 1]], r"segment 2 of curve_a meets segment \d of curve_b"),
+        (SQUARE + [0.5, 1, 0], r"segment [12] of curve_a meets segment [03] of curve_b"),  # overlap along a side
+        (SQUARE, "the curves touch"),
+    ],
+)
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_touching_curves(other, where, offset):
+    with pytest.raises(ValueError, match=where):
+        linking_number(SQUARE + offset, np.asarray(other, dtype=float) + offset)
+
+
+@pytest.mark.parametrize(
+    ("curve", "says"),
+    [
+        (SQUARE[:2], r"curve_b must be an \(n, 3\) array of at least 3 corners, not of shape \(2, 3\); .*close_far"),
+        (SQUARE[:, :2], r"curve_b must be an \(n, 3\) array"),
+        (np.vstack([SQUARE, SQUARE[:1]]), r"curve_b passes through a corner twice: corners 0 and 4 .*leave it out"),
+        (SQUARE[[0, 1, 1, 2, 3]], r"corners 1 and 2 are both \[1.0, 0.0, 0.0\]$"),
+        (SQUARE[[0, 1, 2, 1]], "corners 1 and 3"),
+        (SQUARE * [np.nan, 1, 1], "NaN"),
+        (np.stack([SQUARE, SQUARE + 1]), "linking_numbers"),
+    ],
+)
+def test_bad_curves(curve, says):
+    with pytest.raises(ValueError, match=says):
+        linking_number(SQUARE + [0, 0, 9], curve)
+
+
+def test_bad_batches():
+    many = np.stack([SQUARE + [0, 0, k] for k in range(3)])
+    with pytest.raises(ValueError, match=r"curves_a\[2\] .* curves_b\[0\]; no linking"):
+        linking_numbers(many, SQUARE + [0.5, 0, 2])
+    with pytest.raises(ValueError, match="they are 3 and 2"):
+        linking_numbers(many, many[:2] + 9)
+    with pytest.raises(ValueError, match=r"curves_a\[1\] passes through a corner twice"):
+        linking_numbers([SQUARE, SQUARE[[0, 0, 1, 2]]], SQUARE + 9)
+    with pytest.raises(ValueError, match="equally many corners"):
+        linking_numbers([SQUARE.tolist(), SQUARE[:3].tolist()], SQUARE)
+    with pytest.raises(ValueError, match=r"not of shape \(0, 4, 3\)"):
+        linking_numbers(many[:0], SQUARE)
+
+
+def test_a_pole_is_closed_far_away():
+    pole = close_far([[0, 0, 0], [0, 0, 1]])
+    ring = circle(radius=0.2)
+    assert abs(linking_number(ring + [0, 0, 0.5], pole)) == 1
+    assert linking_number(ring + [0, 0, 0.5], pole) == linking_number(
+        ring + [0, 0, 3], pole
+    )  # beyond its end, on its lead
+    assert linking_number(ring + [0.5, 0, 0.5], pole) == 0
+    np.testing.assert_array_equal(pole[:2], [[0, 0, 0], [0, 0, 1]])
+    assert np.linalg.norm(pole[2:], axis=1).min() >= 99
+
+
+@pytest.mark.parametrize("start", [(0, 0, -1), (0, 0, 1), (3, 1, -1), (0, 1, 0)])
+def test_the_side_on_which_a_curve_is_closed_does_not_matter(start):
+    """Rings near an open curve link it alike however its first corner is led off (not through the ring)."""
+    rng = np.random.default_rng(3)
+    line = np.cumsum(rng.normal(size=(8, 3)), axis=0)
+    rings = (
+        circle(radius=0.5) @ Rotation.random(30, rng=rng).as_matrix() + (line[rng.integers(3, 7, 30)] + 0.1)[:, None]
+    )
+    usual, _ = linking_numbers(rings, close_far(line))
+    other, _ = linking_numbers(rings, close_far(line, start=start))
+    assert usual.any()
+    np.testing.assert_array_equal(usual, other)
+
+
+@pytest.mark.parametrize(
+    ("curve", "options", "says"),
+    [
+        ([[0, 0, 0]], {}, "at least 2 corners"),
+        ([[0, 0, 0], [0, 0, 0]], {}, "no extent"),
+        ([[0, 0, 0], [0, 0, 1]], {"end": (0, 0, 0)}, "end must be a direction"),
+        ([[0, 0, 0], [0, 0, 1]], {"far": 0}, "far"),
+    ],
+)
+def test_bad_open_curves(curve, options, says):
+    with pytest.raises(ValueError, match=says):
+        close_far(curve, **options)
+
+
+def test_quadrilateral_goes_around_its_loop():
+    ring = circle(30) + np.random.default_rng(0).normal(0, 0.01, (30, 3))
+    loop = track([ring])[0].loops[0]
+    x, z1, y, z2 = loop.quadrilateral
+    np.testing.assert_array_equal([x, y], ring[loop.killer_edge])
+    for apex, ids in zip((z1, z2), loop.killer_triangle_ids, strict=True):
+        np.testing.assert_array_equal(apex, ring[np.setdiff1d(ids, loop.killer_edge)[0]])
+    axis = close_far([[0, 0, -1], [0, 0, 1]])
+    assert abs(linking_number(loop.quadrilateral, axis)) == 1
+    assert linking_number(loop.quadrilateral, axis + [3, 0, 0]) == 0
+    flat = track([ring[:, :2]])[0].loops[0]
+    assert flat.quadrilateral.shape == (4, 2)
+
+
+@pytest.fixture(scope="module", params=range(3))
+def hanging(request):
+    """A recorded episode, its hook closed far away, and the linking number of its true loop in every frame."""
+    episode = load_episode(DATA / f"apron_hook_{request.param}.npz")
+    hook = close_far(episode.centre_line)
+    return episode, hook, np.abs(linking_numbers(episode.points[:, episode.loops[0]], hook)[0])
+
+
+def test_an_apron_is_linked_from_some_frame_on(hanging):
+    episode, hook, linked = hanging
+    assert linked[0] == 0
+    assert linked[-1] == 1
+    assert np.abs(np.diff(linked)).sum() == 1
+    assert not linking_numbers(episode.points[:, episode.loops[0]], hook + [0.6, 0, 0])[0].any()
+
+
+def test_the_cycle_of_a_cloud_knows_whether_it_hangs(hanging):
+    """Tight around its loop, the cycle winds around the hook just when the true loop does, but for the very passage."""
+    episode, hook, linked = hanging
+    passage = int(np.argmax(linked))
+    for frame in [*range(0, len(linked), 5), passage - 3, passage + 3]:
+        cloud = episode.observed[frame]
+        cycle = cloud[rips_persistence(cloud).cycle(0)]
+        assert linking_number(cycle, hook + [0.6, 0, 0]) == 0
+        if abs(frame - passage) > 2:
+            assert abs(linking_number(cycle, hook)) == linked[frame]
+
+
+def test_the_quadrilateral_claims_no_hook_that_is_not_held(hanging):
+    """It misses many that are: among points of cloth a loop can be pulled over a thin arm that touches it.
+
+    The arm is in the narrow end of the opening, the quadrilateral in its widest part. Around a post there the two agree.
+    """
+    episode, hook, linked = hanging
+    states = track(episode.observed)
+    outlines = np.array([state.loops[0].quadrilateral for state in states])
+    claimed = np.abs(linking_numbers(outlines, hook)[0])
+    away = np.abs(np.arange(len(linked)) - np.argmax(linked)) > 2  # from the moment of the passage
+    assert (claimed <= linked)[away].all()
+    assert 0.1 < claimed[linked == 1].mean() < 0.9
+    assert not np.abs(linking_numbers(outlines, hook + [0.6, 0, 0])[0]).any()
+    loop, centre = episode.points[-1, episode.loops[0]], states[-1].loops[0].centre
+    post = close_far([centre - [0, 0.3, 0], centre + [0, 0.3, 0]], start=(0, -1, 0), end=(0, 1, 0))
+    assert abs(linking_number(outlines[-1], post)) == abs(linking_number(loop, post)) == 1
+
+
+def test_the_quadrilateral_of_a_neck_hole_knows_the_neck():
+    """A ring of cloth around a post that fills most of it: quadrilateral and loop agree, wherever the post stands."""
+    rng = np.random.default_rng(0)
+    ring = np.concatenate([circle(40, 0.1) + [0, 0, z] for z in (0.0, 0.015)]) + rng.normal(0, 1e-3, (80, 3))
+    outline = track([ring])[0].loops[0].quadrilateral
+    for x, y in rng.uniform(-0.03, 0.03, (20, 2)):
+        assert abs(linking_number(outline, close_far([[x, y, -0.5], [x, y, 0.5]]))) == 1

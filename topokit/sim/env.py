@@ -1,0 +1,303 @@
+"""Hanging garments as a reinforcement-learning environment, with Gymnasium's interface.
+
+    >>> import gymnasium, topokit.sim
+    >>> env = gymnasium.make("topokit/Hang-v0", task="apron-hook", reward="topological")
+
+Source: Towers et al. 2024, *Gymnasium: a standard interface for reinforcement learning environments*; Ng, Harada and Russell
+1999, *Policy invariance under reward transformations* (shaping by differences of a potential). Taught in chapter 7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from topokit._validate import positive
+from topokit.rips import rips_persistence
+from topokit.sampling import farthest_point_sample
+
+from .camera import Camera, observe
+from .config import SimulationConfig
+from .episode import _AT_REST
+from .garments import Garment
+from .recording import SimulationError, _StretchCheck
+from .targets import Target
+from .tasks import TASKS, Task
+from .world import World
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+except ImportError as error:
+    raise ImportError("topokit.sim.HangEnv needs Gymnasium: pip install 'topokit[sim]'") from error
+
+__all__ = ["HangEnv"]
+
+Array = NDArray[np.float64]
+Observation = dict[str, Any]
+REWARDS = ("sparse", "dense", "topological", "topological-observed")
+_ROOM = 4.0  # metres: nothing that is observed is farther from the origin along an axis
+_LEASH = 0.2  # metres by which a goal may lead its gripper along an axis: taut cloth holds a gripper back
+_REST_AFTER = 0.5  # s after the release: cloth that is not held by the target is fast by then
+
+
+class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """Carry a garment to its target with two grippers, hang it there, let go.
+
+    **Observation**, a dict of float32 arrays in metres (and `held`):
+
+    - `points` (n_points, 3): farthest-point samples of the garment's vertices, or of what the cameras see of it;
+    - `grippers` (2, 3): where the grippers are;
+    - `target` (K, 3): the target's centre line;
+    - `held`: 1 until the release, then 0.
+
+    **Action**, seven numbers from -1 to 1: the displacements of the first and of the second gripper's goal (x, y, z each) as
+    shares of what `max_speed` allows in a step; the garment is let go, for good, when the last is above 0.5.
+
+    **Reward**: 1 at success, and by `reward`
+
+    - `"sparse"`: nothing else;
+    - `"dense"`: the metres by which the task's loop came nearer to the target's seat in this step;
+    - `"topological"`: also the change of the share of the task's loops that are around the target, by linking number; loops
+      and centres are those of the true loops;
+    - `"topological-observed"`: the same for the longest-lived loops of the observed points, as many as the garment has, each
+      taken as its tight cycle: nothing is used that a robot would not have.
+
+    What the last three add are differences of a potential: going back and forth earns nothing.
+
+    An episode **terminates** when the garment has been free for half a second and is at rest, with success if the task's
+    loops are on the target (else it was dropped), and when it is torn: stretched beyond `config.max_stretch`. It is
+    **truncated** after `max_steps`. `info` holds `success`, `dropped`, `torn`, and the `linked` share and the `distance` of
+    the potential.
+
+    Parameters
+    ----------
+    task : str or Task
+        A name in `TASKS`, or a task.
+    garment, target : optional
+        Those of the task when not given.
+    reward : str
+    n_points : int
+    cameras : sequence of Camera
+        What the observer has; without any it sees the vertices on all sides.
+    config : SimulationConfig, optional
+        Without self-collision when not given: with it, a seed repeats to a micrometre but not bit by bit.
+    max_speed : float
+        Of the grippers' goals along each axis, m/s.
+    max_steps : int
+        A step takes `config.frame_time` seconds.
+    render_mode : str, optional
+        `"rgb_array"`: `render()` gives a picture (360, 480, 3) uint8.
+
+    Raises
+    ------
+    ImportError
+        When Gymnasium or PyBullet is not installed.
+    ValueError
+        When the task, the reward or the render mode is not known, or there are fewer vertices than `n_points`.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 28}  # noqa: RUF012
+
+    def __init__(
+        self,
+        task: str | Task = "apron-hook",
+        *,
+        garment: Garment | None = None,
+        target: Target | None = None,
+        reward: str = "sparse",
+        n_points: int = 256,
+        cameras: Sequence[Camera] = (),
+        config: SimulationConfig | None = None,
+        max_speed: float = 1.2,
+        max_steps: int = 200,
+        render_mode: str | None = None,
+    ) -> None:
+        if isinstance(task, str) and task not in TASKS:
+            raise ValueError(f"there is no task {task!r}; there are {', '.join(TASKS)}")
+        if reward not in REWARDS:
+            raise ValueError(f"reward must be one of {', '.join(REWARDS)}, not {reward!r}")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
+        self.task = TASKS[task] if isinstance(task, str) else task
+        self.garment, self.target = garment or self.task.garment(), target or self.task.target
+        self.config = config or SimulationConfig(self_collision=False)
+        if not 1 <= n_points <= len(self.garment.vertices):
+            raise ValueError(
+                f"n_points must be 1 to {len(self.garment.vertices)}, the garment's vertices, not {n_points}"
+            )
+        self.reward, self.n_points, self.cameras, self.render_mode = reward, n_points, tuple(cameras), render_mode
+        self.max_step = positive(max_speed, "max_speed", zero=False) * self.config.frame_time
+        self.max_steps = int(positive(max_steps, "max_steps", zero=False))
+        self._check = _StretchCheck(self.garment, self.config)
+        self._world: World | None = None
+        self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
+        self.observation_space = spaces.Dict(
+            {
+                "points": _places(n_points),
+                "grippers": _places(2),
+                "target": _places(len(self.target.centre_line)),
+                "held": spaces.Discrete(2),
+            }
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Hang the garment between the grippers, at the start of a path drawn with `seed`; no options are known."""
+        super().reset(seed=seed)
+        self.close()
+        self._path = self.task.plan(self.garment, self.target, self.np_random)
+        self._goal = self._path.at(0.0)
+        offset = self._goal.mean(axis=0) - self.garment.vertices[self.garment.grips].mean(axis=0)
+        self._world = World(self.garment, offset, self.config)
+        self._world.add_rods(self.target.rods)
+        for _ in range(round(self.config.settle / self.config.dt)):
+            self._world.step(self._goal)
+        self._steps, self._released = 0, -1
+        self._points = self._world.vertices()
+        seen = self._see()
+        self._linked, self._distance = self._progress(seen)
+        return self._observation(seen), self._info()
+
+    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Move the goals of the grippers, and let go if told to; simulate one frame."""
+        world = self._running()
+        move = np.clip(np.asarray(action, dtype=np.float64), -1, 1)
+        if move.shape != (7,) or not np.isfinite(move).all():
+            raise ValueError(f"an action is seven finite numbers, not {action!r}")
+        if self._released < 0 and move[6] > 0.5:
+            world.release()
+            self._released = self._steps
+        before, points = self._goal, self._points
+        here = world.grippers()
+        self._goal = np.clip(before + self.max_step * move[:6].reshape(2, 3), here - _LEASH, here + _LEASH)
+        for share in np.arange(1, self.config.steps_per_frame + 1) / self.config.steps_per_frame:
+            world.step(before + share * (self._goal - before))
+        self._steps += 1
+        self._points = world.vertices()
+        torn = self._is_torn()
+        if torn:
+            self._points = points  # the last that made sense
+        seen = self._see()
+        potential = self._linked, self._distance
+        self._linked, self._distance = self._progress(seen)
+        speed = float(np.linalg.norm(self._points - points, axis=1).mean()) / self.config.frame_time
+        free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
+        rests = not torn and free and speed < _AT_REST
+        hangs = rests and self.task.hangs(self._points, self.garment.loops, self.target)
+        reward = float(hangs)
+        if self.reward != "sparse":
+            reward += potential[1] - self._distance
+        if self.reward.startswith("topological"):
+            reward += self._linked - potential[0]
+        terminated = rests or torn
+        info = self._info(success=hangs, dropped=rests and not hangs, torn=torn)
+        return self._observation(seen), reward, terminated, not terminated and self._steps >= self.max_steps, info
+
+    def scripted_action(self) -> NDArray[np.float32]:
+        """Return the next action of the scripted path of this episode: a demonstration that usually succeeds."""
+        self._running()
+        time = (self._steps + 1) * self.config.frame_time
+        move = (self._path.at(min(time, self._path.release)) - self._goal) / self.max_step
+        let_go = 1.0 if time >= self._path.release else -1.0
+        return np.append(np.clip(move, -1, 1), let_go).astype(np.float32)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture of the scene (360, 480, 3), the cloth in blue; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        x, y, z = self.target.seat.tolist()
+        return _shaded(
+            self._running(), Camera((x - 0.9, y - 1.9, z + 0.2), (x, y - 0.2, z - 0.2), width=480, height=360)
+        )
+
+    def close(self) -> None:
+        """End the simulation; `reset` starts another."""
+        if self._world is not None:
+            self._world.close()
+            self._world = None
+
+    def _running(self) -> World:
+        if self._world is None:
+            raise gymnasium.error.ResetNeeded("reset the environment first: it has not begun, or was closed")
+        return self._world
+
+    def _see(self) -> Array:
+        if self.cameras:
+            return observe(self._running(), self.cameras, self.n_points, self.np_random)
+        return self._points[farthest_point_sample(self._points, self.n_points)[0]]
+
+    def _progress(self, seen: Array) -> tuple[float, float]:
+        """Share of the task's loops that are around the target, and their distance from its seat."""
+        if self.reward == "topological-observed":
+            cloud = np.unique(seen, axis=0)  # cameras that see little repeat points
+            diagram = rips_persistence(cloud)
+            n = min(len(self.garment.loops), len(diagram))
+            curves = [[cloud[part] for part in _simple(diagram.cycle(i))] for i in range(n)]
+        else:
+            curves = [[self._points[self.garment.loops[i]]] for i in self.task.loops]
+        if not curves:
+            return 0.0, float(np.linalg.norm(seen.mean(axis=0) - self.target.seat))
+        on = [any(self.target.holds(part) for part in parts) for parts in curves]
+        gaps = [float(np.linalg.norm(np.concatenate(parts).mean(axis=0) - self.target.seat)) for parts in curves]
+        if self.task.every:
+            return sum(on) / len(self.task.loops), float(np.mean(gaps))
+        return float(any(on)), min(gaps)
+
+    def _is_torn(self) -> bool:
+        try:
+            self._check(self._points, self._steps)
+        except SimulationError:
+            return True
+        return False
+
+    def _observation(self, seen: Array) -> Observation:
+        places = {"points": seen, "grippers": self._running().grippers(), "target": self.target.centre_line}
+        observation: Observation = {
+            name: np.clip(value, -_ROOM, _ROOM).astype(np.float32) for name, value in places.items()
+        }
+        observation["held"] = int(self._released < 0)
+        return observation
+
+    def _info(self, *, success: bool = False, dropped: bool = False, torn: bool = False) -> dict[str, Any]:
+        return {
+            "success": success,
+            "dropped": dropped,
+            "torn": torn,
+            "linked": self._linked,
+            "distance": self._distance,
+        }
+
+
+def _places(n: int) -> spaces.Box:
+    return spaces.Box(-_ROOM, _ROOM, (n, 3), np.float32)
+
+
+def _simple(walk: NDArray[np.int64]) -> list[list[int]]:
+    """Cut a closed walk where it returns to a vertex; what goes there and back over a bridge falls away."""
+    parts: list[list[int]] = []
+    path: list[int] = []
+    for vertex in walk.tolist():
+        if vertex in path:
+            start = path.index(vertex)
+            parts.append(path[start:])
+            path = path[:start]
+        path.append(vertex)
+    return [part for part in [*parts, path] if len(part) > 2]
+
+
+def _shaded(world: World, camera: Camera) -> NDArray[np.uint8]:
+    """A picture from the depth image: surfaces are lighter the more they face the camera; the cloth is blue."""
+    depth, cloth = world.image(camera)
+    seen = np.isfinite(depth)
+    places = np.full((*depth.shape, 3), np.nan)
+    places[seen] = camera.unproject(depth, seen)
+    normal = np.cross(np.gradient(places, axis=1), np.gradient(places, axis=0))
+    facing = np.abs(normal @ camera.axes[2]) / np.linalg.norm(normal, axis=-1)
+    light = 0.35 + 0.65 * np.nan_to_num(facing, nan=0.3)[..., None]
+    colour = np.where(cloth[..., None], [60, 150, 215], [190, 190, 190])
+    return np.where(seen[..., None], light * colour, 255).astype(np.uint8)
