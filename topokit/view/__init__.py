@@ -14,9 +14,13 @@ from importlib.util import find_spec
 if find_spec("matplotlib") is None:
     raise ImportError("topokit.view needs matplotlib: pip install 'topokit[view]'")
 
+from ._coverage import Coverage, coverage
 from ._flow import DataFlow, data_flow
 from ._growth import Growth, growth
+from ._lens import plot_lens
 from ._lunes import plot_lune
+from ._motion import Motion, motion
+from ._nudge import Nudge, nudge
 from ._palette import OKABE_ITO, appearances, long_lived, loop_colour
 from ._player import Player, player, telling_frame
 from ._plots import plot_cloth, plot_diagram, plot_tracks, track_figure
@@ -24,17 +28,24 @@ from ._render import pyvista_works, render_cloth
 
 __all__ = [
     "OKABE_ITO",
+    "Coverage",
     "DataFlow",
     "Growth",
+    "Motion",
+    "Nudge",
     "Player",
     "appearances",
+    "coverage",
     "data_flow",
     "growth",
     "long_lived",
     "loop_colour",
+    "motion",
+    "nudge",
     "player",
     "plot_cloth",
     "plot_diagram",
+    "plot_lens",
     "plot_lune",
     "plot_tracks",
     "pyvista_works",

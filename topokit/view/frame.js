@@ -39,7 +39,7 @@ function ticks(high) {
   const step = [1, 2, 5, 10].map((m) => m * ten).find((s) => s >= rough);
   return Array.from({ length: Math.floor(high / step + 1e-9) + 1 }, (_, k) => +(k * step).toPrecision(6));
 }
-function axes(canvas, highX, highY, title, unitX, marks = ticks(highY)) {
+function axes(canvas, highX, highY, title, unitX, marks = ticks(highY), marksX = ticks(highX)) {
   const [g, w, h] = start(canvas), box = { x: 44, y: 28, w: w - 58, h: h - 64 };
   const X = (v) => box.x + (v / highX) * box.w, Y = (v) => box.y + box.h - (v / highY) * box.h;
   g.fillStyle = css("--soft");
@@ -47,7 +47,7 @@ function axes(canvas, highX, highY, title, unitX, marks = ticks(highY)) {
   g.lineWidth = 1;
   g.textBaseline = "middle";
   g.fillText(title, 10, 14);
-  for (const v of ticks(highX)) {
+  for (const v of marksX) {
     g.textAlign = "center";
     g.fillText(v, X(v), box.y + box.h + 12);
   }

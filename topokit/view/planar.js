@@ -1,0 +1,71 @@
+// What the figures of a planar cloud that changes share: the picture's frame, its strokes, and points under the pointer.
+function framing(points, margin) { // from the plane to the canvas and back; the frame stays when points move
+  const low = [0, 1].map((k) => Math.min(...points.map((p) => p[k])) - margin);
+  const size = [0, 1].map((k) => Math.max(...points.map((p) => p[k])) + margin - low[k]);
+  return (w, h) => {
+    const scale = Math.min((w - 32) / (size[0] || 1), (h - 56) / (size[1] || 1));
+    const x = w / 2 - scale * (low[0] + size[0] / 2), y = h / 2 + 12 + scale * (low[1] + size[1] / 2);
+    return { scale, to: (p) => [x + scale * p[0], y - scale * p[1]], back: (a, b) => [(a - x) / scale, (y - b) / scale] };
+  };
+}
+function trace(g, places, style, width, { close = false, dash = [], fill = null } = {}) {
+  g.setLineDash(dash);
+  g.beginPath();
+  places.forEach((p, k) => (k ? g.lineTo(...p) : g.moveTo(...p)));
+  if (close) g.closePath();
+  if (fill) (g.fillStyle = fill), g.fill();
+  if (width) ([g.strokeStyle, g.lineWidth] = [style, width]), g.stroke();
+  g.setLineDash([]);
+}
+function dot(g, [x, y], radius, fill, stroke = null, width = 1) {
+  g.beginPath();
+  g.arc(x, y, radius, 0, 7);
+  if (fill) (g.fillStyle = fill), g.fill();
+  if (stroke) ([g.strokeStyle, g.lineWidth] = [stroke, width]), g.stroke();
+}
+function disc(g, [x, y], radius) { // into a path of many
+  g.moveTo(x + radius, y);
+  g.arc(x, y, radius, 0, 7);
+}
+function nearest(points, to, x, y, reach) { // the point under the pointer, -1 for none
+  const away = points.map((p) => Math.hypot(to(p)[0] - x, to(p)[1] - y)), best = away.indexOf(Math.min(...away));
+  return away[best] < reach ? best : -1;
+}
+function clamp(value, low, high) {
+  return Math.max(low, Math.min(high, value));
+}
+function draggable(canvas, { points, frame, press = () => {}, move, tap = () => {}, release = () => {}, beside = false }) {
+  // press(v), move(v, where, by), then release(v), or tap(v) when nothing moved; v is -1 beside all points, if `beside`
+  const here = () => frame(canvas.clientWidth, canvas.clientHeight);
+  const find = (x, y, type) => nearest(points(), here().to, x, y, type === "mouse" ? 14 : 24);
+  let held = null;
+  canvas.addEventListener("touchstart", (e) => { // a finger on a point drags it, a finger beside one scrolls the page
+    const { left, top } = canvas.getBoundingClientRect(), { clientX, clientY } = e.touches[0];
+    if (find(clientX - left, clientY - top, "touch") >= 0) e.preventDefault();
+  }, { passive: false });
+  canvas.onpointerdown = (e) => {
+    const v = find(e.offsetX, e.offsetY, e.pointerType);
+    held = v >= 0 || (beside && e.pointerType === "mouse") ? { v, x: e.offsetX, y: e.offsetY, moved: false } : null;
+    if (!held) return;
+    canvas.setPointerCapture(e.pointerId);
+    press(v);
+  };
+  canvas.onpointermove = (e) => {
+    if (!held) {
+      canvas.style.cursor = find(e.offsetX, e.offsetY, "mouse") >= 0 ? "grab" : beside ? "move" : "";
+      return;
+    }
+    if (!held.moved && Math.hypot(e.offsetX - held.x, e.offsetY - held.y) < 4) return; // a trembling click
+    held.moved = true;
+    const { back } = here(), x = clamp(e.offsetX, 8, canvas.clientWidth - 8), y = clamp(e.offsetY, 8, canvas.clientHeight - 8);
+    const [a, b] = [back(held.x, held.y), back(x, y)];
+    move(held.v, b, [b[0] - a[0], b[1] - a[1]]);
+  };
+  canvas.onpointerup = canvas.onpointercancel = () => {
+    if (!held) return;
+    const { v, moved } = held;
+    held = null;
+    if (moved) release(v);
+    else tap(v);
+  };
+}
