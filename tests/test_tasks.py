@@ -424,3 +424,10 @@ def test_data_small_is_what_its_commands_record():
     path = task.plan(task.garment(), task.target, generator(1, "path"))
     np.testing.assert_allclose(path.at(episode.times), episode.actions, atol=1e-4)
     assert episode.task == "apron-hook"
+
+
+def test_a_small_garment_is_observed_whole_by_default():
+    mask = coarse("mask")
+    assert len(mask.vertices) < 500
+    episode = simulate(mask, config=SHORT)
+    assert episode.observed.shape == episode.points.shape

@@ -311,3 +311,19 @@ def test_import_without_matplotlib_says_what_to_install():
 def test_topokit_alone_imports_no_plotting():
     code = "import sys, topokit; assert not {'matplotlib', 'pyvista', 'vtk', 'topokit.view'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_an_animation_of_an_episode(episode, tmp_path, monkeypatch):
+    from PIL import Image
+
+    monkeypatch.setattr(_render, "pyvista_works", lambda: (False, "not here"))
+    states = tk.track(episode.points)
+    rods = [(episode.centre_line[0], episode.centre_line[1], 0.02)]
+    path = view.save_animation(tmp_path / "film.gif", episode, states, rods=rods, every=2, size=(120, 150), speed=0.5)
+    with Image.open(path) as film:
+        assert film.n_frames == 3
+        assert film.size == (120, 150)
+        assert film.info["duration"] == pytest.approx(2000 * 2 * episode.dt, abs=10)
+    for name, options in (("film.mp4", {}), ("film.gif", {"every": 0}), ("film.gif", {"states": states[1:]})):
+        with pytest.raises(ValueError, match=r"\.gif|every|5 states for 6 frames"):
+            view.save_animation(tmp_path / name, episode, **options)

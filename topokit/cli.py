@@ -61,7 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     simulate.add_argument("--noise", action="store_true", help="cameras with the noise of a depth sensor")
     simulate.add_argument(
-        "--observed", type=int, default=500, metavar="N", help="points of an observation (default 500)"
+        "--observed", type=int, metavar="N", help="points of an observation (default 500, or all vertices if fewer)"
     )
     simulate.add_argument(
         "--time-limit",

@@ -30,6 +30,9 @@ import topokit as tk
 SHAPES = ("apron", "torus", "sphere", "cube")
 
 
+PEERS = ("redzed-tda", "giotto-ph", "GUDHI", "ripser.py")
+
+
 def apron(n: int, rng: np.random.Generator) -> np.ndarray:
     """Farthest-point samples of a waving sheet with the outline of the recorded apron (above 4,096: random points of it)."""
     from topokit.io import load_episode
@@ -89,9 +92,9 @@ def peers() -> dict[str, Callable[[np.ndarray], object]]:
 
 
 def median_ms(function: Callable[[np.ndarray], object], points: np.ndarray, repeat: int) -> float:
-    """Median of `repeat` timed runs after one that is not counted, milliseconds."""
+    """Median of timed runs after one that is not counted, `repeat` of them at least and half a second of them; milliseconds."""
     times = []
-    for _ in range(repeat + 1):
+    while len(times) < repeat + 1 or (sum(times[1:]) < 500 and len(times) < 200):
         start = time.perf_counter()
         function(points)
         times.append(1e3 * (time.perf_counter() - start))
@@ -106,7 +109,7 @@ def main() -> int:
     parser.add_argument("--sizes", type=int, nargs="+", default=[500, 1000, 2000])
     parser.add_argument("--shapes", nargs="+", choices=SHAPES, default=list(SHAPES))
     parser.add_argument("--repeat", type=int, default=5)
-    parser.add_argument("--alone", action="store_true", help="topokit only")
+    parser.add_argument("--peers", nargs="*", metavar="NAME", help=f"against these only, of {', '.join(PEERS)}")
     parser.add_argument(
         "--large", type=int, nargs="*", metavar="N", help="large aprons, topokit alone, with peak memory"
     )
@@ -121,9 +124,10 @@ def main() -> int:
         return large(options.large or [10_000])
     if options.profile:
         return profile(options.shapes, options.sizes, options.repeat)
-    others = {} if options.alone else peers()
-    missing = {"redzed-tda", "giotto-ph", "GUDHI", "ripser.py"} - set(others)
-    if missing and not options.alone:
+    wanted = PEERS if options.peers is None else options.peers
+    others = {name: function for name, function in peers().items() if name in wanted}
+    missing = set(wanted) - set(others)
+    if missing:
         print(f"not installed: {', '.join(sorted(missing))}", file=sys.stderr)
     rows = []
     print(f"{'cloud':>8} {'points':>6} {'topokit':>9}" + "".join(f"{name:>20}" for name in others))

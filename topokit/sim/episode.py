@@ -44,7 +44,7 @@ def simulate(
     config: SimulationConfig | None = None,
     randomisation: Randomisation | None = None,
     cameras: Sequence[Camera] = (),
-    n_observed: int = 500,
+    n_observed: int | None = None,
     time_limit: float | None = 60.0,
     progress: bool = False,
 ) -> Episode:
@@ -63,8 +63,9 @@ def simulate(
         Ranges from which this episode draws its physics, size and cameras; nothing varies but the path when not given.
     cameras : sequence of Camera, optional
         What the observer has. Without any it sees all sides: farthest-point samples of the vertices.
-    n_observed : int
-        Points of the observation in each frame; at most the garment's vertices, unless cameras see more.
+    n_observed : int, optional
+        Points of the observation in each frame; at most the garment's vertices, unless cameras see more. 500 when not
+        given, or all vertices of a garment that has fewer.
     time_limit : float, optional
         The simulation runs in a fresh process, which is stopped when loading, settling or a frame takes longer than so
         many seconds; then the same call gives the same bytes anywhere in a program. None: in this process, without a
@@ -93,6 +94,8 @@ def simulate(
     if randomisation is not None:
         config, garment, cameras, numbers = randomisation.draw(seed, config, garment, cameras)
         drawn = {**randomisation.describe(), "drawn": numbers}
+    if n_observed is None:
+        n_observed = 500 if cameras else min(500, len(garment.vertices))
     if n_observed < 1 or (n_observed > len(garment.vertices) and not cameras):
         raise ValueError(f"n_observed must be 1 to {len(garment.vertices)}, the garment's vertices, not {n_observed}")
     path = task.plan(garment, target, generator(seed, "path"))

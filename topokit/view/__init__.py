@@ -14,6 +14,7 @@ from importlib.util import find_spec
 if find_spec("matplotlib") is None:
     raise ImportError("topokit.view needs matplotlib: pip install 'topokit[view]'")
 
+from ._animation import save_animation
 from ._coverage import Coverage, coverage
 from ._flow import DataFlow, data_flow
 from ._growth import Growth, growth
@@ -50,6 +51,7 @@ __all__ = [
     "plot_tracks",
     "pyvista_works",
     "render_cloth",
+    "save_animation",
     "telling_frame",
     "track_figure",
 ]

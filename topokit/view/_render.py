@@ -68,6 +68,7 @@ def render_cloth(
     loops: Iterable[Loop] = (),
     true_loops: Sequence[ArrayLike] = (),
     centre_line: ArrayLike | None = None,
+    rods: Iterable[tuple[ArrayLike, ArrayLike, float]] = (),
     thickness: float = 0.01,
     size: tuple[int, int] = (900, 700),
     view: tuple[float, float] = (-60.0, 15.0),
@@ -88,7 +89,9 @@ def render_cloth(
     true_loops : sequence of (L,) array_like of int
         Closed cycles of vertex ids, drawn as dark tubes.
     centre_line : (K, 3) array_like, optional
-        The target's, drawn as a rod of radius `thickness`.
+        The target's, drawn as a rod of radius `thickness`; not drawn where there are `rods`.
+    rods : iterable of (start, end, radius)
+        The target's capsules (`Target.rods`), metres.
     size : (2,) int
         Width and height in pixels.
     view : (2,) float
@@ -113,6 +116,7 @@ def render_cloth(
     cloud = as_points(points)
     parts: dict[str, Any] = {"loops": list(loops), "true_loops": true_loops, "thickness": thickness, "view": view}
     parts["centre_line"] = as_line(centre_line, "centre_line")
+    parts["rods"] = [(as_line([start, end], "rods"), float(radius)) for start, end, radius in rods]
     triangles = as_faces(faces, len(cloud))
     works, reason = pyvista_works()
     if not works and reason not in _told:
@@ -135,7 +139,12 @@ def _pyvista() -> Any:
 
 
 def _by_matplotlib(
-    cloud: NDArray[np.float64], faces: NDArray[np.int64], *, size: tuple[int, int], **parts: Any
+    cloud: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    *,
+    size: tuple[int, int],
+    rods: list[tuple[NDArray[np.float64], float]],
+    **parts: Any,
 ) -> NDArray[np.uint8]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -145,7 +154,11 @@ def _by_matplotlib(
     figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100)
     canvas: Any = FigureCanvasAgg(figure)
     axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
+    if rods:
+        parts["centre_line"] = None
     plot_cloth(cloud, faces, ax=axes, **parts)
+    for line, _ in rods:
+        axes.plot(*line.T, color="#7F91A5", linewidth=6, solid_capstyle="round")
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
@@ -157,6 +170,7 @@ def _by_pyvista(
     loops: list[Loop],
     true_loops: Sequence[ArrayLike],
     centre_line: NDArray[np.float64],
+    rods: list[tuple[NDArray[np.float64], float]],
     thickness: float,
     size: tuple[int, int],
     view: tuple[float, float],
@@ -177,7 +191,9 @@ def _by_pyvista(
         plotter.add_mesh(mesh, color="#F3EDE0", smooth_shading=True, specular=0.0, ambient=0.42, backface_params=back)
     else:
         plotter.add_mesh(pyvista.PolyData(cloud), color="#5B6B7C", point_size=7, render_points_as_spheres=True)
-    if len(centre_line) > 1:
+    for line, radius in rods:
+        _add_capsule(plotter, line, radius)
+    if len(centre_line) > 1 and not rods:
         _add_tube(plotter, centre_line, thickness, "#7F91A5", specular=0.6, specular_power=25)
     for ids in true_loops:
         cycle = np.asarray(ids, dtype=np.int64)
@@ -185,7 +201,7 @@ def _by_pyvista(
     for loop in loops:
         _add_loop(plotter, loop, extent, eye)
     _light(plotter, view)
-    _look(plotter, np.concatenate([cloud, centre_line]), view, size, zoom, focus)
+    _look(plotter, np.concatenate([cloud, centre_line, *(line for line, _ in rods)]), view, size, zoom, focus)
     plotter.enable_anti_aliasing("ssaa")
     image: NDArray[np.uint8] = plotter.screenshot(None, return_img=True)
     plotter.close()
@@ -237,6 +253,13 @@ def _add_tube(plotter: Any, line: NDArray[np.float64], radius: float, colour: st
     rod = _pyvista().lines_from_points(line).tube(radius=radius, n_sides=20, capping=True)
     rod = rod.compute_normals(auto_orient_normals=True, split_vertices=True, feature_angle=60)
     plotter.add_mesh(rod, color=colour, smooth_shading=True, ambient=0.35, **look)
+
+
+def _add_capsule(plotter: Any, line: NDArray[np.float64], radius: float) -> None:
+    _add_tube(plotter, line, radius, "#7F91A5", specular=0.4, specular_power=20)
+    for end in line:
+        ball = _pyvista().Sphere(radius=radius, center=end, theta_resolution=24, phi_resolution=24)
+        plotter.add_mesh(ball, color="#7F91A5", smooth_shading=True, ambient=0.35, specular=0.4, specular_power=20)
 
 
 def _add_loop(plotter: Any, loop: Loop, extent: float, eye: NDArray[np.float64]) -> None:
