@@ -65,6 +65,8 @@ def save_animation(
     ValueError
         When `path` does not end in .gif, `every` is not a positive whole number, or the states are not one a frame.
     """
+    from PIL.Image import Quantize
+
     path = Path(path)
     if path.suffix.lower() != ".gif":
         raise ValueError(f"{path}: an animation ends in .gif")
@@ -89,7 +91,7 @@ def save_animation(
             size=size,
             **look,
         )
-        pictures.append(picture.quantize(64))  # a palette of its own for each picture
+        pictures.append(picture.quantize(160, Quantize.FASTOCTREE))  # a median cut loses small patches of colour
         if progress:
             end = "\n" if number + 1 == len(frames) else ""
             print(f"\rdrawing: picture {number + 1} of {len(frames)}", end=end, file=sys.stderr, flush=True)

@@ -1,0 +1,470 @@
+"""The statements of the paper: the measures and matchings against independent answers, the counterexamples, the search."""
+
+from __future__ import annotations
+
+import itertools
+
+import gudhi
+import numpy as np
+import pytest
+import search_lemmas
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist, directed_hausdorff
+
+from topokit import hausdorff, lemmas, rips_persistence
+from topokit.io import load_episode
+from topokit.lemmas import COUNTEREXAMPLES, STATEMENTS, Verdict
+from topokit.lemmas._critical import is_critical
+from topokit.lemmas._diagrams import _rank_inequality
+from topokit.lemmas._matching import longest_unmatched, match_diagrams
+
+from conftest import DATA
+
+
+def bars(diagram):
+    return np.column_stack([diagram.birth, diagram.death])
+
+
+def shape(seed, n=14):
+    """A noisy ring: a few loops, one of them long."""
+    rng = np.random.default_rng(seed)
+    angle = 2 * np.pi * rng.random(n)
+    return np.column_stack([np.cos(angle), np.sin(angle)]) + 0.15 * rng.normal(size=(n, 2))
+
+
+def some(seed, n, least=3):
+    """Some of n vertices."""
+    rng = np.random.default_rng([seed, 1])
+    return np.sort(rng.choice(n, int(rng.integers(least, n + 1)), replace=False))
+
+
+# Matchings
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_bottleneck_distance_is_gudhis_and_the_matching_reaches_it(seed):
+    a, b = (rips_persistence(shape(s, 25)) for s in (seed, seed + 1000))
+    match = match_diagrams(a, b)
+    assert match.cost == pytest.approx(gudhi.bottleneck_distance(bars(a), bars(b)), abs=1e-12)
+    matched = match.partner >= 0
+    partners = match.partner[matched]
+    assert len(set(partners)) == len(partners)
+    shifts = np.abs(bars(a)[matched] - bars(b)[partners]).max(axis=1)
+    alone = [*a.lifetime[~matched] / 2, *np.delete(b.lifetime, partners) / 2]
+    assert max([*shifts, *alone], default=0.0) == pytest.approx(match.cost, abs=1e-15)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_one_sided_matching_is_a_bottleneck_matching_of_a_shifted_diagram(seed):
+    points = shape(seed, 25)
+    s, o = rips_persistence(points), rips_persistence(points[some(seed, 25, 10)])
+    c = match_diagrams(s, o, one_sided=True).cost
+    for limit, enough in ((c * 1.0001 + 1e-9, True), (c * 0.999, False)):
+        distance = gudhi.bottleneck_distance(bars(s) + limit / 2, bars(o))
+        assert (distance <= limit / 2) == enough or c == 0
+
+
+@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_longest_unmatched_is_what_no_matching_avoids(seed, one_sided):
+    a, b = (rips_persistence(shape(s, 11)) for s in (seed, seed + 500))
+    first, second = bars(a), bars(b)
+    shift = 0.5 * a.lifetime.max(initial=0.0)
+
+    def allowed(i, j):
+        low = 0.0 if one_sided else -shift
+        return all(low <= second[j][k] - first[i][k] <= shift for k in (0, 1))
+
+    least = np.inf
+    for places in itertools.product(range(-1, len(second)), repeat=len(first)):  # -1: unmatched
+        used = [j for j in places if j >= 0]
+        if len(set(used)) == len(used) and all(j < 0 or allowed(i, j) for i, j in enumerate(places)):
+            least = min(least, max((a.lifetime[i] for i, j in enumerate(places) if j < 0), default=0.0))
+    assert longest_unmatched(a, b, shift, one_sided=one_sided)[0] == least
+
+
+def test_a_greedy_matching_would_be_wrong():
+    """The nearest partner of one bar is the only one of another."""
+
+    def diagram(*pairs):
+        birth, death = np.array(pairs, float).T
+        edge = np.zeros((len(pairs), 2), np.int64)
+        return type(rips_persistence(shape(0)))(
+            birth, death, edge, edge, np.zeros((len(pairs), 2, 3), np.int64), 9, np.inf, np.zeros((9, 2))
+        )
+
+    a, b = diagram((1, 9), (2, 9.5)), diagram((1.9, 9.4), (0, 8.2))
+    match = match_diagrams(a, b)
+    assert match.partner.tolist() == [1, 0]
+    assert match.cost == pytest.approx(1.0)
+
+
+def test_diagrams_with_immortal_loops_are_refused():
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    cut = rips_persistence(square, max_radius=0.6)
+    with pytest.raises(ValueError, match="second diagram has a loop that does not die"):
+        match_diagrams(rips_persistence(square), cut)
+
+
+# Measures
+
+
+def critical_by_definition(points, x, y, alpha, epsilon):
+    """The definition, word for word, by a graph."""
+    d = cdist(points, points)
+    length = d[x, y]
+    lens = [z for z in range(len(points)) if z not in (x, y) and max(d[z, x], d[z, y]) <= length + 4 * epsilon]
+    carriers = [z for z in range(len(points)) if max(d[z, x], d[z, y]) < length - alpha - 4 * epsilon]
+    for a, b in itertools.combinations(lens, 2):
+        if d[a, b] < length - 4 * epsilon:
+            continue
+        nodes = [("end", a), ("end", b), *(("inner", z) for z in carriers)]
+        joined = np.zeros((len(nodes),) * 2)
+        for i, j in itertools.combinations(range(len(nodes)), 2):
+            kinds = {nodes[i][0], nodes[j][0]}
+            limit = {1: length - 2 * alpha - 4 * epsilon, 2: length - alpha - 4 * epsilon}[len(kinds)]
+            joined[i, j] = kinds != {"end"} and d[nodes[i][1], nodes[j][1]] < limit
+        # A path ends at a and b and uses them nowhere else, so that a carrier may be a or b itself only as a carrier.
+        _, label = connected_components(joined, directed=False)
+        if label[0] != label[1]:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_critical_edges_are_those_of_the_definition(seed):
+    rng = np.random.default_rng(seed)
+    points = shape(seed, 12)
+    alpha, epsilon = rng.choice([0.0, 0.05, 0.2]), rng.choice([0.0, 0.01, 0.05])
+    d = cdist(points, points)
+    for x, y in itertools.combinations(range(12), 2):
+        assert is_critical(d, x, y, alpha, epsilon) == critical_by_definition(points, x, y, alpha, epsilon), (x, y)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_betas_are_the_farthest_rivals(seed):
+    points, alpha, epsilon = shape(seed, 20), 0.08, 0.01
+    diagram = rips_persistence(points)
+    everywhere = lemmas.beta_all(points, alpha, min_lifetime=0.0)
+    critical = lemmas.beta_critical(points, alpha, epsilon, min_lifetime=0.0)
+    nearest = lemmas.beta_critical(points, alpha, epsilon, min_lifetime=0.0, nearest=True)
+    edges = list(itertools.combinations(range(20), 2))
+    half = {e: np.linalg.norm(points[e[0]] - points[e[1]]) / 2 for e in edges}
+    for i, (death, killer) in enumerate(zip(diagram.death, diagram.killer_edge, strict=True)):
+        rivals = [e for e in edges if abs(half[e] - death) <= alpha + 1e-12]
+        assert everywhere.value[i] == pytest.approx(max(hausdorff(points[list(e)], points[killer]) for e in rivals))
+        low, high = death - 2 * epsilon - 1e-12, death + alpha + 2 * epsilon + 1e-12
+        rivals = [e for e in edges if low <= half[e] <= high and critical_by_definition(points, *e, alpha, epsilon)]
+        assert critical.value[i] == pytest.approx(max(hausdorff(points[list(e)], points[killer]) for e in rivals))
+        assert nearest.value[i] == pytest.approx(
+            max(min(hausdorff(points[list(e)], points[k]) for k in diagram.killer_edge) for e in rivals)
+        )
+        assert hausdorff(points[critical.edge[i]], points[killer]) == pytest.approx(critical.value[i])
+
+
+def test_beta_over_all_edges_is_as_large_as_the_object():
+    """Measured from the middle of the killer, half the diameter away there is a point, and an edge of the right length at it."""
+    x, y = np.meshgrid(np.linspace(0, 3, 31), np.linspace(0, 2, 21))
+    sheet = np.column_stack([x.ravel(), y.ravel()])
+    sheet = sheet[np.linalg.norm(sheet - [1, 1], axis=1) > 0.4]
+    diagram = rips_persistence(sheet)
+    diameter = cdist(sheet, sheet).max()
+    assert lemmas.beta_all(sheet, 0.1).max >= diameter / 2 - diagram.death[0]
+    assert lemmas.beta_critical(sheet, 0.1).max < 2 * (
+        diagram.death[0] + 0.1
+    )  # and over critical edges as large as the loop
+
+
+def test_max_displacement_and_distortion():
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(20, 3))
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    assert lemmas.distortion(points, points @ turn + 5) == pytest.approx(0, abs=1e-12)
+    moved = points + 0.1 * rng.normal(size=points.shape)
+    changes = [
+        abs(np.linalg.norm(moved[i] - moved[j]) - np.linalg.norm(points[i] - points[j]))
+        for i, j in itertools.combinations(range(20), 2)
+    ]
+    assert lemmas.distortion(points, moved) == pytest.approx(max(changes) / 2)
+    assert lemmas.max_displacement(points, moved) == max(
+        np.linalg.norm(m - p) for m, p in zip(moved, points, strict=True)
+    )
+    assert lemmas.distortion(points, moved) <= lemmas.max_displacement(points, moved)
+
+
+def test_covering_radius_is_the_directed_hausdorff_distance():
+    points, ids = shape(3, 30), some(3, 30, 8)
+    expected = directed_hausdorff(points, points[ids])[0]
+    assert lemmas.observability(points, ids).alpha == pytest.approx(expected)
+
+
+def test_feature_separation():
+    points = np.random.default_rng(4).normal(size=(60, 2))
+    killers = rips_persistence(points).killer_edge
+    expected = min(hausdorff(points[a], points[b]) for a, b in itertools.combinations(killers, 2))
+    assert lemmas.feature_separation(points) == pytest.approx(expected)
+    assert lemmas.feature_separation(points[:3]) == np.inf
+
+
+# Statements
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_rank_inequality_against_counting(seed):
+    points = shape(seed, 24)
+    ids = some(seed, 24, 8)
+    s, o = rips_persistence(points), rips_persistence(points[ids])
+    least = _rank_inequality(s, o, 0.0, 0.0).statistic
+    events = np.unique(np.concatenate([s.birth, s.death, o.birth, o.death]))
+    values = np.concatenate([events, (events[1:] + events[:-1]) / 2, events - 1e-9])
+
+    def violated(c):
+        return any(((s.birth <= v - c) & (s.death > v)).sum() > ((o.birth <= v) & (o.death > v)).sum() for v in values)
+
+    assert not violated(least + 1e-12)
+    assert least == 0 or violated(least - 1e-8)
+
+
+def test_every_inequality_can_fail():
+    """A verdict with a bound that is too small says so, and names the loop."""
+    points, ids = shape(1, 24), np.arange(0, 24, 2)
+    s, o = rips_persistence(points), rips_persistence(points[ids])
+    honest = lemmas.feature_approximation(points, ids).corrected
+    assert honest.holds
+    assert honest.statistic > 0
+    verdict = _rank_inequality(s, o, honest.statistic / 2, 0.0)
+    assert verdict.violated
+    assert verdict.margin == pytest.approx(-honest.statistic / 2)
+    loop = verdict.witness.loop
+    assert (verdict.witness.birth, verdict.witness.death) == (s.birth[loop], s.death[loop])
+
+
+@pytest.mark.parametrize("name", [name for name, example in COUNTEREXAMPLES.items() if example.refutes])
+def test_counterexamples_refute_the_paper_and_not_the_correction(name):
+    example = COUNTEREXAMPLES[name]
+    check = example.check()
+    assert check.statement == example.statement
+    assert check.paper.applies  # the hypotheses hold, there is a loop to speak about
+    assert not check.paper.holds
+    assert check.paper.margin < 0
+    assert check.paper.witness is not None
+    assert "FAILS" in str(check)
+    assert all(v.holds for version, v in check.versions.items() if version != "paper")
+
+
+def test_unit_square_has_no_image():
+    example = COUNTEREXAMPLES["a loop without an image"]
+    check = example.check()
+    s = rips_persistence(example.before)
+    assert check.alpha == 1
+    assert bars(s).ravel() == pytest.approx([0.5, 0.5**0.5])
+    assert len(rips_persistence(example.before[example.observed_before])) == 0
+    assert check.paper.witness.loop == 0
+    assert not lemmas.recovering_killers(
+        example.before, example.observed_before
+    ).paper.loops  # the lifetime is below alpha
+    assert match_diagrams(s, rips_persistence(example.before[:3])).partner.tolist() == [-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "lifetime", "epsilon", "ratio"),
+    [("a loop that four points lose", 0.0501, 0.0343, 1.46), ("a loop that five points lose", 0.2, 0.101, 1.98)],
+)
+def test_loops_lost_between_epsilon_and_two_epsilon(name, lifetime, epsilon, ratio):
+    example = COUNTEREXAMPLES[name]
+    check = example.check()
+    diagram = rips_persistence(example.before)
+    assert len(rips_persistence(example.after)) == 0
+    assert diagram.lifetime[0] == pytest.approx(lifetime, abs=1e-4)
+    assert check.epsilon == pytest.approx(epsilon, abs=1e-4)
+    assert check.paper.statistic / check.epsilon == pytest.approx(ratio, abs=0.01)
+    shared = set(diagram.birth_edge[0].tolist()) & set(diagram.killer_edge[0].tolist())
+    assert len(shared) == {4: 1, 5: 0}[len(example.before)]
+    # Less of the same motion leaves the loop alive: the ratio is what this motion can do.
+    less = example.before + 0.95 * (example.after - example.before)
+    assert len(rips_persistence(less)) == 1
+
+
+def test_killers_two_beta_apart():
+    example = COUNTEREXAMPLES["killers two beta apart"]
+    check = example.check()
+    s = example.before
+    diagram = rips_persistence(s)
+    assert bars(diagram).round(3).tolist() == [[0.61, 0.816]]
+    assert diagram.killer_edge.tolist() == [[1, 6]]
+    seen = [rips_persistence(s[ids]).killer_edge[0] for ids in (example.observed_before, example.observed_after)]
+    assert [
+        ids[edge].tolist() for ids, edge in zip((example.observed_before, example.observed_after), seen, strict=True)
+    ] == [
+        [0, 4],
+        [2, 6],
+    ]
+    assert check.epsilon == 0
+    assert check.alpha == pytest.approx(0.0283, abs=1e-4)
+    assert lemmas.beta_all(s, check.alpha).max == pytest.approx(0.781, abs=1e-3)
+    assert check.paper.statistic == pytest.approx(1.516, abs=1e-3)
+    assert check.paper.bound == pytest.approx(2 * check.alpha + 0.781, abs=1e-3)
+    assert check.loops[0].legs == pytest.approx((0.781, 0, 0.78), abs=1e-3)
+    assert check.corrected.bound == pytest.approx(2 * 0.781, abs=1e-3)
+
+
+def test_two_similar_loops_contradict_assumption_3():
+    example = COUNTEREXAMPLES["two squares"]
+    check = example.check()
+    s, alpha = example.before, check.alpha
+    first, second = rips_persistence(s).death[:2]
+    assert abs(first - second) < alpha
+    separation = lemmas.feature_separation(s, alpha)
+    assert lemmas.beta_all(s, alpha).max >= lemmas.feature_separation(s, min_lifetime=0.1)
+    assert not separation > 2 * alpha + lemmas.beta_all(s, alpha).max
+    assert not check.paper.hypotheses
+    # Critical edges do not help: each one's killer is critical. The distance to the nearest killer does.
+    assert lemmas.beta_critical(s, alpha, min_lifetime=0.1).max >= lemmas.feature_separation(s, min_lifetime=0.1)
+    nearest = lemmas.beta_critical(s, alpha, min_lifetime=0.1, nearest=True).max
+    assert lemmas.feature_separation(s, min_lifetime=0.1) > 4 * nearest
+
+
+def test_converse_speaks_about_two_similar_loops():
+    angle = 2 * np.pi * np.arange(24) / 24
+    rings = np.vstack([np.column_stack([np.cos(angle) + x, np.sin(angle)]) for x in (0, 25)])
+    check = lemmas.converse(rings, np.arange(48), 1.001 * rings, np.arange(0, 48, 2))
+    assert check.corrected.applies
+    assert check.corrected.holds
+    assert not check.paper.applies
+
+
+def test_a_loop_of_almost_alpha_goes_unseen():
+    example = COUNTEREXAMPLES["a loop that goes unseen"]
+    s = rips_persistence(example.before)
+    check = example.check()
+    assert len(rips_persistence(example.before[example.observed_before])) == 0
+    assert 0.9996 < s.lifetime[0] / check.alpha < 1
+    assert check.corrected.statistic == s.lifetime[0]  # so no smaller constant than alpha can do
+
+
+def test_the_gate_is_tight():
+    example = COUNTEREXAMPLES["a gate that is tight"]
+    check = example.check()
+    births = [
+        rips_persistence(example.before).birth[0],
+        rips_persistence(example.after[example.observed_after]).birth[0],
+    ]
+    assert (check.alpha, check.epsilon) == pytest.approx((0.25, 0.05))
+    assert births[1] - births[0] == pytest.approx(check.alpha + check.epsilon)
+    assert check.corrected.statistic == pytest.approx(check.corrected.bound)
+
+
+@pytest.mark.parametrize(
+    ("name", "jump", "killers"),
+    [("the diagonal of a square", 2**0.5, ([0, 2], [1, 3])), ("the sides of a hexagon", 1.6454, ([0, 2], [0, 4]))],
+)
+def test_killers_jump(name, jump, killers):
+    example = COUNTEREXAMPLES[name]
+    check = example.check()
+    before, after = rips_persistence(example.before), rips_persistence(example.after)
+    assert check.epsilon < 2.1e-9
+    assert check.paper.statistic == pytest.approx(jump, abs=1e-4)
+    assert check.paper.holds
+    assert (before.killer_edge[0].tolist(), after.killer_edge[0].tolist()) == killers
+    if "hexagon" in name:
+        assert jump == pytest.approx(2 * before.death[0], abs=1e-4)  # the killer's whole length
+        assert before.lifetime[0] == pytest.approx(0.335, abs=1e-3)
+        assert set(before.killer_triangles[0, 0]) == set(after.killer_triangles[0, 0]) == {0, 2, 4}
+
+
+def test_a_round_loop_dies_at_its_largest_triangle():
+    angle = 2 * np.pi * np.arange(300) / 300
+    assert rips_persistence(np.column_stack([np.cos(angle), np.sin(angle)])).death[0] == pytest.approx(
+        3**0.5 / 2, abs=1e-6
+    )
+
+
+def test_a_rigid_motion_changes_nothing_however_fast():
+    points = shape(5, 30)
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    checks = lemmas.check_step(points, np.arange(30), points @ turn.T + 100, np.arange(30))
+    assert checks["temporal persistence"].intrinsic.statistic == pytest.approx(0, abs=1e-12)
+    assert checks["gates"].intrinsic.bound == pytest.approx(0, abs=1e-9)
+    assert all(check.intrinsic is None or check.intrinsic.holds for check in checks.values())
+
+
+def test_observed_points_and_ids_are_the_same():
+    points, ids = shape(6, 25), some(6, 25, 9)
+    later = points + 0.01
+    by_id, by_point = (lemmas.check_step(points, o, later, p) for o, p in ((ids, ids), (points[ids], later[ids])))
+    assert by_id == by_point
+    assert list(by_id) == list(STATEMENTS)
+
+
+def test_a_verdict_with_nothing_to_say():
+    assert Verdict(0.0, 1.0, True).holds
+    assert not Verdict(0.0, 1.0, True).applies
+    check = lemmas.observability([[0.0, 0.0], [1.0, 0.0]], [0])
+    assert check.corrected.loops == 0
+    assert "empty" in str(check)
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: lemmas.observability(s, [99]), "names vertex 99; the state has 14"),
+        (lambda s: lemmas.observability(s, [-1]), "names vertex -1"),
+        (lambda s: lemmas.observability(s, []), "is empty"),
+        (lambda s: lemmas.observability(s, s[:3] + 0.01), "must be vertices of the state: point"),
+        (lambda s: lemmas.observability(s, np.zeros((3, 3))), "has 3 dimensions, the state 2"),
+        (lambda s: lemmas.temporal_persistence(s, s[:-1]), "row i of both must be the same point"),
+        (lambda s: lemmas.beta_critical(s, -1), "alpha must be zero or more"),
+        (lambda s: lemmas.check_episode([s, s], [0, 1], stride=0), "stride must be a whole number"),
+        (lambda s: lemmas.check_episode([s, s[:-1]], [0, 1]), "differ in shape"),
+        (lambda s: lemmas.check_episode([s, s], [[0, 1]]), "observed has 1 frames, points 2"),
+        (lambda s: lemmas.check_episode([s, s], [[0, 1], [0, 77]]), r"observed\[1\] names vertex 77"),
+        (lambda s: lemmas.feature_approximation(np.zeros((0, 2)), [0]), "state has no points"),
+    ],
+)
+def test_bad_input_is_explained(call, message):
+    with pytest.raises(ValueError, match=message):
+        call(shape(0))
+
+
+def test_ids_must_be_whole_numbers():
+    with pytest.raises(TypeError, match="vertex ids"):
+        lemmas.observability(shape(0), np.array([0.5, 1.0]))
+
+
+# Episodes and the search
+
+
+def test_check_episode_is_check_step_by_step():
+    episode = load_episode(DATA / "apron_hook_0.npz")
+    points, observed = episode.points[60:63], episode.observed[60:63]
+    steps = lemmas.check_episode(points, observed)
+    assert [step.frame for step in steps] == [0, 1]
+    for t, step in enumerate(steps):
+        assert step.checks == lemmas.check_step(points[t], observed[t], points[t + 1], observed[t + 1])
+        assert all(v.holds for c in step.checks.values() for name, v in c.versions.items() if name != "paper")
+        assert step.distortion < step.epsilon / 5  # cloth in the air moves almost rigidly
+        assert step.beta_intrinsic < step.beta_all / 4  # the killer's rivals are around the loop
+        assert step.lifetime == rips_persistence(points[t]).lifetime[0]
+    assert len(lemmas.check_episode(points, observed, stride=2)) == 1
+
+
+def test_the_search_finds_no_violation_and_would_find_one(monkeypatch):
+    search = search_lemmas.Search(seed=5, steps=30)
+    search.run(60, len(search_lemmas.TRUE_VERSIONS), progress=False)
+    assert search.news == []
+    rows = {(r["instances"], r["statement"], r["version"]): r for r in search.table()}
+    assert all(rows["random", name, "corrected"]["tried"] == 60 for name in STATEMENTS)
+    assert rows["random", "feature approximation", "paper"]["violated"] > 10
+    # Were a false statement taken for a true one, the search would say so.
+    monkeypatch.setattr(search_lemmas, "TRUE_VERSIONS", [("feature approximation", "paper")])
+    fooled = search_lemmas.Search(seed=5, steps=30)
+    fooled.run(10, 0, progress=False)
+    assert fooled.news
+    news = fooled.news[0]
+    instance = search_lemmas.Instance(*(np.array(news[key]) for key in ("before", "after", "seen", "seen_after")))
+    less = search_lemmas.shrink(instance, news["statement"], news["version"])
+    assert len(less.before) <= len(instance.before)
+    assert lemmas.feature_approximation(less.before, less.seen).paper.violated

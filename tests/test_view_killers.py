@@ -1,0 +1,216 @@
+"""The figures of chapter 5: what the nudge's page holds and computes, and that a lens shows what topokit.lemmas decides."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from importlib import resources
+from itertools import pairwise
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+
+from topokit import hausdorff, lemmas, rips_persistence, view
+from topokit.lemmas._critical import is_critical
+from topokit.view._lens import _witness
+
+from conftest import polygon
+
+HEXAGON = lemmas.COUNTEREXAMPLES["the sides of a hexagon"].before
+SQUARE = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
+
+
+@pytest.fixture(autouse=True)
+def no_figures_left():
+    yield
+    plt.close("all")
+
+
+# ---- the page of the nudge
+
+
+def payload(figure: view.Nudge) -> dict:
+    return json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', figure.page, re.DOTALL).group(1))
+
+
+def test_nudge_holds_clouds_to_the_last_digit_and_its_options():
+    points = np.random.default_rng(0).normal(size=(24, 2)) / 3
+    data = payload(
+        view.nudge({"third": points, "square": SQUARE}, vertex=3, direction="along", height=321, title="</script>")
+    )
+    assert list(data["shapes"]) == ["third", "square"]
+    np.testing.assert_array_equal(data["shapes"]["third"], points)
+    assert (data["vertex"], data["direction"], data["height"], data["title"]) == (3, "along", 321, "</script>")
+    assert list(payload(view.nudge(SQUARE))["shapes"].values()) == [SQUARE]
+
+
+def test_nudge_asks_nothing_of_the_network():
+    figure = view.nudge({"square": SQUARE, "hexagon": HEXAGON})
+    assert not re.search(
+        r"https?:|//[a-z]+\.[a-z]|@import|url\(|<link|src=|fetch\(|XMLHttpRequest|WebSocket", figure.page
+    )
+    assert "__" not in figure.page  # nothing left to fill in
+    assert figure.page.count("</script>") == 2
+    assert len(figure.page) < 40_000
+    assert repr(figure).startswith("Nudge('Loop of 4 or 6 points, nudged'")
+
+
+@pytest.mark.parametrize(
+    ("points", "options", "message"),
+    [
+        (np.zeros((5, 3)), {}, r"points must lie in the plane, not in 3 dimensions"),
+        ({"cube": np.zeros((8, 3))}, {}, r"cube must lie in the plane"),
+        (np.zeros((25, 2)), {}, "nudge shows 1 to 24 points, not 25; see topokit.farthest_point_sample"),
+        (np.zeros((0, 2)), {}, "nudge shows 1 to 24 points, not 0"),
+        ({}, {}, "points names no cloud"),
+        ([[0.0, np.nan]], {}, "NaN or infinite"),
+        (SQUARE, {"vertex": 4}, "points has no vertex 4; its 4 points are numbered from 0"),
+        (SQUARE, {"direction": "up"}, "direction must be one of .* not 'up'"),
+    ],
+)
+def test_nudge_refuses_what_it_cannot_show(points, options, message):
+    with pytest.raises(ValueError, match=message):
+        view.nudge(points, **options)
+
+
+# ---- its script, run by node
+
+needs_node = pytest.mark.skipif(
+    shutil.which("node") is None, reason="node, which runs the page's script, is not installed"
+)
+
+
+def by_script(call: str, given: object) -> list:
+    """What a function of the page answers for each item that is given."""
+    files = resources.files("topokit.view")
+    script = "\n".join(files.joinpath(name).read_text(encoding="utf-8") for name in ("rips.js", "places.js"))
+    script += f'\nconst given = JSON.parse(require("fs").readFileSync(0, "utf8"));console.log(JSON.stringify(given.map({call})));'
+    done = subprocess.run(["node", "-e", script], input=json.dumps(given), capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+def planar_clouds(seed: int) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    rings = [polygon(int(n), 1.5) + rng.normal(0, 0.1, (n, 2)) for n in rng.integers(4, 25, 60)]
+    return rings + [rng.normal(size=(int(n), 2)) for n in rng.integers(1, 25, 60)]
+
+
+@needs_node
+def test_script_finds_the_places_that_topokit_finds():
+    clouds = planar_clouds(1)
+    seen = 0
+    for cloud, found in zip(clouds, by_script("places", [c.tolist() for c in clouds]), strict=True):
+        diagram = rips_persistence(cloud)
+        if len(diagram) == 0:
+            assert found is None
+            continue
+        assert (found["birth"], found["death"]) == (diagram.birth[0], diagram.death[0])
+        assert found["ids"] == diagram.killer_edge[0].tolist()
+        np.testing.assert_array_equal(found["edge"], cloud[diagram.killer_edge[0]])
+        np.testing.assert_allclose(found["thick"], cloud[diagram.killer_triangles[0, 0]].mean(axis=0), atol=1e-12)
+        walk = cloud[diagram.cycle(0)]
+        after = np.roll(walk, -1, axis=0)
+        weight = np.linalg.norm(after - walk, axis=1)
+        centroid = np.average((walk + after) / 2, axis=0, weights=weight)
+        np.testing.assert_allclose(found["centroid"], centroid, atol=1e-12)
+        seen += 1
+    assert seen > 80
+
+
+@needs_node
+def test_script_measures_moves_as_topokit_does():
+    clouds = [c for c in planar_clouds(2) if len(rips_persistence(c))]
+    pairs = [(a.tolist(), b.tolist()) for a, b in pairwise(clouds)]
+    for (a, b), (edge, thick, _) in zip(
+        pairs, by_script("([a, b]) => moved(places(a), places(b))", pairs), strict=True
+    ):
+        first, second = (rips_persistence(c) for c in (a, b))
+        a, b = np.array(a), np.array(b)
+        assert edge == pytest.approx(hausdorff(a[first.killer_edge[0]], b[second.killer_edge[0]]))
+        centres = [p[d.killer_triangles[0, 0]].mean(axis=0) for p, d in ((a, first), (b, second))]
+        assert thick == pytest.approx(np.linalg.norm(centres[1] - centres[0]))
+
+
+@needs_node
+def test_script_nudges_one_point_outward_or_along():
+    moved = by_script(
+        "([along, by]) => nudged([[1, 0], [0, 1], [-1, 0], [0, -1]], 0, along, by)", [[False, 0.25], [True, 0.25]]
+    )
+    np.testing.assert_allclose(moved[0], [[1.25, 0], [0, 1], [-1, 0], [0, -1]])
+    np.testing.assert_allclose(moved[1], [[1, 0.25], [0, 1], [-1, 0], [0, -1]])
+
+
+@needs_node
+def test_a_billionth_makes_the_edge_of_the_hexagon_leap_and_nothing_else():
+    call = "(points) => moved(places(nudged(points, 0, true, -1e-9)), places(nudged(points, 0, true, 1e-9)))"
+    [[edge, thick, cycle]] = by_script(call, [HEXAGON.tolist()])
+    assert edge == pytest.approx(2 * rips_persistence(HEXAGON).death[0], rel=1e-6)
+    assert max(thick, cycle) < 1e-8
+
+
+# ---- the lens
+
+
+def edges_of(cloud: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
+    pairs = np.column_stack(np.triu_indices(len(cloud), 1))
+    killers = rips_persistence(cloud).killer_edge
+    return np.vstack([killers[:3], pairs[rng.integers(len(pairs), size=count)]])
+
+
+def test_a_lens_shows_what_beta_critical_decides():
+    rng = np.random.default_rng(3)
+    axes, verdicts = plt.figure().add_subplot(), []
+    for _ in range(12):
+        grid = np.mgrid[-2:2.1:0.5, -2:2.1:0.5].reshape(2, -1).T
+        cloud = grid[np.linalg.norm(grid, axis=1) > 0.9] + rng.uniform(-0.1, 0.1, (1, 2))
+        cloud = cloud + rng.normal(0, 0.08, cloud.shape)
+        distances = cdist(cloud, cloud)
+        for alpha, epsilon in ((0.0, 0.0), (0.15, 0.0), (0.1, 0.02)):
+            for x, y in edges_of(cloud, rng, 12).tolist():
+                expected = is_critical(distances, x, y, alpha, epsilon)
+                axes.clear()
+                assert view.plot_lens(cloud, (x, y), alpha, epsilon, ax=axes) is axes
+                assert axes.get_title() == ("critical" if expected else "not critical")
+                verdicts.append(expected)
+    assert 50 < sum(verdicts) < len(verdicts) - 50
+
+
+def test_the_path_that_a_lens_shows_survives():
+    rng = np.random.default_rng(4)
+    alpha, epsilon, paths = 0.05, 0.01, 0
+    for _ in range(20):
+        cloud = rng.uniform(-1, 1, (60, 2))
+        distances = cdist(cloud, cloud)
+        for x, y in edges_of(cloud, rng, 10).tolist():
+            length, farther = distances[x, y], np.maximum(distances[x], distances[y])
+            pair, path, inner = _witness(distances, x, y, alpha, epsilon)
+            assert (farther[inner] < length - alpha - 4 * epsilon).all()
+            if len(pair):
+                assert distances[pair[0], pair[1]] >= length - 4 * epsilon
+                assert (farther[pair] <= length + 4 * epsilon).all()
+            if len(path):
+                steps = distances[path[:-1], path[1:]]
+                assert [path[0], path[-1]] == pair.tolist()
+                assert set(path[1:-1]) <= set(inner)
+                assert steps[[0, -1]].max() < length - alpha - 4 * epsilon
+                assert steps[1:-1].max(initial=0) < length - 2 * alpha - 4 * epsilon
+                paths += 1
+    assert paths > 30
+
+
+@pytest.mark.parametrize(
+    ("points", "edge", "alpha", "message"),
+    [
+        (np.eye(3), (0, 1), 0.1, r"points must lie in the plane"),
+        (SQUARE, (0, 4), 0.1, "edge must join two different vertices from 0 to 3"),
+        (SQUARE, (0, 1.5), 0.1, "edge must be two vertex ids"),
+        (SQUARE, (0, 2), -0.1, "alpha must be zero or more"),
+    ],
+)
+def test_a_lens_refuses_what_it_cannot_show(points, edge, alpha, message):
+    with pytest.raises(ValueError, match=message):
+        view.plot_lens(points, edge, alpha)

@@ -1,0 +1,184 @@
+"""Optimal bottleneck matchings of persistence diagrams, two-sided and one-sided.
+
+Idea: a threshold c is enough when every bar too long to stay alone at c can be matched at a cost of at most c. By the theorem
+of Mendelsohn and Dulmage it suffices that the long bars of one diagram can all be matched, and those of the other can, each
+by a matching of its own: two maximum bipartite matchings (Hopcroft and Karp, from SciPy) say whether c will do. The least
+such c is among the costs, and a bisection finds it. Among the matchings that reach it the one of least total cost is taken.
+
+Source: Edelsbrunner and Harer 2010, chapter VIII (bottleneck distance); Mendelsohn and Dulmage 1958. Taught in chapters 3, 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import maximum_bipartite_matching
+
+from ..rips import Diagram
+
+__all__ = ["Matching", "longest_unmatched", "match_diagrams"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """Which bars of two diagrams correspond.
+
+    Attributes
+    ----------
+    partner : (n,) int64
+        For every bar of the first diagram its bar in the second, -1 when it has none.
+    cost : float
+        The bottleneck: the largest of the shifts of matched bars and the costs of bars left alone.
+    worst : (int, int)
+        The two bars that reach it, -1 in the place of none.
+    """
+
+    partner: NDArray[np.int64]
+    cost: float
+    worst: tuple[int, int]
+
+
+def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, tolerance: float = 0.0) -> Matching:
+    """Match two diagrams optimally.
+
+    Two-sided, the cost of a pair is the larger of its shifts |birth - birth'| and |death - death'|, of a bar left alone half
+    its lifetime; the optimum is the bottleneck distance. One-sided, for a diagram of S and one of a subset O of S, both
+    shifts O - S must not be negative, a pair costs the larger and a bar left alone its lifetime; the optimum is the least c
+    for which bars longer than c are all matched with shifts in [0, c]. Shifting S by c / 2 turns the latter into the former.
+
+    Parameters
+    ----------
+    first, second : Diagram
+        Of S and of O when `one_sided`.
+    one_sided : bool
+    tolerance : float
+        How far below zero rounding may push a shift that is zero.
+
+    Returns
+    -------
+    Matching
+        Of least total cost among the optimal ones.
+
+    Raises
+    ------
+    ValueError
+        When a bar does not die (a diagram cut at `max_radius`).
+
+    Examples
+    --------
+    >>> from topokit import rips_persistence
+    >>> square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    >>> match = match_diagrams(rips_persistence(square), rips_persistence(1.1 * square))
+    >>> match.partner, round(match.cost, 4)
+    (array([0]), 0.0707)
+    """
+    pair, alone, others_alone = _costs(first, second, one_sided, tolerance)
+    limits = np.unique(np.concatenate([pair[np.isfinite(pair)], alone, others_alone, [0.0]]))
+    # No bar does better than its best pair or being alone: the bisection starts there, and mostly ends there.
+    least = max(_best(pair, alone), _best(pair.T, others_alone))
+    low, high = int(np.searchsorted(limits, least)), len(limits) - 1
+    middle = low
+    while low < high:
+        if _is_enough(pair, alone, others_alone, limits[middle]):
+            high = middle
+        else:
+            low = middle + 1
+        middle = (low + high) // 2
+    cost = float(limits[low])
+    partner = _cheapest(pair, alone, others_alone, cost)
+    return Matching(partner, cost, _worst(pair, alone, others_alone, partner))
+
+
+def longest_unmatched(
+    first: Diagram, second: Diagram, shift: float, *, one_sided: bool = False, tolerance: float = 0.0
+) -> tuple[float, int]:
+    """Lifetime and index of the longest bar of `first` that cannot be matched along with all longer ones.
+
+    Partners may be shifted by at most `shift`, with no shift below -tolerance when `one_sided`. (0.0, -1) when all can be
+    matched. No matching does better: the sets of bars that can be matched together are those of a matroid.
+
+    Raises
+    ------
+    ValueError
+        When a bar does not die.
+    """
+    pair, _, _ = _costs(first, second, one_sided, tolerance)
+    low, high = 0, len(first)  # as many of the longest bars can be matched
+    while low < high:
+        middle = (low + high + 1) // 2
+        if _saturates(pair[:middle] <= shift):
+            low = middle
+        else:
+            high = middle - 1
+    return (0.0, -1) if low == len(first) else (float(first.lifetime[low]), low)
+
+
+def _costs(first: Diagram, second: Diagram, one_sided: bool, tolerance: float) -> tuple[Array, Array, Array]:
+    """(n, m) costs of pairs (inf where forbidden), (n,) and (m,) costs of bars left alone."""
+    for name, diagram in (("first", first), ("second", second)):
+        if not np.isfinite(diagram.death).all():
+            raise ValueError(f"the {name} diagram has a loop that does not die; compute it without max_radius")
+    births = second.birth[None, :] - first.birth[:, None]
+    deaths = second.death[None, :] - first.death[:, None]
+    if not one_sided:
+        return np.maximum(np.abs(births), np.abs(deaths)), first.lifetime / 2, second.lifetime / 2
+    pair = np.maximum(np.maximum(births, deaths), 0.0)
+    pair[np.minimum(births, deaths) < -tolerance] = np.inf
+    return pair, first.lifetime, second.lifetime
+
+
+def _best(pair: Array, alone: Array) -> float:
+    """The least that the worst-off row must pay, whatever the others do."""
+    return float(np.minimum(alone, pair.min(axis=1, initial=np.inf)).max(initial=0.0))
+
+
+def _is_enough(pair: Array, alone: Array, others_alone: Array, c: float) -> bool:
+    allowed = pair <= c
+    return _saturates(allowed[alone > c]) and _saturates(allowed.T[others_alone > c])
+
+
+def _saturates(allowed: NDArray[np.bool_]) -> bool:
+    """Whether all rows can be matched."""
+    if len(allowed) == 0:
+        return True
+    if not allowed.any(axis=1).all():
+        return False
+    return bool((maximum_bipartite_matching(csr_matrix(allowed), perm_type="column") >= 0).all())
+
+
+def _cheapest(pair: Array, alone: Array, others_alone: Array, c: float) -> NDArray[np.int64]:
+    """The matching of least total cost among those that match every bar too long to stay alone at `c`.
+
+    What a pair saves against two bars left alone is what counts, and matching a long bar saves more than all else together.
+    """
+    partner = np.full(len(alone), -1, dtype=np.int64)
+    most = 1.0 + 2.0 * (float(alone.sum()) + float(others_alone.sum()))
+    saved = (alone + most * (alone > c))[:, None] + (others_alone + most * (others_alone > c))[None, :]
+    saved = np.maximum(np.where(pair <= c, saved - np.where(pair <= c, pair, 0.0), 0.0), 0.0)
+    rows, columns = np.flatnonzero(saved.any(axis=1)), np.flatnonzero(saved.any(axis=0))
+    saved = saved[np.ix_(rows, columns)]
+    i, j = linear_sum_assignment(saved, maximize=True)
+    kept = saved[i, j] > 0
+    partner[rows[i[kept]]] = columns[j[kept]]
+    return partner
+
+
+def _worst(pair: Array, alone: Array, others_alone: Array, partner: NDArray[np.int64]) -> tuple[int, int]:
+    """The most costly pair or bar left alone; (-1, -1) when both diagrams are empty."""
+    matched = np.flatnonzero(partner >= 0)
+    here = alone.copy()
+    here[matched] = pair[matched, partner[matched]]
+    there = others_alone.copy()
+    there[partner[matched]] = 0.0
+    if max(here.max(initial=0.0), there.max(initial=0.0)) == 0.0:
+        return (-1, -1)
+    if here.max(initial=0.0) >= there.max(initial=0.0):
+        i = int(np.argmax(here))
+        return (i, int(partner[i]))
+    return (-1, int(np.argmax(there)))
