@@ -50,7 +50,9 @@ def main() -> None:
         np.asarray(
             _side_by_side(
                 [
-                    view.render_cloth(g.vertices, g.faces, true_loops=g.loops, size=(300, 340), view=(-65, 18), zoom=0.9)
+                    view.render_cloth(
+                        g.vertices, g.faces, true_loops=g.loops, size=(300, 340), view=(-65, 18), zoom=0.9
+                    )
                     for g in row
                 ]
             )

@@ -116,7 +116,9 @@ def render_cloth(
     cloud = as_points(points)
     parts: dict[str, Any] = {"loops": list(loops), "true_loops": true_loops, "thickness": thickness, "view": view}
     parts["centre_line"] = as_line(centre_line, "centre_line")
-    parts["rods"] = [(as_line([start, end], "rods"), float(radius)) for start, end, radius in rods]
+    parts["rods"] = [
+        (as_line(np.array([start, end], dtype=np.float64), "rods"), float(radius)) for start, end, radius in rods
+    ]
     triangles = as_faces(faces, len(cloud))
     works, reason = pyvista_works()
     if not works and reason not in _told:
