@@ -63,7 +63,12 @@ def _digest() -> str:
     """
     hashed = hashlib.sha256()
     files = [ROOT / "requirements.txt"]
-    for folder, pattern in (("topokit", "**/*"), ("data_small", "**/*"), ("book/results", "*"), ("notebooks", "*.ipynb")):
+    for folder, pattern in (
+        ("topokit", "**/*"),
+        ("data_small", "**/*"),
+        ("book/results", "*"),
+        ("notebooks", "*.ipynb"),
+    ):
         files += [path for path in (ROOT / folder).glob(pattern) if "__pycache__" not in path.parts]
     for path in sorted(path for path in files if path.is_file()):
         hashed.update(f"{path.relative_to(ROOT)}\0{path.stat().st_size}\0".encode())
