@@ -404,10 +404,11 @@ def main() -> int:
             f"{'instances':10} {'statement':22} {'version':28} {'tried':>7} {'applies':>8} {'violated':>9} {'largest':>9}"
         )
         for row in rows:
+            largest = np.inf if row["largest_ratio"] is None else row["largest_ratio"]
             mark = " !" if row["violated"] and row["should_be_true"] else ""
             print(
                 f"{row['instances']:10} {row['statement']:22} {row['version']:28} {row['tried']:7d} "
-                f"{row['applies']:8d} {row['violated']:9d} {row['largest_ratio'] or np.inf:9.4f}{mark}"
+                f"{row['applies']:8d} {row['violated']:9d} {largest:9.4f}{mark}"
             )
         print(f"{len(search.news)} violations of what should be true")
         for news in search.news[:3]:
