@@ -47,8 +47,8 @@ class Matching:
 def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, tolerance: float = 0.0) -> Matching:
     """Match two diagrams optimally.
 
-    Two-sided, the cost of a pair is the larger of its shifts |birth - birth'| and |death - death'|, of a bar left alone half
-    its lifetime; the optimum is the bottleneck distance. One-sided, for a diagram of S and one of a subset O of S, both
+    Two-sided, the cost of a pair is the larger shift of its births and of its deaths, of a bar left alone half its lifetime;
+    the optimum is the bottleneck distance. One-sided, for a diagram of S and one of a subset O of S, both
     shifts O - S must not be negative, a pair costs the larger and a bar left alone its lifetime; the optimum is the least c
     for which bars longer than c are all matched with shifts in [0, c]. Shifting S by c / 2 turns the latter into the former.
 
