@@ -111,6 +111,53 @@ def test_cycle_is_born_and_dies_with_its_loop(family):
     assert (found == 0) == (family == "collinear")
 
 
+def ends_by_ranks(walks: list, ranks: Ranks) -> list[int]:
+    """For each walk: the first step at which it bounds together with walks before it, all its own edges being there."""
+    ends = []
+    for k, walk in enumerate(walks):
+        step = max(ranks.sides(walk))
+        while True:
+            boundaries = [sum(1 << e for e in triangle) for triangle in ranks.triangles if max(triangle) <= step]
+            before = [ranks.chain(other) for other in walks[:k]]
+            if rank([*boundaries, *before, ranks.chain(walk)]) == rank([*boundaries, *before]):
+                break
+            step += 1
+        ends.append(step)
+    return ends
+
+
+@pytest.mark.parametrize("family", ["gaussian", "grid", "cocircular", "duplicates"])
+def test_killers_of_walks_are_when_ranks_say_they_end(family):
+    rng = np.random.default_rng(900 + FAMILIES.index(family))
+    for _ in range(60):
+        cloud = random_cloud(rng, family, 9)
+        if len(cloud) < 4:
+            continue
+        walks = [rng.permutation(len(cloud))[: rng.integers(3, len(cloud) + 1)] for _ in range(3)]
+        diagram, ranks = rips_persistence(cloud), Ranks(cloud)
+        # By ranks, a walk that is a sum of earlier ones may have to wait for their edges; then any order of steps will do.
+        latest = np.maximum.accumulate([max(ranks.sides(walk)) for walk in walks])
+        ends = np.maximum([ranks[edge] for edge in diagram.killers_of(walks)], latest)
+        np.testing.assert_array_equal(ends, np.maximum(ends_by_ranks(walks, ranks), latest))
+
+
+def test_loops_that_merge_end_one_by_one():
+    """Two squares side by side: around the left, around the right, around both."""
+    points = [[0, 0], [2, 0], [2, 2], [0, 2], [4.5, 0], [4.5, 2]]
+    left, right, both = [0, 1, 2, 3], [1, 4, 5, 2], [0, 1, 4, 5, 2, 3]
+    diagram = rips_persistence(points)
+    assert diagram.killers_of([left, right]).tolist() == [[0, 2], [1, 5]]
+    assert diagram.killers_of([both]).tolist() == [[1, 5]]
+    assert diagram.killers_of([both, right]).tolist() == [[1, 5], [0, 2]]  # at the left's end they are the same
+    assert diagram.killers_of([left, right, both]).tolist() == [[0, 2], [1, 5], [2, 5]]
+    assert rips_persistence(points, max_radius=1.55).killers_of([both]).tolist() == [[-1, -1]]
+    assert diagram.killers_of([]).shape == (0, 2)
+    with pytest.raises(ValueError, match="must have an edge"):
+        diagram.killers_of([[3]])
+    with pytest.raises(ValueError, match="from 0 to 5"):
+        diagram.killers_of([left, [0, 1, 6]])
+
+
 def test_square_by_hand():
     diagram = rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]])
     assert diagram.cycle(0).tolist() == [2, 1, 0, 3]  # birth edge {2, 3} closes it

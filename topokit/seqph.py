@@ -108,7 +108,9 @@ class SeqPH:
         self._cloud: Array | None = None
         self._known: list[_Known] = []
 
-    def update(self, points: ArrayLike, *, time: float | None = None) -> TopologicalState:
+    def update(
+        self, points: ArrayLike, *, time: float | None = None, diagram: Diagram | None = None
+    ) -> TopologicalState:
         """Take the next frame and return its state. When it raises, the tracker is as it was before the call.
 
         Parameters
@@ -117,16 +119,20 @@ class SeqPH:
             At least one point; clouds may differ in n, not in d.
         time : float, optional
             Seconds; the frame's number when not given.
+        diagram : Diagram, optional
+            The persistence of these points, when it is known already; computed when not given.
 
         Raises
         ------
         TypeError, ValueError
-            When the cloud is empty, not finite, of another dimension or in other units than the one before, or its time is
-            not later; the message names the frame.
+            When the cloud is empty, not finite, of another dimension or in other units than the one before, its time is not
+            later, or the diagram is of another number of points; the message names the frame.
         """
         cloud = as_points(points, f"frame {self._frame}")
         _check(self._frame, (self._cloud, self._time), (cloud, time))
-        return self._advance(cloud, rips_persistence(cloud), time)
+        if diagram is not None and diagram.n_points != len(cloud):
+            raise ValueError(f"frame {self._frame} has {len(cloud)} points, its diagram is of {diagram.n_points}")
+        return self._advance(cloud, rips_persistence(cloud) if diagram is None else diagram, time)
 
     def stream(self, frames: Iterable[ArrayLike]) -> Iterator[TopologicalState]:
         """Yield the state of every frame as it comes; nothing is kept but what the next frame needs.
@@ -142,11 +148,11 @@ class SeqPH:
 
     def _advance(self, cloud: Array, diagram: Diagram, time: float | None) -> TopologicalState:
         """Take a checked frame whose persistence is known."""
-        alpha = _spacing(cloud) if self.alpha is None else self.alpha
+        alpha = spacing(cloud) if self.alpha is None else self.alpha
         found = [i for i in range(len(diagram)) if diagram.lifetime[i] >= alpha]
         epsilon, beta = self._motion(cloud, diagram, found)
         known = [replace(k, motion=k.motion + epsilon, missed=k.missed + 1) for k in self._known]
-        places = [_place(diagram, i, cloud, self.identity) for i in found]
+        places = [place(diagram, i, cloud, self.identity) for i in found]
         matched = self._match(diagram, found, places, known, (alpha, beta))
         loops, next_id = [], self._next_id
         for k, i in enumerate(found):
@@ -279,7 +285,7 @@ def _check(frame: int, before: tuple[Array | None, float | None], now: tuple[Arr
     if cloud.shape[1] != cloud_before.shape[1]:
         raise ValueError(f"frame {frame} has {cloud.shape[1]} dimensions, the frames before it {cloud_before.shape[1]}")
     size, size_before = (float(np.ptp(points, axis=0).max()) for points in (cloud, cloud_before))
-    if _differ_in_units(size, size_before) and _differ_in_units(_spacing(cloud), _spacing(cloud_before)):
+    if _differ_in_units(size, size_before) and _differ_in_units(spacing(cloud), spacing(cloud_before)):
         raise ValueError(
             f"frame {frame} is {size:.4g} across, the frame before it {size_before:.4g}, and its points are as much farther "
             "apart or nearer: is it in other units? Convert it, or start a new tracker"
@@ -291,7 +297,7 @@ def _differ_in_units(size: float, before: float) -> bool:
     return min(size, before) > 0 and max(size, before) > _OTHER_UNITS * min(size, before)
 
 
-def _spacing(cloud: NDArray[np.float64]) -> float:
+def spacing(cloud: NDArray[np.float64]) -> float:
     """Half the largest distance from a point to its nearest other one."""
     from scipy.spatial import cKDTree
 
@@ -300,7 +306,7 @@ def _spacing(cloud: NDArray[np.float64]) -> float:
     return float(cKDTree(cloud).query(cloud, k=2)[0][:, 1].max()) / 2
 
 
-def _place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
+def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
     """(p, d) where loop `i` of a diagram is."""
     if identity == "killer-edge":
         return cloud[diagram.killer_edge[i]]

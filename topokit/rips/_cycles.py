@@ -123,6 +123,37 @@ class Homology:
                 column ^= 1 << youngest
         return left
 
+    def killers_of(self, walks: Iterable[Sequence[int]]) -> list[Edge | None]:
+        """For closed walks in order: the edge with which each becomes a boundary or homologous to a sum of earlier ones.
+
+        That edge is a killer, or the walk's own latest edge if it is so as soon as it is there; None when it never is.
+        """
+        edges, settled = list[Edge | None](), dict[int, set[int]]()
+        for walk in walks:
+            last = max(self.time(a, b) for a, b in sides(walk))
+            used, latest = self._relations(sides(walk)), -1
+            while used and (latest := max(used, key=self._killed_at.__getitem__)) in settled:
+                used = used ^ settled[latest]
+            if used:
+                settled[latest] = used
+                last = max(last, self._killed_at[latest])
+            edges.append(None if last[0] == math.inf else last[1:])
+        return edges
+
+    def _relations(self, cycle: Iterable[Edge]) -> set[int]:
+        """The reduced relations whose sum a cycle is, by their creators; their pivots differ, so there is one such sum."""
+        column, used = 0, set[int]()
+        for a, b in cycle:
+            column ^= self.in_creators(a, b)
+        while column:
+            youngest = column.bit_length() - 1
+            used.add(youngest)
+            if self._killed_at[youngest][0] == math.inf:
+                column ^= 1 << youngest
+            else:
+                column ^= self._columns.get(youngest) or self._relation_of(youngest)
+        return used
+
     def _relation_of(self, creator: int) -> int:
         """The relation that kills a loop, reduced by those before it until the loop is its youngest."""
         waiting, unfinished = [creator], dict[int, int]()

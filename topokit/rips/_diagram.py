@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -139,6 +140,43 @@ class Diagram:
         birth_edge, killer_edge = (tuple(edge[i].tolist()) for edge in (self.birth_edge, self.killer_edge))
         walk = self._homology.representative(birth_edge, None if np.isinf(self.death[i]) else killer_edge)
         return np.array(walk, dtype=np.int64)
+
+    def killers_of(self, walks: Sequence[ArrayLike]) -> NDArray[np.int64]:
+        """Return for closed walks the edges that end them: when is each filled in, or the same as others before it?
+
+        Half the length of that edge is the walk's death by the elder rule: it becomes a boundary, or homologous to a sum of
+        walks that come before it in `walks`. Alone, it becomes a boundary. So independent walks have different killers,
+        even when one of them merges with another long before both are filled in.
+
+        Parameters
+        ----------
+        walks : sequence of (length,) array_like of int
+            Vertex ids of closed walks; the last joins the first. Edges may have any length.
+
+        Returns
+        -------
+        (len(walks), 2) int64
+            Vertex ids, the smaller first: a killer edge, or the walk's own latest edge when it ends as soon as it is there.
+            -1 where `max_radius` keeps a walk from ending.
+
+        Raises
+        ------
+        TypeError, ValueError
+            When a walk does not hold vertex ids, or has no edge.
+
+        Examples
+        --------
+        >>> from topokit import rips_persistence
+        >>> dgm = rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2], [1, 2.5]])
+        >>> dgm.killers_of([[0, 1, 2, 4, 3], [0, 1, 2, 3]]), dgm.killer_edge
+        (array([[1, 4],
+               [2, 3]]), array([[1, 4]]))
+        """
+        ids = [_as_walk(walk, self.n_points) for walk in walks]
+        if any(len(walk) == 1 for walk in ids):
+            raise ValueError("a walk must have an edge, not a single vertex")
+        edges = [edge or (-1, -1) for edge in self._homology.killers_of(ids)]
+        return np.array(edges, dtype=np.int64).reshape(-1, 2)
 
     @cached_property
     def _homology(self) -> Homology:

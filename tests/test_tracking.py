@@ -1,0 +1,274 @@
+"""Scores of trackers: by hand, as TrackEval has them; the truth about loops; baselines; a stream without end."""
+
+from __future__ import annotations
+
+import gc
+import tracemalloc
+import weakref
+
+import numpy as np
+import pytest
+
+from topokit import SeqPH, track
+from topokit.evaluate.baselines import DiagramMatching, NearestMidpoint, track_vines
+from topokit.evaluate.tracking import Overlap, by_killer, by_place, compare, events, score, true_loops
+from topokit.io import load_episode
+
+from conftest import polygon
+
+MEASURES = ("mota", "idf1", "hota", "deta", "assa", "switches", "fragments", "misses", "false_positives")
+
+# What TrackEval 1.3.0 (HOTA, CLEAR and Identity at threshold 0.5) says about `film(seed)`.
+TRACKEVAL = {
+    0: (0.118811881188, 0.331658291457, 0.301461761122, 0.480323994755, 0.19027894281, 28, 29, 32, 29),
+    1: (0.184466019417, 0.289855072464, 0.240048889774, 0.468909419713, 0.125188166654, 25, 23, 29, 30),
+    2: (0.059405940594, 0.4, 0.338481960071, 0.467901018475, 0.248373300807, 31, 27, 33, 31),
+    3: (-0.096774193548, 0.313131313131, 0.260292905243, 0.442793737001, 0.157120469817, 28, 26, 31, 43),
+    4: (0.283018867925, 0.48275862069, 0.365684431195, 0.46841061729, 0.286824100733, 19, 27, 33, 24),
+    5: (0.201923076923, 0.339622641509, 0.323211680741, 0.503894911167, 0.208878929204, 27, 25, 26, 30),
+}
+
+
+def film(seed: int) -> list[Overlap]:
+    """Thirty frames of four objects, some unseen, and of a tracker that loses, confuses and invents."""
+    rng = np.random.default_rng(seed)
+    free = rng.permutation(60).tolist()
+    own = [free.pop() for _ in range(4)]
+    frames = []
+    for _ in range(30):
+        for k in range(4):
+            if rng.random() < 0.06:
+                own[k] = free.pop()
+            if rng.random() < 0.05:
+                other = int(rng.integers(4))
+                own[k], own[other] = own[other], own[k]
+        objects, shown = np.flatnonzero(rng.random(4) < 0.85), np.flatnonzero(rng.random(4) < 0.85)
+        right, wrong = rng.uniform(0.3, 1, (2, len(objects), len(shown))) * [[[1.0]], [[0.6]]]
+        table = np.where(objects[:, None] == shown[None], right, wrong)
+        frames.append(Overlap(objects, np.array([own[k] for k in shown], dtype=np.int64), table))
+    return frames
+
+
+def one(objects: list[int], ids: list[int], *pairs: tuple[int, int]) -> Overlap:
+    """A frame in which the named pairs fit perfectly and nothing else at all."""
+    table = [[float((a, b) in pairs) for b in ids] for a in objects]
+    return Overlap(
+        np.array(objects, np.int64), np.array(ids, np.int64), np.array(table).reshape(len(objects), len(ids))
+    )
+
+
+def test_a_film_scored_by_hand():
+    """Object 7 is seen as 1, 1, not at all, as 2; object 8 as 3 throughout; in the last frame there is also a ghost."""
+    frames = [one([7, 8], [1, 3], (7, 1), (8, 3))] * 2
+    frames += [one([7, 8], [3], (8, 3)), one([7, 8], [2, 3, 9], (7, 2), (8, 3))]
+    result = score(frames)
+    assert (result.objects, result.detections, result.matches) == (8, 8, 7)
+    assert (result.misses, result.false_positives, result.switches, result.fragments) == (1, 1, 1, 1)
+    assert result.mota == pytest.approx(1 - 3 / 8)
+    assert result.id_matches == 6  # 7 is 1 for good, 8 is 3
+    assert result.idf1 == pytest.approx(2 * 6 / 16)
+    assert result.deta == pytest.approx(7 / 9)
+    assert result.assa == pytest.approx((2 * 2 / 4 + 1 * 1 / 4 + 4 * 4 / 4) / 7)
+    assert result.hota == pytest.approx(np.sqrt(result.deta * result.assa))  # here the same at every level
+    told = [(event.frame, event.kind, event.loop, event.id) for event in events(frames) if event.kind != "match"]
+    assert told == [
+        (2, "miss", 7, -1),
+        (3, "switch", 7, 2),
+        (3, "fragment", 7, 2),
+        (3, "false positive", -1, 9),
+    ]
+
+
+@pytest.mark.parametrize("seed", TRACKEVAL)
+def test_scores_are_those_of_trackeval(seed):
+    result = score(film(seed))
+    np.testing.assert_allclose([getattr(result, name) for name in MEASURES], TRACKEVAL[seed], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(100, 130))
+def test_scores_are_those_of_trackeval_that_is_installed(seed):
+    metrics = pytest.importorskip("trackeval.metrics")
+    frames = film(seed)
+    objects, ids = (sorted({int(i) for o in frames for i in getattr(o, name)}) for name in ("objects", "ids"))
+    data = {
+        "num_gt_ids": len(objects),
+        "num_tracker_ids": len(ids),
+        "num_timesteps": len(frames),
+        "num_gt_dets": sum(len(o.objects) for o in frames),
+        "num_tracker_dets": sum(len(o.ids) for o in frames),
+        "gt_ids": [np.searchsorted(objects, o.objects) for o in frames],
+        "tracker_ids": [np.searchsorted(ids, o.ids) for o in frames],
+        "similarity_scores": [o.similarity for o in frames],
+    }
+    options = {"THRESHOLD": 0.5, "PRINT_CONFIG": False}
+    hota = metrics.HOTA().eval_sequence(data)
+    clear, identity = metrics.CLEAR(options).eval_sequence(data), metrics.Identity(options).eval_sequence(data)
+    expected = [clear["MOTA"], identity["IDF1"], *(hota[name].mean() for name in ("HOTA", "DetA", "AssA"))]
+    expected += [clear[name] for name in ("IDSW", "Frag", "CLR_FN", "CLR_FP")]
+    result = score(frames)
+    np.testing.assert_allclose([getattr(result, name) for name in MEASURES], expected, rtol=0, atol=1e-9)
+
+
+def test_scores_add_up():
+    """Two films in one, the names of the second moved out of the way, are the sum of both."""
+    first, second = film(1), film(2)
+    moved = [Overlap(o.objects + 10, o.ids + 100, o.similarity) for o in second]
+    together, added = score([*first, *moved]), score(first) + score(second)
+    for name in ("objects", "detections", "matches", "switches", "fragments", "id_matches"):
+        assert getattr(together, name) == getattr(added, name)
+    assert together.hota == pytest.approx(added.hota)
+    assert together.assa == pytest.approx(added.assa)
+
+
+def test_a_perfect_film_and_an_empty_one():
+    perfect = score([one([0, 1], [4, 5], (0, 4), (1, 5))] * 5)
+    assert [getattr(perfect, name) for name in MEASURES] == [1, 1, 1, 1, 1, 0, 0, 0, 0]
+    blind = score([one([0, 1], [])] * 3)
+    assert (blind.mota, blind.idf1, blind.hota, blind.misses) == (0, 0, 0, 6)
+    nothing = score([one([], [])])
+    assert np.isnan(nothing.mota)
+    assert np.isnan(nothing.idf1)
+
+
+def test_a_match_is_kept_while_it_holds():
+    """A better partner that comes along does not take the object away; HOTA, which looks at all frames, agrees."""
+    before = Overlap(np.array([0]), np.array([1]), np.array([[0.6]]))
+    after = Overlap(np.array([0]), np.array([1, 2]), np.array([[0.6, 0.9]]))
+    assert score([before, after, after]).switches == 0
+    assert score([before, after, after], threshold=0.7).matches == 2  # now 1 is too far away
+
+
+def ring(n: int, radius: float, centre: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
+    return np.column_stack([polygon(n, radius), np.zeros(n)]) + centre
+
+
+def test_truth_of_a_tube_is_one_loop_not_two():
+    """Both rims go around the tube: the class has one bar, and the first rim has its name."""
+    heights = 0.2 * np.arange(6)
+    tube = np.vstack([ring(30, 1.0, (0, 0, z)) for z in heights])
+    rims = [np.arange(30), 150 + np.arange(30)]
+    (truth,) = true_loops(tube[None], rims)
+    assert truth.present.tolist() == [True, False]
+    np.testing.assert_allclose(truth.centres, [[0, 0, 0], [0, 0, 1]], atol=1e-12)
+    np.testing.assert_allclose(truth.radii, 1)
+    (state,) = track([tube])
+    assert by_killer(truth, state)[0].tolist() == [1.0]
+    assert true_loops(tube[None], rims, alpha=0.9)[0].present.tolist() == [False, False]
+
+
+def test_a_detection_of_what_is_not_there_is_set_aside():
+    points = np.vstack([ring(30, 1.0), ring(30, 1.0, (9, 0, 0))])
+    (truth,) = true_loops(points[None], [np.arange(30), 30 + np.arange(30)])
+    half = type(truth)(truth.centres, truth.radii, truth.killers, np.array([True, False]))
+    states = track([points])
+    assert score(compare(states, [truth])).matches == 2
+    result = score(compare(states, [half]))
+    assert (result.objects, result.detections, result.matches) == (1, 1, 1)
+    with pytest.raises(ValueError, match="states has 1 frames, truth 2"):
+        compare(states, [truth, truth])
+
+
+def test_places_are_compared_by_the_size_of_the_true_loop():
+    (truth,) = true_loops(ring(30, 2.0)[None], [np.arange(30)])
+    (state,) = track([ring(30, 2.0) + [1.0, 0, 0]], alpha=0.1)
+    away = np.linalg.norm(state.loops[0].centre)
+    assert by_place(truth, state)[0, 0] == pytest.approx(1 - away / 4)
+    (far,) = track([ring(30, 2.0) + [9.0, 0, 0]], alpha=0.1)
+    assert by_place(truth, far)[0, 0] == 0
+    (nothing,) = track([ring(3, 2.0)], alpha=0.1)
+    assert by_place(truth, nothing).shape == by_killer(truth, nothing).shape == (1, 0)
+
+
+def test_an_apron_is_tracked_without_a_fault(episode_path):
+    """Place and killer, an estimate and an exact answer, agree in every frame."""
+    episode = load_episode(episode_path)
+    points = episode.points[::8]
+    truth = true_loops(points, episode.loops)
+    assert all(frame.present.all() for frame in truth)
+    states = track(points)
+    for similarity in (by_place, by_killer):
+        result = score(compare(states, truth, similarity))
+        assert (result.mota, result.idf1, result.misses, result.switches) == (1, 1, 0, 0)
+    assert score(compare(states, truth, by_killer)).hota == pytest.approx(1)
+
+
+def test_baselines_on_what_they_cannot_see():
+    """Two rings trade sizes where they stand, then one grows at once."""
+    sizes = np.linspace(1, 0.6, 9)
+    frames = [np.vstack([ring(24, s), ring(24, 1.6 - s, (6, 0, 0))]) for s in sizes]
+    where = {}
+    for tracker in (SeqPH, DiagramMatching, NearestMidpoint):
+        states = [state for made in [tracker()] for state in made.stream(frames)]
+        where[tracker] = [next(loop.id for loop in state.loops if loop.centre[0] < 3) for state in states]
+    assert len(set(where[SeqPH])) == len(set(where[NearestMidpoint])) == 1
+    assert len(set(where[DiagramMatching])) == 2  # it follows the size, not the ring
+    small, large = ring(24, 0.5), ring(24, 1.5)
+    assert [state.loops[0].id for state in map(NearestMidpoint(epsilon=0.1).update, [small, large])] == [0, 0]
+    assert [state.loops[0].id for state in map(SeqPH(epsilon=0.1).update, [small, large])] == [0, 1]
+
+
+def test_a_diagram_matching_prefers_the_diagonal_where_that_is_nearer():
+    tracker = DiagramMatching(alpha=0.0)
+    ids = [tracker.update(polygon(24, size)).loops[0].id for size in (1.0, 1.3, 9.0)]
+    assert ids == [0, 0, 1]
+
+
+def test_vines_follow_a_motion_that_a_matching_loses():
+    small, large = ring(24, 0.2), ring(24, 1.5)
+    assert [state.loops[0].id for state in map(DiagramMatching().update, [small, large])] == [0, 1]
+    states = track_vines([small, large], steps=12)
+    assert [(state.frame, state.loops[0].id) for state in states] == [(0, 0), (1, 0)]
+    assert states[1].loops[0].death == track([large])[0].loops[0].death
+    with pytest.raises(ValueError, match="same vertices"):
+        track_vines([small, large[:9]])
+    with pytest.raises(ValueError, match="steps must be 1"):
+        track_vines([small, large], steps=0)
+
+
+def test_a_diagram_that_is_known_is_not_computed_again():
+    from topokit import rips_persistence
+
+    frames = [ring(24, 1.0), ring(24, 1.1)]
+    tracker = SeqPH()
+    states = [tracker.update(cloud, diagram=rips_persistence(cloud)) for cloud in frames]
+    assert [state.loops[0].death for state in states] == [state.loops[0].death for state in track(frames)]
+    with pytest.raises(ValueError, match="frame 2 has 24 points, its diagram is of 9"):
+        tracker.update(frames[0], diagram=rips_persistence(frames[0][:9]))
+    assert tracker.update(frames[1]).frame == 2
+
+
+@pytest.mark.parametrize("identity", ["killer-edge", "killer-triangles", "cycle"])
+def test_an_endless_stream_keeps_nothing(identity):
+    """Every cloud but the last is let go, and so is every loop that is forgotten."""
+    clouds: list[weakref.ref] = []
+    loops: list[weakref.ref] = []
+
+    def frames(n: int):
+        for t in range(n):
+            cloud = np.vstack([ring(24, 1.0), ring(24, 0.8, (9 + 40 * (t % 2), 0, 0))])  # the second comes and goes
+            clouds.append(weakref.ref(cloud))
+            yield cloud
+
+    tracker = SeqPH(identity=identity, memory=3)
+    for state in tracker.stream(frames(60)):
+        loops.extend(weakref.ref(loop) for loop in state.loops)
+    del state
+    gc.collect()
+    assert sum(cloud() is not None for cloud in clouds) <= 1
+    assert sum(loop() is not None for loop in loops) <= 2 + 2 * 3  # those of the last frame and those remembered
+
+
+def test_memory_does_not_grow_along_a_stream():
+    rng = np.random.default_rng(0)
+    base = np.vstack([ring(24, 1.0), ring(24, 0.8, (9, 0, 0))])
+    tracker = SeqPH(identity="killer-triangles", memory=3)
+    sizes = []
+    tracemalloc.start()
+    try:
+        for state in tracker.stream(base + 0.01 * rng.normal(size=base.shape) for _ in range(400)):
+            if state.frame in (100, 399):
+                gc.collect()
+                sizes.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    assert sizes[1] - sizes[0] < 20_000  # 300 clouds are 350 kB
