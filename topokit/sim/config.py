@@ -45,7 +45,7 @@ class SimulationConfig:
     max_stretch, max_edge_stretch : float
         An episode is refused in which the 99th percentile of edge length over rest length exceeds the first, or the longest
         edge the second. Cloth that explodes exceeds both at once; a vertex that is caught behind a rod stretches its own
-        edges alone, which a percentile does not see. Episodes that went well stayed below 1.2 and 1.6.
+        edges alone, which a percentile does not see. Episodes that went well stayed below 1.2 and 1.8.
 
     Raises
     ------
@@ -53,11 +53,11 @@ class SimulationConfig:
         When a number is out of its range; the message names it.
     """
 
-    dt: float = 1 / 1000
+    dt: float = 1 / 750
     mass: float = 0.3
-    stiffness: float = 0.6
-    bending: float = 0.003
-    damping: float = 0.5
+    stiffness: float = 0.8
+    bending: float = 0.0003
+    damping: float = 0.15
     friction: float = 1.0
     self_collision: bool = True
     margin: float = 0.3
@@ -66,7 +66,7 @@ class SimulationConfig:
     kd: float = 20.0
     max_force: float = 30.0
     frames: int | None = None
-    steps_per_frame: int = 36
+    steps_per_frame: int = 27
     settle: float = 0.8
     max_stretch: float = 1.8
     max_edge_stretch: float = 2.5

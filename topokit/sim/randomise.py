@@ -59,9 +59,9 @@ class Randomisation:
         When a range is not two finite numbers, low first, or leaves what its number may be.
     """
 
-    stiffness: Range | None = (0.4, 0.8)
-    bending: Range | None = (0.001, 0.01)
-    damping: Range | None = (0.3, 0.7)
+    stiffness: Range | None = (0.6, 1.0)
+    bending: Range | None = (0.0001, 0.003)
+    damping: Range | None = (0.15, 0.4)
     friction: Range | None = (0.6, 1.4)
     mass: Range | None = (0.2, 0.4)
     scale: Range | None = (0.92, 1.08)

@@ -133,11 +133,11 @@ def put_on_shoulders(garment: Garment, target: Target, rng: np.random.Generator)
     dummy, spread = _mannequin(target), _spread(garment)
     x, y, z = dummy.shoulder
     half = float(np.linalg.norm(spread[0] - spread[1])) / 2
-    wide, narrow = (x + 0.11) / half, (x + 0.03) / half
+    wide, narrow = (x + 0.11) / half, (x - 0.08) / half
     start = np.array([0, y - 0.45, z + 0.10]) + _uniform(rng, (-0.08, 0.08), (-0.25, -0.15), (-0.1, 0.1))
-    before = np.array([0, y - 0.10, z + 0.10]) + _uniform(rng, (-0.01, 0.01), (-0.02, 0.0), (0.0, 0.02))
-    past = np.array([0, y + 0.11, z + 0.10]) + _uniform(rng, (-0.01, 0.01), (-0.005, 0.005), (0.0, 0.01))
-    down = past + [0, -0.02, -0.07]
+    before = np.array([0, y - 0.10, z + 0.11]) + _uniform(rng, (-0.01, 0.01), (-0.02, 0.0), (0.0, 0.02))
+    past = np.array([0, y + 0.13, z + 0.11]) + _uniform(rng, (-0.01, 0.01), (-0.005, 0.005), (0.0, 0.01))
+    down = past + [0, -0.03, -0.18]
     vias = [
         Via(0.1, start),
         Via(1.2, before, wide),
@@ -183,12 +183,14 @@ def _opening(garment: Garment, opening: float = 1.0) -> tuple[float, float]:
     grips = grips * opening
     aside = float(curve[:, 0].mean())
     holding = grips[gap.min(axis=0) < 0.06, 0]  # x of the grips that hold this loop: it hangs below them
+    slope = 0.0
     if len(holding):
-        aside = float(holding.mean() + np.clip(aside - holding.mean(), -0.05, 0.05))
+        aside = float(holding.mean() + np.clip(aside - holding.mean(), -0.12, 0.12))
+        slope = 0.6 * abs(aside - float(holding.mean()))  # a strap held at one place falls off to the side
     ends, step = gap.argmin(axis=0), np.linalg.norm(curve - np.roll(curve, -1, axis=0), axis=1)
     arc, chord = float(step[ends.min() : ends.max()].sum()), float(np.linalg.norm(grips[0] - grips[1]))
     arc = min(arc, float(step.sum()) - arc)  # of the strap between the grips, which sags like a shallow parabola
-    return aside, max(-float(curve[:, 2].max()), 0.0) + float(np.sqrt(3 / 8 * chord * max(arc - chord, 0)))
+    return aside, max(-float(curve[:, 2].max()), 0.0) + slope + float(np.sqrt(3 / 8 * chord * max(arc - chord, 0)))
 
 
 def _uniform(rng: np.random.Generator, *ranges: tuple[float, float]) -> Array:
@@ -196,7 +198,7 @@ def _uniform(rng: np.random.Generator, *ranges: tuple[float, float]) -> Array:
 
 
 def _tasks() -> dict[str, Task]:
-    sideways: Planner = partial(hang_by_strap, opening=1.3, rest=2.0)
+    sideways: Planner = partial(hang_by_strap, opening=1.15, rest=2.0)
     straps: dict[str, tuple[Planner, tuple[int, ...], bool]] = {
         "apron": (hang_by_strap, (0,), True),  # by the neck strap
         "apron2": (hang_by_strap, (0,), True),
