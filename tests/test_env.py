@@ -50,7 +50,7 @@ def test_gymnasiums_checker_finds_nothing(options):
 def test_the_scripted_path_succeeds_and_rewards_say_so():
     returns = {}
     for reward in REWARDS:
-        env = make(reward=reward, config=dataclasses.replace(QUICK, settle=0.4))
+        env = make(reward=reward, n_points=160, config=dataclasses.replace(QUICK, settle=0.4))
         start = env.reset(seed=1)[1]
         returns[reward], info, terminated = play(env, seed=1)
         assert terminated
@@ -109,7 +109,7 @@ def test_taut_cloth_holds_the_grippers_back():
         observation, *_ = env.step([1, 0, 0, -1, 0, 0, 0])
     apart = np.ptp(observation["grippers"][:, 0])
     rest = np.linalg.norm(np.diff(COARSE.vertices[COARSE.grips], axis=0))
-    assert 1.0 < apart / rest < 2.5
+    assert 1.0 < apart / rest < 3.0
     for _ in range(10):  # at once, and not after 40 steps, they come back
         observation, *_ = env.step([-1, 0, 0, 1, 0, 0, 0])
     assert np.ptp(observation["grippers"][:, 0]) < apart - 0.1

@@ -341,7 +341,7 @@ def test_the_cycle_of_a_cloud_knows_whether_it_hangs(hanging):
 
 
 def test_the_quadrilateral_claims_no_hook_that_is_not_held(hanging):
-    """It misses many that are: among points of cloth a loop can be pulled over a thin arm that touches it.
+    """It misses nearly all that are: among points of cloth a loop can be pulled over a thin arm that touches it.
 
     The arm is in the narrow end of the opening, the quadrilateral in its widest part. Around a post there the two agree.
     """
@@ -351,7 +351,7 @@ def test_the_quadrilateral_claims_no_hook_that_is_not_held(hanging):
     claimed = np.abs(linking_numbers(outlines, hook)[0])
     away = np.abs(np.arange(len(linked)) - np.argmax(linked)) > 2  # from the moment of the passage
     assert (claimed <= linked)[away].all()
-    assert 0.1 < claimed[linked == 1].mean() < 0.9
+    assert claimed[linked == 1].mean() < 0.5
     assert not np.abs(linking_numbers(outlines, hook + [0.6, 0, 0])[0]).any()
     loop, centre = episode.points[-1, episode.loops[0]], states[-1].loops[0].centre
     post = close_far([centre - [0, 0.3, 0], centre + [0, 0.3, 0]], start=(0, -1, 0), end=(0, 1, 0))

@@ -113,7 +113,7 @@ def test_episode_is_whole_and_repeats_bit_by_bit_in_fresh_processes(tmp_path):
     episode = load_episode(paths[0])
     assert episode.observed.shape == (8, 100, 3)
     assert episode.seed == 4
-    assert episode.dt == pytest.approx(0.02)
+    assert episode.dt == pytest.approx(20 * SimulationConfig().dt)
     assert episode.held.all()
     assert not episode.success  # a fifth of a second is no time to hang anything
     physics = episode.physics

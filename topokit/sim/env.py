@@ -21,9 +21,9 @@ from topokit.sampling import farthest_point_sample
 
 from .camera import Camera, observe
 from .config import SimulationConfig
-from .episode import _AT_REST
+from .episode import AT_REST
 from .garments import Garment
-from .recording import SimulationError, _StretchCheck
+from .recording import SimulationError, StretchCheck
 from .targets import Target
 from .tasks import TASKS, Task
 from .world import World
@@ -132,7 +132,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.reward, self.n_points, self.cameras, self.render_mode = reward, n_points, tuple(cameras), render_mode
         self.max_step = positive(max_speed, "max_speed", zero=False) * self.config.frame_time
         self.max_steps = int(positive(max_steps, "max_steps", zero=False))
-        self._check = _StretchCheck(self.garment, self.config)
+        self._check = StretchCheck(self.garment, self.config)
         self._world: World | None = None
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
         self.observation_space = spaces.Dict(
@@ -187,7 +187,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._linked, self._distance = self._progress(seen)
         speed = float(np.linalg.norm(self._points - points, axis=1).mean()) / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
-        rests = not torn and free and speed < _AT_REST
+        rests = not torn and free and speed < AT_REST
         hangs = rests and self.task.hangs(self._points, self.garment.loops, self.target)
         reward = float(hangs)
         if self.reward != "sparse":
@@ -250,7 +250,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _is_torn(self) -> bool:
         try:
-            self._check(self._points, self._steps)
+            self._check(self._points, f"step {self._steps}")
         except SimulationError:
             return True
         return False

@@ -31,7 +31,7 @@ from .tasks import TASKS, Task, task_for
 
 __all__ = ["simulate"]
 
-_AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
+AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 _FEWEST_FRAMES = 76  # a history of 16 and a horizon of 60
 
 
@@ -171,7 +171,7 @@ def _at_rest(points: NDArray[np.float32], config: SimulationConfig) -> bool:
     """A loop that flies past the arm links it too, hence the rest."""
     if len(points) < 2:
         return False
-    return float(np.linalg.norm(points[-1] - points[-2], axis=1).mean()) / config.frame_time < _AT_REST
+    return float(np.linalg.norm(points[-1] - points[-2], axis=1).mean()) / config.frame_time < AT_REST
 
 
 def _progress(frames: int) -> Report:

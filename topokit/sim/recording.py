@@ -19,6 +19,8 @@ __all__ = ["Recording", "Report", "Run", "SimulationError", "record"]
 Array = NDArray[np.float64]
 Report = Callable[[int], None]
 
+_CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
+
 
 class SimulationError(RuntimeError):
     """A run that failed: cloth that exploded or was stretched too far, a simulator that crashed or does not get on."""
@@ -87,14 +89,15 @@ def record(run: Run, report: Report | None = None) -> Recording:
     """
     garment, config = run.garment, run.config
     report = report or (lambda _: None)
-    check = _StretchCheck(garment, config)
+    check = StretchCheck(garment, config)
     offset = run.goals[0].mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
     noise = np.random.default_rng(run.noise)
     points, grippers, observed, stretch = [], [], [], []
     with World(garment, offset, config) as world:
         world.add_rods(run.rods)
         for step in range(round(config.settle / config.dt)):
-            if step % 100 == 0:
+            if step % _CHECK_WHILE_SETTLING == 0 and step:
+                check(world.vertices(), "settling")
                 report(-1)
             world.step(run.goals[0])
         for step, goal in enumerate(run.goals):
@@ -102,7 +105,7 @@ def record(run: Run, report: Report | None = None) -> Recording:
                 world.release()
             if step % config.steps_per_frame == 0:
                 points.append(world.vertices())
-                stretch.append(check(points[-1], len(points) - 1))
+                stretch.append(check(points[-1], f"frame {len(points) - 1}"))
                 grippers.append(world.grippers())
                 if run.cameras:
                     observed.append(observe(world, run.cameras, run.n_observed, noise))
@@ -112,28 +115,28 @@ def record(run: Run, report: Report | None = None) -> Recording:
     return Recording(np.array(points, np.float32), np.array(grippers, np.float32), seen, np.array(stretch))
 
 
-class _StretchCheck:
+class StretchCheck:
     """Refuses frames that are not physical."""
 
     def __init__(self, garment: Garment, config: SimulationConfig) -> None:
         self._edges, self._rest, self._config = garment.edges, garment.edge_lengths, config
 
-    def __call__(self, points: Array, frame: int) -> tuple[float, float]:
+    def __call__(self, points: Array, where: str) -> tuple[float, float]:
         lost = ~np.isfinite(points).all(axis=1)
         if lost.any():
             vertex = int(np.argmax(lost))
-            raise SimulationError(f"frame {frame}: vertex {vertex} is at {points[vertex]}: the cloth exploded")
+            raise SimulationError(f"{where}: vertex {vertex} is at {points[vertex]}: the cloth exploded")
         ends = points[self._edges]
         stretch = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / self._rest
         most, worst = float(np.percentile(stretch, 99)), int(np.argmax(stretch))
         edge = f"{self._edges[worst].tolist()}, {stretch[worst]:.2f} times its length"
         if most > self._config.max_stretch:
             raise SimulationError(
-                f"frame {frame}: one edge in a hundred is stretched beyond {most:.2f} times its length "
+                f"{where}: one edge in a hundred is stretched beyond {most:.2f} times its length "
                 f"(max_stretch is {self._config.max_stretch:g}), most of all {edge}"
             )
         if stretch[worst] > self._config.max_edge_stretch:
             raise SimulationError(
-                f"frame {frame}: one edge is over-stretched (max_edge_stretch is {self._config.max_edge_stretch:g}): {edge}"
+                f"{where}: one edge is over-stretched (max_edge_stretch is {self._config.max_edge_stretch:g}): {edge}"
             )
         return most, float(stretch[worst])
