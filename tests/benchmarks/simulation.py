@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from topokit.data import Dataset
 from topokit.sim import TASKS, WARDROBE, Randomisation, SimulationConfig, SimulationError, World, simulate
 from topokit.sim.config import SimulationConfig as Config
 
@@ -110,6 +111,23 @@ def attempts(names: list[str], seeds: range, randomise: bool, results: Path) -> 
     return [known[key] for key in wanted]
 
 
+def recorded(folder: Path) -> list[dict[str, Any]]:
+    """The same rows, of the episodes of a dataset that `topokit generate` made."""
+    dataset = Dataset.open(folder)
+    lines = (folder / "timing.jsonl").read_text().splitlines()
+    seconds = {row["episode"]: row["seconds"] for row in map(json.loads, lines)}
+    rows = []
+    for record in dataset.records:
+        row: dict[str, Any] = {"task": record.task, "seed": record.episode, "seconds": seconds.get(record.episode, math.nan)}
+        if record.status == "ok":
+            row |= {"success": record.success, "vertices": record.vertices}
+            row |= dataset.document(record.episode)["physics"]["stretch"]
+        else:
+            row["rejected"] = record.reason
+        rows.append(row)
+    return sorted(rows, key=lambda row: row["task"])
+
+
 def by_task(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
     """Success, rejection, cost and stretch of every task."""
     for name in dict.fromkeys(row["task"] for row in rows):
@@ -152,6 +170,7 @@ def main() -> None:
         "--randomise", action="store_true", help="draw physics and sizes from the default Randomisation"
     )
     parser.add_argument("--results", type=Path, default=Path("simulation.jsonl"), help="file of episodes to continue")
+    parser.add_argument("--dataset", type=Path, help="success of the episodes of this dataset, instead of simulating any")
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of tables")
     options = parser.parse_args()
     answer: dict[str, list[dict[str, Any]]] = {}
@@ -160,7 +179,11 @@ def main() -> None:
     if options.only in (None, "cost"):
         answer["cost"] = [cost(name, spacing) for name, spacings in SPACINGS.items() for spacing in spacings]
     if options.only in (None, "success"):
-        rows = attempts(options.tasks, range(options.seeds), options.randomise, options.results)
+        rows = (
+            recorded(options.dataset)
+            if options.dataset
+            else attempts(options.tasks, range(options.seeds), options.randomise, options.results)
+        )
         answer["success"] = list(by_task(rows))
     if options.json:
         print(json.dumps({"config": dataclasses.asdict(SimulationConfig()), **answer}, indent=1))
