@@ -17,7 +17,12 @@ import yaml
 import topokit
 
 ROOT = Path(__file__).parent.parent
-CONDA_NAMES = {"torch": "pytorch", "matplotlib": "matplotlib-base"}
+CONDA_NAMES = {
+    "torch": "pytorch",
+    "matplotlib": "matplotlib-base",
+    "dask": "dask-core",
+    "lightning-fabric": "lightning",
+}
 CONDA_VERSIONS = {("pybullet", "3.2.7"): "3.25"}  # conda-forge numbers Bullet, PyPI its packaging of it
 
 
@@ -62,7 +67,7 @@ def test_versions_agree():
 
 def test_import_is_light_and_quiet():
     """Modules, not seconds: a test that times is a test that lies on a busy machine."""
-    code = "import sys, topokit; heavy = 'numba torch pybullet trimesh matplotlib pyvista scipy pandas'.split()\n"
+    code = "import sys, topokit; heavy = 'numba torch pybullet trimesh matplotlib pyvista scipy pandas zarr dask distributed'.split()\n"
     code += "print([name for name in heavy if name in sys.modules], file=sys.stderr)"
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == ""
@@ -87,10 +92,13 @@ LAYERS = [
     {"_validate", "_archive"},
     {"sampling", "linking", "rips"},
     {"state"},
+    {"mixture"},
     {"seqph"},
     {"io"},
     {"lemmas"},
     {"sim", "evaluate"},
+    {"data"},
+    {"models"},
     {"view"},
     {"cli", "__main__"},
 ]

@@ -10,6 +10,7 @@ Loops of point clouds by exact Vietoris-Rips persistence, located by the edge th
 from __future__ import annotations
 
 from .linking import linking_number
+from .mixture import LoopMixture, loop_mixture
 from .rips import Diagram, rips_persistence, rips_persistence_many
 from .sampling import covering_radius, farthest_point_sample, hausdorff
 from .seqph import SeqPH, track
@@ -20,12 +21,14 @@ __version__ = "0.1.0"
 __all__ = [
     "Diagram",
     "Loop",
+    "LoopMixture",
     "SeqPH",
     "TopologicalState",
     "covering_radius",
     "farthest_point_sample",
     "hausdorff",
     "linking_number",
+    "loop_mixture",
     "rips_persistence",
     "rips_persistence_many",
     "track",

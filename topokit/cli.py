@@ -104,6 +104,12 @@ def _parser() -> argparse.ArgumentParser:
     tracker.add_argument("--tolerance", type=float, default=0.0, help="metres beside the hull that count as in it")
     tracker.add_argument("--json", action="store_true", help="print the answer as JSON")
     tracker.set_defaults(run=_track)
+
+    from .data.commands import add as add_data_commands
+    from .models.commands import add as add_model_commands
+
+    add_data_commands(commands)
+    add_model_commands(commands)
     return parser
 
 

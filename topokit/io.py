@@ -19,7 +19,16 @@ from numpy.typing import NDArray
 from ._archive import FormatError, load_archive, save_archive
 from .state import Loop, TopologicalState
 
-__all__ = ["SCHEMA", "Episode", "FormatError", "load_episode", "load_states", "save_episode", "save_states"]
+__all__ = [
+    "SCHEMA",
+    "Episode",
+    "FormatError",
+    "check_episode",
+    "load_episode",
+    "load_states",
+    "save_episode",
+    "save_states",
+]
 
 SCHEMA = 1
 _KIND = "topokit-episode"
@@ -99,7 +108,7 @@ def save_episode(path: str | Path, episode: Episode) -> Path:
         When the arrays disagree in their number of frames, a loop names a vertex that is not there, a coordinate is not
         finite, or packing to 16 bits would cost more than 0.1 mm (a coordinate is far outside the scene).
     """
-    _check(episode)
+    check_episode(episode)
     arrays: dict[str, NDArray[Any]] = {}
     for name in _PACKED:
         arrays[name], arrays[f"{name}_scale"] = _pack(name, getattr(episode, name))
@@ -138,14 +147,14 @@ def load_episode(path: str | Path) -> Episode:
     except (KeyError, TypeError) as error:
         raise FormatError(f"{path}: an episode with a missing or an unknown part: {error}; record it again") from error
     try:
-        _check(episode)
+        check_episode(episode)
     except ValueError as error:
         raise FormatError(f"{path}: {error}") from error
     return episode
 
 
-def _check(episode: Episode) -> None:
-    """Raise ValueError when the parts of an episode do not fit each other."""
+def check_episode(episode: Episode) -> None:
+    """Raise ValueError when the parts of an episode do not fit each other; the message says which and where."""
     frames, vertices = episode.points.shape[:2] if episode.points.ndim == 3 else (0, 0)
     if episode.points.ndim == 3 and frames == 0:
         raise ValueError("points holds no frame")

@@ -118,7 +118,11 @@ def recorded(folder: Path) -> list[dict[str, Any]]:
     seconds = {row["episode"]: row["seconds"] for row in map(json.loads, lines)}
     rows = []
     for record in dataset.records:
-        row: dict[str, Any] = {"task": record.task, "seed": record.episode, "seconds": seconds.get(record.episode, math.nan)}
+        row: dict[str, Any] = {
+            "task": record.task,
+            "seed": record.episode,
+            "seconds": seconds.get(record.episode, math.nan),
+        }
         if record.status == "ok":
             row |= {"success": record.success, "vertices": record.vertices}
             row |= dataset.document(record.episode)["physics"]["stretch"]
@@ -170,7 +174,9 @@ def main() -> None:
         "--randomise", action="store_true", help="draw physics and sizes from the default Randomisation"
     )
     parser.add_argument("--results", type=Path, default=Path("simulation.jsonl"), help="file of episodes to continue")
-    parser.add_argument("--dataset", type=Path, help="success of the episodes of this dataset, instead of simulating any")
+    parser.add_argument(
+        "--dataset", type=Path, help="success of the episodes of this dataset, instead of simulating any"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of tables")
     options = parser.parse_args()
     answer: dict[str, list[dict[str, Any]]] = {}

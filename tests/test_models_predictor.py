@@ -1,0 +1,374 @@
+"""Predictors: one network, streams and windows alike, plans in one batch; checkpoints that say what is wrong with them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import safetensors.torch
+import torch
+from torch.utils.data import default_collate
+
+import topokit as tk
+from topokit._archive import FormatError
+from topokit.cli import main
+from topokit.io import load_episode
+from topokit.models import Forecast, Predictor
+from topokit.models.base import Normalisation, Shape
+from topokit.models.checkpoint import describe, load_model, load_tensors, save_tensors
+from topokit.models.registry import MODELS, build
+from topokit.models.states import target_states
+
+from windows import HISTORY, HORIZON, POINTS, SLOTS, RingWindows
+
+SHAPE = Shape(points=POINTS, slots=SLOTS)
+UNITS = Normalisation((0.0, 0.0, 0.85), 0.1, 0.08)
+SMALL = {
+    "mlp": {"hidden": [32, 16], "cloud_points": 8},
+    "pointnet": {"hidden": [32, 16], "per_point": [8, 16]},
+    "loopcast": {"width": 16, "step_width": 8},
+}
+NETWORKS = tuple(SMALL)
+
+
+def make(name, seed=0):
+    torch.manual_seed(seed)
+    model = build(name, SHAPE, UNITS, SMALL.get(name)).eval()
+    if name == "ridge":
+        model.coefficients.data.normal_(std=0.01)
+    if name == "loopcast":
+        torch.nn.init.normal_(model.change.weight, std=0.3)
+    return model
+
+
+@pytest.fixture(scope="module")
+def window():
+    data = RingWindows(4, seed=5)
+    return default_collate([data[i] for i in range(4)])
+
+
+@pytest.fixture(scope="module")
+def stream(window):
+    return [(window["clouds"][1, t].double().numpy(), window["grippers"][1, t].numpy()) for t in range(HISTORY)]
+
+
+def save(path, name="mlp", **changes):
+    model = make(name)
+    entries = {f"model.{key}": part for key, part in model.state_dict().items()}
+    return save_tensors(path, entries, describe(model, name, SMALL.get(name, {})) | changes)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_shapes_and_finite(window, name):
+    with torch.inference_mode():
+        states, now = make(name)(window)
+    assert states.corners.shape == (4, HORIZON, SLOTS, 8, 3)
+    assert states.neighbour_values.shape == (4, HORIZON, SLOTS, 4)
+    for part in ("birth", "death", "step", "presence"):
+        assert getattr(states, part).shape == (4, HORIZON, SLOTS)
+        assert torch.isfinite(getattr(states, part)).all()
+    assert (states.death >= states.birth).all()
+    assert (states.birth >= 0).all()
+    assert (now is not None) == (name == "loopcast")
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_every_weight_learns(window, name):
+    from topokit.models.losses import LossWeights, forecast_loss
+
+    model = make(name).train()
+    states, now = model(window)
+    forecast_loss(states, window, LossWeights(centre=1, nll=0.1, now=1, match=True), now=now)[0].backward()
+    assert [key for key, part in model.named_parameters() if part.grad is None or not part.grad.any()] == []
+
+
+@pytest.mark.parametrize("name", ["pointnet", "loopcast"])
+def test_the_order_of_points_does_not_count(window, name):
+    mixed = window | {"clouds": window["clouds"][:, :, torch.randperm(POINTS)]}
+    with torch.inference_mode():
+        assert torch.allclose(make(name)(window)[0].corners, make(name)(mixed)[0].corners, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["loopcast", "carry", "hold"])
+def test_a_step_knows_nothing_of_the_plan_after_it(window, name):
+    later = window["actions"].clone()
+    later[:, 30:] += 0.1
+    with torch.inference_mode():
+        model = make(name)
+        one, other = model(window)[0], model(window | {"actions": later})[0]
+    assert torch.equal(one.corners[:, :30], other.corners[:, :30])
+    if name != "hold":
+        assert not torch.allclose(one.corners[:, 30:], other.corners[:, 30:])
+
+
+def test_loopcast_in_another_place_of_the_room_differs_by_that_alone_when_it_does_not_look_there(window):
+    model = make("loopcast")
+    with torch.no_grad():
+        model.encoder.frame.weight[:, 6:9] = 0  # the middle of the grippers in the room
+        model.join.weight.view(16, 4, -1)[:, :, -4:-1] = 0
+        model.step_in.weight[:, 18:21] = 0
+    away = torch.tensor([0.3, -0.2, 0.1])
+    there = window | {name: window[name] + away for name in ("clouds", "grippers", "actions")}
+    with torch.inference_mode():
+        one, other = model(window)[0], model(there)[0]
+    assert torch.allclose(one.corners + away, other.corners, atol=1e-4)
+    assert torch.allclose(one.death, other.death, atol=1e-5)
+
+
+def test_hold_and_carry_are_what_they_say(window):
+    truth = target_states(window)
+    hold, carry = make("hold")(window)[0], make("carry")(window)[0]
+    last = window["past_triangles"][:, -1, 0, 0, 0]
+    assert torch.allclose(hold.corners[:, :, 0, 0], last[:, None].expand(-1, HORIZON, -1))
+    assert torch.allclose(carry.corners[:, :, 0], truth.corners[:, :, 0], atol=1e-5)  # the ring goes with the grippers
+    assert torch.allclose(
+        carry.step[:, :, 0], (carry.corners[:, :, 0, 0].diff(dim=1, prepend=last[:, None])).norm(dim=-1), atol=1e-6
+    )
+    assert (carry.presence[:, :, 0] > 0).all()
+    assert (carry.presence[:, :, 2:] < 0).all()
+
+
+def test_carry_brings_a_lost_loop_to_where_it_should_be_now(window):
+    lost = {name: part.clone() for name, part in window.items()}
+    for name in ("triangles", "values", "present"):
+        lost[f"past_{name}"][:, 10:, 0] = 0
+    carry, expected = make("carry")(lost)[0], make("carry")(window)[0]
+    assert torch.allclose(carry.corners[:, :, 0], expected.corners[:, :, 0], atol=1e-5)
+    assert (carry.presence[:, :, 0] < 0).all()
+
+
+def test_ridge_is_the_solution_of_scikit_learn(window):
+    from sklearn.linear_model import Ridge
+
+    model = make("ridge")
+    data = RingWindows(40, seed=8)
+    batches = [default_collate([data[i] for i in range(start, start + 20)]) for start in (0, 20)]
+    model.fit(batches)
+    whole = default_collate([data[i] for i in range(40)])
+    kept = model.encode(whole)
+    x = model._inputs(kept, whole["actions"], whole["actions_held"]).flatten(0, 1).double().numpy()
+    y = whole["present"].transpose(1, 2).flatten(0, 1).double().numpy()  # (windows * slots, steps)
+    peer = Ridge(alpha=model.penalty).fit(x[:, 1:], y)
+    with torch.inference_mode():
+        presence = model.decode(kept, whole["actions"], whole["actions_held"]).presence / 12 + 0.5
+    assert np.allclose(presence.transpose(1, 2).flatten(0, 1), peer.predict(x[:, 1:]), atol=1e-4)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_many_plans_are_the_single_ones(window, stream, name):
+    predictor = Predictor(make(name))
+    for cloud, grippers in stream:
+        predictor.observe(cloud, grippers)
+    rng = np.random.default_rng(0)
+    plans = window["actions"][1].numpy() + rng.normal(0, 0.05, (30, HORIZON, 2, 3))
+    held = rng.random((30, HORIZON)) < 0.7
+    many = predictor.predict(plans, held)
+    assert many.plans == 30
+    for i in (0, 24, 29):
+        single = predictor.predict(plans[i], held[i])
+        assert np.allclose(many.plan(i).corners, single.corners, atol=1e-5)
+        assert np.allclose(many.plan(i).presence, single.presence, atol=1e-5)
+    with pytest.raises(IndexError, match="choose one first"):
+        many[0]
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_a_stream_is_the_window(window, stream, name):
+    """Frames encoded one at a time, with earlier ones that have been forgotten, give what the batch gives."""
+    predictor = Predictor(make(name))
+    for cloud, grippers in [*stream[5:10], *stream]:
+        predictor.observe(cloud, grippers)
+    forecast = predictor.predict(window["actions"][1], window["actions_held"][1])
+    with torch.inference_mode():
+        states = make(name)(window)[0]
+    assert np.allclose(forecast.corners, states.corners[1], atol=1e-5)
+    assert np.allclose(forecast.centre, states.centre[1], atol=1e-5)
+    assert np.allclose(forecast.triangles, states.triangles[1], atol=1e-5)
+    assert np.allclose(forecast.values, states.values[1], atol=1e-6)
+    assert np.allclose(forecast.presence, states.presence[1].sigmoid(), atol=1e-5)
+
+
+def test_frames_are_encoded_once(window, stream, monkeypatch):
+    predictor = Predictor(make("loopcast"))
+    calls = []
+    encode = predictor.model.encode_frames
+    monkeypatch.setattr(predictor.model, "encode_frames", lambda frames: calls.append(1) or encode(frames))
+    for cloud, grippers in stream:
+        predictor.observe(cloud, grippers)
+    predictor.predict(window["actions"][1])
+    predictor.predict(window["actions"].numpy())
+    assert len(calls) == len(stream)
+
+
+def test_carry_follows_the_tracked_loop_of_a_stream(episode_path):
+    episode = load_episode(episode_path)
+    predictor = Predictor(build("carry", Shape(), UNITS))
+    for t in range(4, 20):
+        predictor.observe(episode.points[t], episode.grippers[t])
+    loop = predictor.predict(np.repeat(episode.grippers[19][None], 60, axis=0))[0][0]
+    truth = episode.points[19][episode.loops[0]]
+    assert np.linalg.norm(loop.mixture().mean - truth.mean(axis=0)) < 0.06
+    assert loop.slot == 0
+
+
+def test_loops_of_a_forecast(window, stream):
+    predictor = Predictor(make("loopcast"))
+    for cloud, grippers in stream:
+        predictor.observe(cloud, grippers)
+    forecast = predictor.predict(window["actions"][1])
+    assert isinstance(forecast, Forecast)
+    assert len(forecast) == HORIZON == len(list(forecast))
+    for step in (0, 59):
+        loops = forecast[step]
+        assert len(loops) == (forecast.presence[step] > 0.5).sum()
+        assert [loop.lifetime for loop in loops] == sorted((loop.lifetime for loop in loops), reverse=True)
+        for loop in loops:
+            assert np.allclose(loop.mixture().mean, forecast.centre[step, loop.slot], atol=1e-5)
+            assert np.allclose(tk.loop_mixture(loop, noise=1e-3).covariances, loop.mixture(1e-3).covariances)
+    assert len(json.loads(json.dumps(forecast.as_dict()))["steps"]) == HORIZON
+
+
+def test_what_cannot_be_observed_or_planned_is_refused(stream, window):
+    predictor = Predictor(make("loopcast"))
+    cloud, grippers = stream[0]
+    plan = window["actions"][1].numpy()
+    with pytest.raises(ValueError, match="nothing was observed yet"):
+        predictor.predict(plan)
+    with pytest.raises(ValueError, match="needs to know where the grippers are"):
+        predictor.observe(cloud)
+    with pytest.raises(ValueError, match=r"grippers must be a \(2, 3\) array"):
+        predictor.observe(cloud, grippers[:1])
+    with pytest.raises(ValueError, match=r"points must be an \(n, 3\) array"):
+        predictor.observe(cloud[:, :2], grippers)
+    predictor.observe(cloud, grippers)
+    with pytest.raises(ValueError, match=r"actions must be \(60, 2, 3\) or \(plans, 60, 2, 3\)"):
+        predictor.predict(plan[:20])
+    with pytest.raises(ValueError, match=r"held must be \(60,\)"):
+        predictor.predict(plan, np.ones(59, bool))
+    with pytest.raises(ValueError, match="NaN"):
+        predictor.predict(np.full_like(plan, np.nan))
+    predictor.predict(plan)
+    predictor.reset()
+    with pytest.raises(ValueError, match="nothing was observed yet"):
+        predictor.predict(plan)
+
+
+def test_networks_of_clouds_alone_need_no_grippers(stream, window):
+    predictor = Predictor(make("pointnet"))
+    predictor.observe(stream[0][0][:5])  # fewer points than it wants, and one frame only
+    assert np.isfinite(predictor.predict(window["actions"][1]).corners).all()
+
+
+# -- checkpoints ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_checkpoint_gives_the_model_back(tmp_path, window, name):
+    loaded, description = load_model(save(tmp_path / "c.safetensors", name))
+    with torch.inference_mode():
+        assert torch.equal(loaded(window)[0].corners, make(name)(window)[0].corners)
+    assert description["model"] == name
+
+
+def test_same_content_same_bytes(tmp_path):
+    save(tmp_path / "a.safetensors")
+    save(tmp_path / "b.safetensors")
+    assert (tmp_path / "a.safetensors").read_bytes() == (tmp_path / "b.safetensors").read_bytes()
+
+
+def test_wrong_and_damaged_checkpoints_are_told_apart(tmp_path):
+    path = save(tmp_path / "c.safetensors")
+    whole = path.read_bytes()
+    with pytest.raises(FileNotFoundError, match="there is no such file"):
+        Predictor.load(tmp_path / "none.safetensors")
+    with pytest.raises(FileNotFoundError, match="a folder"):
+        Predictor.load(tmp_path)
+    for content, says in (
+        (b"", "empty"),
+        (whole[:-100], "truncated or damaged"),
+        (whole[:50], "truncated or damaged"),
+        (b"\x80\x04." + bytes(100), "no checkpoint, or a truncated or damaged one"),
+        (whole[:-8] + bytes([whole[-8] ^ 1]) + whole[-7:], "checksum does not match"),
+        (safetensors.torch.save({"a": torch.zeros(2)}), "topokit did not write"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(FormatError, match=says):
+            Predictor.load(path)
+
+
+def test_checkpoints_for_other_shapes_or_models(tmp_path):
+    path = tmp_path / "c.safetensors"
+    save(path, shape={"history": 16, "horizon": 60, "points": POINTS, "slots": 3})
+    with pytest.raises(
+        FormatError, match=r"weights of another shape: 'mlp' as described has rest\.\S+ \(5760.*the file \(7680"
+    ):
+        Predictor.load(path)
+    save(path, model="loopcast", options={})
+    with pytest.raises(FormatError, match=r"weights of another shape: 'loopcast'.*not at all"):
+        Predictor.load(path)
+    save(path, model="transformer")
+    with pytest.raises(FormatError, match="no model 'transformer'; there are hold, carry"):
+        Predictor.load(path)
+    save(path, options={"layers": 9})
+    with pytest.raises(FormatError, match="layers"):
+        Predictor.load(path)
+    save(path, schema=9)
+    with pytest.raises(FormatError, match="schema 9"):
+        Predictor.load(path)
+
+
+def test_the_name_of_a_checkpoint(tmp_path):
+    with pytest.raises(ValueError, match=r"ends in \.safetensors"):
+        save(tmp_path / "c.pt")
+
+
+def test_half_precision_is_half_the_size(tmp_path):
+    whole = save(tmp_path / "a.safetensors")
+    entries = {name: part.half() for name, part in load_tensors(whole)[1].items()}
+    half = save_tensors(tmp_path / "b.safetensors", entries, describe(make("mlp"), "mlp", SMALL["mlp"]))
+    assert half.stat().st_size < 0.6 * whole.stat().st_size
+    assert all(part.dtype == torch.float32 for part in load_model(half)[0].state_dict().values())
+
+
+# -- the command ----------------------------------------------------------------------------------------------------------------
+
+
+def test_predict_command(tmp_path, episode_path, capsys):
+    path = save(tmp_path / "c.safetensors", "loopcast")
+    assert main(["predict", str(path), str(episode_path), "--frame", "30", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["model"] == "loopcast"
+    assert answer["frame"] == 30
+    assert len(answer["steps"]) == HORIZON
+    assert main(["predict", str(path), str(episode_path), "--frame", "90"]) == 0
+    assert "mean of the mixture" in capsys.readouterr().out
+    assert main(["predict", str(path), str(episode_path), "--frame", "300"]) == 2
+    assert "frames 0 to 95" in capsys.readouterr().err
+    assert main(["predict", str(episode_path), str(episode_path)]) == 2
+    assert "no checkpoint" in capsys.readouterr().err
+
+
+def test_help_and_import_do_without_torch():
+    code = """
+import sys
+for name in ("torch", "safetensors", "lightning_fabric", "tqdm"):
+    sys.modules[name] = None
+import topokit.models
+from topokit.cli import main
+try:
+    main(["predict", "--help"])
+except SystemExit as done:
+    assert done.code == 0
+assert main(["predict", "c.safetensors", "e.npz"]) == 2
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "usage: topokit predict" in done.stdout
+    assert "pip install 'topokit[learn]'" in done.stderr
+
+
+@pytest.mark.parametrize("name", ["ridge", *NETWORKS])
+def test_a_checkpoint_in_16_bits_takes_less_than_5_mb(name):
+    assert sum(part.numel() for part in build(name, Shape(), UNITS).parameters()) < 2_450_000

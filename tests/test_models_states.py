@@ -1,0 +1,195 @@
+"""Corners, batched mixtures and losses: against NumPy, against the tracker, and by what must not matter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import default_collate
+
+import topokit as tk
+from topokit.io import load_episode
+from topokit.models.baselines import past_window
+from topokit.models.forecast import PredictedLoop
+from topokit.models.losses import LossWeights, forecast_loss, match_slots
+from topokit.models.mixture import loop_mixtures, sigma_points
+from topokit.models.states import States, corners_of, past_states, target_states
+
+from windows import SLOTS, RingWindows
+
+LABELS = ("triangles", "values", "birth", "death", "step", "present")
+
+
+@pytest.fixture(scope="module")
+def tracked(episode_path):
+    return tk.track(load_episode(episode_path).points[20:36], identity="killer-triangles")
+
+
+@pytest.fixture(scope="module")
+def window():
+    data = RingWindows(6, seed=3)
+    return default_collate([data[i] for i in range(6)])
+
+
+def test_corners_give_the_triangles_of_the_tracker_back(tracked):
+    past = past_window(tracked, 3)
+    states = past_states(past)
+    seen = 0
+    for frame, state in enumerate(tracked):
+        for slot in range(3):
+            rows = [loop for loop in state.loops if np.isclose(loop.death, float(states.death[0, frame, slot]))]
+            if not past["past_present"][0, frame, slot]:
+                continue
+            loop = rows[0]
+            triangles, values = states.triangles[0, frame, slot].numpy(), states.values[0, frame, slot].numpy()
+            assert np.allclose(triangles[:2], loop.killer_triangles, atol=1e-6)
+            assert np.allclose(triangles[2:][values[2:] > 0], loop.neighbours, atol=1e-6)
+            assert np.allclose(values[2:][values[2:] > 0], loop.neighbour_values, atol=1e-6)
+            assert np.allclose(states.centre[0, frame, slot], tk.loop_mixture(loop).mean, atol=1e-6)
+            seen += 1
+    assert seen >= 16
+
+
+def test_slots_of_a_history_are_ordered_by_lifetime(tracked):
+    past = past_window(tracked, 2)
+    lifetimes = (past["past_death"] - past["past_birth"])[0].sum(dim=0)
+    assert lifetimes[0] >= lifetimes[1]
+    longest = tracked[0].loops[0]
+    assert np.isclose(float(past["past_birth"][0, 0, 0]), longest.birth, atol=1e-6)
+
+
+def test_neighbours_stand_on_their_edges_when_some_are_missing(window):
+    states = target_states(window)
+    assert torch.allclose(states.values[:, :, 0, :].sum(-1), window["values"][:, :, 0].sum(-1))
+    assert (states.neighbour_values[:, :, 0] > 0).sum() == 2 * 6 * 60
+    there = states.values[:, :, 0] > 0
+    rebuilt = states.triangles[:, :, 0][there].mean(dim=-2)
+    stored = window["triangles"][:, :, 0][window["values"][:, :, 0] > 0].mean(dim=-2)
+    assert torch.allclose(rebuilt.sum(dim=0), stored.sum(dim=0), rtol=1e-4)
+
+
+def test_corners_of_corners(window):
+    states = target_states(window)
+    corners, values = corners_of(states.triangles, states.values)
+    there = window["present"]
+    assert torch.allclose(corners[there], states.corners[there])
+    assert torch.allclose(values[there], states.neighbour_values[there])
+
+
+def test_batched_mixtures_are_those_of_numpy(tracked):
+    loops = [state.loops[0] for state in tracked if len(state.loops[0].neighbours) == 4]
+    assert len(loops) > 3
+    triangles = torch.tensor(np.array([np.concatenate([loop.killer_triangles, loop.neighbours]) for loop in loops]))
+    values = torch.tensor(np.array([np.concatenate([loop.killer_values, loop.neighbour_values]) for loop in loops]))
+    triangles.requires_grad_()
+    mixtures = loop_mixtures(triangles, values, noise=3e-4)
+    x = np.random.default_rng(0).normal(loops[0].centre, 0.1, size=(50, 3))
+    got = mixtures.log_prob(torch.tensor(x)[:, None]).detach().numpy()
+    for i, loop in enumerate(loops):
+        assert np.allclose(got[:, i], tk.loop_mixture(loop, noise=3e-4).log_prob(x))
+        assert np.allclose(mixtures.mean[i].detach(), tk.loop_mixture(loop).mean)
+    mixtures.log_prob(torch.tensor(x[:1])).sum().backward()
+    assert torch.isfinite(triangles.grad).all()
+    assert triangles.grad.abs().sum() > 0
+
+
+def test_sigma_points_have_the_moments(tracked):
+    loop = tracked[0].loops[0]
+    triangles = np.concatenate([loop.killer_triangles, loop.neighbours])
+    values = np.concatenate([loop.killer_values, loop.neighbour_values])
+    points, weights = (part.numpy() for part in sigma_points(torch.tensor(triangles), torch.tensor(values)))
+    mixture = tk.loop_mixture(loop, noise=1e-12)
+    assert np.isclose(weights.sum(), 1)
+    assert np.allclose(weights @ points, mixture.mean)
+    assert np.allclose(np.cov(points.T, aweights=weights, bias=True), mixture.covariance)
+
+
+def losses(states, window, **options):
+    total, parts = forecast_loss(states, window, LossWeights(centre=1, **options))
+    return float(total), {name: float(part) for name, part in parts.items()}
+
+
+def test_the_truth_has_no_error_and_anything_else_more(window):
+    truth = target_states(window)
+    best, parts = losses(truth, window)
+    assert parts["features"] < 1e-9
+    assert parts["presence"] < 1e-6
+    assert parts["distance"] < 1e-7
+    for change in (
+        {"corners": truth.corners + 0.01},
+        {"death": truth.death + 0.01},
+        {"neighbour_values": truth.neighbour_values + 0.01},
+        {"presence": -truth.presence},
+    ):
+        assert losses(truth.replace(**change), window)[0] > best + 1e-3
+
+
+def test_the_log_likelihood_prefers_the_truth(window):
+    """To a mixture that is elsewhere, wider, or surer than it may be; and is that of NumPy."""
+    truth = target_states(window)
+    middle = truth.centre[..., None, :]
+    best = losses(truth, window, nll=1)[1]["nll"]
+    for corners in (
+        truth.corners + 0.02,
+        middle + 2 * (truth.corners - middle),
+        middle + 0.5 * (truth.corners - middle),
+    ):
+        assert losses(truth.replace(corners=corners), window, nll=1)[1]["nll"] > best + 0.05
+    one = truth[:1, :1, :1]
+    first = {name: part[:1, :1, :1] if name in LABELS else part for name, part in window.items()}
+    first |= {f"past_{name}": window[f"past_{name}"][:1, :1, :1] for name in LABELS}
+    killers, near = one.triangles[0, 0, 0].double().split([2, 4])
+    values = one.values[0, 0, 0].double()
+    loop = PredictedLoop(0, 1.0, 0.0, 0.1, 0.0, *(part.numpy() for part in (killers, near, values[:2], values[2:])))
+    points, weights = sigma_points(one.triangles[0, 0, 0], one.values[0, 0, 0])
+    expected = -(weights.numpy() * tk.loop_mixture(loop).log_prob(points.numpy())).sum()
+    assert np.isclose(losses(one, first, nll=1)[1]["nll"], expected, atol=1e-3)
+
+
+def test_an_edge_has_no_direction(window):
+    truth = target_states(window)
+    assert losses(truth.reversed(), window)[1]["features"] < 1e-9
+    wrong = truth.replace(corners=truth.corners[..., [2, 1, 0, 3, 4, 5, 6, 7], :])
+    assert losses(wrong, window)[1]["features"] > 0.1
+
+
+def test_slots_are_matched(window):
+    truth = target_states(window)
+    order = torch.tensor([[2, 0, 3, 1]]).expand(6, -1)
+    moved = truth.slots(order)
+    assert losses(moved, window)[1]["presence"] > 1
+    _, parts = losses(moved, window, match=True)
+    assert parts["features"] < 1e-9
+    assert parts["presence"] < 1e-6
+    found = match_slots(moved, truth)
+    assert torch.equal(found[1::2, [1, 3]], order[1::2, [1, 3]])  # the ring and the ghost
+    assert torch.equal(found.sort(dim=1).values, torch.arange(SLOTS).expand(6, -1))
+
+
+def test_absent_loops_have_no_say_in_places(window):
+    truth = target_states(window)
+    there = (truth.presence > 0)[..., None, None]
+    noise = truth.replace(corners=torch.where(there, truth.corners, torch.randn_like(truth.corners)))
+    assert losses(noise, window)[1]["features"] < 1e-9
+
+
+def test_a_batch_without_a_loop_has_a_finite_loss(window):
+    empty = window | {"present": torch.zeros_like(window["present"])}
+    states = target_states(window)
+    leaf = states.corners.clone().requires_grad_()
+    total, _ = forecast_loss(states.replace(corners=leaf), empty, LossWeights(centre=1, nll=1, match=True))
+    total.backward()
+    assert torch.isfinite(total)
+    assert torch.equal(leaf.grad, torch.zeros_like(leaf))
+
+
+def test_bad_weights_are_named():
+    with pytest.raises(ValueError, match=r"loss\.nll must be a number of zero or more, not -1"):
+        LossWeights(nll=-1)
+
+
+def test_states_index_and_replace(window):
+    states = target_states(window)
+    assert isinstance(states, States)
+    assert states[:, 3:5].corners.shape == (6, 2, SLOTS, 8, 3)
+    assert states.triangles.shape == (6, 60, SLOTS, 6, 3, 3)

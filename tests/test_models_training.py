@@ -1,0 +1,242 @@
+"""Training: the loss falls, a kill does not matter, and what does not fit is refused by name."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from torch.utils.data import default_collate
+
+from topokit.models.augment import mirrored
+from topokit.models.base import Normalisation, Shape
+from topokit.models.checkpoint import load_model, load_tensors
+from topokit.models.config import TrainConfig, load_config
+from topokit.models.losses import LossWeights
+from topokit.models.registry import build
+from topokit.models.states import target_states
+from topokit.models.training import EpochSampler, Windows, train
+
+from windows import POINTS, SLOTS, RingWindows
+
+SHAPE = Shape(points=POINTS, slots=SLOTS)
+OURS = LossWeights(centre=1.0, nll=0.05, now=1.0, match=True)
+
+
+@pytest.fixture(scope="module")
+def windows():
+    return Windows(RingWindows(96, seed=0), RingWindows(24, seed=1), "rings")
+
+
+def config(out, **changes):
+    entries = {
+        "model": "mlp",
+        "options": {"hidden": [32, 16]},
+        "shape": SHAPE,
+        "batch": 16,
+        "epochs": 3,
+        "out": str(out),
+    }
+    return TrainConfig(**(entries | changes))
+
+
+def log(out):
+    with (out / "log.csv").open(newline="") as handle:
+        return list(csv.DictReader(handle))
+
+
+@pytest.mark.parametrize(
+    ("model", "options", "loss"),
+    [
+        ("mlp", {"hidden": [64, 32]}, LossWeights()),
+        ("pointnet", {"hidden": [64, 32], "per_point": [16, 32]}, LossWeights()),
+        ("loopcast", {"width": 32, "step_width": 16}, OURS),
+    ],
+)
+def test_the_loss_falls_and_the_checkpoint_is_the_best_epoch(tmp_path, windows, model, options, loss):
+    how = config(tmp_path, model=model, options=options, loss=loss, epochs=12, learning_rate=3e-3)
+    answer = train(how, windows)
+    rows = log(tmp_path)
+    losses = [float(row["validation_loss"]) for row in rows]
+    assert losses[-1] < 0.7 * losses[0]
+    assert answer["validation_loss"] == min(losses)
+    assert answer["finished"]
+    _, description = load_model(tmp_path / "best.safetensors")
+    assert description["dataset"] == "rings"
+    assert description["config"] == json.loads(json.dumps(how.as_dict()))
+    assert description["normalisation"]["scale"] > 0
+
+
+@pytest.mark.parametrize("stop", [4, 6, 13])  # within an epoch, at its end, in the last
+def test_stopped_and_resumed_is_as_undisturbed(tmp_path, windows, stop):
+    how = {"model": "loopcast", "options": {"width": 16, "step_width": 8, "frames": [0, 5]}, "loss": OURS}
+    whole, parts = config(tmp_path / "whole", **how), config(tmp_path / "parts", **how)
+    train(whole, windows)
+    assert not train(parts, windows, stop_after=stop)["finished"]
+    assert train(parts, windows)["finished"]
+    one, other = (load_tensors(tmp_path / name / "last.safetensors") for name in ("whole", "parts"))
+    assert one[1].keys() == other[1].keys()
+    assert all(torch.equal(part, other[1][name]) for name, part in one[1].items())
+    drop = {"seconds"}
+    for a, b in zip(log(tmp_path / "whole"), log(tmp_path / "parts"), strict=True):
+        assert {k: v for k, v in a.items() if k not in drop} == {k: v for k, v in b.items() if k not in drop}
+
+
+def test_killed_and_resumed_is_as_undisturbed(tmp_path, windows):
+    """SIGKILL at some moment after the first checkpoint, in a process of its own."""
+    code = """
+import sys
+sys.path.insert(0, sys.argv[2])
+import torch
+torch.set_num_threads(1)
+from test_models_training import config, windows
+from topokit.models.training import train, Windows
+from windows import RingWindows
+train(config(sys.argv[1], epochs=8, patience=99, minutes_between_checkpoints=1e-4),
+      Windows(RingWindows(96, seed=0), RingWindows(24, seed=1), "rings"))
+"""
+    here = str(Path(__file__).parent)
+    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "killed"), here])
+    while not (tmp_path / "killed" / "last.safetensors").exists():
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        for name in ("killed", "whole"):
+            answer = train(config(tmp_path / name, epochs=8, patience=99, minutes_between_checkpoints=1e-4), windows)
+            assert answer["steps"] == 8 * 6
+    finally:
+        torch.set_num_threads(threads)
+    one, other = (load_tensors(tmp_path / name / "best.safetensors")[1] for name in ("killed", "whole"))
+    assert all(torch.equal(part, other[name]) for name, part in one.items())
+
+
+def test_seeds_differ_and_repeat(tmp_path, windows):
+    weights = []
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        train(config(tmp_path / name, epochs=1, seed=seed), windows)
+        weights.append(load_tensors(tmp_path / name / "best.safetensors")[1]["model.rest.1.weight"])
+    assert torch.equal(weights[0], weights[1])
+    assert not torch.equal(weights[0], weights[2])
+
+
+def test_early_stopping(tmp_path, windows):
+    answer = train(config(tmp_path, epochs=50, patience=1, learning_rate=1e-9), windows)
+    assert answer["finished"]
+    assert answer["epochs"] < 50
+    assert answer["epochs"] == answer["best_epoch"] + 2
+
+
+def test_a_finished_training_is_left_alone(tmp_path, windows):
+    first = train(config(tmp_path), windows)
+    before = (tmp_path / "last.safetensors").read_bytes()
+    assert train(config(tmp_path), windows) == first
+    assert (tmp_path / "last.safetensors").read_bytes() == before
+
+
+def test_another_configuration_or_dataset_is_refused(tmp_path, windows):
+    train(config(tmp_path), windows, stop_after=2)
+    with pytest.raises(ValueError, match=r"holds a training with batch = 16, the configuration says 8"):
+        train(config(tmp_path, batch=8), windows)
+    with pytest.raises(ValueError, match="another dataset"):
+        train(config(tmp_path), Windows(windows.train, windows.validation, "others"))
+
+
+def test_a_damaged_checkpoint_is_not_resumed_from(tmp_path, windows):
+    train(config(tmp_path), windows, stop_after=2)
+    path = tmp_path / "last.safetensors"
+    path.write_bytes(path.read_bytes()[:-50])
+    with pytest.raises(ValueError, match="truncated or damaged"):
+        train(config(tmp_path), windows)
+
+
+def test_ridge_is_solved_in_one_pass(tmp_path, windows):
+    answer = train(config(tmp_path, model="ridge", options={"penalty": 1.0}), windows)
+    assert answer["finished"]
+    model, _ = load_model(tmp_path / "best.safetensors")
+    assert model.coefficients.abs().sum() > 0
+
+
+def test_every_window_once_an_epoch_and_another_order_the_next():
+    sampler = EpochSampler(10, None, seed=0)
+    first = list(sampler)
+    sampler.epoch = 1
+    assert sorted(first) == sorted(sampler) == list(range(10))
+    assert first != list(sampler)
+    shares = [EpochSampler(10, 8, seed=0, rank=rank, world=2) for rank in (0, 1)]
+    assert [len(share) for share in shares] == [4, 4]
+    assert len(set(shares[0]) | set(shares[1])) == 8
+
+
+def test_too_little_data(tmp_path, windows):
+    with pytest.raises(ValueError, match=r"96 windows to train on .* a batch has 128"):
+        train(config(tmp_path, batch=128), windows)
+
+
+def test_load_config(tmp_path):
+    entries = {"model": "mlp", "dataset": "data", "shape": {"slots": 2}, "loss": {"nll": 0.1}}
+    (tmp_path / "a.json").write_text(json.dumps(entries))
+    (tmp_path / "a.toml").write_text('model = "mlp"\ndataset = "data"\nshape = {slots = 2}\n[loss]\nnll = 0.1\n')
+    a, b = load_config(tmp_path / "a.json"), load_config(tmp_path / "a.toml")
+    assert a == b
+    assert a.shape == Shape(slots=2)
+    assert a.dataset == str(tmp_path / "data")
+    assert TrainConfig.from_dict(json.loads(json.dumps(a.as_dict()))) == a
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("{", "not JSON"),
+        ("[]", "an object with named entries"),
+        ('{"model": "gpt"}', "model must be one of hold, carry, ridge, mlp, pointnet, loopcast, not 'gpt'"),
+        ('{"model": "mlp", "epoch": 3}', "has no entry 'epoch'; it may have .*epochs"),
+        ('{"model": "mlp", "batch": 0}', "batch must be a whole number above zero"),
+        ('{"model": "mlp", "learning_rate": "fast"}', "learning_rate must be a number above zero"),
+        ('{"model": "mlp", "shape": {"slots": 0}}', "shape.slots must be"),
+        ('{"model": "mlp", "loss": {"nll": -1}}', "loss.nll must be"),
+        ("{}", "model"),
+    ],
+)
+def test_bad_configurations_are_named(tmp_path, text, says):
+    path = tmp_path / "c.json"
+    path.write_text(text)
+    with pytest.raises((ValueError, TypeError), match=says):
+        load_config(path)
+    with pytest.raises((ValueError, TypeError), match=r"c\.json"):
+        load_config(path)
+
+
+def test_a_mirrored_window_is_the_window_of_the_mirrored_scene():
+    data = RingWindows(4, seed=2)
+    window = default_collate([data[i] for i in range(4)])
+    which = torch.tensor([True, False, True, False])
+    mirror = mirrored(window, which)
+    assert torch.equal(mirror["clouds"][1], window["clouds"][1])
+    assert torch.equal(mirror["clouds"][0, ..., 0], -window["clouds"][0, ..., 0])
+    assert torch.equal(mirror["actions"][2, :, 0, 1:], window["actions"][2, :, 1, 1:])
+    again = mirrored(mirror, which)
+    assert all(torch.equal(part, again[name]) for name, part in window.items())
+    one, other = target_states(window), target_states(mirror)
+    assert torch.allclose(one.centre[0] * torch.tensor([-1.0, 1, 1]), other.centre[0])
+    carried = (build("carry", SHAPE, Normalisation())(w)[0].centre for w in (window, mirror))
+    assert torch.allclose(next(carried)[2] * torch.tensor([-1.0, 1, 1]), next(carried)[2], atol=1e-6)
+
+
+def test_mixed_precision_learns_from_exact_coordinates(tmp_path, windows):
+    """Targets are not rounded: the loss is about that of 32 bits."""
+    losses = []
+    for precision in ("32-true", "bf16-mixed"):
+        how = {"model": "loopcast", "options": {"width": 16, "step_width": 8}, "loss": OURS, "epochs": 1}
+        losses.append(train(config(tmp_path / precision, precision=precision, **how), windows)["validation_loss"])
+    assert losses[0] != losses[1]
+    assert abs(losses[0] - losses[1]) < 0.05 * losses[0]

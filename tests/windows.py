@@ -1,0 +1,78 @@
+"""Synthetic training windows: a ring of points that hangs between two grippers, goes with them, and stays when they let go."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset
+
+HISTORY, HORIZON, POINTS, SLOTS = 16, 60, 24, 4
+
+
+class RingWindows(Dataset[dict[str, Tensor]]):
+    """`n` windows in memory, with the fields of `topokit.data.WindowDataset`; slot 0 holds the ring, slot 1 a ghost at times."""
+
+    def __init__(self, n: int, seed: int = 0) -> None:
+        rng = np.random.default_rng(seed)
+        self.items = [window(rng, i) for i in range(n)]
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __getitem__(self, i: int) -> dict[str, Tensor]:
+        return self.items[i]
+
+
+def window(rng: np.random.Generator, index: int) -> dict[str, Tensor]:
+    """One window."""
+    frames = HISTORY + HORIZON
+    time = np.arange(frames) - HISTORY + 1
+    radius, release = rng.uniform(0.08, 0.12), rng.integers(20, 200)
+    middle = rng.uniform(-0.1, 0.1, 3) + [0, 0, 1] + np.outer(time, rng.normal(0, 0.004, 3))
+    apart = np.array([0.12, 0, 0])
+    grippers = np.stack([middle - apart, middle + apart], axis=1)
+    held = time <= release
+    rests = middle[min(release + HISTORY - 1, frames - 1)]
+    centre = np.where(held[:, None], middle, rests) - [0, 0, 0.15]
+    angle = np.linspace(0, 2 * np.pi, POINTS, endpoint=False)
+    ring = radius * np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+    clouds = centre[:, None] + ring + rng.normal(0, 0.002, (frames, POINTS, 3))
+    clouds = np.take_along_axis(
+        clouds, rng.permuted(np.tile(np.arange(POINTS), (frames, 1)), axis=1)[..., None], axis=1
+    )
+
+    turn = rng.uniform(0, 2 * np.pi) + np.array([0, 2, 4, 1, 3, 5]) * np.pi / 3  # x, y, z1, the apexes between
+    corner = radius * np.stack([np.cos(turn), 0 * turn, np.sin(turn)], axis=1)
+    x, y, z1, _, b, c = corner
+    z2 = (x + y) / 2 - [0, 0.01, 0]
+    one = np.array([[x, y, z1], [x, y, z2], [z1, y, b], [x, z1, c], [x, y, z1], [x, y, z1]])
+    triangles = np.zeros((frames, SLOTS, 6, 3, 3))
+    triangles[:, 0] = one + centre[:, None, None]
+    values = np.zeros((frames, SLOTS, 6))
+    values[:, 0, :4] = 0.866 * radius * np.array([1, 1, 0.6, 0.5])
+    labels = {
+        "birth": np.zeros((frames, SLOTS)),
+        "death": np.zeros((frames, SLOTS)),
+        "step": np.zeros((frames, SLOTS)),
+        "present": np.zeros((frames, SLOTS), bool),
+    }
+    labels["birth"][:, 0], labels["death"][:, 0], labels["step"][:, 0] = 0.02, 0.866 * radius, 0.004
+    labels["present"][:, 0] = True
+    if index % 2:  # a ghost of short life that goes away
+        ghost = time < 10
+        triangles[ghost, 1] = 0.3 * one + centre[ghost, None, None] + [0, 0, -0.2]
+        values[ghost, 1, :2], labels["death"][ghost, 1], labels["birth"][ghost, 1] = 0.03, 0.03, 0.02
+        labels["present"][ghost, 1] = True
+    labels |= {"triangles": triangles, "values": values}
+    past, future = slice(0, HISTORY), slice(HISTORY, frames)
+    item = {"clouds": clouds[past], "grippers": grippers[past], "held": held[past]}
+    item |= {"actions": grippers[future], "actions_held": held[future]}
+    item |= {name: part[future] for name, part in labels.items()}
+    item |= {f"past_{name}": part[past] for name, part in labels.items()}
+    tensors = {
+        name: torch.as_tensor(part, dtype=None if part.dtype == bool else torch.float32) for name, part in item.items()
+    }
+    return tensors | {
+        name: torch.tensor(number) for name, number in (("episode", index), ("frame", 15), ("garment", 0))
+    }

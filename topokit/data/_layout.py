@@ -1,0 +1,220 @@
+"""How a dataset lies on disk: a Zarr v3 group, one array for every field, the episode as first axis.
+
+Idea: every object of the store belongs to one episode, so that episodes are written by many processes without a lock and
+are there wholly or not at all. Coordinates are 16-bit integers in units of 0.1 mm, an error of 0.05 mm at most.
+
+    zarr.json               what the dataset is: configuration, seed, number of episodes, versions
+    points/c.7.0.0.0        the vertices of episode 7: one shard, whose inner chunks are 16 frames
+    records/00000007.json   what episode 7 is, and the SHA-256 of its objects: written last, it makes the episode count
+    index.json              the records in short, for opening quickly; it may lag behind
+    labels/NAME/...         a group with records of its own, laid out in the same way
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topokit.io import Episode
+from topokit.sim import TASKS
+from topokit.sim.randomise import generator
+
+from .config import DatasetConfig, garment_of
+
+__all__ = [
+    "FRAMES_A_CHUNK",
+    "METRE",
+    "Field",
+    "encode",
+    "episode_arrays",
+    "episode_fields",
+    "pack",
+    "room",
+    "skeleton",
+    "unpack",
+]
+
+METRE = 10_000  # units of a stored coordinate in a metre
+FRAMES_A_CHUNK = 16  # the history of a window
+_FEWEST_FRAMES = 76
+_COORDINATES = {"units": "m", "scale_factor": 1 / METRE, "add_offset": 0.0}
+
+
+@dataclass(frozen=True)
+class Field:
+    """An array of the store, without its first axis, the episode.
+
+    `shape` is what the largest episode needs; smaller ones fill a corner of it, whose extent their records give.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: str
+    axes: tuple[str, ...]
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+    fill: int = 0
+
+    @property
+    def by_frame(self) -> bool:
+        """Whether its first axis is the frame; then it is chunked along it."""
+        return self.axes[0] == "frame"
+
+
+def episode_fields(size: Mapping[str, int]) -> tuple[Field, ...]:
+    """Return the arrays of a dataset with room for episodes of a size (`room`)."""
+    frames, xyz = size["frames"], ("xyz",)
+    if size["seen"]:
+        observed = Field("observed", (frames, size["seen"], 3), "int16", ("frame", "observation", *xyz), _COORDINATES)
+    else:
+        means = {
+            "units": "1",
+            "description": "vertex ids, farthest-point order: the first m are the sample of m points",
+        }
+        observed = Field("observed", (frames, size["observed"]), "uint16", ("frame", "observation"), means)
+    ids = {"units": "1", "description": "vertex ids"}
+    return (
+        Field("points", (frames, size["vertices"], 3), "int16", ("frame", "vertex", *xyz), _COORDINATES),
+        observed,
+        Field("actions", (frames, 2, 3), "int16", ("frame", "gripper", *xyz), _COORDINATES),
+        Field("grippers", (frames, 2, 3), "int16", ("frame", "gripper", *xyz), _COORDINATES),
+        Field(
+            "held", (frames,), "uint8", ("frame",), {"units": "1", "description": "1 while the grippers hold the cloth"}
+        ),
+        Field("faces", (size["faces"], 3), "uint16", ("face", "corner"), ids),
+        Field("loops", (size["loops"], size["loop"]), "int16", ("loop", "place"), ids, -1),
+        Field("centre_line", (size["line"], 3), "int16", ("place", *xyz), _COORDINATES),
+    )
+
+
+def episode_arrays(episode: Episode) -> dict[str, NDArray[Any]]:
+    """Return what the arrays hold of an episode, each in its own extent.
+
+    Raises
+    ------
+    ValueError
+        When a coordinate is farther than 3.27 m from the origin.
+    """
+    longest = max((len(loop) for loop in episode.loops), default=0)
+    loops = np.full((len(episode.loops), longest), -1, dtype=np.int16)
+    for row, loop in zip(loops, episode.loops, strict=True):
+        row[: len(loop)] = loop
+    arrays: dict[str, NDArray[Any]] = {"held": episode.held.astype(np.uint8), "faces": episode.faces.astype(np.uint16)}
+    arrays |= {name: pack(name, getattr(episode, name)) for name in ("points", "actions", "grippers", "centre_line")}
+    of_vertices = episode.observation["kind"] == "vertices"
+    seen = vertex_ids(episode.points, episode.observed) if of_vertices else pack("observed", episode.observed)
+    return {**arrays, "observed": seen, "loops": loops}
+
+
+def vertex_ids(points: NDArray[np.float32], observed: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """(T, M) which vertices an observation of vertices is: the same numbers are in `points`."""
+    ids = np.empty(observed.shape[:2], dtype=np.uint16)
+    for row, cloud, seen in zip(ids, points, observed, strict=True):
+        number = {place.tobytes(): i for i, place in enumerate(cloud)}
+        row[:] = [number[place.tobytes()] for place in seen]
+    return ids
+
+
+def pack(name: str, values: NDArray[Any]) -> NDArray[np.int16]:
+    """Return coordinates as integers, in units of 0.1 mm."""
+    scaled = np.rint(np.asarray(values, dtype=np.float64) * METRE)
+    if scaled.size and np.abs(scaled).max() > np.iinfo(np.int16).max:
+        far = np.abs(scaled).max() / METRE
+        raise ValueError(f"{name} reaches {far:.2f} m from the origin; a dataset holds coordinates up to 3.27 m")
+    return scaled.astype(np.int16)
+
+
+def unpack(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Return metres."""
+    return np.asarray(values / METRE, dtype=np.float32)
+
+
+def skeleton(fields: Iterable[Field], episodes: int, attributes: Mapping[str, Any]) -> dict[str, bytes]:
+    """Return the `zarr.json` of a group and its arrays, that of the group last: path in the group -> content."""
+    store, memory = _memory()
+    import zarr
+
+    zarr.create_group(store, attributes=dict(attributes), zarr_format=3)
+    for f in fields:
+        _create(store, f, episodes)
+    files = {path: buffer.to_bytes() for path, buffer in memory.items()}
+    return {path: files[path] for path in sorted(files, key=lambda path: (path == "zarr.json", path))}
+
+
+def encode(fields: Iterable[Field], index: int, arrays: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, bytes]]:
+    """Yield the objects of an episode: path in the group and content. What is all fill value has none."""
+    for f in fields:
+        values = arrays[f.name]
+        if len(values.shape) != len(f.shape) or any(a > b for a, b in zip(values.shape, f.shape, strict=True)):
+            raise ValueError(f"{f.name} of episode {index} has shape {values.shape}; the store has room for {f.shape}")
+        store, memory = _memory()
+        array = _create(store, f, index + 1)
+        whole = np.full((1, *f.shape), f.fill, dtype=f.dtype)
+        corner: tuple[int | slice, ...] = (0, *(slice(n) for n in values.shape))
+        whole[corner] = values
+        array[index : index + 1] = whole
+        for path, buffer in memory.items():
+            if not path.endswith("zarr.json"):
+                yield path, buffer.to_bytes()
+
+
+def _memory() -> tuple[Any, dict[str, Any]]:
+    from zarr.storage import MemoryStore
+
+    contents: dict[str, Any] = {}
+    return MemoryStore(contents), contents
+
+
+def _create(store: Any, f: Field, episodes: int) -> Any:
+    import zarr
+    from zarr.codecs import BloscCodec, BloscShuffle, TransposeCodec
+
+    # With time innermost, neighbours in memory differ by what a vertex moves in a frame: half the bytes of mesh order.
+    turned = [TransposeCodec(order=(0, *range(2, len(f.shape) + 1), 1))] if f.by_frame and len(f.shape) > 1 else None
+    inner = (min(FRAMES_A_CHUNK, f.shape[0]), *f.shape[1:]) if f.by_frame else f.shape
+    split = f.name in ("points", "observed")  # the others are a few kB: chunks would only add to them
+    return zarr.create_array(
+        store,
+        name=f.name,
+        shape=(episodes, *f.shape),
+        dtype=f.dtype,
+        chunks=(1, *(inner if split else f.shape)),
+        shards=(1, *f.shape) if split else None,
+        filters=turned,
+        compressors=[
+            BloscCodec(typesize=np.dtype(f.dtype).itemsize, cname="zstd", clevel=5, shuffle=BloscShuffle.shuffle)
+        ],
+        fill_value=f.fill,
+        chunk_key_encoding={"name": "default", "separator": "."},  # a file an episode, not four folders
+        dimension_names=("episode", *f.axes),
+        attributes=dict(f.attributes),
+        zarr_format=3,
+    )
+
+
+def room(config: DatasetConfig) -> dict[str, int]:
+    """Return what the largest episode of a configuration needs, in numbers of frames, vertices, faces and so on.
+
+    Numbers of vertices do not vary within a garment, nor does the length of a path within a task.
+    """
+    garments = {task: garment_of(config, task) for task in config.tasks}
+    targets = {task: TASKS[task].target for task in config.tasks}
+    frames = config.simulation.frames
+    if frames is None:
+        ends = [TASKS[task].plan(garments[task], targets[task], generator(0, "path")).end for task in config.tasks]
+        frames = max(_FEWEST_FRAMES, math.ceil(max(ends) / config.simulation.frame_time))
+    vertices = max(len(garment.vertices) for garment in garments.values())
+    return {
+        "frames": -(-frames // FRAMES_A_CHUNK) * FRAMES_A_CHUNK,
+        "vertices": vertices,
+        "observed": min(config.n_observed, vertices),
+        "seen": config.n_observed if config.cameras else 0,
+        "faces": max(len(garment.faces) for garment in garments.values()),
+        "loops": max([1, *(len(garment.loops) for garment in garments.values())]),
+        "loop": max([1, *(len(loop) for garment in garments.values() for loop in garment.loops)]),
+        "line": max(len(target.centre_line) for target in targets.values()),
+    }

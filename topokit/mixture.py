@@ -1,0 +1,211 @@
+"""Loops as probability: a Gaussian mixture that says where a loop is.
+
+Idea: the triangles around a loop's killer are samples of where the loop is at its widest. Every triangle gives a Gaussian, its
+barycentre the mean, its three vertices the covariance, and weighs as much as its filtration value.
+
+Source: Antonova et al. 2021, section 5, equation 1. Taught in chapter 9. `topokit.models.mixture` has the same density for
+batches, differentiable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._validate import as_points, positive
+
+__all__ = ["InverseWishart", "LoopMixture", "loop_mixture"]
+
+Array = NDArray[np.float64]
+
+
+class Triangles(Protocol):
+    """What a mixture needs of a loop, seen (`Loop`) or predicted (`PredictedLoop`)."""
+
+    @property
+    def killer_triangles(self) -> NDArray[np.floating]:
+        """(2, 3, d)."""
+
+    @property
+    def neighbours(self) -> NDArray[np.floating]:
+        """(m, 3, d)."""
+
+    @property
+    def killer_values(self) -> NDArray[np.floating]:
+        """(2,)."""
+
+    @property
+    def neighbour_values(self) -> NDArray[np.floating]:
+        """(m,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class InverseWishart:
+    """Prior of a component's covariance in d dimensions; the three vertices of its triangle are the data.
+
+    With a flat prior on the mean, the covariance given vertices of scatter A (the sum of the outer products about their mean)
+    is inverse-Wishart(scale + A, dof + 2), and its mean (scale + A) / (dof + 1 - d).
+
+    Attributes
+    ----------
+    scale : float or (d, d) array_like
+        Scale matrix, or that multiple of the identity; square metres. The prior's mean is scale / (dof - d - 1).
+    dof : float, optional
+        Degrees of freedom, above d - 1. When not given d + 2, the fewest whole ones for which the prior has a mean, which then
+        is `scale` itself.
+    """
+
+    scale: ArrayLike
+    dof: float | None = None
+
+    def posterior_mean(self, scatter: Array) -> Array:
+        """(..., d, d) mean covariance given the scatter (..., d, d) of three vertices.
+
+        Raises
+        ------
+        ValueError
+            When `dof` is not above d - 1, or `scale` is not a positive definite (d, d) matrix.
+        """
+        d = scatter.shape[-1]
+        dof = d + 2.0 if self.dof is None else float(self.dof)
+        if not dof > d - 1:
+            raise ValueError(f"dof must be above {d - 1} in {d} dimensions, not {dof:g}")
+        scale = np.asarray(self.scale, dtype=np.float64)
+        scale = scale * np.eye(d) if scale.ndim == 0 else scale
+        if scale.shape != (d, d) or not np.allclose(scale, scale.T) or np.linalg.eigvalsh(scale)[0] <= 0:
+            raise ValueError(
+                f"scale must be a positive number or a positive definite ({d}, {d}) matrix, not {self.scale!r}"
+            )
+        return np.asarray((scale + scatter) / (dof + 1 - d))
+
+
+@dataclass(frozen=True, eq=False)
+class LoopMixture:
+    """A Gaussian mixture of m components in d dimensions.
+
+    Attributes
+    ----------
+    means : (m, d) float64
+        Barycentres of the triangles, killer triangles first.
+    covariances : (m, d, d) float64
+    weights : (m,) float64
+        They sum to one.
+    """
+
+    means: Array
+    covariances: Array
+    weights: Array
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            value.setflags(write=False)
+
+    @property
+    def mean(self) -> Array:
+        """(d,) where the loop is on average."""
+        return np.asarray(self.weights @ self.means)
+
+    @property
+    def covariance(self) -> Array:
+        """(d, d) of the whole mixture: within the components, and between their means."""
+        away = self.means - self.mean
+        between = away[:, :, None] * away[:, None, :]
+        return np.asarray(np.einsum("m,mij->ij", self.weights, self.covariances + between))
+
+    def sample(self, n: int, rng: np.random.Generator | int | None = None) -> Array:
+        """Draw `n` points, (n, d); `rng` is a generator or the seed of one."""
+        if n < 0:
+            raise ValueError(f"n must be zero or more, not {n}")
+        generator = np.random.default_rng(rng)
+        component = generator.choice(len(self.weights), size=n, p=self.weights)
+        white = generator.standard_normal((n, self.means.shape[1], 1))
+        return np.asarray(self.means[component] + (np.linalg.cholesky(self.covariances)[component] @ white)[..., 0])
+
+    def log_prob(self, x: ArrayLike) -> Array:
+        """(n,) natural logarithm of the density at the points `x` (n, d), or a number for one point (d,)."""
+        points = np.asarray(x, dtype=np.float64)
+        d = self.means.shape[1]
+        if points.ndim not in (1, 2) or points.shape[-1] != d:
+            raise ValueError(f"x must be a ({d},) point or (n, {d}) points, not an array of shape {points.shape}")
+        factor = np.linalg.cholesky(self.covariances)  # (m, d, d)
+        away = np.atleast_2d(points)[:, None] - self.means  # (n, m, d)
+        white = np.linalg.solve(factor, away.transpose(1, 2, 0))  # (m, d, n)
+        log_norm = np.log(np.einsum("mii->mi", factor)).sum(axis=1) + d / 2 * np.log(2 * np.pi)  # (m,)
+        with np.errstate(divide="ignore"):  # a component of weight 0 has logarithm -inf, and counts for nothing
+            terms = np.log(self.weights) - log_norm - (white**2).sum(axis=1).T / 2  # (n, m)
+        top = terms.max(axis=1, keepdims=True)
+        answer = top[:, 0] + np.log(np.exp(terms - top).sum(axis=1))
+        return np.asarray(answer if points.ndim == 2 else answer[0])
+
+    def density(self, n: int = 48, *, extent: float = 3.0) -> tuple[tuple[Array, ...], Array]:
+        """Evaluate on a grid that covers `extent` standard deviations of every component.
+
+        Returns
+        -------
+        axes : d arrays (n,)
+            Coordinates along each axis.
+        values : (n,) * d array
+            Density at `axes`, in the order of `numpy.meshgrid(*axes, indexing="ij")`.
+        """
+        reach = extent * np.sqrt(np.einsum("mii->mi", self.covariances))
+        low, high = (self.means - reach).min(axis=0), (self.means + reach).max(axis=0)
+        axes = tuple(np.linspace(a, b, n) for a, b in zip(low, high, strict=True))
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        return axes, np.exp(self.log_prob(grid.reshape(-1, len(axes)))).reshape(grid.shape[:-1])
+
+    def credibility(self, x: ArrayLike, *, n: int = 4096, rng: np.random.Generator | int | None = 0) -> Array:
+        """Mass of the smallest region that reaches each point of `x`, (n,): 0 at the mode, 1 far away.
+
+        The share of `n` samples whose density is above that of the point. If mixtures are calibrated, the credibilities of
+        what came true are uniform: q of them lie below q.
+        """
+        samples = np.sort(self.log_prob(self.sample(n, rng)))
+        return np.asarray(1 - np.searchsorted(samples, self.log_prob(x), side="right") / n)
+
+
+def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | None = None) -> LoopMixture:
+    """Return the Gaussian mixture of a loop over its killer triangles and neighbours.
+
+    Parameters
+    ----------
+    loop : Loop or PredictedLoop
+    noise : float
+        Added to the diagonal of every sample covariance, square metres: a triangle is flat, and its covariance has no density
+        without it. The default is 1 cm squared. Not used with a prior.
+    prior : InverseWishart, optional
+        Take the posterior mean of the covariances under this prior instead.
+
+    Raises
+    ------
+    ValueError
+        When `noise` is not positive, the prior does not fit the dimension, the loop's arrays do not fit each other, or its
+        filtration values are negative or all zero.
+
+    Examples
+    --------
+    >>> import topokit as tk
+    >>> loop = tk.SeqPH(alpha=0.1).update([[0, 0], [2, 0], [2, 2], [0, 2]]).loops[0]
+    >>> mixture = tk.loop_mixture(loop, noise=0.01)
+    >>> mixture.mean.round(6).tolist(), len(mixture.weights)
+    ([1.0, 1.0], 6)
+    """
+    triangles = np.concatenate([loop.killer_triangles, loop.neighbours]).astype(np.float64)
+    values = np.concatenate([loop.killer_values, loop.neighbour_values]).astype(np.float64)
+    if triangles.ndim != 3 or triangles.shape[1] != 3 or len(values) != len(triangles):
+        raise ValueError(f"a mixture needs (m, 3, d) triangles and m values, not {triangles.shape} and {values.shape}")
+    as_points(triangles.reshape(len(triangles), -1), "triangles")
+    if not (np.isfinite(values).all() and (values >= 0).all() and values.sum() > 0):
+        raise ValueError(
+            f"filtration values must be finite and not negative, and one of them positive: {values.tolist()}"
+        )
+    means = triangles.mean(axis=1)
+    away = triangles - means[:, None]
+    scatter = np.einsum("mvi,mvj->mij", away, away)
+    if prior is None:
+        covariances = scatter / 2 + positive(noise, "noise", zero=False) * np.eye(triangles.shape[2])
+    else:
+        covariances = prior.posterior_mean(scatter)
+    return LoopMixture(means, covariances, values / values.sum())

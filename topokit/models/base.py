@@ -1,0 +1,133 @@
+"""What all predictors have in common: their shapes, their units and the three parts of a forward pass."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor, nn
+
+from .states import States
+
+__all__ = ["Context", "Normalisation", "PredictiveModel", "Shape", "states_from_numbers"]
+
+Context = dict[str, Tensor]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Sizes of a window.
+
+    Attributes
+    ----------
+    history, horizon : int
+        Frames that are seen (h = 16 in the paper) and forecast (k = 60).
+    points : int
+        Of a cloud.
+    slots : int
+        Loops that are forecast at most.
+    """
+
+    history: int = 16
+    horizon: int = 60
+    points: int = 128
+    slots: int = 4
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not isinstance(value, int) or value < 1:
+                raise ValueError(f"shape.{field.name} must be a whole number above zero, not {value!r}")
+
+
+@dataclass(frozen=True)
+class Normalisation:
+    """Where coordinates and filtration values lie in the training split; models see (x - origin) / scale.
+
+    Attributes
+    ----------
+    origin : (3,) float
+        Mean of the clouds, metres.
+    scale : float
+        Root mean square distance from it along an axis, metres.
+    value : float
+        Mean death of the loops, metres.
+    """
+
+    origin: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    scale: float = 0.2
+    value: float = 0.05
+
+
+class PredictiveModel(nn.Module):
+    """From a window (the dict of tensors of `topokit.data.WindowDataset`, a leading axis of B) to its states.
+
+    Three parts: `encode_frames` looks at single frames, so that a frame of a stream is encoded once; `gather` puts a history of
+    them together, so that all plans share it; `decode` reads a plan of actions and gives the states of all steps.
+    """
+
+    learns = True  # by gradient descent
+    inputs: tuple[str, ...] = ("clouds",)  # what is read of a window's history
+    plans_at_once = 250  # of many: so that weights are read seldom, and what lies between layers stays in the cache
+
+    def __init__(self, shape: Shape, normalisation: Normalisation) -> None:
+        super().__init__()
+        self.shape, self.normalisation = shape, normalisation
+        self.frames = list(range(shape.history))  # how many frames back is looked, the newest first
+        self.register_buffer("origin", torch.tensor(normalisation.origin), persistent=False)
+        self.origin: Tensor
+
+    def encode_frames(self, frames: Context) -> Context:
+        """What is kept of N frames, each alone; the `inputs` of a window with a leading axis of N."""
+        return frames
+
+    def gather(self, kept: Context) -> Context:
+        """What the forecast needs of the frames that `encode_frames` kept, (B, F, ...), in the order of `self.frames`."""
+        raise NotImplementedError
+
+    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
+        """States (C, horizon, slots) for planned gripper targets (C, horizon, 2, 3), metres, and held (C, horizon) bool.
+
+        C is the B of the context, or any number when B is 1: one history under C plans.
+        """
+        raise NotImplementedError
+
+    def now(self, context: Context) -> States | None:
+        """Return the present state as the model estimates it on its way, (B, 1, slots); None when it does not."""
+        return None
+
+    def encode(self, window: Mapping[str, Tensor]) -> Context:
+        """Everything that does not depend on the plan."""
+        look = [self.shape.history - 1 - back for back in self.frames]
+        frames = {name: window[name][:, look] for name in self.inputs}
+        sizes = next(iter(frames.values())).shape[:2]
+        kept = self.encode_frames({name: part.flatten(0, 1) for name, part in frames.items()})
+        return self.gather({name: part.reshape(*sizes, *part.shape[1:]) for name, part in kept.items()})
+
+    def forward(self, window: Mapping[str, Tensor]) -> tuple[States, States | None]:
+        """The forecast, and the present state (one step) when the model estimates it."""
+        context = self.encode(window)
+        return self.decode(context, window["actions"], window["actions_held"]), self.now(context)
+
+    def normalise(self, points: Tensor) -> Tensor:
+        """Coordinates in metres to about the unit cube."""
+        return (points - self.origin) / self.normalisation.scale
+
+
+def states_from_numbers(numbers: Tensor, about: Tensor, scale: float, value: float) -> States:
+    """The last layer of a network (..., NUMBERS) as states; corners are `scale` times the first 24, about a place (..., 3).
+
+    Birth, lifetime, step and neighbour values are positive whatever the network says: `value` times (x + sqrt(x^2 + 1)) / 2,
+    which is half a softplus' cost.
+    """
+    raw = numbers[..., 24:31]
+    positive = value / 2 * (raw + (raw.square() + 1).sqrt())
+    return States(
+        corners=torch.add(about[..., None, :], numbers[..., :24].reshape(*numbers.shape[:-1], 8, 3), alpha=scale),
+        neighbour_values=positive[..., :4],
+        birth=positive[..., 4],
+        death=positive[..., 4] + positive[..., 5],
+        step=positive[..., 6],
+        presence=numbers[..., 31],
+    )

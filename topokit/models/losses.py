@@ -1,0 +1,133 @@
+"""What training minimises: the paper's L2, the mixture's negative log-likelihood, presence, and the place of the mean.
+
+Source: Antonova et al. 2021, section 5 (the L2 loss); slots are matched as in Carion et al. 2020 (DETR). Taught in chapter 10.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from .mixture import loop_mixtures, sigma_points
+from .states import States, past_states, target_states
+
+__all__ = ["LossWeights", "forecast_loss", "match_slots"]
+
+POSITION, VALUE = 0.1, 0.02  # metres that count as one in the losses: of places, and of filtration values
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the parts of the loss, and whether slots may be matched.
+
+    Attributes
+    ----------
+    features : float
+        Squared errors of corners, filtration values, birth, death and step, of loops that are there (the paper's L2). An edge
+        has no direction: the better of the two ways round counts.
+    presence : float
+        Binary cross-entropy of the presence of each slot.
+    centre : float
+        Distance of the mixture's mean from the target's, with the square below 2 cm (Huber): jumps of labels pull less.
+    nll : float
+        Negative log-likelihood of the target mixture under the predicted one, nats.
+    now : float
+        `features` of the present state, for a model that estimates it on its way.
+    match : bool
+        Take the cheapest of all orders of the slots, the same over the whole horizon. Else the order of the labels counts:
+        by mean lifetime over the history, then of appearance.
+    """
+
+    features: float = 1.0
+    presence: float = 1.0
+    centre: float = 0.0
+    nll: float = 0.0
+    now: float = 0.0
+    match: bool = False
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name != "match" and not (isinstance(value, (int, float)) and 0 <= value < float("inf")):
+                raise ValueError(f"loss.{field.name} must be a number of zero or more, not {value!r}")
+
+
+def forecast_loss(
+    predicted: States,
+    window: Mapping[str, Tensor],
+    weights: LossWeights,
+    *,
+    now: States | None = None,
+    generator: torch.Generator | None = None,
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Loss of a batch, and its parts and the mean distance of centres in metres (`distance`) for the log.
+
+    `now` is a model's estimate of the present state, one step long. The log-likelihood is taken on 8 random steps.
+    """
+    target, past = target_states(window), past_states(window)[:, -1:]
+    if weights.match:
+        order = match_slots(predicted, target)
+        target, past = target.slots(order), past.slots(order)
+    there = target.presence > 0
+    gap = (predicted.centre - target.centre)[there].norm(dim=-1)
+    parts = {
+        "features": _features(predicted, target, there),
+        "presence": functional.binary_cross_entropy_with_logits(predicted.presence, there.to(predicted.presence)),
+        "centre": _mean(functional.huber_loss(gap / POSITION, torch.zeros_like(gap), delta=0.2, reduction="none")),
+    }
+    if weights.nll:
+        steps = torch.randperm(there.shape[1], generator=generator)[:8].to(there.device)
+        parts["nll"] = _nll(predicted[:, steps][there[:, steps]], target[:, steps][there[:, steps]])
+    if weights.now and now is not None:
+        parts["now"] = _features(now, past, past.presence > 0)
+    total = torch.stack([getattr(weights, name) * part for name, part in parts.items()]).sum()
+    return total, {**{name: part.detach() for name, part in parts.items()}, "distance": _mean(gap.detach())}
+
+
+def match_slots(predicted: States, target: States) -> Tensor:
+    """(B, S) which target slot each predicted slot should have, the same for all steps; the cheapest of all orders."""
+    with torch.no_grad():
+        there = (target.presence > 0).to(predicted.presence)  # (B, K, S)
+        apart = torch.cdist(predicted.centre, target.centre) / POSITION  # (B, K, predicted, target)
+        logit = predicted.presence[..., :, None]
+        wrong = functional.softplus(logit) - logit * there[..., None, :]  # cross-entropy of every pair
+        cost = (apart.clamp_max(5.0) * there[..., None, :] + wrong).mean(dim=1)  # (B, S, S)
+        slots = cost.shape[-1]
+        orders = torch.tensor(list(itertools.permutations(range(slots))), device=cost.device)  # (S!, S)
+        totals = cost[:, torch.arange(slots, device=cost.device), orders].sum(dim=-1)  # (B, S!)
+        return orders[totals.argmin(dim=-1)]
+
+
+def _features(predicted: States, target: States, there: Tensor) -> Tensor:
+    """Mean over the loops that are there of the mean squared errors of their features."""
+    predicted, target = predicted[there], target[there]
+    numbers = torch.stack([predicted.birth, predicted.death, predicted.step], dim=-1)
+    truth = torch.stack([target.birth, target.death, target.step], dim=-1)
+    error = ((numbers - truth) / VALUE).square().mean(dim=-1)
+    return _mean(error + torch.minimum(_edge_errors(predicted, target), _edge_errors(predicted, target.reversed())))
+
+
+def _edge_errors(predicted: States, target: States) -> Tensor:
+    counts = torch.cat([torch.ones_like(target.corners[..., :4, 0]), (target.neighbour_values > 0).float()], dim=-1)
+    places = ((predicted.corners - target.corners) / POSITION).square().sum(dim=-1)
+    values = ((predicted.neighbour_values - target.neighbour_values) / VALUE).square().mean(dim=-1)
+    return (places * counts).sum(dim=-1) / counts.sum(dim=-1) + values
+
+
+def _nll(predicted: States, target: States) -> Tensor:
+    """Cross-entropy of the target mixtures relative to the predicted ones, by the targets' sigma points."""
+    if not len(target.birth):
+        return predicted.birth.sum()
+    points, weight = sigma_points(target.triangles, target.values)  # (n, 18, 3), (n, 18)
+    mixtures = loop_mixtures(predicted.triangles, predicted.values)
+    return _mean(-(weight * mixtures.log_prob(points.transpose(0, 1)).transpose(0, 1)).sum(dim=-1))
+
+
+def _mean(errors: Tensor) -> Tensor:
+    """Mean, and zero (with a gradient) of nothing: a batch may have no loop."""
+    return errors.sum() / max(errors.numel(), 1)

@@ -1,0 +1,36 @@
+"""The mixture of a loop, batched and differentiable: `topokit.loop_mixture` in torch.
+
+Source: Antonova et al. 2021, equation 1. Taught in chapter 9.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
+
+__all__ = ["loop_mixtures", "sigma_points"]
+
+
+def loop_mixtures(triangles: Tensor, values: Tensor, noise: float = 1e-4) -> MixtureSameFamily:
+    """Mixtures of a batch of loops: triangles (..., m, 3, 3) and their filtration values (..., m), not negative.
+
+    Component i has the barycentre of triangle i as mean, half the scatter of its vertices plus `noise` times the identity as
+    covariance, and values[i] / sum(values) as weight.
+    """
+    away = triangles - triangles.mean(dim=-2, keepdim=True)
+    covariance = away.transpose(-1, -2) @ away / 2 + noise * torch.eye(triangles.shape[-1]).to(triangles)
+    components = MultivariateNormal(triangles.mean(dim=-2), covariance, validate_args=False)
+    weights = Categorical(probs=values.clamp_min(1e-12), validate_args=False)
+    return MixtureSameFamily(weights, components, validate_args=False)
+
+
+def sigma_points(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+    """Points (..., 3 m, 3) and weights (..., 3 m) that have mean and covariance (without noise) of each component.
+
+    The vertices drawn away from the barycentre by sqrt(3/2): their population covariance is then the sample covariance.
+    """
+    mean = triangles.mean(dim=-2, keepdim=True)
+    points = (mean + 1.5**0.5 * (triangles - mean)).flatten(-3, -2)
+    weights = (values / values.sum(dim=-1, keepdim=True).clamp_min(1e-12)).repeat_interleave(3, dim=-1) / 3
+    return points, weights
