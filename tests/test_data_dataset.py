@@ -287,6 +287,15 @@ def test_splits_are_parts_and_do_not_change(by):
         assert all((small[name] == part[part < 500]).all() for name, part in parts.items())
 
 
+def test_every_garment_is_in_every_part_of_a_split_by_episode():
+    """Also with the seed that the episodes were made with: their first draw, the task, must not decide the part."""
+    seed = 0
+    first = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(i,))).random() for i in range(1000)]
+    for part in Many(1000).split("episode", seed=seed).values():
+        draws = np.sort(np.array(first)[part])
+        assert np.diff(draws, prepend=0, append=1).max() < 0.15  # from all of [0, 1), in every part
+
+
 def test_a_split_by_garment_shares_none():
     dataset = Many(2000)
     for seed in range(5):

@@ -118,7 +118,7 @@ def batches(dataset: Path | None, points: int, batch: int, steps: int) -> Iterat
     else:
         from topokit.data import WindowDataset
 
-        data = WindowDataset(dataset, n_points=points)
+        data = WindowDataset(dataset, n_points=points).load()
     taken = 0
     while taken < steps:
         for window in DataLoader(data, batch, shuffle=True, drop_last=True):

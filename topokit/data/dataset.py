@@ -203,9 +203,9 @@ class Dataset:
         if by == "episode":
             if held_out:
                 raise ValueError("held_out names garments: split by garment")
-            draws = [
-                np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(i),))).random() for i in self.episodes
-            ]
+            # Not the stream (seed, i) that episode i was made from: its first draw is the task.
+            keys = [np.random.SeedSequence(seed, spawn_key=(int(i), 1)) for i in self.episodes]
+            draws = [np.random.default_rng(key).random() for key in keys]
             part = np.searchsorted(np.cumsum(weights / weights.sum())[:-1], draws, side="right")
         elif by == "garment":
             owner = self._owners(names, weights / weights.sum(), seed, held_out)
