@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from topokit._validate import as_points
 from topokit.state import TopologicalState
 
-__all__ = ["TrackSummary", "distance_to_hull", "summarise_tracks"]
+__all__ = ["TrackSummary", "distance_to_hull", "nearest_in_hull", "summarise_tracks"]
 
 
 def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
@@ -34,16 +34,19 @@ def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
     >>> round(distance_to_hull([0.5, 0.5, 0.0], triangle), 9), round(distance_to_hull([0.5, 0.5, 0.3], triangle), 9)
     (0.0, 0.3)
     """
+    return nearest_in_hull(as_points(points) - np.asarray(point, dtype=np.float64))
+
+
+def nearest_in_hull(offsets: NDArray[np.float64]) -> float:
+    """Return how near the convex hull of `offsets` (n, d) comes to the origin: `distance_to_hull` without its checks."""
     from scipy.optimize import nnls
 
-    corners = as_points(points)
-    offsets = corners - np.asarray(point, dtype=np.float64)
     scale = float(np.abs(offsets).max(initial=0.0))
     if scale == 0.0:
         return 0.0
     # Minimise |offsets^T w| over w >= 0 with sum(w) = 1, the sum kept by a heavily weighted row.
-    system = np.vstack([offsets.T / scale, np.full((1, len(corners)), 1e4)])
-    weights, _ = nnls(system, np.append(np.zeros(corners.shape[1]), 1e4))
+    system = np.vstack([offsets.T / scale, np.full((1, len(offsets)), 1e4)])
+    weights, _ = nnls(system, np.append(np.zeros(offsets.shape[1]), 1e4))
     return float(np.linalg.norm(offsets.T @ (weights / weights.sum())))
 
 

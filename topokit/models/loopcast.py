@@ -82,7 +82,7 @@ class LoopCast(PredictiveModel):
         normalisation: Normalisation,
         frames: Sequence[int] = (0, 3, 8, 15),
         width: int = 128,
-        step_width: int = 64,
+        step_width: int = 48,
     ) -> None:
         super().__init__(shape, normalisation)
         if not frames or frames[0] != 0 or max(frames) >= shape.history or len(set(frames)) != len(frames):

@@ -1,0 +1,94 @@
+"""The commands `topokit evaluate` and `report`. What they need is imported when they run."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+__all__ = ["add"]
+
+
+def add(commands: Any) -> None:
+    """Add the sub-parsers."""
+    evaluate = commands.add_parser(
+        "evaluate", help="measure predictors on held-out episodes; goes on where it stopped"
+    )
+    evaluate.add_argument(
+        "evaluation", type=Path, metavar="EVALUATION", help="datasets, checkpoints and conditions (.json)"
+    )
+    evaluate.add_argument(
+        "--out", type=Path, required=True, metavar="RESULTS", help="where the results go, after each condition (.json)"
+    )
+    evaluate.add_argument("--threads", type=int, default=2, help="processor cores to use at most (default 2)")
+    evaluate.add_argument("--quiet", action="store_true", help="no progress")
+    evaluate.add_argument("--json", action="store_true", help="print hull_accuracy as JSON")
+    evaluate.set_defaults(run=_evaluate)
+
+    report = commands.add_parser("report", help="make tables and figures of the results of an evaluation")
+    report.add_argument("results", type=Path, metavar="RESULTS", help="what topokit evaluate wrote (.json)")
+    report.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the tables (.md) and figures (.svg)"
+    )
+    report.add_argument("--json", action="store_true", help="print the list of files as JSON")
+    report.set_defaults(run=_report)
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    if options.out.suffix != ".json":
+        raise ValueError(f"--out {options.out}: the name of results ends in .json")
+    if options.threads < 1:
+        raise ValueError(f"--threads {options.threads}: one at least")
+    import torch
+
+    from .config import load_evaluation
+    from .forecasts import evaluate_forecasts
+    from .report import hull_table
+
+    config, folder = load_evaluation(options.evaluation)
+    if options.out.resolve() == options.evaluation.resolve():
+        raise ValueError(f"--out {options.out}: that is the evaluation itself")
+    torch.set_num_threads(min(options.threads, torch.get_num_threads()))
+    loud = not (options.quiet or options.json)
+
+    def tell(line: str) -> None:
+        if loud:
+            print(line, file=sys.stderr, flush=True)
+
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_, **__: print(
+                f"topokit evaluate: warning: {message}", file=sys.stderr
+            )
+            results = evaluate_forecasts(
+                config,
+                folder,
+                options.out,
+                progress=loud and sys.stderr.isatty(),
+                tell=tell,
+                command=f"topokit evaluate {options.evaluation} --out {options.out}",
+            )
+    except KeyboardInterrupt:
+        print(
+            f"topokit evaluate: stopped; conditions that were done are in {options.out}, the same command goes on",
+            file=sys.stderr,
+        )
+        return 130
+    if options.json:
+        print(json.dumps({"results": str(options.out), "hull_accuracy": results["hull_accuracy"]}))
+    else:
+        for name, condition in results["conditions"].items():
+            print(f"\n{name}\n\n{hull_table(condition, results['horizons'])}")
+        print(f"results: {options.out}")
+    return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    from .report import report
+
+    files = report(options.results, options.out)
+    print(json.dumps([str(path) for path in files]) if options.json else "\n".join(map(str, files)))
+    return 0

@@ -1,0 +1,208 @@
+"""From samples to tables: every measure of every model at every horizon, with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .config import EvaluationConfig
+from .intervals import Bootstrap, Estimate, mean_of
+
+__all__ = ["MEASURES", "ORDER", "TOLERANCES", "Samples", "horizons_of", "steps_of", "summarise"]
+
+Array = NDArray[np.float64]
+ORDER = ("seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours")
+TOLERANCES = (0.0, 0.01, 0.02, 0.03, 0.05)
+MEASURES = {
+    "hull_accuracy": "share of windows in which the mean of the mixture is in the hull",
+    "distance_cm": "mean distance from the centre of the true loop, cm",
+    "distance_median_cm": "median of that",
+    "nll": "mean negative log-likelihood of points of the true opening, nats",
+    "nll_median": "median of that over the windows",
+    "cover50": "share of points of the opening in the region of 50 %",
+    "cover90": "share of points of the opening in the region of 90 %",
+    "identity": "true loops found at t+1 that are found by the same slot",
+    "presence": "balanced accuracy: is the slot's loop there for the tracker?",
+    "presence_changed": "the same accuracy, of loops that have come or gone since t",
+    "presence_same": "the same accuracy, of the others",
+}
+"""Of a table, and what they mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """All measurements of a condition.
+
+    Attributes
+    ----------
+    columns : dict of dict of (seeds, n, K) float64
+        Model, then a name of `measures.COLUMNS`.
+    episode : (n,) int
+    garment : (n,) str
+    steps, horizons : tuple of int
+        The K steps, and those of the tables.
+    """
+
+    columns: Mapping[str, Mapping[str, Array]]
+    episode: NDArray[np.int64]
+    garment: NDArray[np.str_]
+    steps: tuple[int, ...]
+    horizons: tuple[int, ...]
+
+    def of(self, garment: str) -> Samples:
+        """Those of a garment."""
+        rows = self.garment == garment
+        some = {model: {name: part[:, rows] for name, part in table.items()} for model, table in self.columns.items()}
+        return Samples(some, self.episode[rows], self.garment[rows], self.steps, self.horizons)
+
+
+def horizons_of(horizon: int) -> tuple[int, ...]:
+    """The steps of the tables: the paper's 1, 15, 30, 60, as far as the forecast goes."""
+    return tuple(step for step in (1, 15, 30, 60) if step <= horizon)
+
+
+def steps_of(horizon: int) -> tuple[int, ...]:
+    """The steps of the curves: every fifth, and the first."""
+    return tuple(sorted({1, *range(5, horizon + 1, 5), *horizons_of(horizon)}))
+
+
+def summarise(samples: Samples, config: EvaluationConfig) -> dict[str, Any]:
+    """All tables of a condition."""
+    table = _Table(samples, config)
+    answer: dict[str, Any] = {name: table.at_horizons(name) for name in MEASURES}
+    answer["gain_of_ours"] = table.gains()
+    answer["outcomes"] = table.outcomes()
+    answer["by_seed"] = table.by_seed()
+    answer["curves"] = {name: table.curve(name) for name in ("hull_accuracy", "distance_cm", "identity", "presence")}
+    answer["hull_treatments"] = table.treatments()
+    garments = sorted(set(samples.garment.tolist()))
+    if len(garments) > 1:
+        answer["by_garment"] = {}
+        for garment in garments:
+            mine = _Table(samples.of(garment), config)
+            parts = {name: mine.at_horizons(name) for name in ("hull_accuracy", "distance_cm")}
+            answer["by_garment"][garment] = {"episodes": len(mine.bootstrap.names), **parts}
+    return answer
+
+
+class _Table:
+    """Estimates of a condition's samples."""
+
+    def __init__(self, samples: Samples, config: EvaluationConfig) -> None:
+        self.samples, self.tolerance = samples, config.tolerance
+        self.bootstrap = Bootstrap(samples.episode, config.samples, config.seed)
+        known = [name for name in ORDER if name in samples.columns]
+        self.models = [*known, *sorted(set(samples.columns) - set(known))]
+
+    def hits(self, model: str, tolerance: float | None = None, column: str = "outside") -> Array:
+        """(seeds, n, K) whether the means are in their hulls."""
+        near = self.tolerance if tolerance is None else tolerance
+        return (self.samples.columns[model][column] <= max(near, 1e-9)).astype(np.float64)
+
+    def estimate(self, model: str, name: str, k: int) -> Estimate:
+        """A measure at the k-th step."""
+        columns, number = self.samples.columns[model], self.models.index(model)
+
+        def ratio(top: str, bottom: str) -> Estimate:
+            return self.bootstrap.ratio(columns[top][..., k], columns[bottom][..., k], number)
+
+        if name == "presence":
+            return mean_of([ratio("there_right", "there"), ratio("absent_right", "absent")])
+        if name in ("presence_changed", "presence_same"):
+            kind = name.removeprefix("presence_")
+            return ratio(f"{kind}_right", kind)
+        if name == "hull_accuracy":
+            return self.mean(self.hits(model)[..., k], number)
+        column, _, median = name.removesuffix("_cm").partition("_median")
+        values = columns[{"identity": "kept"}.get(column, column)][..., k] * (100 if name.endswith("_cm") else 1)
+        if "median" in name:
+            return self.bootstrap.median(values, number)
+        return self.mean(values, number)
+
+    def mean(self, values: Array, number: int) -> Estimate:
+        """Of (seeds, n) values, without those that are nan."""
+        there = np.isfinite(values)
+        return self.bootstrap.ratio(np.where(there, values, 0), there, number)
+
+    def row(self, make: Callable[[int], Estimate]) -> dict[str, Estimate]:
+        """At the horizons, and the mean over them."""
+        each = {str(step): make(self.samples.steps.index(step)) for step in self.samples.horizons}
+        return each | {"mean": mean_of(list(each.values()))}
+
+    def at_horizons(self, name: str) -> dict[str, Any]:
+        """Model, then horizon."""
+        return {m: _plain(self.row(lambda k, m=m: self.estimate(m, name, k))) for m in self.models}  # type: ignore[misc]
+
+    def curve(self, name: str) -> dict[str, Any]:
+        """Model, then every step."""
+        return {
+            model: {str(step): self.estimate(model, name, k).as_dict() for k, step in enumerate(self.samples.steps)}
+            for model in self.models
+        }
+
+    def gains(self) -> dict[str, Any]:
+        """What our hull accuracy is above that of the others, on the same draws of episodes."""
+        if "ours" not in self.models:
+            return {}
+        mine = self.row(lambda k: self.estimate("ours", "hull_accuracy", k))
+        answer = {}
+        for model in self.models:
+            if model != "ours":
+                other = self.row(lambda k, m=model: self.estimate(m, "hull_accuracy", k))  # type: ignore[misc]
+                answer[model] = {key: (mine[key] - other[key]).as_dict() for key in mine}
+        return answer
+
+    def outcomes(self) -> dict[str, Any]:
+        """Shares of windows: in the hull, beside it by 10 cm at most, farther, or too few loops forecast."""
+        answer: dict[str, Any] = {}
+        for model in self.models:
+            answer[model] = {}
+            for step in self.samples.horizons:
+                outside = self.samples.columns[model]["outside"][..., self.samples.steps.index(step)]
+                hit = outside <= max(self.tolerance, 1e-9)
+                near = ~hit & (outside <= 0.1)
+                shares = {
+                    "hit": hit,
+                    "near": near,
+                    "far": ~hit & ~near & np.isfinite(outside),
+                    "silent": np.isinf(outside),
+                }
+                answer[model][str(step)] = {name: round(float(part.mean()), 4) for name, part in shares.items()}
+        return answer
+
+    def by_seed(self) -> dict[str, Any]:
+        """Hull accuracy of every training seed on its own, for models that have several."""
+        answer = {}
+        for model in self.models:
+            hits = self.hits(model)
+            if len(hits) > 1:
+                at = [self.samples.steps.index(step) for step in self.samples.horizons]
+                each = hits.mean(axis=1)[:, at]
+                columns = dict(zip(map(str, self.samples.horizons), each.T.round(4).tolist(), strict=True))
+                answer[model] = columns | {"mean": each.mean(axis=1).round(4).tolist()}
+        return answer
+
+    def treatments(self) -> dict[str, Any]:
+        """Hull accuracy when a nearly flat hull is treated otherwise, or presence is not asked for."""
+        ways: dict[str, Callable[[str], Array]] = {
+            f"within {100 * tolerance:g} cm": lambda model, t=tolerance: self.hits(model, t)  # type: ignore[misc]
+            for tolerance in TOLERANCES
+        }
+        ways["in the plane"] = lambda model: self.samples.columns[model]["in_plane"]
+        ways["presence not asked for"] = lambda model: self.hits(model, column="outside_anyway")
+        answer: dict[str, Any] = {}
+        for name, way in ways.items():
+            rows = {}
+            for number, model in enumerate(self.models):
+                hits = way(model)
+                rows[model] = _plain(self.row(lambda k, h=hits, i=number: self.mean(h[..., k], i)))  # type: ignore[misc]
+            answer[name] = rows
+        return answer
+
+
+def _plain(row: Mapping[str, Estimate]) -> dict[str, Any]:
+    return {key: one.as_dict() for key, one in row.items()}
