@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +10,17 @@ from PIL import Image
 
 import topokit as tk
 from topokit import view
+from topokit.data import Dataset
 from topokit.io import load_episode
-from topokit.sim import WARDROBE, Hook
+from topokit.sim import TASKS, WARDROBE, Hook
 
 HERE = Path(__file__).parent
 FRAMES = (0, 40, 62, 95)
 
 
 def main() -> None:
-    """An apron in four frames, the same as a film, and the wardrobe."""
+    """An apron in four frames and as a film, every task as a picture and as a film, and the wardrobe."""
+    every_task(HERE.parent / "data_small" / "dataset")
     episode = load_episode(HERE.parent / "data_small" / "apron_hook_0.npz")
     states = tk.track(episode.points, times=episode.times)
     rods = Hook().rods
@@ -60,6 +63,47 @@ def main() -> None:
         for row in (garments[:5], garments[5:])
     ]
     Image.fromarray(np.concatenate(rows)).quantize(255).save(HERE / "_static" / "wardrobe.png", optimize=True)
+
+
+def every_task(folder: Path, moments: int = 20) -> None:
+    """Every task of the wardrobe: how it begins and ends, with what the tracker finds, and all of them as one film."""
+    dataset = Dataset.open(folder)
+    numbers = {record.task: record.episode for record in reversed(dataset.records) if record.status == "ok"}
+    columns = []
+    for task in TASKS:
+        episode, (x, y, z) = dataset[numbers[task]], TASKS[task].target.seat
+        states = dataset.states(numbers[task], "full")
+        frames = np.linspace(10, len(episode) - 1, moments).astype(int)
+        rods = [rod for rod in TASKS[task].target.rods if min(rod[0][2], rod[1][2]) > 0]  # not what stands on the floor
+        columns.append(
+            [
+                view.render_cloth(
+                    episode.points[frame],
+                    episode.faces,
+                    loops=states[frame].loops,
+                    true_loops=episode.loops,
+                    rods=rods,
+                    size=(200, 250),
+                    zoom=0.75,
+                    focus=[x, y - 0.2, z - 0.25],
+                )
+                for frame in frames
+            ]
+        )
+        print(f"\rdrawing: task {len(columns)} of {len(TASKS)}", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    films = [_grid([column[k] for column in columns]) for k in range(moments)]
+    films[-1].quantize(255).save(HERE / "_static" / "tasks.png", optimize=True)
+    small = [film.resize((film.width // 2, film.height // 2)).quantize(64) for film in films]
+    pauses = [180] * (moments - 1) + [1500]
+    small[0].save(
+        HERE / "_static" / "tasks.gif", save_all=True, append_images=small[1:], duration=pauses, loop=0, optimize=True
+    )
+
+
+def _grid(pictures: list[Image.Image], columns: int = 7) -> Image.Image:
+    rows = [_side_by_side(pictures[i : i + columns]) for i in range(0, len(pictures), columns)]
+    return Image.fromarray(np.concatenate([np.asarray(row) for row in rows]))
 
 
 def _side_by_side(pictures: list[Image.Image]) -> Image.Image:
