@@ -18,12 +18,12 @@ help:
 	@sed -n 's/^# //p' Makefile
 
 book: env opengl
-	@$(BIN)/python -m sphinx -n -W --keep-going -q -b html -c book . _build/html
+	@$(BIN)/python -m sphinx -n -W --keep-going -q -j auto -b html -c book . _build/html
 	@echo "The book: file://$(CURDIR)/_build/html/index.html"
 
 test: env opengl lint
-	$(BIN)/python -m pytest
-	$(BIN)/python -m pytest --nbmake notebooks/ -o addopts=""
+	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --nbmake notebooks/ -o addopts=""
 
 lint: env
 	$(BIN)/ruff check .

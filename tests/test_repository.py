@@ -96,10 +96,11 @@ LAYERS = [
     {"seqph"},
     {"io"},
     {"lemmas"},
-    {"sim", "evaluate"},
+    {"sim"},
     {"data"},
     {"models"},
     {"view"},
+    {"evaluate"},
     {"cli", "__main__"},
 ]
 
@@ -140,8 +141,9 @@ def tracked_files() -> list[Path]:
 
 def test_files_are_small():
     sizes = {path: path.stat().st_size for path in tracked_files()}
-    assert not [path for path, size in sizes.items() if size > 3_000_000]
-    assert sum(size for path, size in sizes.items() if path.parent.name == "data_small") < 15_000_000
+    limit = {".safetensors": 5_000_000}  # a trained checkpoint
+    assert not [path for path, size in sizes.items() if size > limit.get(path.suffix, 3_000_000)]
+    assert sum(size for path, size in sizes.items() if path.is_relative_to(ROOT / "data_small")) < 15_000_000
 
 
 def test_manifest_matches_the_data():

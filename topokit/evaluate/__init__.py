@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .config import EvaluationConfig, load_evaluation
     from .forecasts import evaluate_forecasts, read_results
     from .intervals import Bootstrap, Estimate
-    from .report import report
+    from .report import write_report
 
 _WHERE = {
     "Bootstrap": "intervals",
@@ -24,7 +24,7 @@ _WHERE = {
     "evaluate_forecasts": "forecasts",
     "load_evaluation": "config",
     "read_results": "forecasts",
-    "report": "report",
+    "write_report": "report",
 }
 
 __all__ = [
@@ -38,10 +38,10 @@ __all__ = [
     "evaluate_forecasts",
     "load_evaluation",
     "read_results",
-    "report",
     "score",
     "summarise_tracks",
     "true_loops",
+    "write_report",
 ]
 
 

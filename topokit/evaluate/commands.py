@@ -14,14 +14,15 @@ __all__ = ["add"]
 
 def add(commands: Any) -> None:
     """Add the sub-parsers."""
-    evaluate = commands.add_parser(
-        "evaluate", help="measure predictors on held-out episodes; goes on where it stopped"
-    )
+    evaluate = commands.add_parser("evaluate", help="measure predictors on held-out episodes; goes on where it stopped")
     evaluate.add_argument(
         "evaluation", type=Path, metavar="EVALUATION", help="datasets, checkpoints and conditions (.json)"
     )
     evaluate.add_argument(
         "--out", type=Path, required=True, metavar="RESULTS", help="where the results go, after each condition (.json)"
+    )
+    evaluate.add_argument(
+        "--clips", type=Path, metavar="DIR", help="also save the frames of a few failures, to be looked at (.npz)"
     )
     evaluate.add_argument("--threads", type=int, default=2, help="processor cores to use at most (default 2)")
     evaluate.add_argument("--quiet", action="store_true", help="no progress")
@@ -69,7 +70,9 @@ def _evaluate(options: argparse.Namespace) -> int:
                 options.out,
                 progress=loud and sys.stderr.isatty(),
                 tell=tell,
-                command=f"topokit evaluate {options.evaluation} --out {options.out}",
+                command=f"topokit evaluate {options.evaluation} --out {options.out}"
+                + (f" --clips {options.clips}" if options.clips else ""),
+                clips=options.clips,
             )
     except KeyboardInterrupt:
         print(
@@ -87,8 +90,8 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from .report import report
+    from .report import write_report
 
-    files = report(options.results, options.out)
+    files = write_report(options.results, options.out)
     print(json.dumps([str(path) for path in files]) if options.json else "\n".join(map(str, files)))
     return 0

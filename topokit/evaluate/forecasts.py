@@ -7,6 +7,7 @@ Source: the figure is that of Antonova et al. 2021, section 6. Taught in chapter
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import inspect
 import json
@@ -35,7 +36,7 @@ from topokit.models.checkpoint import load_model
 from topokit.models.registry import MODELS, build
 from topokit.models.states import States, past_states, target_states
 
-from . import intervals, measures, seen, summary
+from . import failures, intervals, measures, seen, summary
 from .config import UNTRAINED, Condition, EvaluationConfig
 from .measures import COLUMNS, measure
 from .seen import SpoiltWindows, choose, true_curves
@@ -70,6 +71,7 @@ def evaluate_forecasts(
     progress: bool = False,
     tell: Callable[[str], None] = lambda _: None,
     command: str = "",
+    clips: str | Path | None = None,
 ) -> dict[str, Any]:
     """Evaluate all models under all conditions.
 
@@ -87,6 +89,8 @@ def evaluate_forecasts(
         Is given a line of text now and then.
     command : str
         What made the file, for its readers.
+    clips : path, optional
+        Folder for the frames of the failures that the results list, of the condition with most garments.
 
     Returns
     -------
@@ -112,13 +116,16 @@ def evaluate_forecasts(
         else:
             tell(f"{condition.name}: {len(opened.rows)} windows, {len(opened.forecasters)} forecasters")
             samples = _run(config, condition, opened, progress)
-            results["conditions"][condition.name] = opened.about() | summarise(samples, config)
+            answer = summarise(samples, config, condition is config.conditions[0])
+            results["conditions"][condition.name] = opened.about() | answer | _failures(config, opened, samples)
         if condition is config.conditions[0]:
             results["hull_accuracy"] = results["conditions"][condition.name]["hull_accuracy"]
         results["complete"] = condition is config.conditions[-1]
         if out is not None:
             with atomic_file(out) as handle:
                 handle.write(_as_json(results).encode())
+    if clips is not None:
+        _clip(config, results, folder, Path(clips))
     return results
 
 
@@ -194,6 +201,10 @@ def open_condition(config: EvaluationConfig, condition: Condition, folder: Path)
         windows, rows = _take(windows, rows), own
     labels = dataset.labels(windows.labels)
     count = {g: int(n) for g, n in zip(*np.unique(_garments(spoilt, rows), return_counts=True), strict=True)}
+    checkpoints: dict[str, list[dict[str, Any]]] = {}
+    for one in forecasters:
+        if one.name not in UNTRAINED:
+            checkpoints.setdefault(_key(config, one.name), []).append(dict(one.about))
     entries = {
         "dataset": {"sha256": dataset.checksum(), "seed": dataset.seed, "episodes": len(dataset)},
         "labels": {
@@ -206,11 +217,8 @@ def open_condition(config: EvaluationConfig, condition: Condition, folder: Path)
         "windows": len(rows),
         "episodes": len(tested),
         "windows_by_garment": count,
-        "checkpoints": {},
+        "checkpoints": checkpoints,
     }
-    for one in forecasters:
-        if one.name not in UNTRAINED:
-            entries["checkpoints"].setdefault(_key(config, one.name), []).append(dict(one.about))
     settings = {k: v for k, v in config.as_dict().items() if k in ("ours", "shape", "samples", "seed", "tolerance")}
     return Opened(windows, spoilt, rows, tuple(forecasters), entries, _digest([entries, settings, _code()]))
 
@@ -273,16 +281,23 @@ def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> Foreca
             f"{path}: trained on windows of another shape: {_words(model.shape)}; the evaluation has {_words(config.shape)}"
         )
     trained = description.get("config", {})
-    about = {
+    about: dict[str, Any] = {
         "checkpoint": shown,
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "model": description["model"],
         "seed": trained.get("seed"),
-        "split": trained.get("split", {}),
+        "split": _in_order(trained.get("split", {})),
         "trained_on": description.get("dataset", ""),
         **{key: description[key] for key in ("steps", "validation_loss") if key in description},
     }
     return Forecaster(name, model, about)
+
+
+def _in_order(split: Mapping[str, Any]) -> dict[str, Any]:
+    """The shares of a split in the order of training: checkpoints keep names sorted, and a split depends on their order."""
+    order = {"train": 0, "validation": 1}
+    shares = sorted(split.get("shares", {}).items(), key=lambda part: order.get(part[0], 2))
+    return dict(split) | ({"shares": dict(shares)} if shares else {})
 
 
 def _words(shape: object) -> str:
@@ -326,10 +341,13 @@ def _run(config: EvaluationConfig, condition: Condition, opened: Opened, progres
     fine = horizons_of(config.shape.horizon)
     rows = opened.rows
     clean_rows = rows if opened.seen is opened.windows else np.arange(len(rows))
-    columns: dict[str, list[dict[str, NDArray[np.float64]]]] = {}
     kept: list[list[dict[str, NDArray[np.float64]]]] = [[] for _ in opened.forecasters]
     bar = tqdm(
-        total=len(rows) * len(opened.forecasters), unit="forecast", desc=condition.name, disable=not progress, leave=False
+        total=len(rows) * len(opened.forecasters),
+        unit="forecast",
+        desc=condition.name,
+        disable=not progress,
+        leave=False,
     )
     with bar, torch.inference_mode():
         for number, part in enumerate(_chunks(len(rows))):
@@ -343,6 +361,7 @@ def _run(config: EvaluationConfig, condition: Condition, opened: Opened, progres
                 rng = np.random.default_rng((config.seed, number))  # the same points of the openings for all
                 kept[place].append(measure(forecaster(window), target, past, truth, steps, fine, rng))
                 bar.update(len(truth))
+    columns: dict[str, list[dict[str, NDArray[np.float64]]]] = {}
     for forecaster, parts in zip(opened.forecasters, kept, strict=True):
         whole = {name: np.concatenate([part[name] for part in parts]) for name in COLUMNS}
         columns.setdefault(_key(config, forecaster.name), []).append(whole)
@@ -351,6 +370,27 @@ def _run(config: EvaluationConfig, condition: Condition, opened: Opened, progres
         for name, seeds in columns.items()
     }
     return Samples(stacked, opened.seen.index[rows, 0], _garments(opened.seen, rows), steps, fine)
+
+
+def _failures(config: EvaluationConfig, opened: Opened, samples: Samples) -> dict[str, Any]:
+    """What is to be looked at; nothing where the clouds are spoilt, which no dataset holds."""
+    first: dict[str, Forecaster] = {}
+    for one in opened.forecasters:
+        first.setdefault(_key(config, one.name), one)
+    if "ours" not in first or opened.seen is not opened.windows:
+        return {"failures": []}
+    models: dict[str, failures.Model] = {
+        name: first[name] for name in ("ours", "pointnet", "carry", "seqph") if name in first
+    }
+    return {"failures": failures.shown(opened.windows, opened.rows, samples, models, config.tolerance)}
+
+
+def _clip(config: EvaluationConfig, results: Mapping[str, Any], folder: Path, clips: Path) -> None:
+    """Save the frames of the failures of the condition that shows most garments."""
+    known = results["conditions"]
+    chosen = max(config.conditions, key=lambda condition: len(known[condition.name]["failures"]))
+    dataset = Dataset(folder / (chosen.dataset or config.dataset))
+    failures.save_clips(known[chosen.name]["failures"], dataset, clips)
 
 
 def _chunks(n: int) -> Iterator[slice]:
@@ -375,8 +415,9 @@ def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
         "ours": config.ours,
         "measure": (
             "hull_accuracy: share of windows in which the mean of the longest-lived forecast mixture is in the convex hull of "
-            f"the true loop's vertices, or within {100 * config.tolerance:g} cm of it; with two loops or more, the first two in "
-            "two hulls. Intervals: 95 %, bootstrap over episodes and training seeds. n: windows (of each seed)"
+            "the true loop's vertices and of the edge that ends its class in the full cloud, or within "
+            f"{100 * config.tolerance:g} cm of it; where two loops or more are there, the first two in two hulls. Intervals: "
+            "95 %, bootstrap over the episodes of each garment, and over seeds. n: windows (of each seed) with a true loop there"
         ),
         "commands": [*config.commands, *([command] if command else [])],
         "seed": config.seed,
@@ -403,8 +444,13 @@ def _as_json(results: Mapping[str, Any]) -> str:
 
 
 def _code() -> str:
-    """A name for the code that makes the numbers."""
-    return _digest([inspect.getsource(module) for module in (measures, seen, intervals, summary)])
+    """A name for the code that makes the numbers; words about it do not count."""
+    trees = [ast.parse(inspect.getsource(module)) for module in (measures, seen, intervals, summary, failures)]
+    for node in (node for tree in trees for node in ast.walk(tree)):
+        body = getattr(node, "body", None)
+        if isinstance(body, list) and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
+            body.pop(0)
+    return _digest([ast.dump(tree) for tree in trees])
 
 
 def _digest(parts: Sequence[Any]) -> str:

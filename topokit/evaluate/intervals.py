@@ -1,8 +1,8 @@
 """Means and medians with 95 % intervals, when samples come in bunches: the windows of an episode, the seeds of a training.
 
 Idea: windows of one episode are near copies of each other, so a hundred of them are not a hundred facts. The bootstrap draws
-whole episodes with replacement, and seeds likewise; what a statistic does over a thousand such draws is its interval. All
-models get the same draws of episodes, so that differences between them are on the same episodes.
+whole episodes with replacement, within each garment, and seeds likewise; what a statistic does over a thousand such draws is
+its interval. All models get the same draws of episodes, so that differences between them are on the same episodes.
 
 Source: Efron and Tibshirani 1993; for samples in clusters, Davison and Hinkley 1997, section 3.8. Taught in chapter 11.
 """
@@ -72,6 +72,9 @@ class Bootstrap:
     ----------
     bunches : (n,) array_like of int
         Which episode each sample is of.
+    strata : (n,) array_like, optional
+        Which garment, say. How many there are of each was decided and not drawn, so it is the same in all draws: episodes are
+        drawn among those of the same stratum.
     draws : int
     seed : int
 
@@ -84,10 +87,17 @@ class Bootstrap:
     (0.5, (0.0, 1.0))
     """
 
-    def __init__(self, bunches: ArrayLike, draws: int = 1000, seed: int = 0) -> None:
-        self.names, self.bunch = np.unique(np.asarray(bunches), return_inverse=True)
-        count, rng = len(self.names), np.random.default_rng(seed)
-        self.weights = rng.multinomial(count, np.full(count, 1 / count), size=draws).astype(np.float64)  # (D, E)
+    def __init__(
+        self, bunches: ArrayLike, draws: int = 1000, seed: int = 0, *, strata: ArrayLike | None = None
+    ) -> None:
+        self.names, first, self.bunch = np.unique(np.asarray(bunches), return_index=True, return_inverse=True)
+        kind = np.zeros(len(first)) if strata is None else np.asarray(strata)[first]
+        self.weights, rng = np.zeros((draws, len(first))), np.random.default_rng(seed)  # (D, E)
+        for one in np.unique(kind):
+            mine = np.flatnonzero(kind == one)
+            drawn = rng.multinomial(len(mine), np.full(len(mine), 1 / len(mine)), size=draws)
+            size = np.bincount(self.bunch)[mine]  # episodes differ in length: hold the weight of the stratum, too
+            self.weights[:, mine] = drawn * (size.sum() / (drawn @ size))[:, None]
         self.seed = seed
 
     def seeds(self, count: int, model: int = 0) -> Array:

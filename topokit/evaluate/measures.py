@@ -1,7 +1,12 @@
 """How good forecasts are, sample by sample: a window of an episode, at some of the steps ahead.
 
-A forecast names some loops; the simulator knows where the true ones are. With L true loops the first k = min(L, 2) forecast
-loops count, longest lifetime first, as in the paper; which is compared with which true loop is chosen in their favour.
+A forecast names some loops; the simulator knows where the true ones are, and persistence on the full cloud which of them are
+there (`topokit.evaluate.tracking.true_loops`). With L of them the first k = min(L, 2) forecast loops count, longest lifetime
+first, as in the paper; which is compared with which true loop is chosen in their favour.
+
+A true loop is marked by one curve of its class, and others are as true: around a tie that hangs before a skirt the curve may go
+straight across the skirt, or along behind the tie. So its hull is that of the marked curve and of the edge of the full cloud
+that ends its class. For most loops that edge spans the curve, and the hull is that of the curve alone.
 
 Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 11.
 """
@@ -11,6 +16,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,8 +41,10 @@ OFFSET = 0.25
 POINTS, DRAWN = 16, 100  # of an opening, and of a mixture, for likelihood and coverage
 COLUMNS = (
     "outside",
+    "outside_marked",
     "outside_anyway",
     "in_plane",
+    "in_opening",
     "distance",
     "nll",
     "cover50",
@@ -61,15 +70,26 @@ class TrueCurves:
     ----------
     curves : tuple of (K, L, 3) float64
         Their vertices, metres.
+    closing : tuple of (K, 2, 3) float64, optional
+        The ends of the edges of the full cloud that end their classes, metres.
+    present : tuple of (K,) bool, optional
+        Whether they are there; all of them when not given.
     """
 
     curves: tuple[Array, ...]
+    closing: tuple[Array, ...] = ()
+    present: tuple[NDArray[np.bool_], ...] = ()
 
-    @property
-    def asked(self) -> int:
-        """How many loops a forecast must name."""
-        return min(len(self.curves), MOST)
+    def there(self, k: int) -> list[int]:
+        """The loops that are there."""
+        return [loop for loop in range(len(self.curves)) if not self.present or self.present[loop][k]]
 
+    def hull(self, loop: int, k: int) -> Array:
+        """(n, 3) points whose convex hull counts as the loop's."""
+        curve = self.curves[loop][k]
+        return np.concatenate([curve, self.closing[loop][k]]) if self.closing else curve
+
+    @cached_property
     def centres(self) -> Array:
         """(loops, K, 3) centroids of the curves, by length: vertices may crowd on one side."""
         found = []
@@ -79,10 +99,27 @@ class TrueCurves:
             found.append((sides * (curve + after) / 2).sum(axis=1) / sides.sum(axis=1))
         return np.array(found)
 
-    def radii(self, centres: Array) -> Array:
+    @cached_property
+    def radii(self) -> Array:
         """(loops, K) largest distances of the curves from their centres."""
-        pairs = zip(self.curves, centres, strict=True)
+        pairs = zip(self.curves, self.centres, strict=True)
         return np.array([np.linalg.norm(curve - middle[:, None], axis=2).max(axis=1) for curve, middle in pairs])
+
+    @cached_property
+    def planes(self) -> tuple[tuple[Array, Array], ...]:
+        """Of each loop the means of its vertices (K, 3) and the axes of their scatter (K, 3, 3), the normal last."""
+        means = [curve.mean(axis=1) for curve in self.curves]
+        pairs = zip(self.curves, means, strict=True)
+        axes = [np.linalg.svd(curve - mean[:, None], full_matrices=False)[2] for curve, mean in pairs]
+        return tuple(zip(means, axes, strict=True))
+
+    def beside(self, loop: int, k: int, point: Array) -> float:
+        """At most 1 when the point lies in a curve's outline, seen along the normal, and near enough to its plane."""
+        mean, axes = (part[k] for part in self.planes[loop])
+        off = abs(float((point - mean) @ axes[2])) / (OFFSET * self.radii[loop, k])
+        if off > 1 or nearest_in_hull((self.curves[loop][k] - point) @ axes[:2].T) >= 1e-9:
+            return float("inf")
+        return float(off)
 
 
 def measure(
@@ -115,13 +152,15 @@ def measure(
     -------
     dict of (B, K) float64
         ``outside``, ``outside_anyway``: the farthest of the k means from its hull, metres; inf when fewer than k are forecast.
-        The second ranks by lifetime times presence and lets none be absent. ``in_plane``: whether all k means lie in the hull's
-        outline, seen along its normal, and beside its plane by `OFFSET` radii at most. ``distance``: of the k means from the
-        centres of the curves, metres. ``nll``, ``cover50``, ``cover90``: of `POINTS` points of the openings under the k mixtures,
-        nats, and the share of them in the smallest region that has 50 or 90 % of the mass. ``kept``: of the true loops found at
-        the first step, how many are found by the same slot. Then counts of slots: those that the tracker sees there and
-        those that are absent, those that changed since the last frame seen and those that did not; each with how many the
-        forecast has right. nan where there is nothing to measure.
+        The second ranks by lifetime times presence and lets none be absent. ``outside_marked``: the same as the first for hulls
+        of the marked curves alone, and loops that are not there asked for, too. ``in_plane``: whether all k means lie in the
+        marked curve's outline, seen along its normal, and beside its plane by `OFFSET` radii at most. ``in_opening``: whether
+        all are nearer to the centres of the curves than the curves' farthest vertices, as chapter 6 asks of tracks.
+        ``distance``: of the k means from these centres, metres. ``nll``, ``cover50``, ``cover90``: of `POINTS` points of the
+        openings under the k mixtures, nats, and the share of them in the smallest region that has 50 or 90 % of the mass.
+        ``kept``: of the true loops found at the first step and still there, how many are found by the same slot. Then counts of
+        slots: those that the tracker sees there and those that are absent, those that changed since the last frame seen and
+        those that did not; each with how many the forecast has right. nan where there is nothing to measure.
     """
     at = torch.tensor([step - 1 for step in steps])
     some = states[:, at]
@@ -166,27 +205,36 @@ def _places(
     told: _Told, i: int, truth: TrueCurves, columns: Mapping[str, Array], fine: Sequence[bool]
 ) -> list[tuple[int, int, int, int]]:
     """Fill in what concerns the places of window i; the (window, step, slot, loop) that belong together at fine steps."""
-    centres = truth.centres()
-    radii = truth.radii(centres)
+    centres, radii = truth.centres, truth.radii
     pairs, found_first = [], None
     for k in range(columns["outside"].shape[1]):
-        means, corners = told.centre[i, k], [curve[k] for curve in truth.curves]
-        chosen, anyway = told.first(i, k, truth.asked), told.first_anyway(i, k, truth.asked)
-        columns["outside"][i, k] = _outside(means[chosen], corners, truth.asked)
-        columns["outside_anyway"][i, k] = (
-            columns["outside"][i, k] if chosen == anyway else _outside(means[anyway], corners, truth.asked)
-        )
-        flat = [[_beside(c, means[slot], r) for c, r in zip(corners, radii[:, k], strict=True)] for slot in chosen]
-        columns["in_plane"][i, k] = _least_worst(flat, truth.asked) <= 1
+        means, loops = told.centre[i, k], truth.there(k)
+        everything = min(len(truth.curves), MOST)
+        marked = [curve[k] for curve in truth.curves]
+        columns["outside_marked"][i, k] = _outside(means[told.first(i, k, everything)], marked, everything)
         away = np.linalg.norm(means[:, None] - centres[None, :, k], axis=2)  # (S, loops)
-        if len(chosen) == truth.asked:
-            mates = _nearest(away[chosen])
+        near = (away <= radii[:, k]) & told.there(i, k)[:, None] & np.isin(np.arange(len(radii)), loops)
+        found = {loop: slot for slot, loop in assign(away, near)}
+        found_first = found if found_first is None else found_first
+        still = [loop for loop in found_first if loop in loops]
+        if still:
+            columns["kept"][i, k] = np.mean([found.get(loop) == found_first[loop] for loop in still])
+        asked = min(len(loops), MOST)
+        if not asked:
+            continue
+        hulls = [truth.hull(loop, k) for loop in loops]
+        chosen, anyway = told.first(i, k, asked), told.first_anyway(i, k, asked)
+        columns["outside"][i, k] = _outside(means[chosen], hulls, asked)
+        columns["outside_anyway"][i, k] = (
+            columns["outside"][i, k] if chosen == anyway else _outside(means[anyway], hulls, asked)
+        )
+        flat = [[truth.beside(loop, k, means[slot]) for loop in loops] for slot in chosen]
+        columns["in_plane"][i, k] = _least_worst(flat, asked) <= 1
+        columns["in_opening"][i, k] = _least_worst((away / radii[:, k])[chosen][:, loops].tolist(), asked) <= 1
+        if len(chosen) == asked:
+            mates = [loops[place] for place in _nearest(away[chosen][:, loops])]
             columns["distance"][i, k] = away[chosen, mates].mean()
             pairs += [(i, k, slot, loop) for slot, loop in zip(chosen, mates, strict=True) if fine[k]]
-        found = {loop: slot for slot, loop in assign(away, (away <= radii[:, k]) & told.there(i, k)[:, None])}
-        found_first = found if found_first is None else found_first
-        if found_first:
-            columns["kept"][i, k] = np.mean([found.get(loop) == slot for loop, slot in found_first.items()])
     return pairs
 
 
@@ -205,16 +253,9 @@ def _least_worst(table: Sequence[Sequence[float]], asked: int) -> float:
 
 def _nearest(away: Array) -> list[int]:
     """The loop of each slot (k, loops) when the sum of distances is smallest."""
+    rows = np.arange(len(away))
     orders = itertools.permutations(range(away.shape[1]), len(away))
-    return list(min(orders, key=lambda order: away[range(len(away)), order].sum()))
-
-
-def _beside(corners: Array, point: Array, radius: float) -> float:
-    """At most 1 when the point lies in the outline of the corners in their best plane, and near enough to that plane."""
-    middle = corners.mean(axis=0)
-    axes = np.linalg.svd(corners - middle, full_matrices=False)[2]
-    flat, beside = (corners - point) @ axes[:2].T, abs(float((point - middle) @ axes[2]))
-    return beside / (OFFSET * radius) if nearest_in_hull(flat) < 1e-9 else float("inf")
+    return list(min(orders, key=lambda order: float(away[rows, np.array(order)].sum())))
 
 
 def opening_points(curve: Array, n: int, rng: np.random.Generator) -> Array:
@@ -237,7 +278,7 @@ def _likelihood(
     if not pairs:
         return
     i, k, slot, _ = np.array(pairs).T
-    mixtures = loop_mixtures(states.triangles[i, k, slot].double(), states.values[i, k, slot].double())
+    mixtures: Any = loop_mixtures(states.triangles[i, k, slot].double(), states.values[i, k, slot].double())
     points = np.array([opening_points(truth[i].curves[loop][k], POINTS, rng) for i, k, _, loop in pairs])
     density = mixtures.log_prob(torch.from_numpy(points).transpose(0, 1))  # (POINTS, pairs)
     with torch.random.fork_rng(devices=[]):

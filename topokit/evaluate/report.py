@@ -17,7 +17,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["LABELS", "hull_table", "markdown", "plot_bars", "plot_conditions", "plot_curves", "plot_treatments", "report"]
+__all__ = [
+    "LABELS",
+    "hull_table",
+    "markdown",
+    "plot_bars",
+    "plot_conditions",
+    "plot_curves",
+    "plot_treatments",
+    "write_report",
+]
 
 LABELS = {
     "seqph": "seqPH",
@@ -30,10 +39,11 @@ LABELS = {
 }
 _GREY = {"seqph": "0.35", "hold": "0.75", "carry": "0.6"}
 _COLOURS = {"ridge": 5, "mlp": 1, "pointnet": 2, "ours": 0}  # those of the identities, so that books have one palette
+_NOT_DRAWN = tuple(f"marked curve alone, within {tolerance} cm" for tolerance in (0, 1, 3, 10))  # between the others
 Cells = Mapping[str, Any]
 
 
-def report(results: str | Path, out: str | Path) -> list[Path]:
+def write_report(results: str | Path, out: str | Path) -> list[Path]:
     """Write `tables.md` and the figures of a file of results into a folder.
 
     Returns
@@ -105,7 +115,8 @@ def _cell(entry: Mapping[str, float | None] | None, share: bool) -> str:
         return "-"
     scale, digits = (100, 1) if share else (1, 2)
     value, low, high = (
-        "-" if number is None else f"{scale * number:.{digits}f}" for number in (entry[k] for k in ("mean", "low", "high"))
+        "-" if number is None else f"{scale * number:.{digits}f}"
+        for number in (entry[k] for k in ("mean", "low", "high"))
     )
     return f"{value} [{low}, {high}]"
 
@@ -140,8 +151,14 @@ def plot_curves(condition: Mapping[str, Any], measure: str, ax: Axes) -> Axes:
     for model, cells in rows.items():
         there = [(int(step), cell) for step, cell in cells.items() if cell["mean"] is not None]
         steps = [step for step, _ in there]
-        style = {"linestyle": "--"} if model in _GREY else {}
-        ax.plot(steps, [scale * cell["mean"] for _, cell in there], color=_colour(model), label=label(model), **style)
+        dashes = "--" if model in _GREY else "-"
+        ax.plot(
+            steps,
+            [scale * cell["mean"] for _, cell in there],
+            color=_colour(model),
+            label=label(model),
+            linestyle=dashes,
+        )
         if model in ("pointnet", "ours"):
             low, high = ([scale * cell[side] for _, cell in there] for side in ("low", "high"))
             ax.fill_between(steps, low, high, color=_colour(model), alpha=0.2, linewidth=0)
@@ -162,7 +179,14 @@ def plot_conditions(results: Mapping[str, Any], ax: Axes, horizon: str = "mean")
                 continue
             place = i + (k - (len(models) - 1) / 2) * 0.8 / len(models)
             ax.plot([100 * cell["low"], 100 * cell["high"]], [place, place], color=_colour(model), linewidth=1.5)
-            ax.plot(100 * cell["mean"], place, "o", markersize=4, color=_colour(model), label=label(model) if not i else None)
+            ax.plot(
+                100 * cell["mean"],
+                place,
+                "o",
+                markersize=4,
+                color=_colour(model),
+                label=label(model) if not i else None,
+            )
     ax.set_yticks(range(len(conditions)), list(conditions))
     ax.invert_yaxis()
     for i in range(1, len(conditions)):
@@ -174,14 +198,19 @@ def plot_conditions(results: Mapping[str, Any], ax: Axes, horizon: str = "mean")
 
 def plot_treatments(condition: Mapping[str, Any], ax: Axes, horizon: str = "mean") -> Axes:
     """The hull measure under each treatment of nearly flat hulls: lines that do not cross keep the order."""
-    ways = condition["hull_treatments"]
+    ways = {name: rows for name, rows in condition["hull_treatments"].items() if name not in _NOT_DRAWN}
     for model in next(iter(ways.values())):
         values = [100 * rows[model][horizon]["mean"] for rows in ways.values()]
         ax.plot(range(len(ways)), values, "o-", markersize=4, color=_colour(model), label=label(model))
-    ax.set_xticks(range(len(ways)), [name.replace("presence ", "presence\n") for name in ways], fontsize="small")
+    ax.set_xticks(range(len(ways)), [_two_lines(name) for name in ways], fontsize="x-small")
     ax.set(ylabel="mean in the true hull (%)", ylim=(0, 100))
     _legend(ax, len(LABELS))
     return ax
+
+
+def _two_lines(name: str) -> str:
+    first, _, rest = name.partition(" alone, ") if " alone, " in name else name.partition(" ")
+    return f"{first}\n{rest}"
 
 
 def _bars(cells: Sequence[Mapping[str, float | None]], scale: float) -> tuple[list[float], list[float], list[float]]:
@@ -205,8 +234,8 @@ def _legend(ax: Axes, columns: int) -> None:
 
 
 def _figure() -> Figure:
-    import matplotlib
+    import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    matplotlib.rcParams["svg.hashsalt"] = "topokit"  # the same file from the same numbers
+    mpl.rcParams["svg.hashsalt"] = "topokit"  # the same file from the same numbers
     return Figure(figsize=(8, 3.6), layout="constrained")

@@ -81,7 +81,7 @@ class TrackingScore:
     id_matches : int
         Matches that are left when every object is given one identity for good, and every identity one object.
     level_matches, level_association : (19,) float64
-        At each of HOTA's levels: matches, and the sum over them of the share |both| / |either| that the frames of object
+        At each of HOTA's levels: matches, and the sum over them of the share ``|both|`` / ``|either|`` that the frames of object
         and identity have in common.
     """
 

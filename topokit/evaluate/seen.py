@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from topokit.seqph import track
 
 from .config import Clouds
 from .measures import TrueCurves
+from .tracking import true_loops
 
 __all__ = ["SpoiltWindows", "choose", "spoil", "true_curves"]
 
@@ -35,20 +36,30 @@ def choose(windows: WindowDataset, most: int) -> NDArray[np.int64]:
 
 
 def true_curves(windows: WindowDataset, rows: Sequence[int], steps: Sequence[int]) -> list[TrueCurves]:
-    """The true loops of windows at some steps: those of `WindowDataset.truth`, an episode at a time."""
-    ahead, found = np.array(steps), []
-    loops = lru_cache(maxsize=2)(lambda number: _loops(windows.dataset, number))
+    """The true loops of windows at some steps: which are there, and where."""
+    found = []
     for number, frame in windows.index[np.asarray(rows)].tolist():
-        found.append(TrueCurves(tuple(loop[frame + ahead] for loop in loops(number))))
+        whole, at = _true_curves(windows.dataset.group.url, number), frame + np.array(steps)
+        parts = (whole.curves, whole.closing, whole.present)
+        found.append(TrueCurves(*(tuple(part[at] for part in each) for each in parts)))
     return found
 
 
-def _loops(dataset: Dataset, number: int) -> list[NDArray[np.float64]]:
-    """(T, L, 3) the true loops of an episode."""
+@cache  # conditions share their episodes; a few hundred, half a second and a megabyte each
+def _true_curves(url: str, number: int) -> TrueCurves:
+    """The true loops of an episode, at all its frames."""
+    dataset = Dataset(url)
     stored = dataset.arrays(number, "points", "loops")
     points = unpack(stored["points"]).astype(np.float64)
     lengths = dataset.document(number)["loops"]
-    return [points[:, row[:length]] for row, length in zip(stored["loops"], lengths, strict=True)]
+    loops = [row[:length].astype(np.int64) for row, length in zip(stored["loops"], lengths, strict=True)]
+    frames, row = true_loops(points, loops), np.arange(len(points))[:, None]
+    killers = np.array([frame.killers for frame in frames])  # (T, loops, 2)
+    return TrueCurves(
+        tuple(points[:, loop] for loop in loops),
+        tuple(points[row, killers[:, loop]] for loop in range(len(loops))),
+        tuple(np.array([frame.present for frame in frames]).T),
+    )
 
 
 def spoil(clouds: NDArray[np.floating], how: Clouds, rng: np.random.Generator) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ __all__ = ["MEASURES", "ORDER", "TOLERANCES", "Samples", "horizons_of", "steps_o
 
 Array = NDArray[np.float64]
 ORDER = ("seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours")
-TOLERANCES = (0.0, 0.01, 0.02, 0.03, 0.05)
+TOLERANCES = (0.0, 0.01, 0.02, 0.03, 0.05, 0.1)
 MEASURES = {
     "hull_accuracy": "share of windows in which the mean of the mixture is in the hull",
     "distance_cm": "mean distance from the centre of the true loop, cm",
@@ -70,22 +70,26 @@ def steps_of(horizon: int) -> tuple[int, ...]:
     return tuple(sorted({1, *range(5, horizon + 1, 5), *horizons_of(horizon)}))
 
 
-def summarise(samples: Samples, config: EvaluationConfig) -> dict[str, Any]:
-    """All tables of a condition."""
+def summarise(samples: Samples, config: EvaluationConfig, thorough: bool) -> dict[str, Any]:
+    """All tables of a condition; `thorough` adds the treatments of nearly flat hulls."""
     table = _Table(samples, config)
     answer: dict[str, Any] = {name: table.at_horizons(name) for name in MEASURES}
     answer["gain_of_ours"] = table.gains()
     answer["outcomes"] = table.outcomes()
     answer["by_seed"] = table.by_seed()
     answer["curves"] = {name: table.curve(name) for name in ("hull_accuracy", "distance_cm", "identity", "presence")}
-    answer["hull_treatments"] = table.treatments()
+    if thorough:
+        answer["hull_treatments"] = table.treatments()
     garments = sorted(set(samples.garment.tolist()))
     if len(garments) > 1:
         answer["by_garment"] = {}
         for garment in garments:
             mine = _Table(samples.of(garment), config)
             parts = {name: mine.at_horizons(name) for name in ("hull_accuracy", "distance_cm")}
-            answer["by_garment"][garment] = {"episodes": len(mine.bootstrap.names), **parts}
+            counts = {"windows": len(mine.samples.episode), "episodes": len(mine.bootstrap.names)}
+            answer["by_garment"][garment] = {**counts, **parts}
+            if thorough:
+                answer["by_garment"][garment]["hull_treatments"] = mine.treatments()
     return answer
 
 
@@ -94,14 +98,14 @@ class _Table:
 
     def __init__(self, samples: Samples, config: EvaluationConfig) -> None:
         self.samples, self.tolerance = samples, config.tolerance
-        self.bootstrap = Bootstrap(samples.episode, config.samples, config.seed)
+        self.bootstrap = Bootstrap(samples.episode, config.samples, config.seed, strata=samples.garment)
         known = [name for name in ORDER if name in samples.columns]
         self.models = [*known, *sorted(set(samples.columns) - set(known))]
 
     def hits(self, model: str, tolerance: float | None = None, column: str = "outside") -> Array:
-        """(seeds, n, K) whether the means are in their hulls."""
-        near = self.tolerance if tolerance is None else tolerance
-        return (self.samples.columns[model][column] <= max(near, 1e-9)).astype(np.float64)
+        """(seeds, n, K) whether the means are in their hulls; nan where no true loop is there."""
+        near, outside = self.tolerance if tolerance is None else tolerance, self.samples.columns[model][column]
+        return np.where(np.isnan(outside), np.nan, outside <= max(near, 1e-9))
 
     def estimate(self, model: str, name: str, k: int) -> Estimate:
         """A measure at the k-th step."""
@@ -117,7 +121,7 @@ class _Table:
             return ratio(f"{kind}_right", kind)
         if name == "hull_accuracy":
             return self.mean(self.hits(model)[..., k], number)
-        column, _, median = name.removesuffix("_cm").partition("_median")
+        column = name.removesuffix("_cm").removesuffix("_median")
         values = columns[{"identity": "kept"}.get(column, column)][..., k] * (100 if name.endswith("_cm") else 1)
         if "median" in name:
             return self.bootstrap.median(values, number)
@@ -163,6 +167,7 @@ class _Table:
             answer[model] = {}
             for step in self.samples.horizons:
                 outside = self.samples.columns[model]["outside"][..., self.samples.steps.index(step)]
+                outside = outside[~np.isnan(outside)]
                 hit = outside <= max(self.tolerance, 1e-9)
                 near = ~hit & (outside <= 0.1)
                 shares = {
@@ -181,7 +186,7 @@ class _Table:
             hits = self.hits(model)
             if len(hits) > 1:
                 at = [self.samples.steps.index(step) for step in self.samples.horizons]
-                each = hits.mean(axis=1)[:, at]
+                each = np.nanmean(hits, axis=1)[:, at]
                 columns = dict(zip(map(str, self.samples.horizons), each.T.round(4).tolist(), strict=True))
                 answer[model] = columns | {"mean": each.mean(axis=1).round(4).tolist()}
         return answer
@@ -192,7 +197,11 @@ class _Table:
             f"within {100 * tolerance:g} cm": lambda model, t=tolerance: self.hits(model, t)  # type: ignore[misc]
             for tolerance in TOLERANCES
         }
+        for tolerance in TOLERANCES:
+            name = f"marked curve alone, within {100 * tolerance:g} cm"
+            ways[name] = lambda model, t=tolerance: self.hits(model, t, "outside_marked")  # type: ignore[misc]
         ways["in the plane"] = lambda model: self.samples.columns[model]["in_plane"]
+        ways["in the opening"] = lambda model: self.samples.columns[model]["in_opening"]
         ways["presence not asked for"] = lambda model: self.hits(model, column="outside_anyway")
         answer: dict[str, Any] = {}
         for name, way in ways.items():

@@ -1,0 +1,427 @@
+"""A whole evaluation, from `data_small`: what it says, what it refuses, that it goes on; its windows; its report."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from topokit import cli, track
+from topokit._archive import FormatError
+from topokit.data import Dataset, WindowDataset
+from topokit.data._label import TRACKER
+from topokit.evaluate import (
+    EvaluationConfig,
+    distance_to_hull,
+    evaluate_forecasts,
+    forecasts,
+    load_evaluation,
+    read_results,
+    true_loops,
+    write_report,
+)
+from topokit.evaluate.config import Clouds, Condition
+from topokit.evaluate.seen import SpoiltWindows, choose, spoil, true_curves
+from topokit.evaluate.summary import steps_of
+from topokit.io import load_episode
+from topokit.models import TrainConfig, train
+from topokit.models.base import Normalisation, Shape
+from topokit.models.checkpoint import describe, save_tensors
+from topokit.models.registry import build
+from topokit.models.training import open_windows
+
+from conftest import DATA
+
+SMALL = DATA / "data" if not (DATA / "dataset").is_dir() else DATA / "dataset"
+SHARES = {"train": 0.4, "validation": 0.2, "test": 0.4}
+SPLIT = {"seed": 1, "shares": SHARES}
+MODELS = ("ridge", "mlp", "pointnet", "loopcast")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    return Dataset(SMALL)
+
+
+@pytest.fixture(scope="module")
+def checkpoints(tmp_path_factory) -> dict[str, list[str]]:
+    """Every model after a few steps; the MLP under two seeds."""
+    out, paths = tmp_path_factory.mktemp("runs"), {}
+    for model in MODELS:
+        for seed in range(2 if model == "mlp" else 1):
+            where = out / f"{model}_{seed}"
+            config = TrainConfig(
+                model=model,
+                dataset=str(SMALL),
+                out=str(where),
+                split=SPLIT,
+                seed=seed,
+                batch=8,
+                epochs=1,
+                windows_per_epoch=16,
+                validation_windows=8,
+            )
+            train(config, open_windows(config))
+            paths.setdefault(model, []).append(str(where / "best.safetensors"))
+    return paths
+
+
+def evaluation(conditions: list[dict[str, Any]], **more: Any) -> EvaluationConfig:
+    return EvaluationConfig(
+        **{"dataset": str(SMALL), "models": {}, "conditions": conditions, "samples": 100, "ours": "carry", **more}
+    )
+
+
+@pytest.fixture(scope="module")
+def results(checkpoints, tmp_path_factory) -> tuple[dict[str, Any], Path]:
+    """Two conditions, all models."""
+    path = tmp_path_factory.mktemp("results") / "evaluation.json"
+    config = evaluation(
+        [
+            {"name": "held out", "split": SPLIT, "windows": 4},
+            {"name": "noisy", "split": SPLIT, "windows": 2, "clouds": {"noise": 0.005}},
+        ],
+        models=checkpoints,
+        ours="loopcast",
+    )
+    return evaluate_forecasts(config, out=path, clips=path.parent / "clips"), path
+
+
+# -- what it says -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_file_has_the_form_that_was_agreed(results):
+    made, path = results
+    assert read_results(path) == json.loads(path.read_text()) == made
+    assert made["complete"]
+    assert made["ours"] == "loopcast"
+    assert list(made["hull_accuracy"]) == ["seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours"]
+    for condition in made["conditions"].values():
+        for cells in condition["hull_accuracy"].values():
+            assert list(cells) == ["1", "15", "30", "60", "mean"]
+            for cell in cells.values():
+                assert 0 <= cell["low"] <= cell["mean"] <= cell["high"] <= 1
+                assert 0 < cell["n"] <= condition["windows"]  # no more than have a true loop there
+    first = made["conditions"]["held out"]
+    assert made["hull_accuracy"] == first["hull_accuracy"]
+    assert first["dataset"]["sha256"] == Dataset(SMALL).checksum()
+    assert [one["seed"] for one in first["checkpoints"]["mlp"]] == [0, 1]
+    assert len(first["by_seed"]["mlp"]["60"]) == 2
+    assert str(path.parent) not in path.read_text()
+
+
+def test_a_measure_can_be_told_from_the_next(results):
+    """Orders that hold whatever the small models have learned."""
+    table = results[0]["conditions"]["held out"]
+
+    def of(measure: str, model: str, horizon: str = "60") -> float:
+        return table[measure][model][horizon]["mean"]
+
+    assert of("hull_accuracy", "seqph", "1") > 0.4
+    assert of("hull_accuracy", "hold") < of(
+        "hull_accuracy", "carry"
+    )  # all garments are carried away from where they were
+    assert of("distance_cm", "hold") > of("distance_cm", "carry") > of("distance_cm", "seqph") - 3
+    assert of("nll_median", "hold") > of("nll_median", "seqph")
+    assert of("cover90", "hold") < of("cover90", "seqph")
+    assert of("cover50", "seqph") < of("cover90", "seqph")
+    assert of("presence", "seqph") == 1  # the labels against themselves
+    assert of("presence_same", "hold") == 1
+    changed = table["presence_changed"]["hold"]["60"]["mean"]  # it can only be right where slots pass for each other
+    assert changed is None or changed < 0.5
+    assert of("identity", "seqph", "1") == 1
+
+
+def test_more_tolerance_is_never_worse(results):
+    ways = results[0]["conditions"]["held out"]["hull_treatments"]
+    for model in ways["within 0 cm"]:
+        values = [
+            ways[f"within {tolerance} cm"][model][key]["mean"]
+            for key in ("1", "60")
+            for tolerance in (0, 1, 2, 3, 5, 10)
+        ]
+        assert values[:6] == sorted(values[:6])
+        assert values[6:] == sorted(values[6:])
+        assert ways["within 2 cm"][model] == results[0]["hull_accuracy"][model]
+
+
+def test_outcomes_add_up(results):
+    for models in (condition["outcomes"] for condition in results[0]["conditions"].values()):
+        for steps in models.values():
+            assert all(sum(shares.values()) == pytest.approx(1, abs=2e-3) for shares in steps.values())
+
+
+def test_a_gain_is_a_difference(results):
+    table = results[0]["conditions"]["held out"]
+    for model, cells in table["gain_of_ours"].items():
+        other = table["hull_accuracy"][model]["60"]["mean"]
+        assert cells["60"]["mean"] == pytest.approx(table["hull_accuracy"]["ours"]["60"]["mean"] - other, abs=2e-4)
+
+
+def test_failures_can_be_looked_at(results, dataset):
+    made, path = results
+    listed = made["conditions"]["held out"]["failures"]
+    assert 0 < len(listed) <= 6  # after a few steps nothing is learned yet
+    assert listed == sorted(listed, key=lambda one: -one["outside_cm"]["ours"])
+    for number, failure in enumerate(listed):
+        clip = load_episode(path.parent / "clips" / f"forecast_{number}.npz")
+        whole = dataset[failure["episode"]]
+        frame = failure["frame"] + failure["step"]
+        assert np.allclose(clip.points[1], whole.points[frame], atol=1e-4)  # 16 bits
+        assert clip.garment == failure["garment"]
+        hulls = [whole.points[frame][loop] for loop in whole.loops]
+        if len(hulls) == 1:
+            outside = distance_to_hull(failure["forecasts"]["ours"][0]["mean"], hulls[0])
+            assert 100 * outside == pytest.approx(failure["outside_cm"]["ours"], abs=0.1)
+    assert made["conditions"]["noisy"]["failures"] == []
+
+
+def test_noise_spoils_the_tracker_too(results):
+    clean, noisy = results[0]["conditions"].values()
+    assert noisy["states_of_seqph_hold_carry_ridge"] == "tracked on the spoilt clouds"
+    assert noisy["presence"]["seqph"]["mean"]["mean"] < clean["presence"]["seqph"]["mean"]["mean"]
+
+
+# -- going on ---------------------------------------------------------------------------------------------------------------
+
+
+def test_it_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
+    path, real = tmp_path / "r.json", forecasts._run
+    config = evaluation(
+        [
+            {"name": "one", "part": "all", "garments": ["mask"], "windows": 2},
+            {"name": "two", "part": "all", "garments": ["sheet"], "windows": 2},
+        ]
+    )
+
+    def stopped(config, condition, *arguments):
+        if condition.name == "two":
+            raise KeyboardInterrupt
+        return real(config, condition, *arguments)
+
+    monkeypatch.setattr(forecasts, "_run", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_forecasts(config, out=path)
+    assert list(read_results(path)["conditions"]) == ["one"]
+    assert not read_results(path)["complete"]
+    ran = []
+    monkeypatch.setattr(forecasts, "_run", lambda *given: ran.append(given[1].name) or real(*given))
+    whole = evaluate_forecasts(config, out=path)
+    assert ran == ["two"]
+    assert whole == evaluate_forecasts(config)  # the same as in one go
+    other = dataclasses.replace(config, tolerance=0.05)
+    ran.clear()
+    evaluate_forecasts(other, out=path)
+    assert ran == ["one", "two"]  # made from something else: made again
+
+
+# -- what it refuses --------------------------------------------------------------------------------------------------------
+
+
+def test_it_refuses_episodes_that_a_model_was_trained_on(checkpoints):
+    for part in ("train", "validation", "all"):
+        config = evaluation([{"name": "x", "split": SPLIT, "part": part}], models={"mlp": checkpoints["mlp"][:1]})
+        with pytest.raises(ValueError, match=r"x.*was trained on this dataset.*training or validation part"):
+            evaluate_forecasts(config)
+    word = {"name": "x", "split": SPLIT, "part": "train", "shares_no_episode": True}
+    with pytest.raises(ValueError, match="was trained on this dataset"):  # no word helps against the checksum
+        evaluate_forecasts(evaluation([word], models={"mlp": checkpoints["mlp"][:1]}))
+
+
+def test_it_is_wary_of_another_dataset(checkpoints, dataset, tmp_path):
+    parts = dataset.split(**SPLIT)
+    cut = dataset.cut([*parts["train"][:2], *parts["test"][:2]], tmp_path / "cut")
+    models = {"mlp": checkpoints["mlp"][:1]}
+    bare = {"name": "x", "dataset": str(tmp_path / "cut"), "windows": 1}
+    with pytest.raises(ValueError, match=r"checksum.*shares_no_episode"):
+        evaluate_forecasts(evaluation([bare | {"part": "all"}], models=models))
+    with pytest.warns(UserWarning, match="another checksum"):
+        made = evaluate_forecasts(evaluation([bare | {"split": SPLIT}], models=models))
+    assert made["conditions"]["x"]["episodes"] == 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        evaluate_forecasts(evaluation([bare | {"part": "all", "shares_no_episode": True}], models=models))
+    assert len(cut) == 4
+
+
+def test_it_refuses_checkpoints_that_do_not_fit(checkpoints, tmp_path):
+    def refused(models: dict[str, list[str]], error: type[Exception], match: str, **more: Any) -> None:
+        condition = {"name": "x", "split": SPLIT, "windows": 1}
+        with pytest.raises(error, match=match):
+            evaluate_forecasts(evaluation([condition], models=models, **more), tmp_path)
+
+    mlp = checkpoints["mlp"][0]
+    refused({"mlp": ["gone.safetensors"]}, FileNotFoundError, r"gone\.safetensors: there is no such file")
+    refused({"pointnet": [mlp]}, ValueError, "a checkpoint of 'mlp', listed under 'pointnet'")
+    refused({"mlp": [mlp, mlp]}, ValueError, "the same weights twice")
+    shutil.copy(mlp, tmp_path / "damaged.safetensors")
+    with (tmp_path / "damaged.safetensors").open("r+b") as handle:
+        handle.truncate(1000)
+    refused({"mlp": ["damaged.safetensors"]}, FormatError, "damaged")
+    shape = Shape(history=8, horizon=30, points=64)
+    model = build("mlp", shape, Normalisation())
+    weights = {f"model.{key}": part for key, part in model.state_dict().items()}
+    save_tensors(tmp_path / "short.safetensors", weights, describe(model, "mlp", {}))
+    refused({"mlp": ["short.safetensors"]}, ValueError, "windows of another shape: history 8, horizon 30, points 64")
+
+
+def test_it_refuses_conditions_without_windows(tmp_path, dataset):
+    def refused(error: type[Exception], match: str, **entries: Any) -> None:
+        with pytest.raises(error, match=match):
+            evaluate_forecasts(evaluation([{"name": "x", "windows": 1, **entries}]), tmp_path)
+
+    refused(FileNotFoundError, "labels 'camera'; it has", labels="camera")
+    refused(ValueError, "no garment 'glove'.*it has apron", garments=["glove"])
+    refused(ValueError, "no part 'exam'; it has train, validation, test, all", part="exam")
+    refused(FileNotFoundError, "nowhere", dataset="nowhere")
+    numbers = dataset.episodes[:2]
+    cut = dataset.cut(numbers, tmp_path / "cut")
+    shutil.rmtree(tmp_path / "cut" / "labels")
+    assert len(cut) == 2
+    refused(FileNotFoundError, "topokit label makes them", dataset="cut", part="all")
+
+
+@pytest.mark.parametrize(
+    ("entries", "error", "match"),
+    [
+        ({"conditions": [{"name": "x", "tolerant": 1}]}, ValueError, "no entry 'tolerant'; it may have"),
+        ({"conditions": []}, ValueError, "one condition or more"),
+        ({"conditions": [{"name": "x"}, {"name": "x"}]}, ValueError, "two conditions are called 'x'"),
+        ({"conditions": [{"garments": ["apron"]}]}, ValueError, "has no 'name'"),
+        ({"conditions": [{"name": "x", "windows": 0}]}, ValueError, "windows must be a whole number above zero"),
+        ({"conditions": [{"name": "x", "clouds": {"keep": 2}}]}, ValueError, "clouds.keep must be a share"),
+        ({"conditions": [{"name": "x", "clouds": {"outliers": 1}}]}, ValueError, "clouds.outliers must be a share"),
+        ({"conditions": [{"name": "x", "clouds": {"fog": 1}}]}, ValueError, "no entry 'fog'"),
+        ({"models": {"hold": ["a"]}}, ValueError, "hold needs no checkpoint"),
+        ({"models": {"mlp": "a"}}, TypeError, "mlp must have a list of checkpoints"),
+        ({"samples": 1}, ValueError, "samples"),
+        ({"tolerance": -1}, ValueError, "tolerance"),
+        ({"shape": {"history": 0}}, ValueError, "shape.history"),
+    ],
+)
+def test_a_wrong_configuration_says_what_is_wrong(entries, error, match, tmp_path):
+    path = tmp_path / "evaluation.json"
+    whole = {"dataset": "d", "models": {}, "conditions": [{"name": "x"}], **entries}
+    path.write_text(json.dumps(whole))
+    with pytest.raises(error, match=match) as caught:
+        load_evaluation(path)
+    assert str(path) in str(caught.value)
+
+
+# -- windows ----------------------------------------------------------------------------------------------------------------
+
+
+def test_windows_are_spread_over_episodes(dataset):
+    windows = WindowDataset(dataset)
+    rows = choose(windows, 12)
+    record = dataset.group.records
+    for garment in {record[int(i)].garment for i in windows.index[:, 0]}:
+        own = [i for i in rows if record[int(windows.index[i, 0])].garment == garment]
+        episodes = {int(windows.index[i, 0]) for i in own}
+        there = {int(i) for i in windows.episodes if record[int(i)].garment == garment}
+        assert len(own) == len(set(own)) == 12
+        assert episodes == there or len(there) > 12
+    assert len(choose(windows, 10**6)) == len(windows)
+
+
+def test_true_loops_are_those_of_the_window(dataset):
+    windows, steps = WindowDataset(dataset), (1, 30, 60)
+    rows = np.array([0, len(windows) // 2, len(windows) - 1])
+    for row, curves in zip(rows, true_curves(windows, rows, steps), strict=True):
+        truth = windows.truth(int(row))
+        assert len(curves.curves) == len(truth.loops)
+        for mine, true in zip(curves.curves, truth.loops, strict=True):
+            assert np.array_equal(mine, true[np.array(steps) - 1])
+        number, frame = windows.index[row].tolist()
+        film = dataset[number]
+        for k, step in enumerate(steps):  # which loops are there, and what ends them
+            (expected,) = true_loops(film.points[[frame + step]], film.loops)
+            assert curves.there(k) == np.flatnonzero(expected.present).tolist()
+            ends = film.points[frame + step][expected.killers]
+            assert np.allclose([edge[k] for edge in curves.closing], ends)
+    assert steps_of(60)[:3] == (1, 5, 10)
+
+
+def test_spoiling_is_what_it_says():
+    rng = np.random.default_rng(0)
+    clouds = rng.uniform(-1, 1, (20, 128, 3))
+    assert np.array_equal(spoil(clouds, Clouds(), rng), clouds)
+    noisy = spoil(clouds, Clouds(noise=0.005), rng) - clouds
+    assert noisy.std() == pytest.approx(0.005, rel=0.03)
+    wild = (spoil(clouds, Clouds(outliers=0.05), rng) != clouds).any(axis=2)
+    assert (wild.sum(axis=1) == 6).all()  # 5 % of 128 in every frame
+    half = spoil(clouds, Clouds(keep=0.5), rng)
+    assert half.shape == (20, 64, 3)
+    assert all(len({*map(tuple, kept)} & {*map(tuple, cloud)}) == 64 for kept, cloud in zip(half, clouds, strict=True))
+
+
+def test_baselines_are_tracked_on_what_the_networks_see(dataset):
+    number = next(r.episode for r in dataset.records if r.garment == "mask")  # 128 points show its loops
+    windows = SpoiltWindows(dataset, [number], how=Clouds(keep=0.5), seed=3)
+    window = windows[5]
+    again = SpoiltWindows(dataset, [number], how=Clouds(keep=0.5), seed=3)[5]
+    assert all(torch.equal(window[name], again[name]) for name in window)
+    assert torch.equal(window["clouds"][:, :64], window["clouds"][:, 64:])  # half the points, twice
+    window = SpoiltWindows(dataset, [number], how=Clouds(), seed=3)[0]  # of the episode's first frames, as it is
+    states = track(window["clouds"].double().numpy(), n_jobs=1, **TRACKER)
+    assert any(states)
+    for state, death, present in zip(states, window["past_death"], window["past_present"], strict=True):
+        expected = sorted((loop.death for loop in state.loops), reverse=True)
+        found = sorted(death[present].tolist(), reverse=True)
+        assert len(found) == min(len(expected), 4)
+        assert set(np.round(found, 5)) <= set(np.round(expected, 5))
+
+
+# -- the commands -----------------------------------------------------------------------------------------------------------
+
+
+def test_report_is_made_of_the_file_alone(results, tmp_path):
+    files = write_report(results[1], tmp_path / "a")
+    assert [path.name for path in files] == [
+        "tables.md",
+        "hull_accuracy.svg",
+        "distance.svg",
+        "conditions.svg",
+        "treatments.svg",
+    ]
+    text = files[0].read_text()
+    cell = results[0]["hull_accuracy"]["carry"]["60"]
+    line = next(line for line in text.splitlines() if line.startswith("| carry"))
+    assert f"{100 * cell['mean']:.1f} [{100 * cell['low']:.1f}, {100 * cell['high']:.1f}]" in line
+    assert "topokit evaluate" not in text  # the command was not known
+    again = write_report(results[1], tmp_path / "b")
+    assert [path.read_bytes() for path in files] == [path.read_bytes() for path in again]
+    with pytest.raises(FormatError, match="no results of topokit evaluate"):
+        write_report(DATA / "manifest.json", tmp_path / "c")
+
+
+def test_commands(tmp_path, capsys):
+    condition = {"name": "masks", "part": "all", "garments": ["mask"], "windows": 2}
+    given = tmp_path / "evaluation.json"
+    given.write_text(json.dumps({"dataset": str(SMALL), "models": {}, "conditions": [condition], "samples": 50}))
+    out = tmp_path / "results.json"
+    assert cli.main(["evaluate", str(given), "--out", str(out), "--json", "--threads", "1"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["hull_accuracy"]["seqph"]["1"]["n"] == 2
+    assert read_results(out)["commands"] == [f"topokit evaluate {given} --out {out}"]
+    assert cli.main(["report", str(out), "--out", str(tmp_path / "report")]) == 0
+    assert "tables.md" in capsys.readouterr().out
+    assert cli.main(["evaluate", str(given), "--out", str(given)]) == 2
+    assert cli.main(["evaluate", str(tmp_path / "none.json"), "--out", str(out)]) == 2
+    assert "there is no such file" in capsys.readouterr().err
+    assert Condition("x").part == "test"

@@ -1,0 +1,113 @@
+"""The forecasts that went farthest astray, to be looked at: a table says how often, a picture why.
+
+Taught in chapter 11.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import default_collate
+
+from topokit.data import Dataset, WindowDataset
+from topokit.io import save_episode
+from topokit.models.states import States
+
+from .summary import Samples
+
+__all__ = ["MOST", "save_clips", "shown", "worst"]
+
+MOST = 6
+Model = Callable[[Mapping[str, Tensor]], States]
+
+
+def worst(samples: Samples, model: str, tolerance: float) -> list[int]:
+    """Of each garment the sample that a model's first seed puts farthest outside at the last step; the farthest first.
+
+    Loops that are said to be absent count, too: where nothing is forecast there would be nothing to be seen.
+    """
+    reach = samples.columns[model]["outside_anyway"][0, :, -1]
+    reach = np.where(np.isfinite(reach), reach, -1)
+    found = []
+    for garment in np.unique(samples.garment):
+        rows = np.flatnonzero(samples.garment == garment)
+        row = int(rows[np.argmax(reach[rows])])
+        if reach[row] > tolerance:
+            found.append(row)
+    return sorted(found, key=lambda row: -reach[row])[:MOST]
+
+
+def shown(
+    windows: WindowDataset, rows: NDArray[np.int64], samples: Samples, models: Mapping[str, Model], tolerance: float
+) -> list[dict[str, Any]]:
+    """Those samples, with what each of the models said about the last step.
+
+    A forecast is a list of loops by lifetime times presence, each with its `mean` and its two killer `triangles`, metres.
+    """
+    chosen, step = worst(samples, "ours", tolerance), samples.steps[-1]
+    if not chosen:
+        return []
+    window = default_collate([windows[int(rows[row])] for row in chosen])
+    with torch.inference_mode():
+        said = {name: model(window)[:, step - 1] for name, model in models.items()}
+    return [
+        {
+            "episode": int(samples.episode[row]),
+            "frame": int(windows.index[rows[row], 1]),
+            "step": step,
+            "garment": str(samples.garment[row]),
+            "outside_cm": {
+                name: _cm(samples.columns[name]["outside_anyway"][0, row, -1])
+                for name in models
+                if name in samples.columns
+            },
+            "forecasts": {name: _loops(states[place]) for name, states in said.items()},
+        }
+        for place, row in enumerate(chosen)
+    ]
+
+
+def save_clips(failures: Sequence[Mapping[str, Any]], dataset: Dataset, folder: str | Path) -> list[Path]:
+    """Save the last frame that was seen and the frame that was forecast, as episodes of two frames."""
+    paths = []
+    for number, failure in enumerate(failures):
+        episode, seen = dataset[failure["episode"]], failure["frame"]
+        frames = [seen, seen + failure["step"]]
+        arrays = {
+            name: getattr(episode, name)[frames] for name in ("points", "observed", "actions", "grippers", "held")
+        }
+        note = {key: value for key, value in failure.items() if key != "forecasts"}
+        clip = dataclasses.replace(episode, **arrays, dt=episode.dt * failure["step"], observation=note)
+        paths.append(save_episode(Path(folder) / f"forecast_{number}.npz", clip))
+    return paths
+
+
+def _loops(states: States) -> list[dict[str, Any]]:
+    """All loops of one window at one step (S, ...)."""
+    presence = states.presence.sigmoid()
+    lifetime = states.death - states.birth
+    order = [int(i) for i in torch.argsort(-lifetime * presence) if lifetime[i] > 0]
+    return [
+        {
+            "slot": slot,
+            "presence": round(float(presence[slot]), 3),
+            "mean": _rounded(states.centre[slot]),
+            "triangles": _rounded(states.triangles[slot, :2]),
+        }
+        for slot in order
+    ]
+
+
+def _rounded(values: Tensor) -> Any:
+    return np.round(values.double().numpy(), 4).tolist()
+
+
+def _cm(metres: float) -> float | None:
+    return round(100 * float(metres), 1) if np.isfinite(metres) else None
