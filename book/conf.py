@@ -18,6 +18,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
+from jupyter_cache import get_cache  # noqa: E402
+
 import topokit  # noqa: E402
 from topokit.view import pyvista_works  # noqa: E402
 
@@ -66,7 +68,8 @@ def _digest() -> str:
     for folder, pattern in (
         ("topokit", "**/*"),
         ("data_small", "**/*"),
-        ("book/results", "*"),
+        ("book/results", "**/*"),
+        ("checkpoints", "**/*"),
         ("notebooks", "*.ipynb"),
     ):
         files += [path for path in (ROOT / folder).glob(pattern) if "__pycache__" not in path.parts]
@@ -85,6 +88,8 @@ def _fresh_cache() -> str:
     for old in caches.glob("*"):
         if old.is_dir() and old.name != digest:
             shutil.rmtree(old)
+    cache = get_cache(caches / digest)
+    cache.list_cache_records()  # makes the database now: processes that read pages side by side would all try to
     return str(caches / digest)
 
 
