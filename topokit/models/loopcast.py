@@ -3,7 +3,7 @@
 Idea, four choices against the paper's networks:
 
 1. *Relative coordinates.* Points are seen from the middle between the grippers, so that what is learned at one place of the
-   room holds at another.
+   room holds near it. (Not everywhere: the network is told where that middle is, or it could not know where the hook is.)
 2. *Pointing.* A corner of a loop's triangles is an average of the cloud's own points under learned attention, plus a little,
    not a number that a network has to make up: a centimetre is then easy.
 3. *Carrying.* The forecast is the present loop moved with the grippers for as long as they hold, in learned shares, plus
