@@ -171,6 +171,10 @@ def test_a_gain_is_a_difference(results):
     for model, cells in table["gain_of_ours"].items():
         other = table["hull_accuracy"][model]["60"]["mean"]
         assert cells["60"]["mean"] == pytest.approx(table["hull_accuracy"]["ours"]["60"]["mean"] - other, abs=2e-4)
+    there, back = table["gain_of_pointnet"]["mlp"]["60"], table["gain_of_mlp"]["pointnet"]["60"]
+    assert [there[side] for side in ("mean", "low", "high")] == pytest.approx(
+        [-back[side] for side in ("mean", "high", "low")], abs=1e-3
+    )
 
 
 def test_failures_can_be_looked_at(results, dataset):
@@ -323,6 +327,15 @@ def test_a_wrong_configuration_says_what_is_wrong(entries, error, match, tmp_pat
     assert str(path) in str(caught.value)
 
 
+def test_the_committed_evaluation_is_a_good_one():
+    config, folder = load_evaluation(DATA.parent / "book" / "evaluation.json")
+    assert config.ours in config.models
+    assert all(len(config.models[model]) >= 3 for model in ("mlp", "pointnet", config.ours))  # seeds
+    chapter = {"aprons", "all garments", "128 points"}  # chapter 11 asks for these by name
+    assert chapter <= {condition.name for condition in config.conditions}
+    assert folder.name == "book"
+
+
 # -- windows ----------------------------------------------------------------------------------------------------------------
 
 
@@ -425,3 +438,21 @@ def test_commands(tmp_path, capsys):
     assert cli.main(["evaluate", str(tmp_path / "none.json"), "--out", str(out)]) == 2
     assert "there is no such file" in capsys.readouterr().err
     assert Condition("x").part == "test"
+
+
+def test_an_interrupt_in_compiled_code_is_one(tmp_path, monkeypatch, capsys):
+    given = tmp_path / "evaluation.json"
+    given.write_text(json.dumps({"dataset": str(SMALL), "models": {}, "conditions": [{"name": "x", "part": "all"}]}))
+
+    def stopped(*_: object) -> None:
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    def broken(*_: object) -> None:
+        raise SystemError("broken")
+
+    monkeypatch.setattr(forecasts, "_run", stopped)
+    assert cli.main(["evaluate", str(given), "--out", str(tmp_path / "r.json")]) == 130
+    assert "the same command goes on" in capsys.readouterr().err
+    monkeypatch.setattr(forecasts, "_run", broken)
+    with pytest.raises(SystemError, match="broken"):
+        cli.main(["evaluate", str(given), "--out", str(tmp_path / "r.json")])

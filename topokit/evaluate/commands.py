@@ -74,7 +74,9 @@ def _evaluate(options: argparse.Namespace) -> int:
                 + (f" --clips {options.clips}" if options.clips else ""),
                 clips=options.clips,
             )
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        if not _interrupted(error):
+            raise
         print(
             f"topokit evaluate: stopped; conditions that were done are in {options.out}, the same command goes on",
             file=sys.stderr,
@@ -87,6 +89,13 @@ def _evaluate(options: argparse.Namespace) -> int:
             print(f"\n{name}\n\n{hull_table(condition, results['horizons'])}")
         print(f"results: {options.out}")
     return 0
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind it: compiled code turns an interrupt into a SystemError with the interrupt as its cause."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _report(options: argparse.Namespace) -> int:

@@ -209,7 +209,7 @@ def plot_treatments(condition: Mapping[str, Any], ax: Axes, horizon: str = "mean
 
 
 def _two_lines(name: str) -> str:
-    first, _, rest = name.partition(" alone, ") if " alone, " in name else name.partition(" ")
+    first, _, rest = name.replace("marked curve alone, within", "marked:").partition(" ")
     return f"{first}\n{rest}"
 
 

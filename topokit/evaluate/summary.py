@@ -74,7 +74,7 @@ def summarise(samples: Samples, config: EvaluationConfig, thorough: bool) -> dic
     """All tables of a condition; `thorough` adds the treatments of nearly flat hulls."""
     table = _Table(samples, config)
     answer: dict[str, Any] = {name: table.at_horizons(name) for name in MEASURES}
-    answer["gain_of_ours"] = table.gains()
+    answer |= {f"gain_of_{model}": table.gains(model) for model in ("ours", "pointnet", "mlp")}
     answer["outcomes"] = table.outcomes()
     answer["by_seed"] = table.by_seed()
     answer["curves"] = {name: table.curve(name) for name in ("hull_accuracy", "distance_cm", "identity", "presence")}
@@ -148,14 +148,14 @@ class _Table:
             for model in self.models
         }
 
-    def gains(self) -> dict[str, Any]:
-        """What our hull accuracy is above that of the others, on the same draws of episodes."""
-        if "ours" not in self.models:
+    def gains(self, of: str) -> dict[str, Any]:
+        """What the hull accuracy of a model is above that of the others, on the same draws of episodes."""
+        if of not in self.models:
             return {}
-        mine = self.row(lambda k: self.estimate("ours", "hull_accuracy", k))
+        mine = self.row(lambda k: self.estimate(of, "hull_accuracy", k))
         answer = {}
         for model in self.models:
-            if model != "ours":
+            if model != of:
                 other = self.row(lambda k, m=model: self.estimate(m, "hull_accuracy", k))  # type: ignore[misc]
                 answer[model] = {key: (mine[key] - other[key]).as_dict() for key in mine}
         return answer
