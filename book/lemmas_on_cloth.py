@@ -1,6 +1,9 @@
 """The constants and the statements of topokit.lemmas over recorded episodes: the table of chapter 5.
 
     python book/lemmas_on_cloth.py data_small [more folders or episodes] --out book/results/lemmas_on_cloth.json
+    python book/lemmas_on_cloth.py --dataset runs/dataset --each 1 --out book/results/lemmas_on_test.json
+
+With --dataset: the first episodes of each garment in the test part of the split by episode, those of chapter 11.
 
 The state is all vertices of the garment, the observation what the episode recorded when that is a subsample of them; for
 episodes seen by cameras, and with --observed, a farthest-point sample of the first frame's vertices, the same in all frames.
@@ -13,12 +16,14 @@ import argparse
 import json
 import math
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from topokit import farthest_point_sample, lemmas
+from topokit.data import Dataset
 from topokit.io import Episode, load_episode
 from topokit.lemmas import StepCheck
 
@@ -36,6 +41,15 @@ def find_episodes(places: list[Path]) -> list[Path]:
             f"no episode (.npz) in {', '.join(map(str, places))}; record one with: topokit simulate"
         )
     return episodes
+
+
+def of_dataset(folder: Path, each: int) -> Iterator[tuple[str, Episode]]:
+    """The first `each` tested episodes of every garment, by the names of their tasks and their numbers."""
+    dataset = Dataset.open(folder)
+    tested = [dataset.group.records[int(i)] for i in dataset.split()["test"]]
+    for garment in dataset.garments:
+        for record in [record for record in tested if record.garment == garment][:each]:
+            yield f"{record.task} {record.episode}", dataset[record.episode]
 
 
 def observe(episode: Episode, n_observed: int | None) -> tuple[np.ndarray, str]:
@@ -123,16 +137,18 @@ def main() -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("places", type=Path, nargs="*", default=[Path("data_small")], metavar="FOLDER")
+    parser.add_argument("--dataset", type=Path, metavar="DIR", help="episodes of a dataset's test part instead")
+    parser.add_argument("--each", type=int, default=1, help="of a dataset: episodes of each garment (default 1)")
     parser.add_argument("--out", type=Path, default=Path("book/results/lemmas_on_cloth.json"))
     parser.add_argument("--stride", type=int, default=1, help="look at every stride-th frame (default 1)")
     parser.add_argument("--observed", type=int, metavar="N", help="observe N vertices instead of what was recorded")
     options = parser.parse_args()
     by_garment: dict[str, list[StepCheck]] = {}
     rows, listed = [], []
-    for path in find_episodes(options.places):
-        episode = load_episode(path)
+    films = ((path.name, load_episode(path)) for path in find_episodes(options.places))
+    for name, episode in of_dataset(options.dataset, options.each) if options.dataset else films:
         seen, how = observe(episode, options.observed)
-        print(f"{path}: {episode.garment}, {len(episode)} frames, {how}", file=sys.stderr)
+        print(f"{name}: {episode.garment}, {len(episode)} frames, {how}", file=sys.stderr)
         steps = lemmas.check_episode(episode.points, seen, stride=options.stride, progress=sys.stderr.isatty())
         by_garment.setdefault(episode.garment, []).extend(steps)
         looked_at = range(0, len(episode), options.stride)
@@ -140,10 +156,12 @@ def main() -> int:
             now, then = (episode.points[t].astype(float) for t in (step.frame, later))
             ids, ids_then = (lemmas.vertex_ids(episode.points[t], per_frame(seen, t)) for t in (step.frame, later))
             moved = jumps("states", now, then) | jumps("observations", now[ids], then[ids_then])
-            rows.append(row(episode.garment, step) | {name: short(x) for name, x in moved.items()})
-        listed.append({"file": path.name, "garment": episode.garment, "steps": len(steps), "observed": how})
+            rows.append(row(episode.garment, step) | {key: short(x) for key, x in moved.items()})
+        listed.append({"file": name, "garment": episode.garment, "steps": len(steps), "observed": how})
     everything = [step for steps in by_garment.values() for step in steps]
     places = " ".join(place.name for place in options.places)
+    if options.dataset:
+        places = f"--dataset runs/{options.dataset.name} --each {options.each}"
     command = f"python book/lemmas_on_cloth.py {places} --stride {options.stride}"
     command += f" --observed {options.observed}" if options.observed else ""
     answer = {
