@@ -122,7 +122,7 @@ def contents(folder: Path) -> Iterator[tuple[str, str]]:
 
 def soak(folder: Path, episodes: int, workers: int, every: float, seed: int) -> dict[str, object]:
     """Make both datasets and compare them."""
-    (folder / "site").mkdir(parents=True)
+    (folder / "site").mkdir(parents=True, exist_ok=True)
     (folder / "site" / "sitecustomize.py").write_text(FULL.format(full=str(folder / "site" / "full")))
     config = folder / "config.json"
     config.write_text(json.dumps(TINY.to_json()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import errno
 import json
@@ -12,7 +13,7 @@ import psutil
 import pytest
 
 from topokit.cli import main
-from topokit.data import Dataset, Interrupted, _generate, _parallel, check, generate, make_episode
+from topokit.data import Dataset, Interrupted, _forge, _generate, _parallel, check, generate, make_episode
 from topokit.data._layout import encode, episode_arrays, episode_fields, room
 from topokit.data._records import index_bytes, read_index
 
@@ -266,3 +267,18 @@ def test_ctrl_c_says_how_to_go_on(started, monkeypatch):
     monkeypatch.setattr(_generate, "run_jobs", jobs)
     with pytest.raises(Interrupted, match="0 of 4 are done and kept"):
         generate(TINY, started, 4, SEED, progress=False)
+
+
+@pytest.mark.parametrize(("killed", "says"), [(2, None), (99, "does not start")])
+def test_a_forge_that_is_killed_while_it_starts_is_started_again(tmp_path, monkeypatch, killed, says):
+    log = tmp_path / "starts"
+    die = f"import os; path = {str(log)!r}; open(path, 'a').write('x')\n"
+    die += f"if os.path.getsize(path) <= {killed}: os.kill(os.getpid(), 9)\n"
+    monkeypatch.setattr(_forge, "_MAIN", die + _forge._MAIN)
+    forge = _forge.Forge("json:dumps")
+    try:
+        with contextlib.nullcontext() if says is None else pytest.raises(RuntimeError, match=says):
+            assert forge.run({"a": 1}, 5.0) == {"answer": '{"a": 1}'}
+    finally:
+        forge.close()
+    assert log.stat().st_size == (killed + 1 if says is None else _forge._STARTS)

@@ -28,6 +28,7 @@ __all__ = ["Forge"]
 _MAIN = "import sys; from topokit.data._forge import serve; serve(*sys.argv[1:])"
 _READY = "ready"
 _PATIENCE = 10
+_STARTS = 5
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -82,21 +83,26 @@ class Forge:
             self._server = None
 
     def _start(self) -> None:
-        self.close()
-        environment = {**os.environ, **dict.fromkeys(_THREADS, "1")}
-        environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))  # the packages we have
-        self._server = subprocess.Popen(
-            [sys.executable, "-c", _MAIN, self._function, *self._needs],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=environment,
-            start_new_session=True,  # Ctrl-C reaches the command alone, and that stops us
-        )
-        assert self._server.stdout is not None
-        if self._server.stdout.readline().strip() != _READY:
+        """Start the process; once more when it was killed before it was ready, as by a system that is out of memory."""
+        for _ in range(_STARTS):
             self.close()
-            raise RuntimeError("the process that starts simulations does not start; what it said is on standard error")
+            environment = {**os.environ, **dict.fromkeys(_THREADS, "1")}
+            environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))  # the packages we have
+            self._server = subprocess.Popen(
+                [sys.executable, "-c", _MAIN, self._function, *self._needs],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                env=environment,
+                start_new_session=True,  # Ctrl-C reaches the command alone, and that stops us
+            )
+            assert self._server.stdout is not None
+            if self._server.stdout.readline().strip() == _READY:
+                return
+            if self._server.wait() >= 0:  # it ended by itself, and would again
+                break
+        self.close()
+        raise RuntimeError("the process that starts simulations does not start; what it said is on standard error")
 
 
 def serve(function: str, *needs: str) -> None:
