@@ -186,7 +186,6 @@ def main() -> int:
     parser.add_argument("--folder", type=Path, help="where to work (default: a temporary one)")
     parser.add_argument("--out", type=Path, help="where to write the report (.json)")
     options = parser.parse_args()
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it, and so would ours
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary) / "soak"
         report = soak(folder, options.episodes, options.workers, options.every, options.seed)

@@ -358,7 +358,7 @@ def test_a_process_that_fails_is_a_simulation_error(child, says, monkeypatch):
 def test_over_stretched_cloth_is_refused(limit):
     """With limits that a garment's own weight exceeds."""
     config = SimulationConfig(frames=4, steps_per_frame=50, **{limit: 1.001})
-    with pytest.raises(SimulationError, match=rf"frame 0: .*{limit} is 1.001.*\[\d+, \d+\], 1\.\d+ times"):
+    with pytest.raises(SimulationError, match=rf"settling: .*{limit} is 1.001.*\[\d+, \d+\], 1\.\d+ times"):
         simulate(coarse("apron"), config=config, n_observed=50)
 
 
