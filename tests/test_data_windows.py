@@ -118,14 +118,29 @@ def test_who_gets_a_slot():
     numbers = np.zeros((8, 3, 3), dtype=np.float32)
     numbers[..., 1] = [1.0, 0.5, 0.25]
     numbers[3, 0, 1] = 9.0  # 7 lives longer at frame 3 than 5 in three frames
-    episode = SimpleNamespace(ids=ids, numbers=numbers)
+    tracked = SimpleNamespace(ids=ids, numbers=numbers)
 
     def order(slots):
-        return WindowDataset._identities(SimpleNamespace(slots=slots), episode, slice(1, 4), slice(4, 8)).tolist()
+        return WindowDataset._identities(SimpleNamespace(slots=slots), tracked, slice(1, 4), slice(4, 8)).tolist()
 
     assert order(6) == [7, 5, 2, 3, 9, -2]
     assert order(3) == [7, 5, 2]
     assert order(1) == [7]
+
+
+def test_what_was_seen_besides_is_the_history_of_the_other_labels(dataset, windows):
+    both = WindowDataset(dataset, history=H, horizon=K, n_points=30, slots=3, seen_labels="observed-40")
+    other = WindowDataset(dataset, history=H, horizon=K, n_points=30, slots=3, labels="observed-40")
+    assert sum(int(both[i]["seen_present"].sum()) for i in range(0, len(both), 7)) > 0
+    for i in range(0, len(both), 7):
+        window = both[i]
+        assert all(torch.equal(part, window[name]) for name, part in windows[i].items())
+        alive = other[i]["past_present"].any(dim=0)
+        for name in ("triangles", "values", "birth", "death", "step", "present"):
+            assert torch.equal(window[f"seen_{name}"][:, alive], other[i][f"past_{name}"][:, alive])
+            assert not window[f"seen_{name}"][:, ~alive].any()
+    with pytest.raises(FileNotFoundError, match="camera"):
+        WindowDataset(dataset, history=H, horizon=K, seen_labels="camera")
 
 
 def test_truth_is_the_true_loops(dataset, windows):

@@ -14,11 +14,12 @@ import pytest
 import torch
 from torch.utils.data import default_collate
 
-from topokit.models.augment import mirrored
+from topokit.models.augment import Spoiling, mirrored, spoilt
 from topokit.models.base import Normalisation, Shape
 from topokit.models.checkpoint import load_model, load_tensors
 from topokit.models.config import TrainConfig, load_config
-from topokit.models.losses import LossWeights
+from topokit.models.losses import LossWeights, forecast_loss
+from topokit.models.pointnet import PointNet
 from topokit.models.registry import build
 from topokit.models.states import target_states
 from topokit.models.training import EpochSampler, Windows, train
@@ -75,7 +76,9 @@ def test_the_loss_falls_and_the_checkpoint_is_the_best_epoch(tmp_path, windows, 
 
 @pytest.mark.parametrize("stop", [4, 6, 13])  # within an epoch, at its end, in the last
 def test_stopped_and_resumed_is_as_undisturbed(tmp_path, windows, stop):
-    how = {"model": "loopcast", "options": {"width": 16, "step_width": 8, "frames": [0, 5]}, "loss": OURS}
+    options = {"width": 16, "step_width": 8, "frames": [0, 5], "tracked": True}
+    spoil = Spoiling(clouds=0.5, noise=0.01, outliers=0.1, drop=0.5, lost=0.1, wrong=0.1)
+    how = {"model": "loopcast", "options": options, "loss": OURS, "spoil": spoil}
     whole, parts = config(tmp_path / "whole", **how), config(tmp_path / "parts", **how)
     train(whole, windows)
     assert not train(parts, windows, stop_after=stop)["finished"]
@@ -204,6 +207,8 @@ def test_load_config(tmp_path):
         ('{"model": "mlp", "learning_rate": "fast"}', "learning_rate must be a number above zero"),
         ('{"model": "mlp", "shape": {"slots": 0}}', "shape.slots must be"),
         ('{"model": "mlp", "loss": {"nll": -1}}', "loss.nll must be"),
+        ('{"model": "mlp", "spoil": {"noise": 1}}', "spoil.noise must be a number from 0 to below 1"),
+        ('{"model": "mlp", "spoil": {"seen": 0.5}}', "spoil.seen needs windows.seen_labels"),
         ("{}", "model"),
     ],
 )
@@ -230,6 +235,90 @@ def test_a_mirrored_window_is_the_window_of_the_mirrored_scene():
     assert torch.allclose(one.centre[0] * torch.tensor([-1.0, 1, 1]), other.centre[0])
     carried = (build("carry", SHAPE, Normalisation())(w)[0].centre for w in (window, mirror))
     assert torch.allclose(next(carried)[2] * torch.tensor([-1.0, 1, 1]), next(carried)[2], atol=1e-6)
+
+
+@pytest.fixture
+def seen():
+    """Windows with what another tracker saw of the history: every loop ten metres above."""
+    data = RingWindows(64, seed=2)
+    window = default_collate([data[i] for i in range(64)])
+    others = {name.replace("past_", "seen_"): part.clone() for name, part in window.items() if name[:5] == "past_"}
+    others["seen_triangles"][..., 2] += 10.0
+    return window | others
+
+
+def generator():
+    return torch.Generator().manual_seed(0)
+
+
+def test_spoilt_clouds_are_as_bad_as_was_asked_for_and_labels_stay(seen):
+    how = Spoiling(clouds=0.5, noise=0.01, outliers=0.2, drop=0.5)
+    shown, again = spoilt(seen, how, generator()), spoilt(seen, how, generator())
+    assert torch.equal(shown["clouds"], again["clouds"])
+    assert all(torch.equal(part, shown[name]) for name, part in seen.items() if name != "clouds")
+    changed = (shown["clouds"] != seen["clouds"]).flatten(1).any(dim=1)
+    assert 20 <= changed.sum() <= 44
+    away = (shown["clouds"][changed] - seen["clouds"][changed]).norm(dim=-1)
+    assert away.max() < 1.0
+    noise = spoilt(seen, Spoiling(clouds=0.999, noise=0.01), generator())["clouds"]
+    gap = torch.cdist(noise.double(), seen["clouds"].double()).amin(dim=-1)
+    assert 0 < gap.median() < 0.02
+    assert gap.max() < 0.06
+    dropped = spoilt(seen, Spoiling(clouds=0.999, drop=0.5), generator())["clouds"]
+    assert torch.cdist(dropped.double(), seen["clouds"].double()).amin(dim=-1).max() < 1e-6  # none is new
+    left = [len(torch.unique(cloud, dim=0)) for cloud in dropped[:, 0]]
+    assert min(left) >= POINTS // 2
+    assert min(left) < 0.6 * POINTS < 0.9 * POINTS < max(left)
+    wild = spoilt(seen, Spoiling(clouds=0.999, outliers=0.4), generator())["clouds"]
+    new = torch.cdist(wild.double(), seen["clouds"].double()).amin(dim=-1) > 1e-6
+    assert 0.15 < new.float().mean() < 0.25  # half of the largest share, on average
+
+
+def test_spoilt_histories(seen):
+    there = seen["past_present"][:, :, :1]
+    other = spoilt(seen, Spoiling(seen=0.5), generator())
+    high = other["past_triangles"][:, :, 0, 0, 0, 2].mean(dim=1) > 5
+    assert 20 <= high.sum() <= 44
+    assert torch.equal(other["past_triangles"][high], seen["seen_triangles"][high])
+    assert torch.equal(other["past_triangles"][~high], seen["past_triangles"][~high])
+    lost = spoilt(seen, Spoiling(lost=0.5), generator())
+    left = lost["past_present"][:, :, 0].float().mean(dim=1)
+    assert set(left.tolist()) == {0.0, 1.0}  # throughout, or not at all
+    assert 0.3 < left.mean() < 0.7
+    assert (lost["past_triangles"][:, :, 0][left == 0] == 0).all()
+    assert (lost["past_death"][:, :, 0][left == 0] == 0).all()
+    wrong = spoilt(seen, Spoiling(wrong=0.5), generator())
+    away = (wrong["past_triangles"] - seen["past_triangles"])[:, :, 0].flatten(2, 3)  # (B, h, 18, 3)
+    assert torch.allclose(away, away[:, :1, :1].expand_as(away), atol=1e-6)  # all of it the same way
+    moved = away[:, 0, 0].norm(dim=-1) > 1e-4
+    assert 0.3 < moved.float().mean() < 0.7
+    assert 0.1 < away[moved][:, 0, 0].norm(dim=-1).mean() < 0.25
+    assert there.all()
+    for name in ("triangles", "present", "clouds"):
+        assert torch.equal(wrong[name], seen[name])
+
+
+def test_a_model_is_shown_the_spoilt_window_and_held_against_the_clean_one(tmp_path, monkeypatch):
+    shown, held, encode = [], [], PointNet.encode_frames
+
+    def look(model, frames):
+        shown.append(frames["clouds"].mean())
+        return encode(model, frames)
+
+    def hold(predicted, window, *arguments, **options):
+        held.append(window["clouds"].mean())
+        return forecast_loss(predicted, window, *arguments, **options)
+
+    monkeypatch.setattr(
+        "topokit.models.training.spoilt", lambda window, *_: window | {"clouds": window["clouds"] + 5.0}
+    )
+    monkeypatch.setattr("topokit.models.training.forecast_loss", hold)
+    monkeypatch.setattr(PointNet, "encode_frames", look)
+    windows = Windows(RingWindows(32, seed=0), RingWindows(8, seed=1), "rings")
+    train(config(tmp_path, model="pointnet", spoil=Spoiling(clouds=0.5), epochs=1), windows)
+    assert shown[0] > 4  # in training
+    assert max(held) < 2
+    assert shown[-1] < 2  # in validation
 
 
 def test_mixed_precision_learns_from_exact_coordinates(tmp_path, windows):

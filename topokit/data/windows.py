@@ -6,7 +6,7 @@ Source: Antonova et al. 2021, section 5 (h = 16, k = 60). Taught in chapter 8.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,22 @@ class Truth:
 
 
 @dataclass(frozen=True, eq=False)
+class _Tracked:
+    """Labels of an episode: integers, in units of 0.1 mm, beside values in metres."""
+
+    ids: NDArray[np.int32]  # (T, S'), -1 where there is no loop
+    triangles: NDArray[np.int16]  # (T, S', 6, 3, 3)
+    values: Array  # (T, S', 6)
+    numbers: Array  # (T, S', 3): birth, death, step
+
+    @classmethod
+    def of(cls, found: Mapping[str, NDArray[Any]], cloud: NDArray[np.int16]) -> _Tracked:
+        """From stored arrays, and the cloud that was tracked."""
+        triangles, values = _triangles(found["simplices"], found["values"], cloud)
+        return cls(found["id"], triangles, values, np.nan_to_num(found["values"][..., :3], nan=0.0))
+
+
+@dataclass(frozen=True, eq=False)
 class _Episode:
     """An episode as windows are cut from it: integers, in units of 0.1 mm."""
 
@@ -52,14 +68,13 @@ class _Episode:
     grippers: NDArray[np.int16]  # (T, 2, 3)
     actions: NDArray[np.int16]
     held: NDArray[np.bool_]  # (T,)
-    ids: NDArray[np.int32]  # (T, S'), -1 where there is no loop
-    triangles: NDArray[np.int16]  # (T, S', 6, 3, 3)
-    values: Array  # (T, S', 6)
-    numbers: Array  # (T, S', 3): birth, death, step
+    tracked: _Tracked
+    seen: _Tracked | None = None
 
     @property
     def nbytes(self) -> int:
-        return sum(array.nbytes for array in vars(self).values())
+        parts = [*vars(self).values(), *vars(self.tracked).values(), *(vars(self.seen).values() if self.seen else ())]
+        return sum(array.nbytes for array in parts if isinstance(array, np.ndarray))
 
 
 class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
@@ -81,6 +96,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     ``step``           (k, S)             Hausdorff distance to the previous appearance, 0 where new
     ``present``        (k, S) bool        where it is False, all of the above are 0
     ``past_...``       (h, S, ...)        the same six for the history
+    ``seen_...``       (h, S, ...)        and those of `seen_labels`, if any; their slots have identities of their own
     ``episode``        int64              number of the episode
     ``frame``          int64              t
     ``garment``        int64              place in `Dataset.garments`
@@ -96,6 +112,8 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         One part of `Dataset.split`, so that no episode is in two parts; all labelled ones when not given.
     labels : str
         Which set of labels.
+    seen_labels : str, optional
+        A second set, for what a tracker sees of the history with fewer points (`topokit label --observation observed`).
     history, horizon : int
         h and k.
     n_points : int
@@ -121,6 +139,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         episodes: Iterable[int] | None = None,
         *,
         labels: str = "full",
+        seen_labels: str | None = None,
         history: int = 16,
         horizon: int = 60,
         n_points: int = 128,
@@ -138,15 +157,16 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
                 raise ValueError(f"{name} must be a whole number, at least 1, not {value!r}")
         self.dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
-        self.labels, self.history, self.horizon = labels, history, horizon
+        self.labels, self.seen_labels, self.history, self.horizon = labels, seen_labels, history, horizon
         self.n_points, self.slots, self.stride = n_points, slots, stride
         labelled = self.dataset.labelled(labels)
         self.episodes = labelled if episodes is None else np.unique(np.fromiter(episodes, dtype=np.int64))
-        missing = np.setdiff1d(self.episodes, labelled)
-        if len(missing):
-            raise ValueError(
-                f"{len(missing)} episodes have no labels {labels!r}, the first is {missing[0]}: topokit label makes them"
-            )
+        for name in (labels,) if seen_labels is None else (labels, seen_labels):
+            missing = np.setdiff1d(self.episodes, self.dataset.labelled(name))
+            if len(missing):
+                raise ValueError(
+                    f"{len(missing)} episodes have no labels {name!r}, the first is {missing[0]}: topokit label makes them"
+                )
         lengths = np.array([self.dataset.group.records[int(i)].frames for i in self.episodes], dtype=np.int64)
         counts = np.maximum(0, -(-(lengths - history - horizon + 1) // stride))
         if counts.sum() == 0:
@@ -207,34 +227,29 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         return self
 
     def _states(self, episode: _Episode, past: slice, future: slice) -> dict[str, Any]:
-        """The labels of the two spans, by identity."""
-        order = self._identities(episode, past, future)
-        span = slice(past.start, future.stop)
-        ids = episode.ids[span]  # (h + k, S')
-        match = ids[:, None, :] == order[None, :, None]  # (h + k, S, S')
-        present, place = match.any(axis=2), match.argmax(axis=2)
-        row = np.arange(len(ids))[:, None]
-        numbers = np.where(present[..., None], episode.numbers[span][row, place], 0)
-        triangles = episode.triangles[span][row, place] * (_UNIT * present[..., None, None, None])
-        values = np.where(present[..., None], episode.values[span][row, place], 0)
-        parts = {"triangles": triangles, "values": values, "present": present}
-        parts |= {name: numbers[..., i] for i, name in enumerate(("birth", "death", "step"))}
+        """The labels of the two spans, by identity, and what else was seen of the first."""
+        order = self._identities(episode.tracked, past, future)
+        parts = _by_identity(episode.tracked, order, slice(past.start, future.stop))
         h = past.stop - past.start
+        seen = {}
+        if episode.seen is not None:
+            seen = _by_identity(episode.seen, self._identities(episode.seen, past, slice(0, 0)), past)
         return {
             **{name: part[h:] for name, part in parts.items()},
             **{f"past_{name}": part[:h] for name, part in parts.items()},
+            **{f"seen_{name}": part for name, part in seen.items()},
         }
 
-    def _identities(self, episode: _Episode, past: slice, future: slice) -> NDArray[np.int64]:
+    def _identities(self, tracked: _Tracked, past: slice, future: slice) -> NDArray[np.int64]:
         """(S,) who has which slot; -2 for nobody."""
-        ids = episode.ids[past]
+        ids = tracked.ids[past]
         alive = ids >= 0
-        lifetime = episode.numbers[past][..., 1] - episode.numbers[past][..., 0]
+        lifetime = tracked.numbers[past][..., 1] - tracked.numbers[past][..., 0]
         known, where = np.unique(ids[alive], return_inverse=True)
         order = known[np.argsort(-np.bincount(where, lifetime[alive], len(known)), kind="stable")]
         if len(order) < self.slots:
             later, first = np.unique(
-                episode.ids[future], return_index=True
+                tracked.ids[future], return_index=True
             )  # first: in order of frames, then of lifetime
             later = later[np.argsort(first)]
             order = np.concatenate([order, later[(later >= 0) & ~np.isin(later, known)]])
@@ -255,33 +270,46 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         return made
 
     def _decode(self, number: int) -> _Episode:
-        group, labels = self.dataset.group, self.dataset.labels(self.labels)
+        group = self.dataset.group
         stored = decode(group, group.document(number), ("points", "observed", "actions", "grippers", "held"))
         points, seen = stored["points"], stored["observed"]
         take = np.arange(self.n_points) % seen.shape[1]
         row = np.arange(len(points))[:, None]
-        clouds = seen[:, take] if seen.ndim == 3 else points[row, seen[:, take]]
-        tracked = points
-        if labels.manifest["observation"] != "full":
-            some = seen[:, : labels.manifest["n_points"]]
-            tracked = some if seen.ndim == 3 else points[row, some]
-        found = decode(labels, labels.document(number), ("id", "simplices", "values"))
-        triangles, values = _triangles(found["simplices"], found["values"], tracked)
-        numbers = np.nan_to_num(found["values"][..., :3], nan=0.0)
+
+        def tracked(name: str) -> _Tracked:
+            labels, cloud = self.dataset.labels(name), points
+            if labels.manifest["observation"] != "full":
+                some = seen[:, : labels.manifest["n_points"]]
+                cloud = some if seen.ndim == 3 else points[row, some]
+            return _Tracked.of(decode(labels, labels.document(number), ("id", "simplices", "values")), cloud)
+
         return _Episode(
-            clouds,
+            seen[:, take] if seen.ndim == 3 else points[row, seen[:, take]],
             stored["grippers"],
             stored["actions"],
             stored["held"].astype(bool),
-            found["id"],
-            triangles,
-            values,
-            numbers,
+            tracked(self.labels),
+            None if self.seen_labels is None else tracked(self.seen_labels),
         )
 
     def __getstate__(self) -> dict[str, Any]:
         """Processes that are spawned decode for themselves: what was decoded here is not sent to them."""
         return {**vars(self), "_kept": OrderedDict(), "_bytes": 0}
+
+
+def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> dict[str, NDArray[Any]]:
+    """The states of some frames in slots; zeros where a loop is not there."""
+    ids = tracked.ids[span]  # (T, S')
+    match = ids[:, None, :] == order[None, :, None]  # (T, S, S')
+    present, place = match.any(axis=2), match.argmax(axis=2)
+    row = np.arange(len(ids))[:, None]
+    numbers = np.where(present[..., None], tracked.numbers[span][row, place], 0)
+    return {
+        "triangles": tracked.triangles[span][row, place] * (_UNIT * present[..., None, None, None]),
+        "values": np.where(present[..., None], tracked.values[span][row, place], 0),
+        "present": present,
+        **{name: numbers[..., i] for i, name in enumerate(("birth", "death", "step"))},
+    }
 
 
 def _triangles(simplices: NDArray[Any], numbers: Array, cloud: NDArray[np.int16]) -> tuple[NDArray[np.int16], Array]:

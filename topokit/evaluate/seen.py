@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from topokit.data import Dataset, WindowDataset
 from topokit.data._label import TRACKER, arrays_of
 from topokit.data._layout import pack, unpack
-from topokit.data.windows import _Episode, _triangles
+from topokit.data.windows import _Episode, _Tracked
 from topokit.seqph import track
 
 from .config import Clouds
@@ -89,12 +89,6 @@ class SpoiltWindows(WindowDataset):
         clouds = unpack(episode.clouds[:, : min(self.n_points, self.dataset.group.records[number].observed)])
         seen = pack("clouds", spoil(clouds, self._how, np.random.default_rng((self._seed, number))))
         found = arrays_of(track(unpack(seen), n_jobs=1, **TRACKER), LOOPS)
-        triangles, values = _triangles(found["simplices"], found["values"], seen)
         return replace(
-            episode,
-            clouds=seen[:, np.arange(self.n_points) % seen.shape[1]],
-            ids=found["id"],
-            triangles=triangles,
-            values=values,
-            numbers=np.nan_to_num(found["values"][..., :3], nan=0.0),
+            episode, clouds=seen[:, np.arange(self.n_points) % seen.shape[1]], tracked=_Tracked.of(found, seen)
         )

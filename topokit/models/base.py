@@ -10,7 +10,9 @@ from torch import Tensor, nn
 
 from .states import States
 
-__all__ = ["Context", "Normalisation", "PredictiveModel", "Shape", "states_from_numbers"]
+__all__ = ["PAST", "Context", "Normalisation", "PredictiveModel", "Shape", "numbers_of_values", "states_from_numbers"]
+
+PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "step", "present"))
 
 Context = dict[str, Tensor]
 
@@ -68,7 +70,8 @@ class PredictiveModel(nn.Module):
     """
 
     learns = True  # by gradient descent
-    inputs: tuple[str, ...] = ("clouds",)  # what is read of a window's history
+    inputs: tuple[str, ...] = ("clouds",)  # what is read of each frame of a window's history
+    tracked = False  # whether `gather` is given what a tracker saw, too: `PAST`, and `past_grippers`, of all frames
     plans_at_once = 250  # of many: so that weights are read seldom, and what lies between layers stays in the cache
 
     def __init__(self, shape: Shape, normalisation: Normalisation) -> None:
@@ -83,7 +86,10 @@ class PredictiveModel(nn.Module):
         return frames
 
     def gather(self, kept: Context) -> Context:
-        """What the forecast needs of the frames that `encode_frames` kept, (B, F, ...), in the order of `self.frames`."""
+        """What the forecast needs of the frames that `encode_frames` kept, (B, F, ...), in the order of `self.frames`.
+
+        If `tracked`, with the tracked states, (B, history, ...), the newest first.
+        """
         raise NotImplementedError
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
@@ -103,7 +109,10 @@ class PredictiveModel(nn.Module):
         frames = {name: window[name][:, look] for name in self.inputs}
         sizes = next(iter(frames.values())).shape[:2]
         kept = self.encode_frames({name: part.flatten(0, 1) for name, part in frames.items()})
-        return self.gather({name: part.reshape(*sizes, *part.shape[1:]) for name, part in kept.items()})
+        kept = {name: part.reshape(*sizes, *part.shape[1:]) for name, part in kept.items()}
+        if self.tracked:
+            kept |= {name: window[name].flip(1) for name in PAST} | {"past_grippers": window["grippers"].flip(1)}
+        return self.gather(kept)
 
     def forward(self, window: Mapping[str, Tensor]) -> tuple[States, States | None]:
         """The forecast, and the present state (one step) when the model estimates it."""
@@ -131,3 +140,9 @@ def states_from_numbers(numbers: Tensor, about: Tensor, scale: float, value: flo
         step=positive[..., 6],
         presence=numbers[..., 31],
     )
+
+
+def numbers_of_values(values: Tensor, value: float) -> Tensor:
+    """The numbers of which `states_from_numbers` makes such birth, lifetime, step or neighbour values; small ones are cut off."""
+    y = (values * (2 / value)).clamp_min(0.1)
+    return (y.square() - 1) / (2 * y)

@@ -13,39 +13,22 @@ from torch import Tensor, nn
 
 from topokit.state import TopologicalState
 
-from .base import Context, Normalisation, PredictiveModel, Shape
+from .base import PAST, Context, Normalisation, PredictiveModel, Shape
 from .states import NUMBERS, States, past_states, target_states
 
-__all__ = ["Carry", "Hold", "Ridge", "past_window"]
-
-PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "step", "present"))
+__all__ = ["Carry", "Hold", "Ridge", "last_appearance", "past_window"]
 
 
 class Hold(PredictiveModel):
     """Every loop stays as it was at its last appearance in the history; it is there if it was there at the last frame."""
 
     learns = False
-    inputs = (*PAST, "grippers")
+    inputs = ("grippers",)
+    tracked = True
 
     def gather(self, kept: Context) -> Context:
         """The last appearance of each slot."""
-        past = past_states(kept)  # the newest frame first
-        seen = past.presence > 0  # (B, h, slots)
-        last = seen.int().argmax(dim=1)  # (B, slots); 0 of one that was never seen
-        batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])
-        at = past[batch, last, slot]
-        known = seen.any(dim=1)
-        middle = kept["grippers"][:, 0].mean(dim=1)[:, None, None]
-        return {
-            "corners": torch.where(known[..., None, None], at.corners, middle),
-            "neighbour_values": at.neighbour_values,
-            "birth": at.birth,
-            "death": at.death,
-            "presence": torch.where(seen[:, 0], 6.0, -6.0),
-            "known": known,
-            "seen_at": kept["grippers"][batch, last],  # (B, slots, 2, 3)
-            "grippers": kept["grippers"][:, 0],
-        }
+        return last_appearance(kept) | {"grippers": kept["grippers"][:, 0]}
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
         """The same at every step, moved by `moved`."""
@@ -151,6 +134,28 @@ class Ridge(Hold):
         each = torch.cat([torch.ones_like(plan[:, :1]), grippers, plan], dim=1)[:, None].expand(-1, slots, -1)
         name = torch.eye(slots).to(plan).expand(len(plan), -1, -1)
         return torch.cat([each, state, kept["neighbour_values"] / value, values, flags, name], dim=-1)
+
+
+def last_appearance(kept: Context) -> Context:
+    """Each slot as it was last tracked: `corners`, values, `presence` now, whether `known`, and where the grippers were then.
+
+    Of a slot that was never seen, corners are the middle between the grippers, the rest zeros.
+    """
+    seen = kept["past_present"]  # (B, h, slots), the newest frame first
+    last = seen.int().argmax(dim=1)  # (B, slots); 0 of one that was never seen
+    batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])
+    at = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
+    known = seen.any(dim=1)
+    middle = kept["past_grippers"][:, 0].mean(dim=1)[:, None, None]
+    return {
+        "corners": torch.where(known[..., None, None], at.corners, middle),
+        "neighbour_values": at.neighbour_values,
+        "birth": at.birth,
+        "death": at.death,
+        "presence": torch.where(seen[:, 0], 6.0, -6.0),
+        "known": known,
+        "seen_at": kept["past_grippers"][batch, last],  # (B, slots, 2, 3)
+    }
 
 
 def past_window(states: Sequence[TopologicalState], slots: int) -> dict[str, Tensor]:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from .augment import Spoiling
 from .base import Shape
 from .losses import LossWeights
 from .registry import MODELS
@@ -48,6 +49,8 @@ class TrainConfig:
         Largest norm of a gradient.
     mirror : bool
         Show half of the windows in the mirror (`topokit.models.augment`).
+    spoil : Spoiling
+        How much worse the history is seen than the labels' tracker saw it.
     patience : int
         Stop after so many epochs without a smaller validation loss.
     minutes_between_checkpoints : float
@@ -82,6 +85,7 @@ class TrainConfig:
     weight_decay: float = 1e-4
     clip: float = 1.0
     mirror: bool = True
+    spoil: Spoiling = field(default_factory=Spoiling)
     patience: int = 5
     minutes_between_checkpoints: float = 5.0
     workers: int = 0
@@ -91,9 +95,11 @@ class TrainConfig:
     half: bool = True
 
     def __post_init__(self) -> None:
-        for name, kind in (("shape", Shape), ("loss", LossWeights)):
+        for name, kind in (("shape", Shape), ("loss", LossWeights), ("spoil", Spoiling)):
             if isinstance(getattr(self, name), Mapping):
                 object.__setattr__(self, name, _make(kind, getattr(self, name), name))
+        if self.spoil.seen and not self.windows.get("seen_labels"):
+            raise ValueError("spoil.seen needs windows.seen_labels: which labels hold what was seen")
         if self.model not in MODELS:
             raise ValueError(f"model must be one of {', '.join(MODELS)}, not {self.model!r}")
         for name in ("batch", "epochs", "validation_windows", "patience", "devices", "windows_per_epoch"):

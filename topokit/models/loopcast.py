@@ -10,6 +10,8 @@ Idea, four choices against the paper's networks:
    what the network adds. Untrained it is already the baseline `carry`.
 4. *Slots.* Each loop has its own code; a step of the plan has one too (from the actions up to that step, none after it). A
    small network of the two gives the state. Frames are encoded once, when they arrive, and plans share the history.
+5. *Trust.* If `tracked`, a slot also knows what seqPH saw of its loop, on all the points there are. It starts from there or
+   from where it points, in a share that it learns: a tracker is exact on a good cloud and lost on a bad one.
 
 Source: attention as in Vaswani et al. 2017; slots as in Locatello et al. 2020 and Carion et al. 2020. Taught in chapter 10.
 """
@@ -22,12 +24,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from .base import Context, Normalisation, PredictiveModel, Shape, states_from_numbers
+from .base import Context, Normalisation, PredictiveModel, Shape, numbers_of_values, states_from_numbers
+from .baselines import last_appearance
 from .states import NUMBERS, States
 
 __all__ = ["FrameEncoder", "LoopCast"]
 
 HEADS = 8  # one a corner
+TRACKED = 35  # numbers of a tracked loop
 FRAME = 10  # numbers of a frame beside its cloud: the grippers from their middle, that middle in the room, held
 
 
@@ -71,6 +75,8 @@ class LoopCast(PredictiveModel):
         Of the codes of points, frames and slots.
     step_width : int
         Of the codes of the plan's steps.
+    tracked : bool
+        Whether what seqPH saw in the history is looked at too.
     """
 
     inputs = ("clouds", "grippers", "held")
@@ -83,14 +89,19 @@ class LoopCast(PredictiveModel):
         frames: Sequence[int] = (0, 3, 8, 15),
         width: int = 128,
         step_width: int = 48,
+        tracked: bool = False,
     ) -> None:
         super().__init__(shape, normalisation)
         if not frames or frames[0] != 0 or max(frames) >= shape.history or len(set(frames)) != len(frames):
             raise ValueError(f"frames must be different, begin with 0 and be below {shape.history}, not {list(frames)}")
-        self.frames = list(frames)
+        self.frames, self.tracked = list(frames), tracked
         self.encoder = FrameEncoder(shape.slots, width)
         self.slot_name = nn.Parameter(0.1 * torch.randn(shape.slots, width))
         self.join = nn.Linear((width + 3 * HEADS + FRAME) * len(frames), width)
+        if tracked:
+            self.state, self.trust = nn.Linear(TRACKED, width), nn.Linear(width, 1)
+            nn.init.zeros_(self.trust.weight)
+            nn.init.constant_(self.trust.bias, 2.0)
         self.mix = nn.Linear(width, width)
         self.present = nn.Linear(width, NUMBERS)
         self.hold = nn.Linear(width, 3)
@@ -122,17 +133,51 @@ class LoopCast(PredictiveModel):
         seen = ((places - middle[:, None, None]) / self.normalisation.scale).flatten(3)
         frame = kept["frame"][:, :, None].expand(-1, -1, self.shape.slots, -1)
         history = torch.cat([kept["code"], seen, frame], dim=-1).transpose(1, 2).flatten(2)  # (B, slots, ...)
-        slot = functional.gelu(self.join(history) + self.slot_name)
+        joined = self.join(history) + self.slot_name
+        last = last_appearance(kept) if self.tracked else None
+        if last is not None:
+            since = (grippers[:, None] - last["seen_at"]).mean(dim=2)  # (B, slots, 3): how far it was carried
+            last["corners"] = last["corners"] + since[..., None, :]
+            joined = joined + self.state(self.numbers_of(last, kept))
+        slot = functional.gelu(joined)
         slot = slot + functional.gelu(self.mix(slot))  # (B, slots, width)
-        anchor = places[:, 0, :, :4].mean(dim=2)  # (B, slots, 3): of the killer triangles
-        corners = ((places[:, 0] - anchor[:, :, None]) / self.normalisation.scale).flatten(2)
+        anchor, start = self.around(places[:, 0])
+        if last is not None:
+            trust = self.trust(slot).sigmoid() * last["known"][..., None]
+            seen_at, numbers = self.around(last["corners"])
+            values = [last["neighbour_values"], last["birth"][..., None], (last["death"] - last["birth"])[..., None]]
+            numbers[..., 24:30] = numbers_of_values(torch.cat(values, dim=-1), self.normalisation.value)
+            anchor, start = anchor + trust * (seen_at - anchor), start + trust * (numbers - start)
         return {
             "slot": slot,
             "anchor": anchor,
-            "present": self.present(slot) + functional.pad(corners, (0, NUMBERS - corners.shape[-1])),
+            "present": self.present(slot) + start,
             "hold": self.hold(slot).softmax(dim=-1)[..., :2],
             "grippers": grippers,
         }
+
+    def around(self, corners: Tensor) -> tuple[Tensor, Tensor]:
+        """The middle (B, slots, 3) of the killer triangles' corners, and the corners about it as numbers (B, slots, NUMBERS)."""
+        middle = corners[..., :4, :].mean(dim=-2)
+        numbers = ((corners - middle[..., None, :]) / self.normalisation.scale).flatten(-2)
+        return middle, functional.pad(numbers, (0, NUMBERS - numbers.shape[-1]))
+
+    def numbers_of(self, last: Context, kept: Context) -> Tensor:
+        """What a tracker saw of each loop, (B, slots, TRACKED): its last state, how often it was there, how far it strayed."""
+        scale, value, grippers = self.normalisation.scale, self.normalisation.value, kept["past_grippers"]
+        seen = kept["past_present"].to(grippers)  # (B, h, slots)
+        times = seen.sum(dim=1)
+        beside = kept["past_triangles"][..., :2, :, :].mean(dim=(-3, -2)) - grippers.mean(dim=2)[:, :, None]
+        mean = (beside * seen[..., None]).sum(dim=1) / times[..., None].clamp_min(1)
+        wander = ((beside - mean[:, None]).square().sum(dim=-1) * seen).sum(dim=1) / times.clamp_min(1)
+        values = [last["birth"], last["death"], *last["neighbour_values"].unbind(dim=-1)]
+        numbers = [
+            ((last["corners"] - grippers[:, 0].mean(dim=1)[:, None, None]) / scale).flatten(2),
+            torch.stack(values, dim=-1) / value,
+            torch.stack([last["known"].to(seen), seen[:, 0], seen[:, :4].mean(dim=1), seen.mean(dim=1)], dim=-1),
+            (wander + 1e-8).sqrt()[..., None] * (10 / scale),
+        ]
+        return torch.cat(numbers, dim=-1)
 
     def now(self, context: Context) -> States:
         """The present loops: about the places pointed at."""

@@ -15,9 +15,10 @@ from torch import Tensor
 from topokit._validate import as_points
 from topokit.sampling import farthest_point_sample
 from topokit.seqph import SeqPH
+from topokit.state import TopologicalState
 
 from .base import PredictiveModel
-from .baselines import PAST, past_window
+from .baselines import past_window
 from .checkpoint import load_model
 from .forecast import Forecast
 from .states import States
@@ -63,10 +64,8 @@ class Predictor:
     def reset(self) -> None:
         """Forget everything observed."""
         self._kept: deque[dict[str, Tensor]] = deque(maxlen=self.model.shape.history)
-        self._states: deque[Any] = deque(maxlen=self.model.shape.history)
-        self._tracker = (
-            SeqPH(identity="killer-triangles", gates="proved", memory=8) if PAST[0] in self.model.inputs else None
-        )
+        self._tracked: deque[tuple[TopologicalState, Tensor]] = deque(maxlen=self.model.shape.history)
+        self._tracker = SeqPH(identity="killer-triangles", gates="proved", memory=8) if self.model.tracked else None
         self._context: dict[str, Tensor] | None = None
 
     @torch.inference_mode()
@@ -99,10 +98,8 @@ class Predictor:
                 raise ValueError(f"grippers must be a (2, 3) array, not of shape {place.shape}")
             frame |= {"grippers": torch.from_numpy(place).float()[None], "held": torch.tensor([bool(held)])}
         if self._tracker is not None:
-            self._states.append(self._tracker.update(cloud))
-            self._kept.append({"grippers": frame["grippers"]})
-        else:
-            self._kept.append(self.model.encode_frames({name: frame[name] for name in self.model.inputs}))
+            self._tracked.append((self._tracker.update(cloud), frame["grippers"]))
+        self._kept.append(self.model.encode_frames({name: frame[name] for name in self.model.inputs}))
         self._context = None
 
     @torch.inference_mode()
@@ -139,10 +136,12 @@ class Predictor:
         if not self._kept:
             raise ValueError("nothing was observed yet: call observe(points) first")
         if self._context is None:
-            back = [max(len(self._kept) - 1 - frames, 0) for frames in self.model.frames]
-            kept = {name: torch.stack([self._kept[i][name] for i in back], dim=1) for name in self._kept[0]}
+            back = [max(len(self._kept) - 1 - frames, 0) for frames in range(self.model.shape.history)]
+            look = [back[frames] for frames in self.model.frames]
+            kept = {name: torch.stack([self._kept[i][name] for i in look], dim=1) for name in self._kept[0]}
             if self._tracker is not None:
-                past = past_window(list(self._states), self.model.shape.slots)
+                states, grippers = zip(*self._tracked, strict=True)
+                past = past_window(states, self.model.shape.slots) | {"past_grippers": torch.stack(grippers, dim=1)}
                 kept |= {name: part[:, back] for name, part in past.items()}
             self._context = self.model.gather(kept)
         return self._context

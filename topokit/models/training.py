@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 from topokit._archive import FormatError
 
-from .augment import mirrored
+from .augment import Spoiling, mirrored, spoilt
 from .base import Normalisation, PredictiveModel
 from .baselines import Ridge
 from .checkpoint import describe, load_tensors, save_tensors
@@ -158,10 +158,13 @@ class Objective(nn.Module):
         super().__init__()
         self.model, self.weights = model, weights
 
-    def forward(self, batch: Batch, seed: int) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss of a batch and its parts; `seed` decides which steps the log-likelihood looks at."""
+    def forward(self, batch: Batch, seed: int, shown: Batch | None = None) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss of a batch and its parts; `seed` decides which steps the log-likelihood looks at.
+
+        `shown` is the batch as the model sees it, if it is not shown as it is.
+        """
         window = batch.window
-        predicted, now = self.model(window)
+        predicted, now = self.model((shown or batch).window)
         generator = torch.Generator().manual_seed(seed)
         with torch.autocast(predicted.birth.device.type, enabled=False):
             now = None if now is None else now.float()
@@ -249,11 +252,12 @@ class _Training:
         for group in self.optimizer.param_groups:
             group["lr"] = self.config.learning_rate * _share(state.step, self.config.epochs * self.steps_per_epoch)
         seed = self.config.seed * 1_000_003 + state.step
+        generator = torch.Generator().manual_seed(seed)
         if self.config.mirror:
-            generator = torch.Generator().manual_seed(seed)
             which = torch.rand(len(window["actions"]), generator=generator) < 0.5
             window = mirrored(window, which.to(window["actions"].device))
-        loss, parts = self.model(Batch(window), seed)
+        shown = window if self.config.spoil == Spoiling() else spoilt(window, self.config.spoil, generator)
+        loss, parts = self.model(Batch(window), seed, Batch(shown))
         if not torch.isfinite(loss):
             raise ValueError(f"step {state.step}: the loss is {loss.item()}; lower learning_rate, or look at the data")
         self.optimizer.zero_grad()
@@ -347,7 +351,8 @@ class _Training:
             self._write_log(rows)
 
     def _check_same(self, document: dict[str, Any]) -> None:
-        before, now = dict(document.get("config", {})), TrainConfig.from_dict(self.config.as_dict()).as_dict()
+        now = TrainConfig.from_dict(self.config.as_dict()).as_dict()
+        before = TrainConfig(self.config.model).as_dict() | document.get("config", {})  # an older one may lack entries
         for name in now:
             was, new = before.get(name), now[name]
             if name not in _FREE and _plain(was) != _plain(new):
