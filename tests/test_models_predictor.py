@@ -143,6 +143,67 @@ def test_carry_brings_a_lost_loop_to_where_it_should_be_now(window):
     assert (carry.presence[:, :, 0] < 0).all()
 
 
+def seen_as(window, how):
+    """The window with other tracked states: `how` of its past fields."""
+    return window | {name: how(name, part) for name, part in window.items() if name[:5] == "past_"}
+
+
+def test_loopcast_that_sees_no_tracked_loop_or_believes_none_is_on_its_own(window):
+    model = make("loopcast")
+    blind = seen_as(window, lambda name, part: torch.zeros_like(part))
+    with torch.inference_mode():
+        seen, one = model(window)[0], model(blind)[0]
+        model.belief[-1].bias -= 1000
+        other = model(window)[0]
+    assert all(torch.allclose(part, getattr(other, name), atol=1e-5) for name, part in vars(one).items())
+    assert not torch.allclose(seen.corners, one.corners, atol=1e-3)
+
+
+def test_loopcast_takes_tracked_loops_in_any_order(window):
+    model, order = make("loopcast"), [2, 0, 3, 1]
+    other = seen_as(window, lambda name, part: part[:, :, order])
+    with torch.inference_mode():
+        one, two = model(window)[0], model(other)[0]
+    assert all(torch.allclose(part, getattr(two, name), atol=1e-5) for name, part in vars(one).items())
+
+
+def test_loopcast_that_believes_all_and_adds_nothing_is_carry(window):
+    seen = seen_as(window, lambda name, part: part.clone())
+    for name in ("triangles", "values", "present"):
+        seen[f"past_{name}"][:, 10:, 0] = 0  # lost since, and carried
+        seen[f"past_{name}"][:, :, 1:] = 0  # one loop only
+    model = make("loopcast")
+    torch.nn.init.zeros_(model.change.weight)
+    model.belief[-1].bias.data += 1000
+    model.hold.bias.data = torch.tensor([0.0, 0.0, -100.0])
+    with torch.inference_mode():
+        found, expected = model(seen)[0], make("carry")(seen)[0]
+    away = (found.centre - expected.centre[:, :, :1]).norm(dim=-1).amax(dim=1)  # (B, slots), over the horizon
+    slot = away.argmin(dim=1)
+    assert away.amin(dim=1).max() < 1e-3  # its death weighs its triangles
+    for name in ("birth", "death"):
+        part = getattr(found, name)[torch.arange(4), :, slot]
+        assert torch.allclose(part, getattr(expected, name)[:, :, 0], atol=1e-5)
+    assert (found.presence[torch.arange(4), :, slot] > 100).all()
+    assert (away.sort(dim=1).values[:, 1] > 0.005).all()  # no other slot has it
+
+
+def test_a_plan_of_standing_still_changes_nothing(window):
+    """Whatever the last layer has learned: the forecast begins where the loops are."""
+    model = make("loopcast")
+    model.step_in.weight.data[:, 22] = 0  # the time since
+    held = torch.ones(4, HORIZON, dtype=torch.bool)
+    still = window["grippers"][:, -1:].expand(-1, HORIZON, -1, -1)
+    here = window | {"actions": still, "actions_held": held, "held": torch.ones_like(window["held"])}
+    with torch.inference_mode():
+        one = model(here)[0]
+        torch.nn.init.normal_(model.change.weight, std=1.0)
+        other, moving = model(here)[0], model(window)[0]
+    assert torch.allclose(one.corners, other.corners, atol=1e-4)
+    assert torch.allclose(one.corners, one.corners[:, :1].expand_as(one.corners), atol=1e-4)
+    assert not torch.allclose(one.corners, moving.corners, atol=0.01)
+
+
 def test_ridge_is_the_solution_of_scikit_learn(window):
     from sklearn.linear_model import Ridge
 

@@ -36,8 +36,11 @@ class Spoiling:
         Share of points that are missing; others stand twice in their place.
     seen : float
         Share of windows whose tracked states are the `seen_` ones.
-    lost, wrong : float
-        Share of tracked loops that are taken away, and of those that are somewhere else by about 10 cm.
+    lost : float
+        Share of tracked loops that are taken away.
+    false : float
+        Share of slots, taken or not, that hold a false loop: one of another window, in half of the frames, each time elsewhere
+        by some 10 cm.
     """
 
     clouds: float = 0.0
@@ -46,7 +49,7 @@ class Spoiling:
     drop: float = 0.0
     seen: float = 0.0
     lost: float = 0.0
-    wrong: float = 0.0
+    false: float = 0.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -81,16 +84,29 @@ def spoilt(window: Mapping[str, Tensor], how: Spoiling, generator: torch.Generat
         for name, part in tracked.items():
             other = window[name.replace("past_", "seen_")]
             tracked[name] = torch.where(seen.to(part.device).reshape(-1, *(1,) * (part.dim() - 1)), other, part)
-    slots = tracked["past_present"].shape[-1]
-    luck = torch.rand(n, 1, slots, generator=generator)
-    lost = (luck < how.lost).to(tracked["past_present"].device)
+    luck = torch.rand(n, 1, tracked["past_present"].shape[-1], generator=generator).to(tracked["past_present"].device)
+    false = _false_loops(tracked, window["grippers"], generator)
     for name, part in tracked.items():
-        gone = lost.reshape(*lost.shape, *(1,) * (part.dim() - 3))
-        tracked[name] = torch.where(gone, torch.zeros_like(part), part)
-    wrong = (luck > 1 - how.wrong)[..., None] * torch.randn(n, 1, slots, 3, generator=generator)
-    away = 0.1 * wrong.to(tracked["past_triangles"]) * tracked["past_present"][..., None]
-    tracked["past_triangles"] = tracked["past_triangles"] + away[..., None, None, :]
+        where = luck.reshape(*luck.shape, *(1,) * (part.dim() - 3))
+        kept = torch.where(where < how.lost, torch.zeros_like(part), part)
+        tracked[name] = torch.where(where > 1 - how.false, false[name], kept)
     return shown | tracked
+
+
+def _false_loops(tracked: Mapping[str, Tensor], grippers: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
+    """In each slot the first loop of the window before, about these grippers, flickering and leaping."""
+    size = tracked["past_present"].shape  # (n, h, slots)
+    others = {name: part[:, :, :1].roll(1, dims=0).expand_as(part) for name, part in tracked.items()}
+    there = others["past_present"] & (torch.rand(size, generator=generator) < 0.5).to(grippers.device)
+    middle = grippers.mean(dim=2)
+    leaps = (0.1 * torch.randn(*size, 3, generator=generator)).to(grippers) + (middle - middle.roll(1, dims=0))[
+        :, :, None
+    ]
+    others["past_triangles"] = others["past_triangles"] + leaps[..., None, None, :]
+    return {
+        name: torch.where(there.reshape(*size, *(1,) * (part.dim() - 3)), part, torch.zeros_like(part))
+        for name, part in others.items()
+    }
 
 
 def _spoilt_clouds(clouds: Tensor, how: Spoiling, generator: torch.Generator) -> Tensor:

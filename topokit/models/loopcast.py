@@ -10,8 +10,9 @@ Idea, four choices against the paper's networks:
    what the network adds. Untrained it is already the baseline `carry`.
 4. *Slots.* Each loop has its own code; a step of the plan has one too (from the actions up to that step, none after it). A
    small network of the two gives the state. Frames are encoded once, when they arrive, and plans share the history.
-5. *Trust.* If `tracked`, a slot also knows what seqPH saw of its loop, on all the points there are. It starts from there or
-   from where it points, in a share that it learns: a tracker is exact on a good cloud and lost on a bad one.
+5. *Belief.* If `tracked`, every loop that seqPH tracks is given to the slot that points nearest to it, and pulls it to where
+   seqPH sees it, in a share that the network chooses: seqPH is exact on a good cloud, blind or wrong on a bad one. The forecast
+   begins there: for a plan of no steps the network adds nothing. A loop that is not tracked begins where its slot points.
 
 Source: attention as in Vaswani et al. 2017; slots as in Locatello et al. 2020 and Carion et al. 2020. Taught in chapter 10.
 """
@@ -24,14 +25,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from .base import Context, Normalisation, PredictiveModel, Shape, numbers_of_values, states_from_numbers
+from .base import Context, Normalisation, PredictiveModel, Shape, maximum, numbers_of_values, states_from_numbers
 from .baselines import last_appearance
-from .states import NUMBERS, States
+from .states import NUMBERS, States, cheapest_order
 
 __all__ = ["FrameEncoder", "LoopCast"]
 
 HEADS = 8  # one a corner
-TRACKED = 35  # numbers of a tracked loop
+RELIABLE = 13  # numbers that say how far a tracked loop can be believed
+NEAR = 0.03  # metres: two places of one loop
 FRAME = 10  # numbers of a frame beside its cloud: the grippers from their middle, that middle in the room, held
 
 
@@ -55,12 +57,12 @@ class FrameEncoder(nn.Module):
         """Codes (N, slots, width) and places (N, slots, heads, 3) of clouds (N, P, 3) and frames (N, FRAME)."""
         h = functional.gelu(self.first(cloud) + self.frame(frame)[:, None])
         h = functional.gelu(self.second(h))
-        h = functional.gelu(self.alone(h) + self.whole(h.amax(dim=1))[:, None])  # (N, P, width)
+        h = functional.gelu(self.alone(h) + self.whole(maximum(h))[:, None])  # (N, P, width)
         attention = self.look(h).softmax(dim=1).transpose(1, 2).unflatten(1, (self.slots, HEADS))  # (N, S, H, P)
         places = attention @ cloud[:, None]  # (N, S, H, 3)
         values = self.value(h).unflatten(-1, (HEADS, 16)).transpose(1, 2)  # (N, H, P, 16)
         seen = (attention.transpose(1, 2) @ values).transpose(1, 2).flatten(2)  # (N, S, H * 16)
-        whole = h.amax(dim=1)[:, None].expand(-1, self.slots, -1)
+        whole = maximum(h)[:, None].expand(-1, self.slots, -1)
         return functional.gelu(self.code(torch.cat([seen, places.flatten(2), whole], dim=-1))), places
 
 
@@ -98,10 +100,6 @@ class LoopCast(PredictiveModel):
         self.encoder = FrameEncoder(shape.slots, width)
         self.slot_name = nn.Parameter(0.1 * torch.randn(shape.slots, width))
         self.join = nn.Linear((width + 3 * HEADS + FRAME) * len(frames), width)
-        if tracked:
-            self.state, self.trust = nn.Linear(TRACKED, width), nn.Linear(width, 1)
-            nn.init.zeros_(self.trust.weight)
-            nn.init.constant_(self.trust.bias, 2.0)
         self.mix = nn.Linear(width, width)
         self.present = nn.Linear(width, NUMBERS)
         self.hold = nn.Linear(width, 3)
@@ -113,6 +111,13 @@ class LoopCast(PredictiveModel):
         nn.init.normal_(self.present.weight, std=0.01)
         nn.init.zeros_(self.hold.weight)
         self.hold.bias.data = torch.tensor([0.0, 0.0, -4.0])  # as the baseline `carry`
+        if tracked:
+            score = nn.Linear(32, 2)
+            score.bias.data = torch.tensor([3.0, 3.0])
+            self.belief = nn.Sequential(nn.Linear(RELIABLE, 32), nn.GELU(), score)
+            self.notice = nn.Linear(3 + 2 + 1, width)
+            nn.init.zeros_(self.notice.weight)
+            nn.init.zeros_(self.notice.bias)
 
     # -- the history --------------------------------------------------------------------------------------------------------
 
@@ -133,68 +138,86 @@ class LoopCast(PredictiveModel):
         seen = ((places - middle[:, None, None]) / self.normalisation.scale).flatten(3)
         frame = kept["frame"][:, :, None].expand(-1, -1, self.shape.slots, -1)
         history = torch.cat([kept["code"], seen, frame], dim=-1).transpose(1, 2).flatten(2)  # (B, slots, ...)
-        joined = self.join(history) + self.slot_name
-        last = last_appearance(kept) if self.tracked else None
-        if last is not None:
-            since = (grippers[:, None] - last["seen_at"]).mean(dim=2)  # (B, slots, 3): how far it was carried
-            last["corners"] = last["corners"] + since[..., None, :]
-            joined = joined + self.state(self.numbers_of(last, kept))
-        slot = functional.gelu(joined)
+        slot = functional.gelu(self.join(history) + self.slot_name)
         slot = slot + functional.gelu(self.mix(slot))  # (B, slots, width)
-        anchor, start = self.around(places[:, 0])
-        if last is not None:
-            trust = self.trust(slot).sigmoid() * last["known"][..., None]
-            seen_at, numbers = self.around(last["corners"])
-            values = [last["neighbour_values"], last["birth"][..., None], (last["death"] - last["birth"])[..., None]]
-            numbers[..., 24:30] = numbers_of_values(torch.cat(values, dim=-1), self.normalisation.value)
-            anchor, start = anchor + trust * (seen_at - anchor), start + trust * (numbers - start)
+        anchor = places[:, 0, :, :4].mean(dim=2)  # (B, slots, 3): of the killer triangles
+        corners = ((places[:, 0] - anchor[:, :, None]) / self.normalisation.scale).flatten(2)
+        present = self.present(slot) + functional.pad(corners, (0, NUMBERS - corners.shape[-1]))
+        pointed, start = anchor, present
+        if self.tracked:
+            anchor, start, noticed = self.corrected(present, pointed, kept)
+            slot = slot + self.notice(noticed)
+            start = start - self.changes(self.standing(kept), slot)[:, 0]  # a plan of no steps changes nothing
         return {
             "slot": slot,
             "anchor": anchor,
-            "present": self.present(slot) + start,
+            "pointed": pointed,
+            "present": present,
+            "start": start,
             "hold": self.hold(slot).softmax(dim=-1)[..., :2],
             "grippers": grippers,
         }
 
-    def around(self, corners: Tensor) -> tuple[Tensor, Tensor]:
-        """The middle (B, slots, 3) of the killer triangles' corners, and the corners about it as numbers (B, slots, NUMBERS)."""
-        middle = corners[..., :4, :].mean(dim=-2)
-        numbers = ((corners - middle[..., None, :]) / self.normalisation.scale).flatten(-2)
-        return middle, functional.pad(numbers, (0, NUMBERS - numbers.shape[-1]))
+    def corrected(self, present: Tensor, anchor: Tensor, kept: Context) -> tuple[Tensor, Tensor, Tensor]:
+        """Places and numbers of the present loops, pulled towards the tracked ones, and what was changed of them.
 
-    def numbers_of(self, last: Context, kept: Context) -> Tensor:
-        """What a tracker saw of each loop, (B, slots, TRACKED): its last state, how often it was there, how far it strayed."""
-        scale, value, grippers = self.normalisation.scale, self.normalisation.value, kept["past_grippers"]
-        seen = kept["past_present"].to(grippers)  # (B, h, slots)
-        times = seen.sum(dim=1)
+        A tracked loop has a say in where its slot is, when it is born and dies, and whether it is there. It has none in the
+        shape: the killer edge leaps from frame to frame, and which of its ends comes first means nothing.
+        """
+        scale, value = self.normalisation.scale, self.normalisation.value
+        last = last_appearance(kept)
+        since = (kept["past_grippers"][:, :1] - last["seen_at"]).mean(dim=2)  # (B, slots, 3): how far it was carried
+        tracked = {name: last[name] for name in ("corners", "neighbour_values", "birth", "death", "presence")}
+        seen = States(**tracked, step=last["birth"]).centre + since
+        said = states_from_numbers(present, anchor, scale, value).centre
+        apart = torch.cdist(said.detach(), seen)  # (B, slots, tracked)
+        order = cheapest_order(apart * last["known"][:, None])
+        row = torch.arange(len(order), device=order.device)[:, None]
+        near = apart.gather(2, order[..., None])
+        near = torch.cat([near / scale, (-(near / NEAR).square() / 2).exp()], dim=-1)
+        score = self.belief(torch.cat([self.reliability(last, kept)[row, order], near], dim=-1)).float()
+        trust = score[..., :1].sigmoid() * last["known"][row, order][..., None]
+        values = torch.stack([last["birth"], last["death"] - last["birth"]], dim=-1)[row, order]
+        pull, change = (
+            trust * (seen[row, order] - said),
+            trust * (numbers_of_values(values, value) - present[..., 28:30]),
+        )
+        none, surer = torch.zeros_like(present[..., :28]), trust * (score[..., 1:] - present[..., 31:])
+        start = present + torch.cat([none, change, none[..., :1], surer], dim=-1)
+        return anchor + pull, start, torch.cat([pull / scale, change, trust], dim=-1)
+
+    def reliability(self, last: Context, kept: Context) -> Tensor:
+        """Of each tracked loop: its values, how often it was there, how far it strayed from the grippers. (B, slots, 11)."""
+        grippers, seen = kept["past_grippers"], kept["past_present"].to(kept["past_grippers"])  # (B, h, loops)
         beside = kept["past_triangles"][..., :2, :, :].mean(dim=(-3, -2)) - grippers.mean(dim=2)[:, :, None]
-        mean = (beside * seen[..., None]).sum(dim=1) / times[..., None].clamp_min(1)
-        wander = ((beside - mean[:, None]).square().sum(dim=-1) * seen).sum(dim=1) / times.clamp_min(1)
-        values = [last["birth"], last["death"], *last["neighbour_values"].unbind(dim=-1)]
-        numbers = [
-            ((last["corners"] - grippers[:, 0].mean(dim=1)[:, None, None]) / scale).flatten(2),
-            torch.stack(values, dim=-1) / value,
-            torch.stack([last["known"].to(seen), seen[:, 0], seen[:, :4].mean(dim=1), seen.mean(dim=1)], dim=-1),
-            (wander + 1e-8).sqrt()[..., None] * (10 / scale),
-        ]
-        return torch.cat(numbers, dim=-1)
+        times = seen.sum(dim=1).clamp_min(1)
+        mean = (beside * seen[..., None]).sum(dim=1) / times[..., None]
+        stray = ((beside - mean[:, None]).square().sum(dim=-1) * seen).sum(dim=1) / times
+        values = torch.stack([last["birth"], last["death"], *last["neighbour_values"].unbind(dim=-1)], dim=-1)
+        often = torch.stack([last["known"].to(seen), seen[:, 0], seen[:, :4].mean(dim=1), seen.mean(dim=1)], dim=-1)
+        far = (stray + 1e-8).sqrt()[..., None] * (10 / self.normalisation.scale)
+        return torch.cat([values / self.normalisation.value, often, far], dim=-1)
 
     def now(self, context: Context) -> States:
-        """The present loops: about the places pointed at."""
-        numbers, anchor = context["present"][:, None], context["anchor"][:, None]
-        return states_from_numbers(numbers, anchor, self.normalisation.scale, self.normalisation.value)
+        """The present loops as the clouds alone show them: about the places pointed at."""
+        numbers, pointed = context["present"][:, None], context["pointed"][:, None]
+        return states_from_numbers(numbers, pointed, self.normalisation.scale, self.normalisation.value)
 
     # -- the plan -----------------------------------------------------------------------------------------------------------
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
         """The present loops carried along, and what the network adds."""
         code, carried = self.plan(context["grippers"], actions, held)
-        hidden = code[:, :, None] + self.from_slot(context["slot"])[:, None]
-        change = self.change(functional.relu(hidden, inplace=True))  # (C, K, slots, NUMBERS)
+        change = self.changes(code, context["slot"])
         moved = context["hold"][:, None] @ carried  # (C, K, slots, 3): each loop follows the grippers in its own shares
         about = context["anchor"][:, None] + moved
-        numbers = context["present"][:, None] + change
+        numbers = context["start"][:, None] + change
         return states_from_numbers(numbers, about, self.normalisation.scale, self.normalisation.value)
+
+    def changes(self, code: Tensor, slot: Tensor) -> Tensor:
+        """What the network adds (C, K, slots, NUMBERS), of codes of steps (C, K, step_width) and of slots."""
+        hidden = code[:, :, None] + self.from_slot(slot)[:, None]
+        return self.change(functional.relu(hidden, inplace=True))
 
     def plan(self, grippers: Tensor, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
         """Codes (C, K, step_width) of the steps, and how far each gripper has carried by then (C, K, 2, 3), metres.
@@ -216,6 +239,17 @@ class LoopCast(PredictiveModel):
             middle,
             torch.stack([holds, since, free], dim=-1),
         ]
-        h = functional.gelu(self.step_in(torch.cat(numbers, dim=-1)))
-        mean = functional.gelu(self.step_past(h)).cumsum(dim=1) / (since[..., None] * steps)
-        return self.from_step(torch.cat([h, mean], dim=-1)), carried
+        return self.code(torch.cat(numbers, dim=-1)), carried
+
+    def standing(self, kept: Context) -> Tensor:
+        """The code (B, 1, step_width) of a step before the first: nothing has moved."""
+        frame = kept["frame"][:, 0]  # with the middle of the grippers in the room, and held, at the end
+        numbers = functional.pad(frame[:, None, 6:], (18, 2))
+        return self.code(numbers)
+
+    def code(self, numbers: Tensor) -> Tensor:
+        """Codes (C, K, step_width) of the numbers (C, K, 24) of steps, each with the mean over those up to it."""
+        h = functional.gelu(self.step_in(numbers))
+        count = torch.arange(1, numbers.shape[1] + 1, device=numbers.device)[:, None]
+        mean = functional.gelu(self.step_past(h)).cumsum(dim=1) / count
+        return self.from_step(torch.cat([h, mean], dim=-1))

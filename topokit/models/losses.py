@@ -5,7 +5,6 @@ Source: Antonova et al. 2021, section 5 (the L2 loss); slots are matched as in C
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
@@ -14,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from .mixture import loop_mixtures, sigma_points
-from .states import States, past_states, target_states
+from .states import States, cheapest_order, past_states, target_states
 
 __all__ = ["LossWeights", "forecast_loss", "match_slots"]
 
@@ -97,10 +96,7 @@ def match_slots(predicted: States, target: States) -> Tensor:
         logit = predicted.presence[..., :, None]
         wrong = functional.softplus(logit) - logit * there[..., None, :]  # cross-entropy of every pair
         cost = (apart.clamp_max(5.0) * there[..., None, :] + wrong).mean(dim=1)  # (B, S, S)
-        slots = cost.shape[-1]
-        orders = torch.tensor(list(itertools.permutations(range(slots))), device=cost.device)  # (S!, S)
-        totals = cost[:, torch.arange(slots, device=cost.device), orders].sum(dim=-1)  # (B, S!)
-        return orders[totals.argmin(dim=-1)]
+        return cheapest_order(cost)
 
 
 def _features(predicted: States, target: States, there: Tensor) -> Tensor:

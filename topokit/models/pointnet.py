@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from torch import nn
 
-from .base import Context, Normalisation, Shape
+from .base import Context, Normalisation, Shape, maximum
 from .mlp import MLP
 
 __all__ = ["PointNet"]
@@ -47,4 +47,4 @@ class PointNet(MLP):
 
     def encode_frames(self, frames: Context) -> Context:
         """The codes of the clouds."""
-        return {"frame": self.points(self.normalise(frames["clouds"])).amax(dim=1)}
+        return {"frame": maximum(self.points(self.normalise(frames["clouds"])))}

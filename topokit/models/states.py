@@ -7,13 +7,14 @@ triangles that share an edge together and is half the size.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
 
-__all__ = ["NUMBERS", "TRIANGLES", "States", "corners_of", "past_states", "target_states"]
+__all__ = ["NUMBERS", "TRIANGLES", "States", "cheapest_order", "corners_of", "past_states", "target_states"]
 
 TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  # x y z1, x y z2, then the neighbours
 _OTHER_WAY = ([1, 0, 2, 3, 5, 4, 7, 6], [1, 0, 3, 2])  # corners and neighbours when x and y change places
@@ -106,6 +107,14 @@ def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     apexes = stands.transpose(-1, -2) @ found[..., 2, :]
     apexes = torch.where((neighbour_values > 0)[..., None], apexes, outer.mean(dim=-2))
     return torch.cat([corners, apexes], dim=-2), neighbour_values
+
+
+def cheapest_order(cost: Tensor) -> Tensor:
+    """(B, S) which of S each of S shall have, for costs (B, S, S) of each having each: all orders are tried."""
+    slots = cost.shape[-1]
+    orders = torch.tensor(list(itertools.permutations(range(slots))), device=cost.device)  # (S!, S)
+    totals = cost[:, torch.arange(slots, device=cost.device), orders].sum(dim=-1)  # (B, S!)
+    return orders[totals.argmin(dim=-1)]
 
 
 def target_states(window: Mapping[str, Tensor]) -> States:
