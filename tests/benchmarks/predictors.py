@@ -38,19 +38,30 @@ from torch.utils.flop_counter import FlopCounterMode
 import topokit as tk
 from topokit.io import load_episode
 from topokit.models import Predictor
-from topokit.models.base import Normalisation, Shape
-from topokit.models.losses import LossWeights
+from topokit.models.base import Normalisation, PredictiveModel, Shape
+from topokit.models.config import TrainConfig, load_config
 from topokit.models.registry import MODELS, build
 from topokit.models.training import Batch, Objective
 
 sys.path.append(str(Path(__file__).parents[1]))
 from windows import RingWindows
 
-EPISODE = Path(__file__).parents[2] / "data_small" / "apron_hook_0.npz"
+ROOT = Path(__file__).parents[2]
+EPISODE = ROOT / "data_small" / "apron_hook_0.npz"
 NETWORKS = ("mlp", "pointnet", "loopcast")
 GOALS = {"mlp": 2.0, "loopcast": 5.0}
-OURS = LossWeights(centre=1.0, nll=0.05, now=1.0, match=True)
 Times = dict[str, float]
+
+
+def configured(name: str) -> TrainConfig:
+    """The options and the loss that the trained checkpoint has, or the defaults of what has none."""
+    path = ROOT / "checkpoints" / f"{name}.json"
+    return load_config(path) if path.exists() else TrainConfig(name)
+
+
+def fresh(name: str) -> PredictiveModel:
+    """A model with freshly drawn weights."""
+    return build(name, Shape(), Normalisation(), configured(name).options)
 
 
 def timed(function: Callable[[], object], repeat: int) -> Times:
@@ -130,7 +141,7 @@ def batches(dataset: Path | None, points: int, batch: int, steps: int) -> Iterat
 
 def training(name: str, dataset: Path | None, batch: int, steps: int, peak: float) -> dict[str, Any]:
     """Windows a second, the parts of a step, and what binds."""
-    model = Objective(build(name, Shape(), Normalisation()), OURS if name == "loopcast" else LossWeights())
+    model = Objective(fresh(name), configured(name).loss)
     optimizer = torch.optim.AdamW(model.parameters())
     reader = batches(dataset, Shape().points, batch, steps + 1)
     first = next(reader)
@@ -183,7 +194,7 @@ def main() -> int:
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     torch.set_num_threads(1)
-    predictors = {name: Predictor(build(name, Shape(), Normalisation())) for name in options.models}
+    predictors = {name: Predictor(fresh(name)) for name in options.models}
     predictors |= {path.stem: Predictor.load(path) for path in options.checkpoints}
     answer: dict[str, Any] = {"machine": platform.machine(), "torch": torch.__version__, "cores": 1}
     answer["forecast"] = {

@@ -110,7 +110,10 @@ class PredictiveModel(nn.Module):
         raise NotImplementedError
 
     def now(self, context: Context) -> States | None:
-        """Return the present state as the model estimates it on its way, (B, 1, slots); None when it does not."""
+        """Return the present state as the model estimates it on its way, (B, 1, slots); None when it does not.
+
+        More steps than one are more estimates of the same state.
+        """
         return None
 
     def encode(self, window: Mapping[str, Tensor]) -> Context:
@@ -125,7 +128,7 @@ class PredictiveModel(nn.Module):
         return self.gather(kept)
 
     def forward(self, window: Mapping[str, Tensor]) -> tuple[States, States | None]:
-        """The forecast, and the present state (one step) when the model estimates it."""
+        """The forecast, and the present state when the model estimates it."""
         context = self.encode(window)
         return self.decode(context, window["actions"], window["actions_held"]), self.now(context)
 

@@ -131,7 +131,7 @@ class LoopCast(PredictiveModel):
         return {"code": code, "places": places * scale + middle[:, None, None], "frame": frame, "grippers": grippers}
 
     def gather(self, kept: Context) -> Context:
-        """The slots' codes, the places that they point at now, and the present loops."""
+        """The slots' codes, the present loops, and where they start."""
         grippers = kept["grippers"][:, 0]
         places = kept["places"]  # (B, F, slots, heads, 3)
         middle = grippers.mean(dim=1)[:, None]  # (B, 1, 3)
@@ -143,48 +143,47 @@ class LoopCast(PredictiveModel):
         anchor = places[:, 0, :, :4].mean(dim=2)  # (B, slots, 3): of the killer triangles
         corners = ((places[:, 0] - anchor[:, :, None]) / self.normalisation.scale).flatten(2)
         present = self.present(slot) + functional.pad(corners, (0, NUMBERS - corners.shape[-1]))
-        pointed, start = anchor, present
+        context = {"slot": slot, "anchor": anchor, "start": present, "pointed": anchor, "present": present}
         if self.tracked:
-            anchor, start, noticed = self.corrected(present, pointed, kept)
-            slot = slot + self.notice(noticed)
-            start = start - self.changes(self.standing(kept), slot)[:, 0]  # a plan of no steps changes nothing
-        return {
-            "slot": slot,
-            "anchor": anchor,
-            "pointed": pointed,
-            "present": present,
-            "start": start,
-            "hold": self.hold(slot).softmax(dim=-1)[..., :2],
-            "grippers": grippers,
-        }
+            context |= self.corrected(context, kept)
+            context["slot"] = slot + self.notice(context["noticed"])
+            standing = self.changes(self.standing(kept), context["slot"])[:, 0]
+            context["start"] = context["start"] - standing  # a plan of no steps changes nothing
+        return context | {"hold": self.hold(context["slot"]).softmax(dim=-1)[..., :2], "grippers": grippers}
 
-    def corrected(self, present: Tensor, anchor: Tensor, kept: Context) -> tuple[Tensor, Tensor, Tensor]:
-        """Places and numbers of the present loops, pulled towards the tracked ones, and what was changed of them.
+    def corrected(self, context: Context, kept: Context) -> Context:
+        """Where the loops start when the tracked ones pull them: `anchor` and `start`, and the `belief` in each (B, slots).
 
         A tracked loop has a say in where its slot is, when it is born and dies, and whether it is there. It has none in the
-        shape: the killer edge leaps from frame to frame, and which of its ends comes first means nothing.
+        shape: the killer edge leaps from frame to frame, and which of its ends comes first means nothing. Belief is learned
+        from the present alone: the forecast has no say in it, and may take back over the steps what it is told here.
         """
+        pointed, present = context["pointed"], context["present"]
         scale, value = self.normalisation.scale, self.normalisation.value
         last = last_appearance(kept)
         since = (kept["past_grippers"][:, :1] - last["seen_at"]).mean(dim=2)  # (B, slots, 3): how far it was carried
         tracked = {name: last[name] for name in ("corners", "neighbour_values", "birth", "death", "presence")}
         seen = States(**tracked, step=last["birth"]).centre + since
-        said = states_from_numbers(present, anchor, scale, value).centre
+        said = states_from_numbers(present, pointed, scale, value).centre
         apart = torch.cdist(said.detach(), seen)  # (B, slots, tracked)
         order = cheapest_order(apart * last["known"][:, None])
         row = torch.arange(len(order), device=order.device)[:, None]
         near = apart.gather(2, order[..., None])
         near = torch.cat([near / scale, (-(near / NEAR).square() / 2).exp()], dim=-1)
         score = self.belief(torch.cat([self.reliability(last, kept)[row, order], near], dim=-1)).float()
-        trust = score[..., :1].sigmoid() * last["known"][row, order][..., None]
+        belief = score[..., :1].sigmoid() * last["known"][row, order][..., None]
         values = torch.stack([last["birth"], last["death"] - last["birth"]], dim=-1)[row, order]
-        pull, change = (
-            trust * (seen[row, order] - said),
-            trust * (numbers_of_values(values, value) - present[..., 28:30]),
-        )
-        none, surer = torch.zeros_like(present[..., :28]), trust * (score[..., 1:] - present[..., 31:])
-        start = present + torch.cat([none, change, none[..., :1], surer], dim=-1)
-        return anchor + pull, start, torch.cat([pull / scale, change, trust], dim=-1)
+        off, wrong = seen[row, order] - said, numbers_of_values(values, value) - present[..., 28:30]
+        believed = belief.detach()
+        surer = believed * (score[..., 1:] - present[..., 31:])  # that it is tracked speaks for its being there
+        none = torch.zeros_like(present[..., :28])
+        return {
+            "anchor": pointed + believed * off,
+            "start": present + torch.cat([none, believed * wrong, none[..., :1], surer], dim=-1),
+            "noticed": torch.cat([believed * off / scale, believed * wrong, believed], dim=-1),
+            "belief": belief[..., 0],
+            "at": pointed.detach() + belief * off.detach(),
+        }
 
     def reliability(self, last: Context, kept: Context) -> Tensor:
         """Of each tracked loop: its values, how often it was there, how far it strayed from the grippers. (B, slots, 11)."""
@@ -199,9 +198,12 @@ class LoopCast(PredictiveModel):
         return torch.cat([values / self.normalisation.value, often, far], dim=-1)
 
     def now(self, context: Context) -> States:
-        """The present loops as the clouds alone show them: about the places pointed at."""
-        numbers, pointed = context["present"][:, None], context["pointed"][:, None]
-        return states_from_numbers(numbers, pointed, self.normalisation.scale, self.normalisation.value)
+        """The present loops, about the places pointed at; if `tracked`, in a second step, about those that they are pulled to."""
+        numbers, about = context["present"][:, None], context["pointed"][:, None]
+        if self.tracked:  # for the belief alone: the same loops elsewhere
+            numbers = torch.cat([numbers, numbers.detach()], dim=1)
+            about = torch.cat([about, context["at"][:, None]], dim=1)
+        return states_from_numbers(numbers, about, self.normalisation.scale, self.normalisation.value)
 
     # -- the plan -----------------------------------------------------------------------------------------------------------
 

@@ -66,9 +66,9 @@ def forecast_loss(
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Loss of a batch, and its parts and the mean distance of centres in metres (`distance`) for the log.
 
-    `now` is a model's estimate of the present state, one step long. The log-likelihood is taken on 8 random steps.
+    `now` is a model's estimate of the present state, or a few of them, as steps. The log-likelihood is taken on 8 random steps.
     """
-    target, past = target_states(window), past_states(window)[:, -1:]
+    target, past = target_states(window), past_states(window)[:, [-1] * (1 if now is None else now.birth.shape[1])]
     if weights.match:
         order = match_slots(predicted, target)
         target, past = target.slots(order), past.slots(order)
