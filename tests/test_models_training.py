@@ -15,7 +15,7 @@ import torch
 from torch.utils.data import default_collate
 
 from topokit.models.augment import Spoiling, mirrored, spoilt
-from topokit.models.base import Normalisation, Shape
+from topokit.models.base import PAST, Normalisation, Shape
 from topokit.models.checkpoint import load_model, load_tensors
 from topokit.models.config import TrainConfig, load_config
 from topokit.models.losses import LossWeights, forecast_loss
@@ -281,17 +281,17 @@ def test_spoilt_histories(seen):
     assert torch.equal(other["past_triangles"][high], seen["seen_triangles"][high])
     assert torch.equal(other["past_triangles"][~high], seen["past_triangles"][~high])
     lost = spoilt(seen, Spoiling(lost=0.5), generator())
-    left = lost["past_present"][:, :, 0].float().mean(dim=1)
-    assert set(left.tolist()) == {0.0, 1.0}  # throughout, or not at all
-    assert 0.3 < left.mean() < 0.7
-    assert (lost["past_triangles"][:, :, 0][left == 0] == 0).all()
-    assert (lost["past_death"][:, :, 0][left == 0] == 0).all()
+    gone = ~lost["past_present"].flatten(1).any(dim=1)
+    assert 0.3 < gone.float().mean() < 0.7
+    assert all(not lost[name][gone].any() for name in PAST)
+    assert all(torch.equal(lost[name][~gone], seen[name][~gone]) for name in PAST)
     false = spoilt(seen, Spoiling(false=0.5), generator())
     for slot in (0, 3):  # taken, and free
         flickers = false["past_present"][:, :, slot].float().mean(dim=1)
         made = (flickers > 0) & (flickers < 1)
         assert 0.3 < made.float().mean() < 0.7
-        assert 0.3 < flickers[made].mean() < 0.7
+        assert 0.2 < flickers[made].mean() < 0.45
+        assert flickers[made].max() < 0.9
         there = false["past_present"][made][:, :, slot]
         beside = false["past_triangles"][made][:, :, slot, 0, 0] - seen["grippers"][made].mean(dim=2)
         assert 0.1 < beside[there].std(dim=0).mean() < 0.3  # leaping

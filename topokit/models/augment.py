@@ -37,10 +37,10 @@ class Spoiling:
     seen : float
         Share of windows whose tracked states are the `seen_` ones.
     lost : float
-        Share of tracked loops that are taken away.
+        Share of windows of which nothing is tracked.
     false : float
-        Share of slots, taken or not, that hold a false loop: one of another window, in half of the frames, each time elsewhere
-        by some 10 cm.
+        Share of slots, taken or not, that hold a false loop: one of another window, in up to 60 % of the frames, each time
+        elsewhere by some 10 cm.
     """
 
     clouds: float = 0.0
@@ -84,12 +84,13 @@ def spoilt(window: Mapping[str, Tensor], how: Spoiling, generator: torch.Generat
         for name, part in tracked.items():
             other = window[name.replace("past_", "seen_")]
             tracked[name] = torch.where(seen.to(part.device).reshape(-1, *(1,) * (part.dim() - 1)), other, part)
-    luck = torch.rand(n, 1, tracked["past_present"].shape[-1], generator=generator).to(tracked["past_present"].device)
     false = _false_loops(tracked, window["grippers"], generator)
+    size = n, 1, tracked["past_present"].shape[-1]
+    wrong = torch.rand(size, generator=generator) < how.false
+    lost = torch.rand(n, 1, 1, generator=generator) < how.lost
     for name, part in tracked.items():
-        where = luck.reshape(*luck.shape, *(1,) * (part.dim() - 3))
-        kept = torch.where(where < how.lost, torch.zeros_like(part), part)
-        tracked[name] = torch.where(where > 1 - how.false, false[name], kept)
+        here, gone = (which.reshape(*which.shape, *(1,) * (part.dim() - 3)).to(part.device) for which in (wrong, lost))
+        tracked[name] = torch.where(gone, torch.zeros_like(part), torch.where(here, false[name], part))
     return shown | tracked
 
 
@@ -97,7 +98,8 @@ def _false_loops(tracked: Mapping[str, Tensor], grippers: Tensor, generator: tor
     """In each slot the first loop of the window before, about these grippers, flickering and leaping."""
     size = tracked["past_present"].shape  # (n, h, slots)
     others = {name: part[:, :, :1].roll(1, dims=0).expand_as(part) for name, part in tracked.items()}
-    there = others["past_present"] & (torch.rand(size, generator=generator) < 0.5).to(grippers.device)
+    often = 0.6 * torch.rand(size[0], 1, size[2], generator=generator)
+    there = others["past_present"] & (torch.rand(size, generator=generator) < often).to(grippers.device)
     middle = grippers.mean(dim=2)
     leaps = (0.1 * torch.randn(*size, 3, generator=generator)).to(grippers) + (middle - middle.roll(1, dims=0))[
         :, :, None

@@ -32,8 +32,7 @@ from .states import NUMBERS, States, cheapest_order
 __all__ = ["FrameEncoder", "LoopCast"]
 
 HEADS = 8  # one a corner
-RELIABLE = 13  # numbers that say how far a tracked loop can be believed
-NEAR = 0.03  # metres: two places of one loop
+RELIABLE = 11  # numbers that say how far a tracked loop can be believed
 FRAME = 10  # numbers of a frame beside its cloud: the grippers from their middle, that middle in the room, held
 
 
@@ -168,9 +167,7 @@ class LoopCast(PredictiveModel):
         apart = torch.cdist(said.detach(), seen)  # (B, slots, tracked)
         order = cheapest_order(apart * last["known"][:, None])
         row = torch.arange(len(order), device=order.device)[:, None]
-        near = apart.gather(2, order[..., None])
-        near = torch.cat([near / scale, (-(near / NEAR).square() / 2).exp()], dim=-1)
-        score = self.belief(torch.cat([self.reliability(last, kept)[row, order], near], dim=-1)).float()
+        score = self.belief(self.reliability(last, kept)).float()[row, order]
         belief = score[..., :1].sigmoid() * last["known"][row, order][..., None]
         values = torch.stack([last["birth"], last["death"] - last["birth"]], dim=-1)[row, order]
         off, wrong = seen[row, order] - said, numbers_of_values(values, value) - present[..., 28:30]
@@ -186,7 +183,11 @@ class LoopCast(PredictiveModel):
         }
 
     def reliability(self, last: Context, kept: Context) -> Tensor:
-        """Of each tracked loop: its values, how often it was there, how far it strayed from the grippers. (B, slots, 11)."""
+        """Of each tracked loop: its values, how often it was there, how far it strayed from the grippers.
+
+        (B, slots, RELIABLE). Not how far it is from where a slot points: on a garment that it does not know the network points
+        far from where the loops are, and that is when the tracker is needed most.
+        """
         grippers, seen = kept["past_grippers"], kept["past_present"].to(kept["past_grippers"])  # (B, h, loops)
         beside = kept["past_triangles"][..., :2, :, :].mean(dim=(-3, -2)) - grippers.mean(dim=2)[:, :, None]
         times = seen.sum(dim=1).clamp_min(1)
