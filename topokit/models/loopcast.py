@@ -1,6 +1,6 @@
 """LoopCast, our predictor: find the loops now, carry them with the grippers, learn the rest.
 
-Idea, four choices against the paper's networks:
+Idea, five choices against the paper's networks:
 
 1. *Relative coordinates.* Points are seen from the middle between the grippers, so that what is learned at one place of the
    room holds near it. (Not everywhere: the network is told where that middle is, or it could not know where the hook is.)
@@ -11,8 +11,9 @@ Idea, four choices against the paper's networks:
 4. *Slots.* Each loop has its own code; a step of the plan has one too (from the actions up to that step, none after it). A
    small network of the two gives the state. Frames are encoded once, when they arrive, and plans share the history.
 5. *Belief.* If `tracked`, every loop that seqPH tracks is given to the slot that points nearest to it, and pulls it to where
-   seqPH sees it, in a share that the network chooses: seqPH is exact on a good cloud, blind or wrong on a bad one. The forecast
-   begins there: for a plan of no steps the network adds nothing. A loop that is not tracked begins where its slot points.
+   seqPH sees it, as far as such a loop has deserved it in training: seqPH is exact on a good cloud, blind or wrong on a bad
+   one. The forecast begins there: for a plan of no steps the network adds nothing. A loop that is not tracked begins where its
+   slot points.
 
 Source: attention as in Vaswani et al. 2017; slots as in Locatello et al. 2020 and Carion et al. 2020. Taught in chapter 10.
 """
