@@ -18,6 +18,7 @@ help:
 	@sed -n 's/^# //p' Makefile
 
 book: env opengl
+	@$(BIN)/python -m topokit report book/results/evaluation.json --out book/report >/dev/null
 	@$(BIN)/python -m sphinx -n -W --keep-going -q -j auto -b html -c book . _build/html
 	@echo "The book: file://$(CURDIR)/_build/html/index.html"
 
