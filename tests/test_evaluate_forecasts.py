@@ -413,6 +413,7 @@ def test_report_is_made_of_the_file_alone(results, tmp_path):
         "treatments.svg",
     ]
     text = files[0].read_text()
+    assert all(f"]({path.name})" in text for path in files[1:])
     cell = results[0]["hull_accuracy"]["carry"]["60"]
     line = next(line for line in text.splitlines() if line.startswith("| carry"))
     assert f"{100 * cell['mean']:.1f} [{100 * cell['low']:.1f}, {100 * cell['high']:.1f}]" in line

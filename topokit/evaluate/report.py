@@ -43,8 +43,16 @@ _NOT_DRAWN = tuple(f"marked curve alone, within {tolerance} cm" for tolerance in
 Cells = Mapping[str, Any]
 
 
+_FIGURES = {
+    "hull_accuracy": "Share of windows in the hull, by horizon",
+    "distance": "Distance from the centre of the true loop, by horizon",
+    "conditions": "Share of windows in the hull, by condition",
+    "treatments": "Share of windows in the hull, by treatment of the hull",
+}
+
+
 def write_report(results: str | Path, out: str | Path) -> list[Path]:
-    """Write `tables.md` and the figures of a file of results into a folder.
+    """Write `tables.md` and the figures of a file of results, which it shows at its end, into a folder.
 
     Returns
     -------
@@ -61,9 +69,11 @@ def write_report(results: str | Path, out: str | Path) -> list[Path]:
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / "tables.md"]
+    where, first = next(iter(content["conditions"].items()))
+    figures = [f"![{caption}]({name}.svg)" for name, caption in _FIGURES.items()]
+    shown = "\n\n".join([markdown(content).rstrip(), f"## Figures ({where}, where they do not name others)", *figures])
     with atomic_file(files[0]) as handle:
-        handle.write(markdown(content).encode())
-    first = next(iter(content["conditions"].values()))
+        handle.write(f"{shown}\n".encode())
     for name, draw in {
         "hull_accuracy": lambda ax: plot_bars(first, content["horizons"], ax),
         "distance": lambda ax: plot_curves(first, "distance_cm", ax),
