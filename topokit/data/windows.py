@@ -59,6 +59,10 @@ class _Tracked:
         triangles, values = _triangles(found["simplices"], found["values"], cloud)
         return cls(found["id"], triangles, values, np.nan_to_num(found["values"][..., :3], nan=0.0))
 
+    @property
+    def nbytes(self) -> int:
+        return sum(array.nbytes for array in vars(self).values())
+
 
 @dataclass(frozen=True, eq=False)
 class _Episode:
@@ -73,8 +77,7 @@ class _Episode:
 
     @property
     def nbytes(self) -> int:
-        parts = [*vars(self).values(), *vars(self.tracked).values(), *(vars(self.seen).values() if self.seen else ())]
-        return sum(array.nbytes for array in parts if isinstance(array, np.ndarray))
+        return sum(part.nbytes for part in vars(self).values() if part is not None)
 
 
 class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
@@ -159,10 +162,10 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         self.dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
         self.labels, self.seen_labels, self.history, self.horizon = labels, seen_labels, history, horizon
         self.n_points, self.slots, self.stride = n_points, slots, stride
-        labelled = self.dataset.labelled(labels)
-        self.episodes = labelled if episodes is None else np.unique(np.fromiter(episodes, dtype=np.int64))
-        for name in (labels,) if seen_labels is None else (labels, seen_labels):
-            missing = np.setdiff1d(self.episodes, self.dataset.labelled(name))
+        labelled = {name: self.dataset.labelled(name) for name in (labels, seen_labels) if name is not None}
+        self.episodes = labelled[labels] if episodes is None else np.unique(np.fromiter(episodes, dtype=np.int64))
+        for name, known in labelled.items():
+            missing = np.setdiff1d(self.episodes, known)
             if len(missing):
                 raise ValueError(
                     f"{len(missing)} episodes have no labels {name!r}, the first is {missing[0]}: topokit label makes them"

@@ -43,14 +43,6 @@ _NOT_DRAWN = tuple(f"marked curve alone, within {tolerance} cm" for tolerance in
 Cells = Mapping[str, Any]
 
 
-_FIGURES = {
-    "hull_accuracy": "Share of windows in the hull, by horizon",
-    "distance": "Distance from the centre of the true loop, by horizon",
-    "conditions": "Share of windows in the hull, by condition",
-    "treatments": "Share of windows in the hull, by treatment of the hull",
-}
-
-
 def write_report(results: str | Path, out: str | Path) -> list[Path]:
     """Write `tables.md` and the figures of a file of results, which it shows at its end, into a folder.
 
@@ -70,16 +62,22 @@ def write_report(results: str | Path, out: str | Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / "tables.md"]
     where, first = next(iter(content["conditions"].items()))
-    figures = [f"![{caption}]({name}.svg)" for name, caption in _FIGURES.items()]
-    shown = "\n\n".join([markdown(content).rstrip(), f"## Figures ({where}, where they do not name others)", *figures])
+    hull = "Share of windows in the hull, by"
+    figures = (
+        ("hull_accuracy", f"{hull} horizon", lambda ax: plot_bars(first, content["horizons"], ax)),
+        (
+            "distance",
+            "Distance from the centre of the true loop, by horizon",
+            lambda ax: plot_curves(first, "distance_cm", ax),
+        ),
+        ("conditions", f"{hull} condition", lambda ax: plot_conditions(content, ax)),
+        ("treatments", f"{hull} treatment of the hull", lambda ax: plot_treatments(first, ax)),
+    )
+    shown = [f"![{caption}]({name}.svg)" for name, caption, _ in figures]
+    text = [markdown(content).rstrip(), f"## Figures ({where}, where they do not name others)", *shown]
     with atomic_file(files[0]) as handle:
-        handle.write(f"{shown}\n".encode())
-    for name, draw in {
-        "hull_accuracy": lambda ax: plot_bars(first, content["horizons"], ax),
-        "distance": lambda ax: plot_curves(first, "distance_cm", ax),
-        "conditions": lambda ax: plot_conditions(content, ax),
-        "treatments": lambda ax: plot_treatments(first, ax),
-    }.items():
+        handle.write(("\n\n".join(text) + "\n").encode())
+    for name, _, draw in figures:
         figure = _figure()
         draw(figure.add_subplot())  # type: ignore[no-untyped-call]
         files.append(folder / f"{name}.svg")

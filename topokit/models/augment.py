@@ -78,6 +78,8 @@ def spoilt(window: Mapping[str, Tensor], how: Spoiling, generator: torch.Generat
         clouds = window["clouds"].clone()
         clouds[chosen] = _spoilt_clouds(clouds[chosen].cpu(), how, generator).to(clouds)
         shown["clouds"] = clouds
+    if not (how.seen or how.lost or how.false):
+        return shown
     seen = torch.rand(n, generator=generator) < how.seen
     tracked = {name: window[name] for name in PAST}
     if seen.any():

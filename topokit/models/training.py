@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 from topokit._archive import FormatError
 
-from .augment import Spoiling, mirrored, spoilt
+from .augment import mirrored, spoilt
 from .base import Normalisation, PredictiveModel
 from .baselines import Ridge
 from .checkpoint import describe, load_tensors, save_tensors
@@ -256,8 +256,7 @@ class _Training:
         if self.config.mirror:
             which = torch.rand(len(window["actions"]), generator=generator) < 0.5
             window = mirrored(window, which.to(window["actions"].device))
-        shown = window if self.config.spoil == Spoiling() else spoilt(window, self.config.spoil, generator)
-        loss, parts = self.model(Batch(window), seed, Batch(shown))
+        loss, parts = self.model(Batch(window), seed, Batch(spoilt(window, self.config.spoil, generator)))
         if not torch.isfinite(loss):
             raise ValueError(f"step {state.step}: the loss is {loss.item()}; lower learning_rate, or look at the data")
         self.optimizer.zero_grad()
