@@ -178,7 +178,7 @@ def test_track_figure_saves_and_refuses_other_lengths(episode, states, tmp_path)
 def test_tube_stays_at_its_radius():
     line = np.column_stack([np.linspace(0, 1, 9), np.zeros(9), np.zeros(9)])
     walls = tube(line, 0.1)
-    assert walls.shape == (64, 4, 3)
+    assert walls.shape == (128, 3, 3)
     np.testing.assert_allclose(np.linalg.norm(walls[..., 1:], axis=-1), 0.1)
 
 
@@ -194,6 +194,18 @@ def test_render_falls_back_and_says_so_once(episode, states, no_pyvista, capsys)
     pixels = np.asarray(image)
     assert pixels.shape == (150, 200, 3)
     assert pixels.std() > 5
+
+
+def test_plot_cloth_draws_nothing_from_uninitialised_memory(episode, states, monkeypatch):
+    def whatever_is_in_memory(shape, dtype=float, **options):
+        return np.full(shape, 1.7e308 if np.issubdtype(dtype, np.floating) else 0, dtype, **options)
+
+    options = {"loops": states[0].loops, "centre_line": episode.centre_line}
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "empty", whatever_is_in_memory)
+        axes = view.plot_cloth(episode.points[0], episode.faces, **options)
+        axes.figure.canvas.draw()
+    plt.close(axes.figure)
 
 
 def test_probe_survives_a_segfault(monkeypatch):

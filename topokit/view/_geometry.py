@@ -48,13 +48,13 @@ def subdivide(line: Array, pieces: int = 60) -> Array:
 
 
 def tube(line: Array, radius: float, sides: int = 8) -> Array:
-    """Return the (m, 4, 3) quadrilaterals of a tube around a polyline; none when it has fewer than two points.
+    """Return the (m, 3, 3) triangles of a tube around a polyline; none when it has fewer than two points.
 
     Idea: carry one normal along the line, at each point made perpendicular to the direction there, so that the tube
     does not twist.
     """
     if len(line) < 2:
-        return np.zeros((0, 4, 3))
+        return np.zeros((0, 3, 3))
     along = np.gradient(line, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     normal = np.eye(3)[np.argmin(np.abs(along[0]))]
@@ -67,7 +67,8 @@ def tube(line: Array, radius: float, sides: int = 8) -> Array:
         rings.append(point + radius * (np.cos(angles)[:, None] * normal + np.sin(angles)[:, None] * other))
     ring = np.array(rings)  # (K, sides, 3)
     turned = np.roll(ring, -1, axis=1)
-    return np.stack([ring[:-1], ring[1:], turned[1:], turned[:-1]], axis=2).reshape(-1, 4, 3)
+    halves = [ring[:-1], ring[1:], turned[1:]], [ring[:-1], turned[1:], turned[:-1]]
+    return np.concatenate([np.stack(half, axis=2).reshape(-1, 3, 3) for half in halves])
 
 
 def face_light(corners: Array, eye: tuple[float, float]) -> Array:

@@ -159,11 +159,11 @@ def plot_cloth(
     axes: Any = _axes(ax, projection="3d")
     if not hasattr(axes, "add_collection3d"):
         raise ValueError("ax must be a 3D one: plt.figure().add_subplot(projection='3d')")
-    # `_frame` sets the limits. Matplotlib's own would be taken over faces padded to one length with whatever is in memory.
-    axes.set_autoscale_on(False)
+    axes.set_autoscale_on(False)  # `_frame` sets the limits
     axes.computed_zorder = False  # the killers stand above the cloth, whatever their depth
-    # Cloth and rod are one collection, because Matplotlib sorts by depth only inside a collection.
-    polygons = [*cloud[triangles], *tube(subdivide(rod, 40), thickness)]
+    # Cloth and rod are one collection, because Matplotlib sorts by depth only inside a collection; all triangles, because
+    # it would pad faces of several lengths with whatever is in memory, and now and then fail on what it finds there.
+    polygons = np.concatenate([cloud[triangles], tube(subdivide(rod, 40), thickness)])
     colours = _shaded(polygons, len(triangles), view)
     axes.add_collection3d(Poly3DCollection(polygons, facecolors=colours, edgecolors=colours, linewidths=0.8, zorder=1))
     if not len(triangles):
@@ -237,14 +237,12 @@ def _axes(ax: Axes | None, **options: Any) -> Axes:
     return axes
 
 
-def _shaded(polygons: list[NDArray[np.float64]], n_cloth: int, view: tuple[float, float]) -> NDArray[np.float64]:
+def _shaded(polygons: NDArray[np.float64], n_cloth: int, view: tuple[float, float]) -> NDArray[np.float64]:
     """(m, 3) colours of cloth faces, then of the rod's, in the light of `face_light`."""
     from matplotlib.colors import to_rgb
 
-    if not polygons:
-        return np.zeros((0, 3))
     base = np.array([to_rgb(_CLOTH)] * n_cloth + [to_rgb(_ROD)] * (len(polygons) - n_cloth))
-    light = face_light(np.array([polygon[:3] for polygon in polygons]), view)
+    light = face_light(polygons, view)
     shaded: NDArray[np.float64] = base * light[:, None]
     return shaded
 
