@@ -137,6 +137,9 @@ def test_a_measure_can_be_told_from_the_next(results):
         "hull_accuracy", "carry"
     )  # all garments are carried away from where they were
     assert of("distance_cm", "hold") > of("distance_cm", "carry") > of("distance_cm", "seqph") - 3
+    for place in ("in_plane", "in_opening"):
+        assert of(place, "hold") < of(place, "carry")
+        assert of(place, "seqph") > 0.5
     assert of("nll_median", "hold") > of("nll_median", "seqph")
     assert of("cover90", "hold") < of("cover90", "seqph")
     assert of("cover50", "seqph") < of("cover90", "seqph")
@@ -148,7 +151,9 @@ def test_a_measure_can_be_told_from_the_next(results):
 
 
 def test_more_tolerance_is_never_worse(results):
-    ways = results[0]["conditions"]["held out"]["hull_treatments"]
+    table = results[0]["conditions"]["held out"]
+    ways = table["hull_treatments"]
+    assert (ways["in the plane"], ways["in the opening"]) == (table["in_plane"], table["in_opening"])
     for model in ways["within 0 cm"]:
         values = [
             ways[f"within {tolerance} cm"][model][key]["mean"]

@@ -19,6 +19,8 @@ ORDER = ("seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours")
 TOLERANCES = (0.0, 0.01, 0.02, 0.03, 0.05, 0.1)
 MEASURES = {
     "hull_accuracy": "share of windows in which the mean of the mixture is in the hull",
+    "in_plane": "share of windows in which it is in the outline of the true loop, and near its plane",
+    "in_opening": "share of windows in which it is nearer to the centre of the true loop than that loop's farthest vertex",
     "distance_cm": "mean distance from the centre of the true loop, cm",
     "distance_median_cm": "median of that",
     "nll": "mean negative log-likelihood of points of the true opening, nats",
@@ -31,6 +33,8 @@ MEASURES = {
     "presence_same": "the same accuracy, of the others",
 }
 """Of a table, and what they mean."""
+OF_GARMENTS = ("hull_accuracy", "in_plane", "in_opening", "distance_cm")
+"""Those that are shown of every garment, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +89,9 @@ def summarise(samples: Samples, config: EvaluationConfig, thorough: bool) -> dic
         answer["by_garment"] = {}
         for garment in garments:
             mine = _Table(samples.of(garment), config)
-            parts = {name: mine.at_horizons(name) for name in ("hull_accuracy", "distance_cm")}
+            parts = {name: mine.at_horizons(name) for name in OF_GARMENTS}
             counts = {"windows": len(mine.samples.episode), "episodes": len(mine.bootstrap.names)}
-            answer["by_garment"][garment] = {**counts, **parts}
+            answer["by_garment"][garment] = {**counts, **parts, "outcomes": mine.outcomes()}
             if thorough:
                 answer["by_garment"][garment]["hull_treatments"] = mine.treatments()
     return answer
