@@ -11,6 +11,7 @@ import importlib
 import os
 import subprocess
 import sys
+import warnings
 from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
@@ -137,7 +138,10 @@ def _window() -> dict[str, str]:
 
 def _pyvista() -> Any:
     """PyVista, imported on first use: it takes a second, and only `_by_pyvista` may assume that it can draw."""
-    return importlib.import_module("pyvista")
+    with warnings.catch_warnings():
+        # Notebooks without ipywidgets would show it, and no picture has a progress bar.
+        warnings.filterwarnings("ignore", "IProgress not found")
+        return importlib.import_module("pyvista")
 
 
 def _by_matplotlib(
