@@ -208,6 +208,15 @@ def test_plot_cloth_draws_nothing_from_uninitialised_memory(episode, states, mon
     plt.close(axes.figure)
 
 
+def test_plot_cloth_without_faces_draws_the_points_alone(episode):
+    axes = view.plot_cloth(episode.points[0])
+    axes.figure.canvas.draw()
+    drawn = [len(part.get_offsets()) for part in axes.collections if len(part.get_offsets()) > 1]
+    assert drawn == [len(episode.points[0])]
+    assert view._plots._shaded(np.zeros((0, 3, 3)), 0, (-60, 15)).shape == (0, 3)
+    plt.close(axes.figure)
+
+
 def test_probe_survives_a_segfault(monkeypatch):
     monkeypatch.setattr(_render, "_PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     works, reason = _render.pyvista_works.__wrapped__()

@@ -241,7 +241,7 @@ def _shaded(polygons: NDArray[np.float64], n_cloth: int, view: tuple[float, floa
     """(m, 3) colours of cloth faces, then of the rod's, in the light of `face_light`."""
     from matplotlib.colors import to_rgb
 
-    base = np.array([to_rgb(_CLOTH)] * n_cloth + [to_rgb(_ROD)] * (len(polygons) - n_cloth))
+    base = np.array([to_rgb(_CLOTH)] * n_cloth + [to_rgb(_ROD)] * (len(polygons) - n_cloth)).reshape(-1, 3)
     light = face_light(polygons, view)
     shaded: NDArray[np.float64] = base * light[:, None]
     return shaded

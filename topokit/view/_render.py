@@ -136,6 +136,7 @@ def _window() -> dict[str, str]:
     return {}
 
 
+@functools.cache
 def _pyvista() -> Any:
     """PyVista, imported on first use: it takes a second, and only `_by_pyvista` may assume that it can draw."""
     with warnings.catch_warnings():
