@@ -69,7 +69,6 @@ def _digest() -> str:
         ("topokit", "**/*"),
         ("data_small", "**/*"),
         ("book/results", "**/*"),
-        ("checkpoints", "**/*"),
         ("notebooks", "*.ipynb"),
     ):
         files += [path for path in (ROOT / folder).glob(pattern) if "__pycache__" not in path.parts]

@@ -89,12 +89,13 @@ assert [state.loops[0].id for state in states] == [0, 0]
 
 # Data flows downwards in this list; nothing imports from a line below its own.
 LAYERS = [
-    {"_validate", "_archive"},
+    {"_validate", "_archive", "_curves"},
     {"sampling", "linking", "rips"},
     {"state"},
     {"mixture"},
     {"seqph"},
     {"io"},
+    {"_config"},
     {"lemmas"},
     {"sim"},
     {"data"},
@@ -143,7 +144,7 @@ def test_files_are_small():
     sizes = {path: path.stat().st_size for path in tracked_files()}
     limit = {".safetensors": 5_000_000}  # a trained checkpoint
     assert not [path for path, size in sizes.items() if size > limit.get(path.suffix, 3_000_000)]
-    assert sum(size for path, size in sizes.items() if path.is_relative_to(ROOT / "data_small")) < 15_000_000
+    assert sum(size for path, size in sizes.items() if path.is_relative_to(ROOT / "data_small")) < 25_000_000
 
 
 def test_manifest_matches_the_data():

@@ -20,6 +20,9 @@ from ._archive import FormatError, load_archive, save_archive
 from .state import Loop, TopologicalState
 
 __all__ = [
+    "FEWEST_FRAMES",
+    "HISTORY",
+    "HORIZON",
     "SCHEMA",
     "Episode",
     "FormatError",
@@ -31,6 +34,8 @@ __all__ = [
 ]
 
 SCHEMA = 1
+HISTORY, HORIZON = 16, 60  # frames that a forecast looks back on, and ahead to (Antonova et al. 2021, section 5)
+FEWEST_FRAMES = HISTORY + HORIZON
 _KIND = "topokit-episode"
 _STATES_KIND = "topokit-states"
 _MAX_PACKING_ERROR = 1e-4  # metres

@@ -10,13 +10,14 @@ l; it needs the whole distance matrix, so it follows both loops here. Taught in 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ._curves import curve_centroid
 from ._validate import as_points, as_sequence, positive
 from .rips import Diagram, rips_persistence, rips_persistence_many
 from .sampling import hausdorff
@@ -25,9 +26,11 @@ from .state import Loop, TopologicalState
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["SeqPH", "track"]
+__all__ = ["RECOMMENDED", "SeqPH", "track"]
 
 Array = NDArray[np.float64]
+RECOMMENDED: Mapping[str, Any] = {"identity": "killer-triangles", "gates": "proved", "memory": 8}
+"""Options of the tracker that labels are made with and predictors use: the fewest switches of identity (chapter 6)."""
 _GATES = ("paper", "proved")
 _IDENTITIES = ("killer-edge", "killer-triangles", "cycle")
 _OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
@@ -312,10 +315,7 @@ def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
         return cloud[diagram.killer_edge[i]]
     if identity == "killer-triangles":
         return cloud[diagram.killer_triangles[i, 0]].mean(axis=0, keepdims=True)
-    walk = cloud[diagram.cycle(i)]
-    following = np.roll(walk, -1, axis=0)
-    weight = np.linalg.norm(following - walk, axis=1)  # by length: vertices may crowd on one side
-    return np.average((walk + following) / 2, axis=0, weights=weight)[None]
+    return curve_centroid(cloud[diagram.cycle(i)])[None]
 
 
 def _loop(diagram: Diagram, i: int, cloud: Array, identity: int, before: Loop | None) -> Loop:

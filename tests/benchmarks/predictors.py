@@ -55,7 +55,7 @@ Times = dict[str, float]
 
 def configured(name: str) -> TrainConfig:
     """The options and the loss that the trained checkpoint has, or the defaults of what has none."""
-    path = ROOT / "checkpoints" / f"{name}.json"
+    path = ROOT / "data_small" / "checkpoints" / f"{name}.json"
     return load_config(path) if path.exists() else TrainConfig(name)
 
 

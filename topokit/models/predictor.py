@@ -39,7 +39,7 @@ class Predictor:
     --------
     Forecast a stream under the plan to stand still::
 
-        predictor = Predictor.load("checkpoints/loopcast.safetensors")
+        predictor = Predictor.load("data_small/checkpoints/loopcast.safetensors")
         for cloud, grippers in stream:
             predictor.observe(cloud, grippers)
         forecast = predictor.predict(np.repeat(grippers[None], 60, axis=0))

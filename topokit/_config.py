@@ -1,0 +1,108 @@
+"""Configurations of the companions: frozen dataclasses, checked by pydantic, read from JSON or TOML.
+
+A value of another type is refused, not converted (`"0.1"` is no number, `True` is no count), and so are NaN and infinity; a
+name that is not known is an error that says which are.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+from typing_extensions import dataclass_transform
+
+__all__ = ["Count", "NotNegative", "Positive", "Share", "checked", "from_mapping", "load"]
+
+T = TypeVar("T")
+
+Count = Annotated[int, Field(ge=1)]
+NotNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+@dataclass_transform(frozen_default=True)
+def checked(kind: type[T]) -> type[T]:
+    """Make a class a frozen dataclass whose fields are checked; what they refuse is a ValueError of one line."""
+    made: Any = dataclass(kind, frozen=True, config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
+    start = made.__init__
+
+    def __init__(self: Any, *arguments: Any, **values: Any) -> None:
+        try:
+            start(self, *arguments, **values)
+        except ValidationError as error:
+            raise ValueError(_told(error, kind)) from error
+
+    made.__init__ = __init__
+    return made
+
+
+def from_mapping(kind: type[T], entries: Any, where: str) -> T:
+    """Return a checked dataclass from plain numbers, strings, lists and dicts, nested ones too.
+
+    Raises
+    ------
+    ValueError
+        Naming `where` and the entry, when it is not known, missing, or refused.
+    """
+    if not isinstance(entries, Mapping):
+        raise ValueError(f"{where} must be an object with named entries, not {entries!r}")
+    try:
+        return TypeAdapter(kind).validate_json(json.dumps(dict(entries)))  # JSON, because its lists may be tuples
+    except ValidationError as error:
+        raise ValueError(f"{where}: {_told(error, kind)}") from error
+
+
+def load(kind: type[T], path: str | Path) -> T:
+    """Read a checked dataclass from a JSON file, or from TOML when the name says so.
+
+    Raises
+    ------
+    FileNotFoundError
+        When there is no such file.
+    ValueError
+        When it is neither, or an entry is refused; the message names the file and the entry.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: there is no such file")
+    return from_mapping(kind, _parsed(path), str(path))
+
+
+def _parsed(path: Path) -> Any:
+    text = path.read_text(encoding="utf-8")
+    if path.suffix != ".toml":
+        try:
+            return json.loads(text)
+        except ValueError as error:
+            raise ValueError(f"{path}: not JSON: {error}") from error
+    try:
+        import tomllib
+    except ImportError as error:  # Python 3.10
+        raise ValueError(f"{path}: TOML needs Python 3.11; write the configuration as JSON") from error
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:
+        raise ValueError(f"{path}: not TOML: {error}") from error
+
+
+def _told(error: ValidationError, kind: Any) -> str:
+    """The first thing that is wrong, in a line; a name that is not known before one that is missing."""
+    known = [part.name for part in fields(kind)]
+    found = error.errors(include_url=False)
+    first = next((one for one in found if one["type"] == "unexpected_keyword_argument"), found[0])
+    head, *rest = first["loc"] or ("",)
+    place = ".".join(
+        str(part) for part in (known[head] if isinstance(head, int) and head < len(known) else head, *rest)
+    )
+    if first["type"] == "unexpected_keyword_argument":
+        return f"there is no {place!r}" + (f"; there are {', '.join(known)}" if not rest else "")
+    if first["type"] == "missing":
+        return f"{place!r} is missing"
+    message = first["msg"].removeprefix("Value error, ")
+    return message if first["type"] == "value_error" and not place else f"{place}: {message}, not {first['input']!r}"
