@@ -5,29 +5,18 @@ Source: Antonova et al. 2021, section 6 (23,000 trajectories). Taught in chapter
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._check import Problem, check
     from ._generate import Interrupted, generate
     from ._label import label
+    from ._spoil import spoil
     from .config import DatasetConfig, make_episode
     from .dataset import Dataset
     from .windows import Truth, WindowDataset
-
-_WHERE = {
-    "Dataset": "dataset",
-    "DatasetConfig": "config",
-    "Interrupted": "_generate",
-    "Problem": "_check",
-    "Truth": "windows",
-    "WindowDataset": "windows",
-    "check": "_check",
-    "generate": "_generate",
-    "label": "_label",
-    "make_episode": "config",
-}
 
 __all__ = [
     "Dataset",
@@ -40,11 +29,19 @@ __all__ = [
     "generate",
     "label",
     "make_episode",
+    "spoil",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Import what is used when it is used: Zarr, Dask, PyBullet and PyTorch are not needed for everything."""
-    if name in _WHERE:
-        return getattr(import_module(f".{_WHERE[name]}", __name__), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = attach(
+    __name__,
+    {
+        "_check": "Problem check",
+        "_generate": "Interrupted generate",
+        "_label": "label",
+        "_spoil": "spoil",
+        "config": "DatasetConfig make_episode",
+        "dataset": "Dataset",
+        "windows": "Truth WindowDataset",
+    },
+    extra="data,sim,learn",
+)
