@@ -20,9 +20,7 @@ _ROUNDING = 1e-12  # relative; rounding may only make more edges critical
 def is_critical(distances: NDArray[np.float64], x: int, y: int, alpha: float, epsilon: float) -> bool:
     """Whether the edge {x, y} is (alpha, epsilon)-critical; `beta_critical` says what that means."""
     length = distances[x, y]
-    inner = (length - alpha - 4 * epsilon) * (
-        1 - _ROUNDING
-    )  # of the points that carry paths, and of a path's end steps
+    inner = (length - alpha - 4 * epsilon) * (1 - _ROUNDING)  # of points that carry paths, and of a path's end steps
     step = (length - 2 * alpha - 4 * epsilon) * (1 - _ROUNDING)
     outer = (length + 4 * epsilon) * (1 + _ROUNDING)
     apart = (length - 4 * epsilon) * (1 - _ROUNDING)
@@ -45,14 +43,8 @@ def is_critical(distances: NDArray[np.float64], x: int, y: int, alpha: float, ep
                 reached[i, component[j]] = True
     for i in range(n_lens):
         for j in range(i):
-            if distances[lens[i], lens[j]] >= apart:
-                joined = False
-                for k in range(n_components):
-                    if reached[i, k] and reached[j, k]:
-                        joined = True
-                        break
-                if not joined:
-                    return True
+            if distances[lens[i], lens[j]] >= apart and not (reached[i] & reached[j]).any():
+                return True
     return False
 
 

@@ -12,20 +12,20 @@ where several loops die at about the same time only the distance to the nearest 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import cdist
 
 from .._validate import positive
-from ._diagrams import vertex_views
-from ._measures import Beta
-from ._verdict import Check, LoopCheck, Verdict, Witness
-from ._view import Motion, State, View, as_motion, as_view
+from ._measures import Beta, edge_distances
+from ._step import State, Step, observed_state, observed_step
+from ._verdict import Check, LoopCheck, Verdict, compared
 
-__all__ = ["corollary", "recovering_killers", "regularity_of_killers"]
+__all__ = ["converse", "corollary", "recovering_killers", "regularity_of_killers"]
 
+Ids = NDArray[np.int64]
 MORE_THAN_TWICE = 2.001  # alpha must exceed 2 epsilon in Assumption 2; a larger alpha than measured is still one
 
 
@@ -41,19 +41,8 @@ def recovering_killers(state: ArrayLike, observed: ArrayLike) -> Check:
 
     Parameters
     ----------
-    state : (n, d) array_like
-        S_t.
-    observed : (m,) array_like of int, or (m, d) array_like
-        O_t: vertex ids, or coordinates of vertices.
-
-    Returns
-    -------
-    Check
-
-    Raises
-    ------
-    TypeError, ValueError
-        When `state` is no point cloud or `observed` is not among its points.
+    state, observed : array_like
+        S_t, (n, d), and O_t: (m,) ids of its points or their (m, d) coordinates.
 
     Examples
     --------
@@ -62,24 +51,17 @@ def recovering_killers(state: ArrayLike, observed: ArrayLike) -> Check:
     >>> check.corrected.holds
     True
     """
-    return check_recovering_killers(as_view(state, observed))
+    return check_recovering_killers(observed_state(state, observed))
 
 
-def check_recovering_killers(view: View) -> Check:
-    s, alpha = view.state, view.alpha
-    everywhere, critical = s.beta_all(alpha, alpha, alpha), s.beta_critical(alpha, alpha, 0.0)
-    rows = []
-    for f in range(len(everywhere.value)):
-        partner = int(view.matching.partner[f])
-        seen = s.points[view.killer(partner)] if partner >= 0 else None
-        legs = (away(s.points[s.diagram.killer_edge[f]], seen),)
-        bounds = {"paper": float(everywhere.value[f]), "corrected": float(critical.value[f])}
-        rows.append(LoopCheck(f, float(s.diagram.lifetime[f]), sum(legs), legs, bounds))
-    verdict = _verdicts(rows, s, s.tolerance)
-    separated = _is_separated(s, alpha, 2 * alpha + everywhere.max)
-    return Check(
-        "recovering killers", verdict("paper", separated), verdict("corrected"), alpha=alpha, loops=tuple(rows)
-    )
+def check_recovering_killers(step: Step) -> Check:
+    s, alpha = step.before, step.alpha
+    everywhere = s.beta_all(alpha, alpha, alpha)
+    betas = {"paper": everywhere, "corrected": s.beta_critical(alpha, alpha, 0.0)}
+    rows = [_loop_check(step, ("S_t", "O_t"), f, _bounds(f, betas)) for f in range(len(everywhere.value))]
+    separated = s.separation(alpha) > 2 * alpha + everywhere.max
+    paper, corrected = _verdict(step, rows, "paper", separated), _verdict(step, rows, "corrected")
+    return Check("recovering killers", paper, corrected, alpha=alpha, loops=tuple(rows))
 
 
 def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.0) -> Check:
@@ -94,20 +76,11 @@ def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.
 
     Parameters
     ----------
-    before, after : (n, d) array_like
-        S_t and S_t+1: row i of both is the same point.
+    before, after : array_like
+        S_t and S_t+1, both (n, d): row i of both is the same point.
     alpha : float
         Of the observations, for the paper's Assumption 3; 2.001 epsilon when smaller, since Assumption 2 wants it above
         2 epsilon.
-
-    Returns
-    -------
-    Check
-
-    Raises
-    ------
-    TypeError, ValueError
-        When they are no point clouds, differ in shape, or `alpha` is negative.
 
     Examples
     --------
@@ -116,33 +89,22 @@ def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.
     >>> check.corrected.holds, round(check.corrected.statistic, 4)
     (True, 0.01)
     """
-    return check_regularity(as_motion(before, after), positive(alpha, "alpha"))
+    return check_regularity(observed_step(before, None, after, None), positive(alpha, "alpha"))
 
 
-def check_regularity(motion: Motion, alpha: float) -> Check:
-    s, after, epsilon = motion.before, motion.after, motion.epsilon
+def check_regularity(step: Step, alpha: float) -> Check:
+    s, epsilon, delta = step.before, step.epsilon, step.distortion
     alpha = max(alpha, MORE_THAN_TWICE * epsilon)
-    everywhere = s.beta_all(alpha, alpha, alpha)
-    critical = s.beta_critical(2 * epsilon, 0.0, epsilon)
-    intrinsic = s.beta_critical(2 * motion.distortion, 0.0, motion.distortion)
-    rows = []
-    for f in range(max(len(beta.value) for beta in (everywhere, critical, intrinsic))):
-        partner = int(motion.matching.partner[f])
-        later = after.points[after.diagram.killer_edge[partner]] if partner >= 0 else None
-        legs = (away(s.points[s.diagram.killer_edge[f]], later),)
-        bounds = _bounds(f, {"paper": everywhere, "corrected": critical, "intrinsic": intrinsic}, 1, epsilon)
-        rows.append(LoopCheck(f, float(s.diagram.lifetime[f]), sum(legs), legs, bounds))
-    verdict = _verdicts(rows, s, motion.tolerance)
-    return Check(
-        "regularity of killers",
-        verdict("paper", _is_separated(s, alpha, 2 * alpha + everywhere.max + epsilon)),
-        verdict("corrected"),
-        verdict("intrinsic"),
-        alpha,
-        epsilon,
-        motion.distortion,
-        tuple(rows),
-    )
+    betas = {
+        "paper": s.beta_all(alpha, alpha, alpha),
+        "corrected": s.beta_critical(2 * epsilon, 0.0, epsilon),
+        "intrinsic": s.beta_critical(2 * delta, 0.0, delta),
+    }
+    n_loops = max(len(beta.value) for beta in betas.values())
+    rows = [_loop_check(step, ("S_t", "S_t+1"), f, _bounds(f, betas, plus=epsilon)) for f in range(n_loops)]
+    separated = s.separation(alpha) > 2 * alpha + betas["paper"].max + epsilon
+    paper, corrected, intrinsic = (_verdict(step, rows, version, separated or version != "paper") for version in betas)
+    return Check("regularity of killers", paper, corrected, intrinsic, alpha, epsilon, delta, tuple(rows))
 
 
 def corollary(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, observed_after: ArrayLike) -> Check:
@@ -158,20 +120,14 @@ def corollary(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, o
 
     Parameters
     ----------
-    before, after : (n, d) array_like
-        S_t and S_t+1: row i of both is the same point.
-    observed_before, observed_after : (m,) array_like of int, or (m, d) array_like
-        O_t and O_t+1: vertex ids, or coordinates of vertices. They need not be the same vertices.
+    before, observed_before, after, observed_after : array_like
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. They need not be the same
+        vertices.
 
     Returns
     -------
     Check
         A loop's three legs are from O_t to S_t, from there to S_t+1, and on to O_t+1.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When they are no point clouds, differ in shape, or what is observed is not in the state.
 
     Examples
     --------
@@ -181,112 +137,155 @@ def corollary(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, o
     >>> check.corrected.holds
     True
     """
-    motion = as_motion(before, after)
-    return check_corollary(motion, *vertex_views(motion, observed_before, observed_after))
+    return check_corollary(observed_step(before, observed_before, after, observed_after))
 
 
-def check_corollary(motion: Motion, seen: View, seen_after: View) -> Check:
-    s, epsilon, delta = motion.before, motion.epsilon, motion.distortion
-    alpha = max(seen.alpha, seen_after.alpha)
+def check_corollary(step: Step) -> Check:
+    s, alpha, epsilon, delta = step.before, step.alpha, step.epsilon, step.distortion
     larger = max(alpha, MORE_THAN_TWICE * epsilon)
-    everywhere = s.beta_all(larger, larger, larger)
-    beta = max(everywhere.max, motion.after.beta_all(larger, larger, larger).max)
-    wide = s.beta_all(alpha + 2 * epsilon, 2 * epsilon, alpha + 2 * epsilon)
-    critical = s.beta_critical(alpha + 2 * epsilon, alpha, epsilon)
-    intrinsic = s.beta_critical(alpha + 2 * delta, alpha, delta)
+    beta = max(state.beta_all(larger, larger, larger).max for state in (s, step.after))
+    betas = {
+        "corrected": s.beta_critical(alpha + 2 * epsilon, alpha, epsilon),
+        "intrinsic": s.beta_critical(alpha + 2 * delta, alpha, delta),
+        "2 beta + epsilon, all edges": s.beta_all(alpha + 2 * epsilon, 2 * epsilon, alpha + 2 * epsilon),
+    }
+    of_the_paper = {"paper": 2 * larger + beta + epsilon, "3 beta + epsilon, all edges": 3 * beta + epsilon}
     rows = []
     for f in range(int((s.diagram.lifetime > alpha).sum())):
-        bounds = _bounds(
-            f, {"corrected": critical, "intrinsic": intrinsic, "2 beta + epsilon, all edges": wide}, 2, epsilon
-        )
-        image = int(motion.matching.partner[f])
-        if f < len(everywhere.value) and image >= 0 and motion.after.diagram.lifetime[image] > larger:
-            bounds["paper"] = 2 * larger + beta + epsilon
-            bounds["3 beta + epsilon, all edges"] = 3 * beta + epsilon
-        legs = _chain(motion, seen, seen_after, f)
-        if np.isinf(legs[-1]) and "corrected" not in bounds and "intrinsic" not in bounds:
-            continue  # it is not seen at t + 1, and is too short-lived to have to be
-        rows.append(LoopCheck(f, float(s.diagram.lifetime[f]), _total(motion, seen, seen_after, f), legs, bounds))
-    verdict = _verdicts(rows, s, motion.tolerance)
-    separated = _is_separated(s, larger, 2 * larger + beta + epsilon)
-    return Check(
-        "corollary",
-        verdict("paper", separated),
-        verdict("corrected"),
-        verdict("intrinsic"),
-        alpha,
-        epsilon,
-        delta,
-        tuple(rows),
-        {name: verdict(name) for name in ("3 beta + epsilon, all edges", "2 beta + epsilon, all edges")},
+        bounds = _bounds(f, betas, times=2, plus=epsilon)
+        image = step.matching.partner[f]
+        lifetimes = (s.diagram.lifetime[f], step.after.diagram.lifetime[image] if image >= 0 else 0.0)
+        if min(lifetimes) > larger:
+            bounds |= of_the_paper
+        row = _loop_check(step, ("O_t", "S_t", "S_t+1", "O_t+1"), f, bounds)
+        # A loop that is not seen at t + 1, and is too short-lived to have to be, says nothing.
+        if np.isfinite(row.legs[-1]) or "corrected" in bounds or "intrinsic" in bounds:
+            rows.append(row)
+    separated = s.separation(larger) > 2 * larger + beta + epsilon
+    paper, corrected, intrinsic = (
+        _verdict(step, rows, version, separated or version != "paper")
+        for version in ("paper", "corrected", "intrinsic")
     )
+    names = ("3 beta + epsilon, all edges", "2 beta + epsilon, all edges")
+    further = {name: _verdict(step, rows, name) for name in names}
+    return Check("corollary", paper, corrected, intrinsic, alpha, epsilon, delta, tuple(rows), further)
 
 
-def observed_ids(
-    motion: Motion, seen: View, seen_after: View, f: int
-) -> tuple[NDArray[np.int64] | None, NDArray[np.int64] | None]:
-    """Vertex ids of the killer of loop f of S_t as it is seen at t, and at t + 1; None where it is not seen."""
-    now, image = int(seen.matching.partner[f]), int(motion.matching.partner[f])
-    later = int(seen_after.matching.partner[image]) if image >= 0 else -1
-    return seen.killer(now) if now >= 0 else None, seen_after.killer(later) if later >= 0 else None
+def _bounds(f: int, betas: dict[str, Beta], *, times: int = 1, plus: float = 0.0) -> dict[str, float]:
+    """times * beta + plus of every version that speaks about loop f."""
+    return {name: times * float(b.value[f]) + plus for name, b in betas.items() if f < len(b.value)}
 
 
-def observed_killers(
-    motion: Motion, seen: View, seen_after: View, f: int
-) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
-    """The same by coordinates."""
-    now, later = observed_ids(motion, seen, seen_after, f)
-    before, after = motion.before.points, motion.after.points
-    return None if now is None else before[now], None if later is None else after[later]
+def _loop_check(step: Step, places: Sequence[str], f: int, bounds: dict[str, float]) -> LoopCheck:
+    """How far the killers of loop f of S_t lie apart from place to place, and in the first and the last."""
+    killers = [(place, step.killer(place, f)) for place in places]
+    legs = tuple(step.edge_distance(*start, *end) for start, end in pairwise(killers))
+    ends = step.edge_distance(*killers[0], *killers[-1])
+    return LoopCheck(f, float(step.before.diagram.lifetime[f]), ends, legs, bounds)
 
 
-def _chain(motion: Motion, seen: View, seen_after: View, f: int) -> tuple[float, float, float]:
-    """How far killers lie apart from O_t to S_t, on to S_t+1, and on to O_t+1."""
-    now, later = observed_killers(motion, seen, seen_after, f)
-    image = int(motion.matching.partner[f])
-    mine = motion.before.points[motion.before.diagram.killer_edge[f]]
-    moved = motion.after.points[motion.after.diagram.killer_edge[image]] if image >= 0 else None
-    return away(now, mine), away(mine, moved), away(moved, later)
+def _verdict(step: Step, rows: Sequence[LoopCheck], version: str, hypotheses: bool = True) -> Verdict:
+    """A version at the loop where it is tightest."""
+    spoken = [row for row in rows if version in row.bounds]
+    if not spoken:
+        return Verdict(0.0, 0.0, True, hypotheses)
+    worst = max(spoken, key=lambda row: row.statistic - row.bounds[version])
+    witness = step.witness("S_t", worst.loop, "killers this far apart")
+    return compared(worst.statistic, worst.bounds[version], step.tolerance, len(spoken), witness, hypotheses)
 
 
-def _total(motion: Motion, seen: View, seen_after: View, f: int) -> float:
-    return away(*observed_killers(motion, seen, seen_after, f))
+def converse(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, observed_after: ArrayLike) -> Check:
+    """Check that observed killers which are close belong to the same loop: what tracking needs, the corollary's converse.
+
+    The paper concludes it from killers in S_t that are more than 2 alpha + beta + epsilon apart, which its Assumption 3 rules
+    out where loops die within alpha of each other. Even where they do not, each observed killer may be beta off.
+
+    Corrected: let every critical edge in the window of some loop with a lifetime above alpha + 2 epsilon lie within beta of the
+    *nearest* killer of such a loop, and let these killers be more than 4 beta + 2 epsilon apart. Then each observed killer has
+    its place, the killer in S_t within beta of it (beta + epsilon at t + 1), and two observed killers of t and t + 1 are within
+    2 beta + epsilon if and only if they have the same place. The statistic is that reach, the bound the least distance
+    between killers of different places. Proof: both are critical, as in the corollary; apply the triangle inequality through
+    their places. Intrinsic: the `distortion` in place of epsilon, but not where it says how far edges move.
+
+    Parameters
+    ----------
+    before, observed_before, after, observed_after : array_like
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. They need not be the same
+        vertices.
+
+    Returns
+    -------
+    Check
+        Empty where there are not two loops that live long enough.
+
+    Examples
+    --------
+    >>> angle = 2 * np.pi * np.arange(20) / 20
+    >>> circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    >>> both = np.vstack([circle, circle + [20, 0]])
+    >>> check = converse(both, np.arange(40), both, np.arange(40))
+    >>> check.paper.applies, check.corrected.applies, check.corrected.holds
+    (False, True, True)
+    """
+    return check_converse(observed_step(before, observed_before, after, observed_after))
 
 
-def away(a: NDArray[np.float64] | None, b: NDArray[np.float64] | None) -> float:
-    """Hausdorff distance of two edges, inf when there is none."""
-    if a is None or b is None:
-        return float("inf")
-    d = cdist(a, b)
-    return float(max(d.min(axis=0).max(), d.min(axis=1).max()))
+def check_converse(step: Step) -> Check:
+    alpha, epsilon, delta = step.alpha, step.epsilon, step.distortion
+    paper = _by_loop(step, max(alpha, MORE_THAN_TWICE * epsilon))
+    corrected, intrinsic = (_by_nearest_killer(step, alpha, change) for change in (epsilon, delta))
+    return Check("converse", paper, corrected, intrinsic, alpha, epsilon, delta)
 
 
-def _bounds(f: int, betas: dict[str, Beta], times: int, epsilon: float) -> dict[str, float]:
-    """times * beta + epsilon of every version that speaks about loop f."""
-    return {name: times * float(b.value[f]) + epsilon for name, b in betas.items() if f < len(b.value)}
+def _by_loop(step: Step, alpha: float) -> Verdict:
+    """The paper's: killers of different loops are farther apart than the corollary's bound."""
+    s = step.before
+    loops = np.flatnonzero(s.diagram.lifetime > alpha)
+    if len(loops) < 2:
+        return Verdict(0.0, np.inf, True)
+    beta = max(state.beta_all(alpha, alpha, alpha).max for state in (s, step.after))
+    reach = 2 * alpha + beta + step.epsilon
+    distance = _observed_distances(step, *_observed_killers(step, loops))
+    np.fill_diagonal(distance, np.inf)
+    least, loop = float(distance.min()), int(loops[distance.min(axis=1).argmin()])
+    witness = step.witness("S_t", loop, "the killer of another loop is as near")
+    return Verdict(reach, least, least > reach - step.tolerance, s.separation(alpha) > reach, len(loops), witness)
 
 
-def _is_separated(state: State, min_lifetime: float, distance: float) -> bool:
-    return state.separation(min_lifetime) > distance
+def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
+    """Observed killers with the same nearest killer in S_t are within reach, those with different ones are not."""
+    s, min_lifetime = step.before, alpha + 2 * change
+    loops = np.flatnonzero(s.diagram.lifetime > min_lifetime)
+    if len(loops) < 2:
+        return Verdict(0.0, np.inf, True)
+    beta = s.beta_critical(min_lifetime, alpha, change, nearest=True).max
+    reach = 2 * beta + step.epsilon
+    before, after = _observed_killers(step, loops)
+    if any(edge is None for edge in (*before, *after)):  # against the theorem
+        missing = step.witness("S_t", int(loops[0]), "a loop is not seen")
+        return Verdict(reach, 0.0, False, True, len(loops), missing)
+    same = np.equal.outer(*(_nearest_loops(s, np.array(edges), loops) for edges in (before, after)))
+    distance = _observed_distances(step, before, after)
+    least, most = float(distance[~same].min(initial=np.inf)), float(distance[same].max(initial=0.0))
+    holds = least > reach - step.tolerance and most <= reach + step.tolerance
+    loop = int(loops[np.where(same, np.inf, distance).min(axis=1).argmin()])
+    what = f"killers of one place up to {most:.6g} apart, of different ones down to {least:.6g}"
+    separated = s.separation(min_lifetime) > 2 * reach
+    return Verdict(reach, least, holds, separated, len(loops), step.witness("S_t", loop, what))
 
 
-def _verdicts(rows: list[LoopCheck], state: State, tolerance: float) -> Callable[..., Verdict]:
-    """A function that gives the verdict of a version: at the loop where it is tightest."""
-
-    def verdict(name: str, hypotheses: bool = True) -> Verdict:
-        mine = [row for row in rows if name in row.bounds]
-        if not mine:
-            return Verdict(0.0, 0.0, True, hypotheses)
-        worst = max(mine, key=lambda row: row.statistic - row.bounds[name])
-        bound = worst.bounds[name]
-        holds = worst.statistic <= bound + tolerance
-        return Verdict(
-            worst.statistic, bound, holds, hypotheses, len(mine), witness(state, worst.loop, "killers this far apart")
-        )
-
-    return verdict
+def _observed_killers(step: Step, loops: Ids) -> tuple[list[Ids | None], list[Ids | None]]:
+    """Vertex ids of the killers of loops of S_t as they are seen at t, and at t + 1."""
+    before, after = ([step.killer(place, int(f)) for f in loops] for place in ("O_t", "O_t+1"))
+    return before, after
 
 
-def witness(state: State, loop: int, what: str) -> Witness:
-    a, b = state.diagram.killer_edge[loop].tolist()
-    return Witness("S_t", loop, float(state.diagram.birth[loop]), float(state.diagram.death[loop]), (a, b), what)
+def _observed_distances(step: Step, before: list[Ids | None], after: list[Ids | None]) -> NDArray[np.float64]:
+    """(n, m) Hausdorff distances of edges at t and at t + 1."""
+    return np.array([[step.edge_distance("O_t", a, "O_t+1", b) for b in after] for a in before])
+
+
+def _nearest_loops(s: State, edges: Ids, loops: Ids) -> Ids:
+    """For each edge of S_t the loop whose killer is nearest."""
+    distance = np.array([edge_distances(s.distances, edges, s.diagram.killer_edge[g]) for g in loops])
+    return np.asarray(loops[distance.argmin(axis=0)])

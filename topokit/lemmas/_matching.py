@@ -10,6 +10,7 @@ Source: Edelsbrunner and Harer 2010, chapter VIII (bottleneck distance); Mendels
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +58,7 @@ def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, 
     first, second : Diagram
         Of S and of O when `one_sided`.
     one_sided : bool
+        Whether `second` is of a subset.
     tolerance : float
         How far below zero rounding may push a shift that is zero.
 
@@ -82,14 +84,9 @@ def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, 
     limits = np.unique(np.concatenate([pair[np.isfinite(pair)], alone, others_alone, [0.0]]))
     # No bar does better than its best pair or being alone: the bisection starts there, and mostly ends there.
     least = max(_best(pair, alone), _best(pair.T, others_alone))
-    low, high = int(np.searchsorted(limits, least)), len(limits) - 1
-    middle = low
-    while low < high:
-        if _is_enough(pair, alone, others_alone, limits[middle]):
-            high = middle
-        else:
-            low = middle + 1
-        middle = (low + high) // 2
+    low = int(np.searchsorted(limits, least))
+    if not _is_enough(pair, alone, others_alone, limits[low]):
+        low = bisect_left(limits, True, lo=low + 1, key=lambda c: _is_enough(pair, alone, others_alone, c))
     cost = float(limits[low])
     partner = _cheapest(pair, alone, others_alone, cost)
     return Matching(partner, cost, _worst(pair, alone, others_alone, partner))
@@ -102,21 +99,13 @@ def longest_unmatched(
 
     Partners may be shifted by at most `shift`, with no shift below -tolerance when `one_sided`. (0.0, -1) when all can be
     matched. No matching does better: the sets of bars that can be matched together are those of a matroid.
-
-    Raises
-    ------
-    ValueError
-        When a bar does not die.
     """
     pair, _, _ = _costs(first, second, one_sided, tolerance)
-    low, high = 0, len(first)  # as many of the longest bars can be matched
-    while low < high:
-        middle = (low + high + 1) // 2
-        if _saturates(pair[:middle] <= shift):
-            low = middle
-        else:
-            high = middle - 1
-    return (0.0, -1) if low == len(first) else (float(first.lifetime[low]), low)
+    counts = range(1, len(first) + 1)
+    matched = bisect_left(
+        counts, True, key=lambda count: not _saturates(pair[:count] <= shift)
+    )  # as many of the longest
+    return (0.0, -1) if matched == len(first) else (float(first.lifetime[matched]), matched)
 
 
 def _costs(first: Diagram, second: Diagram, one_sided: bool, tolerance: float) -> tuple[Array, Array, Array]:
@@ -145,10 +134,8 @@ def _is_enough(pair: Array, alone: Array, others_alone: Array, c: float) -> bool
 
 def _saturates(allowed: NDArray[np.bool_]) -> bool:
     """Whether all rows can be matched."""
-    if len(allowed) == 0:
-        return True
-    if not allowed.any(axis=1).all():
-        return False
+    if len(allowed) == 0 or not allowed.any(axis=1).all():
+        return len(allowed) == 0
     return bool((maximum_bipartite_matching(csr_matrix(allowed), perm_type="column") >= 0).all())
 
 
@@ -172,13 +159,12 @@ def _cheapest(pair: Array, alone: Array, others_alone: Array, c: float) -> NDArr
 def _worst(pair: Array, alone: Array, others_alone: Array, partner: NDArray[np.int64]) -> tuple[int, int]:
     """The most costly pair or bar left alone; (-1, -1) when both diagrams are empty."""
     matched = np.flatnonzero(partner >= 0)
-    here = alone.copy()
-    here[matched] = pair[matched, partner[matched]]
-    there = others_alone.copy()
-    there[partner[matched]] = 0.0
-    if max(here.max(initial=0.0), there.max(initial=0.0)) == 0.0:
+    costs, others = alone.copy(), others_alone.copy()
+    costs[matched], others[partner[matched]] = pair[matched, partner[matched]], 0.0
+    most, most_of_others = costs.max(initial=0.0), others.max(initial=0.0)
+    if most == most_of_others == 0.0:
         return (-1, -1)
-    if here.max(initial=0.0) >= there.max(initial=0.0):
-        i = int(np.argmax(here))
-        return (i, int(partner[i]))
-    return (-1, int(np.argmax(there)))
+    if most < most_of_others:
+        return (-1, int(np.argmax(others)))
+    i = int(np.argmax(costs))
+    return (i, int(partner[i]))

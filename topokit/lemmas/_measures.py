@@ -23,6 +23,8 @@ __all__ = [
     "edge_distances",
     "farthest_edges",
     "feature_separation",
+    "hausdorff_of_edges",
+    "killer_separation",
     "max_displacement",
 ]
 
@@ -60,11 +62,6 @@ def max_displacement(before: ArrayLike, after: ArrayLike) -> float:
     before, after : (n, d) array_like
         Row i of both is the same point.
 
-    Raises
-    ------
-    TypeError, ValueError
-        When they are no point clouds or differ in shape.
-
     Examples
     --------
     >>> max_displacement([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.5], [1.0, 0.0]])
@@ -84,11 +81,6 @@ def distortion(before: ArrayLike, after: ArrayLike) -> float:
     ----------
     before, after : (n, d) array_like
         Row i of both is the same point.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When they are no point clouds or differ in shape.
 
     Notes
     -----
@@ -126,15 +118,11 @@ def beta_all(
     points : (n, d) array_like
         The dense state S_t.
     alpha : float
+        How far from the death, in the unit of the points.
     min_lifetime : float, optional
         `alpha` when not given, as in the paper.
     diagram : Diagram, optional
         Of `points`, when it is known.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When `points` is no point cloud or a number is negative.
 
     Examples
     --------
@@ -185,11 +173,6 @@ def beta_critical(
     Beta
         Never above what all edges in the same window give.
 
-    Raises
-    ------
-    TypeError, ValueError
-        When `points` is no point cloud or a number is negative.
-
     Notes
     -----
     The paper quantifies over all edges. This version is ours. Cost: rivals are tested from the farthest inwards, each with a
@@ -222,49 +205,52 @@ def farthest_edges(
     The distance is to the loop's own killer, or to the nearest killer of all loops that are measured.
     """
     n_loops = int((diagram.lifetime > min_lifetime).sum())
-    rounding = ROUNDING * float(distances.max(initial=0.0))
-    first, second = np.triu_indices(len(distances), 1) if n_loops else (np.empty(0, np.int64),) * 2
-    half = distances[first, second] / 2
-    value, edge = np.zeros(n_loops), np.zeros((n_loops, 2), dtype=np.int64)
-    for i in range(n_loops):
-        death, killer = diagram.death[i], diagram.killer_edge[i]
-        near = np.flatnonzero((half >= death - window[0] - rounding) & (half <= death + window[1] + rounding))
-        rivals = np.column_stack([first[near], second[near]])
-        killers = diagram.killer_edge[:n_loops] if nearest else [killer]
-        away = np.min([edge_distances(distances, rivals, other) for other in killers], axis=0)
-        farthest_first = np.argsort(-away, kind="stable")
-        place = 0
-        if critical is not None:
-            place = first_critical(distances, rivals[farthest_first], *critical)
+    killers = diagram.killer_edge[:n_loops]
+    value, edge = np.zeros(n_loops), killers.copy()
+    if n_loops == 0:
+        return Beta(value, edge)
+    rounding = ROUNDING * float(distances.max())
+    pairs = np.column_stack(np.triu_indices(len(distances), 1))
+    half = distances[pairs[:, 0], pairs[:, 1]] / 2
+    for i, death in enumerate(diagram.death[:n_loops]):
+        rivals = pairs[(half >= death - window[0] - rounding) & (half <= death + window[1] + rounding)]
+        away = np.min(
+            [edge_distances(distances, rivals, k) for k in (killers if nearest else killers[i : i + 1])], axis=0
+        )
+        order = np.argsort(-away, kind="stable")  # farthest first
+        place = 0 if critical is None else first_critical(distances, rivals[order], *critical)
         # The killer is a rival of itself, but a lune may hold together by rounding alone.
-        if place < 0 or len(rivals) == 0:
-            edge[i] = killer
-        else:
-            value[i], edge[i] = away[farthest_first[place]], rivals[farthest_first[place]]
+        if place >= 0 and len(rivals):
+            value[i], edge[i] = away[order[place]], rivals[order[place]]
     return Beta(value, edge)
 
 
 def edge_distances(distances: Array, edges: NDArray[np.int64], edge: NDArray[np.int64]) -> Array:
     """(m,) Hausdorff distances from each of (m, 2) edges to one, all edges of the cloud that `distances` (n, n) is of."""
-    d = distances[edges[:, :, None], edge]  # (m, 2, 2)
-    return np.asarray(np.maximum(d.min(axis=2).max(axis=1), d.min(axis=1).max(axis=1)))
+    return hausdorff_of_edges(distances[edges[:, :, None], edge])
 
 
-def feature_separation(points: ArrayLike, min_lifetime: float = 0.0, *, diagram: Diagram | None = None) -> float:
+def hausdorff_of_edges(d: Array) -> Array:
+    """(...) Hausdorff distances of two edges from the (..., 2, 2) distances of their ends."""
+    return np.asarray(np.maximum(d.min(axis=-1).max(axis=-1), d.min(axis=-2).max(axis=-1)))
+
+
+def killer_separation(distances: Array, diagram: Diagram, min_lifetime: float) -> float:
+    """The least Hausdorff distance between the killers of two loops with a lifetime above `min_lifetime`."""
+    killers = diagram.killer_edge[diagram.lifetime > min_lifetime]
+    pairs = (edge_distances(distances, killers[:i], killers[i]).min() for i in range(1, len(killers)))
+    return float(min(pairs, default=np.inf))
+
+
+def feature_separation(points: ArrayLike, min_lifetime: float = 0.0) -> float:
     """Return the least Hausdorff distance between the killer edges of two loops: inf when there are fewer than two.
 
     Parameters
     ----------
     points : (n, d) array_like
+        The dense state S_t.
     min_lifetime : float
         Only loops with a lifetime above it.
-    diagram : Diagram, optional
-        Of `points`, when it is known.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When `points` is no point cloud or `min_lifetime` is negative.
 
     Examples
     --------
@@ -272,14 +258,5 @@ def feature_separation(points: ArrayLike, min_lifetime: float = 0.0, *, diagram:
     >>> feature_separation(np.vstack([square, square + [5, 0]]), min_lifetime=0.1)
     5.0
     """
-    array, shortest = as_points(points), positive(min_lifetime, "min_lifetime")
-    diagram = rips_persistence(array) if diagram is None else diagram
-    killers = diagram.killer_edge[diagram.lifetime > shortest]
-    return min(
-        (
-            float(edge_distances(cdist(array, array[killer]), killers[:i], np.array([0, 1])).min())
-            for i, killer in enumerate(killers)
-            if i
-        ),
-        default=np.inf,
-    )
+    array = as_points(points)
+    return killer_separation(cdist(array, array), rips_persistence(array), positive(min_lifetime, "min_lifetime"))

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-__all__ = ["Check", "LoopCheck", "Verdict", "Witness"]
+__all__ = ["Check", "LoopCheck", "Verdict", "Witness", "compared"]
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,20 @@ class Verdict:
         """The statement is refuted: what it assumes is so, and it does not hold."""
         return self.hypotheses and not self.holds
 
+    @property
+    def word(self) -> str:
+        """What became of it, for a reader."""
+        if not self.loops:
+            return "empty"
+        return "holds" if self.holds else "FAILS" if self.hypotheses else "fails (so do its hypotheses)"
+
+
+def compared(
+    statistic: float, bound: float, tolerance: float, loops: int, witness: Witness | None, hypotheses: bool = True
+) -> Verdict:
+    """Whether ``statistic <= bound``, up to rounding."""
+    return Verdict(statistic, bound, statistic <= bound + tolerance, hypotheses, loops, witness)
+
 
 @dataclass(frozen=True)
 class LoopCheck:
@@ -136,20 +150,10 @@ class Check:
         return named | ({"intrinsic": self.intrinsic} if self.intrinsic else {}) | dict(self.further)
 
     def __str__(self) -> str:
-        lines = [
-            f"{self.statement}: alpha {self.alpha:.4g}, epsilon {self.epsilon:.4g}, distortion {self.distortion:.4g}"
-        ]
+        constants = f"alpha {self.alpha:.4g}, epsilon {self.epsilon:.4g}, distortion {self.distortion:.4g}"
+        lines = [f"{self.statement}: {constants}"]
         for name, v in self.versions.items():
-            word = (
-                "empty"
-                if not v.loops
-                else "holds"
-                if v.holds
-                else "FAILS"
-                if v.hypotheses
-                else "fails (so do its hypotheses)"
-            )
-            lines.append(f"  {name}: {v.statistic:.4g} <= {v.bound:.4g} {word}, {v.loops} loops")
+            lines.append(f"  {name}: {v.statistic:.4g} <= {v.bound:.4g} {v.word}, {v.loops} loops")
             if v.witness and not v.holds:
                 lines.append(f"    {v.witness.what}: loop {v.witness.loop} of {v.witness.of}, edge {v.witness.edge}")
         return "\n".join(lines)

@@ -1,0 +1,211 @@
+"""A state with its observation, and two of them in succession: what the statements are about, computed once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from .._validate import as_points
+from ..rips import Diagram, rips_persistence
+from ..sampling import covering_radius
+from ._matching import Matching, match_diagrams
+from ._measures import (
+    Beta,
+    distortion,
+    farthest_edges,
+    hausdorff_of_edges,
+    killer_separation,
+    max_displacement,
+    same_points,
+)
+from ._verdict import Witness
+
+__all__ = ["State", "Step", "observed_state", "observed_step", "vertex_ids"]
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+STORED = 1e-4  # how far a coordinate may be from its vertex: episodes are stored with 16 bits
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """All points of the scene at one time, S, and the vertices of it that are observed, O."""
+
+    points: Array
+    ids: Ids
+
+    @cached_property
+    def diagram(self) -> Diagram:
+        return rips_persistence(self.points)
+
+    @cached_property
+    def observed_diagram(self) -> Diagram:
+        return rips_persistence(self.points[self.ids])
+
+    @cached_property
+    def alpha(self) -> float:
+        return covering_radius(self.points, self.points[self.ids])
+
+    @cached_property
+    def matching(self) -> Matching:
+        """Of the loops of S to those of O, one-sided."""
+        return match_diagrams(self.diagram, self.observed_diagram, one_sided=True, tolerance=self.tolerance)
+
+    @cached_property
+    def tolerance(self) -> float:
+        """What rounding may do to a comparison: 1e-9 of the size of the cloud."""
+        return 1e-9 * float(np.ptp(self.points, axis=0).max(initial=0.0))
+
+    @cached_property
+    def distances(self) -> Array:
+        return np.asarray(cdist(self.points, self.points))
+
+    def beta_all(self, min_lifetime: float, below: float, above: float) -> Beta:
+        """Rivals among all edges of half length in [death - below, death + above]."""
+        return farthest_edges(self.distances, self.diagram, min_lifetime, (below, above))
+
+    def beta_critical(self, min_lifetime: float, alpha: float, epsilon: float, *, nearest: bool = False) -> Beta:
+        """Rivals among critical edges, as `beta_critical`."""
+        window, critical = (2 * epsilon, alpha + 2 * epsilon), (alpha, epsilon)
+        return farthest_edges(self.distances, self.diagram, min_lifetime, window, critical=critical, nearest=nearest)
+
+    def separation(self, min_lifetime: float) -> float:
+        """As `feature_separation`."""
+        return killer_separation(self.distances, self.diagram, min_lifetime)
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A state and the same points a moment later; the places of its loops are "S_t", "O_t", "S_t+1" and "O_t+1"."""
+
+    before: State
+    after: State
+
+    @cached_property
+    def epsilon(self) -> float:
+        return max_displacement(self.before.points, self.after.points)
+
+    @cached_property
+    def distortion(self) -> float:
+        return distortion(self.before.points, self.after.points)
+
+    @cached_property
+    def matching(self) -> Matching:
+        return match_diagrams(self.before.diagram, self.after.diagram)
+
+    @property
+    def alpha(self) -> float:
+        return max(self.before.alpha, self.after.alpha)
+
+    @property
+    def tolerance(self) -> float:
+        return max(self.before.tolerance, self.after.tolerance)
+
+    def state(self, place: str) -> State:
+        return self.after if place.endswith("+1") else self.before
+
+    def diagram(self, place: str) -> Diagram:
+        return self.state(place).diagram if place.startswith("S") else self.state(place).observed_diagram
+
+    def killer_edge(self, place: str, loop: int) -> Ids:
+        """Vertex ids, in the state, of the killer edge of a loop of this place."""
+        edge = self.diagram(place).killer_edge[loop]
+        return edge if place.startswith("S") else self.state(place).ids[edge]
+
+    def killer(self, place: str, loop: int) -> Ids | None:
+        """Vertex ids of the killer edge that a loop of S_t has in a place; None where it has no counterpart there."""
+        if place.endswith("+1"):
+            loop = int(self.matching.partner[loop])
+        if place.startswith("O") and loop >= 0:
+            loop = int(self.state(place).matching.partner[loop])
+        return self.killer_edge(place, loop) if loop >= 0 else None
+
+    def edge_distance(self, place: str, edge: Ids | None, other_place: str, other: Ids | None) -> float:
+        """Hausdorff distance of two edges, inf when there is none."""
+        if edge is None or other is None:
+            return float("inf")
+        ends = self.state(place).points[edge], self.state(other_place).points[other]
+        return float(hausdorff_of_edges(cdist(*ends)))
+
+    def witness(self, place: str, loop: int, what: str) -> Witness | None:
+        """A loop of a place as a witness, None for the loop -1."""
+        if loop < 0:
+            return None
+        diagram, (a, b) = self.diagram(place), self.killer_edge(place, loop).tolist()
+        return Witness(place, loop, float(diagram.birth[loop]), float(diagram.death[loop]), (a, b), what)
+
+
+def observed_state(state: ArrayLike, observed: ArrayLike) -> Step:
+    """A state with what is observed of it, checked, as a step in which nothing moves."""
+    points = as_points(state, "state")
+    if len(points) == 0:
+        raise ValueError("state has no points")
+    seen = State(points, vertex_ids(points, observed))
+    return Step(seen, seen)
+
+
+def observed_step(
+    before: ArrayLike, observed_before: ArrayLike | None, after: ArrayLike, observed_after: ArrayLike | None
+) -> Step:
+    """Two states with what is observed of them, checked; all vertices are where that is None."""
+    clouds = same_points(before, after)
+    names = {"observed_before": observed_before, "observed_after": observed_after}
+    ids = [
+        np.arange(len(cloud)) if observed is None else vertex_ids(cloud, observed, name)
+        for cloud, (name, observed) in zip(clouds, names.items(), strict=True)
+    ]
+    return Step(*(State(cloud, seen) for cloud, seen in zip(clouds, ids, strict=True)))
+
+
+def vertex_ids(points: ArrayLike, observed: ArrayLike, name: str = "observed") -> Ids:
+    """Return which vertices of a state are observed, each once, ascending.
+
+    Parameters
+    ----------
+    points : (n, d) array_like
+        The dense state.
+    observed : (m,) array_like of int, or (m, d) array_like
+        Vertex ids, or coordinates of vertices.
+    name : str
+        What messages call it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        When nothing is observed, an id is out of range, or an observed point is no vertex: the statements are about subsets
+        of the state.
+
+    Examples
+    --------
+    >>> vertex_ids([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]], [[2.0, 0.0], [0.0, 0.0]])
+    array([0, 2])
+    """
+    state, ids = as_points(points), np.asarray(observed)
+    if ids.size == 0:
+        raise ValueError(f"{name} is empty; a state without a single observed point has no covering radius")
+    if ids.ndim != 1:
+        return np.unique(_nearest_vertices(state, as_points(observed, name), name)).astype(np.int64)
+    if not np.issubdtype(ids.dtype, np.integer):
+        raise TypeError(f"{name} must be vertex ids (integers) or an (m, d) array of points, not {ids.dtype}")
+    if ids.min() < 0 or ids.max() >= len(state):
+        wrong = int(ids.min() if ids.min() < 0 else ids.max())
+        raise ValueError(f"{name} names vertex {wrong}; the state has {len(state)}, numbered from 0")
+    return np.unique(ids).astype(np.int64)
+
+
+def _nearest_vertices(state: Array, cloud: Array, name: str) -> Ids:
+    if cloud.shape[1] != state.shape[1]:
+        raise ValueError(f"{name} has {cloud.shape[1]} dimensions, the state {state.shape[1]}")
+    distance, nearest = cKDTree(state).query(cloud)
+    if distance.max() > STORED:
+        far = int(np.argmax(distance))
+        raise ValueError(
+            f"{name} must be vertices of the state: point {far} is {distance[far]:.3g} from the nearest one; "
+            "what cameras see is on the surface between vertices, take a subsample of the vertices instead"
+        )
+    return np.asarray(nearest)
