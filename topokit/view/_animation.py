@@ -15,6 +15,7 @@ from topokit._validate import positive
 from topokit.io import Episode
 from topokit.state import TopologicalState
 from topokit.view._render import render_cloth
+from topokit.view._scene import one_a_frame
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -32,7 +33,7 @@ def save_animation(
     speed: float = 1.0,
     size: tuple[int, int] = (420, 520),
     progress: bool = False,
-    **look: Any,
+    **scene: Any,
 ) -> Path:
     """Render an episode and write it as an animated GIF, in one piece.
 
@@ -41,6 +42,7 @@ def save_animation(
     path : str or Path
         Ends in .gif.
     episode : Episode
+        Its cloth and its target are drawn.
     states : sequence of TopologicalState, optional
         One a frame, as `topokit.track` gives: their killer triangles are drawn.
     rods : iterable of (start, end, radius)
@@ -53,51 +55,43 @@ def save_animation(
         Width and height in pixels.
     progress : bool
         Count the pictures on stderr.
-    **look
-        Other options of `render_cloth`: view, zoom, focus.
-
-    Returns
-    -------
-    Path
+    **scene
+        The view, zoom and focus of `Scene`.
 
     Raises
     ------
     ValueError
         When `path` does not end in .gif, `every` is not a positive whole number, or the states are not one a frame.
     """
-    from PIL.Image import Quantize
-
     path = Path(path)
     if path.suffix.lower() != ".gif":
         raise ValueError(f"{path}: an animation ends in .gif")
     if every != int(every) or every < 1:
         raise ValueError(f"every must be a whole number of frames, 1 or more, not {every}")
-    if states and len(states) != len(episode):
-        raise ValueError(f"there are {len(states)} states for {len(episode)} frames")
     positive(speed, "speed", zero=False)
-    frames, rods = range(0, len(episode), int(every)), list(rods)
-    if "focus" not in look:  # a camera that stands still
+    if states:
+        one_a_frame(episode, states)
+    if "focus" not in scene:  # a camera that stands still
         corners = np.concatenate([episode.points.reshape(-1, 3), episode.centre_line])
-        look["focus"] = (corners.min(axis=0) + corners.max(axis=0)) / 2
+        scene["focus"] = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    scene |= {"true_loops": episode.loops, "centre_line": episode.centre_line, "rods": list(rods)}
+    frames = range(0, len(episode), int(every))
     pictures: list[Image] = []
-    for number, frame in enumerate(frames):
-        picture = render_cloth(
-            episode.points[frame],
-            episode.faces,
-            loops=states[frame].loops if states else (),
-            true_loops=episode.loops,
-            centre_line=episode.centre_line,
-            rods=rods,
-            size=size,
-            **look,
-        )
-        pictures.append(picture.quantize(160, Quantize.FASTOCTREE))  # a median cut loses small patches of colour
+    for number, frame in enumerate(frames, 1):
+        loops = states[frame].loops if states else ()
+        picture = render_cloth(episode.points[frame], episode.faces, size=size, loops=loops, **scene)
+        pictures.append(_quantized(picture))
         if progress:
-            end = "\n" if number + 1 == len(frames) else ""
-            print(f"\rdrawing: picture {number + 1} of {len(frames)}", end=end, file=sys.stderr, flush=True)
+            end = "\n" if number == len(frames) else ""
+            print(f"\rdrawing: picture {number} of {len(frames)}", end=end, file=sys.stderr, flush=True)
     pause = max(20, round(1000 * episode.dt * every / speed))  # milliseconds; browsers slow down what is faster
+    options: dict[str, Any] = {"save_all": True, "duration": pause, "loop": 0, "optimize": True}
     with atomic_file(path) as file:
-        pictures[0].save(
-            file, format="GIF", save_all=True, append_images=pictures[1:], duration=pause, loop=0, optimize=True
-        )
+        pictures[0].save(file, format="GIF", append_images=pictures[1:], **options)
     return path
+
+
+def _quantized(picture: Image) -> Image:
+    from PIL.Image import Quantize
+
+    return picture.quantize(160, Quantize.FASTOCTREE)  # a median cut loses small patches of colour

@@ -1,0 +1,140 @@
+"""The cloth in space by Matplotlib alone. Taught in chapter 0."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from topokit.view._axes import new_axes
+from topokit.view._palette import loop_colour
+from topokit.view._scene import Scene, direction
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["draw_cloth", "plot_cloth", "subdivide"]
+
+Array = NDArray[np.float64]
+CLOTH, ROD, INK = "#E8E2D4", "#5B6B7C", "#1C2733"
+
+
+def plot_cloth(points: ArrayLike, faces: ArrayLike = (), *, ax: Axes | None = None, **scene: Any) -> Axes:
+    """Draw a cloth in space with the killer triangles of its loops, by Matplotlib alone: it works on every machine.
+
+    `render_cloth` draws the same with PyVista, and better.
+
+    Parameters
+    ----------
+    points : (N, 3) array_like
+        Metres, z up.
+    faces : (F, 3) array_like of int
+        The points alone are drawn when there are none.
+    ax : matplotlib Axes of projection "3d", optional
+        A new figure's when not given.
+    **scene
+        What else is drawn, and from where: the other parameters of `Scene`.
+
+    Raises
+    ------
+    ValueError
+        When `ax` is flat, or anything else is not of its kind.
+    """
+    checked = Scene(points, faces, **scene)
+    axes: Any = new_axes(ax, projection="3d")
+    if not hasattr(axes, "add_collection3d"):
+        raise ValueError("ax must be a 3D one: plt.figure().add_subplot(projection='3d')")
+    draw_cloth(axes, checked)
+    drawn: Axes = axes
+    return drawn
+
+
+def draw_cloth(axes: Any, scene: Scene) -> None:
+    """Cloth and rods, then what stands above them, whatever its depth."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+
+    axes.set_autoscale_on(False)  # `_fit` sets the limits
+    axes.computed_zorder = False
+    # Cloth and rods are one collection, because Matplotlib sorts by depth only inside a collection; all triangles, because
+    # it would pad faces of several lengths with whatever is in memory, and now and then fail on what it finds there.
+    polygons = np.concatenate(
+        [scene.points[scene.faces], *(tube(subdivide(line, 40), radius) for line, radius in scene.rods)]
+    )
+    colours = _shaded(polygons, len(scene.faces), scene.view)
+    axes.add_collection3d(Poly3DCollection(polygons, facecolors=colours, edgecolors=colours, linewidths=0.8, zorder=1))
+    if not len(scene.faces):
+        axes.scatter(*scene.points.T, s=4, color=ROD, zorder=1)
+    for cycle in scene.true_loops:
+        axes.plot(*cycle.T, color=INK, linewidth=1.6, zorder=2)
+    for loop in scene.loops:
+        colour = loop_colour(loop.id)
+        killers = Poly3DCollection(list(loop.killer_triangles), zorder=3)
+        killers.set(facecolor=(colour, 0.45), edgecolor=colour)
+        axes.add_collection3d(killers)
+        axes.add_collection3d(Line3DCollection([loop.killer_edge_points], colors=colour, linewidths=3, zorder=4))
+    _fit(axes, scene)
+
+
+def _fit(axes: Any, scene: Scene) -> None:
+    """Fit the axes tightly around everything as the eye sees it, without box or ticks."""
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+    everything = scene.everything if len(scene.everything) else np.zeros((1, 3))
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    size = np.maximum(high - low, 1e-3 * max(float((high - low).max()), 1e-6))
+    middle = (low + high) / 2
+    axes.set(**{f"{name}lim": (m - s / 2, m + s / 2) for name, m, s in zip("xyz", middle, size, strict=True)})
+    axes.set_box_aspect(size)
+    axes.view_init(elev=scene.view[1], azim=scene.view[0])
+    axes.set_axis_off()
+    # Matplotlib frames the box's diagonal; its flat view limits are set to what is seen, in a square.
+    flat = np.array(proj_transform(*everything.T, axes.get_proj())[:2])
+    half = 0.53 * float(np.ptp(flat, axis=1).max()) / scene.zoom or 0.1
+    centre = (flat.min(axis=1) + flat.max(axis=1)) / 2
+    if scene.focus is not None:
+        centre = np.array(proj_transform(*scene.focus, axes.get_proj())[:2])
+    axes.viewLim.intervalx, axes.viewLim.intervaly = (tuple(m + half * np.array([-1, 1])) for m in centre)
+
+
+def subdivide(line: Array, pieces: int = 60) -> Array:
+    """Cut a (K, 3) polyline into short pieces, so that sorting them by depth puts each before or behind the cloth."""
+    if len(line) < 2:
+        return line
+    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    places = np.union1d(np.linspace(0.0, walked[-1], pieces), walked)
+    return np.stack([np.interp(places, walked, line[:, axis]) for axis in range(3)], axis=1)
+
+
+def tube(line: Array, radius: float, sides: int = 8) -> Array:
+    """(m, 3, 3) the triangles of a tube around a polyline of two points or more.
+
+    Idea: carry one normal along the line, at each point made perpendicular to the direction there, so that the tube
+    does not twist.
+    """
+    along = np.gradient(line, axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    normal = np.eye(3)[np.argmin(np.abs(along[0]))]
+    angles = np.linspace(0.0, 2 * np.pi, sides, endpoint=False)
+    rings = []
+    for point, ahead in zip(line, along, strict=True):
+        normal = normal - (normal @ ahead) * ahead
+        normal /= max(float(np.linalg.norm(normal)), 1e-12)
+        other = np.cross(ahead, normal)
+        rings.append(point + radius * (np.cos(angles)[:, None] * normal + np.sin(angles)[:, None] * other))
+    ring = np.array(rings)  # (K, sides, 3)
+    turned = np.roll(ring, -1, axis=1)
+    halves = [ring[:-1], ring[1:], turned[1:]], [ring[:-1], turned[1:], turned[:-1]]
+    return np.concatenate([np.stack(half, axis=2).reshape(-1, 3, 3) for half in halves])
+
+
+def _shaded(polygons: Array, n_cloth: int, view: tuple[float, float]) -> Array:
+    """(m, 3) colours of cloth faces, then of the rods'; the lamp, above the eye's left shoulder, shines on both sides."""
+    from matplotlib.colors import to_rgb
+
+    base = np.array([to_rgb(CLOTH)] * n_cloth + [to_rgb(ROD)] * (len(polygons) - n_cloth)).reshape(-1, 3)
+    lamp = direction(view[0] - np.degrees(0.6), min(view[1] + np.degrees(0.6), np.degrees(1.4)))
+    normals = np.cross(polygons[:, 1] - polygons[:, 0], polygons[:, 2] - polygons[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
+    shaded: Array = base * (0.45 + 0.55 * np.abs(normals @ lamp))[:, None]
+    return shaded
