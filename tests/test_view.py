@@ -347,11 +347,11 @@ def test_an_animation_of_an_episode(episode, tmp_path, monkeypatch):
     monkeypatch.setattr(_render, "pyvista_works", lambda: (False, "not here"))
     states = tk.track(episode.points)
     rods = [(episode.centre_line[0], episode.centre_line[1], 0.02)]
-    path = view.save_animation(tmp_path / "film.gif", episode, states, rods=rods, every=2, size=(120, 150), speed=0.5)
+    path = view.save_animation(tmp_path / "film.gif", episode, states, rods=rods, every=2, size=(120, 150))
     with Image.open(path) as film:
         assert film.n_frames == 3
         assert film.size == (120, 150)
-        assert film.info["duration"] == pytest.approx(2000 * 2 * episode.dt, abs=10)
+        assert film.info["duration"] == pytest.approx(1000 * 2 * episode.dt, abs=10)
     for name, options in (("film.mp4", {}), ("film.gif", {"every": 0}), ("film.gif", {"states": states[1:]})):
         with pytest.raises(ValueError, match=r"\.gif|every|states has 5 frames where episode has 6"):
             view.save_animation(tmp_path / name, episode, **options)

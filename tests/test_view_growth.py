@@ -27,14 +27,12 @@ def test_holds_the_points_to_the_last_digit():
 
 
 def test_holds_its_options():
-    data = page_data(
-        view.growth(SQUARE, start=1, max_radius=3, height=321, balls=False, title="four </script> corners")
-    )
-    assert (data["start"], data["end"], data["height"], data["balls"]) == (1.0, 3.0, 321, False)
+    data = page_data(view.growth(SQUARE, start=1, max_radius=3, height=321, title="four </script> corners"))
+    assert (data["start"], data["end"], data["height"]) == (1.0, 3.0, 321)
     assert data["title"] == "four </script> corners"
     assert data["palette"] == list(OKABE_ITO)
     plain = page_data(view.growth(SQUARE))
-    assert (plain["start"], plain["end"], plain["balls"]) == (None, None, True)
+    assert (plain["start"], plain["end"]) == (None, None)
 
 
 def test_asks_nothing_of_the_network():

@@ -29,14 +29,11 @@ def no_figures_left():
 # ---- the page of the nudge
 
 
-def test_nudge_holds_clouds_to_the_last_digit_and_its_options():
+def test_nudge_holds_clouds_to_the_last_digit():
     points = np.random.default_rng(0).normal(size=(24, 2)) / 3
-    data = page_data(
-        view.nudge({"third": points, "square": SQUARE}, vertex=3, direction="along", height=321, title="</script>")
-    )
-    assert list(data["shapes"]) == ["third", "square"]
-    np.testing.assert_array_equal(data["shapes"]["third"], points)
-    assert (data["vertex"], data["direction"], data["height"], data["title"]) == (3, "along", 321, "</script>")
+    data = page_data(view.nudge({"third </script>": points, "square": SQUARE}))
+    assert list(data["shapes"]) == ["third </script>", "square"]
+    np.testing.assert_array_equal(data["shapes"]["third </script>"], points)
     assert list(page_data(view.nudge(SQUARE))["shapes"].values()) == [SQUARE]
 
 
@@ -50,21 +47,19 @@ def test_nudge_asks_nothing_of_the_network():
 
 
 @pytest.mark.parametrize(
-    ("points", "options", "message"),
+    ("points", "message"),
     [
-        (np.zeros((5, 3)), {}, r"points must lie in the plane, not in 3 dimensions"),
-        ({"cube": np.zeros((8, 3))}, {}, r"cube must lie in the plane"),
-        (np.zeros((25, 2)), {}, "points must be 1 to 24 points, not 25; see topokit.farthest_point_sample"),
-        (np.zeros((0, 2)), {}, "points must be 1 to 24 points, not 0"),
-        ({}, {}, "points names no cloud"),
-        ([[0.0, np.nan]], {}, "NaN or infinite"),
-        (SQUARE, {"vertex": 4}, "points has no vertex 4; its 4 points are numbered from 0"),
-        (SQUARE, {"direction": "up"}, "direction must be one of .* not 'up'"),
+        (np.zeros((5, 3)), "points must lie in the plane, not in 3 dimensions"),
+        ({"cube": np.zeros((8, 3))}, "cube must lie in the plane"),
+        (np.zeros((25, 2)), "points must be 1 to 24 points, not 25; see topokit.farthest_point_sample"),
+        (np.zeros((0, 2)), "points must be 1 to 24 points, not 0"),
+        ({}, "points names no cloud"),
+        ([[0.0, np.nan]], "NaN or infinite"),
     ],
 )
-def test_nudge_refuses_what_it_cannot_show(points, options, message):
+def test_nudge_refuses_what_it_cannot_show(points, message):
     with pytest.raises(ValueError, match=message):
-        view.nudge(points, **options)
+        view.nudge(points)
 
 
 # ---- its script, run by node

@@ -18,9 +18,9 @@ SQUARE = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
 
 def test_coverage_holds_the_scene_and_who_is_observed():
     points = np.random.default_rng(0).normal(size=(30, 2)) / 3
-    data = page_data(view.coverage(points, [4, 2, 4, 0], height=321, title="thirty </script> points"))
+    data = page_data(view.coverage(points, [4, 2, 4, 0], title="thirty </script> points"))
     np.testing.assert_array_equal(data["points"], points)
-    assert (data["observed"], data["height"], data["title"]) == ([0, 2, 4], 321, "thirty </script> points")
+    assert (data["observed"], data["title"]) == ([0, 2, 4], "thirty </script> points")
 
 
 def test_motion_holds_both_ends_and_the_leash():
@@ -46,9 +46,9 @@ def test_pages_are_whole_small_and_ask_nothing_of_the_network(figure, tmp_path):
     [
         (lambda: view.coverage(np.zeros((5, 3)), [0]), ValueError, "points must lie in the plane, not in 3 dimensions"),
         (lambda: view.coverage(np.zeros((61, 2)), [0]), ValueError, "points must be 1 to 60 points, not 61"),
-        (lambda: view.coverage(SQUARE, []), TypeError, "observed must be one or more ids"),
-        (lambda: view.coverage(SQUARE, [0.5]), TypeError, "observed must be one or more ids"),
-        (lambda: view.coverage(SQUARE, [1, 4]), ValueError, "observed must name points from 0 to 3, not 1 to 4"),
+        (lambda: view.coverage(SQUARE, []), ValueError, "observed is empty"),
+        (lambda: view.coverage(SQUARE, [0.5]), TypeError, "observed must be vertex ids"),
+        (lambda: view.coverage(SQUARE, [1, 4]), ValueError, "observed names vertex 4; the state has 4"),
         (lambda: view.motion(np.zeros((5, 3)), 1), ValueError, "points must lie in the plane"),
         (lambda: view.motion(SQUARE, 0), ValueError, "epsilon must be more than zero"),
         (

@@ -14,16 +14,14 @@ from importlib.util import find_spec
 if find_spec("matplotlib") is None:
     raise ImportError("topokit.view needs matplotlib: pip install 'topokit[view]'")
 
-from ._animation import save_animation
-from ._cloth import plot_cloth
+from ._cloth import Scene, plot_cloth
 from ._flow import data_flow
 from ._lunes import plot_lens, plot_lune
 from ._palette import appearances, loop_colour
 from ._planar import coverage, growth, motion, nudge
 from ._player import player
 from ._plots import plot_diagram, plot_tracks, track_figure
-from ._render import pyvista_works, render_cloth
-from ._scene import Scene
+from ._render import pyvista_works, render_cloth, save_animation
 
 __all__ = [
     "Scene",

@@ -6,14 +6,13 @@ Taught in chapters 2 and 5.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import positive
-from topokit.view._axes import bare, draw_dots, draw_edges, new_axes
-from topokit.view._palette import OKABE_ITO
+from topokit.view._palette import OKABE_ITO, new_axes
 from topokit.view._planar import planar
 
 if TYPE_CHECKING:
@@ -53,21 +52,21 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
     joined = _joined_before(cloud, x, y)
     components = _components(np.flatnonzero(joined[x] & joined[y]), joined)
     axes = new_axes(ax)
-    draw_edges(axes, cloud, joined, colors="0.72", linewidths=0.7, zorder=1)
+    _draw_edges(axes, cloud, joined, colors="0.72", linewidths=0.7, zorder=1)
     outline = _outline(cloud[x], cloud[y], float(np.hypot(*(cloud[y] - cloud[x]))))
     axes.fill(*outline.T, facecolor="0.5", alpha=0.14, edgecolor="0.4", linestyle="--", zorder=0)
-    draw_dots(axes, cloud, "0.45", 3.5, zorder=3)
+    _draw_dots(axes, cloud, "0.45", 3.5, zorder=3)
     for i, vertices in enumerate(components):
         part, colour = cloud[vertices], _COMPONENTS[i % len(_COMPONENTS)]
-        draw_edges(axes, part, joined[np.ix_(vertices, vertices)], colors=colour, linewidths=1.6, zorder=2)
-        draw_dots(axes, part, colour, 7, zorder=4)
+        _draw_edges(axes, part, joined[np.ix_(vertices, vertices)], colors=colour, linewidths=1.6, zorder=2)
+        _draw_dots(axes, part, colour, 7, zorder=4)
         if len(components) > 1:
             longer = np.linalg.norm(part[:, None] - cloud[[x, y]], axis=2).max(axis=1)
             triangle = np.vstack([cloud[[x, y]], part[np.argmin(longer)]])
             axes.fill(*triangle.T, facecolor=_EDGE, alpha=0.22, zorder=1)
     _draw_edge(axes, cloud[[x, y]])
     count = len(components)
-    return bare(axes, "empty" if count == 0 else "connected" if count == 1 else f"{count} components")
+    return _bare(axes, "empty" if count == 0 else "connected" if count == 1 else f"{count} components")
 
 
 def plot_lens(
@@ -110,13 +109,32 @@ def plot_lens(
     axes.fill(*sure.T, facecolor="0.5", alpha=0.18)
     steps = distances[np.ix_(inner, inner)] < length - 2 * alpha - 4 * epsilon
     np.fill_diagonal(steps, False)
-    draw_edges(axes, cloud[inner], steps, colors="0.75", linewidths=0.3, zorder=1)
-    draw_dots(axes, cloud, "0.55", 2.5, zorder=2)
-    draw_dots(axes, cloud[inner], "0.3", 3, zorder=2)
+    _draw_edges(axes, cloud[inner], steps, colors="0.75", linewidths=0.3, zorder=1)
+    _draw_dots(axes, cloud, "0.55", 2.5, zorder=2)
+    _draw_dots(axes, cloud[inner], "0.3", 3, zorder=2)
     axes.plot(*cloud[path].T, "-", color=_PATH, linewidth=2.2, zorder=3)
     _draw_edge(axes, cloud[[x, y]])
-    draw_dots(axes, cloud[pair], _BLOCKED if critical else _PATH, 8, zorder=5)
-    return bare(axes, "critical" if critical else "not critical")
+    _draw_dots(axes, cloud[pair], _BLOCKED if critical else _PATH, 8, zorder=5)
+    return _bare(axes, "critical" if critical else "not critical")
+
+
+def _draw_dots(axes: Axes, places: Array, colour: str, size: float, zorder: float) -> None:
+    axes.plot(*places.T, "o", color=colour, markersize=size, zorder=zorder)
+
+
+def _draw_edges(axes: Axes, cloud: Array, joined: NDArray[np.bool_], **look: Any) -> None:
+    """The edges of a graph of places."""
+    from matplotlib.collections import LineCollection
+
+    axes.add_collection(LineCollection(list(cloud[np.argwhere(np.triu(joined))]), **look))
+
+
+def _bare(axes: Axes, title: str) -> Axes:
+    """One scale for both directions, and no frame."""
+    axes.set_title(title)
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    return axes
 
 
 def _draw_edge(axes: Axes, ends: Array) -> None:
@@ -180,32 +198,30 @@ def _witness(distances: Array, x: int, y: int, alpha: float, epsilon: float) -> 
     asked = np.triu(apart >= length - 4 * epsilon, 1)
     if not asked.any():
         return none, none, inner
-    walked, before = _paths(distances, lens, inner, end_step, end_step - alpha)
-    blocked = asked & np.isinf(walked)
-    i, j = np.unravel_index(int(np.argmax(np.where(blocked if blocked.any() else asked, apart, -1.0))), apart.shape)
-    if blocked.any():
-        return lens[[i, j]], none, inner
-    place, path = len(lens) + int(j), []
-    while place >= 0:
-        path.append(place)
-        place = int(before[i, place])
-    return lens[[i, j]], np.concatenate([lens, lens, inner])[path[::-1]], inner
+    steps = distances[np.ix_(inner, inner)] < end_step - alpha
+    ends = distances[np.ix_(lens, inner)] < end_step
+    reached = np.array([ends[:, part].any(axis=1) for part in _components(np.arange(len(inner)), steps)], dtype=int)
+    blocked = asked & (reached.T @ reached == 0) if len(inner) else asked
+    pair = lens[
+        list(np.unravel_index(np.argmax(np.where(blocked if blocked.any() else asked, apart, -1)), apart.shape))
+    ]
+    return pair, none if blocked.any() else _path(distances, pair, inner, end_step, end_step - alpha), inner
 
 
-def _paths(distances: Array, lens: Ids, inner: Ids, end_step: float, step: float) -> tuple[Array, Ids]:
-    """(n, n) lengths of the shortest paths through `inner` between n points of the lens, and each place's predecessor.
-
-    The places of a path are the lens twice, where it may begin and where it may end, and the carriers in between.
-    """
+def _path(distances: Array, pair: Ids, inner: Ids, end_step: float, step: float) -> Ids:
+    """The shortest path between two points through others, by steps below a limit, which is another at the ends."""
     from scipy.sparse.csgraph import dijkstra
 
-    n, m = len(lens), len(inner)
-    tiny = 1e-9 * float(distances.max())  # a step of no length is a step
-    ends, between = distances[np.ix_(lens, inner)], distances[np.ix_(inner, inner)]
-    graph = np.zeros((2 * n + m, 2 * n + m))
-    graph[:n, 2 * n :] = np.where(ends < end_step, ends + tiny, 0)
-    graph[2 * n :, n : 2 * n] = graph[:n, 2 * n :].T
-    graph[2 * n :, 2 * n :] = np.where(between < step, between + tiny, 0)
+    places, last = np.concatenate([inner, pair]), len(inner)
+    graph = distances[np.ix_(places, places)]
+    limit = np.full(graph.shape, step)
+    limit[last:], limit[:, last:] = end_step, end_step
+    limit[last:, last:] = 0.0
+    tiny = 1e-9 * float(graph.max())  # a step of no length is a step
+    graph = np.where(graph < limit, graph + tiny, 0.0)
     np.fill_diagonal(graph, 0.0)
-    walked, before = dijkstra(graph, indices=np.arange(n), return_predecessors=True)
-    return walked[:, n : 2 * n], before
+    _, before = dijkstra(graph, indices=last, return_predecessors=True)
+    path = [last + 1]
+    while path[-1] != last:
+        path.append(int(before[path[-1]]))
+    return places[path[::-1]]

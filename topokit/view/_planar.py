@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import as_points, positive
+from topokit.lemmas import vertex_ids
 from topokit.view._frame import Framed, framed
 
 __all__ = ["coverage", "growth", "motion", "nudge", "planar"]
@@ -20,7 +21,6 @@ __all__ = ["coverage", "growth", "motion", "nudge", "planar"]
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
 REACHES = (0.05, 1e-3, 1e-6, 1e-9)
-DIRECTIONS = ("outward", "along")
 
 
 def growth(
@@ -29,7 +29,6 @@ def growth(
     height: int = 500,
     start: float | None = None,
     max_radius: float | None = None,
-    balls: bool = True,
     title: str = "drag a point",
 ) -> Framed:
     """Return an interactive figure of the Rips complex of a planar cloud as the radius grows, and of its loops.
@@ -48,15 +47,13 @@ def growth(
         The radius shown before anyone touches the figure; in the middle of the longest life by default.
     max_radius : float, optional
         Where the slider ends; a little after the last death by default.
-    balls : bool
-        Whether the balls are drawn from the start; the reader can turn them off and on.
     title : str
         The caption in the corner of the figure.
 
     Raises
     ------
-    TypeError, ValueError
-        When `points` is no planar cloud of at most 60 points, or a radius is not a positive number.
+    ValueError
+        When `start` lies beyond `max_radius`.
 
     Examples
     --------
@@ -68,13 +65,11 @@ def growth(
     last = None if max_radius is None else positive(max_radius, "max_radius", zero=False)
     if first is not None and last is not None and first > last:
         raise ValueError(f"start must be at most max_radius, {last}, not {first}")
-    data = {"points": cloud.tolist(), "start": first, "end": last, "balls": bool(balls)}
+    data = {"points": cloud.tolist(), "start": first, "end": last}
     return framed("growth", ("rips.js", "planar.js"), data, height, title, f"Rips complex of {len(cloud)} points")
 
 
-def coverage(
-    points: ArrayLike, observed: ArrayLike, *, height: int = 500, title: str = "click a point to hide or show it"
-) -> Framed:
+def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a point to hide or show it") -> Framed:
     """Return an interactive figure of a planar scene of which some points are observed.
 
     Balls of the covering radius alpha stand around the observed points. In the diagram every loop of the scene that lives
@@ -88,15 +83,8 @@ def coverage(
         The scene S, at most 60 points. Radii, births and deaths are in their unit.
     observed : (m,) array_like of int
         Which of them are observed at first, O.
-    height : int
-        Height of the frame in CSS pixels.
     title : str
         The caption in the corner of the figure.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When `points` is no planar cloud of at most 60 points, or `observed` does not name one or more of them.
 
     Examples
     --------
@@ -104,24 +92,13 @@ def coverage(
     Framed('3 of 4 points observed', ... kB)
     """
     cloud = planar(points, "points", MOST_POINTS)
-    ids = np.unique(np.asarray(observed))
-    if ids.ndim != 1 or not len(ids) or not np.issubdtype(ids.dtype, np.integer):
-        raise TypeError(f"observed must be one or more ids of points, not {observed!r}")
-    if ids[0] < 0 or ids[-1] >= len(cloud):
-        raise ValueError(f"observed must name points from 0 to {len(cloud) - 1}, not {ids[0]} to {ids[-1]}")
+    ids = vertex_ids(cloud, observed)
     data = {"points": cloud.tolist(), "observed": ids.tolist()}
     scripts = ("rips.js", "match.js", "planar.js")
-    return framed("coverage", scripts, data, height, title, f"{len(ids)} of {len(cloud)} points observed")
+    return framed("coverage", scripts, data, 500, title, f"{len(ids)} of {len(cloud)} points observed")
 
 
-def motion(
-    points: ArrayLike,
-    epsilon: float,
-    after: ArrayLike | None = None,
-    *,
-    height: int = 440,
-    title: str = "drag the points within their discs",
-) -> Framed:
+def motion(points: ArrayLike, epsilon: float, after: ArrayLike | None = None) -> Framed:
     """Return an interactive figure of a planar cloud whose points can be dragged, each within `epsilon` of where it was.
 
     Dragging beside all points moves them together. The diagram shows every loop before, with the square of side 2 epsilon
@@ -135,15 +112,11 @@ def motion(
         Radius of the discs at first; the reader can change it up to its double.
     after : (n, 2) array_like, optional
         Where the play button takes them, as far as the discs allow; without it there is no such button.
-    height : int
-        Height of the frame in CSS pixels.
-    title : str
-        The caption in the corner of the figure.
 
     Raises
     ------
-    TypeError, ValueError
-        When `points` is no planar cloud of at most 60 points, `after` differs in shape, or `epsilon` is not positive.
+    ValueError
+        When `after` is another number of points.
 
     Examples
     --------
@@ -155,18 +128,11 @@ def motion(
     if target is not None and target.shape != cloud.shape:
         raise ValueError(f"after must have a row for each of the {len(cloud)} points, not {len(target)}")
     data = {"points": cloud.tolist(), "after": None if target is None else target.tolist(), "epsilon": radius}
-    caption = f"{len(cloud)} points, each within {radius:g} of its place"
-    return framed("motion", ("rips.js", "match.js", "planar.js"), data, height, title, caption)
+    title, scripts = f"{len(cloud)} points, each within {radius:g} of its place", ("rips.js", "match.js", "planar.js")
+    return framed("motion", scripts, data, 440, "drag the points within their discs", title)
 
 
-def nudge(
-    points: ArrayLike | Mapping[str, ArrayLike],
-    *,
-    vertex: int = 0,
-    direction: str = "outward",
-    height: int = 480,
-    title: str = "nudge a point, or drag one",
-) -> Framed:
+def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> Framed:
     """Return an interactive figure of how far three places of the longest-lived loop move when one point does.
 
     The places are the killer edge (compared by Hausdorff distance), the barycentre of the thick killer triangle, and the
@@ -178,19 +144,11 @@ def nudge(
     ----------
     points : (n, 2) array_like, or mapping of str to (n, 2) array_like
         At most 24 points, about a unit in size; or several such clouds by name, of which the reader chooses.
-    vertex : int
-        The point that is nudged until the reader chooses another.
-    direction : {"outward", "along"}
-        Where it is nudged at first: away from the middle of the cloud, or along the circle around that. The reader can change it.
-    height : int
-        Height of the frame in CSS pixels.
-    title : str
-        The caption in the corner of the figure.
 
     Raises
     ------
-    TypeError, ValueError
-        When a cloud is no planar cloud of 1 to 24 points, it has no such vertex, or the direction is none of the two.
+    ValueError
+        When there is no cloud.
 
     Examples
     --------
@@ -201,15 +159,10 @@ def nudge(
     clouds = {str(name): planar(cloud, str(name), MOST_NUDGED) for name, cloud in given.items()}
     if not clouds:
         raise ValueError("points names no cloud; give at least one")
-    for name, cloud in clouds.items():
-        if not 0 <= vertex < len(cloud):
-            raise ValueError(f"{name} has no vertex {vertex}; its {len(cloud)} points are numbered from 0")
-    if direction not in DIRECTIONS:
-        raise ValueError(f"direction must be one of {DIRECTIONS}, not {direction!r}")
-    shapes = {name: cloud.tolist() for name, cloud in clouds.items()}
-    data = {"shapes": shapes, "vertex": int(vertex), "direction": direction, "reaches": list(REACHES)}
+    data = {"shapes": {name: cloud.tolist() for name, cloud in clouds.items()}, "reaches": list(REACHES)}
     many = " or ".join(str(len(cloud)) for cloud in clouds.values())
-    return framed("nudge", ("rips.js", "planar.js", "places.js"), data, height, title, f"Loop of {many} points, nudged")
+    title, scripts = f"Loop of {many} points, nudged", ("rips.js", "planar.js", "places.js")
+    return framed("nudge", scripts, data, 480, "nudge a point, or drag one", title)
 
 
 def planar(points: ArrayLike, name: str, most: int | None = None) -> NDArray[np.float64]:

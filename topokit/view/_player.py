@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
-from topokit.view._cloth import subdivide
+from topokit.view._cloth import as_line, one_a_frame, rod_radius, subdivide
 from topokit.view._frame import Framed, framed
 from topokit.view._palette import long_lived
-from topokit.view._scene import as_line, one_a_frame, rod_radius
 
 __all__ = ["player"]
 

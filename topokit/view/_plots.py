@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from topokit.io import Episode
 from topokit.rips import Diagram
 from topokit.state import TopologicalState
-from topokit.view._axes import new_axes
-from topokit.view._cloth import plot_cloth
-from topokit.view._palette import long_lived, loop_colour
-from topokit.view._scene import one_a_frame, rod_radius
+from topokit.view._cloth import one_a_frame, plot_cloth, rod_radius
+from topokit.view._palette import long_lived, loop_colour, new_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

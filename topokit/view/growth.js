@@ -188,7 +188,6 @@
   onReset(reset);
 
   // ---- start -------------------------------------------------------------------------------------------------
-  $("balls").checked = data.balls;
   radius = 0;
   reset();
   const [longest] = complex.loops;

@@ -97,7 +97,7 @@
   }
   function reset() {
     points = home.map((p) => [...p]);
-    vertex = Math.min(data.vertex, home.length - 1);
+    vertex = 0;
     go(0);
     sweep();
   }
@@ -130,7 +130,6 @@
   options("reach", data.reaches, data.reaches.map((r) => (r < 1e-3 ? r.toExponential(0) : r)));
   options("shape", names, names);
   $("shape").hidden = names.length < 2;
-  $("way").value = data.direction;
   choose(names[0]);
   watch(later, () => {});
 })();
