@@ -25,7 +25,6 @@ from ._verdict import Check, LoopCheck, Verdict, compared
 
 __all__ = ["converse", "corollary", "recovering_killers", "regularity_of_killers"]
 
-Ids = NDArray[np.int64]
 MORE_THAN_TWICE = 2.001  # alpha must exceed 2 epsilon in Assumption 2; a larger alpha than measured is still one
 
 
@@ -58,7 +57,7 @@ def check_recovering_killers(step: Step) -> Check:
     s, alpha = step.before, step.alpha
     everywhere = s.beta_all(alpha, alpha, alpha)
     betas = {"paper": everywhere, "corrected": s.beta_critical(alpha, alpha, 0.0)}
-    rows = [_loop_check(step, ("S_t", "O_t"), f, _bounds(f, betas)) for f in range(len(everywhere.value))]
+    rows = _loop_checks(step, ("S_t", "O_t"), [_bounds(f, betas) for f in range(len(everywhere.value))])
     separated = s.separation(alpha) > 2 * alpha + everywhere.max
     paper, corrected = _verdict(step, rows, "paper", separated), _verdict(step, rows, "corrected")
     return Check("recovering killers", paper, corrected, alpha=alpha, loops=tuple(rows))
@@ -101,7 +100,7 @@ def check_regularity(step: Step, alpha: float) -> Check:
         "intrinsic": s.beta_critical(2 * delta, 0.0, delta),
     }
     n_loops = max(len(beta.value) for beta in betas.values())
-    rows = [_loop_check(step, ("S_t", "S_t+1"), f, _bounds(f, betas, plus=epsilon)) for f in range(n_loops)]
+    rows = _loop_checks(step, ("S_t", "S_t+1"), [_bounds(f, betas, plus=epsilon) for f in range(n_loops)])
     separated = s.separation(alpha) > 2 * alpha + betas["paper"].max + epsilon
     paper, corrected, intrinsic = (_verdict(step, rows, version, separated or version != "paper") for version in betas)
     return Check("regularity of killers", paper, corrected, intrinsic, alpha, epsilon, delta, tuple(rows))
@@ -150,17 +149,13 @@ def check_corollary(step: Step) -> Check:
         "2 beta + epsilon, all edges": s.beta_all(alpha + 2 * epsilon, 2 * epsilon, alpha + 2 * epsilon),
     }
     of_the_paper = {"paper": 2 * larger + beta + epsilon, "3 beta + epsilon, all edges": 3 * beta + epsilon}
-    rows = []
-    for f in range(int((s.diagram.lifetime > alpha).sum())):
-        bounds = _bounds(f, betas, times=2, plus=epsilon)
-        image = step.matching.partner[f]
-        lifetimes = (s.diagram.lifetime[f], step.after.diagram.lifetime[image] if image >= 0 else 0.0)
-        if min(lifetimes) > larger:
-            bounds |= of_the_paper
-        row = _loop_check(step, ("O_t", "S_t", "S_t+1", "O_t+1"), f, bounds)
-        # A loop that is not seen at t + 1, and is too short-lived to have to be, says nothing.
-        if np.isfinite(row.legs[-1]) or "corrected" in bounds or "intrinsic" in bounds:
-            rows.append(row)
+    lifetimes, images = s.diagram.lifetime, np.append(step.after.diagram.lifetime, 0.0)[step.matching.partner]
+    bounds = [_bounds(f, betas, times=2, plus=epsilon) for f in range(int((lifetimes > alpha).sum()))]
+    for f in np.flatnonzero(np.minimum(lifetimes, images) > larger):
+        bounds[f] |= of_the_paper
+    rows = _loop_checks(step, ("O_t", "S_t", "S_t+1", "O_t+1"), bounds)
+    # A loop that is not seen at t + 1, and is too short-lived to have to be, says nothing.
+    rows = [row for row in rows if np.isfinite(row.legs[-1]) or {"corrected", "intrinsic"} & set(row.bounds)]
     separated = s.separation(larger) > 2 * larger + beta + epsilon
     paper, corrected, intrinsic = (
         _verdict(step, rows, version, separated or version != "paper")
@@ -176,12 +171,13 @@ def _bounds(f: int, betas: dict[str, Beta], *, times: int = 1, plus: float = 0.0
     return {name: times * float(b.value[f]) + plus for name, b in betas.items() if f < len(b.value)}
 
 
-def _loop_check(step: Step, places: Sequence[str], f: int, bounds: dict[str, float]) -> LoopCheck:
-    """How far the killers of loop f of S_t lie apart from place to place, and in the first and the last."""
-    killers = [(place, step.killer(place, f)) for place in places]
-    legs = tuple(step.edge_distance(*start, *end) for start, end in pairwise(killers))
-    ends = step.edge_distance(*killers[0], *killers[-1])
-    return LoopCheck(f, float(step.before.diagram.lifetime[f]), ends, legs, bounds)
+def _loop_checks(step: Step, places: Sequence[str], bounds: Sequence[dict[str, float]]) -> list[LoopCheck]:
+    """How far the killers of the longest-lived loops of S_t lie apart from place to place, and in the first and the last."""
+    n = len(bounds)
+    legs = np.array([np.diagonal(step.apart(*pair, n)) for pair in pairwise(places)]).T.tolist()
+    ends = np.diagonal(step.apart(places[0], places[-1], n)).tolist()
+    lifetimes = step.before.diagram.lifetime.tolist()
+    return [LoopCheck(f, lifetimes[f], ends[f], tuple(legs[f]), bounds[f]) for f in range(n)]
 
 
 def _verdict(step: Step, rows: Sequence[LoopCheck], version: str, hypotheses: bool = True) -> Verdict:
@@ -240,52 +236,39 @@ def check_converse(step: Step) -> Check:
 def _by_loop(step: Step, alpha: float) -> Verdict:
     """The paper's: killers of different loops are farther apart than the corollary's bound."""
     s = step.before
-    loops = np.flatnonzero(s.diagram.lifetime > alpha)
-    if len(loops) < 2:
+    n_loops = int((s.diagram.lifetime > alpha).sum())
+    if n_loops < 2:
         return Verdict(0.0, np.inf, True)
     beta = max(state.beta_all(alpha, alpha, alpha).max for state in (s, step.after))
     reach = 2 * alpha + beta + step.epsilon
-    distance = _observed_distances(step, *_observed_killers(step, loops))
+    distance = step.apart("O_t", "O_t+1", n_loops)
     np.fill_diagonal(distance, np.inf)
-    least, loop = float(distance.min()), int(loops[distance.min(axis=1).argmin()])
+    least, loop = float(distance.min()), int(distance.min(axis=1).argmin())
     witness = step.witness("S_t", loop, "the killer of another loop is as near")
-    return Verdict(reach, least, least > reach - step.tolerance, s.separation(alpha) > reach, len(loops), witness)
+    return Verdict(reach, least, least > reach - step.tolerance, s.separation(alpha) > reach, n_loops, witness)
 
 
 def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
     """Observed killers with the same nearest killer in S_t are within reach, those with different ones are not."""
     s, min_lifetime = step.before, alpha + 2 * change
-    loops = np.flatnonzero(s.diagram.lifetime > min_lifetime)
-    if len(loops) < 2:
+    n_loops = int((s.diagram.lifetime > min_lifetime).sum())
+    if n_loops < 2:
         return Verdict(0.0, np.inf, True)
-    beta = s.beta_critical(min_lifetime, alpha, change, nearest=True).max
-    reach = 2 * beta + step.epsilon
-    before, after = _observed_killers(step, loops)
-    if any(edge is None for edge in (*before, *after)):  # against the theorem
-        missing = step.witness("S_t", int(loops[0]), "a loop is not seen")
-        return Verdict(reach, 0.0, False, True, len(loops), missing)
-    same = np.equal.outer(*(_nearest_loops(s, np.array(edges), loops) for edges in (before, after)))
-    distance = _observed_distances(step, before, after)
+    reach = 2 * s.beta_critical(min_lifetime, alpha, change, nearest=True).max + step.epsilon
+    edges = [step.killers(place, n_loops) for place in ("O_t", "O_t+1")]
+    if np.min(edges) < 0:  # against the theorem
+        return Verdict(reach, 0.0, False, True, n_loops, step.witness("S_t", 0, "a loop is not seen"))
+    same = np.equal.outer(*(_nearest_loops(s, seen, n_loops) for seen in edges))
+    distance = step.apart("O_t", "O_t+1", n_loops)
     least, most = float(distance[~same].min(initial=np.inf)), float(distance[same].max(initial=0.0))
     holds = least > reach - step.tolerance and most <= reach + step.tolerance
-    loop = int(loops[np.where(same, np.inf, distance).min(axis=1).argmin()])
+    loop = int(np.where(same, np.inf, distance).min(axis=1).argmin())
     what = f"killers of one place up to {most:.6g} apart, of different ones down to {least:.6g}"
     separated = s.separation(min_lifetime) > 2 * reach
-    return Verdict(reach, least, holds, separated, len(loops), step.witness("S_t", loop, what))
+    return Verdict(reach, least, holds, separated, n_loops, step.witness("S_t", loop, what))
 
 
-def _observed_killers(step: Step, loops: Ids) -> tuple[list[Ids | None], list[Ids | None]]:
-    """Vertex ids of the killers of loops of S_t as they are seen at t, and at t + 1."""
-    before, after = ([step.killer(place, int(f)) for f in loops] for place in ("O_t", "O_t+1"))
-    return before, after
-
-
-def _observed_distances(step: Step, before: list[Ids | None], after: list[Ids | None]) -> NDArray[np.float64]:
-    """(n, m) Hausdorff distances of edges at t and at t + 1."""
-    return np.array([[step.edge_distance("O_t", a, "O_t+1", b) for b in after] for a in before])
-
-
-def _nearest_loops(s: State, edges: Ids, loops: Ids) -> Ids:
+def _nearest_loops(s: State, edges: NDArray[np.int64], n_loops: int) -> NDArray[np.int64]:
     """For each edge of S_t the loop whose killer is nearest."""
-    distance = np.array([edge_distances(s.distances, edges, s.diagram.killer_edge[g]) for g in loops])
-    return np.asarray(loops[distance.argmin(axis=0)])
+    killers = s.diagram.killer_edge[:n_loops]
+    return np.argmin([edge_distances(s.distances, edges, killer) for killer in killers], axis=0)

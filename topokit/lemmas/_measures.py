@@ -23,7 +23,6 @@ __all__ = [
     "edge_distances",
     "farthest_edges",
     "feature_separation",
-    "hausdorff_of_edges",
     "killer_separation",
     "max_displacement",
 ]
@@ -227,12 +226,8 @@ def farthest_edges(
 
 def edge_distances(distances: Array, edges: NDArray[np.int64], edge: NDArray[np.int64]) -> Array:
     """(m,) Hausdorff distances from each of (m, 2) edges to one, all edges of the cloud that `distances` (n, n) is of."""
-    return hausdorff_of_edges(distances[edges[:, :, None], edge])
-
-
-def hausdorff_of_edges(d: Array) -> Array:
-    """(...) Hausdorff distances of two edges from the (..., 2, 2) distances of their ends."""
-    return np.asarray(np.maximum(d.min(axis=-1).max(axis=-1), d.min(axis=-2).max(axis=-1)))
+    d = distances[edges[:, :, None], edge]  # (m, 2, 2)
+    return np.asarray(np.maximum(d.min(axis=2).max(axis=1), d.min(axis=1).max(axis=1)))
 
 
 def killer_separation(distances: Array, diagram: Diagram, min_lifetime: float) -> float:

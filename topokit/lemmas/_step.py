@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
+from .._matching import hausdorff_table
 from .._validate import as_points
 from ..rips import Diagram, rips_persistence
 from ..sampling import covering_radius
@@ -18,7 +19,6 @@ from ._measures import (
     Beta,
     distortion,
     farthest_edges,
-    hausdorff_of_edges,
     killer_separation,
     max_displacement,
     same_points,
@@ -112,31 +112,35 @@ class Step:
     def diagram(self, place: str) -> Diagram:
         return self.state(place).diagram if place.startswith("S") else self.state(place).observed_diagram
 
-    def killer_edge(self, place: str, loop: int) -> Ids:
-        """Vertex ids, in the state, of the killer edge of a loop of this place."""
-        edge = self.diagram(place).killer_edge[loop]
-        return edge if place.startswith("S") else self.state(place).ids[edge]
+    def killer_edges(self, place: str) -> Ids:
+        """(k, 2) vertex ids, in the state, of the killer edges of this place."""
+        edges = self.diagram(place).killer_edge
+        return edges if place.startswith("S") else self.state(place).ids[edges]
 
-    def killer(self, place: str, loop: int) -> Ids | None:
-        """Vertex ids of the killer edge that a loop of S_t has in a place; None where it has no counterpart there."""
+    def killers(self, place: str, n_loops: int) -> Ids:
+        """(n, 2) vertex ids of the killer edges that the longest-lived loops of S_t have in a place, -1 for none."""
+        loops = np.arange(n_loops)
         if place.endswith("+1"):
-            loop = int(self.matching.partner[loop])
-        if place.startswith("O") and loop >= 0:
-            loop = int(self.state(place).matching.partner[loop])
-        return self.killer_edge(place, loop) if loop >= 0 else None
+            loops = np.append(self.matching.partner, -1)[loops]
+        if place.startswith("O"):
+            loops = np.append(self.state(place).matching.partner, -1)[loops]
+        return np.vstack([self.killer_edges(place), [[-1, -1]]])[loops]
 
-    def edge_distance(self, place: str, edge: Ids | None, other_place: str, other: Ids | None) -> float:
-        """Hausdorff distance of two edges, inf when there is none."""
-        if edge is None or other is None:
-            return float("inf")
-        ends = self.state(place).points[edge], self.state(other_place).points[other]
-        return float(hausdorff_of_edges(cdist(*ends)))
+    def apart(self, place: str, other: str, n_loops: int) -> Array:
+        """(n, n) Hausdorff distances of the killers that the longest-lived loops of S_t have in two places; inf for none."""
+        ends = (
+            np.vstack([self.state(at).points, np.full(self.state(at).points.shape[1], np.nan)])[
+                self.killers(at, n_loops)
+            ]
+            for at in (place, other)
+        )
+        return np.nan_to_num(hausdorff_table(*ends), nan=np.inf)
 
     def witness(self, place: str, loop: int, what: str) -> Witness | None:
         """A loop of a place as a witness, None for the loop -1."""
         if loop < 0:
             return None
-        diagram, (a, b) = self.diagram(place), self.killer_edge(place, loop).tolist()
+        diagram, (a, b) = self.diagram(place), self.killer_edges(place)[loop].tolist()
         return Witness(place, loop, float(diagram.birth[loop]), float(diagram.death[loop]), (a, b), what)
 
 
