@@ -21,9 +21,9 @@ from ._counterexamples import COUNTEREXAMPLES, Counterexample
 from ._diagrams import feature_approximation, gates, observability, temporal_persistence
 from ._killers import converse, corollary, recovering_killers, regularity_of_killers
 from ._matching import match_diagrams
-from ._measures import beta_all, beta_critical, distortion, feature_separation, max_displacement
+from ._measures import beta_all, beta_critical, feature_separation
 from ._stability import killer_jumps
-from ._step import vertex_ids
+from ._step import distortion, max_displacement, vertex_ids
 from ._verdict import Check, LoopCheck, Verdict, Witness
 from ._verify import STATEMENTS, StepCheck, verify_episode, verify_step
 

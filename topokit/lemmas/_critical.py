@@ -55,26 +55,18 @@ def _components(
     """Number of each vertex's component under steps shorter than `step`, and how many components there are."""
     m = len(vertices)
     component, waiting = np.full(m, -1, np.int64), np.empty(m, np.int64)
-    left = np.arange(m)  # not reached yet, the first n_left of them
-    n_left, n_components = m, 0
-    while n_left > 0:
-        n_left -= 1
-        waiting[0], top = left[n_left], 1
-        component[left[n_left]] = n_components
+    n_components = 0
+    for start in range(m):
+        if component[start] >= 0:
+            continue
+        component[start], waiting[0], top = n_components, start, 1
         while top > 0:
             top -= 1
-            v = vertices[waiting[top]]
-            k = 0
-            while k < n_left:
-                w = left[k]
-                if distances[v, vertices[w]] < step:
-                    component[w] = n_components
-                    waiting[top] = w
+            near = distances[vertices[waiting[top]]]
+            for w in range(m):
+                if component[w] < 0 and near[vertices[w]] < step:
+                    component[w], waiting[top] = n_components, w
                     top += 1
-                    n_left -= 1
-                    left[k] = left[n_left]
-                else:
-                    k += 1
         n_components += 1
     return component, n_components
 

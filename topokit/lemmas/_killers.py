@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._validate import positive
-from ._measures import Beta, edge_distances
-from ._step import State, Step, observed_state, observed_step
+from ._measures import Beta, State
+from ._step import Step, observed_state, observed_step
 from ._verdict import Check, LoopCheck, Verdict, compared
 
 __all__ = ["converse", "corollary", "recovering_killers", "regularity_of_killers"]
@@ -258,7 +258,7 @@ def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
     edges = [step.killers(place, n_loops) for place in ("O_t", "O_t+1")]
     if np.min(edges) < 0:  # against the theorem
         return Verdict(reach, 0.0, False, True, n_loops, step.witness("S_t", 0, "a loop is not seen"))
-    same = np.equal.outer(*(_nearest_loops(s, seen, n_loops) for seen in edges))
+    same = np.equal.outer(*(_nearest_loops(s, of_a_time, n_loops) for of_a_time in edges))
     distance = step.apart("O_t", "O_t+1", n_loops)
     least, most = float(distance[~same].min(initial=np.inf)), float(distance[same].max(initial=0.0))
     holds = least > reach - step.tolerance and most <= reach + step.tolerance
@@ -271,4 +271,4 @@ def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
 def _nearest_loops(s: State, edges: NDArray[np.int64], n_loops: int) -> NDArray[np.int64]:
     """For each edge of S_t the loop whose killer is nearest."""
     killers = s.diagram.killer_edge[:n_loops]
-    return np.argmin([edge_distances(s.distances, edges, killer) for killer in killers], axis=0)
+    return np.argmin([s.edge_distances(edges, killer) for killer in killers], axis=0)

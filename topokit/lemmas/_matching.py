@@ -148,11 +148,9 @@ def _cheapest(pair: Array, alone: Array, others_alone: Array, c: float) -> NDArr
     most = 1.0 + 2.0 * (float(alone.sum()) + float(others_alone.sum()))
     saved = (alone + most * (alone > c))[:, None] + (others_alone + most * (others_alone > c))[None, :]
     saved = np.maximum(np.where(pair <= c, saved - np.where(pair <= c, pair, 0.0), 0.0), 0.0)
-    rows, columns = np.flatnonzero(saved.any(axis=1)), np.flatnonzero(saved.any(axis=0))
-    saved = saved[np.ix_(rows, columns)]
     i, j = linear_sum_assignment(saved, maximize=True)
-    kept = saved[i, j] > 0
-    partner[rows[i[kept]]] = columns[j[kept]]
+    partner[i], worth = j, saved[i, j] > 0
+    partner[i[~worth]] = -1
     return partner
 
 

@@ -1,4 +1,7 @@
-"""A state with its observation, and two of them in succession: what the statements are about, computed once."""
+"""Two states in succession with what is observed of them, what the statements are about, and how far points move.
+
+Source: Antonova et al. 2021, Assumption 2. Taught in chapter 4.
+"""
 
 from __future__ import annotations
 
@@ -12,71 +15,16 @@ from scipy.spatial.distance import cdist
 
 from .._matching import hausdorff_table
 from .._validate import as_points
-from ..rips import Diagram, rips_persistence
-from ..sampling import covering_radius
+from ..rips import Diagram
 from ._matching import Matching, match_diagrams
-from ._measures import (
-    Beta,
-    distortion,
-    farthest_edges,
-    killer_separation,
-    max_displacement,
-    same_points,
-)
+from ._measures import State
 from ._verdict import Witness
 
-__all__ = ["State", "Step", "observed_state", "observed_step", "vertex_ids"]
+__all__ = ["Step", "distortion", "max_displacement", "observed_state", "observed_step", "vertex_ids"]
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 STORED = 1e-4  # how far a coordinate may be from its vertex: episodes are stored with 16 bits
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """All points of the scene at one time, S, and the vertices of it that are observed, O."""
-
-    points: Array
-    ids: Ids
-
-    @cached_property
-    def diagram(self) -> Diagram:
-        return rips_persistence(self.points)
-
-    @cached_property
-    def observed_diagram(self) -> Diagram:
-        return rips_persistence(self.points[self.ids])
-
-    @cached_property
-    def alpha(self) -> float:
-        return covering_radius(self.points, self.points[self.ids])
-
-    @cached_property
-    def matching(self) -> Matching:
-        """Of the loops of S to those of O, one-sided."""
-        return match_diagrams(self.diagram, self.observed_diagram, one_sided=True, tolerance=self.tolerance)
-
-    @cached_property
-    def tolerance(self) -> float:
-        """What rounding may do to a comparison: 1e-9 of the size of the cloud."""
-        return 1e-9 * float(np.ptp(self.points, axis=0).max(initial=0.0))
-
-    @cached_property
-    def distances(self) -> Array:
-        return np.asarray(cdist(self.points, self.points))
-
-    def beta_all(self, min_lifetime: float, below: float, above: float) -> Beta:
-        """Rivals among all edges of half length in [death - below, death + above]."""
-        return farthest_edges(self.distances, self.diagram, min_lifetime, (below, above))
-
-    def beta_critical(self, min_lifetime: float, alpha: float, epsilon: float, *, nearest: bool = False) -> Beta:
-        """Rivals among critical edges, as `beta_critical`."""
-        window, critical = (2 * epsilon, alpha + 2 * epsilon), (alpha, epsilon)
-        return farthest_edges(self.distances, self.diagram, min_lifetime, window, critical=critical, nearest=nearest)
-
-    def separation(self, min_lifetime: float) -> float:
-        """As `feature_separation`."""
-        return killer_separation(self.distances, self.diagram, min_lifetime)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +76,12 @@ class Step:
 
     def apart(self, place: str, other: str, n_loops: int) -> Array:
         """(n, n) Hausdorff distances of the killers that the longest-lived loops of S_t have in two places; inf for none."""
-        ends = (
-            np.vstack([self.state(at).points, np.full(self.state(at).points.shape[1], np.nan)])[
-                self.killers(at, n_loops)
-            ]
-            for at in (place, other)
-        )
+        ends = (self._coordinates(end, self.killers(end, n_loops)) for end in (place, other))
         return np.nan_to_num(hausdorff_table(*ends), nan=np.inf)
+
+    def _coordinates(self, place: str, ids: Ids) -> Array:
+        points = self.state(place).points
+        return np.vstack([points, np.full(points.shape[1], np.nan)])[ids]
 
     def witness(self, place: str, loop: int, what: str) -> Witness | None:
         """A loop of a place as a witness, None for the loop -1."""
@@ -149,21 +96,71 @@ def observed_state(state: ArrayLike, observed: ArrayLike) -> Step:
     points = as_points(state, "state")
     if len(points) == 0:
         raise ValueError("state has no points")
-    seen = State(points, vertex_ids(points, observed))
-    return Step(seen, seen)
+    still = State(points, vertex_ids(points, observed))
+    return Step(still, still)
 
 
 def observed_step(
     before: ArrayLike, observed_before: ArrayLike | None, after: ArrayLike, observed_after: ArrayLike | None
 ) -> Step:
     """Two states with what is observed of them, checked; all vertices are where that is None."""
-    clouds = same_points(before, after)
-    names = {"observed_before": observed_before, "observed_after": observed_after}
-    ids = [
-        np.arange(len(cloud)) if observed is None else vertex_ids(cloud, observed, name)
-        for cloud, (name, observed) in zip(clouds, names.items(), strict=True)
+    clouds = _same_points(before, after)
+    observations = {"observed_before": observed_before, "observed_after": observed_after}
+    states = [
+        State(cloud, np.arange(len(cloud)) if observed is None else vertex_ids(cloud, observed, name))
+        for cloud, (name, observed) in zip(clouds, observations.items(), strict=True)
     ]
-    return Step(*(State(cloud, seen) for cloud, seen in zip(clouds, ids, strict=True)))
+    return Step(*states)
+
+
+def max_displacement(before: ArrayLike, after: ArrayLike) -> float:
+    """Return the largest distance that a point moves: the paper's epsilon, in the unit of the points.
+
+    Parameters
+    ----------
+    before, after : (n, d) array_like
+        Row i of both is the same point.
+
+    Examples
+    --------
+    >>> max_displacement([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.5], [1.0, 0.0]])
+    0.5
+    """
+    a, b = _same_points(before, after)
+    return float(np.linalg.norm(b - a, axis=1).max(initial=0.0))
+
+
+def distortion(before: ArrayLike, after: ArrayLike) -> float:
+    """Return half the largest change of a distance between two points: what a motion does to the filtration.
+
+    Never above `max_displacement`, and zero for a rigid motion, however fast. Wherever a statement needs epsilon for a change
+    of filtration values this number does instead; only where it says how far an edge moves must epsilon stay.
+
+    Parameters
+    ----------
+    before, after : (n, d) array_like
+        Row i of both is the same point.
+
+    Notes
+    -----
+    The correspondence between before and after has twice this distortion in the sense of Gromov and Hausdorff; that it bounds
+    the bottleneck distance of Rips diagrams is the theorem of Chazal, de Silva and Oudot 2014.
+
+    Examples
+    --------
+    >>> distortion([[0.0], [1.0]], [[5.0], [6.5]])
+    0.25
+    """
+    a, b = _same_points(before, after)
+    return float(np.abs(cdist(b, b) - cdist(a, a)).max(initial=0.0)) / 2
+
+
+def _same_points(before: ArrayLike, after: ArrayLike) -> tuple[Array, Array]:
+    """Both clouds, or ValueError when row i of both cannot be the same point."""
+    a, b = as_points(before, "before"), as_points(after, "after")
+    if a.shape != b.shape:
+        raise ValueError(f"before has shape {a.shape}, after {b.shape}; row i of both must be the same point")
+    return a, b
 
 
 def vertex_ids(points: ArrayLike, observed: ArrayLike, name: str = "observed") -> Ids:

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from .._validate import as_sequence
 from ._diagrams import check_feature_approximation, check_gates, check_observability, check_temporal_persistence
 from ._killers import check_converse, check_corollary, check_recovering_killers, check_regularity
-from ._step import State, Step, observed_step, vertex_ids
+from ._measures import State
+from ._step import Step, observed_step, vertex_ids
 from ._verdict import Check
 
 __all__ = ["STATEMENTS", "StepCheck", "verify_episode", "verify_step"]
@@ -139,7 +140,7 @@ def verify_episode(
     chosen = range(0, len(frames), stride)
     ids = [vertex_ids(frames[t], per_frame[t], f"observed[{t}]") for t in chosen]
     states = (
-        State(frames[t], seen) for t, seen in zip(chosen, ids, strict=True)
+        State(frames[t], observed_ids) for t, observed_ids in zip(chosen, ids, strict=True)
     )  # each is dropped after its two steps
     return [_step_check(t, Step(*pair)) for t, pair in zip(chosen, pairwise(states), strict=False)]
 
