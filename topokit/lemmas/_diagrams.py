@@ -49,8 +49,8 @@ def feature_approximation(state: ArrayLike, observed: ArrayLike) -> Check:
 
 
 def check_feature_approximation(step: Step) -> Check:
-    alpha = step.alpha
-    return Check("feature approximation", _some_loop_of_o(step), _rank_inequality(step, alpha), alpha=alpha)
+    versions = {"paper": _some_loop_of_o(step), "corrected": _rank_inequality(step, step.alpha)}
+    return Check("feature approximation", versions, step.alpha)
 
 
 def _some_loop_of_o(step: Step) -> Verdict:
@@ -128,9 +128,11 @@ def observability(state: ArrayLike, observed: ArrayLike) -> Check:
 
 def check_observability(step: Step) -> Check:
     alpha = step.alpha
-    paper = _unmatched(step, "O_t", alpha, "no counterpart within [0, alpha]")
-    corrected = _bottleneck(step, "S_t", "O_t", step.before.matching, alpha, alpha + step.tolerance)
-    return Check("observability", paper, corrected, alpha=alpha)
+    versions = {
+        "paper": _unmatched(step, "O_t", alpha, "no counterpart within [0, alpha]"),
+        "corrected": _bottleneck(step, "S_t", "O_t", step.before.matching, alpha, alpha + step.tolerance),
+    }
+    return Check("observability", versions, alpha)
 
 
 def temporal_persistence(before: ArrayLike, after: ArrayLike) -> Check:
@@ -161,11 +163,10 @@ def temporal_persistence(before: ArrayLike, after: ArrayLike) -> Check:
 
 def check_temporal_persistence(step: Step) -> Check:
     epsilon, delta = step.epsilon, step.distortion
-    paper = _unmatched(step, "S_t+1", epsilon, "no counterpart within epsilon")
-    corrected, intrinsic = (
-        _bottleneck(step, "S_t", "S_t+1", step.matching, bound, 2 * bound) for bound in (epsilon, delta)
-    )
-    return Check("temporal persistence", paper, corrected, intrinsic, epsilon=epsilon, distortion=delta)
+    versions = {"paper": _unmatched(step, "S_t+1", epsilon, "no counterpart within epsilon")}
+    for version, bound in (("corrected", epsilon), ("intrinsic", delta)):
+        versions[version] = _bottleneck(step, "S_t", "S_t+1", step.matching, bound, 2 * bound)
+    return Check("temporal persistence", versions, epsilon=epsilon, distortion=delta)
 
 
 def gates(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, observed_after: ArrayLike) -> Check:
@@ -197,9 +198,9 @@ def gates(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, obser
 def check_gates(step: Step) -> Check:
     alpha, epsilon, delta = step.alpha, step.epsilon, step.distortion
     match = match_diagrams(step.diagram("O_t"), step.diagram("O_t+1"))
-    bounds = (2 * alpha + epsilon, alpha + epsilon, alpha + delta)
-    paper, corrected, intrinsic = (_bottleneck(step, "O_t", "O_t+1", match, bound, 2 * bound) for bound in bounds)
-    return Check("gates", paper, corrected, intrinsic, alpha, epsilon, delta)
+    bounds = {"paper": 2 * alpha + epsilon, "corrected": alpha + epsilon, "intrinsic": alpha + delta}
+    versions = {name: _bottleneck(step, "O_t", "O_t+1", match, bound, 2 * bound) for name, bound in bounds.items()}
+    return Check("gates", versions, alpha, epsilon, delta)
 
 
 def _unmatched(step: Step, place: str, bound: float, what: str) -> Verdict:

@@ -12,7 +12,7 @@ where several loops die at about the same time only the distance to the nearest 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -59,8 +59,7 @@ def check_recovering_killers(step: Step) -> Check:
     betas = {"paper": everywhere, "corrected": s.beta_critical(alpha, alpha, 0.0)}
     rows = _loop_checks(step, ("S_t", "O_t"), [_bounds(f, betas) for f in range(len(everywhere.value))])
     separated = s.separation(alpha) > 2 * alpha + everywhere.max
-    paper, corrected = _verdict(step, rows, "paper", separated), _verdict(step, rows, "corrected")
-    return Check("recovering killers", paper, corrected, alpha=alpha, loops=tuple(rows))
+    return Check("recovering killers", _verdicts(step, rows, betas, separated), alpha, loops=tuple(rows))
 
 
 def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.0) -> Check:
@@ -102,8 +101,8 @@ def check_regularity(step: Step, alpha: float) -> Check:
     n_loops = max(len(beta.value) for beta in betas.values())
     rows = _loop_checks(step, ("S_t", "S_t+1"), [_bounds(f, betas, plus=epsilon) for f in range(n_loops)])
     separated = s.separation(alpha) > 2 * alpha + betas["paper"].max + epsilon
-    paper, corrected, intrinsic = (_verdict(step, rows, version, separated or version != "paper") for version in betas)
-    return Check("regularity of killers", paper, corrected, intrinsic, alpha, epsilon, delta, tuple(rows))
+    verdicts = _verdicts(step, rows, betas, separated)
+    return Check("regularity of killers", verdicts, alpha, epsilon, delta, tuple(rows))
 
 
 def corollary(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, observed_after: ArrayLike) -> Check:
@@ -157,13 +156,8 @@ def check_corollary(step: Step) -> Check:
     # A loop that is not seen at t + 1, and is too short-lived to have to be, says nothing.
     rows = [row for row in rows if np.isfinite(row.legs[-1]) or {"corrected", "intrinsic"} & set(row.bounds)]
     separated = s.separation(larger) > 2 * larger + beta + epsilon
-    paper, corrected, intrinsic = (
-        _verdict(step, rows, version, separated or version != "paper")
-        for version in ("paper", "corrected", "intrinsic")
-    )
-    names = ("3 beta + epsilon, all edges", "2 beta + epsilon, all edges")
-    further = {name: _verdict(step, rows, name) for name in names}
-    return Check("corollary", paper, corrected, intrinsic, alpha, epsilon, delta, tuple(rows), further)
+    names = ("paper", "corrected", "intrinsic", "3 beta + epsilon, all edges", "2 beta + epsilon, all edges")
+    return Check("corollary", _verdicts(step, rows, names, separated), alpha, epsilon, delta, tuple(rows))
 
 
 def _bounds(f: int, betas: dict[str, Beta], *, times: int = 1, plus: float = 0.0) -> dict[str, float]:
@@ -180,8 +174,12 @@ def _loop_checks(step: Step, places: Sequence[str], bounds: Sequence[dict[str, f
     return [LoopCheck(f, lifetimes[f], ends[f], tuple(legs[f]), bounds[f]) for f in range(n)]
 
 
-def _verdict(step: Step, rows: Sequence[LoopCheck], version: str, hypotheses: bool = True) -> Verdict:
-    """A version at the loop where it is tightest."""
+def _verdicts(step: Step, rows: Sequence[LoopCheck], versions: Iterable[str], separated: bool) -> dict[str, Verdict]:
+    """Every version at the loop where it is tightest; that loops are separated is a hypothesis of the paper's alone."""
+    return {version: _verdict(step, rows, version, separated or version != "paper") for version in versions}
+
+
+def _verdict(step: Step, rows: Sequence[LoopCheck], version: str, hypotheses: bool) -> Verdict:
     spoken = [row for row in rows if version in row.bounds]
     if not spoken:
         return Verdict(0.0, 0.0, True, hypotheses)
@@ -228,9 +226,12 @@ def converse(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, ob
 
 def check_converse(step: Step) -> Check:
     alpha, epsilon, delta = step.alpha, step.epsilon, step.distortion
-    paper = _by_loop(step, max(alpha, MORE_THAN_TWICE * epsilon))
-    corrected, intrinsic = (_by_nearest_killer(step, alpha, change) for change in (epsilon, delta))
-    return Check("converse", paper, corrected, intrinsic, alpha, epsilon, delta)
+    versions = {
+        "paper": _by_loop(step, max(alpha, MORE_THAN_TWICE * epsilon)),
+        "corrected": _by_nearest_killer(step, alpha, epsilon),
+        "intrinsic": _by_nearest_killer(step, alpha, delta),
+    }
+    return Check("converse", versions, alpha, epsilon, delta)
 
 
 def _by_loop(step: Step, alpha: float) -> Verdict:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from dataclasses import dataclass
 
 __all__ = ["Check", "LoopCheck", "Verdict", "Witness", "compared"]
 
@@ -121,33 +120,36 @@ class Check:
     Attributes
     ----------
     statement : str
-    paper, corrected : Verdict
-    intrinsic : Verdict or None
-        The corrected version with the distortion of the motion in place of epsilon, where something moves: sharper, and still
-        true.
+        One of `STATEMENTS`.
+    versions : mapping of str to Verdict
+        All verdicts by name: "paper", "corrected", "intrinsic" where something moves, and other bounds for the same statistic.
     alpha, epsilon, distortion : float
         As measured; 0.0 where the statement has none.
     loops : tuple of LoopCheck
         For statements about killers, every loop they speak about.
-    further : mapping of str to Verdict
-        Other bounds for the same statistic.
     """
 
     statement: str
-    paper: Verdict
-    corrected: Verdict
-    intrinsic: Verdict | None = None
+    versions: Mapping[str, Verdict]
     alpha: float = 0.0
     epsilon: float = 0.0
     distortion: float = 0.0
     loops: tuple[LoopCheck, ...] = ()
-    further: Mapping[str, Verdict] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
-    def versions(self) -> dict[str, Verdict]:
-        """All verdicts by name."""
-        named = {"paper": self.paper, "corrected": self.corrected}
-        return named | ({"intrinsic": self.intrinsic} if self.intrinsic else {}) | dict(self.further)
+    def paper(self) -> Verdict:
+        """As the paper has it."""
+        return self.versions["paper"]
+
+    @property
+    def corrected(self) -> Verdict:
+        """As it is true."""
+        return self.versions["corrected"]
+
+    @property
+    def intrinsic(self) -> Verdict | None:
+        """The distortion of the motion in place of epsilon, where something moves: sharper, and still true."""
+        return self.versions.get("intrinsic")
 
     def __str__(self) -> str:
         constants = f"alpha {self.alpha:.4g}, epsilon {self.epsilon:.4g}, distortion {self.distortion:.4g}"

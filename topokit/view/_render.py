@@ -12,7 +12,7 @@ import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -105,32 +105,26 @@ def save_animation(
     episode: Episode,
     states: Sequence[TopologicalState] = (),
     *,
-    rods: Iterable[tuple[ArrayLike, ArrayLike, float]] = (),
     every: int = 2,
     size: tuple[int, int] = (420, 520),
-    progress: bool = False,
     **scene: Any,
 ) -> Path:
-    """Render an episode and write it as an animated GIF, in one piece.
+    """Render an episode and write it as an animated GIF, in one piece: a film for a README or a slide.
 
     Parameters
     ----------
     path : str or Path
         Ends in .gif.
     episode : Episode
-        Its cloth and its target are drawn.
+        Its cloth is drawn, and its target by the centre line where there are no rods.
     states : sequence of TopologicalState, optional
         One a frame, as `topokit.track` gives: their killer triangles are drawn.
-    rods : iterable of (start, end, radius)
-        The target's capsules (`Target.rods`); its centre line is drawn when there are none.
     every : int
         Every how many frames one is drawn.
     size : (2,) int
         Width and height in pixels.
-    progress : bool
-        Count the pictures on stderr.
     **scene
-        The view, zoom and focus of `Scene`.
+        The rods, view, zoom and focus of `Scene`.
 
     Raises
     ------
@@ -144,24 +138,26 @@ def save_animation(
         raise ValueError(f"every must be a whole number of frames, 1 or more, not {every}")
     if states:
         one_a_frame(episode, states)
-    if "focus" not in scene:  # a camera that stands still
-        corners = np.concatenate([episode.points.reshape(-1, 3), episode.centre_line])
-        scene["focus"] = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    scene |= {"true_loops": episode.loops, "centre_line": episode.centre_line, "rods": list(rods)}
-    frames = range(0, len(episode), int(every))
-    pictures: list[Image] = []
-    for number, frame in enumerate(frames, 1):
-        loops = states[frame].loops if states else ()
-        picture = render_cloth(episode.points[frame], episode.faces, size=size, loops=loops, **scene)
-        pictures.append(_quantized(picture))
-        if progress:
-            end = "\n" if number == len(frames) else ""
-            print(f"\rdrawing: picture {number} of {len(frames)}", end=end, file=sys.stderr, flush=True)
+    pictures = [
+        _quantized(render_cloth(points, episode.faces, size=size, **picture))
+        for points, picture in _moments(episode, states, int(every), scene)
+    ]
     pause = max(20, round(1000 * episode.dt * every))  # milliseconds; browsers slow down what is faster
     options: dict[str, Any] = {"save_all": True, "duration": pause, "loop": 0, "optimize": True}
     with atomic_file(path) as file:
         pictures[0].save(file, format="GIF", append_images=pictures[1:], **options)
     return path
+
+
+def _moments(
+    episode: Episode, states: Sequence[TopologicalState], every: int, scene: dict[str, Any]
+) -> Iterator[tuple[Array, dict[str, Any]]]:
+    """The cloth in every frame that is drawn, and what is drawn with it, by a camera that stands still."""
+    corners = np.concatenate([episode.points.reshape(-1, 3), episode.centre_line])
+    fixed = {"focus": (corners.min(axis=0) + corners.max(axis=0)) / 2, "rods": list(scene.pop("rods", ()))} | scene
+    fixed |= {"true_loops": episode.loops, "centre_line": episode.centre_line}
+    for frame in range(0, len(episode), every):
+        yield episode.points[frame], fixed | {"loops": states[frame].loops if states else ()}
 
 
 def _quantized(picture: Image) -> Image:
