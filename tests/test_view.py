@@ -159,6 +159,7 @@ def test_cloth_holds_faces_rod_and_killers(episode, states):
     [
         (np.zeros((4, 2)), [], "points must lie in space"),
         (np.zeros((4, 3)), [[0, 1, 4]], "faces names vertex 4"),
+        (np.zeros((4, 3)), [[0, 1, -1]], "faces names vertex -1"),
         (np.zeros((4, 3)), [[0, 1]], "faces must be"),
         (np.full((4, 3), np.nan), [], "points has 4 of 4 points with a NaN"),
     ],

@@ -82,11 +82,7 @@ def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, 
     """
     pair, alone, others_alone = _costs(first, second, one_sided, tolerance)
     limits = np.unique(np.concatenate([pair[np.isfinite(pair)], alone, others_alone, [0.0]]))
-    # No bar does better than its best pair or being alone: the bisection starts there, and mostly ends there.
-    least = max(_best(pair, alone), _best(pair.T, others_alone))
-    low = int(np.searchsorted(limits, least))
-    if not _is_enough(pair, alone, others_alone, limits[low]):
-        low = bisect_left(limits, True, lo=low + 1, key=lambda c: _is_enough(pair, alone, others_alone, c))
+    low = bisect_left(limits, True, key=lambda c: _is_enough(pair, alone, others_alone, c))
     cost = float(limits[low])
     partner = _cheapest(pair, alone, others_alone, cost)
     return Matching(partner, cost, _worst(pair, alone, others_alone, partner))
@@ -101,10 +97,8 @@ def longest_unmatched(
     matched. No matching does better: the sets of bars that can be matched together are those of a matroid.
     """
     pair, _, _ = _costs(first, second, one_sided, tolerance)
-    counts = range(1, len(first) + 1)
-    matched = bisect_left(
-        counts, True, key=lambda count: not _saturates(pair[:count] <= shift)
-    )  # as many of the longest
+    longest = range(1, len(first) + 1)
+    matched = bisect_left(longest, True, key=lambda count: not _saturates(pair[:count] <= shift))
     return (0.0, -1) if matched == len(first) else (float(first.lifetime[matched]), matched)
 
 
@@ -120,11 +114,6 @@ def _costs(first: Diagram, second: Diagram, one_sided: bool, tolerance: float) -
     pair = np.maximum(np.maximum(births, deaths), 0.0)
     pair[np.minimum(births, deaths) < -tolerance] = np.inf
     return pair, first.lifetime, second.lifetime
-
-
-def _best(pair: Array, alone: Array) -> float:
-    """The least that the worst-off row must pay, whatever the others do."""
-    return float(np.minimum(alone, pair.min(axis=1, initial=np.inf)).max(initial=0.0))
 
 
 def _is_enough(pair: Array, alone: Array, others_alone: Array, c: float) -> bool:

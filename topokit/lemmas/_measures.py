@@ -117,9 +117,8 @@ class State:
         half = self.distances[pairs[:, 0], pairs[:, 1]] / 2
         for i, death in enumerate(self.diagram.death[:n_loops]):
             rivals = pairs[(half >= death - below - rounding) & (half <= death + above + rounding)]
-            away = np.min(
-                [self.edge_distances(rivals, k) for k in (killers if nearest else killers[i : i + 1])], axis=0
-            )
+            measured = killers if nearest else killers[i : i + 1]
+            away = np.min([self.edge_distances(rivals, killer) for killer in measured], axis=0)
             order = np.argsort(-away, kind="stable")  # farthest first
             place = 0 if critical is None else first_critical(self.distances, rivals[order], *critical)
             # The killer is a rival of itself, but a lune may hold together by rounding alone.

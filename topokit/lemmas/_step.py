@@ -193,9 +193,9 @@ def vertex_ids(points: ArrayLike, observed: ArrayLike, name: str = "observed") -
         return np.unique(_nearest_vertices(state, as_points(observed, name), name)).astype(np.int64)
     if not np.issubdtype(ids.dtype, np.integer):
         raise TypeError(f"{name} must be vertex ids (integers) or an (m, d) array of points, not {ids.dtype}")
-    if ids.min() < 0 or ids.max() >= len(state):
-        wrong = int(ids.min() if ids.min() < 0 else ids.max())
-        raise ValueError(f"{name} names vertex {wrong}; the state has {len(state)}, numbered from 0")
+    outside = ids[(ids < 0) | (ids >= len(state))]
+    if len(outside):
+        raise ValueError(f"{name} names vertex {outside[0]}; the state has {len(state)}, numbered from 0")
     return np.unique(ids).astype(np.int64)
 
 

@@ -139,9 +139,7 @@ def verify_episode(
     per_frame = _per_frame(observed, len(frames))
     chosen = range(0, len(frames), stride)
     ids = [vertex_ids(frames[t], per_frame[t], f"observed[{t}]") for t in chosen]
-    states = (
-        State(frames[t], observed_ids) for t, observed_ids in zip(chosen, ids, strict=True)
-    )  # each is dropped after its two steps
+    states = map(State, (frames[t] for t in chosen), ids)  # each is dropped after its two steps
     return [_step_check(t, Step(*pair)) for t, pair in zip(chosen, pairwise(states), strict=False)]
 
 

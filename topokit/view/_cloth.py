@@ -76,7 +76,7 @@ class Scene:
         cycles = (np.asarray(ids, dtype=np.int64) for ids in true_loops)
         self.true_loops = [self.points[np.append(ids, ids[:1])] for ids in cycles]
         line = as_line(centre_line, "centre_line")
-        capsules = [(as_line(np.array([*map(np.asarray, ends)]), "rods"), float(radius)) for *ends, radius in rods]
+        capsules = [(as_line(np.array([start, end]), "rods"), float(radius)) for start, end, radius in rods]
         self.rods = capsules or [(line, thickness)] * (len(line) > 1)
         self.everything = np.concatenate([self.points, line, *(rod for rod, _ in capsules)])
         self.view, self.zoom = view, zoom
@@ -90,8 +90,9 @@ def _as_faces(faces: ArrayLike, n_points: int) -> NDArray[np.int64]:
         return np.zeros((0, 3), dtype=np.int64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"faces must be an (F, 3) array of vertex ids, not of shape {array.shape}")
-    if array.min() < 0 or array.max() >= n_points:
-        raise ValueError(f"faces names vertex {array.max()}; points has {n_points}, numbered from 0")
+    outside = array[(array < 0) | (array >= n_points)]
+    if len(outside):
+        raise ValueError(f"faces names vertex {outside[0]}; points has {n_points}, numbered from 0")
     return array
 
 
