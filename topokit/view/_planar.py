@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import as_points, positive
-from topokit.lemmas import vertex_ids
 from topokit.view._frame import Framed, framed
 
 __all__ = ["coverage", "growth", "motion", "nudge", "planar"]
@@ -91,6 +90,8 @@ def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a po
     >>> coverage([[0, 0], [4, 0], [4, 3], [0, 3]], [0, 1, 2])
     Framed('3 of 4 points observed', ... kB)
     """
+    from topokit.lemmas import vertex_ids  # with numba, which no other picture needs
+
     cloud = planar(points, "points", MOST_POINTS)
     ids = vertex_ids(cloud, observed)
     data = {"points": cloud.tolist(), "observed": ids.tolist()}
