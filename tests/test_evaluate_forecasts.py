@@ -31,11 +31,8 @@ from topokit.evaluate.config import Clouds, Condition
 from topokit.evaluate.seen import SpoiltWindows, choose, spoil, true_curves
 from topokit.evaluate.summary import steps_of
 from topokit.io import load_episode
-from topokit.models import TrainConfig, train
-from topokit.models.base import Normalisation, Shape
-from topokit.models.checkpoint import describe, save_tensors
-from topokit.models.registry import build
-from topokit.models.training import open_windows
+from topokit.models import Normalisation, Shape, TrainConfig, build, open_windows, train
+from topokit.models._checkpoint import describe, save_tensors
 
 from conftest import DATA
 

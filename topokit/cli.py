@@ -107,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
 
     from .data.commands import add as add_data_commands
     from .evaluate.commands import add as add_evaluate_commands
-    from .models.commands import add as add_model_commands
+    from .models._commands import add as add_model_commands
 
     add_data_commands(commands)
     add_model_commands(commands)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from topokit._validate import positive
-from topokit.models.base import Shape
+from topokit.models import Shape
 
 __all__ = ["TRAINED", "UNTRAINED", "Clouds", "Condition", "EvaluationConfig", "load_evaluation"]
 

@@ -24,9 +24,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from topokit.models.losses import match_slots
-from topokit.models.mixture import loop_mixtures
-from topokit.models.states import States
+from topokit.models import States, loop_mixtures, match_slots
 from topokit.seqph import assign
 
 from .localisation import nearest_in_hull
@@ -165,7 +163,7 @@ def measure(
     at = torch.tensor([step - 1 for step in steps])
     some = states[:, at]
     told = _Told(
-        some.centre.double().numpy(),
+        some.mean.double().numpy(),
         (some.death - some.birth).double().numpy(),
         some.presence.double().sigmoid().numpy(),
     )
@@ -208,7 +206,7 @@ def _places(
     centres, radii = truth.centres, truth.radii
     pairs, found_first = [], None
     for k in range(columns["outside"].shape[1]):
-        means, loops = told.centre[i, k], truth.there(k)
+        means, loops = told.mean[i, k], truth.there(k)
         everything = min(len(truth.curves), MOST)
         marked = [curve[k] for curve in truth.curves]
         columns["outside_marked"][i, k] = _outside(means[told.first(i, k, everything)], marked, everything)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from .base import Normalisation, PredictiveModel, Shape
-from .baselines import Carry, Hold, Ridge
-from .loopcast import LoopCast
-from .mlp import MLP
-from .pointnet import PointNet
+from ._base import Normalisation, PredictiveModel, Shape
+from ._baselines import Carry, Hold, Ridge
+from ._loopcast import LoopCast
+from ._paper import MLP, PointNet
 
 __all__ = ["MODELS", "build"]
 
@@ -26,7 +25,16 @@ MODELS: Mapping[str, type[PredictiveModel]] = {
 def build(
     name: str, shape: Shape, normalisation: Normalisation, options: Mapping[str, Any] | None = None
 ) -> PredictiveModel:
-    """Make the model of that name with freshly drawn weights.
+    """Make a model with freshly drawn weights.
+
+    Parameters
+    ----------
+    name : str
+        A key of `MODELS`.
+    shape : Shape
+    normalisation : Normalisation
+    options : mapping, optional
+        Further keyword arguments of the model's class.
 
     Raises
     ------
@@ -35,7 +43,8 @@ def build(
     """
     if name not in MODELS:
         raise ValueError(f"there is no model {name!r}; there are {', '.join(MODELS)}")
+    options = dict(options or {})
     try:
-        return MODELS[name](shape, normalisation, **dict(options or {}))
+        return MODELS[name](shape, normalisation, **options)
     except TypeError as error:
-        raise ValueError(f"model {name!r} with options {dict(options or {})}: {error}") from error
+        raise ValueError(f"model {name!r} with options {options}: {error}") from error

@@ -34,8 +34,7 @@ def add(commands: Any) -> None:
 def _train(options: argparse.Namespace) -> int:
     from dataclasses import replace
 
-    from . import load_config, train
-    from .training import open_windows
+    from . import load_config, open_windows, train
 
     config = load_config(options.config)
     if options.seed is not None:
