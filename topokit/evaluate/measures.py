@@ -206,7 +206,7 @@ def _places(
     centres, radii = truth.centres, truth.radii
     pairs, found_first = [], None
     for k in range(columns["outside"].shape[1]):
-        means, loops = told.mean[i, k], truth.there(k)
+        means, loops = told.centre[i, k], truth.there(k)
         everything = min(len(truth.curves), MOST)
         marked = [curve[k] for curve in truth.curves]
         columns["outside_marked"][i, k] = _outside(means[told.first(i, k, everything)], marked, everything)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
 import torch
@@ -59,7 +60,7 @@ class Normalisation:
     value: float = 0.05
 
 
-class PredictiveModel(nn.Module):
+class PredictiveModel(nn.Module, ABC):
     """From a window (the dict of tensors of `topokit.data.WindowDataset`, a leading axis of B) to its states.
 
     Three parts: `encode_frames` looks at single frames, so that a frame of a stream is encoded once; `gather` puts a history of
@@ -87,13 +88,14 @@ class PredictiveModel(nn.Module):
         """What is kept of N frames, each alone; the `inputs` of a window with a leading axis of N."""
         return frames
 
+    @abstractmethod
     def gather(self, kept: Context) -> Context:
         """What the forecast needs of the frames that `encode_frames` kept, (B, F, ...), in the order of `self.frames`.
 
         If `tracked`, with the tracked states, (B, history, ...), the newest first.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
         """Forecast the states of all steps.
 
@@ -105,7 +107,6 @@ class PredictiveModel(nn.Module):
             Planned targets of the grippers, metres. C is B, or any number when B is 1: one history under C plans.
         held : (C, horizon) bool
         """
-        raise NotImplementedError
 
     def present_states(self, context: Context) -> States | None:
         """Return the present state as the model estimates it on its way, (B, 1, slots); None when it does not.

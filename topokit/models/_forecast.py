@@ -104,7 +104,13 @@ class Forecast:
         return len(self.birth) if self.birth.ndim == 3 else None
 
     def plan(self, index: int) -> Forecast:
-        """The forecast under one of the plans."""
+        """The forecast under one of the plans.
+
+        Raises
+        ------
+        IndexError
+            When there is but one.
+        """
         if self.plans is None:
             raise IndexError("this is the forecast of a single plan")
         return Forecast(*(part[index] for part in vars(self).values()))

@@ -59,7 +59,7 @@ def forecast_loss(
     present: States | None = None,
     generator: torch.Generator | None = None,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Loss of a batch, and its parts and the mean distance of the mixtures' means in metres (`distance`) for the log.
+    """Loss of a batch; and for the log the same, its parts, and the mean distance of the mixtures' means in metres.
 
     Parameters
     ----------
@@ -90,7 +90,8 @@ def forecast_loss(
     if weights.now and present is not None:
         parts["now"] = _features(present, past, past.presence > 0)
     total = torch.stack([getattr(weights, name) * part for name, part in parts.items()]).sum()
-    return total, {**{name: part.detach() for name, part in parts.items()}, "distance": _mean(gap.detach())}
+    parts = {"loss": total, **parts, "distance": _mean(gap)}
+    return total, {name: part.detach() for name, part in parts.items()}
 
 
 @torch.no_grad()

@@ -11,6 +11,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -77,7 +78,7 @@ class States:
         """All parts in 32 bits."""
         return self._each(Tensor.float)
 
-    def __getitem__(self, index: object) -> States:
+    def __getitem__(self, index: Any) -> States:
         """Index all parts alike, along the leading dimensions."""
         return self._each(lambda part: part[index])
 

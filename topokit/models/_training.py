@@ -231,7 +231,7 @@ class _Training:
         self.fabric.backward(loss)
         self.fabric.clip_gradients(self.model, self.optimizer, max_norm=config.clip)
         self.optimizer.step()
-        _add(progress.sums, {"loss": loss, **parts})
+        _add(progress.sums, parts)
         progress.step += 1
         progress.batch += 1
 
@@ -242,8 +242,8 @@ class _Training:
         chosen = spread(_length(self.windows.validation), self.config.validation_windows)
         sums: dict[str, float] = {}
         for number, window in enumerate(self._loader(Subset(self.windows.validation, chosen))):
-            loss, parts = self.model(Batch(window), number)
-            _add(sums, {"loss": loss, **parts}, len(window["actions"]))
+            _, parts = self.model(Batch(window), number)
+            _add(sums, parts, len(window["actions"]))
         losses, progress = {name: value / len(chosen) for name, value in sums.items()}, self.progress
         row = {"epoch": progress.epoch, "step": progress.step, "seconds": round(progress.seconds, 1)}
         row |= {f"train_{name}": value / max(progress.batch, 1) for name, value in progress.sums.items()}
