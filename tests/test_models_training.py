@@ -20,7 +20,6 @@ from topokit.models import (
     PAST,
     LossWeights,
     Normalisation,
-    PointNet,
     Shape,
     Spoiling,
     TrainConfig,
@@ -34,6 +33,7 @@ from topokit.models import (
     train,
 )
 from topokit.models._augment import mirrored, spoilt
+from topokit.models._paper import PointNet
 from topokit.models._training import epoch_order
 
 from windows import POINTS, SLOTS, RingWindows

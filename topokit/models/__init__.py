@@ -16,34 +16,25 @@ from topokit._lazy import attach
 if TYPE_CHECKING:
     from ._augment import Spoiling
     from ._base import PAST, Normalisation, PredictiveModel, Shape
-    from ._baselines import Carry, Hold, Ridge
     from ._checkpoint import load_model, load_tensors
     from ._config import TrainConfig, load_config
     from ._forecast import Forecast, PredictedLoop
-    from ._loopcast import LoopCast
     from ._losses import LossWeights, forecast_loss, match_slots
     from ._mixture import loop_mixtures
-    from ._paper import MLP, PointNet
     from ._predictor import Predictor
     from ._registry import MODELS, build
     from ._states import States, past_states, target_states
     from ._training import Windows, open_windows, train
 
 __all__ = [
-    "MLP",
     "MODELS",
     "PAST",
-    "Carry",
     "Forecast",
-    "Hold",
-    "LoopCast",
     "LossWeights",
     "Normalisation",
-    "PointNet",
     "PredictedLoop",
     "PredictiveModel",
     "Predictor",
-    "Ridge",
     "Shape",
     "Spoiling",
     "States",
@@ -67,14 +58,11 @@ __getattr__ = attach(
     {
         "_augment": "Spoiling",
         "_base": "PAST Normalisation PredictiveModel Shape",
-        "_baselines": "Carry Hold Ridge",
         "_checkpoint": "load_model load_tensors",
         "_config": "TrainConfig load_config",
         "_forecast": "Forecast PredictedLoop",
-        "_loopcast": "LoopCast",
         "_losses": "LossWeights forecast_loss match_slots",
         "_mixture": "loop_mixtures",
-        "_paper": "MLP PointNet",
         "_predictor": "Predictor",
         "_registry": "MODELS build",
         "_states": "States past_states target_states",

@@ -69,8 +69,6 @@ class Ridge(Hold):
 
     Parameters
     ----------
-    shape : Shape
-    normalisation : Normalisation
     penalty : float
         On the squared coefficients, for inputs of about unit size; the constant has none.
     """

@@ -70,8 +70,6 @@ class LoopCast(PredictiveModel):
 
     Parameters
     ----------
-    shape : Shape
-    normalisation : Normalisation
     width : int
         Of the codes of points, frames and slots.
     step_width : int

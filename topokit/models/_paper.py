@@ -27,8 +27,6 @@ class MLP(PredictiveModel):
 
     Parameters
     ----------
-    shape : Shape
-    normalisation : Normalisation
     hidden : sequence of int
         Units of the hidden layers.
     cloud_points : int
@@ -72,8 +70,6 @@ class PointNet(MLP):
 
     Parameters
     ----------
-    shape : Shape
-    normalisation : Normalisation
     hidden : sequence of int
         Units of the hidden layers after the encoder.
     per_point : sequence of int

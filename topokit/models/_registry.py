@@ -27,6 +27,8 @@ def build(
 ) -> PredictiveModel:
     """Make a model with freshly drawn weights.
 
+    "hold", "carry" and "ridge" are baselines without a network, "mlp" and "pointnet" the paper's, "loopcast" is ours.
+
     Parameters
     ----------
     name : str
@@ -34,7 +36,8 @@ def build(
     shape : Shape
     normalisation : Normalisation
     options : mapping, optional
-        Further keyword arguments of the model's class.
+        Of "ridge" `penalty`; of "mlp" `hidden`, `cloud_points`; of "pointnet" `hidden`, `per_point`; of "loopcast" `width`,
+        `step_width`, `tracked`. The classes say what they mean.
 
     Raises
     ------
