@@ -266,6 +266,15 @@ def test_a_stream_is_the_window(window, stream, name):
     assert np.allclose(forecast.presence, states.presence[0].sigmoid(), atol=1e-5)
 
 
+def test_a_predictor_tracks_with_the_recommended_options(monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        "topokit.models._predictor.SeqPH", lambda **options: made.append(options) or tk.SeqPH(**options)
+    )
+    Predictor(make("carry"))
+    assert made == [dict(RECOMMENDED)]
+
+
 def test_frames_are_encoded_once(window, stream, monkeypatch):
     predictor = Predictor(make("loopcast"))
     calls = []

@@ -243,6 +243,18 @@ def test_a_mirrored_window_is_the_window_of_the_mirrored_scene():
     assert torch.allclose(next(carried)[2] * torch.tensor([-1.0, 1, 1]), next(carried)[2], atol=1e-6)
 
 
+def test_the_mirror_exchanges_the_grippers_and_their_targets():
+    data, image = RingWindows(2, seed=2), torch.tensor([-1.0, 1, 1])
+    window = default_collate([data[i] for i in range(2)])
+    for name in ("grippers", "actions"):  # one is higher and farther ahead than the other
+        window[name] = window[name] + torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.02, 0.03]])
+    mirror = mirrored(window, torch.tensor([True, False]))
+    for name in ("grippers", "actions"):
+        assert torch.equal(mirror[name][0, :, 0], window[name][0, :, 1] * image)
+        assert torch.equal(mirror[name][0, :, 1], window[name][0, :, 0] * image)
+        assert torch.equal(mirror[name][1], window[name][1])
+
+
 @pytest.fixture
 def seen():
     """Windows with what another tracker saw of the history: every loop ten metres above."""
