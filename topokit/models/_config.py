@@ -51,8 +51,6 @@ class TrainConfig:
         Of AdamW; the rate rises over the first 2 % of steps and falls along a cosine to a hundredth.
     clip : float
         Largest norm of a gradient.
-    mirror : bool
-        Show half of the windows in the mirror x -> -x, the grippers exchanged.
     spoil : Spoiling
         How much worse the history is seen than the labels' tracker saw it.
     patience : int
@@ -61,10 +59,7 @@ class TrainConfig:
     workers : int
         Processes that read windows beside the one that trains.
     accelerator, precision : str
-    devices : int
-        Of Lightning Fabric: "cpu", "cuda", "auto"; "32-true", "bf16-mixed", "16-mixed"; how many.
-    half : bool
-        Store the best weights in 16 bits: half the size.
+        Of Lightning Fabric: "cpu", "cuda", "auto"; "32-true", "bf16-mixed", "16-mixed".
 
     Raises
     ------
@@ -88,15 +83,12 @@ class TrainConfig:
     learning_rate: Positive = 1e-3
     weight_decay: NotNegative = 1e-4
     clip: Positive = 1.0
-    mirror: bool = True
     spoil: Spoiling = field(default_factory=Spoiling)
     patience: Count = 5
     minutes_between_checkpoints: Positive = 5.0
     workers: Natural = 0
     accelerator: str = "cpu"
-    devices: Count = 1
     precision: str = "32-true"
-    half: bool = True
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Subset, default_collate
 from tqdm import tqdm
 
@@ -27,18 +27,18 @@ from topokit._archive import FormatError
 from topokit._config import from_mapping
 
 from ._augment import mirrored, spoilt
-from ._base import Normalisation, PredictiveModel
+from ._base import Normalisation
 from ._baselines import Ridge
 from ._checkpoint import describe, load_tensors, save_tensors
 from ._config import TrainConfig
-from ._losses import LossWeights, forecast_loss
+from ._losses import forecast_loss
 from ._registry import build
 from ._states import target_states
 
 __all__ = ["Windows", "open_windows", "train"]
 
 LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
-_FREE = ("workers", "minutes_between_checkpoints", "out", "dataset", "accelerator", "devices")  # may change on the way
+_FREE = ("workers", "minutes_between_checkpoints", "out", "dataset", "accelerator")  # may change on the way
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,29 +133,6 @@ class Progress:
     log: list[dict[str, Any]] = field(default_factory=list)
 
 
-class Batch:
-    """Windows, and what the model is shown of them. Opaque to Fabric, which would round a dict of tensors to 16 bits."""
-
-    def __init__(self, window: Mapping[str, Tensor], shown: Mapping[str, Tensor] | None = None) -> None:
-        self.window, self.shown = window, shown or window
-
-
-class Objective(nn.Module):
-    """A model and its loss, which is taken in 32 bits whatever the model computes in."""
-
-    def __init__(self, model: PredictiveModel, weights: LossWeights) -> None:
-        super().__init__()
-        self.model, self.weights = model, weights
-
-    def forward(self, batch: Batch, seed: int) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss of a batch and its parts; `seed` decides which steps the log-likelihood looks at."""
-        predicted, present = self.model(batch.shown)
-        present = None if present is None else present.float()
-        generator = torch.Generator().manual_seed(seed)
-        with torch.autocast(predicted.birth.device.type, enabled=False):
-            return forecast_loss(predicted.float(), batch.window, self.weights, present=present, generator=generator)
-
-
 class _Training:
     def __init__(self, config: TrainConfig, windows: Windows, show: bool) -> None:
         self.config, self.windows, self.show, self.out = config, windows, show, Path(config.out)
@@ -167,20 +144,21 @@ class _Training:
             self._check_same(saved[0])
             normalisation = from_mapping(Normalisation, saved[0]["normalisation"], "normalisation")
         torch.manual_seed(config.seed)
-        self.raw = build(config.model, config.shape, normalisation, config.options)
-        self.model: Any = Objective(self.raw, config.loss)
-        if self.raw.learns:
-            optimizer = torch.optim.AdamW(self.raw.parameters(), config.learning_rate, weight_decay=config.weight_decay)
-            self.model, self.optimizer = self.fabric.setup(self.model, optimizer)
+        self.model = build(config.model, config.shape, normalisation, config.options)
+        if self.model.learns:
+            optimizer = torch.optim.AdamW(
+                self.model.parameters(), config.learning_rate, weight_decay=config.weight_decay
+            )
+            _, self.optimizer = self.fabric.setup(self.model, optimizer)
         if saved is not None:
             self._restore(*saved)
-        count = min(config.windows_per_epoch or math.inf, _length(windows.train))
-        self.steps_per_epoch = int(count) // self.fabric.world_size // config.batch
+        n = _length(windows.train)
+        self.steps_per_epoch = min(config.windows_per_epoch or n, n) // config.batch
 
     def run(self, stop_after: int | None) -> dict[str, Any]:
         """Train, and return what `train` returns."""
         if not self.progress.finished:
-            if self.raw.learns:
+            if self.model.learns:
                 self._descend(self.progress.step + stop_after if stop_after else None)
             else:
                 self._solve()
@@ -188,8 +166,8 @@ class _Training:
 
     def _solve(self) -> None:
         """A model without gradient descent: fit what is to be fitted, and validate once."""
-        if isinstance(self.raw, Ridge):
-            self.raw.fit(self._batches())
+        if isinstance(self.model, Ridge):
+            self.model.fit(self._batches())
         self._validate()
         self.progress.finished = True
         self._save(LAST)
@@ -216,15 +194,13 @@ class _Training:
 
     def _step(self, window: Mapping[str, Tensor]) -> None:
         progress, config = self.progress, self.config
+        share = learning_rate_share(progress.step, config.epochs * self.steps_per_epoch)
         for group in self.optimizer.param_groups:
-            group["lr"] = config.learning_rate * learning_rate_share(
-                progress.step, config.epochs * self.steps_per_epoch
-            )
+            group["lr"] = config.learning_rate * share
         seed = config.seed * 1_000_003 + progress.step
         generator = torch.Generator().manual_seed(seed)
-        if config.mirror:
-            window = mirrored(window, torch.rand(len(window["actions"]), generator=generator) < 0.5)
-        loss, parts = self.model(Batch(window, spoilt(window, config.spoil, generator)), seed)
+        window = mirrored(window, torch.rand(len(window["actions"]), generator=generator) < 0.5)
+        loss, parts = self._loss(window, spoilt(window, config.spoil, generator), seed)
         if not torch.isfinite(loss):
             raise ValueError(f"step {progress.step}: the loss is {loss.item()}; lower learning_rate, or check the data")
         self.optimizer.zero_grad()
@@ -235,14 +211,24 @@ class _Training:
         progress.step += 1
         progress.batch += 1
 
+    def _loss(
+        self, window: Mapping[str, Tensor], shown: Mapping[str, Tensor], seed: int
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Of a batch, as it is shown to the model: in 32 bits whatever the model computes in. The seed draws steps."""
+        with self.fabric.autocast():
+            predicted, present = self.model(shown)
+        present = None if present is None else present.float()
+        generator = torch.Generator().manual_seed(seed)
+        return forecast_loss(predicted.float(), window, self.config.loss, present=present, generator=generator)
+
     @torch.no_grad()
     def _validate(self) -> None:
         """End an epoch: mean losses over the windows held back, a row of the log, the best weights so far."""
-        self.raw.eval()
+        self.model.eval()
         chosen = spread(_length(self.windows.validation), self.config.validation_windows)
         sums: dict[str, float] = {}
         for number, window in enumerate(self._loader(Subset(self.windows.validation, chosen))):
-            _, parts = self.model(Batch(window), number)
+            _, parts = self._loss(window, window, number)
             _add(sums, parts, len(window["actions"]))
         losses, progress = {name: value / len(chosen) for name, value in sums.items()}, self.progress
         row = {"epoch": progress.epoch, "step": progress.step, "seconds": round(progress.seconds, 1)}
@@ -260,7 +246,7 @@ class _Training:
         return {
             "checkpoint": str(self.out / BEST),
             "model": self.config.model,
-            "parameters": sum(part.numel() for part in self.raw.parameters()),
+            "parameters": sum(part.numel() for part in self.model.parameters()),
             "finished": progress.finished,
             "validation_loss": progress.best,
             "best_epoch": progress.best_epoch,
@@ -274,9 +260,9 @@ class _Training:
         """What is left of the epoch's batches, under a bar."""
         progress, config = self.progress, self.config
         order = epoch_order(_length(self.windows.train), config.windows_per_epoch, config.seed, progress.epoch)
-        left = order[progress.batch * config.batch * self.fabric.world_size :]
+        left = Subset(self.windows.train, order[progress.batch * config.batch :])
         return tqdm(
-            self._loader(Subset(self.windows.train, left), drop_last=True, use_distributed_sampler=True),
+            self._loader(left, drop_last=True),
             f"epoch {progress.epoch + 1}",
             total=self.steps_per_epoch,
             initial=progress.batch,
@@ -285,30 +271,24 @@ class _Training:
             disable=not self.show,
         )
 
-    def _loader(self, data: Any, drop_last: bool = False, use_distributed_sampler: bool = False) -> Any:
+    def _loader(self, data: Any, drop_last: bool = False) -> Any:
         loader = DataLoader(data, self.config.batch, num_workers=self.config.workers, drop_last=drop_last)
-        return self.fabric.setup_dataloaders(
-            loader, use_distributed_sampler=use_distributed_sampler, move_to_device=self.raw.learns
-        )
+        return self.fabric.setup_dataloaders(loader, move_to_device=self.model.learns)
 
     def _save(self, name: str) -> None:
-        if self.fabric.global_rank:
-            return
         progress = self.progress
-        weights = {f"model.{key}": part for key, part in self.raw.state_dict().items()}
+        weights = {f"model.{key}": part for key, part in self.model.state_dict().items()}
         more: dict[str, Any] = {"config": asdict(self.config), "dataset": self.windows.checksum}
         if name == BEST:
             more |= {"validation_loss": progress.best, "epoch": progress.best_epoch, "steps": progress.step}
-            weights = {key: part.half() if self.config.half else part for key, part in weights.items()}
+            weights = {key: part.half() for key, part in weights.items()}  # half the size
         else:
             more["progress"] = asdict(progress)
-            for index, entries in self.optimizer.state_dict()["state"].items() if self.raw.learns else ():
+            for index, entries in self.optimizer.state_dict()["state"].items() if self.model.learns else ():
                 weights |= {f"optimizer.{index}.{key}": torch.as_tensor(part) for key, part in entries.items()}
-        save_tensors(self.out / name, weights, describe(self.raw, self.config.model, self.config.options, **more))
+        save_tensors(self.out / name, weights, describe(self.model, self.config.model, self.config.options, **more))
 
     def _write_log(self) -> None:
-        if self.fabric.global_rank:
-            return
         with (self.out / LOG).open("w", newline="") as handle:
             writer = csv.DictWriter(handle, self.progress.log[0])
             writer.writeheader()
@@ -320,8 +300,8 @@ class _Training:
             for key, part in tensors.items():
                 kind, name = key.split(".", 1)
                 parts[kind][name] = part
-            self.raw.load_state_dict(parts["model"])
-            if self.raw.learns:
+            self.model.load_state_dict(parts["model"])
+            if self.model.learns:
                 whole = self.optimizer.state_dict()
                 for key, part in parts["optimizer"].items():
                     index, name = key.split(".")
@@ -390,6 +370,6 @@ def _fabric(config: TrainConfig) -> Any:
         Fabric = import_module("lightning_fabric").Fabric
     except ModuleNotFoundError:  # conda-forge has it as a part of `lightning`
         Fabric = import_module("lightning.fabric").Fabric
-    fabric = Fabric(accelerator=config.accelerator, devices=config.devices, precision=config.precision)
+    fabric = Fabric(accelerator=config.accelerator, devices=1, precision=config.precision)
     fabric.launch()
     return fabric
