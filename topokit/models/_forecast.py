@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from topokit.mixture import InverseWishart, LoopMixture, loop_mixture
+from topokit.mixture import LoopMixture, loop_mixture
 
 from ._states import TRIANGLES, States
 
@@ -57,16 +57,9 @@ class PredictedLoop:
         """(3,) mean of the barycentres of the two killer triangles, as of a `topokit.Loop`; `mixture().mean` is another place."""
         return np.asarray(self.killer_triangles.mean(axis=(0, 1)))
 
-    def mixture(self, noise: float = 1e-4, prior: InverseWishart | None = None) -> LoopMixture:
-        """Where the loop is.
-
-        Parameters
-        ----------
-        noise : float
-        prior : InverseWishart, optional
-            As of `topokit.loop_mixture`.
-        """
-        return loop_mixture(self, noise, prior)
+    def mixture(self, noise: float = 1e-4) -> LoopMixture:
+        """Where the loop is, as `topokit.loop_mixture` says."""
+        return loop_mixture(self, noise)
 
 
 @dataclass(frozen=True, eq=False)
