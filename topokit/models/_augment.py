@@ -90,9 +90,9 @@ def _spoilt_tracks(window: Mapping[str, Tensor], how: Spoiling, generator: torch
     """What is tracked in the history: by a worse tracker, nothing at all, or false loops."""
     n, _, slots = window["past_present"].shape
     tracked = {name: window[name] for name in PAST}
-    seen = torch.rand(n, generator=generator) < how.seen
-    if seen.any():
-        tracked = {name: _chosen(seen, window[name.replace("past_", "seen_")], part) for name, part in tracked.items()}
+    worse = torch.rand(n, generator=generator) < how.seen
+    if worse.any():
+        tracked = {name: _chosen(worse, window[name.replace("past_", "seen_")], part) for name, part in tracked.items()}
     false = _false_loops(tracked, window["grippers"], generator)
     wrong = torch.rand(n, 1, slots, generator=generator) < how.false
     kept = torch.rand(n, generator=generator) >= how.lost
