@@ -34,7 +34,7 @@ from topokit.models import (
 )
 from topokit.models._augment import mirrored, spoilt
 from topokit.models._paper import PointNet
-from topokit.models._training import epoch_order
+from topokit.models._windows import epoch_order
 
 from windows import POINTS, SLOTS, RingWindows
 

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from ._predictor import Predictor
     from ._registry import MODELS, build
     from ._states import States, past_states, target_states
-    from ._training import Windows, open_windows, train
+    from ._training import train
+    from ._windows import Windows, open_windows
 
 __all__ = [
     "MODELS",
@@ -66,7 +67,8 @@ __getattr__ = attach(
         "_predictor": "Predictor",
         "_registry": "MODELS build",
         "_states": "States past_states target_states",
-        "_training": "Windows open_windows train",
+        "_training": "train",
+        "_windows": "Windows open_windows",
     },
     extra="learn",
 )

@@ -12,7 +12,7 @@ import csv
 import json
 import math
 import time
-from collections.abc import Mapping, Sized
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -20,7 +20,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, Subset, default_collate
+from torch.utils.data import DataLoader, Subset
 from tqdm import tqdm
 
 from topokit._archive import FormatError
@@ -33,28 +33,12 @@ from ._checkpoint import describe, load_tensors, save_tensors
 from ._config import TrainConfig
 from ._losses import forecast_loss
 from ._registry import build
-from ._states import target_states
+from ._windows import Windows, epoch_order, length, normalisation_of, spread
 
-__all__ = ["Windows", "open_windows", "train"]
+__all__ = ["train"]
 
 LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
 _FREE = ("workers", "minutes_between_checkpoints", "out", "dataset", "accelerator")  # may change on the way
-
-
-@dataclass(frozen=True, eq=False)
-class Windows:
-    """What is trained on: two splits without a common episode, and the checksum of the dataset that they are from.
-
-    Attributes
-    ----------
-    train, validation : torch.utils.data.Dataset
-        Of windows, as `topokit.data.WindowDataset`.
-    checksum : str
-    """
-
-    train: Dataset[dict[str, Tensor]]
-    validation: Dataset[dict[str, Tensor]]
-    checksum: str = ""
 
 
 def train(
@@ -84,7 +68,7 @@ def train(
     FormatError
         When the checkpoint to go on from is damaged.
     """
-    counts = _length(windows.train), _length(windows.validation)
+    counts = length(windows.train), length(windows.validation)
     if counts[0] < config.batch or not counts[1]:
         raise ValueError(
             f"{counts[0]} windows to train on and {counts[1]} to validate with; a batch has {config.batch}, and one is "
@@ -92,30 +76,6 @@ def train(
         )
     Path(config.out).mkdir(parents=True, exist_ok=True)
     return _Training(config, windows, progress).run(stop_after)
-
-
-def open_windows(config: TrainConfig) -> Windows:
-    """The windows of a dataset that `topokit generate` made, split by episode or as `config.split` says.
-
-    Raises
-    ------
-    ValueError
-        When the configuration names no dataset.
-    FileNotFoundError, FormatError
-        When the dataset or its labels are missing or damaged.
-    """
-    from topokit.data import Dataset as Episodes
-    from topokit.data import WindowDataset
-
-    if not config.dataset:
-        raise ValueError("the configuration names no dataset")
-    episodes, sizes = Episodes.open(config.dataset), asdict(config.shape)
-    parts, points = episodes.split(**config.split), sizes.pop("points")
-    train, validation = (
-        WindowDataset(episodes, parts[name], n_points=points, **sizes, **config.windows)
-        for name in ("train", "validation")
-    )
-    return Windows(train, validation, episodes.checksum())
 
 
 @dataclass
@@ -152,7 +112,7 @@ class _Training:
             _, self.optimizer = self.fabric.setup(self.model, optimizer)
         if saved is not None:
             self._restore(*saved)
-        n = _length(windows.train)
+        n = length(windows.train)
         self.steps_per_epoch = min(config.windows_per_epoch or n, n) // config.batch
 
     def run(self, stop_after: int | None) -> dict[str, Any]:
@@ -225,7 +185,7 @@ class _Training:
     def _validate(self) -> None:
         """End an epoch: mean losses over the windows held back, a row of the log, the best weights so far."""
         self.model.eval()
-        chosen = spread(_length(self.windows.validation), self.config.validation_windows)
+        chosen = spread(length(self.windows.validation), self.config.validation_windows)
         sums: dict[str, float] = {}
         for number, window in enumerate(self._loader(Subset(self.windows.validation, chosen))):
             _, parts = self._loss(window, window, number)
@@ -259,7 +219,7 @@ class _Training:
     def _batches(self) -> Any:
         """What is left of the epoch's batches, under a bar."""
         progress, config = self.progress, self.config
-        order = epoch_order(_length(self.windows.train), config.windows_per_epoch, config.seed, progress.epoch)
+        order = epoch_order(length(self.windows.train), config.windows_per_epoch, config.seed, progress.epoch)
         left = Subset(self.windows.train, order[progress.batch * config.batch :])
         return tqdm(
             self._loader(left, drop_last=True),
@@ -326,27 +286,6 @@ class _Training:
             )
 
 
-def normalisation_of(data: Dataset[dict[str, Tensor]], most: int = 200) -> Normalisation:
-    """Where the coordinates and filtration values of some windows lie."""
-    window = default_collate([data[i] for i in spread(_length(data), most)])
-    clouds, target = window["clouds"], target_states(window)
-    origin = clouds.mean(dim=(0, 1, 2))
-    deaths = target.death[target.presence > 0]
-    value = float(deaths.mean()) if len(deaths) else Normalisation().value
-    return Normalisation(tuple(origin.tolist()), float((clouds - origin).std()), value)
-
-
-def epoch_order(n: int, count: int | None, seed: int, epoch: int) -> list[int]:
-    """`count` of n windows, or all, in an order that seed and epoch decide."""
-    generator = torch.Generator().manual_seed(seed * 1_000_003 + epoch)
-    return torch.randperm(n, generator=generator)[:count].tolist()
-
-
-def spread(n: int, most: int) -> list[int]:
-    """At most so many of n numbers, evenly spaced."""
-    return [i * n // min(n, most) for i in range(min(n, most))]
-
-
 def learning_rate_share(step: int, steps: int) -> float:
     """Of the largest learning rate: up along a line over 2 % of the steps, down along a cosine to 1 %."""
     warm = max(1, steps // 50)
@@ -360,16 +299,9 @@ def _add(sums: dict[str, float], parts: Mapping[str, Tensor], weight: int = 1) -
         sums[name] = sums.get(name, 0.0) + weight * float(part)
 
 
-def _length(data: Dataset[Any]) -> int:
-    assert isinstance(data, Sized)
-    return len(data)
-
-
 def _fabric(config: TrainConfig) -> Any:
     try:
         Fabric = import_module("lightning_fabric").Fabric
     except ModuleNotFoundError:  # conda-forge has it as a part of `lightning`
         Fabric = import_module("lightning.fabric").Fabric
-    fabric = Fabric(accelerator=config.accelerator, devices=1, precision=config.precision)
-    fabric.launch()
-    return fabric
+    return Fabric(accelerator=config.accelerator, devices=1, precision=config.precision)
