@@ -98,7 +98,7 @@ class Ridge(Hold):
     def fit(self, batches: Iterable[Mapping[str, Tensor]]) -> None:
         """Solve the normal equations, summed over batches of windows: one system for places, one for the rest."""
         size = len(self.coefficients)
-        gram, there_gram = (torch.zeros(size, size, dtype=torch.float64) for _ in range(2))
+        gram, there_gram = torch.zeros(2, size, size, dtype=torch.float64)
         moments = torch.zeros(size, self.shape.horizon, NUMBERS, dtype=torch.float64)
         for window in batches:
             kept, target = self.encode(window), target_states(window)

@@ -207,9 +207,7 @@ class LoopCast(PredictiveModel):
         code, carried = self._plan(context["grippers"], actions, held)
         change = self._changes(code, context["slot"])
         moved = context["hold"][:, None] @ carried  # (C, K, slots, 3): each loop follows the grippers in its own shares
-        about = context["anchor"][:, None] + moved
-        numbers = context["start"][:, None] + change
-        return self._states(numbers, about)
+        return self._states(context["start"][:, None] + change, context["anchor"][:, None] + moved)
 
     def _changes(self, code: Tensor, slot: Tensor) -> Tensor:
         """What the network adds (C, K, slots, NUMBERS), of codes of steps (C, K, step_width) and of slots."""
