@@ -317,7 +317,7 @@ def test_it_refuses_conditions_without_windows(tmp_path, dataset):
         ({"models": {"mlp": "a"}}, TypeError, "mlp must have a list of checkpoints"),
         ({"samples": 1}, ValueError, "samples"),
         ({"tolerance": -1}, ValueError, "tolerance"),
-        ({"shape": {"history": 0}}, ValueError, "shape.history"),
+        ({"shape": {"history": 0}}, ValueError, "shape: history"),
     ],
 )
 def test_a_wrong_configuration_says_what_is_wrong(entries, error, match, tmp_path):
