@@ -48,7 +48,7 @@ def open_windows(config: TrainConfig) -> Windows:
 
     if not config.dataset:
         raise ValueError("the configuration names no dataset")
-    episodes, sizes = Episodes.open(config.dataset), asdict(config.shape)
+    episodes, sizes = Episodes(config.dataset), asdict(config.shape)
     parts, points = episodes.split(**config.split), sizes.pop("points")
     train, validation = (
         WindowDataset(episodes, parts[name], n_points=points, **sizes, **config.windows)
