@@ -53,11 +53,11 @@ def processes(root: psutil.Process, kind: str) -> list[psutil.Process]:
     for process in root.children(recursive=True):
         with contextlib.suppress(psutil.Error):
             text, parent = " ".join(process.cmdline()), " ".join(process.parent().cmdline())
-            is_forge = "_forge import serve" in text
+            is_forge = "_process import serve" in text
             kinds = {
                 "worker killed": "spawn_main" in text and not is_forge,
-                "forge killed": is_forge and "_forge import serve" not in parent,
-                "simulation killed": is_forge and "_forge import serve" in parent,
+                "forge killed": is_forge and "_process import serve" not in parent,
+                "simulation killed": is_forge and "_process import serve" in parent,
             }
             if kinds[kind]:
                 found.append(process)

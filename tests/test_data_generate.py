@@ -13,9 +13,10 @@ import psutil
 import pytest
 
 from topokit.cli import main
-from topokit.data import Dataset, Interrupted, _forge, _generate, _parallel, check, generate, make_episode
+from topokit.data import Dataset, Interrupted, _generate, _parallel, check, generate, make_episode
 from topokit.data._layout import encode, episode_arrays, episode_fields, room
 from topokit.data._records import index_bytes, read_index
+from topokit.sim import _process
 
 from small_datasets import SEED, TINY, command, wait_until
 
@@ -163,7 +164,7 @@ def test_what_is_slow_because_the_machine_is_busy_is_not(started, monkeypatch):
 def test_what_waits_for_ever_is_stopped_in_the_end(started, monkeypatch):
     monkeypatch.setattr(_generate, "_WORK", "small_datasets:sleep")
     assert _generate._make(str(started), 0.1, 0)["status"] == "failed"
-    assert "stopped: it waited for 1 s" in Dataset(started).failures[0].reason
+    assert "stopped: no sign of life for 1 s" in Dataset(started).failures[0].reason
 
 
 def test_a_full_disk_is_no_fault_of_the_episode(started, monkeypatch):
@@ -274,11 +275,11 @@ def test_a_forge_that_is_killed_while_it_starts_is_started_again(tmp_path, monke
     log = tmp_path / "starts"
     die = f"import os; path = {str(log)!r}; open(path, 'a').write('x')\n"
     die += f"if os.path.getsize(path) <= {killed}: os.kill(os.getpid(), 9)\n"
-    monkeypatch.setattr(_forge, "_MAIN", die + _forge._MAIN)
-    forge = _forge.Forge("json:dumps")
+    monkeypatch.setattr(_process, "_MAIN", die + _process._MAIN)
+    forge = _process.Forge("json:dumps")
     try:
         with contextlib.nullcontext() if says is None else pytest.raises(RuntimeError, match=says):
             assert forge.run({"a": 1}, 5.0) == {"answer": '{"a": 1}'}
     finally:
         forge.close()
-    assert log.stat().st_size == (killed + 1 if says is None else _forge._STARTS)
+    assert log.stat().st_size == (killed + 1 if says is None else _process._STARTS)

@@ -18,8 +18,8 @@ from typing import Any
 
 from topokit._validate import positive
 from topokit.sim import SimulationError
+from topokit.sim._process import Forge
 
-from ._forge import Forge
 from ._group import Group, compact, locked, prepare, versions_of
 from ._layout import encode, episode_arrays, episode_fields, room
 from ._parallel import Cluster, run_jobs

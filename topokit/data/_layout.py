@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from topokit.io import Episode
 from topokit.sim import TASKS
-from topokit.sim.randomise import generator
+from topokit.sim._randomise import generator
 
 from .config import DatasetConfig, garment_of
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from topokit._config import from_mapping
 from topokit._validate import positive
 from topokit.io import Episode
 from topokit.sim import TASKS, DepthNoise, Garment, Randomisation, SimulationConfig, cameras_around, simulate
@@ -121,13 +122,13 @@ class DatasetConfig:
         _only_known(parts, cls, "the configuration")
         if "simulation" in parts:
             _only_known(parts["simulation"], SimulationConfig, "simulation")
-            parts["simulation"] = SimulationConfig(**parts["simulation"])
+            parts["simulation"] = from_mapping(SimulationConfig, parts["simulation"], "simulation")
         if parts.get("randomisation") is not None:
             ranges = dict(parts["randomisation"])
             if ranges.pop("version", Randomisation.version) != Randomisation.version:
                 raise ValueError(f"randomisation is of another version; this topokit has {Randomisation.version}")
             _only_known(ranges, Randomisation, "randomisation")
-            parts["randomisation"] = Randomisation(**ranges)
+            parts["randomisation"] = from_mapping(Randomisation, ranges, "randomisation")
         return cls(**parts)
 
 
