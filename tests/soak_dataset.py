@@ -27,7 +27,7 @@ from pathlib import Path
 
 import psutil
 
-from topokit.data import Dataset, check
+from topokit.data import Dataset, check_dataset
 from topokit.data._generate import PACKAGES
 from topokit.data._group import versions_of
 
@@ -170,7 +170,7 @@ def soak(folder: Path, episodes: int, workers: int, every: float, seed: int) -> 
         "failed": len(Dataset(war).failures) - len(Dataset(peace).failures),
         "files": len(one),
         "files that differ": sum(one.get(name) != other.get(name) for name in {*one, *other}),
-        "problems": [str(problem) for problem in check(war)],
+        "problems": [str(problem) for problem in check_dataset(war)],
         "checksum": Dataset(war).checksum(),
         "checksum undisturbed": Dataset(peace).checksum(),
         "versions": versions_of(*PACKAGES),

@@ -105,7 +105,7 @@ def _parser() -> argparse.ArgumentParser:
     tracker.add_argument("--json", action="store_true", help="print the answer as JSON")
     tracker.set_defaults(run=_track)
 
-    from .data.commands import add as add_data_commands
+    from .data._commands import add as add_data_commands
     from .evaluate.commands import add as add_evaluate_commands
     from .models.commands import add as add_model_commands
 

@@ -112,7 +112,7 @@ def attempts(names: list[str], seeds: range, randomise: bool, results: Path) -> 
 
 def recorded(folder: Path) -> list[dict[str, Any]]:
     """The same rows, of the episodes of a dataset that `topokit generate` made."""
-    dataset = Dataset.open(folder)
+    dataset = Dataset(folder)
     lines = (folder / "timing.jsonl").read_text().splitlines()
     seconds = {row["episode"]: row["seconds"] for row in map(json.loads, lines)}
     rows = []
