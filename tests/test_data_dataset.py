@@ -61,7 +61,7 @@ def test_what_a_dataset_says_of_itself(made):
     assert dataset.garments == ("mask", "sheet", "sheet2")
     assert dataset.failures == ()
     assert "10 of 10 episodes" in repr(dataset)
-    assert dataset.label_names == ["full", "observed-40"]
+    assert dataset.group.names("labels") == ["full", "observed-40"]
     assert [episode.seed for episode in dataset] == [record.seed for record in dataset.records]
     with pytest.raises(KeyError, match="no episode 10"):
         dataset[10]

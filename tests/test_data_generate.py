@@ -265,7 +265,6 @@ def test_failed_episodes_are_tried_again_when_asked(started, undisturbed, monkey
 
 def test_a_worker_with_other_versions_stops_the_work(started, monkeypatch):
     newer = {**_generate.versions_of(*_generate.PACKAGES), "numpy": "99"}
-    _generate.refuse_other_versions.cache_clear()
     monkeypatch.setattr(_generate, "versions_of", lambda *_: newer)
     with pytest.raises(ValueError, match=r"versions.numpy.*use the same versions"):
         _generate._make_episode(str(started), 60.0, 0)

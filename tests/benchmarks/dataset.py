@@ -107,7 +107,7 @@ def store(url: str) -> dict[str, Any]:
     for path in sorted(Path(url).iterdir()):
         if path.is_dir() and path.name not in (".part", "labels"):
             sizes[path.name] = sum(file.stat().st_size for file in path.iterdir()) / max(1, len(dataset))
-    for name in dataset.label_names:
+    for name in dataset.group.names("labels"):
         files = [file for file in (Path(url) / "labels" / name).rglob("*") if file.is_file()]
         sizes[f"labels/{name}"] = sum(file.stat().st_size for file in files) / max(1, len(dataset))
     some = dataset.episodes[:: max(1, len(dataset) // 50)]

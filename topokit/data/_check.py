@@ -6,6 +6,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +19,7 @@ from ._group import Group, cloud_of, decode, open_episodes
 from ._layout import Field, episode_fields, episode_of, room, skeleton
 from ._recipe import DatasetConfig
 from ._records import Record, parse, read_index, record_path
-from ._states import label_fields
+from ._states import label_fields, states_of
 
 __all__ = ["Problem", "check_dataset"]
 
@@ -75,10 +76,7 @@ def _episode_problems(group: Group, records: Records, progress: bool) -> Iterato
         if document["status"] != "ok":
             return None
         episode = episode_of(decode(group, document), document, manifest)
-        try:
-            check_episode(episode)
-        except ValueError as error:
-            return f"does not fit together: {error}"
+        check_episode(episode)
         sizes = {"frames": len(episode), "vertices": episode.points.shape[1], "observed": episode.observed.shape[1]}
         wrong = {name: document[name] for name, size in sizes.items() if document[name] != size}
         return f"has by its record {wrong}, and by its arrays {sizes}" if wrong else None
@@ -100,16 +98,11 @@ def _label_problems(group: Group, prefix: str, episodes: Records, progress: bool
             return "is of another episode than the one that is there now: remove the record, and label again"
         if document["status"] != "ok":
             return None
-        stored = decode(labels, document)
         cloud = cloud_of(group, group.document(index), manifest["observation"], manifest["n_points"])
-        if len(stored["id"]) != len(cloud):
-            return f"has {len(stored['id'])} frames, its episode {len(cloud)}"
-        there = stored["id"] >= 0
-        points = stored["simplices"][there][:, :10]
-        if (points >= cloud.shape[1]).any():
-            return f"names point {int(points.max())} of a cloud of {cloud.shape[1]}"
-        birth, death = stored["values"][there][:, :2].T
-        return None if (np.isfinite(birth) & (birth < death)).all() else "has a loop that dies before it is born"
+        times = np.arange(len(cloud), dtype=np.float64)
+        states = states_of(decode(labels, document), cloud, times)  # an error when a frame or a point is not there
+        fine = all(-np.inf < loop.birth < loop.death for state in states for loop in state.loops)
+        return None if fine else "has a loop that dies before it is born"
 
     fields = label_fields(group.manifest["room"]["frames"], manifest["slots"])
     wanted = {i for i, record in episodes.items() if record.status == "ok"} & set(labels.numbers)
@@ -140,8 +133,9 @@ def _group_problems(
     for f in fields:
         for path in (f"{f.name}/{name}" for name in group.names(f.name) if name != "zarr.json"):
             if path not in owned:
-                what = "belongs to no record: left by a command that was stopped; the same command goes on"
-                yield Problem(path, what)
+                yield Problem(
+                    path, "belongs to no record: left by a command that was stopped, and the same command goes on"
+                )
     missing = sorted(wanted - set(records))
     if missing:
         yield Problem("records", f"{len(missing)} episodes are not there yet, the first is {missing[0]}")
@@ -199,7 +193,5 @@ def _index_problems(group: Group, records: Records) -> Iterator[Problem]:
     except FormatError as error:
         yield Problem("index.json", str(error))
         return
-    for index, record in known.items():
-        if records.get(index) != record:
-            what = f"episode {index} is not what its record says: remove the index, it is made again"
-            yield Problem("index.json", what)
+    for index, _ in sorted(known.items() - records.items(), key=itemgetter(0)):
+        yield Problem("index.json", f"episode {index} is not what its record says: remove the index, it is made again")

@@ -44,14 +44,9 @@ class Dataset:
 
     Attributes
     ----------
-    config : DatasetConfig
     seed : int
-    records : tuple of Record
-        One for every episode that was tried, in order; those that are not ok say why.
     episodes : (n,) int64
         Numbers of the whole ones.
-    garments : tuple of str
-        All that the configuration can draw, in alphabetical order.
 
     Raises
     ------
@@ -72,7 +67,7 @@ class Dataset:
 
     @cached_property
     def records(self) -> tuple[Record, ...]:
-        """One for every episode that was tried, in order."""
+        """One for every episode that was tried, in order; those that are not ok say why."""
         return tuple(self.group.records[i] for i in sorted(self.group.records))
 
     @property
@@ -126,11 +121,6 @@ class Dataset:
         """Return one SHA-256 of what the dataset is and of all its episodes: the same however it was made."""
         return self.group.checksum()
 
-    @property
-    def label_names(self) -> list[str]:
-        """The sets of labels there are."""
-        return self.group.names("labels")
-
     def labels(self, name: str) -> Group:
         """Return a set of labels: its `records`, its `manifest` with the options of the tracker, and its arrays.
 
@@ -141,7 +131,7 @@ class Dataset:
         """
         if name not in self._labels:
             if self.group.read(f"labels/{name}/zarr.json") is None:
-                known = ", ".join(self.label_names) or "none: topokit label makes them"
+                known = ", ".join(self.group.names("labels")) or "none: topokit label makes them"
                 raise FileNotFoundError(f"{self.group.url} has no labels {name!r}; it has {known}")
             self._labels[name] = Group(self.group.url, f"labels/{name}")
         return self._labels[name]
@@ -242,10 +232,6 @@ class Dataset:
         out : path
             A folder that is empty or not there yet.
 
-        Returns
-        -------
-        Dataset
-
         Raises
         ------
         ValueError
@@ -257,7 +243,7 @@ class Dataset:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise ValueError(f"{folder} is not an empty folder")
         _copy(self.group, folder, numbers)
-        for name in self.label_names:
+        for name in self.group.names("labels"):
             _copy(self.labels(name), folder / "labels" / name, numbers)
         return Dataset(folder)
 

@@ -12,7 +12,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from ._parallel import Cluster, Job, run_jobs
 from ._recipe import DatasetConfig, make_episode
 from ._records import commit, record_path
 
-__all__ = ["PACKAGES", "generate_dataset", "make_missing", "refuse_other_versions"]
+__all__ = ["PACKAGES", "generate_dataset", "make_missing", "manifest_here"]
 
 _TRIES = 3
 _SIMULATE = "topokit.data._generate:simulate_and_commit"
@@ -163,7 +163,7 @@ def _kept(folder: Path, identity: Identity, index: int, outcome: Any) -> dict[st
     from distributed import KilledWorker
 
     if isinstance(outcome, KilledWorker):
-        record_failure(folder, identity(index), "its worker died again and again, whatever worker it was")
+        _record_failure(folder, identity(index), "its worker died again and again, whatever worker it was")
         outcome = {"status": "failed", "seconds": 0.0}
     elif isinstance(outcome, BaseException):
         raise outcome  # of the disk, or of this program: not the episode's fault
@@ -177,10 +177,11 @@ def _forget_failed(folder: Path, group: Group) -> None:
             (folder / record_path(index)).unlink(missing_ok=True)
 
 
-@lru_cache(maxsize=4)
-def refuse_other_versions(folder: str, packages: tuple[str, ...]) -> None:
-    """Raise ValueError when this worker has other versions than a group was begun with: its bytes might differ."""
-    refuse_another(Group(folder, records=False).manifest["versions"], versions_of(*packages), folder, "versions")
+def manifest_here(folder: Path, packages: Sequence[str]) -> dict[str, Any]:
+    """Return what a group says it is, to a worker that shall write to it with the same versions: else bytes might differ."""
+    manifest = Group(folder, records=False).manifest
+    refuse_another(manifest["versions"], versions_of(*packages), str(folder), "versions")
+    return manifest
 
 
 _forge: Forge | None = None  # of this worker
@@ -190,8 +191,7 @@ def _make_episode(folder: str, time_limit: float, index: int) -> dict[str, Any]:
     """What a Dask worker does for an episode: see to it that its record is written. Returns what goes into the log."""
     global _forge
     _forge = _forge or Forge(_SIMULATE, _NEEDS)
-    start, reasons = time.monotonic(), []
-    refuse_other_versions(folder, PACKAGES)
+    start, reasons, manifest = time.monotonic(), [], manifest_here(Path(folder), PACKAGES)
     for attempt in range(1, _TRIES + 1):
         result = _forge.run({"folder": folder, "index": index, "attempt": attempt}, time_limit)
         if result.get("errno") is not None:  # the disk, not the episode: nothing is recorded
@@ -202,13 +202,12 @@ def _make_episode(folder: str, time_limit: float, index: int) -> dict[str, Any]:
         reasons.append(result["message"] if result["error"] == "crash" else f"{result['error']}: {result['message']}")
     else:
         status = "failed"
-        identity = _identity(Group(folder, records=False).manifest, index)
-        record_failure(Path(folder), identity, f"after {_TRIES} tries: {'; '.join(dict.fromkeys(reasons))}", _TRIES)
+        reason = f"after {_TRIES} tries: {'; '.join(dict.fromkeys(reasons))}"
+        _record_failure(Path(folder), _identity(manifest, index), reason, _TRIES)
     return {"status": status, "seconds": round(time.monotonic() - start, 3), "attempts": attempt}
 
 
-def record_failure(folder: Path, identity: dict[str, Any], reason: str, attempts: int | None = None) -> None:
-    """Record that an episode could not be made."""
+def _record_failure(folder: Path, identity: dict[str, Any], reason: str, attempts: int | None = None) -> None:
     commit(folder, {**identity, "status": "failed", "reason": reason, "attempts": attempts})
 
 

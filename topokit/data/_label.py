@@ -10,7 +10,7 @@ import inspect
 import re
 import time
 from collections.abc import Mapping
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from topokit.seqph import RECOMMENDED, SeqPH, track
 
-from ._generate import make_missing, refuse_other_versions
+from ._generate import make_missing, manifest_here
 from ._group import Group, cloud_of, locked, open_episodes, prepare, versions_of
 from ._layout import encode
 from ._parallel import Cluster
@@ -112,17 +112,10 @@ def _manifest(
     }
 
 
-@lru_cache(maxsize=2)
-def _open(folder: str, name: str) -> tuple[Group, Group]:
-    return Group(folder, records=False), Group(folder, f"labels/{name}", records=False)
-
-
 def _label_episode(folder: str, name: str, index: int) -> dict[str, Any]:
     """What a Dask worker does for an episode."""
-    start, target = time.monotonic(), Path(folder, "labels", name)
-    refuse_other_versions(str(target), _PACKAGES)
-    group, labels = _open(folder, name)
-    manifest, episode = labels.manifest, group.document(index)
+    start, target, group = time.monotonic(), Path(folder, "labels", name), Group(folder, records=False)
+    manifest, episode = manifest_here(target, _PACKAGES), group.document(index)
     try:
         cloud = cloud_of(group, episode, manifest["observation"], manifest["n_points"])
         states = track(cloud, times=np.arange(len(cloud)) * episode["dt"], n_jobs=1, **manifest["options"])

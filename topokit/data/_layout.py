@@ -194,20 +194,20 @@ def room(config: DatasetConfig) -> dict[str, int]:
 
     Numbers of vertices do not vary within a garment, nor does the length of a path within a task.
     """
-    garments = {task: config.garment(task) for task in config.tasks}
-    targets = {task: TASKS[task].target for task in config.tasks}
-    frames = config.simulation.frames
+    garments = [config.garment(task) for task in config.tasks]
+    tasks = [TASKS[task] for task in config.tasks]
+    frames, loops = config.simulation.frames, [loop for garment in garments for loop in garment.loops]
     if frames is None:
-        ends = [TASKS[task].plan(garments[task], targets[task], generator(0, "path")).end for task in config.tasks]
-        frames = max(FEWEST_FRAMES, math.ceil(max(ends) / config.simulation.frame_time))
-    vertices = max(len(garment.vertices) for garment in garments.values())
+        plans = [task.plan(own, task.target, generator(0, "path")) for task, own in zip(tasks, garments, strict=True)]
+        frames = max(FEWEST_FRAMES, math.ceil(max(plan.end for plan in plans) / config.simulation.frame_time))
+    vertices = max(len(garment.vertices) for garment in garments)
     return {
         "frames": -(-frames // HISTORY) * HISTORY,
         "vertices": vertices,
         "observed": min(config.n_observed, vertices),
         "seen": config.n_observed if config.cameras else 0,
-        "faces": max(len(garment.faces) for garment in garments.values()),
-        "loops": max([1, *(len(garment.loops) for garment in garments.values())]),
-        "loop": max([1, *(len(loop) for garment in garments.values() for loop in garment.loops)]),
-        "line": max(len(target.centre_line) for target in targets.values()),
+        "faces": max(len(garment.faces) for garment in garments),
+        "loops": max([1, *(len(garment.loops) for garment in garments)]),
+        "loop": max([1, *map(len, loops)]),
+        "line": max(len(task.target.centre_line) for task in tasks),
     }

@@ -68,7 +68,7 @@ def _run(client: Any, workers: int, job: Job, items: list[int]) -> Iterator[tupl
         threads = client.nthreads()
         last_full = time.monotonic() if len(threads) >= workers else last_full
         if time.monotonic() - last_full > _SHORT:
-            raise _ShortOfWorkersError(f"{len(threads)} of {workers} are there")
+            raise _ShortOfWorkersError
         wanted = 2 * max(1, sum(threads.values())) - len(number)
         for _, item in zip(range(wanted), todo, strict=False):
             number[client.submit(job, item, pure=False)] = item
@@ -79,31 +79,37 @@ def _run(client: Any, workers: int, job: Job, items: list[int]) -> Iterator[tupl
         for future in [future for future in number if future.done()]:
             if future.cancelled():
                 raise ConnectionError("the Dask scheduler has gone away: start it again, and the same command goes on")
-            failure = future.exception()
-            yield number.pop(future), future.result() if failure is None else failure
-            future.release()
+            yield number.pop(future), future.exception() or future.result()
 
 
 @contextlib.contextmanager
 def _client(cluster: Cluster, jobs: int) -> Iterator[tuple[Any, int]]:
     """A client, and how many workers its cluster must have."""
-    import dask
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
-    if cluster.scheduler is not None:
-        try:
-            client = Client(cluster.scheduler, timeout=_PATIENCE, set_as_default=False)
-        except (OSError, TimeoutError) as error:
-            raise ConnectionError(f"no Dask scheduler answers at {cluster.scheduler}: {error}") from error
-        with client:
-            yield client, 0  # workers of others may come and go
+    if cluster.scheduler is None:
+        count = min(cluster.n_workers or n_cores(), jobs)
+        with _local_cluster(count, cluster.dashboard) as local, Client(local, set_as_default=False) as client:
+            yield client, count
         return
-    count = min(cluster.n_workers or n_cores(), max(1, jobs))
+    try:
+        client = Client(cluster.scheduler, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, TimeoutError) as error:
+        raise ConnectionError(f"no Dask scheduler answers at {cluster.scheduler}: {error}") from error
+    with client:
+        yield client, 0  # workers of others may come and go
+
+
+@contextlib.contextmanager
+def _local_cluster(count: int, dashboard: str | None) -> Iterator[Any]:
+    import dask
+    from distributed import LocalCluster
+
     settings = {
         "distributed.scheduler.allowed-failures": _LOST_WORKERS,
         "distributed.comm.timeouts.connect": "60s",
         "distributed.worker.memory.terminate": False,
-        "distributed.worker.profile.enabled": bool(cluster.dashboard),  # it would take 3 % of a core
+        "distributed.worker.profile.enabled": bool(dashboard),  # it would take 3 % of a core
         "distributed.admin.low-level-log-length": 100,
     }
     with dask.config.set(settings):
@@ -113,13 +119,13 @@ def _client(cluster: Cluster, jobs: int) -> Iterator[tuple[Any, int]]:
                 threads_per_worker=1,
                 processes=True,
                 memory_limit=0,
-                dashboard_address=cluster.dashboard or "127.0.0.1:0",  # its health alone, to this machine
-                scheduler_kwargs={"dashboard": bool(cluster.dashboard)},
+                dashboard_address=dashboard or "127.0.0.1:0",  # its health alone, to this machine
+                scheduler_kwargs={"dashboard": bool(dashboard)},
                 silence_logs=logging.CRITICAL,
             )
         except RuntimeError as error:
-            raise _ShortOfWorkersError(str(error)) from error
-        with local, Client(local, set_as_default=False) as client:
-            if cluster.dashboard:
+            raise _ShortOfWorkersError from error
+        with local:
+            if dashboard:
                 print(f"dashboard: {local.dashboard_link}", file=sys.stderr)
-            yield client, count
+            yield local
