@@ -158,6 +158,8 @@ def test_labels_go_on_with_new_episodes_and_refuse_other_options(copy):
         label_dataset(copy, options={**OPTIONS, "memory": 0}, progress=False)
     with pytest.raises(ValueError, match="made without cameras"):
         label_dataset(copy, "camera", progress=False)
+    with pytest.raises(ValueError, match="match is a function"):
+        label_dataset(copy, options={"match": dict}, progress=False)
     with pytest.raises(ValueError, match="letters, digits"):
         label_dataset(copy, name="../full", progress=False)
 

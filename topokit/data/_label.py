@@ -88,6 +88,9 @@ def _manifest(
 ) -> dict[str, Any]:
     """What the group of the labels says it is."""
     SeqPH(**options)  # refuses what it does not know
+    if options.get("match") is not None:
+        raise ValueError("options: match is a function, which cannot be stored beside the labels")
+    defaults = {name: p.default for name, p in inspect.signature(SeqPH).parameters.items() if name != "match"}
     cameras = group.manifest["config"]["cameras"]
     if observation not in OBSERVATIONS:
         raise ValueError(f"observation must be one of {', '.join(OBSERVATIONS)}, not {observation!r}")
@@ -105,7 +108,7 @@ def _manifest(
         "observation": observation,
         "n_points": n_points,
         "slots": slots,
-        "options": {name: options.get(name, p.default) for name, p in inspect.signature(SeqPH).parameters.items()},
+        "options": {name: options.get(name, default) for name, default in defaults.items()},
         "episodes": group.manifest["episodes"],
         "versions": versions_of(*_PACKAGES),
         **{name: group.manifest[name] for name in ("numbers",) if name in group.manifest},
