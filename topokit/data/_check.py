@@ -28,7 +28,14 @@ Content = Callable[[dict[str, Any]], str | None]  # what is wrong with an episod
 
 
 class Problem(NamedTuple):
-    """What is wrong, and where: a path in the dataset."""
+    """What is wrong with a dataset.
+
+    Attributes
+    ----------
+    where : str
+        A path in the dataset.
+    what : str
+    """
 
     where: str
     what: str
@@ -130,14 +137,10 @@ def _group_problems(
         records[record.episode] = record
         owned.update(document["objects"])
         yield from [*_object_problems(group, fields, document)] or _content_problems(content, document, path)
-    for f in fields:
-        for path in (f"{f.name}/{name}" for name in group.names(f.name) if name != "zarr.json"):
-            if path not in owned:
-                yield Problem(
-                    path, "belongs to no record: left by a command that was stopped, and the same command goes on"
-                )
-    missing = sorted(wanted - set(records))
-    if missing:
+    paths = {f"{f.name}/{name}" for f in fields for name in group.names(f.name) if name != "zarr.json"}
+    for path in sorted(paths - owned):
+        yield Problem(path, "belongs to no record: left by a command that was stopped, and the same command goes on")
+    if missing := sorted(wanted - records.keys()):
         yield Problem("records", f"{len(missing)} episodes are not there yet, the first is {missing[0]}")
     yield from _index_problems(group, records)
 
@@ -163,15 +166,16 @@ def _difference(found: bytes, wanted: dict[str, Any]) -> str:
 
 def _object_problems(group: Group, fields: tuple[Field, ...], document: Mapping[str, Any]) -> Iterator[Problem]:
     """Yield what is wrong with the objects that a record names."""
-    index, objects = document["episode"], document["objects"]
-    expected = {f"{f.name}/c.{index}" + ".0" * len(f.shape) for f in fields} if document["status"] == "ok" else set()
-    for path in sorted(objects):
-        content = group.read(path) if path in expected else None
+    index, expected = document["episode"], set()
+    if document["status"] == "ok":
+        expected = {f"{f.name}/c.{index}" + ".0" * len(f.shape) for f in fields}
+    for path, checksum in sorted(document["objects"].items()):
+        content = group.read(path) if path in expected else b""
         if path not in expected:
             yield Problem(path, f"is named by the record of episode {index} and is not its own")
         elif content is None:
             yield Problem(path, f"is missing, of episode {index}")
-        elif hashlib.sha256(content).hexdigest() != objects[path]:
+        elif hashlib.sha256(content).hexdigest() != checksum:
             yield Problem(path, f"is damaged: its checksum is not that in the record of episode {index}")
 
 

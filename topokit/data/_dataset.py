@@ -114,7 +114,14 @@ class Dataset:
         return self.group.document(int(episode))
 
     def arrays(self, episode: int, *names: str) -> dict[str, NDArray[Any]]:
-        """Return arrays of an episode as they are stored: coordinates in units of 0.1 mm."""
+        """Return arrays of an episode as they are stored: coordinates in units of 0.1 mm.
+
+        Parameters
+        ----------
+        episode : int
+        *names : str
+            Of the arrays, all when none is named.
+        """
         return decode(self.group, self.group.document(self._known(episode)), names)
 
     def checksum(self) -> str:
@@ -144,6 +151,12 @@ class Dataset:
         """Return the tracked states of an episode, one a frame, from its labels.
 
         Lengths are rounded to single precision; the parameters of a state count the loops that had no slot (`dropped`).
+
+        Parameters
+        ----------
+        episode : int
+        name : str
+            Of the labels.
 
         Raises
         ------

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from topokit._validate import positive
+from topokit.io import Episode
 from topokit.sim import SimulationError
 from topokit.sim._process import Forge
 
@@ -101,22 +102,26 @@ def generate_dataset(
         if isinstance(number, bool) or not isinstance(number, int) or number < least:
             raise ValueError(f"{name} must be a whole number, at least {least}, not {number!r}")
     positive(time_limit, "time_limit", zero=False)
-    size = room(config)
-    manifest = {
+    manifest = _manifest(config, episodes, seed)
+    with locked(folder):
+        group = prepare(folder, manifest, episode_fields(manifest["room"]))
+        if retry_failed:
+            _forget_failed(folder, group)
+        job, cluster = partial(_make_episode, str(folder), time_limit), Cluster(scheduler, n_workers, dashboard)
+        return make_missing(folder, range(episodes), job, partial(_identity, manifest), cluster, progress)
+
+
+def _manifest(config: DatasetConfig, episodes: int, seed: int) -> dict[str, Any]:
+    """What the group of a dataset says it is."""
+    return {
         "format": "topokit-dataset",
         "version": 1,
         "config": config.to_json(),
         "seed": seed,
         "episodes": episodes,
-        "room": size,
+        "room": room(config),
         "versions": versions_of(*PACKAGES),
     }
-    with locked(folder):
-        group = prepare(folder, manifest, episode_fields(size))
-        if retry_failed:
-            _forget_failed(folder, group)
-        job, cluster = partial(_make_episode, str(folder), time_limit), Cluster(scheduler, n_workers, dashboard)
-        return make_missing(folder, range(episodes), job, partial(_identity, manifest), cluster, progress)
 
 
 def make_missing(
@@ -222,8 +227,14 @@ def simulate_and_commit(job: dict[str, Any]) -> str:
         commit(folder, {**identity, "status": "rejected", "reason": str(error)})
         return "rejected"
     arrays = episode_arrays(episode)
-    document = {
-        **identity,
+    document = {**identity, **_summary(episode), "shapes": {name: list(part.shape) for name, part in arrays.items()}}
+    commit(folder, document, encode(episode_fields(manifest["room"]), index, arrays))
+    return "ok"
+
+
+def _summary(episode: Episode) -> dict[str, Any]:
+    """What the record of an episode says of it."""
+    return {
         "status": "ok",
         "success": episode.success,
         "frames": len(episode),
@@ -231,12 +242,9 @@ def simulate_and_commit(job: dict[str, Any]) -> str:
         "observed": episode.observed.shape[1],
         "dt": episode.dt,
         "loops": [len(loop) for loop in episode.loops],
-        "shapes": {name: list(values.shape) for name, values in arrays.items()},
         "observation": episode.observation,
         "physics": episode.physics,
     }
-    commit(folder, document, encode(episode_fields(manifest["room"]), index, arrays))
-    return "ok"
 
 
 def _identity(manifest: dict[str, Any], index: int) -> dict[str, Any]:

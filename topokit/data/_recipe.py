@@ -132,7 +132,13 @@ class DatasetConfig:
         return Draw(names[place], int(rng.integers(2**63)))
 
     def garment(self, task: str) -> Garment:
-        """Return the garment of a task, of its size in this configuration."""
+        """Return the garment of a task, of its size in this configuration.
+
+        Raises
+        ------
+        ValueError
+            When the garment has no such size.
+        """
         name = task.rpartition("-")[0]
         try:
             return TASKS[task].garment(**self.sizes.get(name, {}))
