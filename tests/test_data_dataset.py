@@ -10,11 +10,12 @@ from types import SimpleNamespace
 import fsspec
 import numpy as np
 import pytest
+from distributed import KilledWorker
 
 from topokit import track
 from topokit._archive import FormatError
 from topokit.cli import main
-from topokit.data import Dataset, DatasetConfig, check_dataset, generate_dataset, label_dataset, make_episode
+from topokit.data import Dataset, DatasetConfig, _generate, check_dataset, generate_dataset, label_dataset, make_episode
 from topokit.data._states import arrays_of, states_of
 from topokit.seqph import RECOMMENDED
 
@@ -162,6 +163,15 @@ def test_labels_go_on_with_new_episodes_and_refuse_other_options(copy):
         label_dataset(copy, options={"match": dict}, progress=False)
     with pytest.raises(ValueError, match="letters, digits"):
         label_dataset(copy, name="../full", progress=False)
+
+
+def test_labels_whose_workers_died_are_recorded(copy, monkeypatch):
+    (copy / "labels" / "full" / "records" / "00000004.json").unlink()
+    (copy / "labels" / "full" / "index.json").unlink()
+    monkeypatch.setattr(_generate, "run_jobs", lambda *_: (pair for pair in [(4, KilledWorker("job", None, 10))]))
+    record = label_dataset(copy, options=OPTIONS, progress=False).records[4]
+    assert (record.status, record.garment) == ("failed", Dataset(copy).records[4].garment)
+    assert {problem.where.split("/")[0] for problem in check_dataset(copy)} == {"labels"}  # what it had is left over
 
 
 def first(folder, name):

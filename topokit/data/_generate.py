@@ -104,9 +104,9 @@ def generate_dataset(
     positive(time_limit, "time_limit", zero=False)
     manifest = _manifest(config, episodes, seed)
     with locked(folder):
-        group = prepare(folder, manifest, episode_fields(manifest["room"]))
+        prepare(folder, manifest, episode_fields(manifest["room"]))
         if retry_failed:
-            _forget_failed(folder, group)
+            _forget_failed(folder)
         job, cluster = partial(_make_episode, str(folder), time_limit), Cluster(scheduler, n_workers, dashboard)
         return make_missing(folder, range(episodes), job, partial(_identity, manifest), cluster, progress)
 
@@ -175,9 +175,10 @@ def _kept(folder: Path, identity: Identity, index: int, outcome: Any) -> dict[st
     return {"episode": index, **outcome}
 
 
-def _forget_failed(folder: Path, group: Group) -> None:
+def _forget_failed(folder: Path) -> None:
+    records = Group(folder).records
     (folder / "index.json").unlink(missing_ok=True)  # before the records, which it would outlive
-    for index, record in group.records.items():
+    for index, record in records.items():
         if record.status == "failed":
             (folder / record_path(index)).unlink(missing_ok=True)
 

@@ -92,15 +92,13 @@ class Group:
         return content
 
     def names(self, folder: str) -> list[str]:
-        """Return the names of the files in a folder; none when there is no such folder."""
+        """Return the names of the files in place in a folder; none when there is no such folder."""
         try:
             entries = self._fs.ls(_join(self._root, self.prefix, folder), detail=False)
         except (FileNotFoundError, NotImplementedError):
             return []
         found = (name.rstrip("/").rpartition("/")[2] for name in entries)
-        return sorted(
-            name for name in found if not name.startswith(".")
-        )  # those are not in place yet, or never will be
+        return sorted(name for name in found if not name.startswith("."))
 
     def document(self, index: int) -> dict[str, Any]:
         """Return the full record of an episode."""
@@ -162,7 +160,7 @@ def cloud_of(
     return points if observation == "full" else observed(points, stored["observed"][:, :n_points])
 
 
-def prepare(folder: Path, manifest: Mapping[str, Any], fields: Iterable[Field]) -> Group:
+def prepare(folder: Path, manifest: Mapping[str, Any], fields: Iterable[Field]) -> None:
     """Make a group, or open it to go on: only its number of episodes may have grown.
 
     Raises
@@ -171,20 +169,17 @@ def prepare(folder: Path, manifest: Mapping[str, Any], fields: Iterable[Field]) 
         When the folder holds something else, or what differs; the message names the field.
     """
     if (folder / "zarr.json").exists():
-        old = Group(folder, records=False).manifest
+        old, episodes = Group(folder, records=False).manifest, manifest["episodes"]
         refuse_another(old, manifest, str(folder))
-        if manifest["episodes"] < old["episodes"]:
-            raise ValueError(
-                f"{folder} has been given {old['episodes']} episodes; it cannot shrink to {manifest['episodes']}"
-            )
+        if episodes < old["episodes"]:
+            raise ValueError(f"{folder} has been given {old['episodes']} episodes; it cannot shrink to {episodes}")
     elif any(path.name != ".lock" for path in folder.iterdir()):
         raise ValueError(f"{folder} holds other files and is no dataset: name a new folder, or an empty one")
     for path, content in skeleton(
         fields, manifest
-    ).items():  # all of it each time: the last command may have been killed
+    ).items():  # also to go on: the last command may have been killed here
         _replace(folder / path, content)
     (folder / "records").mkdir(exist_ok=True)
-    return Group(folder)
 
 
 def _replace(path: Path, content: bytes) -> None:
@@ -231,7 +226,7 @@ def locked(folder: Path) -> Iterator[None]:
 def _sweep(folder: Path) -> None:
     """Remove what processes that were killed had begun to write."""
     for path in (*folder.glob(".*.part"), *folder.glob("*/.*.part")):
-        path.unlink()
+        path.unlink(missing_ok=True)
 
 
 def versions_of(*packages: str) -> dict[str, str]:

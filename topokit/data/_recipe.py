@@ -110,11 +110,12 @@ class DatasetConfig:
         ValueError
             When a name is not known, the version is another one, or a value is not what it must be.
         """
-        ranges = dict(values.get("randomisation") or {})
-        if ranges.pop("version", Randomisation.version) != Randomisation.version:
-            raise ValueError(f"randomisation is of another version; this topokit has {Randomisation.version}")
-        known = {**values, "randomisation": ranges} if values.get("randomisation") else values
-        return from_mapping(cls, known, "the configuration")
+        parts = dict(values)
+        if parts.get("randomisation"):
+            ranges = parts["randomisation"] = dict(parts["randomisation"])
+            if ranges.pop("version", Randomisation.version) != Randomisation.version:
+                raise ValueError(f"randomisation is of another version; this topokit has {Randomisation.version}")
+        return from_mapping(cls, parts, "the configuration")
 
     def draw(self, seed: int, index: int) -> Draw:
         """Return task and seed of an episode.
