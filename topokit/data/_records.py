@@ -23,38 +23,20 @@ STATUSES = ("ok", "rejected", "failed")
 
 @dataclass(frozen=True)
 class Record:
-    """An episode in short.
-
-    Attributes
-    ----------
-    episode : int
-        Its number.
-    status : {"ok", "rejected", "failed"}
-        Rejected: the simulation was not physical. Failed: it could not be made, after three tries.
-    reason : str
-        Why, when the status is not ok.
-    task, garment, target : str
-    seed : int
-        Of the episode.
-    success : bool
-    frames, vertices, observed : int
-        0 when the status is not ok.
-    sha256 : str
-        Of the full record, which holds the checksums of the episode's objects.
-    """
+    """An episode in short."""
 
     episode: int
-    status: str
-    reason: str = ""
+    status: str  # "ok"; "rejected": the simulation was not physical; "failed": it could not be made, after three tries
+    reason: str = ""  # why, when the status is not ok
     task: str = ""
     garment: str = ""
     target: str = ""
-    seed: int = 0
+    seed: int = 0  # of the episode
     success: bool = False
-    frames: int = 0
+    frames: int = 0  # with the two below: 0 when the status is not ok
     vertices: int = 0
     observed: int = 0
-    sha256: str = ""
+    sha256: str = ""  # of the full record, which holds the checksums of the episode's objects
 
 
 _COLUMNS = tuple(f.name for f in fields(Record))
