@@ -87,10 +87,6 @@ def _manifest(
     group: Group, observation: str, n_points: int | None, slots: int, options: Mapping[str, Any]
 ) -> dict[str, Any]:
     """What the group of the labels says it is."""
-    SeqPH(**options)  # refuses what it does not know
-    if options.get("match") is not None:
-        raise ValueError("options: match is a function, which cannot be stored beside the labels")
-    defaults = {name: p.default for name, p in inspect.signature(SeqPH).parameters.items() if name != "match"}
     cameras = group.manifest["config"]["cameras"]
     if observation not in OBSERVATIONS:
         raise ValueError(f"observation must be one of {', '.join(OBSERVATIONS)}, not {observation!r}")
@@ -108,11 +104,20 @@ def _manifest(
         "observation": observation,
         "n_points": n_points,
         "slots": slots,
-        "options": {name: options.get(name, default) for name, default in defaults.items()},
+        "options": _all_options(options),
         "episodes": group.manifest["episodes"],
         "versions": versions_of(*_PACKAGES),
         **{name: group.manifest[name] for name in ("numbers",) if name in group.manifest},
     }
+
+
+def _all_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of a tracker, also those that were not given."""
+    SeqPH(**options)  # refuses what it does not know
+    if options.get("match") is not None:
+        raise ValueError("options: match is a function, which cannot be stored beside the labels")
+    defaults = {name: p.default for name, p in inspect.signature(SeqPH).parameters.items() if name != "match"}
+    return {name: options.get(name, default) for name, default in defaults.items()}
 
 
 def _label_episode(folder: str, name: str, index: int) -> dict[str, Any]:
