@@ -10,7 +10,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from pages import NETWORK, page_data
 
 import topokit as tk
 from topokit import view
@@ -18,6 +17,8 @@ from topokit.io import Episode
 from topokit.view import _cloth, _player, _render
 from topokit.view._cloth import tube
 from topokit.view._palette import OKABE_ITO, long_lived
+
+from pages import NETWORK, page_data
 
 FRAMES, RING, ROWS = 6, 24, 3
 

@@ -7,13 +7,13 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from pages import NETWORK, by_script, needs_node, page_data
 
 from topokit import rips_persistence, view
 from topokit.view._palette import OKABE_ITO
 
 from clouds import gudhi_pairs, sorted_pairs
 from conftest import polygon
+from pages import NETWORK, by_script, needs_node, page_data
 
 SQUARE = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
 

@@ -7,7 +7,6 @@ from itertools import pairwise
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from pages import NETWORK, by_script, needs_node, page_data
 from scipy.spatial.distance import cdist
 
 from topokit import hausdorff, lemmas, rips_persistence, view
@@ -15,6 +14,7 @@ from topokit.lemmas._critical import is_critical
 from topokit.view._lunes import _witness
 
 from conftest import polygon
+from pages import NETWORK, by_script, needs_node, page_data
 
 HEXAGON = lemmas.COUNTEREXAMPLES["the sides of a hexagon"].before
 SQUARE = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]

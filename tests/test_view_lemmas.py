@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pages import NETWORK, by_script, needs_node, page_data
 
 from topokit import lemmas, rips_persistence, view
 
 from conftest import polygon
+from pages import NETWORK, by_script, needs_node, page_data
 
 SQUARE = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
 
