@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from topokit.data import Dataset, WindowDataset, generate, label
-from topokit.data._label import TRACKER
+from topokit.data import Dataset, WindowDataset, generate_dataset, label_dataset
 from topokit.data.windows import _Episode
+from topokit.seqph import RECOMMENDED
 
 from small_datasets import SEED, TINY, without_dask
 
@@ -22,9 +22,9 @@ H, K = 4, 6
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("windows") / "data"
     with without_dask():
-        generate(TINY, folder, 6, SEED, progress=False)
-        label(folder, options={**TRACKER, "alpha": 0.003}, progress=False)
-        label(folder, "observed", n_points=40, options={**TRACKER, "alpha": 0.003}, progress=False)
+        generate_dataset(TINY, folder, 6, SEED, progress=False)
+        label_dataset(folder, options={**RECOMMENDED, "alpha": 0.003}, progress=False)
+        label_dataset(folder, "observed", n_points=40, options={**RECOMMENDED, "alpha": 0.003}, progress=False)
     return Dataset(folder)
 
 

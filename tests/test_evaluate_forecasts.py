@@ -16,7 +16,6 @@ import torch
 from topokit import cli, track
 from topokit._archive import FormatError
 from topokit.data import Dataset, WindowDataset
-from topokit.data._label import TRACKER
 from topokit.evaluate import (
     EvaluationConfig,
     distance_to_hull,
@@ -33,6 +32,7 @@ from topokit.evaluate.summary import steps_of
 from topokit.io import load_episode
 from topokit.models import Normalisation, Shape, TrainConfig, build, open_windows, train
 from topokit.models._checkpoint import describe, save_tensors
+from topokit.seqph import RECOMMENDED
 
 from conftest import DATA
 
@@ -393,7 +393,7 @@ def test_baselines_are_tracked_on_what_the_networks_see(dataset):
     assert all(torch.equal(window[name], again[name]) for name in window)
     assert torch.equal(window["clouds"][:, :64], window["clouds"][:, 64:])  # half the points, twice
     window = SpoiltWindows(dataset, [number], how=Clouds(), seed=3)[0]  # of the episode's first frames, as it is
-    states = track(window["clouds"].double().numpy(), n_jobs=1, **TRACKER)
+    states = track(window["clouds"].double().numpy(), n_jobs=1, **RECOMMENDED)
     assert any(states)
     for state, death, present in zip(states, window["past_death"], window["past_present"], strict=True):
         expected = sorted((loop.death for loop in state.loops), reverse=True)

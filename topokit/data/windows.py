@@ -15,9 +15,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ._dataset import Dataset
+from ._group import decode
 from ._layout import METRE, unpack
-from ._read import ABSENT, SIMPLICES, decode
-from .dataset import Dataset
+from ._states import ABSENT, SIMPLICES
 
 __all__ = ["Truth", "WindowDataset"]
 

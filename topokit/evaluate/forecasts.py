@@ -30,7 +30,6 @@ from tqdm import tqdm
 import topokit
 from topokit._archive import FormatError, atomic_file
 from topokit.data import Dataset, WindowDataset
-from topokit.data._records import total
 from topokit.models import (
     MODELS,
     Normalisation,
@@ -216,7 +215,7 @@ def open_condition(config: EvaluationConfig, condition: Condition, folder: Path)
         "labels": {
             "name": windows.labels,
             "observation": labels.manifest["observation"],
-            "sha256": total(labels.manifest, labels.records),
+            "sha256": labels.checksum(),
         },
         "condition": {key: value for key, value in asdict(condition).items() if key not in ("models", "dataset")},
         "states_of_seqph_hold_carry_ridge": "the labels" if spoilt is windows else "tracked on the spoilt clouds",

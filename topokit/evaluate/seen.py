@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topokit.data import Dataset, WindowDataset
-from topokit.data._label import TRACKER, arrays_of
 from topokit.data._layout import pack, unpack
+from topokit.data._states import arrays_of
 from topokit.data.windows import _Episode, _Tracked
-from topokit.seqph import track
+from topokit.seqph import RECOMMENDED, track
 
 from .config import Clouds
 from .measures import TrueCurves
@@ -88,7 +88,7 @@ class SpoiltWindows(WindowDataset):
         episode = super()._decode(number)
         clouds = unpack(episode.clouds[:, : min(self.n_points, self.dataset.group.records[number].observed)])
         seen = pack("clouds", spoil(clouds, self._how, np.random.default_rng((self._seed, number))))
-        found = arrays_of(track(unpack(seen), n_jobs=1, **TRACKER), LOOPS)
+        found = arrays_of(track(unpack(seen), n_jobs=1, **RECOMMENDED), LOOPS)
         return replace(
             episode, clouds=seen[:, np.arange(self.n_points) % seen.shape[1]], tracked=_Tracked.of(found, seen)
         )
