@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Candidates", "Matching", "assign", "hausdorff_table", "within_gates"]
-
 Array = NDArray[np.float64]
 
 

@@ -21,8 +21,6 @@ from ._recipe import DatasetConfig
 from ._records import Record, parse, read_index, record_path
 from ._states import label_fields, states_of
 
-__all__ = ["Problem", "check_dataset"]
-
 Records = dict[int, Record]
 Content = Callable[[dict[str, Any]], str | None]  # what is wrong with an episode whose objects are whole
 

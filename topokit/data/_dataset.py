@@ -24,8 +24,6 @@ from ._recipe import DatasetConfig
 from ._records import Record, index_bytes, record_path
 from ._states import states_of
 
-__all__ = ["Dataset"]
-
 Ids = NDArray[np.int64]
 _PARTS = {"train": 0.8, "validation": 0.1, "test": 0.1}
 _FIRST_AND_LAST = {"train": -1, "test": 1}  # of a split; what is between them has the order of the alphabet

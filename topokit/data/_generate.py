@@ -28,8 +28,6 @@ from ._parallel import Cluster, Job, run_jobs
 from ._recipe import DatasetConfig, make_episode
 from ._records import commit, record_path
 
-__all__ = ["PACKAGES", "generate_dataset", "make_missing", "manifest_here"]
-
 _TRIES = 3
 _SIMULATE = "topokit.data._generate:simulate_and_commit"
 _NEEDS = ("pybullet", "zarr.codecs", "zarr.storage", "scipy.spatial", "fsspec")

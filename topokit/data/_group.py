@@ -21,18 +21,6 @@ from topokit._archive import FormatError, atomic_file
 from ._layout import Field, observed, skeleton, unpack
 from ._records import Record, canonical, index_bytes, parse, read_index, record_path
 
-__all__ = [
-    "Group",
-    "cloud_of",
-    "compact",
-    "decode",
-    "locked",
-    "open_episodes",
-    "prepare",
-    "refuse_another",
-    "versions_of",
-]
-
 
 class Group:
     """Records and arrays of a group, read only.

@@ -25,8 +25,6 @@ from ._parallel import Cluster
 from ._records import commit, record_path
 from ._states import arrays_of, label_fields
 
-__all__ = ["OBSERVATIONS", "label_dataset"]
-
 OBSERVATIONS = ("full", "observed", "camera")
 _PACKAGES = ("numpy", "scipy", "numba", "zarr", "numcodecs")
 

@@ -26,20 +26,6 @@ from topokit.sim._randomise import generator
 
 from ._recipe import DatasetConfig
 
-__all__ = [
-    "METRE",
-    "Field",
-    "encode",
-    "episode_arrays",
-    "episode_fields",
-    "episode_of",
-    "observed",
-    "pack",
-    "room",
-    "skeleton",
-    "unpack",
-]
-
 METRE = 10_000  # units of a stored coordinate in a metre
 _METRES = ("points", "actions", "grippers", "centre_line")
 _RECORDED = ("garment", "target", "task", "success", "seed", "dt", "observation", "physics")

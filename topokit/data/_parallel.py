@@ -15,8 +15,6 @@ from typing import Any
 
 from topokit._cores import n_cores
 
-__all__ = ["Cluster", "Job", "run_jobs"]
-
 Job = Callable[[int], dict[str, Any]]
 _PATIENCE = 20.0  # seconds for a scheduler to answer
 _SHORT = 30.0  # seconds for which a worker of ours may be gone; its nanny needs about two to replace it

@@ -18,8 +18,6 @@ from topokit._config import Count, NotNegative, Positive, checked, from_mapping
 from topokit.io import Episode
 from topokit.sim import TASKS, DepthNoise, Garment, Randomisation, SimulationConfig, cameras_around, simulate
 
-__all__ = ["DatasetConfig", "Draw", "make_episode"]
-
 
 class Draw(NamedTuple):
     """What an episode is before it is simulated: its task and its own seed, of 63 bits."""

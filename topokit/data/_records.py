@@ -16,8 +16,6 @@ from typing import Any
 
 from topokit._archive import FormatError, atomic_file
 
-__all__ = ["STATUSES", "Record", "canonical", "commit", "index_bytes", "parse", "read_index", "record_path"]
-
 STATUSES = ("ok", "rejected", "failed")
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["spoil"]
-
 _MARGIN = 0.1  # metres around a cloud's box in which outliers lie
 
 

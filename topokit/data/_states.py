@@ -12,8 +12,6 @@ from topokit.state import Loop, TopologicalState
 
 from ._layout import Field
 
-__all__ = ["ABSENT", "SIMPLICES", "arrays_of", "label_fields", "states_of"]
-
 SIMPLICES = {
     "birth_edge": slice(0, 2),
     "killer_edge": slice(2, 4),

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from ._verdict import Check
 from ._verify import verify_step
 
-__all__ = ["COUNTEREXAMPLES", "Counterexample"]
-
 Array = NDArray[np.float64]
 
 

@@ -11,8 +11,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["first_critical", "is_critical"]
-
 _ROUNDING = 1e-12  # relative; rounding may only make more edges critical
 
 

@@ -13,8 +13,6 @@ from ._matching import Matching, longest_unmatched, match_diagrams
 from ._step import Step, observed_state, observed_step
 from ._verdict import Check, Verdict, compared
 
-__all__ = ["feature_approximation", "gates", "observability", "temporal_persistence"]
-
 Array = NDArray[np.float64]
 
 

@@ -23,8 +23,6 @@ from ._measures import Beta, State
 from ._step import Step, observed_state, observed_step
 from ._verdict import Check, LoopCheck, Verdict, compared
 
-__all__ = ["converse", "corollary", "recovering_killers", "regularity_of_killers"]
-
 MORE_THAN_TWICE = 2.001  # alpha must exceed 2 epsilon in Assumption 2; a larger alpha than measured is still one
 
 

@@ -21,8 +21,6 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from ..rips import Diagram
 
-__all__ = ["Matching", "longest_unmatched", "match_diagrams"]
-
 Array = NDArray[np.float64]
 
 

@@ -19,8 +19,6 @@ from ..sampling import covering_radius
 from ._critical import first_critical
 from ._matching import Matching, match_diagrams
 
-__all__ = ["Beta", "State", "beta_all", "beta_critical", "feature_separation"]
-
 Array = NDArray[np.float64]
 ROUNDING = 1e-12  # relative to the longest edge; windows are wider by it
 

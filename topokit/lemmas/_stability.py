@@ -16,8 +16,6 @@ from ..rips import Diagram, rips_persistence
 from ..sampling import hausdorff
 from ._matching import match_diagrams
 
-__all__ = ["Jump", "killer_jumps"]
-
 Array = NDArray[np.float64]
 
 

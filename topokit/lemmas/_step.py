@@ -20,8 +20,6 @@ from ._matching import Matching, match_diagrams
 from ._measures import State
 from ._verdict import Witness
 
-__all__ = ["Step", "distortion", "max_displacement", "observed_state", "observed_step", "vertex_ids"]
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 STORED = 1e-4  # how far a coordinate may be from its vertex: episodes are stored with 16 bits

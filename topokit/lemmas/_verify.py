@@ -19,8 +19,6 @@ from ._measures import State
 from ._step import Step, observed_step, vertex_ids
 from ._verdict import Check
 
-__all__ = ["STATEMENTS", "StepCheck", "verify_episode", "verify_step"]
-
 STATEMENTS = (
     "feature approximation",
     "observability",

@@ -19,8 +19,6 @@ from topokit.data import spoil
 
 from ._base import PAST
 
-__all__ = ["Spoiling", "mirrored", "spoilt"]
-
 _PLACES = ("clouds", "grippers", "actions", "triangles", "past_triangles", "seen_triangles")
 _PAIRS = ("grippers", "actions")
 _Part = Annotated[float, Field(ge=0, lt=1)]

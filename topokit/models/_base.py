@@ -14,8 +14,6 @@ from topokit.io import HISTORY, HORIZON
 
 from ._states import States
 
-__all__ = ["PAST", "Context", "Normalisation", "PredictiveModel", "Shape", "maximum"]
-
 PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "step", "present"))
 
 Context = dict[str, Tensor]

@@ -17,8 +17,6 @@ from topokit.state import TopologicalState
 from ._base import PAST, Context, Normalisation, PredictiveModel, Shape
 from ._states import NUMBERS, States, past_states, target_states
 
-__all__ = ["Carry", "Hold", "Ridge", "last_appearance", "past_window"]
-
 
 class Hold(PredictiveModel):
     """Every loop stays as it was at its last appearance in the history; it is there if it was there at the last frame."""

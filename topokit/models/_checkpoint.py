@@ -24,8 +24,6 @@ from topokit._config import from_mapping
 from ._base import Normalisation, PredictiveModel, Shape
 from ._registry import build
 
-__all__ = ["describe", "load_model", "load_tensors", "save_tensors"]
-
 SCHEMA = 1
 _KIND = "topokit-checkpoint"
 

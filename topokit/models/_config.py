@@ -15,8 +15,6 @@ from ._base import Shape
 from ._losses import LossWeights
 from ._registry import MODELS
 
-__all__ = ["TrainConfig", "load_config"]
-
 Natural = Annotated[int, Field(ge=0)]
 
 

@@ -13,8 +13,6 @@ from topokit.mixture import LoopMixture, loop_mixture
 
 from ._states import TRIANGLES, States
 
-__all__ = ["Forecast", "PredictedLoop"]
-
 Array = NDArray[np.float32]
 
 

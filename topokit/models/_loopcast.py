@@ -28,8 +28,6 @@ from ._base import Context, Normalisation, PredictiveModel, Shape, maximum
 from ._baselines import last_appearance
 from ._states import NUMBERS, States, cheapest_order
 
-__all__ = ["FrameEncoder", "LoopCast"]
-
 FRAMES = (0, 3, 8, 15)  # that are looked at, counted back from the present
 HEADS = 8  # one a corner
 RELIABLE = 11  # numbers that say how far a tracked loop can be believed

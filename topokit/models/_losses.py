@@ -16,8 +16,6 @@ from topokit._config import NotNegative, checked
 from ._mixture import loop_mixtures, sigma_points
 from ._states import States, cheapest_order, past_states, target_states
 
-__all__ = ["LossWeights", "forecast_loss", "match_slots"]
-
 POSITION, VALUE = 0.1, 0.02  # metres that count as one in the losses: of places, and of filtration values
 
 

@@ -11,8 +11,6 @@ from torch.distributions import Categorical, MixtureSameFamily, MultivariateNorm
 
 from topokit.mixture import moments
 
-__all__ = ["loop_mixtures", "sigma_points"]
-
 
 def loop_mixtures(triangles: Tensor, values: Tensor, noise: float = 1e-4) -> MixtureSameFamily:
     """Mixtures of a batch of loops, by the formula of `topokit.loop_mixture`.

@@ -15,8 +15,6 @@ from torch import Tensor, nn
 from ._base import Context, Normalisation, PredictiveModel, Shape, maximum
 from ._states import NUMBERS, States
 
-__all__ = ["MLP", "PointNet"]
-
 
 def _layers(widths: Sequence[int]) -> list[nn.Module]:
     return [layer for n_in, n_out in itertools.pairwise(widths) for layer in (nn.Linear(n_in, n_out), nn.ReLU())]

@@ -23,8 +23,6 @@ from ._checkpoint import load_model
 from ._forecast import Forecast
 from ._states import States
 
-__all__ = ["Predictor"]
-
 
 class Predictor:
     """Forecasts of the topological state from a stream of point clouds.

@@ -10,8 +10,6 @@ from ._baselines import Carry, Hold, Ridge
 from ._loopcast import LoopCast
 from ._paper import MLP, PointNet
 
-__all__ = ["MODELS", "build"]
-
 MODELS: Mapping[str, type[PredictiveModel]] = {
     "hold": Hold,
     "carry": Carry,

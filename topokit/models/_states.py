@@ -17,8 +17,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-__all__ = ["NUMBERS", "TRIANGLES", "States", "cheapest_order", "corners_of", "past_states", "target_states"]
-
 TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  # x y z1, x y z2, then the neighbours
 _OTHER_WAY = ([1, 0, 2, 3, 5, 4, 7, 6], [1, 0, 3, 2])  # corners and neighbours when x and y change places
 NUMBERS = 32  # of a loop: 8 corners, 4 neighbour values, birth, lifetime, step, presence

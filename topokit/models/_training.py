@@ -35,8 +35,6 @@ from ._losses import forecast_loss
 from ._registry import build
 from ._windows import Windows, epoch_order, length, normalisation_of, spread
 
-__all__ = ["train"]
-
 LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
 _FREE = ("workers", "minutes_between_checkpoints", "out", "dataset", "accelerator")  # may change on the way
 

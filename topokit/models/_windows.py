@@ -14,8 +14,6 @@ from ._base import Normalisation
 from ._config import TrainConfig
 from ._states import target_states
 
-__all__ = ["Windows", "epoch_order", "length", "normalisation_of", "open_windows", "spread"]
-
 
 @dataclass(frozen=True, eq=False)
 class Windows:

@@ -16,8 +16,6 @@ from topokit.view._palette import loop_colour, new_axes
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Scene", "as_line", "direction", "draw_cloth", "one_a_frame", "plot_cloth", "rod_radius", "subdivide"]
-
 Array = NDArray[np.float64]
 CLOTH, ROD, INK = "#E8E2D4", "#5B6B7C", "#1C2733"
 

@@ -15,8 +15,6 @@ from typing import Any
 
 from topokit.view._palette import OKABE_ITO
 
-__all__ = ["Framed", "framed"]
-
 
 @dataclass(frozen=True, repr=False)
 class Framed:

@@ -18,8 +18,6 @@ from topokit.view._planar import planar
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_lens", "plot_lune"]
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 _EDGE, *_COMPONENTS = OKABE_ITO

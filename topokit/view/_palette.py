@@ -18,8 +18,6 @@ from topokit.state import TopologicalState
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["OKABE_ITO", "appearances", "long_lived", "loop_colour", "new_axes"]
-
 OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 
 

@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from topokit._validate import as_points, positive
 from topokit.view._frame import Framed, framed
 
-__all__ = ["coverage", "growth", "motion", "nudge", "planar"]
-
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
 REACHES = (0.05, 1e-3, 1e-6, 1e-9)

@@ -18,8 +18,6 @@ from topokit.view._cloth import as_line, one_a_frame, rod_radius, subdivide
 from topokit.view._frame import Framed, framed
 from topokit.view._palette import long_lived
 
-__all__ = ["player"]
-
 
 def pack(array: NDArray[Any]) -> dict[str, Any]:
     """An array as a JSON-ready dict: little-endian bytes in base64, in the smallest type the player reads."""

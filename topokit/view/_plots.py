@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["plot_diagram", "plot_tracks", "track_figure"]
-
 _GREY = "0.55"
 
 

@@ -29,8 +29,6 @@ from topokit.view._palette import loop_colour
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["pyvista_works", "render_cloth", "save_animation"]
-
 Array = NDArray[np.float64]
 _PROBE = """
 import pyvista
