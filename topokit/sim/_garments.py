@@ -7,18 +7,19 @@ alike in every direction, and the border of an opening keeps its order: it is th
 from __future__ import annotations
 
 import functools
+import inspect
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, ParamSpec
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import as_points, positive
 
-from . import _wardrobe
+from . import _bags, _wardrobe
 from ._mesh import load_cloth
 from ._surface import as_ids, check_loop, check_mesh, half_edges
 
@@ -26,7 +27,20 @@ __all__ = ["WARDROBE", "Garment"]
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
+Sizes = ParamSpec("Sizes")
 _log = logging.getLogger(__name__)
+
+
+def _sewn(pattern: Callable[Sizes, _wardrobe.Fields]) -> Callable[Sizes, Garment]:
+    """The function that makes the garment of a pattern."""
+
+    @functools.wraps(pattern)
+    def garment(*arguments: Sizes.args, **sizes: Sizes.kwargs) -> Garment:
+        return Garment(*pattern(*arguments, **sizes))
+
+    signature = inspect.signature(pattern).replace(return_annotation="Garment")
+    garment.__signature__ = signature  # type: ignore[attr-defined]
+    return garment
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,202 +125,13 @@ class Garment:
         ends = self.vertices[self.edges]
         return np.asarray(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
 
-    @classmethod
-    def apron(
-        cls,
-        *,
-        loops: int = 1,
-        spacing: float = 0.03,
-        body_width: float = 0.56,
-        body_height: float = 0.46,
-        bib_width: float = 0.28,
-        bib_height: float = 0.30,
-        strap_length: float = 0.62,
-        strap_width: float = 0.052,
-        waist_strap_length: float = 0.90,
-        waist_strap_width: float = 0.06,
-    ) -> Garment:
-        """Return an apron with one loop, its neck strap, or with two; all sizes in metres.
-
-        The apron hangs in the plane y = 0 with the top of its bib at z = 0. The strap is three vertices wide at the
-        default spacing and runs from one top corner of the bib to the other; the true loop is the border of the neck
-        opening. With `loops=2` a second strap closes behind the waist (towards +y), and the second true loop runs along
-        its upper border and across the apron. The grips are on the neck strap, at a third of its length from either end.
-
-        Raises
-        ------
-        ValueError
-            When a size is not positive, the bib is wider than the body, or a strap is too short or too wide to leave an
-            opening; with any garment also when the spacing is too coarse for its sizes.
-        """
-        _one_or_two(loops, "loops")
-        sizes = _sizes(locals(), without=("waist_strap_length", "waist_strap_width") if loops == 1 else ())
-        return cls(_named("apron", loops), *_wardrobe.apron(sizes, loops), sizes)
-
-    @classmethod
-    def tote(
-        cls,
-        *,
-        handles: int = 1,
-        spacing: float = 0.03,
-        width: float = 0.36,
-        height: float = 0.38,
-        depth: float = 0.10,
-        handle_length: float | None = None,
-        handle_width: float = 0.052,
-        handle_span: float = 0.20,
-    ) -> Garment:
-        """Return a bag open at its top, whose panels bulge to `depth`, with one handle or two; sizes in metres.
-
-        The open top is no loop in degree 1, since the bag closes it: a tote has as many classes as handles. One handle
-        runs over the top from side to side; of two, each stands on its own panel, `handle_span` between the middles of
-        its ends. A handle is `handle_length` long: 0.72 m when it is the only one and 0.50 m otherwise. A true loop is the
-        border of the opening under a handle. The grips are on the one handle, at a third of its length from either end, or
-        one on each of the two, near the top.
-
-        Raises
-        ------
-        ValueError
-            When a size is not positive, or the handle is too short, or too wide for its span or the bag.
-        """
-        _one_or_two(handles, "handles")
-        handle_length = (0.72 if handles == 1 else 0.50) if handle_length is None else handle_length
-        sizes = _sizes(locals(), without=("handle_span",) if handles == 1 else ())
-        return cls(_named("tote", handles), *_wardrobe.bag(sizes, handles), sizes)
-
-    @classmethod
-    def backpack(
-        cls,
-        *,
-        spacing: float = 0.03,
-        width: float = 0.24,
-        height: float = 0.60,
-        depth: float = 0.12,
-        box_height: float = 0.30,
-        strap_length: float = 0.66,
-        strap_width: float = 0.05,
-        strap_angle: float = 40.0,
-    ) -> Garment:
-        """Return a backpack open at its top: a back, a box below its lower half, two straps; sizes in metres.
-
-        The straps join the sides of the back at its top and just above the box, and are folded by `strap_angle` degrees
-        from the plane of the back towards +y. There are two classes; each true loop is the border of the opening between
-        a strap and the back, the left one (x < 0) first. There is one grip on each strap.
-
-        Raises
-        ------
-        ValueError
-            When a size is not positive, or the straps are too short, or too wide to leave an opening.
-        """
-        sizes = _sizes(locals())
-        return cls("backpack", *_wardrobe.backpack(sizes), sizes)
-
-    @classmethod
-    def shirt(
-        cls,
-        *,
-        spacing: float = 0.035,
-        width: float = 0.52,
-        length: float = 0.60,
-        depth: float = 0.16,
-        neck_width: float = 0.24,
-        neck_depth: float = 0.09,
-        sleeve_length: float = 0.16,
-        sleeve_width: float = 0.17,
-        sleeve_angle: float = 25.0,
-    ) -> Garment:
-        """Return a shirt with short sleeves, front towards -y, blown up to `depth`; sizes in metres.
-
-        The loops are its four openings: neck, right sleeve (x > 0), left sleeve, hem. They make three classes: any three
-        are independent, the fourth is their sum. The sleeves fall by `sleeve_angle` degrees. The grips are on the
-        shoulders of the front.
-
-        Raises
-        ------
-        ValueError
-            When a size is not positive, the neck is wider than the shirt, or the sleeves do not fit it.
-        """
-        sizes = _sizes(locals())
-        return cls("shirt", *_wardrobe.shirt(sizes), sizes)
-
-    @classmethod
-    def vest(
-        cls,
-        *,
-        spacing: float = 0.035,
-        width: float = 0.52,
-        length: float = 0.58,
-        depth: float = 0.16,
-        neck_width: float = 0.24,
-        neck_depth: float = 0.12,
-        shoulder_width: float = 0.08,
-        armhole_depth: float = 0.24,
-    ) -> Garment:
-        """Return a vest without sleeves, front towards -y, blown up to `depth`; sizes in metres.
-
-        The loops are its four openings: neck, right armhole (x > 0), left armhole, hem. They make three classes: any
-        three are independent, the fourth is their sum. The grips are on the shoulders of the front.
-
-        Raises
-        ------
-        ValueError
-            When a size is not positive, or the shoulders and armholes do not fit the width and the length.
-        """
-        sizes = _sizes(locals())
-        return cls("vest", *_wardrobe.vest(sizes), sizes)
-
-    @classmethod
-    def mask(
-        cls,
-        *,
-        spacing: float = 0.016,
-        width: float = 0.18,
-        height: float = 0.20,
-        depth: float = 0.04,
-        bow: float = 0.02,
-        strap_length: float = 0.34,
-        strap_width: float = 0.03,
-        strap_span: float = 0.12,
-    ) -> Garment:
-        """Return a face mask with two ear loops, hung by one of them, the other one below; sizes in metres.
-
-        The cloth is cupped by `depth` towards -y and its sides bow out by `bow`; `strap_span` lies between the middles of
-        a strap's ends. There are two classes; the true loops are the borders of the openings, the upper one first. The
-        grips are on the upper ear loop.
-
-        Raises
-        ------
-        ValueError
-            When a size is not positive, or the ear loops do not fit the mask or leave no opening.
-        """
-        sizes = _sizes(locals())
-        return cls("mask", *_wardrobe.mask(sizes), sizes)
-
-    @classmethod
-    def sheet(
-        cls,
-        *,
-        holes: int = 1,
-        spacing: float = 0.03,
-        width: float = 0.60,
-        height: float = 0.50,
-        hole_radius: float = 0.08,
-        hole_drop: float = 0.16,
-        hole_distance: float = 0.26,
-    ) -> Garment:
-        """Return a rectangle of cloth with one round hole, or two side by side; sizes in metres.
-
-        The middles of the holes lie `hole_drop` below the upper edge, z = 0; the true loops are their borders, the left
-        one (x < 0) first. The grips are the upper corners.
-
-        Raises
-        ------
-        ValueError
-            When a size is not positive, or the holes do not fit the sheet or each other.
-        """
-        _one_or_two(holes, "holes")
-        sizes = _sizes(locals(), without=("hole_distance",) if holes == 1 else ())
-        return cls(_named("sheet", holes), *_wardrobe.sheet(sizes, holes), sizes)
+    apron = staticmethod(_sewn(_wardrobe.apron))
+    tote = staticmethod(_sewn(_bags.tote))
+    backpack = staticmethod(_sewn(_bags.backpack))
+    shirt = staticmethod(_sewn(_wardrobe.shirt))
+    vest = staticmethod(_sewn(_wardrobe.vest))
+    mask = staticmethod(_sewn(_wardrobe.mask))
+    sheet = staticmethod(_sewn(_wardrobe.sheet))
 
     @classmethod
     def from_mesh(
@@ -405,24 +230,3 @@ WARDROBE: Mapping[str, Callable[[], Garment]] = {
     "sheet2": functools.partial(Garment.sheet, holes=2),
 }
 """Every garment by the name that episodes record, as a function that makes it at its default sizes."""
-
-
-def _sizes(given: Mapping[str, Any], without: Sequence[str] = ()) -> dict[str, float]:
-    """The sizes among a method's arguments, each a positive number; an angle lies between 0 and 80 degrees."""
-    skip = {"cls", "loops", "handles", "holes", *without}
-    sizes = {
-        name: positive(value, name, zero=name.endswith("_angle")) for name, value in given.items() if name not in skip
-    }
-    for name, value in sizes.items():
-        if name.endswith("_angle") and value > 80:
-            raise ValueError(f"{name} must be 0 to 80 degrees, not {value}")
-    return sizes
-
-
-def _one_or_two(number: int, name: str) -> None:
-    if number not in (1, 2):
-        raise ValueError(f"{name} must be 1 or 2, not {number!r}")
-
-
-def _named(kind: str, number: int) -> str:
-    return kind if number == 1 else f"{kind}{number}"

@@ -20,6 +20,7 @@ __all__ = [
     "close_loop",
     "components",
     "half_edges",
+    "strangers",
     "wind",
 ]
 
@@ -64,6 +65,13 @@ def wind(faces: Ids) -> tuple[Ids, int, bool]:
     tied = (as_it_is[label[0]] == as_it_is[label[1]]) & (label[0] > label[1])
     turn |= tied
     return np.where(turn[:, None], faces[:, ::-1], faces), int(turn.sum()), not (label[0] == label[1]).any()
+
+
+def strangers(cycle: Ids, edges: Ids) -> list[tuple[int, int]]:
+    """The pairs of vertices that follow each other in a closed cycle and are not joined by an edge (E, 2)."""
+    known = set(map(tuple, edges.tolist()))
+    pairs = zip(cycle.tolist(), np.roll(cycle, -1).tolist(), strict=True)
+    return [(a, b) for a, b in pairs if (min(a, b), max(a, b)) not in known]
 
 
 def components(faces: Ids) -> Ids:
@@ -215,9 +223,9 @@ def check_loop(loop: Ids, edges: Ids, name: str) -> None:
         raise ValueError(f"{name} must be a cycle of at least 3 vertex ids, not of shape {loop.shape}")
     if len(np.unique(loop)) != len(loop):
         raise ValueError(f"{name} passes through a vertex twice")
-    known = set(map(tuple, edges.tolist()))
-    for a, b in zip(loop.tolist(), np.roll(loop, -1).tolist(), strict=True):
-        if (min(a, b), max(a, b)) not in known:
-            raise ValueError(
-                f"{name} is not a closed cycle of the mesh: vertices {a} and {b} follow each other but share no edge"
-            )
+    apart = strangers(loop, edges)
+    if apart:
+        a, b = apart[0]
+        raise ValueError(
+            f"{name} is not a closed cycle of the mesh: vertices {a} and {b} follow each other but share no edge"
+        )
