@@ -26,7 +26,7 @@ from ._physics import SimulationConfig
 from ._randomise import Randomisation, generator
 from ._recording import Recording, Report, Run, record, record_afresh
 from ._targets import Hook, Target
-from ._tasks import TASKS, Task, task_for
+from ._tasks import Task, task_for, task_named
 
 __all__ = ["simulate"]
 
@@ -81,12 +81,13 @@ def simulate(
     SimulationError
         When the cloth explodes or is over-stretched (the message names frame, edge and stretch), when the simulator
         crashes, or when it is stopped.
-    ImportError
-        When PyBullet is not installed.
     ValueError
         When `n_observed` exceeds the number of vertices, `task` is not known, or no camera sees any cloth in some frame.
     """
-    task = _task(task, garment, target)
+    if task is None:
+        task = task_for(garment or Garment.apron(), target or Hook())
+    elif isinstance(task, str):
+        task = task_named(task)
     garment, target, config = garment or task.garment(), target or task.target, config or SimulationConfig()
     drawn: dict[str, Any] | None = None
     if randomisation is not None:
@@ -121,14 +122,15 @@ def _episode(
         "config": dataclasses.asdict(config),
         "elastic_stiffness": config.elastic_stiffness(len(garment.vertices)),
         "garment": dict(garment.parameters),
-        "target": {**dataclasses.asdict(target), "position": target.position.tolist()},
+        "target": {**dataclasses.asdict(target), "position": [0.0, target.distance, 0.0]},
         "randomisation": randomisation,
         "stretch": dict(zip(("p99", "worst"), recording.stretch.max(axis=0).tolist(), strict=True)),
     }
     views = [dataclasses.asdict(camera) for camera in run.cameras]
+    samples = [frame[farthest_point_sample(frame, run.n_observed)[0]] for frame in points if not views]
     return Episode(
         points=points,
-        observed=recording.observed if views else _subsample(points, run.n_observed),
+        observed=recording.observed if views else np.array(samples),
         actions=run.goals[:: config.steps_per_frame].astype(np.float32),
         grippers=recording.grippers,
         held=held,
@@ -149,20 +151,6 @@ def _episode(
             "machine": platform.machine(),
         },
     )
-
-
-def _task(task: str | Task | None, garment: Garment | None, target: Target | None) -> Task:
-    if isinstance(task, Task):
-        return task
-    if task is None:
-        return task_for(garment or Garment.apron(), target or Hook())
-    if task not in TASKS:
-        raise ValueError(f"there is no task {task!r}; there are {', '.join(TASKS)}")
-    return TASKS[task]
-
-
-def _subsample(points: NDArray[np.float32], n: int) -> NDArray[np.float32]:
-    return np.array([frame[farthest_point_sample(frame, n)[0]] for frame in points])
 
 
 def _at_rest(points: NDArray[np.float32], config: SimulationConfig) -> bool:

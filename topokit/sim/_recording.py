@@ -8,7 +8,6 @@ import math
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ Report = Callable[[int], None]
 
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
 _JOB = "topokit.sim._recording:record_job"
-_ERRORS: dict[str, type[Exception]] = {"SimulationError": SimulationError, "ValueError": ValueError}
+_ERRORS = {error.__name__: error for error in (SimulationError, ValueError, ImportError)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +123,6 @@ def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> 
     ImportError
         When PyBullet is not installed.
     """
-    if find_spec("pybullet") is None:
-        raise ImportError("topokit.sim needs PyBullet: pip install 'topokit[sim]'")
     stage = "loading the garment"
 
     def note(frame: int) -> None:

@@ -19,7 +19,7 @@ from ._garments import WARDROBE, Garment
 from ._paths import GripperPath, Via
 from ._targets import Hanger, Hook, Mannequin, Target
 
-__all__ = ["TASKS", "Planner", "Task", "dress", "hang_by_strap", "pull_over_head", "put_on_shoulders", "task_for"]
+__all__ = ["TASKS", "Task", "pull_over_head", "task_for", "task_named"]
 
 Array = NDArray[np.float64]
 Planner = Callable[[Garment, Target, np.random.Generator], GripperPath]
@@ -226,6 +226,13 @@ def _tasks() -> dict[str, Task]:
 
 TASKS: Mapping[str, Task] = _tasks()
 """Every task by its name: garment, hyphen, target."""
+
+
+def task_named(name: str) -> Task:
+    """Return the task of that name, or raise ValueError that lists the names."""
+    if name not in TASKS:
+        raise ValueError(f"there is no task {name!r}; there are {', '.join(TASKS)}")
+    return TASKS[name]
 
 
 def task_for(garment: Garment, target: Target) -> Task:
