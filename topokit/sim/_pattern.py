@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.sparse import coo_matrix, diags
-from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
-from ._surface import half_edges, strangers, wind
+from ._surface import half_edges, joined, strangers, wind
 from ._triangulate import arc_length, count_steps, points_at, triangulate
 
 __all__ = ["Arch", "Band", "Panel", "chain", "cut", "inflate", "mirror", "polyline", "ring", "sew"]
@@ -238,8 +237,7 @@ def sew(panels: Sequence[Panel], seams: Sequence[tuple[int, Ids, int, Ids]]) -> 
     pairs = np.concatenate(
         [np.zeros((0, 2), np.int64)] + [np.column_stack([first[i] + a, first[j] + b]) for i, a, j, b in seams]
     )
-    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(first[-1],) * 2)
-    _, label = connected_components(graph, directed=False)
+    label = joined(pairs, first[-1])
     _, kept, new = np.unique(label, return_index=True, return_inverse=True)
     vertices = np.concatenate([panel.vertices for panel in panels])[kept]
     maps = [new[a:b] for a, b in itertools.pairwise(first)]

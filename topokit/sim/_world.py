@@ -34,7 +34,7 @@ def _pybullet() -> ModuleType:
             import pybullet
     except ImportError as error:
         raise ImportError("topokit.sim needs PyBullet: pip install 'topokit[sim]'") from error
-    return pybullet  # type: ignore[no-any-return]
+    return pybullet
 
 
 @contextlib.contextmanager
