@@ -177,7 +177,7 @@ def test_the_spline_has_less_jerk_than_its_neighbours():
         ({"vias": [Via(1, [0, 0, 0]), Via(1, [0, 0, 1])]}, "increase"),
         ({"vias": [Via(0, [0, 0, 0]), Via(1, [0, 0, np.nan])]}, "finite"),
         ({"vias": [Via(0, [0, 0, 0]), Via(1, [0, 0, 1], 0.0)]}, "more than zero"),
-        ({"release": 2.0, "end": 1.0}, "after the release"),
+        ({"release": 2.0, "end": 1.0}, "come after the release"),
         ({"spread": np.zeros(3)}, "spread"),
     ],
 )

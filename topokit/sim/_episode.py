@@ -6,6 +6,7 @@ Source: Antonova et al. 2021, section 6 (two anchors, a PD controller, randomise
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import platform
 import sys
@@ -24,7 +25,7 @@ from ._camera import Camera
 from ._garments import Garment
 from ._physics import SimulationConfig
 from ._randomise import Randomisation, generator
-from ._recording import Recording, Report, Run, record, record_afresh
+from ._recording import Recording, Run, record, record_afresh
 from ._targets import Hook, Target
 from ._tasks import Task, task_for, task_named
 
@@ -103,7 +104,7 @@ def simulate(
     goals = path.at(np.arange(frames * config.steps_per_frame) * config.dt)
     noise = int(generator(seed, "noise").integers(2**63))
     run = Run(garment, target.rods, goals, round(path.release / config.dt), config, tuple(cameras), n_observed, noise)
-    report = _progress(frames) if progress else None
+    report = functools.partial(_show, frames) if progress else None
     if time_limit is None:
         recording = record(run, report)
     else:
@@ -145,11 +146,7 @@ def _episode(
         dt=config.frame_time,
         observation={"kind": "cameras" if views else "vertices", "cameras": views},
         physics=physics,
-        provenance={
-            "topokit": _version("topokit"),
-            "pybullet": _version("pybullet"),
-            "machine": platform.machine(),
-        },
+        provenance={**{name: _version(name) for name in ("topokit", "pybullet")}, "machine": platform.machine()},
     )
 
 
@@ -160,12 +157,9 @@ def _at_rest(points: NDArray[np.float32], config: SimulationConfig) -> bool:
     return float(np.linalg.norm(points[-1] - points[-2], axis=1).mean()) / config.frame_time < AT_REST
 
 
-def _progress(frames: int) -> Report:
-    def report(frame: int) -> None:
-        end = "\n" if frame + 1 == frames else ""
-        print(f"\rsimulating: frame {frame + 1} of {frames}", end=end, file=sys.stderr, flush=True)
-
-    return report
+def _show(frames: int, frame: int) -> None:
+    end = "\n" if frame + 1 == frames else ""
+    print(f"\rsimulating: frame {frame + 1} of {frames}", end=end, file=sys.stderr, flush=True)
 
 
 def _version(package: str) -> str:

@@ -85,7 +85,7 @@ class Garment:
     repairs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        vertices = as_points(self.vertices, "vertices")
+        vertices = as_points(self.vertices, "vertices", copy=True)
         if vertices.shape[1] != 3:
             raise ValueError(f"vertices must be an (N, 3) array, not of shape {vertices.shape}")
         faces = as_ids(self.faces, "faces", len(vertices))
@@ -97,17 +97,11 @@ class Garment:
         if grips.shape != (2,) or grips[0] == grips[1]:
             raise ValueError(f"grips must be two different vertex ids, not {grips.tolist()}")
         loops = tuple(as_ids(loop, f"loops[{i}]", len(vertices)) for i, loop in enumerate(self.loops))
-        values = {
-            "vertices": vertices.copy(),
-            "faces": faces,
-            "grips": grips,
-            "loops": loops,
-            "parameters": dict(self.parameters),
-        }
-        for key, value in values.items():
-            object.__setattr__(self, key, value)
-        for array in (self.vertices, self.faces, self.grips, *self.loops):
+        for array in (vertices, faces, grips, *loops):
             array.setflags(write=False)
+        values = {"vertices": vertices, "faces": faces, "grips": grips, "loops": loops}
+        for key, value in {**values, "parameters": dict(self.parameters)}.items():
+            object.__setattr__(self, key, value)
         check_mesh(vertices, faces)
         for i, loop in enumerate(loops):
             check_loop(loop, self.edges, f"loops[{i}]")

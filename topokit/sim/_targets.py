@@ -73,12 +73,8 @@ class Hook(Target):
 
     Parameters
     ----------
-    height : float
-        Of the arm's axis above the floor.
-    reach : float
-        Length of the arm from the pole to the tip.
-    tip : float
-        Height of the tip over the arm's axis.
+    height, reach, tip : float
+        Of the arm's axis above the floor; from the pole to the tip; of the tip over the arm's axis.
     radius : float
         Of all three rods. Cloth tunnels through thin rods; 0.02 and more is reliable.
     distance : float
@@ -123,20 +119,13 @@ class Hanger(Target):
 
     Parameters
     ----------
-    height : float
-        Where the arms' axes meet under the stem, above the floor.
-    width : float
-        From the end of one arm to that of the other.
-    drop : float
-        How much lower than their meeting the arms end; less than half the width.
-    tip : float
-        Height of the upturned ends over the arms' axes there.
-    stem : float
-        From the meeting of the arms up to the rail.
-    radius : float
-        Of hanger and rail, as a hook's.
-    span : float
-        Between the posts, which stand left and right of the hanger.
+    height, width, drop : float
+        Of the place above the floor where the arms' axes meet under the stem; from the end of one arm to that of the other;
+        how much lower than their meeting the arms end, less than half the width.
+    tip, stem : float
+        Of the upturned ends over the arms' axes there; from the meeting of the arms up to the rail.
+    radius, span : float
+        Of hanger and rail, as a hook's; between the posts, which stand left and right of the hanger.
     distance : float
         y of rail and stem.
     """
@@ -198,18 +187,12 @@ class Mannequin(Target):
 
     Parameters
     ----------
-    height : float
-        Top of the head above the floor.
-    head_radius, head_height : float
-        Half the breadth of the head, and its height.
+    height, head_radius, head_height : float
+        Of the top of the head above the floor; half the breadth of the head, and its height.
     neck_radius, neck_length : float
         The length is that between head and shoulders.
-    shoulder_width : float
-        From the end of one shoulder to that of the other.
-    depth : float
-        Of the chest, front to back.
-    torso_length : float
-        From the top of the shoulders down to the hips.
+    shoulder_width, depth, torso_length : float
+        From the end of one shoulder to that of the other; of the chest, front to back; from the shoulders' top to the hips.
     distance : float
         y of the axis.
     """
