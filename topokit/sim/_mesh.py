@@ -102,7 +102,8 @@ def from_mesh(
             positive(value, key, zero=False)
     if up not in (None, "y", "z"):
         raise ValueError(f"up must be 'y' or 'z', not {up!r}")
-    if isinstance(loops, str) and loops != "borders":
+    borders = isinstance(loops, str)
+    if borders and loops != "borders":
         raise ValueError(f"loops must be lists of vertex ids, or 'borders', not {loops!r}")
     if size is not None and scale is not None:
         raise ValueError("give size or scale, not both")
@@ -124,9 +125,7 @@ def from_mesh(
             raise ValueError(f"grips {held} are one vertex after welding; give two that lie apart")
         placed, factor = _placed(vertices[names], ends, size, scale, up, said)
         _say_short(placed, faces, names, said)
-        cycles = (
-            _borders(placed, faces, said) if isinstance(loops, str) else _closed(placed, faces, names, carried, said)
-        )
+        cycles = _borders(placed, faces, said) if borders else _closed(placed, faces, names, carried, said)
         ends = _grips(placed, names, said) if ends is None else ends
     except (TypeError, ValueError) as error:
         raise (TypeError if isinstance(error, TypeError) else ValueError)(f"{path}: {error}") from error
@@ -146,13 +145,17 @@ def _asked(loops: Sequence[ArrayLike] | str, grips: ArrayLike | None, n_vertices
     return given, held
 
 
+def _note(said: list[str], count: int, what: str) -> None:
+    """Say what was done to some vertices, faces or edges, if there were any."""
+    if count:
+        said.append(f"{count} {what}")
+
+
 def _repaired(
     vertices: Array, polygons: Sequence[Sequence[int]], weld: float | None, said: list[str]
 ) -> tuple[Ids, Ids, Ids]:
     """Faces of the one component that is the cloth; for each vertex of the file the one it is now; those that are left."""
-    large = sum(len(polygon) > 3 for polygon in polygons)
-    if large:
-        said.append(f"{large} faces of four corners or more were cut into triangles")
+    _note(said, sum(len(corners) > 3 for corners in polygons), "faces of four corners or more were cut into triangles")
     faces = np.array([triangle for polygon in polygons for triangle in _ears(vertices, list(polygon))], dtype=np.int64)
     lost = ~np.isfinite(vertices[faces]).all(axis=2)  # a vertex in no face may be anywhere, and is dropped later
     if lost.any():
@@ -161,10 +164,14 @@ def _repaired(
     vertex_of = _weld(vertices, _rounding(vertices, faces) if weld is None else weld, said)
     faces = _one_component(vertices, _clean(vertex_of[faces], said), said)
     names, flat = np.unique(faces, return_inverse=True)
-    unused = len(np.unique(vertex_of)) - len(names)
-    if unused:
-        said.append(f"{unused} vertices in none of the faces kept were dropped")
-    return _wound(flat.reshape(-1, 3), said), vertex_of, names
+    _note(said, len(np.unique(vertex_of)) - len(names), "vertices in none of the faces kept were dropped")
+    faces, turned, two_sided = wind(flat.reshape(-1, 3))
+    _note(said, turned, "faces were turned round to agree with their neighbours")
+    if not two_sided:
+        said.append("the surface has one side (as a Moebius strip has): its faces cannot all agree, and were left so")
+    many = int((np.unique(half_edges(faces), axis=0, return_counts=True)[1] > 2).sum())
+    _note(said, many, "edges in more than two faces, as where a strap is sewn on, were kept")
+    return faces, vertex_of, names
 
 
 def _ears(vertices: Array, polygon: list[int]) -> Iterable[list[int]]:
@@ -195,20 +202,17 @@ def _weld(vertices: Array, distance: float, said: list[str]) -> Ids:
     near = finite[cKDTree(vertices[finite]).query_pairs(distance, output_type="ndarray")]
     pairs = np.concatenate([near, np.column_stack([np.arange(len(vertices)), at[same.ravel()]])])
     _, first, inverse = np.unique(joined(pairs, len(vertices)), return_index=True, return_inverse=True)
-    double = len(vertices) - len(first)
-    if double:
-        said.append(f"{double} vertices within {distance:.2g} of another one (in the file's units) were welded to it")
+    what = f"vertices within {distance:.2g} of another one (in the file's units) were welded to it"
+    _note(said, len(vertices) - len(first), what)
     return np.asarray(first[inverse.ravel()])
 
 
 def _clean(faces: Ids, said: list[str]) -> Ids:
     """Drop faces that name a vertex twice, and all but the first of faces on the same three vertices."""
     whole = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    if len(whole) < len(faces):
-        said.append(f"{len(faces) - len(whole)} faces without area, which named a vertex twice, were dropped")
+    _note(said, len(faces) - len(whole), "faces without area, which named a vertex twice, were dropped")
     _, first = np.unique(np.sort(whole, axis=1), axis=0, return_index=True)
-    if len(first) < len(whole):
-        said.append(f"{len(whole) - len(first)} faces that lay on another one were dropped")
+    _note(said, len(whole) - len(first), "faces that lay on another one were dropped")
     if not len(first):
         raise ValueError("no face with three different vertices is left")
     return whole[np.sort(first)]
@@ -233,22 +237,9 @@ def _one_component(vertices: Array, faces: Ids, said: list[str]) -> Ids:
             f"or save the one that you mean to a file of its own; a gap is closed by a larger weld (vertices of the two largest "
             f"come as near as {gap:.2g}, in the file's units)"
         )
-    said.append(
-        f"{parts - 1} smaller components, {100 * (1 - share.max()):.1f} % of the surface, were dropped: a cloth is one piece"
-    )
+    lost = f"{100 * (1 - share.max()):.1f} % of the surface"
+    said.append(f"{parts - 1} smaller components, {lost}, were dropped: a cloth is one piece")
     return faces[which == np.argmax(share)]
-
-
-def _wound(faces: Ids, said: list[str]) -> Ids:
-    faces, turned, two_sided = wind(faces)
-    if turned:
-        said.append(f"{turned} faces were turned round to agree with their neighbours")
-    if not two_sided:
-        said.append("the surface has one side (as a Moebius strip has): its faces cannot all agree, and were left so")
-    many = int((np.unique(half_edges(faces), axis=0, return_counts=True)[1] > 2).sum())
-    if many:
-        said.append(f"{many} edges in more than two faces, as where a strap is sewn on, were kept")
-    return faces
 
 
 def _say_short(vertices: Array, faces: Ids, names: Ids, said: list[str]) -> None:
@@ -290,14 +281,11 @@ def _placed(
     elif scale is None:
         low, high = _METRES
         scale, unit = next(((f, unit) for f, unit in _UNITS if low <= f * largest <= high), (1 / largest, ""))
-        if not unit:
-            said.append(
-                f"its largest extent, {largest:.4g}, is a garment's in no unit: it was made 1 m; give size or scale"
-            )
-        elif unit != "metres":
-            said.append(
-                f"its largest extent, {largest:.4g}, was taken for {unit}: {scale * largest:.3g} m; give size or scale"
-            )
+        what = (
+            f"was taken for {unit}: {scale * largest:.3g} m" if unit else "is a garment's in no unit: it was made 1 m"
+        )
+        if unit != "metres":
+            said.append(f"its largest extent, {largest:.4g}, {what}; give size or scale")
     vertices = scale * vertices
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     if np.linalg.norm(middle) > 10 * scale * largest:  # single precision in the engine would blur it

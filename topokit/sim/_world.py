@@ -65,11 +65,6 @@ class World:
     offset : (3,) float
         Added to the garment's rest positions, metres.
     config : SimulationConfig
-
-    Raises
-    ------
-    ImportError
-        When PyBullet is not installed.
     """
 
     def __init__(self, garment: Garment, offset: Array, config: SimulationConfig) -> None:
@@ -83,8 +78,11 @@ class World:
             self._bullet("setGravity", 0, 0, -_GRAVITY)
             self._bullet("setPhysicsEngineParameter", fixedTimeStep=config.dt)
             self._cloth = self._load(garment, offset)
-            places = (garment.vertices[garment.grips] + offset).tolist()
-            self._grippers = [self._gripper(place) for place in places]
+            # Bodies without a shape: a kinematic or a fixed anchor body can make the cloth explode, these do not.
+            self._grippers = [
+                self._bullet("createMultiBody", config.gripper_mass, -1, -1, basePosition=place)
+                for place in (garment.vertices[garment.grips] + offset).tolist()
+            ]
             ends = zip(garment.grips.tolist(), self._grippers, strict=True)
             self._anchors = [self._bullet("createSoftBodyAnchor", self._cloth, *pair, -1) for pair in ends]
             # A thick slab with its top at z = 0: cloth would rest 10 cm above PyBullet's endless plane.
@@ -181,11 +179,6 @@ class World:
                 collisionMargin=self._config.margin * float(lengths.min()),
             )
         return cloth
-
-    def _gripper(self, place: list[float]) -> int:
-        """A body without a shape: a kinematic or a fixed anchor body can make the cloth explode, this one does not."""
-        body: int = self._bullet("createMultiBody", self._config.gripper_mass, -1, -1, basePosition=place)
-        return body
 
     def _draw(self, body: int, goal: list[float], before: list[float]) -> None:
         """Push a gripper towards its goal, which was at `before` a step ago.
