@@ -27,6 +27,7 @@ from ._garments import Garment
 from ._physics import SimulationConfig
 from ._process import SimulationError
 from ._recording import StretchCheck
+from ._surface import simple_cycles
 from ._targets import Target
 from ._tasks import Task, task_named
 from ._world import World, observe
@@ -159,25 +160,22 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._observe(), self._info()
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Move the goals of the grippers, and let go if told to; simulate one frame."""
-        world = self._running()
+        """Move the goals of the grippers, and let go if told to; simulate one frame.
+
+        Raises
+        ------
+        ValueError
+            When the action is not seven finite numbers.
+        """
+        self._running()
         move = np.clip(np.asarray(action, dtype=np.float64), -1, 1)
         if move.shape != (7,) or not np.isfinite(move).all():
             raise ValueError(f"an action is seven finite numbers, not {action!r}")
-        if self._released < 0 and move[6] > 0.5:
-            world.release()
-            self._released = self._steps
-        before, points = self._goal, self._points
-        here = world.grippers()
-        self._goal = np.clip(before + self.max_step * move[:6].reshape(2, 3), here - _LEASH, here + _LEASH)
-        for share in np.arange(1, self.config.steps_per_frame + 1) / self.config.steps_per_frame:
-            world.step(before + share * (self._goal - before))
-        self._steps += 1
-        self._points = world.vertices()
+        points, linked, distance = self._points, self._linked, self._distance
+        self._advance(self.max_step * move[:6].reshape(2, 3), release=move[6] > 0.5)
         torn = self._is_torn()
         if torn:
             self._points = points  # the last that made sense
-        linked, distance = self._linked, self._distance
         observation = self._observe()
         speed = float(np.linalg.norm(self._points - points, axis=1).mean()) / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
@@ -192,6 +190,19 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         info = self._info(success=hangs, dropped=rests and not hangs, torn=torn)
         return observation, reward, ends, not ends and self._steps >= self.max_steps, info
 
+    def _advance(self, move: Array, release: bool) -> None:
+        """Simulate a frame in which the goals move by (2, 3) metres."""
+        world = self._running()
+        if self._released < 0 and release:
+            world.release()
+            self._released = self._steps
+        before, here = self._goal, world.grippers()
+        self._goal = np.clip(before + move, here - _LEASH, here + _LEASH)
+        for share in np.arange(1, self.config.steps_per_frame + 1) / self.config.steps_per_frame:
+            world.step(before + share * (self._goal - before))
+        self._steps += 1
+        self._points = world.vertices()
+
     def scripted_action(self) -> NDArray[np.float32]:
         """Return the next action of the scripted path of this episode: a demonstration that usually succeeds."""
         self._running()
@@ -205,9 +216,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self.render_mode is None:
             return None
         x, y, z = self.target.seat.tolist()
-        return _shaded(
-            self._running(), Camera((x - 0.9, y - 1.9, z + 0.2), (x, y - 0.2, z - 0.2), width=480, height=360)
-        )
+        camera = Camera((x - 0.9, y - 1.9, z + 0.2), (x, y - 0.2, z - 0.2), width=480, height=360)
+        return _shaded(self._running(), camera)
 
     def close(self) -> None:
         """End the simulation; `reset` starts another."""
@@ -238,7 +248,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             cloud = np.unique(observed, axis=0)  # cameras that see little repeat points
             diagram = rips_persistence(cloud)
             n = min(len(self.garment.loops), len(diagram))
-            curves = [[cloud[part] for part in _simple(diagram.cycle(i))] for i in range(n)]
+            curves = [[cloud[part] for part in simple_cycles(diagram.cycle(i).tolist())] for i in range(n)]
         else:
             curves = [[self._points[self.garment.loops[i]]] for i in self.task.loops]
         if not curves:
@@ -259,19 +269,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def _info(self, *, success: bool = False, dropped: bool = False, torn: bool = False) -> dict[str, Any]:
         outcome = {"success": success, "dropped": dropped, "torn": torn}
         return {**outcome, "linked": self._linked, "distance": self._distance}
-
-
-def _simple(walk: NDArray[np.int64]) -> list[list[int]]:
-    """Cut a closed walk where it returns to a vertex; what goes there and back over a bridge falls away."""
-    parts: list[list[int]] = []
-    path: list[int] = []
-    for vertex in walk.tolist():
-        if vertex in path:
-            start = path.index(vertex)
-            parts.append(path[start:])
-            path = path[:start]
-        path.append(vertex)
-    return [part for part in [*parts, path] if len(part) > 2]
 
 
 def _shaded(world: World, camera: Camera) -> NDArray[np.uint8]:

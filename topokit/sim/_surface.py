@@ -21,6 +21,7 @@ __all__ = [
     "components",
     "half_edges",
     "joined",
+    "simple_cycles",
     "strangers",
     "wind",
 ]
@@ -164,7 +165,7 @@ def close_loop(graph: EdgeGraph, ids: Sequence[int], names: Ids) -> tuple[Ids, s
         )
     end = min(diagram.death[0], 2 * diagram.birth[0])  # halfway there is a tighter cycle than the one at birth
     tight = members[tighten(diagram, diagram.cycle(0), radius=(diagram.birth[0] + end) / 2)].tolist()
-    closed = _without_detours(_walk(graph.around(tight)))
+    closed = max(simple_cycles(_walk(graph.around(tight))), key=len)
     return np.array(closed), (
         f"its {len(members)} vertices are in no order along the mesh; the cycle they lie around, {len(closed)} vertices, "
         f"{len(set(closed) & set(given))} of them its own, was found by persistence"
@@ -176,17 +177,17 @@ def _walk(paths: Sequence[Sequence[int]]) -> list[int]:
     return [vertex for path in paths for vertex in path[:-1]]
 
 
-def _without_detours(walk: list[int]) -> list[int]:
-    """Cut the shorter way off wherever a closed walk passes through a vertex twice."""
-    at = 0
-    while at < len(walk):
-        if walk[at] in walk[at + 1 :]:
-            again = walk.index(walk[at], at + 1)
-            inner, outer = walk[at:again], walk[:at] + walk[again:]
-            walk, at = (outer, 0) if len(outer) >= len(inner) else (inner, 0)
-        else:
-            at += 1
-    return walk
+def simple_cycles(walk: Sequence[int]) -> list[list[int]]:
+    """Cut a closed walk where it returns to a vertex; what goes there and back over a bridge falls away."""
+    parts: list[list[int]] = []
+    path: list[int] = []
+    for vertex in walk:
+        if vertex in path:
+            start = path.index(vertex)
+            parts.append(path[start:])
+            path = path[:start]
+        path.append(vertex)
+    return [part for part in [*parts, path] if len(part) > 2]
 
 
 def as_ids(values: object, name: str, n_vertices: int) -> Ids:

@@ -223,6 +223,11 @@ def task_for(garment: Garment, target: Target) -> Task:
 
     That of `TASKS` when there is one by that name; else to get any of the garment's loops on the target, by the path that
     suits a strap.
+
+    Parameters
+    ----------
+    garment : Garment
+    target : Target
     """
     name = f"{garment.name}-{target.name}"
     if name in TASKS:
