@@ -12,6 +12,7 @@ pytest.importorskip("pybullet")
 import pybullet
 
 from topokit import rips_persistence
+from topokit.seqph import spacing
 from topokit.sim import Garment, SimulationConfig
 from topokit.sim._camera import Camera, DepthNoise, cameras_around
 from topokit.sim._world import World, observe
@@ -124,6 +125,7 @@ def test_fewer_pixels_than_points_are_repeated(world, rng):
     keep = repeated.lifetime > 0
     np.testing.assert_allclose(repeated.death[keep], once.death)
     np.testing.assert_allclose(repeated.birth[keep], once.birth)
+    assert spacing(points) == pytest.approx(spacing(points[:seen]))  # the scale below which loops are noise
 
 
 def test_noise_is_repeatable_and_small(world):
