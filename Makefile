@@ -33,8 +33,8 @@ CORE_BIN := $(CORE)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 CORE_TESTS := rips rips_properties cycles reduction seqph linking mixture io core
 core:
 	$(PYTHON) -m venv --clear $(CORE)
-	$(CORE_BIN)/python -m pip install --quiet . gudhi hypothesis 'pytest<10'
-	$(CORE_BIN)/python -P -m pytest -o addopts= --import-mode=append $(CORE_TESTS:%=tests/test_%.py)
+	$(CORE_BIN)/python -m pip install --quiet . gudhi hypothesis 'pytest<10' scikit-learn
+	$(CORE_BIN)/pytest -o addopts= --import-mode=append $(CORE_TESTS:%=tests/test_%.py)
 
 lint: env
 	$(BIN)/ruff check .
