@@ -12,7 +12,7 @@ pytest.importorskip("pybullet")
 import pybullet
 
 from topokit import rips_persistence
-from topokit.seqph import spacing
+from topokit.sampling import spacing
 from topokit.sim import Garment, SimulationConfig
 from topokit.sim._camera import Camera, DepthNoise, cameras_around
 from topokit.sim._world import World, observe
