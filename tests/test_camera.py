@@ -161,6 +161,10 @@ def test_lateral_noise_and_dropout(rng):
     assert kept[:, :200].mean() == pytest.approx(0.75, abs=0.01)
 
 
+def test_places_may_be_arrays():
+    assert Camera(np.array([0, -2, 1]), np.zeros(3)) == Camera((0.0, -2.0, 1.0), (0.0, 0.0, 0.0))
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
