@@ -40,7 +40,7 @@ def test_json_gives_the_configuration_back(config):
         ({"depth_noise": True}, "cameras is 0"),
         ({"colour": 1}, "the configuration has no 'colour'"),
         ({"simulation": {"gravity": 1}}, "simulation has no 'gravity'"),
-        ({"simulation": {"dt": -1}}, "dt must be more than zero"),
+        ({"simulation": {"dt": -1}}, "simulation: dt: Input should be greater than 0"),
         ({"randomisation": {"luck": 1}}, "randomisation has no 'luck'"),
         ({"randomisation": {"version": 0}}, "another version"),
         ({"version": 2}, "version 2"),
