@@ -76,14 +76,15 @@ class Forge:
         time_limit : float
             Seconds of processor time: on a busy machine a job may take much longer.
         silence : float, optional
-            Seconds without a sign of life after which it is stopped; ten times `time_limit` when not given.
+            Seconds without a sign of life after which it is stopped, also while the forge starts. When not given, ten times
+            `time_limit`, and the forge may take any time to start.
         report : callable, optional
             Called with the numbers that the function reports, by a second argument that it then gets.
         """
-        silence = _PATIENCE * time_limit if silence is None else silence
         call = {"job": job, "time_limit": time_limit, "reports": report is not None}
         try:
-            process = self._started(silence)
+            process = self._started(math.inf if silence is None else silence)
+            silence = _PATIENCE * time_limit if silence is None else silence
             with contextlib.suppress(BrokenPipeError):
                 print(json.dumps(call), file=process.stdin, flush=True)
             while line := self._line(silence):
