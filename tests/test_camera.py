@@ -12,6 +12,7 @@ pytest.importorskip("pybullet")
 import pybullet
 
 from topokit import rips_persistence
+from topokit._config import from_mapping
 from topokit.sampling import spacing
 from topokit.sim import Garment, SimulationConfig
 from topokit.sim._camera import Camera, DepthNoise, cameras_around
@@ -162,7 +163,9 @@ def test_lateral_noise_and_dropout(rng):
 
 
 def test_places_may_be_arrays():
-    assert Camera(np.array([0, -2, 1]), np.zeros(3)) == Camera((0.0, -2.0, 1.0), (0.0, 0.0, 0.0))
+    camera = Camera((0.0, -2.0, 1.0), (0.0, 0.0, 0.0), noise=DepthNoise())
+    assert Camera(np.array([0, -2, 1]), np.zeros(3), noise=DepthNoise()) == camera
+    assert from_mapping(Camera, dataclasses.asdict(camera), "a camera") == camera  # and lists, as JSON has them
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ Mask = NDArray[np.bool_]
 
 
 def _as_tuple(place: Any) -> Any:
-    return tuple(place.tolist()) if isinstance(place, np.ndarray) else place
+    return tuple(np.asarray(place).tolist()) if isinstance(place, (np.ndarray, list)) else place
 
 
 Place = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
