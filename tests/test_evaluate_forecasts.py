@@ -31,11 +31,8 @@ from topokit.evaluate.config import Clouds, Condition
 from topokit.evaluate.seen import SpoiltWindows, choose, spoil, true_curves
 from topokit.evaluate.summary import steps_of
 from topokit.io import load_episode
-from topokit.models import TrainConfig, train
-from topokit.models.base import Normalisation, Shape
-from topokit.models.checkpoint import describe, save_tensors
-from topokit.models.registry import build
-from topokit.models.training import open_windows
+from topokit.models import Normalisation, Shape, TrainConfig, build, open_windows, train
+from topokit.models._checkpoint import describe, save_tensors
 
 from conftest import DATA
 
@@ -320,7 +317,7 @@ def test_it_refuses_conditions_without_windows(tmp_path, dataset):
         ({"models": {"mlp": "a"}}, TypeError, "mlp must have a list of checkpoints"),
         ({"samples": 1}, ValueError, "samples"),
         ({"tolerance": -1}, ValueError, "tolerance"),
-        ({"shape": {"history": 0}}, ValueError, "shape.history"),
+        ({"shape": {"history": 0}}, ValueError, "shape: history"),
     ],
 )
 def test_a_wrong_configuration_says_what_is_wrong(entries, error, match, tmp_path):

@@ -9,8 +9,7 @@ import torch
 from topokit import LoopMixture
 from topokit.evaluate.intervals import Bootstrap, Estimate, mean_of
 from topokit.evaluate.measures import COLUMNS, TrueCurves, measure, opening_points
-from topokit.models.forecast import Forecast
-from topokit.models.states import States
+from topokit.models import Forecast, States
 
 HORIZON, SLOTS = 4, 3
 STEPS = (1, 2, 4)

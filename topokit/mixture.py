@@ -3,14 +3,14 @@
 Idea: the triangles around a loop's killer are samples of where the loop is at its widest. Every triangle gives a Gaussian, its
 barycentre the mean, its three vertices the covariance, and weighs as much as its filtration value.
 
-Source: Antonova et al. 2021, section 5, equation 1. Taught in chapter 9. `topokit.models.mixture` has the same density for
+Source: Antonova et al. 2021, section 5, equation 1. Taught in chapter 9. `topokit.models.loop_mixtures` has the same density for
 batches, differentiable.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -233,11 +233,16 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
         raise ValueError(
             f"filtration values must be finite and not negative, and one of them positive: {values.tolist()}"
         )
-    means = triangles.mean(axis=1)
-    away = triangles - means[:, None]
-    scatter = np.einsum("mvi,mvj->mij", away, away)
+    means, scatter = moments(triangles)
     if prior is None:
         covariances = scatter / 2 + positive(noise, "noise", zero=False) * np.eye(triangles.shape[2])
     else:
         covariances = prior.posterior_mean(scatter)
     return LoopMixture(means, covariances, values / values.sum())
+
+
+def moments(triangles: Any) -> tuple[Any, Any]:
+    """Barycentres (..., d) of triangles (..., 3, d) and the scatter of their vertices (..., d, d); NumPy's or PyTorch's."""
+    means = triangles.mean(axis=-2)
+    away = triangles - means[..., None, :]
+    return means, away.swapaxes(-1, -2) @ away

@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from topokit._config import from_mapping
 from topokit._validate import positive
-from topokit.models.base import Shape
+from topokit.models import Shape
 
 __all__ = ["TRAINED", "UNTRAINED", "Clouds", "Condition", "EvaluationConfig", "load_evaluation"]
 
@@ -143,7 +144,7 @@ class EvaluationConfig:
 
     def __post_init__(self) -> None:
         if isinstance(self.shape, Mapping):
-            object.__setattr__(self, "shape", _make(Shape, self.shape, "shape"))
+            object.__setattr__(self, "shape", from_mapping(Shape, self.shape, "shape"))
         if not isinstance(self.conditions, list) or not self.conditions:
             raise ValueError("conditions must be a list of one condition or more")
         made = [one if isinstance(one, Condition) else _make(Condition, one, "a condition") for one in self.conditions]

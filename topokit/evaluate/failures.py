@@ -18,7 +18,7 @@ from torch.utils.data import default_collate
 
 from topokit.data import Dataset, WindowDataset
 from topokit.io import save_episode
-from topokit.models.states import States
+from topokit.models import States
 
 from .summary import Samples
 
@@ -98,7 +98,7 @@ def _loops(states: States) -> list[dict[str, Any]]:
         {
             "slot": slot,
             "presence": round(float(presence[slot]), 3),
-            "mean": _rounded(states.centre[slot]),
+            "mean": _rounded(states.mean[slot]),
             "triangles": _rounded(states.triangles[slot, :2]),
         }
         for slot in order

@@ -31,10 +31,16 @@ import topokit
 from topokit._archive import FormatError, atomic_file
 from topokit.data import Dataset, WindowDataset
 from topokit.data._records import total
-from topokit.models.base import Normalisation, PredictiveModel
-from topokit.models.checkpoint import load_model
-from topokit.models.registry import MODELS, build
-from topokit.models.states import States, past_states, target_states
+from topokit.models import (
+    MODELS,
+    Normalisation,
+    PredictiveModel,
+    States,
+    build,
+    load_model,
+    past_states,
+    target_states,
+)
 
 from . import failures, intervals, measures, seen, summary
 from .config import UNTRAINED, Condition, EvaluationConfig

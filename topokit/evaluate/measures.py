@@ -25,9 +25,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from topokit._matching import assign
-from topokit.models.losses import match_slots
-from topokit.models.mixture import loop_mixtures
-from topokit.models.states import States
+from topokit.models import States, loop_mixtures, match_slots
 
 from .localisation import nearest_in_hull
 
@@ -165,7 +163,7 @@ def measure(
     at = torch.tensor([step - 1 for step in steps])
     some = states[:, at]
     told = _Told(
-        some.centre.double().numpy(),
+        some.mean.double().numpy(),
         (some.death - some.birth).double().numpy(),
         some.presence.double().sigmoid().numpy(),
     )

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from topokit.mixture import InverseWishart, LoopMixture, loop_mixture
+from topokit.mixture import LoopMixture, loop_mixture
 
-from .states import TRIANGLES, States
+from ._states import TRIANGLES, States
 
 __all__ = ["Forecast", "PredictedLoop"]
 
@@ -53,12 +54,12 @@ class PredictedLoop:
 
     @property
     def centre(self) -> Array:
-        """(3,) mean of the barycentres of the two killer triangles."""
+        """(3,) mean of the barycentres of the two killer triangles, as of a `topokit.Loop`; `mixture().mean` is another place."""
         return np.asarray(self.killer_triangles.mean(axis=(0, 1)))
 
-    def mixture(self, noise: float = 1e-4, prior: InverseWishart | None = None) -> LoopMixture:
+    def mixture(self, noise: float = 1e-4) -> LoopMixture:
         """Where the loop is, as `topokit.loop_mixture` says."""
-        return loop_mixture(self, noise, prior)
+        return loop_mixture(self, noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +89,7 @@ class Forecast:
     def from_states(cls, states: States) -> Forecast:
         """Of a model's output (C, K, S)."""
         states = states.replace(presence=states.presence.sigmoid())
-        return cls(*(getattr(states, field.name).cpu().numpy() for field in fields(states)))
+        return cls(*(part.cpu().numpy() for part in vars(states).values()))
 
     @property
     def plans(self) -> int | None:
@@ -96,10 +97,16 @@ class Forecast:
         return len(self.birth) if self.birth.ndim == 3 else None
 
     def plan(self, index: int) -> Forecast:
-        """The forecast under one of the plans."""
+        """The forecast under one of the plans.
+
+        Raises
+        ------
+        IndexError
+            When there is but one.
+        """
         if self.plans is None:
             raise IndexError("this is the forecast of a single plan")
-        return Forecast(*(getattr(self, field.name)[index] for field in fields(self)))
+        return Forecast(*(part[index] for part in vars(self).values()))
 
     @property
     def lifetime(self) -> Array:
@@ -109,20 +116,21 @@ class Forecast:
     @property
     def triangles(self) -> Array:
         """(K, S, 6, 3, 3) the killer triangles and the neighbours."""
-        return np.asarray(self.corners[..., np.array(TRIANGLES), :])
+        return self._states.triangles.numpy()
 
     @property
     def values(self) -> Array:
         """(K, S, 6) filtration values of the triangles."""
-        return np.concatenate([self.death[..., None], self.death[..., None], self.neighbour_values], axis=-1)
+        return self._states.values.numpy()
 
     @property
-    def centre(self) -> Array:
+    def mean(self) -> Array:
         """(K, S, 3) means of the mixtures."""
-        weights = self.values / np.maximum(self.values.sum(axis=-1, keepdims=True), 1e-9)
-        shares = np.zeros((6, 8), np.float32)
-        shares[np.arange(6)[:, None], np.array(TRIANGLES)] = 1 / 3  # of each corner in each barycentre
-        return np.asarray(((weights @ shares)[..., None, :] @ self.corners)[..., 0, :])
+        return self._states.mean.numpy()
+
+    @property
+    def _states(self) -> States:
+        return States(*map(torch.from_numpy, vars(self).values()))
 
     def __len__(self) -> int:
         return self.birth.shape[-2]
@@ -131,16 +139,18 @@ class Forecast:
         """Return the loops of a step, 0 for the next frame: those more likely there than not, longest lifetime first."""
         if self.plans is not None:
             raise IndexError("this is a forecast of many plans: choose one first, forecast.plan(i)[step]")
-        slots = np.flatnonzero(self.presence[step] > 0.5)
-        return tuple(
-            self.loop(step, int(slot)) for slot in slots[np.argsort(-self.lifetime[step][slots], kind="stable")]
-        )
+        longest = np.argsort(-self.lifetime[step], kind="stable")
+        return tuple(self.loop(step, int(slot)) for slot in longest if self.presence[step, slot] > 0.5)
 
     def loop(self, step: int, slot: int) -> PredictedLoop:
-        """Return one slot at one step of a single plan, there or not."""
+        """Return one loop of a single plan, there or not.
+
+        Parameters
+        ----------
+        step, slot : int
+        """
         triangles = self.corners[step, slot][np.array(TRIANGLES)]
-        near = self.neighbour_values[step, slot]
-        death = self.death[step, slot]
+        near, death = self.neighbour_values[step, slot], self.death[step, slot]
         return PredictedLoop(
             slot=slot,
             presence=float(self.presence[step, slot]),
@@ -155,20 +165,16 @@ class Forecast:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, for JSON: of every step the loops that are there."""
-        return {
-            "steps": [
-                [
-                    {
-                        "slot": loop.slot,
-                        "presence": round(loop.presence, 4),
-                        "birth": loop.birth,
-                        "death": loop.death,
-                        "lifetime": loop.lifetime,
-                        "mean": loop.mixture().mean.tolist(),
-                        "killer_triangles": loop.killer_triangles.tolist(),
-                    }
-                    for loop in loops
-                ]
-                for loops in (self[step] for step in range(len(self)))
-            ]
-        }
+        return {"steps": [[_as_dict(loop) for loop in self[step]] for step in range(len(self))]}
+
+
+def _as_dict(loop: PredictedLoop) -> dict[str, Any]:
+    return {
+        "slot": loop.slot,
+        "presence": round(loop.presence, 4),
+        "birth": loop.birth,
+        "death": loop.death,
+        "lifetime": loop.lifetime,
+        "mean": loop.mixture().mean.tolist(),
+        "killer_triangles": loop.killer_triangles.tolist(),
+    }

@@ -9,18 +9,25 @@ import torch
 from torch import Tensor
 from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
 
+from topokit.mixture import moments
+
 __all__ = ["loop_mixtures", "sigma_points"]
 
 
 def loop_mixtures(triangles: Tensor, values: Tensor, noise: float = 1e-4) -> MixtureSameFamily:
-    """Mixtures of a batch of loops: triangles (..., m, 3, 3) and their filtration values (..., m), not negative.
+    """Mixtures of a batch of loops, by the formula of `topokit.loop_mixture`.
 
-    Component i has the barycentre of triangle i as mean, half the scatter of its vertices plus `noise` times the identity as
-    covariance, and values[i] / sum(values) as weight.
+    Parameters
+    ----------
+    triangles : (..., m, 3, 3)
+    values : (..., m)
+        Filtration values of the triangles, not negative; 0 for one that is absent.
+    noise : float
+        Added to the diagonal of every sample covariance, square metres.
     """
-    away = triangles - triangles.mean(dim=-2, keepdim=True)
-    covariance = away.transpose(-1, -2) @ away / 2 + noise * torch.eye(triangles.shape[-1]).to(triangles)
-    components = MultivariateNormal(triangles.mean(dim=-2), covariance, validate_args=False)
+    means, scatter = moments(triangles)
+    covariances = scatter / 2 + noise * torch.eye(triangles.shape[-1]).to(triangles)
+    components = MultivariateNormal(means, covariances, validate_args=False)
     weights = Categorical(probs=values.clamp_min(1e-12), validate_args=False)
     return MixtureSameFamily(weights, components, validate_args=False)
 

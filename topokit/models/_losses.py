@@ -6,21 +6,22 @@ Source: Antonova et al. 2021, section 5 (the L2 loss); slots are matched as in C
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from .mixture import loop_mixtures, sigma_points
-from .states import States, cheapest_order, past_states, target_states
+from topokit._config import NotNegative, checked
+
+from ._mixture import loop_mixtures, sigma_points
+from ._states import States, cheapest_order, past_states, target_states
 
 __all__ = ["LossWeights", "forecast_loss", "match_slots"]
 
 POSITION, VALUE = 0.1, 0.02  # metres that count as one in the losses: of places, and of filtration values
 
 
-@dataclass(frozen=True)
+@checked
 class LossWeights:
     """Weights of the parts of the loss, and whether slots may be matched.
 
@@ -42,18 +43,12 @@ class LossWeights:
         by mean lifetime over the history, then of appearance.
     """
 
-    features: float = 1.0
-    presence: float = 1.0
-    centre: float = 0.0
-    nll: float = 0.0
-    now: float = 0.0
+    features: NotNegative = 1.0
+    presence: NotNegative = 1.0
+    centre: NotNegative = 0.0
+    nll: NotNegative = 0.0
+    now: NotNegative = 0.0
     match: bool = False
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name != "match" and not (isinstance(value, (int, float)) and 0 <= value < float("inf")):
-                raise ValueError(f"loss.{field.name} must be a number of zero or more, not {value!r}")
 
 
 def forecast_loss(
@@ -61,19 +56,29 @@ def forecast_loss(
     window: Mapping[str, Tensor],
     weights: LossWeights,
     *,
-    now: States | None = None,
+    present: States | None = None,
     generator: torch.Generator | None = None,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Loss of a batch, and its parts and the mean distance of centres in metres (`distance`) for the log.
+    """Loss of a batch; and for the log the same, its parts, and the mean distance of the mixtures' means in metres.
 
-    `now` is a model's estimate of the present state, or a few of them, as steps. The log-likelihood is taken on 8 random steps.
+    Parameters
+    ----------
+    predicted : States
+    window : mapping of str to Tensor
+        The batch, labels included.
+    weights : LossWeights
+    present : States, optional
+        A model's estimate of the present state, or a few of them, as steps.
+    generator : torch.Generator, optional
+        Draws the eight steps on which the log-likelihood is taken.
     """
-    target, past = target_states(window), past_states(window)[:, [-1] * (1 if now is None else now.birth.shape[1])]
+    target = target_states(window)
+    past = past_states(window)[:, [-1] * (1 if present is None else present.birth.shape[1])]
     if weights.match:
         order = match_slots(predicted, target)
         target, past = target.slots(order), past.slots(order)
     there = target.presence > 0
-    gap = (predicted.centre - target.centre)[there].norm(dim=-1)
+    gap = (predicted.mean - target.mean)[there].norm(dim=-1)
     parts = {
         "features": _features(predicted, target, there),
         "presence": functional.binary_cross_entropy_with_logits(predicted.presence, there.to(predicted.presence)),
@@ -82,28 +87,32 @@ def forecast_loss(
     if weights.nll:
         steps = torch.randperm(there.shape[1], generator=generator)[:8].to(there.device)
         parts["nll"] = _nll(predicted[:, steps][there[:, steps]], target[:, steps][there[:, steps]])
-    if weights.now and now is not None:
-        parts["now"] = _features(now, past, past.presence > 0)
+    if weights.now and present is not None:
+        parts["now"] = _features(present, past, past.presence > 0)
     total = torch.stack([getattr(weights, name) * part for name, part in parts.items()]).sum()
-    return total, {**{name: part.detach() for name, part in parts.items()}, "distance": _mean(gap.detach())}
+    parts = {"loss": total, **parts, "distance": _mean(gap)}
+    return total, {name: part.detach() for name, part in parts.items()}
 
 
+@torch.no_grad()
 def match_slots(predicted: States, target: States) -> Tensor:
-    """(B, S) which target slot each predicted slot should have, the same for all steps; the cheapest of all orders."""
-    with torch.no_grad():
-        there = (target.presence > 0).to(predicted.presence)  # (B, K, S)
-        apart = torch.cdist(predicted.centre, target.centre) / POSITION  # (B, K, predicted, target)
-        logit = predicted.presence[..., :, None]
-        wrong = functional.softplus(logit) - logit * there[..., None, :]  # cross-entropy of every pair
-        cost = (apart.clamp_max(5.0) * there[..., None, :] + wrong).mean(dim=1)  # (B, S, S)
-        return cheapest_order(cost)
+    """(B, S) which target slot each predicted slot should have, the same for all steps; the cheapest of all orders.
+
+    Parameters
+    ----------
+    predicted, target : States
+    """
+    there = (target.presence > 0).to(predicted.presence)  # (B, K, S)
+    apart = torch.cdist(predicted.mean, target.mean) / POSITION  # (B, K, predicted, target)
+    logit = predicted.presence[..., :, None]
+    wrong = functional.softplus(logit) - logit * there[..., None, :]  # cross-entropy of every pair
+    return cheapest_order((apart.clamp_max(5.0) * there[..., None, :] + wrong).mean(dim=1))
 
 
 def _features(predicted: States, target: States, there: Tensor) -> Tensor:
     """Mean over the loops that are there of the mean squared errors of their features."""
     predicted, target = predicted[there], target[there]
-    numbers = torch.stack([predicted.birth, predicted.death, predicted.step], dim=-1)
-    truth = torch.stack([target.birth, target.death, target.step], dim=-1)
+    numbers, truth = (torch.stack([part.birth, part.death, part.step], dim=-1) for part in (predicted, target))
     error = ((numbers - truth) / VALUE).square().mean(dim=-1)
     return _mean(error + torch.minimum(_edge_errors(predicted, target), _edge_errors(predicted, target.reversed())))
 

@@ -16,9 +16,7 @@ def add(commands: Any) -> None:
     train = commands.add_parser("train", help="train a predictor on a dataset; goes on where it stopped")
     train.add_argument("config", type=Path, metavar="CONFIG", help="what to train, how, on what (.json or .toml)")
     train.add_argument("--seed", type=int, help="instead of the configuration's; with --out, to train several")
-    train.add_argument(
-        "--out", type=Path, metavar="DIR", help="where checkpoints and log go, instead of the configuration's"
-    )
+    train.add_argument("--out", metavar="DIR", help="where checkpoints and log go, instead of the configuration's")
     train.add_argument("--quiet", action="store_true", help="no progress bar")
     train.add_argument("--json", action="store_true", help="print the answer as JSON")
     train.set_defaults(run=_train)
@@ -34,18 +32,13 @@ def add(commands: Any) -> None:
 def _train(options: argparse.Namespace) -> int:
     from dataclasses import replace
 
-    from . import load_config, train
-    from .training import open_windows
+    from . import load_config, open_windows, train
 
-    config = load_config(options.config)
-    if options.seed is not None:
-        config = replace(config, seed=options.seed)
-    if options.out is not None:
-        config = replace(config, out=str(options.out))
+    changes = {name: value for name, value in (("seed", options.seed), ("out", options.out)) if value is not None}
+    config = replace(load_config(options.config), **changes)
     try:
-        answer = train(
-            config, open_windows(config), progress=sys.stderr.isatty() and not (options.json or options.quiet)
-        )
+        show = sys.stderr.isatty() and not (options.json or options.quiet)
+        answer = train(config, open_windows(config), progress=show)
     except KeyboardInterrupt:
         print(f"topokit train: stopped; the same command goes on from {config.out}/last.safetensors", file=sys.stderr)
         return 130
@@ -69,16 +62,12 @@ def _predict(options: argparse.Namespace) -> int:
 
     predictor = Predictor.load(options.checkpoint)
     episode = load_episode(options.episode)
-    t, shape = options.frame, predictor.model.shape
-    if not 0 <= t < len(episode) - 1:
-        raise ValueError(
-            f"--frame {t}: the episode has frames 0 to {len(episode) - 1}, and one must be left to forecast"
-        )
+    t, last, shape = options.frame, len(episode) - 1, predictor.model.shape
+    if not 0 <= t < last:
+        raise ValueError(f"--frame {t}: the episode has frames 0 to {last}, and one must be left to forecast")
     for frame in range(max(0, t - shape.history + 1), t + 1):
         predictor.observe(episode.observed[frame], episode.grippers[frame], bool(episode.held[frame]))
-    ahead = np.minimum(
-        np.arange(t + 1, t + 1 + shape.horizon), len(episode) - 1
-    )  # past its end the last action goes on
+    ahead = np.minimum(np.arange(t + 1, t + 1 + shape.horizon), last)  # past its end the last action goes on
     forecast = predictor.predict(episode.actions[ahead], episode.held[ahead])
     if options.json:
         about = {name: predictor.description.get(name) for name in ("model", "dataset", "topokit")}

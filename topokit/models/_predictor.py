@@ -14,14 +14,14 @@ from torch import Tensor
 
 from topokit._validate import as_points
 from topokit.sampling import farthest_point_sample
-from topokit.seqph import SeqPH
+from topokit.seqph import RECOMMENDED, SeqPH
 from topokit.state import TopologicalState
 
-from .base import PredictiveModel
-from .baselines import past_window
-from .checkpoint import load_model
-from .forecast import Forecast
-from .states import States
+from ._base import PredictiveModel
+from ._baselines import past_window
+from ._checkpoint import load_model
+from ._forecast import Forecast
+from ._states import States
 
 __all__ = ["Predictor"]
 
@@ -32,7 +32,7 @@ class Predictor:
     Parameters
     ----------
     model : PredictiveModel
-    description : dict
+    description : mapping, optional
         What a checkpoint says of it.
 
     Examples
@@ -65,7 +65,7 @@ class Predictor:
         """Forget everything observed."""
         self._kept: deque[dict[str, Tensor]] = deque(maxlen=self.model.shape.history)
         self._tracked: deque[tuple[TopologicalState, Tensor]] = deque(maxlen=self.model.shape.history)
-        self._tracker = SeqPH(identity="killer-triangles", gates="proved", memory=8) if self.model.tracked else None
+        self._tracker = SeqPH(**RECOMMENDED) if self.model.tracked else None
         self._context: dict[str, Tensor] | None = None
 
     @torch.inference_mode()
@@ -89,7 +89,7 @@ class Predictor:
         cloud = as_points(points)
         if cloud.shape[1] != 3 or not len(cloud):
             raise ValueError(f"points must be an (n, 3) array of one point at least, not of shape {cloud.shape}")
-        frame = {"clouds": torch.from_numpy(sample(cloud, self.model.shape.points))[None]}
+        frame = {"clouds": torch.from_numpy(_spread(cloud, self.model.shape.points))[None]}
         if "grippers" in self.model.inputs:
             if grippers is None:
                 raise ValueError("this model needs to know where the grippers are: observe(points, grippers)")
@@ -121,17 +121,14 @@ class Predictor:
             When nothing was observed yet, or an array has another shape or holds a value that is not finite.
         """
         plans, holds = self._plans(actions, held)
-        context = self.encoded()
-        parts = [
-            self.model.decode(context, *chunk)
-            for chunk in zip(plans.split(self.model.plans_at_once), holds.split(self.model.plans_at_once), strict=True)
-        ]
-        states = parts[0] if len(parts) == 1 else States(*(torch.cat(p) for p in zip(*map(_parts, parts), strict=True)))
-        forecast = Forecast.from_states(states)
+        context = self._encoded()
+        chunks = zip(*(part.split(self.model.plans_at_once) for part in (plans, holds)), strict=True)
+        parts = [vars(self.model.decode(context, *chunk)) for chunk in chunks]
+        states = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
+        forecast = Forecast.from_states(States(**states))
         return forecast if np.ndim(actions) == 4 else forecast.plan(0)
 
-    @torch.inference_mode()
-    def encoded(self) -> dict[str, Tensor]:
+    def _encoded(self) -> dict[str, Tensor]:
         """The history as `decode` needs it; made once for all plans until the next frame."""
         if not self._kept:
             raise ValueError("nothing was observed yet: call observe(points) first")
@@ -162,12 +159,8 @@ class Predictor:
         return torch.from_numpy(plans).reshape(-1, steps, 2, 3), torch.from_numpy(holds).reshape(-1, steps)
 
 
-def sample(points: NDArray[np.float64], n: int) -> NDArray[np.float32]:
+def _spread(points: NDArray[np.float64], n: int) -> NDArray[np.float32]:
     """`n` farthest points, or all of them and then the first ones again."""
     if len(points) > n:
         points = points[farthest_point_sample(points, n)[0]]
     return np.resize(points, (n, 3)).astype(np.float32)
-
-
-def _parts(states: States) -> list[Tensor]:
-    return list(vars(states).values())

@@ -2,58 +2,46 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from .states import States
+from topokit._config import Count, checked
+from topokit.io import HISTORY, HORIZON
 
-__all__ = [
-    "PAST",
-    "Context",
-    "Normalisation",
-    "PredictiveModel",
-    "Shape",
-    "maximum",
-    "numbers_of_values",
-    "states_from_numbers",
-]
+from ._states import States
+
+__all__ = ["PAST", "Context", "Normalisation", "PredictiveModel", "Shape", "maximum"]
 
 PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "step", "present"))
 
 Context = dict[str, Tensor]
 
 
-@dataclass(frozen=True)
+@checked
 class Shape:
     """Sizes of a window.
 
     Attributes
     ----------
     history, horizon : int
-        Frames that are seen (h = 16 in the paper) and forecast (k = 60).
+        Frames that are seen and forecast.
     points : int
         Of a cloud.
     slots : int
         Loops that are forecast at most.
     """
 
-    history: int = 16
-    horizon: int = 60
-    points: int = 128
-    slots: int = 4
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not isinstance(value, int) or value < 1:
-                raise ValueError(f"shape.{field.name} must be a whole number above zero, not {value!r}")
+    history: Count = HISTORY
+    horizon: Count = HORIZON
+    points: Count = 128
+    slots: Count = 4
 
 
-@dataclass(frozen=True)
+@checked
 class Normalisation:
     """Where coordinates and filtration values lie in the training split; models see (x - origin) / scale.
 
@@ -72,11 +60,16 @@ class Normalisation:
     value: float = 0.05
 
 
-class PredictiveModel(nn.Module):
+class PredictiveModel(nn.Module, ABC):
     """From a window (the dict of tensors of `topokit.data.WindowDataset`, a leading axis of B) to its states.
 
     Three parts: `encode_frames` looks at single frames, so that a frame of a stream is encoded once; `gather` puts a history of
     them together, so that all plans share it; `decode` reads a plan of actions and gives the states of all steps.
+
+    Parameters
+    ----------
+    shape : Shape
+    normalisation : Normalisation
     """
 
     learns = True  # by gradient descent
@@ -95,21 +88,27 @@ class PredictiveModel(nn.Module):
         """What is kept of N frames, each alone; the `inputs` of a window with a leading axis of N."""
         return frames
 
+    @abstractmethod
     def gather(self, kept: Context) -> Context:
         """What the forecast needs of the frames that `encode_frames` kept, (B, F, ...), in the order of `self.frames`.
 
         If `tracked`, with the tracked states, (B, history, ...), the newest first.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
-        """States (C, horizon, slots) for planned gripper targets (C, horizon, 2, 3), metres, and held (C, horizon) bool.
+        """Forecast the states of all steps.
 
-        C is the B of the context, or any number when B is 1: one history under C plans.
+        Parameters
+        ----------
+        context : dict of Tensor
+            Of `gather`, for B windows.
+        actions : (C, horizon, 2, 3)
+            Planned targets of the grippers, metres. C is B, or any number when B is 1: one history under C plans.
+        held : (C, horizon) bool
         """
-        raise NotImplementedError
 
-    def now(self, context: Context) -> States | None:
+    def present_states(self, context: Context) -> States | None:
         """Return the present state as the model estimates it on its way, (B, 1, slots); None when it does not.
 
         More steps than one are more estimates of the same state.
@@ -122,7 +121,7 @@ class PredictiveModel(nn.Module):
         frames = {name: window[name][:, look] for name in self.inputs}
         sizes = next(iter(frames.values())).shape[:2]
         kept = self.encode_frames({name: part.flatten(0, 1) for name, part in frames.items()})
-        kept = {name: part.reshape(*sizes, *part.shape[1:]) for name, part in kept.items()}
+        kept = {name: part.unflatten(0, sizes) for name, part in kept.items()}
         if self.tracked:
             kept |= {name: window[name].flip(1) for name in PAST} | {"past_grippers": window["grippers"].flip(1)}
         return self.gather(kept)
@@ -130,37 +129,30 @@ class PredictiveModel(nn.Module):
     def forward(self, window: Mapping[str, Tensor]) -> tuple[States, States | None]:
         """The forecast, and the present state when the model estimates it."""
         context = self.encode(window)
-        return self.decode(context, window["actions"], window["actions_held"]), self.now(context)
+        return self.decode(context, window["actions"], window["actions_held"]), self.present_states(context)
 
     def normalise(self, points: Tensor) -> Tensor:
         """Coordinates in metres to about the unit cube."""
         return (points - self.origin) / self.normalisation.scale
 
+    def _states(self, numbers: Tensor, about: Tensor) -> States:
+        """The last layer of a network (..., NUMBERS) as states; corners are `scale` times the first 24, about a place (..., 3).
+
+        Birth, lifetime, step and neighbour values are positive whatever the network says: `value` times
+        (x + sqrt(x^2 + 1)) / 2, which is half a softplus' cost.
+        """
+        corners, raw = numbers[..., :24].unflatten(-1, (8, 3)), numbers[..., 24:31]
+        positive = self.normalisation.value / 2 * (raw + (raw.square() + 1).sqrt())
+        return States(
+            corners=torch.add(about[..., None, :], corners, alpha=self.normalisation.scale),
+            neighbour_values=positive[..., :4],
+            birth=positive[..., 4],
+            death=positive[..., 4] + positive[..., 5],
+            step=positive[..., 6],
+            presence=numbers[..., 31],
+        )
+
 
 def maximum(codes: Tensor) -> Tensor:
     """(N, width) maximum over the points of codes (N, P, width), as a pooling: its gradient is far quicker than that of amax."""
     return functional.adaptive_max_pool1d(codes.transpose(1, 2), 1)[..., 0]
-
-
-def states_from_numbers(numbers: Tensor, about: Tensor, scale: float, value: float) -> States:
-    """The last layer of a network (..., NUMBERS) as states; corners are `scale` times the first 24, about a place (..., 3).
-
-    Birth, lifetime, step and neighbour values are positive whatever the network says: `value` times (x + sqrt(x^2 + 1)) / 2,
-    which is half a softplus' cost.
-    """
-    raw = numbers[..., 24:31]
-    positive = value / 2 * (raw + (raw.square() + 1).sqrt())
-    return States(
-        corners=torch.add(about[..., None, :], numbers[..., :24].reshape(*numbers.shape[:-1], 8, 3), alpha=scale),
-        neighbour_values=positive[..., :4],
-        birth=positive[..., 4],
-        death=positive[..., 4] + positive[..., 5],
-        step=positive[..., 6],
-        presence=numbers[..., 31],
-    )
-
-
-def numbers_of_values(values: Tensor, value: float) -> Tensor:
-    """The numbers of which `states_from_numbers` makes such birth, lifetime, step or neighbour values; small ones are cut off."""
-    y = (values * (2 / value)).clamp_min(0.1)
-    return (y.square() - 1) / (2 * y)

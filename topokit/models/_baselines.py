@@ -5,6 +5,7 @@ Source: Hoerl and Kennard 1970 (ridge regression). Taught in chapter 10.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -13,8 +14,8 @@ from torch import Tensor, nn
 
 from topokit.state import TopologicalState
 
-from .base import PAST, Context, Normalisation, PredictiveModel, Shape
-from .states import NUMBERS, States, past_states, target_states
+from ._base import PAST, Context, Normalisation, PredictiveModel, Shape
+from ._states import NUMBERS, States, past_states, target_states
 
 __all__ = ["Carry", "Hold", "Ridge", "last_appearance", "past_window"]
 
@@ -31,8 +32,7 @@ class Hold(PredictiveModel):
         return last_appearance(kept) | {"grippers": kept["grippers"][:, 0]}
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
-        """The same at every step, moved by `moved`."""
-        moved = self.moved(context, actions, held)  # (C, K, slots or 1, 3)
+        moved = self._moved(context, actions, held)  # (C, K, slots or 1, 3)
         parts = {}
         for name in ("corners", "neighbour_values", "birth", "death", "presence"):
             part = context[name][:, None]
@@ -43,7 +43,7 @@ class Hold(PredictiveModel):
             **parts,
         )
 
-    def moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
+    def _moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
         """How far each loop has gone by each step."""
         return torch.zeros_like(actions[:, :, :1])
 
@@ -51,12 +51,12 @@ class Hold(PredictiveModel):
 class Carry(Hold):
     """Every loop goes with the middle between the grippers for as long as they hold, and is then at rest."""
 
-    def moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
-        """From its last appearance to now with the grippers as they went, from now on as planned."""
-        now = context["grippers"].expand(len(actions), -1, -1)
-        steps = torch.cat([now[:, None], actions], dim=1).diff(dim=1).mean(dim=2)  # (C, K, 3)
+    def _moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
+        """Since its last appearance with the grippers as they went, from the present on as planned."""
+        start = context["grippers"].expand(len(actions), -1, -1)
+        steps = torch.cat([start[:, None], actions], dim=1).diff(dim=1).mean(dim=2)  # (C, K, 3)
         ahead = (steps * held[..., None].to(steps)).cumsum(dim=1)
-        since = (context["grippers"][:, None] - context["seen_at"]).mean(dim=2)  # (B, slots, 3)
+        since = (context["grippers"][:, None] - context["grippers_then"]).mean(dim=2)  # (B, slots, 3)
         return ahead[:, :, None] + since[:, None]
 
 
@@ -65,6 +65,7 @@ class Ridge(Hold):
 
     The corners' change since the last appearance, the values and the presence are regressed on the last state of the slot, the
     grippers and the plan, all relative to the middle between the grippers. A loop that is not there has no say in its place.
+    Values are cut off at zero.
 
     Parameters
     ----------
@@ -81,7 +82,6 @@ class Ridge(Hold):
         self.coefficients = nn.Parameter(torch.zeros(inputs, shape.horizon * NUMBERS), requires_grad=False)
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
-        """Linear in the inputs; values are cut off at zero."""
         kept = {name: part.expand(len(actions), *part.shape[1:]) for name, part in context.items()}
         numbers = (self._inputs(kept, actions, held) @ self.coefficients).unflatten(-1, (self.shape.horizon, NUMBERS))
         numbers = numbers.transpose(1, 2)  # (C, K, slots, NUMBERS)
@@ -98,7 +98,7 @@ class Ridge(Hold):
     def fit(self, batches: Iterable[Mapping[str, Tensor]]) -> None:
         """Solve the normal equations, summed over batches of windows: one system for places, one for the rest."""
         size = len(self.coefficients)
-        gram, there_gram = (torch.zeros(size, size, dtype=torch.float64) for _ in range(2))
+        gram, there_gram = torch.zeros(2, size, size, dtype=torch.float64)
         moments = torch.zeros(size, self.shape.horizon, NUMBERS, dtype=torch.float64)
         for window in batches:
             kept, target = self.encode(window), target_states(window)
@@ -137,47 +137,48 @@ class Ridge(Hold):
 
 
 def last_appearance(kept: Context) -> Context:
-    """Each slot as it was last tracked: `corners`, values, `presence` now, whether `known`, and where the grippers were then.
+    """Each slot as it was last tracked: `corners`, values, present `presence`, whether `known`, and the `grippers_then`.
 
-    Of a slot that was never seen, corners are the middle between the grippers, the rest zeros.
+    Of a slot that was never tracked, corners are the middle between the grippers, the rest zeros.
     """
-    seen = kept["past_present"]  # (B, h, slots), the newest frame first
-    last = seen.int().argmax(dim=1)  # (B, slots); 0 of one that was never seen
+    present = kept["past_present"]  # (B, h, slots), the newest frame first
+    last = present.int().argmax(dim=1)  # (B, slots); 0 of one that was never tracked
     batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])
-    at = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
-    known = seen.any(dim=1)
+    loops = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
+    known = present.any(dim=1)
     middle = kept["past_grippers"][:, 0].mean(dim=1)[:, None, None]
     return {
-        "corners": torch.where(known[..., None, None], at.corners, middle),
-        "neighbour_values": at.neighbour_values,
-        "birth": at.birth,
-        "death": at.death,
-        "presence": torch.where(seen[:, 0], 6.0, -6.0),
+        "corners": torch.where(known[..., None, None], loops.corners, middle),
+        "neighbour_values": loops.neighbour_values,
+        "birth": loops.birth,
+        "death": loops.death,
+        "presence": torch.where(present[:, 0], 6.0, -6.0),
         "known": known,
-        "seen_at": kept["past_grippers"][batch, last],  # (B, slots, 2, 3)
+        "grippers_then": kept["past_grippers"][batch, last],  # (B, slots, 2, 3)
     }
 
 
 def past_window(states: Sequence[TopologicalState], slots: int) -> dict[str, Tensor]:
     """The `past_` fields of a window (1, h, ...) from tracked states: slots by mean lifetime over the history, longest first."""
-    total: dict[int, float] = {}
-    for state in states:
-        for loop in state.loops:
-            total[loop.id] = total.get(loop.id, 0.0) + loop.lifetime
-    kept = sorted(total, key=lambda identity: -total[identity])[:slots]
+    total: defaultdict[int, float] = defaultdict(float)
+    for loop in (loop for state in states for loop in state.loops):
+        total[loop.id] += loop.lifetime
+    longest = sorted(total, key=total.__getitem__, reverse=True)[:slots]
+    slot_of = {identity: slot for slot, identity in enumerate(longest)}
+    size = len(states), slots
     past = {
-        "triangles": np.zeros((len(states), slots, 6, 3, 3), np.float32),
-        "values": np.zeros((len(states), slots, 6), np.float32),
-        **{name: np.zeros((len(states), slots), np.float32) for name in ("birth", "death", "step")},
-        "present": np.zeros((len(states), slots), bool),
+        "triangles": np.zeros((*size, 6, 3, 3), np.float32),
+        "values": np.zeros((*size, 6), np.float32),
+        **{name: np.zeros(size, np.float32) for name in ("birth", "death", "step")},
+        "present": np.zeros(size, bool),
     }
     for frame, state in enumerate(states):
-        for loop in (loop for loop in state.loops if loop.id in kept):
-            at = frame, kept.index(loop.id)
-            past["triangles"][at] = loop.killer_triangles[0]
-            past["triangles"][at][: 2 + len(loop.neighbours)] = np.concatenate([loop.killer_triangles, loop.neighbours])
-            past["values"][at][: 2 + len(loop.neighbours)] = np.concatenate([loop.killer_values, loop.neighbour_values])
-            numbers = {"birth": loop.birth, "death": loop.death, "step": np.nan_to_num(loop.step), "present": True}
-            for name, number in numbers.items():
-                past[name][at] = number
+        for loop in (loop for loop in state.loops if loop.id in slot_of):
+            place, n = (frame, slot_of[loop.id]), 2 + len(loop.neighbours)
+            past["triangles"][place] = loop.killer_triangles[0]  # stands for neighbours that are absent
+            past["triangles"][place][:n] = np.concatenate([loop.killer_triangles, loop.neighbours])
+            past["values"][place][:n] = np.concatenate([loop.killer_values, loop.neighbour_values])
+            for name in ("birth", "death", "step"):
+                past[name][place] = np.nan_to_num(getattr(loop, name))
+            past["present"][place] = True
     return {f"past_{name}": torch.from_numpy(part)[None] for name, part in past.items()}

@@ -7,12 +7,15 @@ triangles that share an edge together and is half the size.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 __all__ = ["NUMBERS", "TRIANGLES", "States", "cheapest_order", "corners_of", "past_states", "target_states"]
 
@@ -54,11 +57,11 @@ class States:
         return torch.cat([self.death[..., None], self.death[..., None], self.neighbour_values], dim=-1)
 
     @property
-    def centre(self) -> Tensor:
-        """(B, K, S, 3) mean of the mixture."""
-        weights = self.values
-        weights = weights / weights.sum(dim=-1, keepdim=True).clamp_min(1e-9)
-        return (weights[..., None, :] @ self.triangles.mean(dim=-2))[..., 0, :]
+    def mean(self) -> Tensor:
+        """(B, K, S, 3) mean of the mixture; a loop's `centre` is another place, the middle of its killer triangles alone."""
+        weights = self.values / self.values.sum(dim=-1, keepdim=True).clamp_min(1e-9)
+        shares = functional.one_hot(torch.tensor(TRIANGLES), 8).sum(dim=1).to(weights) / 3  # of corners in barycentres
+        return ((weights @ shares)[..., None, :] @ self.corners)[..., 0, :]
 
     def reversed(self) -> States:
         """The same loops with the ends of their killer edges the other way round."""
@@ -69,15 +72,15 @@ class States:
 
     def replace(self, **parts: Tensor) -> States:
         """A copy with other parts."""
-        return States(**({field.name: getattr(self, field.name) for field in fields(self)} | parts))
+        return dataclasses.replace(self, **parts)
 
     def float(self) -> States:
         """All parts in 32 bits."""
-        return States(*(getattr(self, field.name).float() for field in fields(self)))
+        return self._each(Tensor.float)
 
-    def __getitem__(self, index: object) -> States:
+    def __getitem__(self, index: Any) -> States:
         """Index all parts alike, along the leading dimensions."""
-        return States(*(getattr(self, field.name)[index] for field in fields(self)))
+        return self._each(lambda part: part[index])
 
     def slots(self, order: Tensor) -> States:
         """The slots in another order (B, S) for every sequence."""
@@ -86,7 +89,10 @@ class States:
             index = order.reshape(order.shape[0], 1, -1, *(1,) * (part.dim() - 3))
             return part.gather(2, index.expand_as(part))
 
-        return States(*(gather(getattr(self, field.name)) for field in fields(self)))
+        return self._each(gather)
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> States:
+        return States(*(change(part) for part in vars(self).values()))
 
 
 def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
@@ -102,7 +108,7 @@ def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     found = triangles[..., 2:, :, :]  # (..., 4 neighbours, 3, 3)
     gap = (found[..., :, None, :2, :] - outer[..., None, :, :, :]).abs().sum(dim=(-1, -2))  # (..., neighbour, edge)
     present = values[..., 2:] > 0
-    stands = torch.nn.functional.one_hot(gap.argmin(dim=-1), 4).to(triangles) * present[..., None].to(triangles)
+    stands = functional.one_hot(gap.argmin(dim=-1), 4).to(triangles) * present[..., None].to(triangles)
     neighbour_values = (stands * values[..., 2:, None]).sum(dim=-2)
     apexes = stands.transpose(-1, -2) @ found[..., 2, :]
     apexes = torch.where((neighbour_values > 0)[..., None], apexes, outer.mean(dim=-2))

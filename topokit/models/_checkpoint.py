@@ -19,9 +19,10 @@ from torch import Tensor
 
 import topokit
 from topokit._archive import FormatError, atomic_file
+from topokit._config import from_mapping
 
-from .base import Normalisation, PredictiveModel, Shape
-from .registry import build
+from ._base import Normalisation, PredictiveModel, Shape
+from ._registry import build
 
 __all__ = ["describe", "load_model", "load_tensors", "save_tensors"]
 
@@ -105,15 +106,14 @@ def load_model(path: str | Path) -> tuple[PredictiveModel, dict[str, Any]]:
     description, tensors = load_tensors(path)
     weights = {name.removeprefix("model."): t.float() for name, t in tensors.items() if name.startswith("model.")}
     try:
-        normalisation = dict(description["normalisation"])
-        normalisation["origin"] = tuple(normalisation["origin"])
-        model = build(
-            description["model"], Shape(**description["shape"]), Normalisation(**normalisation), description["options"]
-        )
+        shape = from_mapping(Shape, description["shape"], "shape")
+        normalisation = from_mapping(Normalisation, description["normalisation"], "normalisation")
+        model = build(description["model"], shape, normalisation, description["options"])
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{path}: describes no model that this topokit can build: {error}") from error
-    expected = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
-    found = {name: tuple(tensor.shape) for name, tensor in weights.items()}
+    expected, found = (
+        {name: tuple(part.shape) for name, part in parts.items()} for parts in (model.state_dict(), weights)
+    )
     for name in sorted(expected.keys() | found.keys()):
         if expected.get(name) != found.get(name):
             raise FormatError(

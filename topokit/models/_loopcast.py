@@ -1,4 +1,4 @@
-"""LoopCast, our predictor: find the loops now, carry them with the grippers, learn the rest.
+"""LoopCast, our predictor: find the loops, carry them with the grippers, learn the rest.
 
 Idea, five choices against the paper's networks:
 
@@ -20,18 +20,17 @@ Source: attention as in Vaswani et al. 2017; slots as in Locatello et al. 2020 a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from .base import Context, Normalisation, PredictiveModel, Shape, maximum, numbers_of_values, states_from_numbers
-from .baselines import last_appearance
-from .states import NUMBERS, States, cheapest_order
+from ._base import Context, Normalisation, PredictiveModel, Shape, maximum
+from ._baselines import last_appearance
+from ._states import NUMBERS, States, cheapest_order
 
 __all__ = ["FrameEncoder", "LoopCast"]
 
+FRAMES = (0, 3, 8, 15)  # that are looked at, counted back from the present
 HEADS = 8  # one a corner
 RELIABLE = 11  # numbers that say how far a tracked loop can be believed
 FRAME = 10  # numbers of a frame beside its cloud: the grippers from their middle, that middle in the room, held
@@ -61,18 +60,16 @@ class FrameEncoder(nn.Module):
         attention = self.look(h).softmax(dim=1).transpose(1, 2).unflatten(1, (self.slots, HEADS))  # (N, S, H, P)
         places = attention @ cloud[:, None]  # (N, S, H, 3)
         values = self.value(h).unflatten(-1, (HEADS, 16)).transpose(1, 2)  # (N, H, P, 16)
-        seen = (attention.transpose(1, 2) @ values).transpose(1, 2).flatten(2)  # (N, S, H * 16)
+        mean = (attention.transpose(1, 2) @ values).transpose(1, 2).flatten(2)  # (N, S, H * 16)
         whole = maximum(h)[:, None].expand(-1, self.slots, -1)
-        return functional.gelu(self.code(torch.cat([seen, places.flatten(2), whole], dim=-1))), places
+        return functional.gelu(self.code(torch.cat([mean, places.flatten(2), whole], dim=-1))), places
 
 
 class LoopCast(PredictiveModel):
-    """See the head of this file.
+    """Our predictor: it finds the loops, carries them with the grippers and learns the rest.
 
     Parameters
     ----------
-    frames : sequence of int
-        How many frames back the history is looked at; 0 is now.
     width : int
         Of the codes of points, frames and slots.
     step_width : int
@@ -88,18 +85,15 @@ class LoopCast(PredictiveModel):
         self,
         shape: Shape,
         normalisation: Normalisation,
-        frames: Sequence[int] = (0, 3, 8, 15),
         width: int = 128,
         step_width: int = 48,
         tracked: bool = False,
     ) -> None:
         super().__init__(shape, normalisation)
-        if not frames or frames[0] != 0 or max(frames) >= shape.history or len(set(frames)) != len(frames):
-            raise ValueError(f"frames must be different, begin with 0 and be below {shape.history}, not {list(frames)}")
-        self.frames, self.tracked = list(frames), tracked
+        self.frames, self.tracked = [back for back in FRAMES if back < shape.history], tracked
         self.encoder = FrameEncoder(shape.slots, width)
         self.slot_name = nn.Parameter(0.1 * torch.randn(shape.slots, width))
-        self.join = nn.Linear((width + 3 * HEADS + FRAME) * len(frames), width)
+        self.join = nn.Linear((width + 3 * HEADS + FRAME) * len(self.frames), width)
         self.mix = nn.Linear(width, width)
         self.present = nn.Linear(width, NUMBERS)
         self.hold = nn.Linear(width, 3)
@@ -135,9 +129,9 @@ class LoopCast(PredictiveModel):
         grippers = kept["grippers"][:, 0]
         places = kept["places"]  # (B, F, slots, heads, 3)
         middle = grippers.mean(dim=1)[:, None]  # (B, 1, 3)
-        seen = ((places - middle[:, None, None]) / self.normalisation.scale).flatten(3)
+        beside = ((places - middle[:, None, None]) / self.normalisation.scale).flatten(3)
         frame = kept["frame"][:, :, None].expand(-1, -1, self.shape.slots, -1)
-        history = torch.cat([kept["code"], seen, frame], dim=-1).transpose(1, 2).flatten(2)  # (B, slots, ...)
+        history = torch.cat([kept["code"], beside, frame], dim=-1).transpose(1, 2).flatten(2)  # (B, slots, ...)
         slot = functional.gelu(self.join(history) + self.slot_name)
         slot = slot + functional.gelu(self.mix(slot))  # (B, slots, width)
         anchor = places[:, 0, :, :4].mean(dim=2)  # (B, slots, 3): of the killer triangles
@@ -145,13 +139,13 @@ class LoopCast(PredictiveModel):
         present = self.present(slot) + functional.pad(corners, (0, NUMBERS - corners.shape[-1]))
         context = {"slot": slot, "anchor": anchor, "start": present, "pointed": anchor, "present": present}
         if self.tracked:
-            context |= self.corrected(context, kept)
+            context |= self._corrected(context, kept)
             context["slot"] = slot + self.notice(context["noticed"])
-            standing = self.changes(self.standing(kept), context["slot"])[:, 0]
+            standing = self._changes(self._standing(kept), context["slot"])[:, 0]
             context["start"] = context["start"] - standing  # a plan of no steps changes nothing
         return context | {"hold": self.hold(context["slot"]).softmax(dim=-1)[..., :2], "grippers": grippers}
 
-    def corrected(self, context: Context, kept: Context) -> Context:
+    def _corrected(self, context: Context, kept: Context) -> Context:
         """Where the loops start when the tracked ones pull them: `anchor` and `start`, and the `belief` in each (B, slots).
 
         A tracked loop has a say in where its slot is, when it is born and dies, and whether it is there. It has none in the
@@ -161,17 +155,17 @@ class LoopCast(PredictiveModel):
         pointed, present = context["pointed"], context["present"]
         scale, value = self.normalisation.scale, self.normalisation.value
         last = last_appearance(kept)
-        since = (kept["past_grippers"][:, :1] - last["seen_at"]).mean(dim=2)  # (B, slots, 3): how far it was carried
+        since = (kept["past_grippers"][:, :1] - last["grippers_then"]).mean(dim=2)  # how far it was carried
         tracked = {name: last[name] for name in ("corners", "neighbour_values", "birth", "death", "presence")}
-        seen = States(**tracked, step=last["birth"]).centre + since
-        said = states_from_numbers(present, pointed, scale, value).centre
-        apart = torch.cdist(said.detach(), seen)  # (B, slots, tracked)
+        found = States(**tracked, step=last["birth"]).mean + since
+        guessed = self._states(present, pointed).mean
+        apart = torch.cdist(guessed.detach(), found)  # (B, slots, tracked)
         order = cheapest_order(apart * last["known"][:, None])
         row = torch.arange(len(order), device=order.device)[:, None]
-        score = self.belief(self.reliability(last, kept)).float()[row, order]
+        score = self.belief(self._reliability(last, kept)).float()[row, order]
         belief = score[..., :1].sigmoid() * last["known"][row, order][..., None]
         values = torch.stack([last["birth"], last["death"] - last["birth"]], dim=-1)[row, order]
-        off, wrong = seen[row, order] - said, numbers_of_values(values, value) - present[..., 28:30]
+        off, wrong = found[row, order] - guessed, _numbers_of(values / value) - present[..., 28:30]
         believed = belief.detach()
         surer = believed * (score[..., 1:] - present[..., 31:])  # that it is tracked speaks for its being there
         none = torch.zeros_like(present[..., :28])
@@ -180,50 +174,47 @@ class LoopCast(PredictiveModel):
             "start": present + torch.cat([none, believed * wrong, none[..., :1], surer], dim=-1),
             "noticed": torch.cat([believed * off / scale, believed * wrong, believed], dim=-1),
             "belief": belief[..., 0],
-            "at": pointed.detach() + belief * off.detach(),
+            "believed": pointed.detach() + belief * off.detach(),
         }
 
-    def reliability(self, last: Context, kept: Context) -> Tensor:
+    def _reliability(self, last: Context, kept: Context) -> Tensor:
         """Of each tracked loop: its values, how often it was there, how far it strayed from the grippers.
 
         (B, slots, RELIABLE). Not how far it is from where a slot points: on a garment that it does not know the network points
         far from where the loops are, and that is when the tracker is needed most.
         """
-        grippers, seen = kept["past_grippers"], kept["past_present"].to(kept["past_grippers"])  # (B, h, loops)
+        grippers, there = kept["past_grippers"], kept["past_present"].to(kept["past_grippers"])  # (B, h, loops)
         beside = kept["past_triangles"][..., :2, :, :].mean(dim=(-3, -2)) - grippers.mean(dim=2)[:, :, None]
-        times = seen.sum(dim=1).clamp_min(1)
-        mean = (beside * seen[..., None]).sum(dim=1) / times[..., None]
-        stray = ((beside - mean[:, None]).square().sum(dim=-1) * seen).sum(dim=1) / times
+        times = there.sum(dim=1).clamp_min(1)
+        mean = (beside * there[..., None]).sum(dim=1) / times[..., None]
+        stray = ((beside - mean[:, None]).square().sum(dim=-1) * there).sum(dim=1) / times
         values = torch.stack([last["birth"], last["death"], *last["neighbour_values"].unbind(dim=-1)], dim=-1)
-        often = torch.stack([last["known"].to(seen), seen[:, 0], seen[:, :4].mean(dim=1), seen.mean(dim=1)], dim=-1)
+        often = torch.stack([last["known"].to(there), there[:, 0], there[:, :4].mean(dim=1), there.mean(dim=1)], dim=-1)
         far = (stray + 1e-8).sqrt()[..., None] * (10 / self.normalisation.scale)
         return torch.cat([values / self.normalisation.value, often, far], dim=-1)
 
-    def now(self, context: Context) -> States:
+    def present_states(self, context: Context) -> States:
         """The present loops, about the places pointed at; if `tracked`, in a second step, about those that they are pulled to."""
         numbers, about = context["present"][:, None], context["pointed"][:, None]
         if self.tracked:  # for the belief alone: the same loops elsewhere
             numbers = torch.cat([numbers, numbers.detach()], dim=1)
-            about = torch.cat([about, context["at"][:, None]], dim=1)
-        return states_from_numbers(numbers, about, self.normalisation.scale, self.normalisation.value)
+            about = torch.cat([about, context["believed"][:, None]], dim=1)
+        return self._states(numbers, about)
 
     # -- the plan -----------------------------------------------------------------------------------------------------------
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
-        """The present loops carried along, and what the network adds."""
-        code, carried = self.plan(context["grippers"], actions, held)
-        change = self.changes(code, context["slot"])
+        code, carried = self._plan(context["grippers"], actions, held)
+        change = self._changes(code, context["slot"])
         moved = context["hold"][:, None] @ carried  # (C, K, slots, 3): each loop follows the grippers in its own shares
-        about = context["anchor"][:, None] + moved
-        numbers = context["start"][:, None] + change
-        return states_from_numbers(numbers, about, self.normalisation.scale, self.normalisation.value)
+        return self._states(context["start"][:, None] + change, context["anchor"][:, None] + moved)
 
-    def changes(self, code: Tensor, slot: Tensor) -> Tensor:
+    def _changes(self, code: Tensor, slot: Tensor) -> Tensor:
         """What the network adds (C, K, slots, NUMBERS), of codes of steps (C, K, step_width) and of slots."""
         hidden = code[:, :, None] + self.from_slot(slot)[:, None]
         return self.change(functional.relu(hidden, inplace=True))
 
-    def plan(self, grippers: Tensor, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
+    def _plan(self, grippers: Tensor, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
         """Codes (C, K, step_width) of the steps, and how far each gripper has carried by then (C, K, 2, 3), metres.
 
         Causal: a step knows the plan up to itself.
@@ -243,17 +234,23 @@ class LoopCast(PredictiveModel):
             middle,
             torch.stack([holds, since, free], dim=-1),
         ]
-        return self.code(torch.cat(numbers, dim=-1)), carried
+        return self._code(torch.cat(numbers, dim=-1)), carried
 
-    def standing(self, kept: Context) -> Tensor:
+    def _standing(self, kept: Context) -> Tensor:
         """The code (B, 1, step_width) of a step before the first: nothing has moved."""
         frame = kept["frame"][:, 0]  # with the middle of the grippers in the room, and held, at the end
         numbers = functional.pad(frame[:, None, 6:], (18, 2))
-        return self.code(numbers)
+        return self._code(numbers)
 
-    def code(self, numbers: Tensor) -> Tensor:
+    def _code(self, numbers: Tensor) -> Tensor:
         """Codes (C, K, step_width) of the numbers (C, K, 24) of steps, each with the mean over those up to it."""
         h = functional.gelu(self.step_in(numbers))
         count = torch.arange(1, numbers.shape[1] + 1, device=numbers.device)[:, None]
         mean = functional.gelu(self.step_past(h)).cumsum(dim=1) / count
         return self.from_step(torch.cat([h, mean], dim=-1))
+
+
+def _numbers_of(values: Tensor) -> Tensor:
+    """The numbers of which `PredictiveModel._states` makes such values, in units of `value`; small ones are cut off."""
+    y = (2 * values).clamp_min(0.1)
+    return (y.square() - 1) / (2 * y)
