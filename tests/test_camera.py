@@ -12,6 +12,8 @@ pytest.importorskip("pybullet")
 import pybullet
 
 from topokit import rips_persistence
+from topokit._config import from_mapping
+from topokit.sampling import spacing
 from topokit.sim import Garment, SimulationConfig
 from topokit.sim._camera import Camera, DepthNoise, cameras_around
 from topokit.sim._world import World, observe
@@ -124,6 +126,7 @@ def test_fewer_pixels_than_points_are_repeated(world, rng):
     keep = repeated.lifetime > 0
     np.testing.assert_allclose(repeated.death[keep], once.death)
     np.testing.assert_allclose(repeated.birth[keep], once.birth)
+    assert spacing(points) == pytest.approx(spacing(points[:seen]))  # the scale below which loops are noise
 
 
 def test_noise_is_repeatable_and_small(world):
@@ -157,6 +160,12 @@ def test_lateral_noise_and_dropout(rng):
     assert not ragged[:, 210:].any()
     _, kept = dataclasses.replace(none, dropout=0.25).apply(depth, mask, rng)
     assert kept[:, :200].mean() == pytest.approx(0.75, abs=0.01)
+
+
+def test_places_may_be_arrays():
+    camera = Camera((0.0, -2.0, 1.0), (0.0, 0.0, 0.0), noise=DepthNoise())
+    assert Camera(np.array([0, -2, 1]), np.zeros(3), noise=DepthNoise()) == camera
+    assert from_mapping(Camera, dataclasses.asdict(camera), "a camera") == camera  # and lists, as JSON has them
 
 
 @pytest.mark.parametrize(

@@ -94,10 +94,10 @@ def test_one_simulation_needs_no_fork(monkeypatch):
     [
         ("import time; time.sleep(60)", "loading the garment: stopped: no sign of life for 1 s"),
         (
-            """print('ready\\n{"frame": 7}', flush=True); import time; time.sleep(60)""",
+            """print('ready\\n{"report": 7}', flush=True); import time; time.sleep(60)""",
             "after frame 7: stopped: no sign of life for 1 s",
         ),
-        ("""print('ready\\n{"frame": -1}', flush=True); import os; os.abort()""", "settling: SIGABRT"),
+        ("""print('ready\\n{"report": -1}', flush=True); import os; os.abort()""", "settling: SIGABRT"),
         ("raise SystemExit('no room on the disk')", "does not start: exit code 1: no room on the disk"),
     ],
 )

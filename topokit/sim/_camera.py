@@ -9,11 +9,11 @@ noise for improved 3D reconstruction and tracking* (the noise). Taught in chapte
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from topokit._config import Count, NotNegative, Positive, checked
 
@@ -21,7 +21,13 @@ __all__ = ["Camera", "DepthNoise", "cameras_around"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Place = tuple[float, float, float]
+
+
+def _as_tuple(place: Any) -> Any:
+    return tuple(np.asarray(place).tolist()) if isinstance(place, (np.ndarray, list)) else place
+
+
+Place = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
 
 
 @checked

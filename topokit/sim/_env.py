@@ -27,8 +27,9 @@ from ._garments import Garment
 from ._physics import SimulationConfig
 from ._process import SimulationError
 from ._recording import StretchCheck
+from ._surface import simple_cycles
 from ._targets import Target
-from ._tasks import TASKS, Task
+from ._tasks import Task, task_named
 from ._world import World, observe
 
 __all__ = ["HangEnv"]
@@ -78,6 +79,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         Those of the task when not given.
     reward : str
     n_points : int
+        At most the garment's vertices.
     cameras : sequence of Camera
         What the observer has; without any it sees the vertices on all sides.
     config : SimulationConfig, optional
@@ -91,8 +93,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     Raises
     ------
-    ImportError
-        When Gymnasium or PyBullet is not installed.
     ValueError
         When the task, the reward or the render mode is not known, or there are fewer vertices than `n_points`.
     """
@@ -113,13 +113,11 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         max_steps: int = 200,
         render_mode: str | None = None,
     ) -> None:
-        if isinstance(task, str) and task not in TASKS:
-            raise ValueError(f"there is no task {task!r}; there are {', '.join(TASKS)}")
         if reward not in REWARDS:
             raise ValueError(f"reward must be one of {', '.join(REWARDS)}, not {reward!r}")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
-        self.task = TASKS[task] if isinstance(task, str) else task
+        self.task = task_named(task) if isinstance(task, str) else task
         self.garment, self.target = garment or self.task.garment(), target or self.task.target
         self.config = config or SimulationConfig(self_collision=False)
         if not 1 <= n_points <= len(self.garment.vertices):
@@ -132,19 +130,22 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._check = StretchCheck(self.garment, self.config)
         self._world: World | None = None
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
-        self.observation_space = spaces.Dict(
-            {
-                "points": _places(n_points),
-                "grippers": _places(2),
-                "target": _places(len(self.target.centre_line)),
-                "held": spaces.Discrete(2),
-            }
-        )
+        sizes = {"points": n_points, "grippers": 2, "target": len(self.target.centre_line)}
+        places = {name: spaces.Box(-_ROOM, _ROOM, (size, 3), np.float32) for name, size in sizes.items()}
+        self.observation_space = spaces.Dict({**places, "held": spaces.Discrete(2)})
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Hang the garment between the grippers, at the start of a path drawn with `seed`; no options are known."""
+        """Hang the garment between the grippers, at the start of a path.
+
+        Parameters
+        ----------
+        seed : int, optional
+            That the path is drawn with; the generator goes on when not given.
+        options : dict, optional
+            None are known.
+        """
         super().reset(seed=seed)
         self.close()
         self._path = self.task.plan(self.garment, self.target, self.np_random)
@@ -156,44 +157,51 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._world.step(self._goal)
         self._steps, self._released = 0, -1
         self._points = self._world.vertices()
-        seen = self._see()
-        self._linked, self._distance = self._progress(seen)
-        return self._observation(seen), self._info()
+        return self._observe(), self._info()
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Move the goals of the grippers, and let go if told to; simulate one frame."""
-        world = self._running()
+        """Move the goals of the grippers, and let go if told to; simulate one frame.
+
+        Raises
+        ------
+        ValueError
+            When the action is not seven finite numbers.
+        """
+        self._running()
         move = np.clip(np.asarray(action, dtype=np.float64), -1, 1)
         if move.shape != (7,) or not np.isfinite(move).all():
             raise ValueError(f"an action is seven finite numbers, not {action!r}")
-        if self._released < 0 and move[6] > 0.5:
-            world.release()
-            self._released = self._steps
-        before, points = self._goal, self._points
-        here = world.grippers()
-        self._goal = np.clip(before + self.max_step * move[:6].reshape(2, 3), here - _LEASH, here + _LEASH)
-        for share in np.arange(1, self.config.steps_per_frame + 1) / self.config.steps_per_frame:
-            world.step(before + share * (self._goal - before))
-        self._steps += 1
-        self._points = world.vertices()
+        points, linked, distance = self._points, self._linked, self._distance
+        self._advance(self.max_step * move[:6].reshape(2, 3), release=move[6] > 0.5)
         torn = self._is_torn()
         if torn:
             self._points = points  # the last that made sense
-        seen = self._see()
-        potential = self._linked, self._distance
-        self._linked, self._distance = self._progress(seen)
+        observation = self._observe()
         speed = float(np.linalg.norm(self._points - points, axis=1).mean()) / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
         rests = not torn and free and speed < AT_REST
         hangs = rests and self.task.hangs(self._points, self.garment.loops, self.target)
         reward = float(hangs)
         if self.reward != "sparse":
-            reward += potential[1] - self._distance
+            reward += distance - self._distance
         if self.reward.startswith("topological"):
-            reward += self._linked - potential[0]
-        terminated = rests or torn
+            reward += self._linked - linked
+        ends = rests or torn
         info = self._info(success=hangs, dropped=rests and not hangs, torn=torn)
-        return self._observation(seen), reward, terminated, not terminated and self._steps >= self.max_steps, info
+        return observation, reward, ends, not ends and self._steps >= self.max_steps, info
+
+    def _advance(self, move: Array, release: bool) -> None:
+        """Simulate a frame in which the goals move by (2, 3) metres."""
+        world = self._running()
+        if self._released < 0 and release:
+            world.release()
+            self._released = self._steps
+        before, here = self._goal, world.grippers()
+        self._goal = np.clip(before + move, here - _LEASH, here + _LEASH)
+        for share in np.arange(1, self.config.steps_per_frame + 1) / self.config.steps_per_frame:
+            world.step(before + share * (self._goal - before))
+        self._steps += 1
+        self._points = world.vertices()
 
     def scripted_action(self) -> NDArray[np.float32]:
         """Return the next action of the scripted path of this episode: a demonstration that usually succeeds."""
@@ -208,9 +216,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self.render_mode is None:
             return None
         x, y, z = self.target.seat.tolist()
-        return _shaded(
-            self._running(), Camera((x - 0.9, y - 1.9, z + 0.2), (x, y - 0.2, z - 0.2), width=480, height=360)
-        )
+        camera = Camera((x - 0.9, y - 1.9, z + 0.2), (x, y - 0.2, z - 0.2), width=480, height=360)
+        return _shaded(self._running(), camera)
 
     def close(self) -> None:
         """End the simulation; `reset` starts another."""
@@ -223,22 +230,29 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise gymnasium.error.ResetNeeded("reset the environment first: it has not begun, or was closed")
         return self._world
 
-    def _see(self) -> Array:
+    def _observe(self) -> Observation:
+        """Look at the scene, and take note of how far the task has come."""
+        world = self._running()
         if self.cameras:
-            return observe(self._running(), self.cameras, self.n_points, self.np_random)
-        return self._points[farthest_point_sample(self._points, self.n_points)[0]]
+            points = observe(world, self.cameras, self.n_points, self.np_random)
+        else:
+            points = self._points[farthest_point_sample(self._points, self.n_points)[0]]
+        self._linked, self._distance = self._progress(points)
+        places = {"points": points, "grippers": world.grippers(), "target": self.target.centre_line}
+        clipped = {name: np.clip(place, -_ROOM, _ROOM).astype(np.float32) for name, place in places.items()}
+        return {**clipped, "held": int(self._released < 0)}
 
-    def _progress(self, seen: Array) -> tuple[float, float]:
+    def _progress(self, observed: Array) -> tuple[float, float]:
         """Share of the task's loops that are around the target, and their distance from its seat."""
         if self.reward == "topological-observed":
-            cloud = np.unique(seen, axis=0)  # cameras that see little repeat points
+            cloud = np.unique(observed, axis=0)  # cameras that see little repeat points
             diagram = rips_persistence(cloud)
             n = min(len(self.garment.loops), len(diagram))
-            curves = [[cloud[part] for part in _simple(diagram.cycle(i))] for i in range(n)]
+            curves = [[cloud[part] for part in simple_cycles(diagram.cycle(i).tolist())] for i in range(n)]
         else:
             curves = [[self._points[self.garment.loops[i]]] for i in self.task.loops]
         if not curves:
-            return 0.0, float(np.linalg.norm(seen.mean(axis=0) - self.target.seat))
+            return 0.0, float(np.linalg.norm(observed.mean(axis=0) - self.target.seat))
         on = [any(self.target.holds(part) for part in parts) for parts in curves]
         gaps = [float(np.linalg.norm(np.concatenate(parts).mean(axis=0) - self.target.seat)) for parts in curves]
         if self.task.every:
@@ -252,39 +266,9 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             return True
         return False
 
-    def _observation(self, seen: Array) -> Observation:
-        places = {"points": seen, "grippers": self._running().grippers(), "target": self.target.centre_line}
-        observation: Observation = {
-            name: np.clip(value, -_ROOM, _ROOM).astype(np.float32) for name, value in places.items()
-        }
-        observation["held"] = int(self._released < 0)
-        return observation
-
     def _info(self, *, success: bool = False, dropped: bool = False, torn: bool = False) -> dict[str, Any]:
-        return {
-            "success": success,
-            "dropped": dropped,
-            "torn": torn,
-            "linked": self._linked,
-            "distance": self._distance,
-        }
-
-
-def _places(n: int) -> spaces.Box:
-    return spaces.Box(-_ROOM, _ROOM, (n, 3), np.float32)
-
-
-def _simple(walk: NDArray[np.int64]) -> list[list[int]]:
-    """Cut a closed walk where it returns to a vertex; what goes there and back over a bridge falls away."""
-    parts: list[list[int]] = []
-    path: list[int] = []
-    for vertex in walk.tolist():
-        if vertex in path:
-            start = path.index(vertex)
-            parts.append(path[start:])
-            path = path[:start]
-        path.append(vertex)
-    return [part for part in [*parts, path] if len(part) > 2]
+        outcome = {"success": success, "dropped": dropped, "torn": torn}
+        return {**outcome, "linked": self._linked, "distance": self._distance}
 
 
 def _shaded(world: World, camera: Camera) -> NDArray[np.uint8]:

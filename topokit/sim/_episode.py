@@ -6,6 +6,7 @@ Source: Antonova et al. 2021, section 6 (two anchors, a PD controller, randomise
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import platform
 import sys
@@ -24,9 +25,9 @@ from ._camera import Camera
 from ._garments import Garment
 from ._physics import SimulationConfig
 from ._randomise import Randomisation, generator
-from ._recording import Recording, Report, Run, record, record_afresh
+from ._recording import Recording, Run, record, record_afresh
 from ._targets import Hook, Target
-from ._tasks import TASKS, Task, task_for
+from ._tasks import Task, task_for, task_named
 
 __all__ = ["simulate"]
 
@@ -81,12 +82,13 @@ def simulate(
     SimulationError
         When the cloth explodes or is over-stretched (the message names frame, edge and stretch), when the simulator
         crashes, or when it is stopped.
-    ImportError
-        When PyBullet is not installed.
     ValueError
         When `n_observed` exceeds the number of vertices, `task` is not known, or no camera sees any cloth in some frame.
     """
-    task = _task(task, garment, target)
+    if task is None:
+        task = task_for(garment or Garment.apron(), target or Hook())
+    elif isinstance(task, str):
+        task = task_named(task)
     garment, target, config = garment or task.garment(), target or task.target, config or SimulationConfig()
     drawn: dict[str, Any] | None = None
     if randomisation is not None:
@@ -102,7 +104,7 @@ def simulate(
     goals = path.at(np.arange(frames * config.steps_per_frame) * config.dt)
     noise = int(generator(seed, "noise").integers(2**63))
     run = Run(garment, target.rods, goals, round(path.release / config.dt), config, tuple(cameras), n_observed, noise)
-    report = _progress(frames) if progress else None
+    report = functools.partial(_show, frames) if progress else None
     if time_limit is None:
         recording = record(run, report)
     else:
@@ -121,14 +123,15 @@ def _episode(
         "config": dataclasses.asdict(config),
         "elastic_stiffness": config.elastic_stiffness(len(garment.vertices)),
         "garment": dict(garment.parameters),
-        "target": {**dataclasses.asdict(target), "position": target.position.tolist()},
+        "target": {**dataclasses.asdict(target), "position": [0.0, target.distance, 0.0]},
         "randomisation": randomisation,
         "stretch": dict(zip(("p99", "worst"), recording.stretch.max(axis=0).tolist(), strict=True)),
     }
     views = [dataclasses.asdict(camera) for camera in run.cameras]
+    samples = [frame[farthest_point_sample(frame, run.n_observed)[0]] for frame in points if not views]
     return Episode(
         points=points,
-        observed=recording.observed if views else _subsample(points, run.n_observed),
+        observed=recording.observed if views else np.array(samples),
         actions=run.goals[:: config.steps_per_frame].astype(np.float32),
         grippers=recording.grippers,
         held=held,
@@ -143,26 +146,8 @@ def _episode(
         dt=config.frame_time,
         observation={"kind": "cameras" if views else "vertices", "cameras": views},
         physics=physics,
-        provenance={
-            "topokit": _version("topokit"),
-            "pybullet": _version("pybullet"),
-            "machine": platform.machine(),
-        },
+        provenance={**{name: _version(name) for name in ("topokit", "pybullet")}, "machine": platform.machine()},
     )
-
-
-def _task(task: str | Task | None, garment: Garment | None, target: Target | None) -> Task:
-    if isinstance(task, Task):
-        return task
-    if task is None:
-        return task_for(garment or Garment.apron(), target or Hook())
-    if task not in TASKS:
-        raise ValueError(f"there is no task {task!r}; there are {', '.join(TASKS)}")
-    return TASKS[task]
-
-
-def _subsample(points: NDArray[np.float32], n: int) -> NDArray[np.float32]:
-    return np.array([frame[farthest_point_sample(frame, n)[0]] for frame in points])
 
 
 def _at_rest(points: NDArray[np.float32], config: SimulationConfig) -> bool:
@@ -172,12 +157,9 @@ def _at_rest(points: NDArray[np.float32], config: SimulationConfig) -> bool:
     return float(np.linalg.norm(points[-1] - points[-2], axis=1).mean()) / config.frame_time < AT_REST
 
 
-def _progress(frames: int) -> Report:
-    def report(frame: int) -> None:
-        end = "\n" if frame + 1 == frames else ""
-        print(f"\rsimulating: frame {frame + 1} of {frames}", end=end, file=sys.stderr, flush=True)
-
-    return report
+def _show(frames: int, frame: int) -> None:
+    end = "\n" if frame + 1 == frames else ""
+    print(f"\rsimulating: frame {frame + 1} of {frames}", end=end, file=sys.stderr, flush=True)
 
 
 def _version(package: str) -> str:

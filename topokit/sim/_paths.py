@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 class Via:
     """A place on a path.
 
-    Attributes
+    Parameters
     ----------
     time : float
         Seconds since the first frame.
@@ -50,7 +50,7 @@ class Via:
 class GripperPath:
     """The path of two grippers, and when they let go.
 
-    Attributes
+    Parameters
     ----------
     vias : sequence of Via
         Two at least, in the order of time. Before the first and after the last the grippers stand still.
@@ -81,19 +81,18 @@ class GripperPath:
     def __post_init__(self) -> None:
         if len(self.vias) < 2:
             raise ValueError(f"a path needs two places at least, not {len(self.vias)}")
-        if not np.isfinite(self._places).all() or self._places.shape[1] != 4:
-            raise ValueError(
-                f"the places of a path must be (3,) and finite, and its openings finite: {list(self.vias)}"
-            )
-        if not (np.isfinite(self._times).all() and (np.diff(self._times) > 0).all()):
-            raise ValueError(f"the times of a path must increase, not {self._times.tolist()}")
-        if self._places[:, 3].min() <= 0:
-            raise ValueError(f"openings must be more than zero, not {self._places[:, 3].tolist()}")
-        if np.shape(self.spread) != (2, 3) or not np.isfinite(self.spread).all():
-            raise ValueError(f"spread must be a finite (2, 3) array, not of shape {np.shape(self.spread)}")
+        places, times, spread = self._places, self._times, np.asarray(self.spread)
+        if not np.isfinite(places).all() or places.shape[1] != 4:
+            raise ValueError(f"the places of a path must be (3,) and finite, its openings finite: {list(self.vias)}")
+        if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
+            raise ValueError(f"the times of a path must increase, not {times.tolist()}")
+        if places[:, 3].min() <= 0:
+            raise ValueError(f"openings must be more than zero, not {places[:, 3].tolist()}")
+        if spread.shape != (2, 3) or not np.isfinite(spread).all():
+            raise ValueError(f"spread must be a finite (2, 3) array, not of shape {spread.shape}")
         if not self.end >= self.release >= 0:
             raise ValueError(
-                f"a path must end ({self.end} s) after the release ({self.release} s), which must not be negative"
+                f"the end ({self.end} s) must come after the release ({self.release} s), and that not before 0"
             )
 
     def at(self, time: ArrayLike) -> Array:

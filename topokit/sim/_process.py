@@ -76,27 +76,23 @@ class Forge:
         time_limit : float
             Seconds of processor time: on a busy machine a job may take much longer.
         silence : float, optional
-            Seconds without a sign of life after which it is stopped; ten times `time_limit` when not given.
+            Seconds without a sign of life after which it is stopped, also while the forge starts. When not given, ten times
+            `time_limit`, and the forge may take any time to start.
         report : callable, optional
-            Called with the number of every frame that the function reports; the function gets a second argument for that.
-
-        Raises
-        ------
-        SimulationError
-            When the forge does not start.
+            Called with the numbers that the function reports, by a second argument that it then gets.
         """
-        silence = _PATIENCE * time_limit if silence is None else silence
+        call = {"job": job, "time_limit": time_limit, "reports": report is not None}
         try:
-            process = self._started(silence)
-            call = {"job": job, "time_limit": time_limit, "reports": report is not None}
+            process = self._started(math.inf if silence is None else silence)
+            silence = _PATIENCE * time_limit if silence is None else silence
             with contextlib.suppress(BrokenPipeError):
                 print(json.dumps(call), file=process.stdin, flush=True)
             while line := self._line(silence):
                 told: Answer = json.loads(line)
-                if "frame" not in told:
+                if "report" not in told:
                     return told
                 if report is not None:
-                    report(told["frame"])
+                    report(told["report"])
             message = self._last_words(process)
         except queue.Empty:
             message = f"stopped: no sign of life for {silence:g} s; PyBullet hangs, or the machine is very busy"
@@ -125,14 +121,10 @@ class Forge:
         """The forge; it is started once more when it was killed before it was ready, as where memory runs out."""
         if self._process is not None and self._process.poll() is None:
             return self._process
+        path = [*sys.path, str(Path(__file__).parents[2])]  # the packages we have
+        environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONPATH": os.pathsep.join(filter(None, path))}
         for _ in range(_STARTS):
             self.close()
-            here = [*sys.path, str(Path(__file__).parents[2])]  # the packages we have
-            environment = {
-                **os.environ,
-                **dict.fromkeys(_THREADS, "1"),
-                "PYTHONPATH": os.pathsep.join(filter(None, here)),
-            }
             self._errors = tempfile.TemporaryFile("a+", errors="replace")  # noqa: SIM115 (closed by close)
             self._process = process = subprocess.Popen(
                 [sys.executable, "-c", _MAIN, *self._arguments],
@@ -229,11 +221,9 @@ def _perform(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -
     def tell(told: Answer) -> None:
         print(json.dumps(told), file=answers, flush=True)
 
-    def report(frame: int) -> None:
-        tell({"frame": frame})
-
+    reports = [lambda number: tell({"report": number})] if call["reports"] else []
     try:
-        tell({"answer": work(call["job"], report) if call["reports"] else work(call["job"])})
+        tell({"answer": work(call["job"], *reports)})
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
         message = f"{error} ({os.path.basename(place.filename)}, line {place.lineno})"

@@ -8,7 +8,6 @@ import math
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -30,52 +29,31 @@ Report = Callable[[int], None]
 
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
 _JOB = "topokit.sim._recording:record_job"
-_ERRORS: dict[str, type[Exception]] = {"SimulationError": SimulationError, "ValueError": ValueError}
+_ERRORS = {error.__name__: error for error in (SimulationError, ValueError, ImportError)}
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """All that a process needs to know in order to simulate.
-
-    Attributes
-    ----------
-    garment : Garment
-    rods : sequence of (start, end, radius)
-        The target.
-    goals : (steps, 2, 3) float64
-        Where the grippers should be at every physics step, metres.
-    release : int
-        The step at which they let go.
-    config : SimulationConfig
-    cameras : sequence of Camera
-        That observe every frame; none when empty.
-    n_observed : int
-        Points that the cameras give together.
-    noise : int
-        Seed of the noise of the cameras.
-    """
+    """All that a process needs to know in order to simulate."""
 
     garment: Garment
-    rods: Sequence[Rod]
-    goals: Array
-    release: int
+    rods: Sequence[Rod]  # the target
+    goals: Array  # (steps, 2, 3) metres, where the grippers should be at every physics step
+    release: int  # the step at which they let go
     config: SimulationConfig
-    cameras: Sequence[Camera]
-    n_observed: int
-    noise: int
+    cameras: Sequence[Camera]  # that observe every frame; there may be none
+    n_observed: int  # points that the cameras give together
+    noise: int  # seed of the noise of the cameras
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The frames of a run: points (T, N, 3), grippers (T, 2, 3), observed (T, M, 3), and stretch (T, 2).
+    """The frames of a run."""
 
-    `stretch` is the 99th percentile and the maximum of edge length over rest length. M is 0 without cameras.
-    """
-
-    points: NDArray[np.float32]
-    grippers: NDArray[np.float32]
-    observed: NDArray[np.float32]
-    stretch: Array
+    points: NDArray[np.float32]  # (T, N, 3)
+    grippers: NDArray[np.float32]  # (T, 2, 3)
+    observed: NDArray[np.float32]  # (T, M, 3), and M is 0 without cameras
+    stretch: Array  # (T, 2) the 99th percentile and the maximum of edge length over rest length
 
 
 def record(run: Run, report: Report | None = None) -> Recording:
@@ -124,8 +102,6 @@ def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> 
     ImportError
         When PyBullet is not installed.
     """
-    if find_spec("pybullet") is None:
-        raise ImportError("topokit.sim needs PyBullet: pip install 'topokit[sim]'")
     stage = "loading the garment"
 
     def note(frame: int) -> None:
@@ -160,23 +136,19 @@ def _as_job(run: Run, folder: str) -> dict[str, Any]:
     arrays = {name: getattr(run.garment, name) for name in ("vertices", "faces", "grips")}
     rods = np.array([[*start, *end, radius] for start, end, radius in run.rods]).reshape(-1, 7)
     np.savez(f"{folder}/run.npz", rods=rods, goals=run.goals, **arrays)
-    job = {name: getattr(run, name) for name in ("release", "n_observed", "noise")}
+    numbers = {name: getattr(run, name) for name in ("release", "n_observed", "noise")}
     views = [dataclasses.asdict(camera) for camera in run.cameras]
-    return {**job, "folder": folder, "config": dataclasses.asdict(run.config), "cameras": views}
+    return {"folder": folder, "config": dataclasses.asdict(run.config), "cameras": views, "numbers": numbers}
 
 
 def _as_run(job: dict[str, Any]) -> Run:
     with np.load(f"{job['folder']}/run.npz") as arrays:
-        return Run(
-            garment=Garment("", arrays["vertices"], arrays["faces"], (), arrays["grips"]),
-            rods=[(rod[:3], rod[3:6], float(rod[6])) for rod in arrays["rods"]],
-            goals=arrays["goals"],
-            release=job["release"],
-            config=from_mapping(SimulationConfig, job["config"], "config"),
-            cameras=[from_mapping(Camera, camera, "camera") for camera in job["cameras"]],
-            n_observed=job["n_observed"],
-            noise=job["noise"],
-        )
+        garment = Garment("", arrays["vertices"], arrays["faces"], (), arrays["grips"])
+        rods = [(rod[:3], rod[3:6], float(rod[6])) for rod in arrays["rods"]]
+        goals = arrays["goals"]
+    config = from_mapping(SimulationConfig, job["config"], "config")
+    cameras = [from_mapping(Camera, camera, "camera") for camera in job["cameras"]]
+    return Run(garment, rods, goals, config=config, cameras=cameras, **job["numbers"])
 
 
 class StretchCheck:

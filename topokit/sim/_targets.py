@@ -1,21 +1,22 @@
 """What a garment is hung on: collision shapes, and the centre line that decides whether it hangs there.
 
 Every target stands on the floor z = 0 at y = `distance` and faces the grippers, which come from smaller y. Its centre line
-starts at the floor and is closed far away (`closed_centre_line`), so that the linking number of a garment's loop with it is
-defined: not 0 for a loop on the target, 0 for one that slipped off, lies against it or was never on.
+starts at the floor and is closed far away (`topokit.linking.close_far`), so that the linking number of a garment's loop with
+it is defined: not 0 for a loop on the target, 0 for one that slipped off, lies against it or was never on.
 """
 
 from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, fields
+from dataclasses import field
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points, positive
+from topokit._config import Positive, checked
+from topokit._validate import as_points
 from topokit.linking import close_far, linking_number
 
 __all__ = ["Hanger", "Hook", "Mannequin", "Rod", "Target"]
@@ -25,36 +26,19 @@ Rod = tuple[Array, Array, float]  # a capsule: start, end, radius
 _SHOULDER = 0.3  # radius of the shoulders as a share of the depth of the chest
 
 
-@dataclass(frozen=True)
+@checked
 class Target(ABC):
     """What `simulate` asks of a target. Subclass it, as a frozen dataclass, to hang garments on something else.
 
-    Attributes
+    Parameters
     ----------
     distance : float
         y of its pole or axis, metres.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When a size of a target is not positive and finite, or its sizes do not fit each other; the message names them.
     """
 
     distance: float = field(default=0.3, kw_only=True)
 
     name: ClassVar[str]
-
-    def __post_init__(self) -> None:
-        for size in fields(self):
-            if size.name != "distance":  # the one that may be negative
-                positive(getattr(self, size.name), size.name, zero=False)
-        if not np.isfinite(self.distance):
-            raise ValueError(f"distance must be finite, not {self.distance}")
-
-    @property
-    def position(self) -> Array:
-        """(3,) where it stands; no target is turned."""
-        return np.array([0.0, self.distance, 0.0])
 
     @property
     @abstractmethod
@@ -76,52 +60,39 @@ class Target(ABC):
     def lowest(self) -> float:
         """The z below which a loop does not hang any more, though it may still be around the target: it slid down."""
 
-    def closed_centre_line(self) -> Array:
-        """(K + 4, 3) the centre line closed far away: up from the tip, down from the foot (`topokit.linking.close_far`)."""
-        return close_far(self.centre_line)
-
     def holds(self, loop: ArrayLike) -> bool:
         """Whether a closed curve (L, 3) winds around the target: its linking number with the closed centre line is not 0."""
-        return linking_number(loop, self.closed_centre_line()) != 0
+        return linking_number(loop, close_far(self.centre_line)) != 0
 
 
-@dataclass(frozen=True)
+@checked
 class Hook(Target):
     """A pole with an arm towards the grippers and an upturned tip. Metres, z up; the arm points along -y.
 
     A loop around the arm links the centre line, and so does one around the tip or the pole: it is not off yet.
 
-    Attributes
+    Parameters
     ----------
-    height : float
-        Of the arm's axis above the floor.
-    reach : float
-        Length of the arm from the pole to the tip.
-    tip : float
-        Height of the tip over the arm's axis.
+    height, reach, tip : float
+        Of the arm's axis above the floor; from the pole to the tip; of the tip over the arm's axis.
     radius : float
         Of all three rods. Cloth tunnels through thin rods; 0.02 and more is reliable.
+    distance : float
+        y of the pole.
     """
 
-    height: float = 1.2
-    reach: float = 0.2
-    tip: float = 0.06
-    radius: float = 0.02
+    height: Positive = 1.2
+    reach: Positive = 0.2
+    tip: Positive = 0.06
+    radius: Positive = 0.02
 
     name = "hook"
 
     @property
     def centre_line(self) -> Array:
         """(4, 3) foot of the pole, pole and arm, arm and tip, end of the tip."""
-        near = self.distance - self.reach
-        return np.array(
-            [
-                [0, self.distance, 0],
-                [0, self.distance, self.height],
-                [0, near, self.height],
-                [0, near, self.height + self.tip],
-            ]
-        )
+        pole, near, top = self.distance, self.distance - self.reach, self.height + self.tip
+        return _upright((pole, 0), (pole, self.height), (near, self.height), (near, top))
 
     @property
     def seat(self) -> Array:
@@ -139,43 +110,37 @@ class Hook(Target):
         return self.height
 
 
-@dataclass(frozen=True)
+@checked
 class Hanger(Target):
     """A clothes hanger on a rail, seen as in a wardrobe: the rail runs along x, one arm of the hanger points at the grippers.
 
     Two arms slope down from the stem, each with an upturned end. A strap hangs when it is around an arm; around the stem it
     is around both. The rail stands on two posts.
 
-    Attributes
+    Parameters
     ----------
-    height : float
-        Where the arms' axes meet under the stem, above the floor.
-    width : float
-        From the end of one arm to that of the other.
-    drop : float
-        How much lower than their meeting the arms end.
-    tip : float
-        Height of the upturned ends over the arms' axes there.
-    stem : float
-        From the meeting of the arms up to the rail.
-    radius : float
-        Of hanger and rail. Cloth tunnels through thin rods; 0.02 and more is reliable.
-    span : float
-        Between the posts, which stand left and right of the hanger.
+    height, width, drop : float
+        Of the place above the floor where the arms' axes meet under the stem; from the end of one arm to that of the other;
+        how much lower than their meeting the arms end, less than half the width.
+    tip, stem : float
+        Of the upturned ends over the arms' axes there; from the meeting of the arms up to the rail.
+    radius, span : float
+        Of hanger and rail, as a hook's; between the posts, which stand left and right of the hanger.
+    distance : float
+        y of rail and stem.
     """
 
-    height: float = 1.3
-    width: float = 0.44
-    drop: float = 0.06
-    tip: float = 0.04
-    stem: float = 0.22
-    radius: float = 0.02
-    span: float = 1.4
+    height: Positive = 1.3
+    width: Positive = 0.44
+    drop: Positive = 0.06
+    tip: Positive = 0.04
+    stem: Positive = 0.22
+    radius: Positive = 0.02
+    span: Positive = 1.4
 
     name = "hanger"
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.drop >= self.width / 2:
             raise ValueError(f"drop {self.drop} makes the arms steeper than 45 degrees: width is {self.width}")
 
@@ -192,11 +157,8 @@ class Hanger(Target):
     @property
     def rods(self) -> list[Rod]:
         """One post, the rail's half, the stem and the near arm; then the far arm and the rest of the rail."""
-        far, top = self._line(1)[3:], self.height + self.stem
-        rest = np.array(
-            [[0, self.distance, top], [-self.span / 2, self.distance, top], [-self.span / 2, self.distance, 0]]
-        )
-        return _tube(self.centre_line, self.radius) + _tube(far, self.radius) + _tube(rest, self.radius)
+        far, rest = self._line(1)[3:], self._line(1)[2::-1] * [-1, 1, 1]
+        return [rod for line in (self.centre_line, far, rest) for rod in _tube(line, self.radius)]
 
     @property
     def lowest(self) -> float:
@@ -209,20 +171,13 @@ class Hanger(Target):
 
     def _line(self, side: int) -> Array:
         """From the foot of a post to the tip of the near (-1) or the far arm (1)."""
-        top, end = self.height + self.stem, self.distance + side * self.width / 2
-        return np.array(
-            [
-                [self.span / 2, self.distance, 0],
-                [self.span / 2, self.distance, top],
-                [0, self.distance, top],
-                [0, self.distance, self.height],
-                [0, end, self.height - self.drop],
-                [0, end, self.height - self.drop + self.tip],
-            ]
-        )
+        pole, top, end = self.distance, self.height + self.stem, self.distance + side * self.width / 2
+        post = _upright((pole, 0), (pole, top)) + [self.span / 2, 0, 0]
+        arm = _upright((pole, top), (pole, self.height), (end, self.lowest), (end, self.lowest + self.tip))
+        return np.concatenate([post, arm])
 
 
-@dataclass(frozen=True)
+@checked
 class Mannequin(Target):
     """A tailor's dummy on a stand: torso, shoulders without arms, neck and head, of an adult's proportions.
 
@@ -230,43 +185,36 @@ class Mannequin(Target):
     middle of the head (a neck hole that lies on the crown like a wreath is around the axis too), or when it is around a
     shoulder, as a backpack's straps are.
 
-    Attributes
+    Parameters
     ----------
-    height : float
-        Top of the head above the floor.
-    head_radius, head_height : float
-        Half the breadth of the head, and its height.
+    height, head_radius, head_height : float
+        Of the top of the head above the floor; half the breadth of the head, and its height.
     neck_radius, neck_length : float
         The length is that between head and shoulders.
-    shoulder_width : float
-        From the end of one shoulder to that of the other.
-    depth : float
-        Of the chest, front to back.
-    torso_length : float
-        From the top of the shoulders down to the hips.
+    shoulder_width, depth, torso_length : float
+        From the end of one shoulder to that of the other; of the chest, front to back; from the shoulders' top to the hips.
+    distance : float
+        y of the axis.
     """
 
-    height: float = 1.6
-    head_radius: float = 0.08
-    head_height: float = 0.22
-    neck_radius: float = 0.055
-    neck_length: float = 0.07
-    shoulder_width: float = 0.42
-    depth: float = 0.16
-    torso_length: float = 0.5
+    height: Positive = 1.6
+    head_radius: Positive = 0.08
+    head_height: Positive = 0.22
+    neck_radius: Positive = 0.055
+    neck_length: Positive = 0.07
+    shoulder_width: Positive = 0.42
+    depth: Positive = 0.16
+    torso_length: Positive = 0.5
 
     name = "mannequin"
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.head_height < 2 * self.head_radius:
-            raise ValueError(f"head_height {self.head_height} must be at least twice head_radius {self.head_radius}")
+        for name, part in (("head_height", "head_radius"), ("shoulder_width", "depth"), ("torso_length", "depth")):
+            value, least = getattr(self, name), 2 * getattr(self, part)
+            if value < least:
+                raise ValueError(f"{name} {value} must be at least twice {part}, {least}")
         if self.neck_radius >= self.head_radius:
             raise ValueError(f"neck_radius {self.neck_radius} must be less than head_radius {self.head_radius}")
-        if self.shoulder_width < 2 * self.depth:
-            raise ValueError(f"shoulder_width {self.shoulder_width} must be at least twice the depth {self.depth}")
-        if self.torso_length < 2 * self.depth:
-            raise ValueError(f"torso_length {self.torso_length} must be at least twice the depth {self.depth}")
         if self.lowest <= 0:
             raise ValueError(f"height {self.height} puts the hips below the floor")
 
@@ -289,8 +237,7 @@ class Mannequin(Target):
     @property
     def centre_line(self) -> Array:
         """(4, 3) foot, hips, shoulders, top of the head."""
-        levels = [0, self.lowest, self.shoulder_height, self.height]
-        return np.array([[0, self.distance, z] for z in levels])
+        return _upright(*((self.distance, z) for z in (0, self.lowest, self.shoulder_height, self.height)))
 
     @property
     def seat(self) -> Array:
@@ -310,12 +257,8 @@ class Mannequin(Target):
         radius = self.depth / 2
         chest, hip = neck - [0, 0, 1.4 * radius], hips + [0, 0, radius]
         aside = np.array([self.shoulder_width / 2 - radius - 0.02, 0, 0])
-        rods = [
-            (top - [0, 0, self.head_height] + ball, top - ball, self.head_radius),
-            (low, top - ball, self.neck_radius),
-            (foot, hips, 0.02),
-            (chest, hip, radius),
-        ]
+        head = (top - [0, 0, self.head_height] + ball, top - ball, self.head_radius)
+        rods = [head, (low, top - ball, self.neck_radius), (foot, hips, 0.02), (chest, hip, radius)]
         for side in (1, -1):
             rods.append((low, self.shoulder * [side, 1, 1], _SHOULDER * self.depth))
             rods.append((chest + side * aside, hip + 0.75 * side * aside, radius))
@@ -332,6 +275,11 @@ class Mannequin(Target):
         """From the floor up the axis and out through a shoulder, closed far away."""
         foot, end = self.centre_line[0], self.shoulder * [side, 1, 1]
         return close_far([foot, end * [0, 1, 1], end], end=(side, 0, 0))
+
+
+def _upright(*places: tuple[float, float]) -> Array:
+    """(k, 3) places (y, z) in the plane x = 0."""
+    return np.array([[0.0, y, z] for y, z in places])
 
 
 def _tube(line: Array, radius: float) -> list[Rod]:

@@ -19,7 +19,7 @@ from ._garments import WARDROBE, Garment
 from ._paths import GripperPath, Via
 from ._targets import Hanger, Hook, Mannequin, Target
 
-__all__ = ["TASKS", "Planner", "Task", "dress", "hang_by_strap", "pull_over_head", "put_on_shoulders", "task_for"]
+__all__ = ["TASKS", "Task", "pull_over_head", "task_for", "task_named"]
 
 Array = NDArray[np.float64]
 Planner = Callable[[Garment, Target, np.random.Generator], GripperPath]
@@ -29,7 +29,7 @@ Planner = Callable[[Garment, Target, np.random.Generator], GripperPath]
 class Task:
     """A garment to be hung on a target.
 
-    Attributes
+    Parameters
     ----------
     name : str
     garment : callable
@@ -87,19 +87,14 @@ def hang_by_strap(
     aside, below = _opening(garment, opening)
     tip, seat, radius = target.centre_line[-1], target.seat, target.rods[0][2]
     over = np.array([-aside, seat[1], tip[2] + radius + 0.04 + below])
-    reach = garment.vertices[:, 1].max() - garment.vertices[garment.grips, 1].mean()
-    start = over * [1, 0, 1] + [0, tip[1] - reach, 0] + _uniform(rng, (-0.12, 0.12), (-0.42, -0.32), (-0.06, 0.10))
+    start = over * [1, 0, 1] + [0, tip[1] - _reach(garment), 0]
+    start = start + _uniform(rng, (-0.12, 0.12), (-0.42, -0.32), (-0.06, 0.10))
     before = over * [1, 0, 1] + [0, tip[1], 0] + _uniform(rng, (-0.015, 0.015), (-0.14, -0.10), (0.0, 0.02))
     middle = (start + before) / 2 + _uniform(rng, (-0.05, 0.05), (-0.03, 0.03), (-0.04, 0.04))
     over += _uniform(rng, (-0.015, 0.015), (-0.01, 0.01), (0, 0))
     down = over * [1, 1, 0] + [0, 0, seat[2] + radius + 0.005]
-    vias = [
-        Via(0.1, start),
-        Via(0.7, middle, (1 + opening) / 2),
-        Via(1.2, before, opening),
-        Via(1.8, over, opening, rest=True),
-        Via(2.35, down, opening),
-    ]
+    approach = [Via(0.1, start), Via(0.7, middle, (1 + opening) / 2), Via(1.2, before, opening)]
+    vias = [*approach, Via(1.8, over, opening, rest=True), Via(2.35, down, opening)]
     return GripperPath(vias, _spread(garment), release=2.4, end=2.4 + rest)
 
 
@@ -108,23 +103,15 @@ def pull_over_head(garment: Garment, target: Target, rng: np.random.Generator) -
     dummy, spread, below = _mannequin(target), _spread(garment), _opening(garment)[1]
     wide = max(1.0, (2 * dummy.head_radius + 0.06) / float(np.linalg.norm(spread[0] - spread[1])))
     top, axis = dummy.height + below, dummy.distance
-    reach = garment.vertices[:, 1].max() - garment.vertices[garment.grips, 1].mean()
-    start = np.array([0, axis - dummy.depth / 2 - 0.1 - reach, dummy.height]) + _uniform(
-        rng, (-0.1, 0.1), (-0.4, -0.3), (-0.15, 0.05)
-    )
+    start = np.array([0, axis - dummy.depth / 2 - 0.1 - _reach(garment), dummy.height])
+    start = start + _uniform(rng, (-0.1, 0.1), (-0.4, -0.3), (-0.15, 0.05))
     before = np.array([0, axis - 0.12, top + 0.06]) + _uniform(rng, (-0.02, 0.02), (-0.03, 0.0), (0.0, 0.02))
-    over = np.array([0, axis + dummy.head_radius + 0.05, top + 0.03]) + _uniform(
-        rng, (-0.01, 0.01), (0, 0.02), (0, 0.02)
-    )
+    over = np.array([0, axis + dummy.head_radius + 0.05, top + 0.03])
+    over = over + _uniform(rng, (-0.01, 0.01), (0, 0.02), (0, 0.02))
     behind = np.array([over[0], over[1], dummy.head_centre[2] - 0.02])
     nape = np.array([over[0], axis + dummy.neck_radius + 0.04, dummy.shoulder_height + 0.06])
-    vias = [
-        Via(0.1, start),
-        Via(1.2, before, wide),
-        Via(2.1, over, wide),
-        Via(2.8, behind, wide),
-        Via(3.4, nape, wide),
-    ]
+    stations = zip((1.2, 2.1, 2.8, 3.4), (before, over, behind, nape), strict=True)
+    vias = [Via(0.1, start), *(Via(time, place, wide) for time, place in stations)]
     return GripperPath(vias, spread, release=3.45, end=4.6)
 
 
@@ -137,14 +124,8 @@ def put_on_shoulders(garment: Garment, target: Target, rng: np.random.Generator)
     start = np.array([0, y - 0.45, z + 0.10]) + _uniform(rng, (-0.08, 0.08), (-0.25, -0.15), (-0.1, 0.1))
     before = np.array([0, y - 0.10, z + 0.11]) + _uniform(rng, (-0.01, 0.01), (-0.02, 0.0), (0.0, 0.02))
     past = np.array([0, y + 0.13, z + 0.11]) + _uniform(rng, (-0.01, 0.01), (-0.005, 0.005), (0.0, 0.01))
-    down = past + [0, -0.03, -0.18]
-    vias = [
-        Via(0.1, start),
-        Via(1.2, before, wide),
-        Via(2.0, past, wide, rest=True),
-        Via(2.5, past, narrow, rest=True),
-        Via(3.1, down, narrow),
-    ]
+    approach = [Via(0.1, start), Via(1.2, before, wide), Via(2.0, past, wide, rest=True)]
+    vias = [*approach, Via(2.5, past, narrow, rest=True), Via(3.1, past + [0, -0.03, -0.18], narrow)]
     return GripperPath(vias, spread, release=3.15, end=4.3)
 
 
@@ -173,6 +154,11 @@ def _spread(garment: Garment) -> Array:
     return np.asarray(grips - grips.mean(axis=0))
 
 
+def _reach(garment: Garment) -> float:
+    """How far the garment lies before its grips, towards the target."""
+    return float(garment.vertices[:, 1].max() - garment.vertices[garment.grips, 1].mean())
+
+
 def _opening(garment: Garment, opening: float = 1.0) -> tuple[float, float]:
     """How far to the right of the middle between the grips the first loop will hang, and how far below them its top."""
     if not garment.loops:
@@ -199,28 +185,25 @@ def _uniform(rng: np.random.Generator, *ranges: tuple[float, float]) -> Array:
 
 def _tasks() -> dict[str, Task]:
     sideways: Planner = partial(hang_by_strap, opening=1.15, rest=2.0)
-    straps: dict[str, tuple[Planner, tuple[int, ...], bool]] = {
-        "apron": (hang_by_strap, (0,), True),  # by the neck strap
-        "apron2": (hang_by_strap, (0,), True),
-        "tote": (hang_by_strap, (0,), True),
-        "tote2": (hang_by_strap, (0, 1), True),  # by both handles
-        "backpack": (sideways, (0, 1), False),  # by either strap
-        "mask": (hang_by_strap, (0,), True),
-        "sheet": (hang_by_strap, (0,), True),
-        "sheet2": (hang_by_strap, (0,), True),
-    }
-    bodies: dict[str, tuple[Planner, tuple[int, ...], bool]] = {
-        "apron": (pull_over_head, (0,), True),
-        "apron2": (pull_over_head, (0,), True),
-        "backpack": (put_on_shoulders, (0, 1), True),
-        "shirt": (dress, (0, 3), True),  # neck and hem
-        "vest": (dress, (0, 3), True),
-    }
     tasks = {}
-    for target, rows in ((Hook(), straps), (Hanger(), straps), (Mannequin(), bodies)):
-        for garment, (plan, loops, every) in rows.items():
+    for target in (Hook(), Hanger()):
+        for garment in ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet", "sheet2"):
+            plan = sideways if garment == "backpack" else hang_by_strap
+            loops: tuple[int, ...] = (0, 1) if garment in ("tote2", "backpack") else (0,)
             name = f"{garment}-{target.name}"
-            tasks[name] = Task(name, WARDROBE[garment], target, plan, loops, every)
+            tasks[name] = Task(
+                name, WARDROBE[garment], target, plan, loops, every=garment != "backpack"
+            )  # by either strap
+    bodies: dict[str, tuple[Planner, tuple[int, ...]]] = {
+        "apron": (pull_over_head, (0,)),
+        "apron2": (pull_over_head, (0,)),
+        "backpack": (put_on_shoulders, (0, 1)),
+        "shirt": (dress, (0, 3)),  # neck and hem
+        "vest": (dress, (0, 3)),
+    }
+    for garment, (plan, loops) in bodies.items():
+        name = f"{garment}-{Mannequin.name}"
+        tasks[name] = Task(name, WARDROBE[garment], Mannequin(), plan, loops, every=True)
     return tasks
 
 
@@ -228,11 +211,23 @@ TASKS: Mapping[str, Task] = _tasks()
 """Every task by its name: garment, hyphen, target."""
 
 
+def task_named(name: str) -> Task:
+    """Return the task of that name, or raise ValueError that lists the names."""
+    if name not in TASKS:
+        raise ValueError(f"there is no task {name!r}; there are {', '.join(TASKS)}")
+    return TASKS[name]
+
+
 def task_for(garment: Garment, target: Target) -> Task:
     """Return the task of a garment and a target.
 
     That of `TASKS` when there is one by that name; else to get any of the garment's loops on the target, by the path that
     suits a strap.
+
+    Parameters
+    ----------
+    garment : Garment
+    target : Target
     """
     name = f"{garment.name}-{target.name}"
     if name in TASKS:

@@ -34,8 +34,7 @@ def _pybullet() -> ModuleType:
             import pybullet
     except ImportError as error:
         raise ImportError("topokit.sim needs PyBullet: pip install 'topokit[sim]'") from error
-    module: ModuleType = pybullet
-    return module
+    return pybullet
 
 
 @contextlib.contextmanager
@@ -66,11 +65,6 @@ class World:
     offset : (3,) float
         Added to the garment's rest positions, metres.
     config : SimulationConfig
-
-    Raises
-    ------
-    ImportError
-        When PyBullet is not installed.
     """
 
     def __init__(self, garment: Garment, offset: Array, config: SimulationConfig) -> None:
@@ -84,12 +78,16 @@ class World:
             self._bullet("setGravity", 0, 0, -_GRAVITY)
             self._bullet("setPhysicsEngineParameter", fixedTimeStep=config.dt)
             self._cloth = self._load(garment, offset)
-            self._grippers = [self._gripper(vertex, garment.vertices[vertex] + offset) for vertex in garment.grips]
-            self._anchors = [
-                self._bullet("createSoftBodyAnchor", self._cloth, int(vertex), body, -1)
-                for vertex, body in zip(garment.grips, self._grippers, strict=True)
+            # Bodies without a shape: a kinematic or a fixed anchor body can make the cloth explode, these do not.
+            self._grippers = [
+                self._bullet("createMultiBody", config.gripper_mass, -1, -1, basePosition=place)
+                for place in (garment.vertices[garment.grips] + offset).tolist()
             ]
-            self._add_floor()
+            ends = zip(garment.grips.tolist(), self._grippers, strict=True)
+            self._anchors = [self._bullet("createSoftBodyAnchor", self._cloth, *pair, -1) for pair in ends]
+            # A thick slab with its top at z = 0: cloth would rest 10 cm above PyBullet's endless plane.
+            slab = self._bullet("createCollisionShape", self._p.GEOM_BOX, halfExtents=[4, 4, 0.5])
+            self._add_fixed(slab, basePosition=[0, 0, -0.5])
         except BaseException:
             self.close()
             raise
@@ -106,27 +104,17 @@ class World:
             self._p.disconnect(physicsClientId=self._client)
             self._client = -1
 
-    def _add_floor(self) -> None:
-        """A thick slab with its top at z = 0: cloth would rest 10 cm above PyBullet's endless plane."""
-        shape = self._bullet("createCollisionShape", self._p.GEOM_BOX, halfExtents=[4, 4, 0.5])
-        body = self._bullet("createMultiBody", 0, shape, -1, basePosition=[0, 0, -0.5])
-        self._bullet("changeDynamics", body, -1, lateralFriction=self._config.friction)
-
     def add_rods(self, rods: Sequence[tuple[Array, Array, float]]) -> None:
         """Add fixed capsules, each (start, end, radius)."""
         for start, end, radius in rods:
-            axis = end - start
+            axis, middle = end - start, (start + end) / 2
             length = float(np.linalg.norm(axis))
             shape = self._bullet("createCollisionShape", self._p.GEOM_CAPSULE, radius=radius, height=length)
-            body = self._bullet(
-                "createMultiBody",
-                0,
-                shape,
-                -1,
-                basePosition=((start + end) / 2).tolist(),
-                baseOrientation=_turn_z_to(axis / length),
-            )
-            self._bullet("changeDynamics", body, -1, lateralFriction=self._config.friction)
+            self._add_fixed(shape, basePosition=middle.tolist(), baseOrientation=_turn_z_to(axis / length))
+
+    def _add_fixed(self, shape: int, **place: list[float]) -> None:
+        body = self._bullet("createMultiBody", 0, shape, -1, **place)
+        self._bullet("changeDynamics", body, -1, lateralFriction=self._config.friction)
 
     def step(self, targets: Array | None) -> None:
         """Advance one step of `dt`, drawing the grippers to `targets` (2, 3); None when they have let go."""
@@ -157,16 +145,8 @@ class World:
 
         The first step must have been taken: before it the renderer draws the cloth in a wrong place.
         """
-        view, projection = camera.matrices
-        _, _, _, buffer, bodies = self._bullet(
-            "getCameraImage",
-            camera.width,
-            camera.height,
-            view,
-            projection,
-            renderer=self._p.ER_TINY_RENDERER,
-            shadow=0,
-        )
+        size, options = (camera.width, camera.height), {"renderer": self._p.ER_TINY_RENDERER, "shadow": 0}
+        _, _, _, buffer, bodies = self._bullet("getCameraImage", *size, *camera.matrices, **options)
         depth = camera.depths(buffer)
         return depth, (np.reshape(bodies, depth.shape) == self._cloth) & np.isfinite(depth)
 
@@ -200,11 +180,6 @@ class World:
             )
         return cloth
 
-    def _gripper(self, vertex: int, place: Array) -> int:
-        """A body without a shape: a kinematic or a fixed anchor body can make the cloth explode, this one does not."""
-        body: int = self._bullet("createMultiBody", self._config.gripper_mass, -1, -1, basePosition=place.tolist())
-        return body
-
     def _draw(self, body: int, goal: list[float], before: list[float]) -> None:
         """Push a gripper towards its goal, which was at `before` a step ago.
 
@@ -226,10 +201,10 @@ class World:
 
 
 def observe(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
-    """Return `n` points of the cloth seen by the cameras together: a farthest-point sample of all their pixels.
+    """Return `n` points (n, 3) of the cloth seen by the cameras together: a farthest-point sample of all their pixels.
 
     When they see fewer than `n` points, those seen are repeated in order until there are `n`: a network keeps its input
-    size, and the repeats change no loop and no distance.
+    size, and `topokit.track` counts points at one place once.
 
     Parameters
     ----------
@@ -239,10 +214,6 @@ def observe(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Gene
     n : int
     rng : numpy.random.Generator
         Used by cameras with noise only.
-
-    Returns
-    -------
-    (n, 3) float64
 
     Raises
     ------
@@ -259,12 +230,12 @@ def observe(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Gene
         if camera.noise is not None:
             depth, mask = camera.noise.apply(depth, mask, rng)
         views.append(camera.unproject(depth, mask))
-    seen = np.concatenate(views)
-    if not len(seen):
+    points = np.concatenate(views)
+    if not len(points):
         places = ", ".join(str(camera.eye) for camera in cameras)
         raise ValueError(f"no cloth is in view of the cameras at {places}; move them or widen their fov")
-    chosen = farthest_point_sample(seen, min(n, len(seen)))[0]
-    return np.asarray(seen[np.resize(chosen, n)])
+    chosen = farthest_point_sample(points, min(n, len(points)))[0]
+    return np.asarray(points[np.resize(chosen, n)])
 
 
 def _turn_z_to(axis: Array) -> list[float]:
