@@ -27,6 +27,7 @@ __all__ = ["Dataset"]
 
 Ids = NDArray[np.int64]
 _PARTS = {"train": 0.8, "validation": 0.1, "test": 0.1}
+_ORDER = {name: place for place, name in enumerate(_PARTS)}
 
 
 class Dataset:
@@ -187,7 +188,7 @@ class Dataset:
             and no episode changes its part when the dataset grows. By garment whole garments are dealt out, at least one
             to every part.
         shares : mapping of str to float
-            Parts and their shares; the last one is the test set.
+            Parts and their shares, in any order: "train", "validation" and "test" come first, others by name.
         seed : int
         held_out : sequence of str
             By garment: exactly these make the last part, for example ``["apron", "apron2"]``, which are alike.
@@ -197,7 +198,8 @@ class Dataset:
         dict of str to (n,) int64
             Numbers of episodes, ascending.
         """
-        names, weights = list(shares), np.array(list(shares.values()), dtype=np.float64)
+        names = sorted(shares, key=lambda name: (_ORDER.get(name, len(_ORDER)), name))  # JSON objects have no order
+        weights = np.array([shares[name] for name in names], dtype=np.float64)
         if len(names) < 2 or not (weights > 0).all() or not np.isfinite(weights).all():
             raise ValueError(f"shares must give two parts or more a positive share each, not {dict(shares)}")
         if by == "episode":
