@@ -58,6 +58,23 @@ def dataset() -> Dataset:
     return Dataset(SMALL)
 
 
+def trained(out: Path, model: str = "mlp", seed: int = 0, split: dict[str, Any] = SPLIT) -> TrainConfig:
+    """Train a model for a few steps; its best weights are in `out`."""
+    config = TrainConfig(
+        model=model,
+        dataset=str(SMALL),
+        out=str(out),
+        split=split,
+        seed=seed,
+        batch=8,
+        epochs=1,
+        windows_per_epoch=16,
+        validation_windows=8,
+    )
+    train(config, open_windows(config))
+    return config
+
+
 @pytest.fixture(scope="module")
 def checkpoints(tmp_path_factory) -> dict[str, list[str]]:
     """Every model after a few steps; the MLP under two seeds."""
@@ -65,18 +82,7 @@ def checkpoints(tmp_path_factory) -> dict[str, list[str]]:
     for model in MODELS:
         for seed in range(2 if model == "mlp" else 1):
             where = out / f"{model}_{seed}"
-            config = TrainConfig(
-                model=model,
-                dataset=str(SMALL),
-                out=str(where),
-                split=SPLIT,
-                seed=seed,
-                batch=8,
-                epochs=1,
-                windows_per_epoch=16,
-                validation_windows=8,
-            )
-            train(config, open_windows(config))
+            trained(where, model, seed)
             paths.setdefault(model, []).append(str(where / "best.safetensors"))
     return paths
 
@@ -250,6 +256,22 @@ def test_it_refuses_episodes_that_a_model_was_trained_on(checkpoints):
     word = {"name": "x", "split": SPLIT, "part": "train", "shares_no_episode": True}
     with pytest.raises(ValueError, match="was trained on this dataset"):  # no word helps against the checksum
         evaluate_forecasts(evaluation([word], models={"mlp": checkpoints["mlp"][:1]}))
+
+
+def test_no_order_of_the_shares_hides_a_leak(tmp_path):
+    """A checkpoint stores its configuration with sorted names: the parts must not depend on their order."""
+    other = {"seed": 1, "shares": {name: SHARES[name] for name in ("test", "train", "validation")}}
+    config = trained(tmp_path, split=other)
+    models = {"mlp": [str(tmp_path / "best.safetensors")]}
+    windows = open_windows(config)
+    learned = {*windows.train.index[:, 0].tolist(), *windows.validation.index[:, 0].tolist()}
+    for split in (SPLIT, other):
+        for part in ("train", "validation"):
+            with pytest.raises(ValueError, match=r"was trained on this dataset.*training or validation part"):
+                evaluate_forecasts(evaluation([{"name": "x", "split": split, "part": part}], models=models))
+        condition = evaluation([{"name": "x", "split": split, "windows": 1}], models=models)
+        opened = forecasts.open_condition(condition, condition.conditions[0], tmp_path)
+        assert not learned & set(opened.seen.index[opened.rows, 0].tolist())
 
 
 def test_it_is_wary_of_another_dataset(checkpoints, dataset, tmp_path):
