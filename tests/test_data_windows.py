@@ -11,7 +11,7 @@ import torch
 
 from topokit.data import Dataset, WindowDataset, generate, label
 from topokit.data._label import TRACKER
-from topokit.data.windows import _Episode
+from topokit.data._windows import _Episode
 
 from small_datasets import SEED, TINY, without_dask
 

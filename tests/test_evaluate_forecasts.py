@@ -21,15 +21,15 @@ from topokit.evaluate import (
     EvaluationConfig,
     distance_to_hull,
     evaluate_forecasts,
-    forecasts,
     load_evaluation,
     read_results,
     true_loops,
     write_report,
 )
-from topokit.evaluate.config import Clouds, Condition
-from topokit.evaluate.seen import SpoiltWindows, choose, spoil, true_curves
-from topokit.evaluate.summary import steps_of
+from topokit.evaluate import _forecasts as forecasts
+from topokit.evaluate._conditions import SpoiltWindows, choose, spoil, true_curves
+from topokit.evaluate._config import Clouds, Condition
+from topokit.evaluate._summary import steps_of
 from topokit.io import load_episode
 from topokit.models import TrainConfig, train
 from topokit.models.base import Normalisation, Shape

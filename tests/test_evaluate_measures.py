@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from topokit import LoopMixture
-from topokit.evaluate.intervals import Bootstrap, Estimate, mean_of
-from topokit.evaluate.measures import COLUMNS, TrueCurves, measure, opening_points
+from topokit.evaluate._accuracy import COLUMNS, TrueCurves, measure, opening_points
+from topokit.evaluate._bootstrap import Bootstrap, Estimate, mean_of
 from topokit.models.forecast import Forecast
 from topokit.models.states import States
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from topokit import SeqPH, track
-from topokit.evaluate.baselines import DiagramMatching, NearestMidpoint, track_vines
-from topokit.evaluate.tracking import Overlap, by_killer, by_place, compare, events, score, true_loops
+from topokit.evaluate._baselines import DiagramMatching, NearestMidpoint, track_vines
+from topokit.evaluate._tracking import Overlap, by_killer, by_place, compare, events, score, true_loops
 from topokit.io import load_episode
 
 from conftest import polygon

@@ -106,7 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     tracker.set_defaults(run=_track)
 
     from .data.commands import add as add_data_commands
-    from .evaluate.commands import add as add_evaluate_commands
+    from .evaluate._commands import add as add_evaluate_commands
     from .models.commands import add as add_model_commands
 
     add_data_commands(commands)

@@ -24,8 +24,11 @@ from typing import Any
 import numpy as np
 
 import topokit as tk
-from topokit.evaluate import baselines, distance_to_hull, scores, tracking
-from topokit.evaluate.tracking import TrackingScore, TrueLoops, by_killer, compare, events, score
+from topokit.evaluate import _baselines as baselines
+from topokit.evaluate import _scores as scores
+from topokit.evaluate import _tracking as tracking
+from topokit.evaluate import distance_to_hull
+from topokit.evaluate._tracking import TrackingScore, TrueLoops, by_killer, compare, events, score
 from topokit.io import Episode, load_episode, save_episode, save_states
 from topokit.sim import TASKS, Camera, Randomisation, SimulationError, simulate
 

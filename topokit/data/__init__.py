@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from ._generate import Interrupted, generate
     from ._label import label
     from ._spoil import spoil
+    from ._windows import Truth, WindowDataset
     from .config import DatasetConfig, make_episode
     from .dataset import Dataset
-    from .windows import Truth, WindowDataset
 
 __all__ = [
     "Dataset",
@@ -41,7 +41,7 @@ __getattr__ = attach(
         "_spoil": "spoil",
         "config": "DatasetConfig make_episode",
         "dataset": "Dataset",
-        "windows": "Truth WindowDataset",
+        "_windows": "Truth WindowDataset",
     },
     extra="data,sim,learn",
 )

@@ -8,23 +8,23 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .localisation import TrackSummary, distance_to_hull, summarise_tracks
-from .tracking import TrackingScore, compare, score, true_loops
+from ._localisation import TrackSummary, distance_to_hull, summarise_tracks
+from ._tracking import TrackingScore, compare, score, true_loops
 
 if TYPE_CHECKING:
-    from .config import EvaluationConfig, load_evaluation
-    from .forecasts import evaluate_forecasts, read_results
-    from .intervals import Bootstrap, Estimate
-    from .report import write_report
+    from ._bootstrap import Bootstrap, Estimate
+    from ._config import EvaluationConfig, load_evaluation
+    from ._forecasts import evaluate_forecasts, read_results
+    from ._report import write_report
 
 _WHERE = {
-    "Bootstrap": "intervals",
-    "Estimate": "intervals",
-    "EvaluationConfig": "config",
-    "evaluate_forecasts": "forecasts",
-    "load_evaluation": "config",
-    "read_results": "forecasts",
-    "write_report": "report",
+    "Bootstrap": "_bootstrap",
+    "Estimate": "_bootstrap",
+    "EvaluationConfig": "_config",
+    "evaluate_forecasts": "_forecasts",
+    "load_evaluation": "_config",
+    "read_results": "_forecasts",
+    "write_report": "_report",
 }
 
 __all__ = [

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from topokit.data import Dataset, WindowDataset
 from topokit.data._label import TRACKER, arrays_of
 from topokit.data._layout import pack, unpack
-from topokit.data.windows import _Episode, _Tracked
+from topokit.data._windows import _Episode, _Tracked
 from topokit.seqph import track
 
-from .config import Clouds
-from .measures import TrueCurves
-from .tracking import true_loops
+from ._accuracy import TrueCurves
+from ._config import Clouds
+from ._tracking import true_loops
 
 __all__ = ["SpoiltWindows", "choose", "spoil", "true_curves"]
 

@@ -21,7 +21,7 @@ from topokit.rips import rips_persistence
 from topokit.seqph import assign, spacing
 from topokit.state import TopologicalState
 
-from .scores import THRESHOLD, Event, Overlap, TrackingScore, events, score
+from ._scores import THRESHOLD, Event, Overlap, TrackingScore, events, score
 
 __all__ = [
     "Event",

@@ -17,7 +17,7 @@ from topokit.rips import Diagram
 from topokit.seqph import SeqPH, assign
 from topokit.state import TopologicalState
 
-from .scores import greatest
+from ._scores import greatest
 
 __all__ = ["DiagramMatching", "NearestMidpoint", "track_vines"]
 

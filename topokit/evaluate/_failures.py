@@ -20,7 +20,7 @@ from topokit.data import Dataset, WindowDataset
 from topokit.io import save_episode
 from topokit.models.states import States
 
-from .summary import Samples
+from ._summary import Samples
 
 __all__ = ["MOST", "save_clips", "shown", "worst"]
 

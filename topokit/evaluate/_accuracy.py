@@ -29,7 +29,7 @@ from topokit.models.mixture import loop_mixtures
 from topokit.models.states import States
 from topokit.seqph import assign
 
-from .localisation import nearest_in_hull
+from ._localisation import nearest_in_hull
 
 __all__ = ["COLUMNS", "TrueCurves", "measure", "opening_points"]
 

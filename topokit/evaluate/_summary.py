@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .config import EvaluationConfig
-from .intervals import Bootstrap, Estimate, mean_of
+from ._bootstrap import Bootstrap, Estimate, mean_of
+from ._config import EvaluationConfig
 
 __all__ = ["MEASURES", "ORDER", "TOLERANCES", "Samples", "horizons_of", "steps_of", "summarise"]
 

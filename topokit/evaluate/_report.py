@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from topokit._archive import atomic_file
 
-from .summary import MEASURES
+from ._summary import MEASURES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,7 +55,7 @@ def write_report(results: str | Path, out: str | Path) -> list[Path]:
     FileNotFoundError, FormatError
         When there is no file of results.
     """
-    from .forecasts import read_results
+    from ._forecasts import read_results
 
     content = read_results(results)
     folder = Path(out)

@@ -36,11 +36,15 @@ from topokit.models.checkpoint import load_model
 from topokit.models.registry import MODELS, build
 from topokit.models.states import States, past_states, target_states
 
-from . import failures, intervals, measures, seen, summary
-from .config import UNTRAINED, Condition, EvaluationConfig
-from .measures import COLUMNS, measure
-from .seen import SpoiltWindows, choose, true_curves
-from .summary import Samples, horizons_of, steps_of, summarise
+from . import _accuracy as measures
+from . import _bootstrap as intervals
+from . import _conditions as seen
+from . import _failures as failures
+from . import _summary as summary
+from ._accuracy import COLUMNS, measure
+from ._conditions import SpoiltWindows, choose, true_curves
+from ._config import UNTRAINED, Condition, EvaluationConfig
+from ._summary import Samples, horizons_of, steps_of, summarise
 
 __all__ = ["evaluate_forecasts", "open_condition", "read_results", "windows_of"]
 

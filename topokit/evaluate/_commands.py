@@ -45,9 +45,9 @@ def _evaluate(options: argparse.Namespace) -> int:
         raise ValueError(f"--threads {options.threads}: one at least")
     import torch
 
-    from .config import load_evaluation
-    from .forecasts import evaluate_forecasts
-    from .report import hull_table
+    from ._config import load_evaluation
+    from ._forecasts import evaluate_forecasts
+    from ._report import hull_table
 
     config, folder = load_evaluation(options.evaluation)
     if options.out.resolve() == options.evaluation.resolve():
@@ -99,7 +99,7 @@ def _interrupted(error: BaseException | None) -> bool:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from .report import write_report
+    from ._report import write_report
 
     files = write_report(options.results, options.out)
     print(json.dumps([str(path) for path in files]) if options.json else "\n".join(map(str, files)))
