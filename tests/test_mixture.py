@@ -130,3 +130,12 @@ def test_bad_input_is_named(loop, options, says):
 def test_points_of_another_dimension_are_refused(loop):
     with pytest.raises(ValueError, match=r"x must be a \(3,\) point or \(n, 3\) points"):
         loop_mixture(loop).log_prob([[0.0, 0.0]])
+
+
+def test_a_mixture_does_not_freeze_or_share_what_it_was_made_of():
+    means, covariances, weights = np.zeros((1, 3)), np.eye(3)[None], np.ones(1)
+    mixture = LoopMixture(means, covariances, weights)
+    means += 1
+    assert mixture.mean.tolist() == [0, 0, 0]
+    with pytest.raises(ValueError, match="read-only"):
+        mixture.means[0, 0] = 5

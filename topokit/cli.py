@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         code: int = options.run(options)
         return code
-    except (ValueError, TypeError, OSError, ImportError) as error:
+    except (ValueError, OSError, ImportError) as error:  # any other is a mistake of ours, and shows where
         print(f"topokit {options.command}: error: {error}", file=sys.stderr)
         return 2
     except RuntimeError as error:  # the input was right, the work failed: a simulation that exploded
@@ -210,8 +210,14 @@ def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
     """Track clouds as they come; what is kept does not grow."""
     if options.episode or options.out or options.plot:
         raise ValueError("--live reads standard input and writes standard output: leave out EPISODE, --out and --plot")
-    for state in SeqPH(**how).stream(_clouds(sys.stdin.buffer)):
-        print(json.dumps(state.as_dict()), flush=True)
+    frames = 0
+    try:
+        for state in SeqPH(**how).stream(_clouds(sys.stdin.buffer)):
+            print(json.dumps(state.as_dict()), flush=True)
+            frames += 1
+    except KeyboardInterrupt:
+        print(f"topokit track: stopped after {frames} frames, which were printed", file=sys.stderr)
+        return 130
     return 0
 
 

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._validate import as_points, positive
+from ._validate import as_points, own_arrays, positive
 
 __all__ = ["InverseWishart", "LoopMixture", "loop_mixture"]
 
@@ -100,8 +100,7 @@ class LoopMixture:
     weights: Array
 
     def __post_init__(self) -> None:
-        for value in vars(self).values():
-            value.setflags(write=False)
+        own_arrays(self)
 
     @property
     def mean(self) -> Array:
