@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ._generate import Interrupted, generate
     from ._label import label
     from ._spoil import spoil
-    from ._windows import Truth, WindowDataset
+    from ._windows import WindowDataset
     from .config import DatasetConfig, make_episode
     from .dataset import Dataset
 
@@ -23,7 +23,6 @@ __all__ = [
     "DatasetConfig",
     "Interrupted",
     "Problem",
-    "Truth",
     "WindowDataset",
     "check",
     "generate",
@@ -41,7 +40,7 @@ __getattr__ = attach(
         "_spoil": "spoil",
         "config": "DatasetConfig make_episode",
         "dataset": "Dataset",
-        "_windows": "Truth WindowDataset",
+        "_windows": "WindowDataset",
     },
     extra="data,sim,learn",
 )

@@ -30,8 +30,9 @@ from topokit.models.mixture import loop_mixtures
 from topokit.models.states import States
 
 from ._localisation import nearest_in_hull
+from ._tracking import extent
 
-__all__ = ["COLUMNS", "TrueCurves", "measure", "opening_points"]
+__all__ = ["COLUMNS", "TrueCurves", "measure_forecasts", "opening_points"]
 
 Array = NDArray[np.float64]
 MOST = 2
@@ -39,27 +40,10 @@ MOST = 2
 OFFSET = 0.25
 """In the plane: how far beside the hull's plane still counts, as a share of the loop's radius."""
 POINTS, DRAWN = 16, 100  # of an opening, and of a mixture, for likelihood and coverage
-COLUMNS = (
-    "outside",
-    "outside_marked",
-    "outside_anyway",
-    "in_plane",
-    "in_opening",
-    "distance",
-    "nll",
-    "cover50",
-    "cover90",
-    "kept",
-    "there",
-    "there_right",
-    "absent",
-    "absent_right",
-    "changed",
-    "changed_right",
-    "same",
-    "same_right",
-)
-"""What `measure` says of every sample and step."""
+_PLACES = ("outside", "outside_marked", "outside_anyway", "in_plane", "in_opening", "distance")
+_SLOTS = ("there", "absent", "changed", "same")
+COLUMNS = (*_PLACES, "kept", "nll", "cover50", "cover90", *_SLOTS, *(f"{name}_right" for name in _SLOTS))
+"""What `measure_forecasts` says of every sample and step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,20 +74,11 @@ class TrueCurves:
         return np.concatenate([curve, self.closing[loop][k]]) if self.closing else curve
 
     @cached_property
-    def centres(self) -> Array:
-        """(loops, K, 3) centroids of the curves, by length: vertices may crowd on one side."""
-        found = []
-        for curve in self.curves:
-            after = np.roll(curve, -1, axis=1)
-            sides = np.linalg.norm(after - curve, axis=2, keepdims=True) + 1e-12
-            found.append((sides * (curve + after) / 2).sum(axis=1) / sides.sum(axis=1))
-        return np.array(found)
-
-    @cached_property
-    def radii(self) -> Array:
-        """(loops, K) largest distances of the curves from their centres."""
-        pairs = zip(self.curves, self.centres, strict=True)
-        return np.array([np.linalg.norm(curve - middle[:, None], axis=2).max(axis=1) for curve, middle in pairs])
+    def extents(self) -> tuple[Array, Array]:
+        """(K, loops, 3) centroids of the curves, by length, and (K, loops) largest distances from them."""
+        found = [[extent(frame) for frame in curve] for curve in self.curves]
+        centres, radii = (np.array([[one[part] for one in loop] for loop in found]) for part in (0, 1))
+        return centres.swapaxes(0, 1), radii.T
 
     @cached_property
     def planes(self) -> tuple[tuple[Array, Array], ...]:
@@ -116,13 +91,13 @@ class TrueCurves:
     def beside(self, loop: int, k: int, point: Array) -> float:
         """At most 1 when the point lies in a curve's outline, seen along the normal, and near enough to its plane."""
         mean, axes = (part[k] for part in self.planes[loop])
-        off = abs(float((point - mean) @ axes[2])) / (OFFSET * self.radii[loop, k])
+        off = abs(float((point - mean) @ axes[2])) / (OFFSET * self.extents[1][k, loop])
         if off > 1 or nearest_in_hull((self.curves[loop][k] - point) @ axes[:2].T) >= 1e-9:
             return float("inf")
         return float(off)
 
 
-def measure(
+def measure_forecasts(
     states: States,
     target: States,
     past: States,
@@ -164,83 +139,100 @@ def measure(
     """
     at = torch.tensor([step - 1 for step in steps])
     some = states[:, at]
-    told = _Told(
-        some.centre.double().numpy(),
-        (some.death - some.birth).double().numpy(),
-        some.presence.double().sigmoid().numpy(),
-    )
+    numbers = some.centre, some.death - some.birth, some.presence.double().sigmoid()
+    parts = [part.double().numpy() for part in numbers]
     columns = {name: np.full((len(truth), len(steps)), np.nan) for name in COLUMNS}
-    pairs = [
-        pair for i, curves in enumerate(truth) for pair in _places(told, i, curves, columns, [s in fine for s in steps])
-    ]
-    _likelihood(some, truth, pairs, columns, rng)
-    _presence(states, target, past, at, columns)
+    pairs = []
+    for i, curves in enumerate(truth):
+        samples = [_Sample(curves, k, *(part[i, k] for part in parts)) for k in range(len(steps))]
+        for k, sample in enumerate(samples):
+            for name, value in {**sample.places(), "kept": sample.kept(samples[0])}.items():
+                columns[name][i, k] = value
+            if steps[k] in fine:
+                pairs += [(i, k, slot, loop) for slot, loop in sample.pairs]
+    _measure_mixtures(some, truth, pairs, columns, rng)
+    _count_slots(states, target, past, at, columns)
     return columns
 
 
 @dataclass(frozen=True, eq=False)
-class _Told:
-    """Forecasts as NumPy arrays: (B, K, S, 3), and (B, K, S) twice."""
+class _Sample:
+    """A window at one of its steps: true loops, and S forecast ones."""
 
-    centre: Array
-    lifetime: Array
-    presence: Array
+    truth: TrueCurves
+    k: int
+    means: Array  # (S, 3)
+    lifetimes: Array  # (S,)
+    presence: Array  # (S,)
 
-    def there(self, i: int, k: int) -> NDArray[np.bool_]:
-        """(S,) which slots are more likely there than not."""
-        return np.asarray(self.presence[i, k] > 0.5)
+    @cached_property
+    def loops(self) -> list[int]:
+        """The true loops that are there."""
+        return self.truth.there(self.k)
 
-    def first(self, i: int, k: int, count: int) -> list[int]:
-        """The slots of window i at step k that count."""
-        ranked, there = np.argsort(-self.lifetime[i, k], kind="stable"), self.there(i, k)
-        return [int(slot) for slot in ranked if there[slot]][:count]
+    @cached_property
+    def asked(self) -> int:
+        """How many of them count."""
+        return min(len(self.loops), MOST)
 
-    def first_anyway(self, i: int, k: int, count: int) -> list[int]:
+    @cached_property
+    def away(self) -> Array:
+        """(S, loops) how far the means are from the centres of the true loops."""
+        return np.linalg.norm(self.means[:, None] - self.truth.extents[0][self.k], axis=2)
+
+    @cached_property
+    def found(self) -> dict[int, int]:
+        """The slot of each true loop in whose opening one is."""
+        radii, slots = self.truth.extents[1][self.k], (self.presence > 0.5)[:, None]
+        near = (self.away <= radii) & slots & np.isin(np.arange(len(radii)), self.loops)
+        return {loop: slot for slot, loop in assign(self.away, near)}
+
+    @cached_property
+    def pairs(self) -> list[tuple[int, int]]:
+        """The slots that count, and the true loops that they are compared with; none when there are too few."""
+        chosen = self.longest(self.asked)
+        if len(chosen) < self.asked:
+            return []
+        orders = itertools.permutations(self.loops, len(chosen))
+        best = min(orders, key=lambda order: float(self.away[chosen, list(order)].sum()))
+        return list(zip(chosen, best, strict=True))
+
+    def longest(self, count: int) -> list[int]:
+        """The slots that count: of those that are more likely there than not the longest-lived."""
+        ranked = np.argsort(-self.lifetimes, kind="stable")
+        return ranked[self.presence[ranked] > 0.5][:count].tolist()
+
+    def longest_anyway(self, count: int) -> list[int]:
         """The same, whether they are said to be there or not."""
-        weight = self.lifetime[i, k] * self.presence[i, k]
-        return [int(slot) for slot in np.argsort(-weight, kind="stable") if self.lifetime[i, k, slot] > 0][:count]
+        ranked = np.argsort(-self.lifetimes * self.presence, kind="stable")
+        return ranked[self.lifetimes[ranked] > 0][:count].tolist()
 
+    def kept(self, first: _Sample) -> float:
+        """The share of the true loops found at the first step and still there that are found by the same slot."""
+        still = [loop for loop in first.found if loop in self.loops]
+        return float(np.mean([self.found.get(loop) == first.found[loop] for loop in still])) if still else np.nan
 
-def _places(
-    told: _Told, i: int, truth: TrueCurves, columns: Mapping[str, Array], fine: Sequence[bool]
-) -> list[tuple[int, int, int, int]]:
-    """Fill in what concerns the places of window i; the (window, step, slot, loop) that belong together at fine steps."""
-    centres, radii = truth.centres, truth.radii
-    pairs, found_first = [], None
-    for k in range(columns["outside"].shape[1]):
-        means, loops = told.centre[i, k], truth.there(k)
-        everything = min(len(truth.curves), MOST)
-        marked = [curve[k] for curve in truth.curves]
-        columns["outside_marked"][i, k] = _outside(means[told.first(i, k, everything)], marked, everything)
-        away = np.linalg.norm(means[:, None] - centres[None, :, k], axis=2)  # (S, loops)
-        near = (away <= radii[:, k]) & told.there(i, k)[:, None] & np.isin(np.arange(len(radii)), loops)
-        found = {loop: slot for slot, loop in assign(away, near)}
-        found_first = found if found_first is None else found_first
-        still = [loop for loop in found_first if loop in loops]
-        if still:
-            columns["kept"][i, k] = np.mean([found.get(loop) == found_first[loop] for loop in still])
-        asked = min(len(loops), MOST)
+    def places(self) -> dict[str, float]:
+        """The columns of places; only the marked curves are asked for where no true loop is there."""
+        truth, k, asked, loops = self.truth, self.k, self.asked, self.loops
+        marked, everything = [curve[k] for curve in truth.curves], min(len(truth.curves), MOST)
+        values = {"outside_marked": self.outside(self.longest(everything), marked, everything)}
         if not asked:
-            continue
-        hulls = [truth.hull(loop, k) for loop in loops]
-        chosen, anyway = told.first(i, k, asked), told.first_anyway(i, k, asked)
-        columns["outside"][i, k] = _outside(means[chosen], hulls, asked)
-        columns["outside_anyway"][i, k] = (
-            columns["outside"][i, k] if chosen == anyway else _outside(means[anyway], hulls, asked)
-        )
-        flat = [[truth.beside(loop, k, means[slot]) for loop in loops] for slot in chosen]
-        columns["in_plane"][i, k] = _least_worst(flat, asked) <= 1
-        columns["in_opening"][i, k] = _least_worst((away / radii[:, k])[chosen][:, loops].tolist(), asked) <= 1
-        if len(chosen) == asked:
-            mates = [loops[place] for place in _nearest(away[chosen][:, loops])]
-            columns["distance"][i, k] = away[chosen, mates].mean()
-            pairs += [(i, k, slot, loop) for slot, loop in zip(chosen, mates, strict=True) if fine[k]]
-    return pairs
+            return values
+        hulls, chosen = [truth.hull(loop, k) for loop in loops], self.longest(asked)
+        values["outside"] = self.outside(chosen, hulls, asked)
+        values["outside_anyway"] = self.outside(self.longest_anyway(asked), hulls, asked)
+        flat = [[truth.beside(loop, k, self.means[slot]) for loop in loops] for slot in chosen]
+        values["in_plane"] = _least_worst(flat, asked) <= 1
+        share = (self.away / truth.extents[1][k])[chosen][:, loops]
+        values["in_opening"] = _least_worst(share.tolist(), asked) <= 1
+        if self.pairs:
+            values["distance"] = float(np.mean([self.away[pair] for pair in self.pairs]))
+        return values
 
-
-def _outside(means: Array, corners: Sequence[Array], asked: int) -> float:
-    """How far the means are from hulls, one each."""
-    return _least_worst([[nearest_in_hull(hull - mean) for hull in corners] for mean in means], asked)
+    def outside(self, slots: Sequence[int], hulls: Sequence[Array], asked: int) -> float:
+        """How far the means of slots are from hulls, one each."""
+        return _least_worst([[nearest_in_hull(hull - self.means[slot]) for hull in hulls] for slot in slots], asked)
 
 
 def _least_worst(table: Sequence[Sequence[float]], asked: int) -> float:
@@ -249,13 +241,6 @@ def _least_worst(table: Sequence[Sequence[float]], asked: int) -> float:
         return float("inf")
     orders = itertools.permutations(range(len(table[0])), asked)
     return min(max(row[loop] for row, loop in zip(table, order, strict=True)) for order in orders)
-
-
-def _nearest(away: Array) -> list[int]:
-    """The loop of each slot (k, loops) when the sum of distances is smallest."""
-    rows = np.arange(len(away))
-    orders = itertools.permutations(range(away.shape[1]), len(away))
-    return list(min(orders, key=lambda order: float(away[rows, np.array(order)].sum())))
 
 
 def opening_points(curve: Array, n: int, rng: np.random.Generator) -> Array:
@@ -267,7 +252,7 @@ def opening_points(curve: Array, n: int, rng: np.random.Generator) -> Array:
     return np.asarray((share[:, :, None] * fan[rng.choice(len(fan), n, p=area / area.sum())]).sum(axis=1))
 
 
-def _likelihood(
+def _measure_mixtures(
     states: States,
     truth: Sequence[TrueCurves],
     pairs: Sequence[tuple[int, int, int, int]],
@@ -293,11 +278,11 @@ def _likelihood(
         columns[name][count > 0] = total[count > 0] / count[count > 0]
 
 
-def _presence(states: States, target: States, past: States, at: Tensor, columns: Mapping[str, Array]) -> None:
+def _count_slots(states: States, target: States, past: States, at: Tensor, columns: Mapping[str, Array]) -> None:
     """Fill in the counts of slots. Slots have no order: the one that suits the forecast best over all steps is taken."""
     order = match_slots(states, target)
     now, before = target.slots(order)[:, at].presence > 0, past.slots(order).presence > 0  # (B, K, S), (B, 1, S)
     right, changed = (states[:, at].presence > 0) == now, now != before
-    for name, which in {"there": now, "absent": ~now, "changed": changed, "same": ~changed}.items():
+    for name, which in zip(_SLOTS, (now, ~now, changed, ~changed), strict=True):
         columns[name][:] = which.sum(dim=-1).numpy()
         columns[f"{name}_right"][:] = (which & right).sum(dim=-1).numpy()

@@ -26,6 +26,7 @@ from ._palette import OKABE_ITO, appearances, long_lived, loop_colour
 from ._player import Player, player, telling_frame
 from ._plots import plot_cloth, plot_diagram, plot_tracks, track_figure
 from ._render import pyvista_works, render_cloth
+from ._report import model_label, plot_accuracy, plot_by_horizon, plot_conditions, plot_treatments
 
 __all__ = [
     "OKABE_ITO",
@@ -41,14 +42,19 @@ __all__ = [
     "growth",
     "long_lived",
     "loop_colour",
+    "model_label",
     "motion",
     "nudge",
     "player",
+    "plot_accuracy",
+    "plot_by_horizon",
     "plot_cloth",
+    "plot_conditions",
     "plot_diagram",
     "plot_lens",
     "plot_lune",
     "plot_tracks",
+    "plot_treatments",
     "pyvista_works",
     "render_cloth",
     "save_animation",
