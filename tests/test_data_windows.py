@@ -200,7 +200,8 @@ def test_clouds_with_fewer_points_are_repeated(dataset):
 
 def test_what_is_observed_takes_the_place_of_the_clouds_and_is_tracked(dataset):
     """Whatever hangs there, a ring of twelve points is seen, and moves by a millimetre a frame."""
-    ring, given = np.column_stack([0.1 * polygon(12), np.zeros(12)]), {}
+    radius, given = np.linspace(0.1, 0.11, 12)[:, None], {}
+    ring = np.column_stack([radius * polygon(12), np.zeros(12)])
 
     def observe(number, clouds):
         given[number] = clouds

@@ -1,7 +1,7 @@
 """How good forecasts are, sample by sample: a window of an episode, at some of the steps ahead.
 
 A forecast names some loops; the simulator knows where the true ones are, and persistence on the full cloud which of them are
-there (`topokit.evaluate.tracking.true_loops`). With L of them the first k = min(L, 2) forecast loops count, longest lifetime
+there (`topokit.evaluate.true_loops`). With L of them the first k = min(L, 2) forecast loops count, longest lifetime
 first, as in the paper; which is compared with which true loop is chosen in their favour.
 
 A true loop is marked by one curve of its class, and others are as true: around a tie that hangs before a skirt the curve may go
