@@ -323,6 +323,8 @@ def test_it_refuses_conditions_without_windows(tmp_path, dataset):
     refused(ValueError, "no garment 'glove'.*it has apron", garments=["glove"])
     refused(ValueError, "no part 'exam'; it has train, validation, test, all", part="exam")
     refused(FileNotFoundError, "nowhere", dataset="nowhere")
+    refused(ValueError, "condition 'x': split .*'seeds'", split={"seeds": 1})
+    refused(ValueError, "condition 'x': split .*by must be", split={"by": "hand"})
     numbers = dataset.episodes[:2]
     cut = dataset.cut(numbers, tmp_path / "cut")
     shutil.rmtree(tmp_path / "cut" / "labels")

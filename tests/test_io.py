@@ -58,6 +58,16 @@ def test_episode_round_trip(tmp_path):
     np.testing.assert_allclose(again.times, [0, 0.04, 0.08, 0.12, 0.16])
 
 
+def test_coordinates_are_packed_to_the_nearest_step(tmp_path):
+    episode = small_episode()
+    path = save_episode(tmp_path / "ring.npz", episode)
+    step = load_archive(path, "topokit-episode")[1]["points_scale"][0]
+    error = load_episode(path).points.astype(np.float64) - episode.points
+    assert np.abs(error).max() <= 0.5 * step + 1e-6  # float32 costs the rest
+    assert abs(error.mean()) < 0.1 * step
+    assert step < 1.6e-4  # 65,535 steps across less than ten metres
+
+
 def test_episode_without_true_loops(tmp_path):
     path = save_episode(tmp_path / "ring.npz", dataclasses.replace(small_episode(), loops=()))
     assert load_episode(path).loops == ()

@@ -101,6 +101,7 @@ LAYERS = [
     {"models"},
     {"view"},
     {"evaluate"},
+    {"_commands"},
     {"cli", "__main__"},
 ]
 

@@ -161,7 +161,13 @@ def load_episode(path: str | Path) -> Episode:
 
 
 def check_episode(episode: Episode) -> None:
-    """Raise ValueError when the parts of an episode do not fit each other; the message says which and where."""
+    """Check that the parts of an episode fit each other.
+
+    Raises
+    ------
+    ValueError
+        When they do not; the message says which and where.
+    """
     frames, vertices = episode.points.shape[:2] if episode.points.ndim == 3 else (0, 0)
     if episode.points.ndim == 3 and frames == 0:
         raise ValueError("points holds no frame")

@@ -106,36 +106,21 @@ def measure_forecasts(
     fine: Sequence[int],
     rng: np.random.Generator,
 ) -> dict[str, Array]:
-    """Measure the forecasts of B windows.
+    """Measure forecasts `states` of B windows at K `steps` ahead, as (B, K) columns; nan where there is nothing to measure.
 
-    Parameters
-    ----------
-    states : States
-        The forecasts, all H steps of them.
-    target, past : States
-        What the tracker saw at these steps, and at the last frame before them.
-    truth : sequence of B TrueCurves
-        At the K `steps`.
-    steps : sequence of K int
-        Which of the steps ahead, from 1 to H.
-    fine : sequence of int
-        Those of the steps at which likelihood and coverage are taken, too; they are dear.
-    rng : numpy Generator
-        For these.
+    `target` and `past` are what the tracker saw at all steps, and at the last frame before them. Likelihood and coverage are
+    dear: they are taken at the `fine` steps.
 
-    Returns
-    -------
-    dict of (B, K) float64
-        ``outside``, ``outside_anyway``: the farthest of the k means from its hull, metres; inf when fewer than k are forecast.
-        The second ranks by lifetime times presence and lets none be absent. ``outside_marked``: the same as the first for hulls
-        of the marked curves alone, and loops that are not there asked for, too. ``in_plane``: whether all k means lie in the
-        marked curve's outline, seen along its normal, and beside its plane by `OFFSET` radii at most. ``in_opening``: whether
-        all are nearer to the centres of the curves than the curves' farthest vertices, as chapter 6 asks of tracks.
-        ``distance``: of the k means from these centres, metres. ``nll``, ``cover50``, ``cover90``: of `POINTS` points of the
-        openings under the k mixtures, nats, and the share of them in the smallest region that has 50 or 90 % of the mass.
-        ``kept``: of the true loops found at the first step and still there, how many are found by the same slot. Then counts of
-        slots: those that the tracker sees there and those that are absent, those that changed since the last frame seen and
-        those that did not; each with how many the forecast has right. nan where there is nothing to measure.
+    ``outside``, ``outside_anyway``: the farthest of the k means from its hull, metres; inf when fewer than k are forecast. The
+    second ranks by lifetime times presence and lets none be absent. ``outside_marked``: the same as the first for hulls of the
+    marked curves alone, and loops that are not there asked for, too. ``in_plane``: whether all k means lie in the marked
+    curve's outline, seen along its normal, and beside its plane by `OFFSET` radii at most. ``in_opening``: whether all are
+    nearer to the centres of the curves than the curves' farthest vertices, as chapter 6 asks of tracks. ``distance``: of the k
+    means from these centres, metres. ``nll``, ``cover50``, ``cover90``: of `POINTS` points of the openings under the k
+    mixtures, nats, and the share of them in the smallest region that has 50 or 90 % of the mass. ``kept``: of the true loops
+    found at the first step and still there, how many are found by the same slot. Then counts of slots: those that the tracker
+    sees there and those that are absent, those that changed since the last frame seen and those that did not; each with how
+    many the forecast has right.
     """
     at = torch.tensor([step - 1 for step in steps])
     some = states[:, at]

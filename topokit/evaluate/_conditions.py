@@ -150,7 +150,10 @@ def _entries(
 def _tested(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.int64]:
     """The labelled episodes of a condition: of its part of the split, and its garments."""
     where, labelled = f"condition {condition.name!r}", dataset.labelled(labels)
-    parts = dataset.split(**condition.split) | {"all": dataset.episodes}
+    try:
+        parts = dataset.split(**condition.split) | {"all": dataset.episodes}
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{where}: split {condition.split}: {error}") from error
     if condition.part not in parts:
         raise ValueError(f"{where}: the split has no part {condition.part!r}; it has {', '.join(parts)}")
     garments = condition.garments or dataset.garments
@@ -250,7 +253,7 @@ def _check_unseen(about: Mapping[str, Any], windows: WindowDataset, condition: C
         return
     try:
         parts = dataset.split(**about["split"])
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise ValueError(
             f"{where} was trained on another dataset, whose split {about['split']} cannot be made here ({error}); if it "
             'shares no episode with this one, say so: "shares_no_episode": true'

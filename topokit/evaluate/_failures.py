@@ -34,7 +34,7 @@ def far_astray(
 
     A forecast is a list of loops by lifetime times presence, each with its `mean` and its two killer `triangles`, metres.
     """
-    chosen, step = _worst(samples, "ours", tolerance), samples.steps[-1]
+    chosen, step = _worst(samples, tolerance), samples.steps[-1]
     if not chosen:
         return []
     window = default_collate([windows[row] for row in chosen])
@@ -53,12 +53,12 @@ def far_astray(
     ]
 
 
-def _worst(samples: Samples, model: str, tolerance: float) -> list[int]:
-    """Of each garment the sample that a model's first seed puts farthest outside at the last step; the farthest first.
+def _worst(samples: Samples, tolerance: float) -> list[int]:
+    """Of each garment the sample that our first seed puts farthest outside at the last step; the farthest first.
 
     Loops that are said to be absent count, too: where nothing is forecast there would be nothing to be seen.
     """
-    reach = samples.columns[model]["outside_anyway"][0, :, -1]
+    reach = samples.columns["ours"]["outside_anyway"][0, :, -1]
     reach = np.where(np.isfinite(reach), reach, -1)
     rows = [np.flatnonzero(samples.garment == garment) for garment in np.unique(samples.garment)]
     farthest = [int(some[np.argmax(reach[some])]) for some in rows]

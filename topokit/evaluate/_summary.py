@@ -46,7 +46,7 @@ class Samples:
     Attributes
     ----------
     columns : dict of dict of (seeds, n, K) float64
-        Model, then a name of `measures.COLUMNS`.
+        Model, then a name of `COLUMNS`.
     episode : (n,) int
     garment : (n,) str
     steps, horizons : tuple of int
@@ -120,64 +120,61 @@ class _Table:
             pairs = [(columns[f"{kind}_right"][..., k], columns[kind][..., k]) for kind in kinds]
             return mean_of([self.bootstrap.ratio(*pair, number) for pair in pairs])
         if name == "hull_accuracy":
-            return self.mean(self.hits(model)[..., k], number)
+            return self.mean(self.hits(model)[..., k], model)
         column = name.removesuffix("_cm").removesuffix("_median")
         values = columns[{"identity": "kept"}.get(column, column)][..., k] * (100 if name.endswith("_cm") else 1)
-        return self.bootstrap.median(values, number) if "median" in name else self.mean(values, number)
+        return self.bootstrap.median(values, number) if "median" in name else self.mean(values, model)
 
-    def mean(self, values: Array, number: int) -> Estimate:
+    def mean(self, values: Array, model: str) -> Estimate:
         """Of (seeds, n) values, without those that are nan."""
         there = np.isfinite(values)
-        return self.bootstrap.ratio(np.where(there, values, 0), there, number)
+        return self.bootstrap.ratio(np.where(there, values, 0), there, self.models.index(model))
 
     def row(self, at: Callable[[int], Estimate]) -> dict[str, Estimate]:
         """What is estimated at the horizons, and the mean over them."""
         each = {str(step): at(self.samples.steps.index(step)) for step in self.samples.horizons}
         return each | {"mean": mean_of(list(each.values()))}
 
-    def at_horizons(self, name: str) -> dict[str, Any]:
+    def rows(self, estimate: Callable[[str, int], Estimate]) -> dict[str, dict[str, Estimate]]:
         """Model, then horizon."""
-        return {model: _plain(self.row(partial(self.estimate, model, name))) for model in self.models}
+        return {model: self.row(partial(estimate, model)) for model in self.models}
+
+    def at_horizons(self, name: str) -> dict[str, Any]:
+        """A measure."""
+        return _plain(self.rows(lambda model, k: self.estimate(model, name, k)))
 
     def curve(self, name: str) -> dict[str, Any]:
         """Model, then every step."""
-        return {
-            model: {str(step): self.estimate(model, name, k).as_dict() for k, step in enumerate(self.samples.steps)}
-            for model in self.models
-        }
+        steps = {str(step): k for k, step in enumerate(self.samples.steps)}
+        return _plain({m: {step: self.estimate(m, name, k) for step, k in steps.items()} for m in self.models})
 
     def gains(self, of: str) -> dict[str, Any]:
         """What the hull accuracy of a model is above that of the others, on the same draws of episodes."""
         if of not in self.models:
             return {}
-        rows = {model: self.row(partial(self.estimate, model, "hull_accuracy")) for model in self.models}
+        rows = self.rows(lambda model, k: self.estimate(model, "hull_accuracy", k))
         mine = rows.pop(of)
-        return {model: _plain({key: mine[key] - row[key] for key in row}) for model, row in rows.items()}
+        return _plain({model: {key: mine[key] - row[key] for key in row} for model, row in rows.items()})
 
     def outcomes(self) -> dict[str, Any]:
         """Shares of windows: in the hull, beside it by 10 cm at most, farther, or too few loops forecast."""
-        return {
-            model: {str(step): self.shares(model, self.samples.steps.index(step)) for step in self.samples.horizons}
-            for model in self.models
-        }
+        places = {str(step): self.samples.steps.index(step) for step in self.samples.horizons}
+        return {model: {step: self.shares(model, k) for step, k in places.items()} for model in self.models}
 
     def shares(self, model: str, k: int) -> dict[str, float]:
         """The outcomes at the k-th step."""
         outside = self.samples.columns[model]["outside"][..., k]
         outside = outside[~np.isnan(outside)]
-        hit, near = outside <= max(self.tolerance, 1e-9), outside <= 0.1
-        silent = np.isinf(outside)
+        hit, near, silent = outside <= max(self.tolerance, 1e-9), outside <= 0.1, np.isinf(outside)
         parts = {"hit": hit, "near": near & ~hit, "far": ~near & ~hit & ~silent, "silent": silent}
         return {name: round(float(part.mean()), 4) for name, part in parts.items()}
 
     def by_seed(self) -> dict[str, Any]:
         """Hull accuracy of every training seed on its own, for models that have several."""
         answer = {}
-        for model in self.models:
-            hits = self.hits(model)
+        for model, hits in {model: self.hits(model) for model in self.models}.items():
             if len(hits) > 1:
-                at = [self.samples.steps.index(step) for step in self.samples.horizons]
-                each = np.nanmean(hits, axis=1)[:, at]
+                each = np.nanmean(hits, axis=1)[:, [self.samples.steps.index(step) for step in self.samples.horizons]]
                 columns = dict(zip(map(str, self.samples.horizons), each.T.round(4).tolist(), strict=True))
                 answer[model] = columns | {"mean": each.mean(axis=1).round(4).tolist()}
         return answer
@@ -188,23 +185,15 @@ class _Table:
         for marked, column in {"": "outside", "marked curve alone, ": "outside_marked"}.items():
             for near in TOLERANCES:
                 ways[f"{marked}within {100 * near:g} cm"] = partial(self.hits, tolerance=near, column=column)
-        for name in ("in_plane", "in_opening"):
-            ways[name.replace("_", " the ")] = partial(self.column, name)
+        ways["in the plane"] = lambda model: self.samples.columns[model]["in_plane"]
+        ways["in the opening"] = lambda model: self.samples.columns[model]["in_opening"]
         ways["presence not asked for"] = partial(self.hits, column="outside_anyway")
-        return {name: self.treated(way) for name, way in ways.items()}
+        return {name: _plain(self.rows(partial(self.treated, way))) for name, way in ways.items()}
 
-    def column(self, name: str, model: str) -> Array:
-        """(seeds, n, K) a column as it is."""
-        return self.samples.columns[model][name]
-
-    def treated(self, way: Callable[[str], Array]) -> dict[str, Any]:
-        """Model, then horizon: the mean of what is a hit in some way."""
-        table = {}
-        for number, model in enumerate(self.models):
-            hits = way(model)
-            table[model] = _plain(self.row(lambda k, hits=hits, number=number: self.mean(hits[..., k], number)))  # type: ignore[misc]
-        return table
+    def treated(self, way: Callable[[str], Array], model: str, k: int) -> Estimate:
+        """Hull accuracy at the k-th step when `way` says what is a hit."""
+        return self.mean(way(model)[..., k], model)
 
 
-def _plain(row: Mapping[str, Estimate]) -> dict[str, Any]:
-    return {key: one.as_dict() for key, one in row.items()}
+def _plain(rows: Mapping[str, Mapping[str, Estimate]]) -> dict[str, Any]:
+    return {model: {key: one.as_dict() for key, one in row.items()} for model, row in rows.items()}
