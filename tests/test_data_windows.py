@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from topokit import track
-from topokit.data import Dataset, WindowDataset, generate, label
+from topokit.data import Dataset, WindowDataset, _windows, generate, label
 from topokit.data._windows import _by_identity, _Episode, _Memory, _Tracked
 from topokit.seqph import RECOMMENDED
 
@@ -114,25 +114,29 @@ def same_loop(part, loop):
     np.testing.assert_allclose(part["step"], 0 if np.isnan(loop.step) else loop.step, rtol=1e-6)
 
 
-def test_who_gets_a_slot():
+@pytest.mark.parametrize("zero", [2, 5])
+def test_who_gets_a_slot(zero):
     """The longest mean lifetime in the history first, then those that come, in their order; who is gone before has none."""
     ids = np.full((8, 3), -1, dtype=np.int32)
-    ids[0] = [9, -1, -1]  # before the history
-    ids[1] = [5, 7, -1]
+    ids[0] = [8, -1, -1]  # before the history
+    ids[1] = [5, 7, 4]
     ids[2] = [5, -1, -1]
-    ids[3] = [7, 5, -1]
+    ids[3] = [7, 5, 4]
     ids[4] = [7, 2, -1]  # the future
     ids[5] = [3, 2, 9]
+    ids[ids == zero] = 0  # an identity like any other, among those that were there and among those that come
     numbers = np.zeros((8, 3, 3), dtype=np.float32)
-    numbers[..., 1] = [1.0, 0.5, 0.25]
+    numbers[..., 0] = [0.5, 0.25, 1.0]
+    numbers[..., 1] = [1.5, 0.75, 1.25]
     numbers[3, 0, 1] = 9.0  # 7 lives longer at frame 3 than 5 in three frames
     tracked = SimpleNamespace(ids=ids, numbers=numbers)
 
     def order(slots):
         return WindowDataset._identities(SimpleNamespace(slots=slots), tracked, slice(1, 4), slice(4, 8)).tolist()
 
-    assert order(6) == [7, 5, 2, 3, 9, -2]
-    assert order(3) == [7, 5, 2]
+    first = [0 if i == zero else i for i in (7, 5, 4, 2, 3, 9)]
+    assert order(7) == [*first, -2]
+    assert order(4) == first[:4]
     assert order(1) == [7]
 
 
@@ -241,6 +245,30 @@ def test_a_selection_is_some_of_the_windows(dataset, windows):
     assert list(fresh.select([0])._memory.episodes) == [0, 1, 2, 3, 4, 5]
 
 
+def test_what_is_done_to_a_window_does_not_reach_the_next(windows):
+    before = {name: part.clone() for name, part in windows[7].items()}
+    for part in windows[7].values():
+        part.add_(1) if part.dtype != torch.bool else part.logical_not_()
+    assert all(torch.equal(part, before[name]) for name, part in windows[7].items())
+
+
+@pytest.mark.parametrize("name", ["full", "observed-40"])
+def test_what_a_camera_saw_is_stored_as_places(dataset, name, monkeypatch):
+    options = {"labels": name, "history": H, "horizon": K, "n_points": 60, "slots": 3}
+    expected = WindowDataset(dataset, [1], **options)[3]
+    real = _windows.decode
+
+    def seen_by_a_camera(*arguments):
+        stored = real(*arguments)
+        if "observed" in stored:
+            stored["observed"] = stored["points"][np.arange(20)[:, None], stored["observed"]]
+        return stored
+
+    monkeypatch.setattr(_windows, "decode", seen_by_a_camera)
+    found = WindowDataset(dataset, [1], **options)[3]
+    assert all(torch.equal(part, expected[key]) for key, part in found.items())
+
+
 def test_batches(windows):
     loader = torch.utils.data.DataLoader(windows, batch_size=16, num_workers=0)
     batch = next(iter(loader))
@@ -282,7 +310,8 @@ def test_what_is_kept_does_not_grow(dataset, windows):
             small._memory.nbytes == sum(one.nbytes for one in small._memory.episodes.values()) <= 2.5 * episode.nbytes
         )
     assert len(WindowDataset(dataset, history=H, horizon=K).load()._memory.episodes) == 6
-    assert list(WindowDataset(dataset, history=H, horizon=K, memory=1).load()._memory.episodes) == [0]
+    enough = WindowDataset(dataset, history=H, horizon=K, n_points=30, memory=episode.nbytes)
+    assert list(enough.load()._memory.episodes) == [0]
 
 
 def test_it_travels_to_spawned_processes_without_its_episodes(windows):
@@ -326,6 +355,7 @@ def test_sizes_are_those_of_the_paper_when_none_are_given(dataset):
         WindowDataset(dataset)
     window = WindowDataset(dataset, history=H, horizon=K)[0]
     assert (window["clouds"].shape[1], window["present"].shape[1]) == (128, 4)
+    assert WindowDataset(dataset, history=H, horizon=K)._memory.most == 4e9
 
 
 def test_episodes_without_the_second_labels_are_refused(dataset, tmp_path):
