@@ -31,7 +31,7 @@ from topokit.evaluate import (
     true_loops,
     write_report,
 )
-from topokit.evaluate._conditions import observed_as, open_condition, spread, true_curves
+from topokit.evaluate._conditions import prepare_condition, spoilt_observer, spread_windows, true_curves
 from topokit.evaluate._summary import steps_of
 from topokit.io import load_episode
 from topokit.models import TrainConfig, train
@@ -273,8 +273,8 @@ def test_no_order_of_the_shares_hides_a_leak(tmp_path):
             with pytest.raises(ValueError, match=r"was trained on this dataset.*training or validation part"):
                 evaluate_forecasts(evaluation([{"name": "x", "split": split, "part": part}], models=models))
         condition = evaluation([{"name": "x", "split": split, "windows": 1}], models=models)
-        opened = open_condition(condition, condition.conditions[0], tmp_path)
-        assert not learned & set(opened.seen.index[:, 0].tolist())
+        prepared = prepare_condition(condition, condition.conditions[0], tmp_path)
+        assert not learned & set(prepared.observed.index[:, 0].tolist())
 
 
 def test_it_is_wary_of_another_dataset(checkpoints, dataset, tmp_path):
@@ -379,7 +379,7 @@ def test_the_committed_evaluation_is_a_good_one():
 
 def test_windows_are_spread_over_episodes(dataset):
     windows = WindowDataset(dataset)
-    rows = spread(windows, 12)
+    rows = spread_windows(windows, 12)
     record = dataset.group.records
     for garment in {record[int(i)].garment for i in windows.index[:, 0]}:
         own = [i for i in rows if record[int(windows.index[i, 0])].garment == garment]
@@ -387,7 +387,7 @@ def test_windows_are_spread_over_episodes(dataset):
         there = {int(i) for i in windows.episodes if record[int(i)].garment == garment}
         assert len(own) == len(set(own)) == 12
         assert episodes == there or len(there) > 12
-    assert len(spread(windows, 10**6)) == len(windows)
+    assert len(spread_windows(windows, 10**6)) == len(windows)
 
 
 def test_true_loops_are_those_of_the_window(dataset):
@@ -410,16 +410,18 @@ def test_true_loops_are_those_of_the_window(dataset):
 
 def test_baselines_are_tracked_on_what_the_networks_see(dataset):
     number = next(r.episode for r in dataset.records if r.garment == "mask")  # 128 points show its loops
-    windows, again = (WindowDataset(dataset, [number], observe=observed_as(Clouds(keep=0.5), 3)) for _ in range(2))
+    windows, again = (WindowDataset(dataset, [number], observe=spoilt_observer(Clouds(keep=0.5), 3)) for _ in range(2))
     window = windows[5]
     assert all(torch.equal(window[name], again[5][name]) for name in window)
     assert torch.equal(window["clouds"][:, :64], window["clouds"][:, 64:])  # half the points, twice
-    noisy = WindowDataset(dataset, [number], observe=observed_as(Clouds(keep=0.5, noise=0.005), 3))[5]
+    noisy = WindowDataset(dataset, [number], observe=spoilt_observer(Clouds(keep=0.5, noise=0.005), 3))[5]
     assert noisy["clouds"][:, 64:].equal(noisy["clouds"][:, :64])  # a point that is kept is seen once
     assert not noisy["clouds"].equal(window["clouds"])
-    other = WindowDataset(dataset, [number], observe=observed_as(Clouds(keep=0.5), 4))[5]
+    other = WindowDataset(dataset, [number], observe=spoilt_observer(Clouds(keep=0.5), 4))[5]
     assert not other["clouds"].equal(window["clouds"])
-    window = WindowDataset(dataset, [number], observe=observed_as(Clouds(), 3))[0]  # as it is, from its first frame on
+    window = WindowDataset(dataset, [number], observe=spoilt_observer(Clouds(), 3))[
+        0
+    ]  # as it is, from its first frame on
     assert window["clouds"].equal(WindowDataset(dataset, [number])[0]["clouds"])
     states = track(window["clouds"].double().numpy(), n_jobs=1, **RECOMMENDED)
     assert any(states)

@@ -26,7 +26,7 @@ from ._config import UNTRAINED, Clouds, Condition, EvaluationConfig
 from ._results import digest, library_digest
 from ._tracking import true_loops
 
-__all__ = ["Forecaster", "Opened", "observed_as", "open_condition", "spread", "true_curves"]
+__all__ = ["Forecaster", "PreparedCondition", "prepare_condition", "spoilt_observer", "spread_windows", "true_curves"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +45,14 @@ class Forecaster:
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class PreparedCondition:
     """A condition whose files were found good.
 
     Attributes
     ----------
     clean : WindowDataset
         The windows; their labels are the truth about presence.
-    seen : WindowDataset
+    observed : WindowDataset
         The same as the forecasters see them; `clean` itself when nothing is spoilt.
     forecasters : dict of str to list of Forecaster
         By what the results call them, one a training seed.
@@ -61,7 +61,7 @@ class Opened:
     """
 
     clean: WindowDataset
-    seen: WindowDataset
+    observed: WindowDataset
     forecasters: Mapping[str, Sequence[Forecaster]]
     entries: Mapping[str, Any]
 
@@ -77,41 +77,40 @@ def garments_of(windows: WindowDataset) -> NDArray[np.str_]:
     return np.array([records[number].garment for number in windows.index[:, 0].tolist()])
 
 
-def open_condition(config: EvaluationConfig, condition: Condition, folder: Path) -> Opened:
+def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Path) -> PreparedCondition:
     """Open dataset and checkpoints of a condition, check that they fit each other, choose the windows."""
     dataset = Dataset(folder / (condition.dataset or config.dataset))
     shape, labels = config.shape, condition.labels or config.labels
-    options: dict[str, Any] = {
-        "labels": labels,
-        "history": shape.history,
-        "horizon": shape.horizon,
-        "n_points": shape.points,
-        "slots": shape.slots,
-    }
+    options: dict[str, Any] = {"history": shape.history, "horizon": shape.horizon, "labels": labels}
+    options |= {"n_points": shape.points, "slots": shape.slots}
     windows = WindowDataset(dataset, _tested(condition, dataset, labels), **options)
-    rows = spread(windows, condition.windows)
-    clean = seen = windows.select(rows)
+    rows = spread_windows(windows, condition.windows)
+    clean = observed = windows.select(rows)
     if condition.clouds is not None:
-        observe = observed_as(condition.clouds, config.seed)
-        seen = WindowDataset(dataset, windows.episodes, observe=observe, **options).select(rows)
-    forecasters: dict[str, list[Forecaster]] = {}
+        observe = spoilt_observer(condition.clouds, config.seed)
+        observed = WindowDataset(dataset, windows.episodes, observe=observe, **options).select(rows)
+    forecasters = _forecasters(config, condition, folder, clean)
+    return PreparedCondition(clean, observed, forecasters, _entries(config, condition, clean, forecasters))
+
+
+def _forecasters(
+    config: EvaluationConfig, condition: Condition, folder: Path, windows: WindowDataset
+) -> dict[str, list[Forecaster]]:
+    """By what the results call them, one a training seed."""
+    ours = {config.ours: "ours"}
+    forecasters = {}
     for name in UNTRAINED:
-        model = None if name == "seqph" else build(name, shape, Normalisation()).eval()
-        forecasters[_called(config, name)] = [Forecaster(model)]
+        model = None if name == "seqph" else build(name, config.shape, Normalisation()).eval()
+        forecasters[ours.get(name, name)] = [Forecaster(model)]
     for name, paths in (config.models if condition.models is None else condition.models).items():
         found = [_load(config, name, folder / path, path) for path in paths]
         if len({one.about["sha256"] for one in found}) < len(found):
             where = f"condition {condition.name!r}"
             raise ValueError(f"{where}: {name} lists the same weights twice; each checkpoint is to be of another seed")
         for one in found:
-            _check_unseen(one.about, clean, condition)
-        forecasters[_called(config, name)] = found
-    return Opened(clean, seen, forecasters, _entries(config, condition, clean, forecasters))
-
-
-def _called(config: EvaluationConfig, name: str) -> str:
-    """What the results call a model."""
-    return "ours" if name == config.ours else name
+            _check_unseen(one.about, windows, condition)
+        forecasters[ours.get(name, name)] = found
+    return forecasters
 
 
 def _entries(
@@ -174,7 +173,7 @@ def _tested(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.i
     return known
 
 
-def spread(windows: WindowDataset, most: int) -> NDArray[np.int64]:
+def spread_windows(windows: WindowDataset, most: int) -> NDArray[np.int64]:
     """At most so many windows of each garment, spread evenly over its episodes and their frames; rows of `index`."""
     garments, chosen = garments_of(windows), []
     for name in np.unique(garments):
@@ -183,7 +182,7 @@ def spread(windows: WindowDataset, most: int) -> NDArray[np.int64]:
     return np.sort(np.concatenate(chosen))
 
 
-def observed_as(how: Clouds, seed: int) -> Callable[[int, NDArray[np.float64]], NDArray[np.float64]]:
+def spoilt_observer(how: Clouds, seed: int) -> Callable[[int, NDArray[np.float64]], NDArray[np.float64]]:
     """What `WindowDataset` observes: spoilt clouds, so that baselines that start from tracked states see what networks see."""
 
     def observe(number: int, clouds: NDArray[np.float64]) -> NDArray[np.float64]:

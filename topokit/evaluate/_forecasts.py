@@ -23,9 +23,9 @@ from topokit.data import Dataset
 from topokit.models.states import past_states, target_states
 
 from ._accuracy import COLUMNS, measure_forecasts
-from ._conditions import Opened, open_condition, true_curves
+from ._conditions import PreparedCondition, prepare_condition, true_curves
 from ._config import Condition, EvaluationConfig
-from ._failures import far_astray, save_clips
+from ._failures import Model, far_astray, save_clips
 from ._results import KIND, read_results, write_results
 from ._summary import Samples, horizons_of, steps_of, summarise
 
@@ -77,10 +77,10 @@ def evaluate_forecasts(
     done = read_results(out)["conditions"] if out is not None and Path(out).is_file() else {}
     tables = results["conditions"]
     for condition in config.conditions:
-        opened = open_condition(config, condition, folder)
+        prepared = prepare_condition(config, condition, folder)
         known = done.get(condition.name)
-        if known is None or known["made_from"] != opened.entries["made_from"]:
-            known = _table(config, condition, opened, progress)
+        if known is None or known["made_from"] != prepared.entries["made_from"]:
+            known = _table(config, condition, prepared, progress)
         elif progress:
             print(f"{condition.name}: in the file already", file=sys.stderr)
         tables[condition.name] = known
@@ -95,52 +95,49 @@ def evaluate_forecasts(
     return results
 
 
-def _table(config: EvaluationConfig, condition: Condition, opened: Opened, progress: bool) -> dict[str, Any]:
+def _table(
+    config: EvaluationConfig, condition: Condition, prepared: PreparedCondition, progress: bool
+) -> dict[str, Any]:
     """All that the results say of a condition."""
-    samples = _measured(config, condition, opened, progress)
+    samples = _measured(config, condition, prepared, progress)
     table = summarise(samples, config, condition is config.conditions[0])
-    models = {
-        name: opened.forecasters[name][0]
-        for name in ("ours", "pointnet", "carry", "seqph")
-        if name in opened.forecasters
-    }
+    first = {name: found[0] for name, found in prepared.forecasters.items()}
+    models: dict[str, Model] = {name: first[name] for name in ("ours", "pointnet", "carry", "seqph") if name in first}
     failures = []
-    if "ours" in models and opened.seen is opened.clean:  # no dataset holds spoilt clouds
-        failures = far_astray(opened.clean, samples, models, config.tolerance)
-    return {**opened.entries, **table, "failures": failures}
+    if "ours" in models and prepared.observed is prepared.clean:  # no dataset holds spoilt clouds
+        failures = far_astray(prepared.clean, samples, models, config.tolerance)
+    return {**prepared.entries, **table, "failures": failures}
 
 
-def _measured(config: EvaluationConfig, condition: Condition, opened: Opened, progress: bool) -> Samples:
+def _measured(config: EvaluationConfig, condition: Condition, prepared: PreparedCondition, progress: bool) -> Samples:
     """Forecast all windows with all models, and measure."""
     steps, fine = steps_of(config.shape.horizon), horizons_of(config.shape.horizon)
-    everyone = [(name, one) for name, found in opened.forecasters.items() for one in found]
-    parts: list[list[dict[str, Any]]] = [[] for _ in everyone]
-    n = len(opened.clean)
-    if progress:
-        print(f"{condition.name}: {n} windows, {len(everyone)} forecasters", file=sys.stderr)
-    bar = tqdm(
-        total=n * len(everyone), unit="forecast", desc=condition.name, disable=None if progress else True, leave=False
-    )
-    with bar, torch.inference_mode():
-        for number, start in enumerate(range(0, n, BATCH)):
-            rows = range(start, min(start + BATCH, n))
-            clean = default_collate([opened.clean[i] for i in rows])
-            window = clean if opened.seen is opened.clean else default_collate([opened.seen[i] for i in rows])
-            truth = true_curves(opened.clean, rows, steps)
-            target, past = target_states(clean), past_states(clean)[:, -1:]
-            for part, (_, forecaster) in zip(parts, everyone, strict=True):
-                rng = np.random.default_rng((config.seed, number))  # the same points of the openings for all
-                part.append(measure_forecasts(forecaster(window), target, past, truth, steps, fine, rng))
-                bar.update(len(rows))
-    whole = [{name: np.concatenate([one[name] for one in part]) for name in COLUMNS} for part in parts]
-    columns = {
-        model: {
-            name: np.stack([part[name] for part, (owner, _) in zip(whole, everyone, strict=True) if owner == model])
-            for name in COLUMNS
-        }
-        for model in opened.forecasters
+    clean, observed = prepared.clean, prepared.observed
+    parts: dict[str, list[list[dict[str, Any]]]] = {
+        name: [[] for _ in found] for name, found in prepared.forecasters.items()
     }
-    return Samples(columns, opened.clean.index[:, 0], opened.garments, steps, fine)
+    total = len(clean) * sum(map(len, parts.values()))
+    if progress:
+        print(f"{condition.name}: {len(clean)} windows, {total} forecasts", file=sys.stderr)
+    bar = tqdm(total=total, unit="forecast", desc=condition.name, disable=None if progress else True, leave=False)
+    with bar, torch.inference_mode():
+        for number, start in enumerate(range(0, len(clean), BATCH)):
+            rows = range(start, min(start + BATCH, len(clean)))
+            labelled, window = (default_collate([windows[i] for i in rows]) for windows in (clean, observed))
+            truth = true_curves(clean, rows, steps)
+            target, past = target_states(labelled), past_states(labelled)[:, -1:]
+            for name, found in prepared.forecasters.items():
+                for forecaster, part in zip(found, parts[name], strict=True):
+                    rng = np.random.default_rng((config.seed, number))  # the same points of the openings for all
+                    part.append(measure_forecasts(forecaster(window), target, past, truth, steps, fine, rng))
+                    bar.update(len(rows))
+    columns = {
+        name: {
+            column: np.stack([np.concatenate([some[column] for some in part]) for part in seeds]) for column in COLUMNS
+        }
+        for name, seeds in parts.items()
+    }
+    return Samples(columns, clean.index[:, 0], prepared.garments, steps, fine)
 
 
 def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
