@@ -26,7 +26,15 @@ from ._config import UNTRAINED, Clouds, Condition, EvaluationConfig
 from ._results import digest, library_digest
 from ._tracking import true_loops
 
-__all__ = ["Forecaster", "PreparedCondition", "prepare_condition", "spoilt_observer", "spread_windows", "true_curves"]
+__all__ = [
+    "Forecaster",
+    "PreparedCondition",
+    "garments_of",
+    "prepare_condition",
+    "spoilt_observer",
+    "spread_windows",
+    "true_curves",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +72,6 @@ class PreparedCondition:
     observed: WindowDataset
     forecasters: Mapping[str, Sequence[Forecaster]]
     entries: Mapping[str, Any]
-
-    @property
-    def garments(self) -> NDArray[np.str_]:
-        """(n,) of each window."""
-        return garments_of(self.clean)
 
 
 def garments_of(windows: WindowDataset) -> NDArray[np.str_]:

@@ -23,10 +23,8 @@ def _need_checkpoints(models: dict[str, list[str]]) -> dict[str, list[str]]:
     return models
 
 
-Checkpoints = Annotated[
-    dict[str, Annotated[list[str], Field(min_length=1)]],
-    AfterValidator(_need_checkpoints),
-]
+Paths = Annotated[list[str], Field(min_length=1)]
+Checkpoints = Annotated[dict[str, Paths], AfterValidator(_need_checkpoints)]
 
 
 @checked

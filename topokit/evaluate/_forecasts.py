@@ -23,7 +23,7 @@ from topokit.data import Dataset
 from topokit.models.states import past_states, target_states
 
 from ._accuracy import COLUMNS, measure_forecasts
-from ._conditions import PreparedCondition, prepare_condition, true_curves
+from ._conditions import PreparedCondition, garments_of, prepare_condition, true_curves
 from ._config import Condition, EvaluationConfig
 from ._failures import Model, far_astray, save_clips
 from ._results import KIND, read_results, write_results
@@ -137,7 +137,7 @@ def _measured(config: EvaluationConfig, condition: Condition, prepared: Prepared
         }
         for name, seeds in parts.items()
     }
-    return Samples(columns, clean.index[:, 0], prepared.garments, steps, fine)
+    return Samples(columns, clean.index[:, 0], garments_of(clean), steps, fine)
 
 
 def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
