@@ -67,7 +67,7 @@ def main() -> None:
 
 def every_task(folder: Path, moments: int = 20) -> None:
     """Every task of the wardrobe: how it begins and ends, with what the tracker finds, and all of them as one film."""
-    dataset = Dataset.open(folder)
+    dataset = Dataset(folder)
     numbers = {record.task: record.episode for record in reversed(dataset.records) if record.status == "ok"}
     columns = []
     for task in TASKS:

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from topokit import track
-from topokit.data import Dataset, WindowDataset, _windows, generate, label
+from topokit.data import Dataset, WindowDataset, _windows, generate_dataset, label_dataset
 from topokit.data._windows import _by_identity, _Episode, _Memory, _Tracked
 from topokit.seqph import RECOMMENDED
 
@@ -26,9 +26,9 @@ SIZES = ("history", "horizon", "n_points", "slots", "stride")
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("windows") / "data"
     with without_dask():
-        generate(TINY, folder, 6, SEED, progress=False)
-        label(folder, options={**RECOMMENDED, "alpha": 0.003}, progress=False)
-        label(folder, "observed", n_points=40, options={**RECOMMENDED, "alpha": 0.003}, progress=False)
+        generate_dataset(TINY, folder, 6, SEED, progress=False)
+        label_dataset(folder, options={**RECOMMENDED, "alpha": 0.003}, progress=False)
+        label_dataset(folder, "observed", n_points=40, options={**RECOMMENDED, "alpha": 0.003}, progress=False)
     return Dataset(folder)
 
 

@@ -18,7 +18,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
 from topokit.sim import TASKS, Garment, HangEnv, SimulationConfig, cameras_around
-from topokit.sim.env import REWARDS, _simple
+from topokit.sim._env import REWARDS, _simple
 
 COARSE = Garment.apron(spacing=0.05, strap_width=0.05)
 QUICK = SimulationConfig(self_collision=False, settle=0.05)

@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     from . import _commands
-    from .data import commands as data
+    from .data import _commands as data
     from .evaluate import _commands as evaluate
     from .models import commands as models
 

@@ -19,9 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from topokit.io import HISTORY, HORIZON
 from topokit.seqph import RECOMMENDED, track
 
+from ._dataset import Dataset
+from ._group import decode
 from ._layout import METRE, pack, unpack
-from ._read import ABSENT, SIMPLICES, decode
-from .dataset import Dataset
+from ._states import ABSENT, SIMPLICES, arrays_of
 
 __all__ = ["WindowDataset"]
 
@@ -288,8 +289,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
 
     def _tracked(self, cloud: NDArray[np.int16]) -> _Tracked:
         """The states that a cloud shows, as `label` would store them."""
-        from ._label import arrays_of
-
         slots = self.dataset.labels(self.labels).manifest["slots"]
         return _Tracked.of(arrays_of(track(unpack(cloud), n_jobs=1, **RECOMMENDED), slots), cloud)
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from topokit.data import Dataset, WindowDataset, spoil
-from topokit.data._records import total
 from topokit.models.base import Normalisation, PredictiveModel
 from topokit.models.checkpoint import load_model
 from topokit.models.registry import MODELS, build
@@ -131,7 +130,7 @@ def _entries(
         "labels": {
             "name": windows.labels,
             "observation": labels.manifest["observation"],
-            "sha256": total(labels.manifest, labels.records),
+            "sha256": labels.checksum(),
         },
         "condition": {key: value for key, value in asdict(condition).items() if key not in ("models", "dataset")},
         "states_of_seqph_hold_carry_ridge": "tracked on the spoilt clouds" if spoilt else "the labels",

@@ -130,7 +130,7 @@ def open_windows(config: TrainConfig) -> Windows:
 
     if not config.dataset:
         raise ValueError("the configuration names no dataset")
-    episodes, shape = Episodes.open(config.dataset), config.shape
+    episodes, shape = Episodes(config.dataset), config.shape
     parts = episodes.split(**config.split)
     options: dict[str, Any] = {
         "history": shape.history,

@@ -17,22 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topokit._validate import positive
-from topokit.io import Episode
+from topokit.io import FEWEST_FRAMES, Episode
 from topokit.sampling import farthest_point_sample
 
-from ._process import record_in_process
-from .camera import Camera
-from .config import SimulationConfig
-from .garments import Garment
-from .randomise import Randomisation, generator
-from .recording import Recording, Report, Run, record
-from .targets import Hook, Target
-from .tasks import TASKS, Task, task_for
+from ._camera import Camera
+from ._garments import Garment
+from ._physics import SimulationConfig
+from ._randomise import Randomisation, generator
+from ._recording import Recording, Report, Run, record, record_afresh
+from ._targets import Hook, Target
+from ._tasks import TASKS, Task, task_for
 
 __all__ = ["simulate"]
 
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
-_FEWEST_FRAMES = 76  # a history of 16 and a horizon of 60
 
 
 def simulate(
@@ -99,7 +97,7 @@ def simulate(
     if n_observed < 1 or (n_observed > len(garment.vertices) and not cameras):
         raise ValueError(f"n_observed must be 1 to {len(garment.vertices)}, the garment's vertices, not {n_observed}")
     path = task.plan(garment, target, generator(seed, "path"))
-    frames = config.frames or max(_FEWEST_FRAMES, math.ceil(path.end / config.frame_time))
+    frames = config.frames or max(FEWEST_FRAMES, math.ceil(path.end / config.frame_time))
     config = dataclasses.replace(config, frames=frames)
     goals = path.at(np.arange(frames * config.steps_per_frame) * config.dt)
     noise = int(generator(seed, "noise").integers(2**63))
@@ -108,7 +106,7 @@ def simulate(
     if time_limit is None:
         recording = record(run, report)
     else:
-        recording = record_in_process(run, positive(time_limit, "time_limit", zero=False, infinite=True), report)
+        recording = record_afresh(run, positive(time_limit, "time_limit", zero=False, infinite=True), report)
     return _episode(run, recording, task, target, seed, drawn)
 
 

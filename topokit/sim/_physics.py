@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from typing import Annotated
 
-from topokit._validate import positive
+from pydantic import Field
+
+from topokit._config import Count, NotNegative, Positive, checked
 
 __all__ = ["SimulationConfig"]
 
+Stretch = Annotated[float, Field(gt=1)]
 
-@dataclass(frozen=True)
+
+@checked
 class SimulationConfig:
-    """Physics, grippers and clock of a simulation. SI units.
+    """Physics, grippers and clock of a simulation. SI units; a ValueError names the number that is out of its range.
 
-    Attributes
+    Parameters
     ----------
     dt : float
         Seconds of a physics step.
@@ -46,42 +50,25 @@ class SimulationConfig:
         An episode is refused in which the 99th percentile of edge length over rest length exceeds the first, or the longest
         edge the second. Cloth that explodes exceeds both at once; a vertex that is caught behind a rod stretches its own
         edges alone, which a percentile does not see. Episodes that went well stayed below 1.2 and 1.8.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When a number is out of its range; the message names it.
     """
 
-    dt: float = 1 / 750
-    mass: float = 0.3
-    stiffness: float = 0.8
-    bending: float = 0.0003
-    damping: float = 0.15
-    friction: float = 1.0
+    dt: Positive = 1 / 750
+    mass: Positive = 0.3
+    stiffness: Positive = 0.8
+    bending: NotNegative = 0.0003
+    damping: NotNegative = 0.15
+    friction: NotNegative = 1.0
     self_collision: bool = True
-    margin: float = 0.3
-    gripper_mass: float = 0.1
-    kp: float = 200.0
-    kd: float = 20.0
-    max_force: float = 30.0
-    frames: int | None = None
-    steps_per_frame: int = 27
-    settle: float = 0.8
-    max_stretch: float = 1.8
-    max_edge_stretch: float = 2.5
-
-    def __post_init__(self) -> None:
-        may_be_zero = ("bending", "damping", "friction", "kd", "settle")
-        for field in fields(self):
-            if field.name == "self_collision" or (field.name == "frames" and self.frames is None):
-                continue
-            value = positive(getattr(self, field.name), field.name, zero=field.name in may_be_zero)
-            if field.name in ("frames", "steps_per_frame") and value != int(value):
-                raise ValueError(f"{field.name} must be a whole number, not {value}")
-        for name in ("max_stretch", "max_edge_stretch"):
-            if getattr(self, name) <= 1:
-                raise ValueError(f"{name} must be more than 1, not {getattr(self, name)}")
+    margin: Positive = 0.3
+    gripper_mass: Positive = 0.1
+    kp: Positive = 200.0
+    kd: NotNegative = 20.0
+    max_force: Positive = 30.0
+    frames: Count | None = None
+    steps_per_frame: Count = 27
+    settle: NotNegative = 0.8
+    max_stretch: Stretch = 1.8
+    max_edge_stretch: Stretch = 2.5
 
     @property
     def frame_time(self) -> float:

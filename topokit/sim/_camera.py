@@ -9,31 +9,26 @@ noise for improved 3D reconstruction and tracking* (the noise). Taught in chapte
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
-from topokit._validate import positive
-from topokit.sampling import farthest_point_sample
+from topokit._config import Count, NotNegative, Positive, checked
 
-if TYPE_CHECKING:
-    from .world import World
-
-__all__ = ["Camera", "DepthNoise", "cameras_around", "observe"]
+__all__ = ["Camera", "DepthNoise", "cameras_around"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Place = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
+@checked
 class DepthNoise:
     """The errors of a structured-light depth sensor, after Nguyen, Izadi and Lovell 2012.
 
-    Attributes
+    Parameters
     ----------
     axial : float
         Standard deviation of the depth at `best` metres, in metres.
@@ -44,23 +39,25 @@ class DepthNoise:
     lateral : float
         Standard deviation, in pixels, of the place at which a pixel reads the scene: outlines become ragged.
     dropout : float
-        Share of pixels that are lost, each by itself.
+        Share of pixels that are lost, each by itself; below 1.
     """
 
-    axial: float = 0.0012
-    axial_growth: float = 0.0019
-    best: float = 0.4
-    lateral: float = 0.8
-    dropout: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("axial", "axial_growth", "best", "lateral", "dropout"):
-            positive(getattr(self, name), name)
-        if self.dropout >= 1:
-            raise ValueError(f"dropout must be a share below 1, not {self.dropout}")
+    axial: NotNegative = 0.0012
+    axial_growth: NotNegative = 0.0019
+    best: NotNegative = 0.4
+    lateral: NotNegative = 0.8
+    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
 
     def apply(self, depth: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Mask]:
-        """Return a noisy copy of a depth image (h, w) in metres and of the cloth's mask (h, w)."""
+        """Return a noisy copy of a depth image and of the cloth's mask.
+
+        Parameters
+        ----------
+        depth : (h, w) float64
+            Metres.
+        mask : (h, w) bool
+        rng : numpy.random.Generator
+        """
         rows, columns = np.indices(depth.shape)
         shift = np.rint(self.lateral * rng.standard_normal((2, *depth.shape))).astype(np.int64)
         rows = np.clip(rows + shift[0], 0, depth.shape[0] - 1)
@@ -70,11 +67,11 @@ class DepthNoise:
         return depth + deviation * rng.standard_normal(depth.shape), mask
 
 
-@dataclass(frozen=True)
+@checked
 class Camera:
     """A pinhole depth camera. Metres, degrees, pixels.
 
-    Attributes
+    Parameters
     ----------
     eye, target : (3,) float
         Where it is, and the place in the middle of its picture.
@@ -91,7 +88,7 @@ class Camera:
 
     Raises
     ------
-    TypeError, ValueError
+    ValueError
         When a number is out of its range, or the camera looks along `up`; the message says which.
 
     Examples
@@ -106,25 +103,14 @@ class Camera:
     eye: Place = (0.0, -1.6, 1.2)
     target: Place = (0.0, 0.0, 1.0)
     up: Place = (0.0, 0.0, 1.0)
-    fov: float = 50.0
-    width: int = 128
-    height: int = 128
-    near: float = 0.1
-    far: float = 6.0
+    fov: Annotated[float, Field(gt=0, lt=180)] = 50.0
+    width: Count = 128
+    height: Count = 128
+    near: Positive = 0.1
+    far: Positive = 6.0
     noise: DepthNoise | None = None
 
     def __post_init__(self) -> None:
-        for name in ("eye", "target", "up"):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
-            if value.shape != (3,) or not np.isfinite(value).all():
-                raise ValueError(f"{name} must be three finite numbers, not {getattr(self, name)!r}")
-            object.__setattr__(self, name, tuple(value.tolist()))
-        for name in ("fov", "width", "height", "near", "far"):
-            positive(getattr(self, name), name, zero=False)
-        if self.fov >= 180:
-            raise ValueError(f"fov must be below 180 degrees, not {self.fov}")
-        if self.width != int(self.width) or self.height != int(self.height):
-            raise ValueError(f"width and height must be whole numbers of pixels, not {self.width} x {self.height}")
         if self.near >= self.far:
             raise ValueError(f"near ({self.near} m) must be less than far ({self.far} m)")
         forward = np.subtract(self.target, self.eye)
@@ -223,45 +209,3 @@ def cameras_around(
     around = np.column_stack([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.full(n, np.sin(tilt))])
     x, y, z = middle.tolist()
     return tuple(Camera(tuple(eye), (x, y, z), noise=noise) for eye in (middle + distance * around).tolist())
-
-
-def observe(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
-    """Return `n` points of the cloth seen by the cameras together: a farthest-point sample of all their pixels.
-
-    When they see fewer than `n` points, those seen are repeated in order until there are `n`: a network keeps its input
-    size, and the repeats change no loop and no distance.
-
-    Parameters
-    ----------
-    world : World
-    cameras : sequence of Camera
-        One at least.
-    n : int
-    rng : numpy.random.Generator
-        Used by cameras with noise only.
-
-    Returns
-    -------
-    (n, 3) float64
-
-    Raises
-    ------
-    ValueError
-        When there is no camera, `n` is not positive, or no camera sees any cloth.
-    """
-    if not cameras:
-        raise ValueError("observe needs one camera at least")
-    if n < 1:
-        raise ValueError(f"n must be 1 or more, not {n}")
-    views = []
-    for camera in cameras:
-        depth, mask = world.image(camera)
-        if camera.noise is not None:
-            depth, mask = camera.noise.apply(depth, mask, rng)
-        views.append(camera.unproject(depth, mask))
-    seen = np.concatenate(views)
-    if not len(seen):
-        places = ", ".join(str(camera.eye) for camera in cameras)
-        raise ValueError(f"no cloth is in view of the cameras at {places}; move them or widen their fov")
-    chosen = farthest_point_sample(seen, min(n, len(seen)))[0]
-    return np.asarray(seen[np.resize(chosen, n)])

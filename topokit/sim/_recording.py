@@ -1,29 +1,36 @@
-"""Run a simulation in this process and record its frames; refuse what is not physical."""
+"""Run a simulation, here or in a fresh process, and record its frames; refuse what is not physical."""
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import math
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import Camera, observe
-from .config import SimulationConfig
-from .garments import Garment
-from .targets import Rod
-from .world import World
+from topokit._config import from_mapping
 
-__all__ = ["Recording", "Report", "Run", "SimulationError", "record"]
+from ._camera import Camera
+from ._garments import Garment
+from ._physics import SimulationConfig
+from ._process import Forge, SimulationError
+from ._targets import Rod
+from ._world import World, observe
+
+__all__ = ["Recording", "Report", "Run", "StretchCheck", "record", "record_afresh"]
 
 Array = NDArray[np.float64]
 Report = Callable[[int], None]
 
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
-
-
-class SimulationError(RuntimeError):
-    """A run that failed: cloth that exploded or was stretched too far, a simulator that crashed or does not get on."""
+_JOB = "topokit.sim._recording:record_job"
+_ERRORS: dict[str, type[Exception]] = {"SimulationError": SimulationError, "ValueError": ValueError}
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +60,9 @@ class Run:
     goals: Array
     release: int
     config: SimulationConfig
-    cameras: Sequence[Camera] = ()
-    n_observed: int = 0
-    noise: int = 0
+    cameras: Sequence[Camera]
+    n_observed: int
+    noise: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,20 +79,12 @@ class Recording:
 
 
 def record(run: Run, report: Report | None = None) -> Recording:
-    """Simulate in this process.
-
-    Parameters
-    ----------
-    run : Run
-    report : callable, optional
-        Called with -1 now and then while the loaded garment settles, and with the number of every recorded frame.
+    """Simulate in this process; `report` is called with -1 now and then while the cloth settles, and with every frame.
 
     Raises
     ------
     SimulationError
         When the cloth explodes or is over-stretched; the message names frame, edge and stretch.
-    ImportError
-        When PyBullet is not installed.
     """
     garment, config = run.garment, run.config
     report = report or (lambda _: None)
@@ -111,8 +110,73 @@ def record(run: Run, report: Report | None = None) -> Recording:
                     observed.append(observe(world, run.cameras, run.n_observed, noise))
                 report(len(points) - 1)
             world.step(goal)
-    seen = np.array(observed, dtype=np.float32) if observed else np.empty((len(points), 0, 3), np.float32)
-    return Recording(np.array(points, np.float32), np.array(grippers, np.float32), seen, np.array(stretch))
+    views = np.array(observed, dtype=np.float32) if observed else np.empty((len(points), 0, 3), np.float32)
+    return Recording(np.array(points, np.float32), np.array(grippers, np.float32), views, np.array(stretch))
+
+
+def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> Recording:
+    """Simulate in a fresh process; it is stopped when loading, settling or a frame takes longer than `time_limit` seconds.
+
+    Raises
+    ------
+    SimulationError
+        As `record`, and when the process crashes or is stopped; the message says where it was.
+    ImportError
+        When PyBullet is not installed.
+    """
+    if find_spec("pybullet") is None:
+        raise ImportError("topokit.sim needs PyBullet: pip install 'topokit[sim]'")
+    stage = "loading the garment"
+
+    def note(frame: int) -> None:
+        nonlocal stage
+        stage = "settling" if frame < 0 else f"after frame {frame}"
+        if report is not None:
+            report(frame)
+
+    with tempfile.TemporaryDirectory() as folder, contextlib.closing(Forge(_JOB, once=True)) as forge:
+        result = forge.run(_as_job(run, folder), math.inf, silence=time_limit, report=note)
+        if "error" in result:
+            raise SimulationError(f"{stage}: {result['message']}")
+        if result["answer"] is not None:
+            error, message = result["answer"]
+            raise _ERRORS[error](message)
+        with np.load(f"{folder}/recording.npz") as arrays:
+            return Recording(**arrays)
+
+
+def record_job(job: dict[str, Any], report: Report) -> tuple[str, str] | None:
+    """What the fresh process does: simulate and save the recording; return the error and its message, if there is one."""
+    try:
+        recording = record(_as_run(job), report)
+    except tuple(_ERRORS.values()) as error:
+        return type(error).__name__, str(error)
+    np.savez(f"{job['folder']}/recording.npz", **vars(recording))
+    return None
+
+
+def _as_job(run: Run, folder: str) -> dict[str, Any]:
+    """What JSON holds of a run; its arrays are saved in the folder."""
+    arrays = {name: getattr(run.garment, name) for name in ("vertices", "faces", "grips")}
+    rods = np.array([[*start, *end, radius] for start, end, radius in run.rods]).reshape(-1, 7)
+    np.savez(f"{folder}/run.npz", rods=rods, goals=run.goals, **arrays)
+    job = {name: getattr(run, name) for name in ("release", "n_observed", "noise")}
+    views = [dataclasses.asdict(camera) for camera in run.cameras]
+    return {**job, "folder": folder, "config": dataclasses.asdict(run.config), "cameras": views}
+
+
+def _as_run(job: dict[str, Any]) -> Run:
+    with np.load(f"{job['folder']}/run.npz") as arrays:
+        return Run(
+            garment=Garment("", arrays["vertices"], arrays["faces"], (), arrays["grips"]),
+            rods=[(rod[:3], rod[3:6], float(rod[6])) for rod in arrays["rods"]],
+            goals=arrays["goals"],
+            release=job["release"],
+            config=from_mapping(SimulationConfig, job["config"], "config"),
+            cameras=[from_mapping(Camera, camera, "camera") for camera in job["cameras"]],
+            n_observed=job["n_observed"],
+            noise=job["noise"],
+        )
 
 
 class StretchCheck:

@@ -12,27 +12,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import positive
 from topokit.rips import rips_persistence
 from topokit.sampling import farthest_point_sample
 
-from .camera import Camera, observe
-from .config import SimulationConfig
-from .episode import AT_REST
-from .garments import Garment
-from .recording import SimulationError, StretchCheck
-from .targets import Target
-from .tasks import TASKS, Task
-from .world import World
-
-try:
-    import gymnasium
-    from gymnasium import spaces
-except ImportError as error:
-    raise ImportError("topokit.sim.HangEnv needs Gymnasium: pip install 'topokit[sim]'") from error
+from ._camera import Camera
+from ._episode import AT_REST
+from ._garments import Garment
+from ._physics import SimulationConfig
+from ._process import SimulationError
+from ._recording import StretchCheck
+from ._targets import Target
+from ._tasks import TASKS, Task
+from ._world import World, observe
 
 __all__ = ["HangEnv"]
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +18,17 @@ from topokit._archive import atomic_file
 from topokit.io import Episode
 from topokit.state import TopologicalState
 
-from ._group import Group
-from ._layout import episode_fields, skeleton
-from ._read import cloud_of, decode, states_of, to_episode
-from ._records import Record, index_bytes, record_path, total
-from .config import DatasetConfig
+from ._group import Group, cloud_of, decode, open_episodes
+from ._layout import episode_of, skeleton
+from ._recipe import DatasetConfig
+from ._records import Record, index_bytes, record_path
+from ._states import states_of
 
 __all__ = ["Dataset"]
 
 Ids = NDArray[np.int64]
 _PARTS = {"train": 0.8, "validation": 0.1, "test": 0.1}
-_ORDER = {name: place for place, name in enumerate(_PARTS)}
+_FIRST_AND_LAST = {"train": -1, "test": 1}  # of a split; what is between them has the order of the alphabet
 
 
 class Dataset:
@@ -43,14 +44,9 @@ class Dataset:
 
     Attributes
     ----------
-    config : DatasetConfig
     seed : int
-    records : tuple of Record
-        One for every episode that was tried, in order; those that are not ok say why.
     episodes : (n,) int64
         Numbers of the whole ones.
-    garments : tuple of str
-        All that the configuration can draw, in alphabetical order.
 
     Raises
     ------
@@ -59,18 +55,10 @@ class Dataset:
     """
 
     def __init__(self, url: str | Path) -> None:
-        self.group = Group(url)
-        manifest = self.group.manifest
-        if manifest.get("format") != "topokit-dataset":
-            raise ValueError(f"{url}: labels, not the dataset that they are of; open the folder that holds `labels`")
-        self.seed: int = manifest["seed"]
+        self.group = open_episodes(url)
+        self.seed: int = self.group.manifest["seed"]
         self.episodes: Ids = self.group.whole
         self._labels: dict[str, Group] = {}
-
-    @classmethod
-    def open(cls, url: str | Path) -> Dataset:
-        """Return the dataset at a path or URL."""
-        return cls(url)
 
     @cached_property
     def config(self) -> DatasetConfig:
@@ -79,7 +67,7 @@ class Dataset:
 
     @cached_property
     def records(self) -> tuple[Record, ...]:
-        """One for every episode that was tried, in order."""
+        """One for every episode that was tried, in order; those that are not ok say why."""
         return tuple(self.group.records[i] for i in sorted(self.group.records))
 
     @property
@@ -107,7 +95,8 @@ class Dataset:
         KeyError
             When there is none of that number, or it is not whole; the message says why.
         """
-        return to_episode(self.group, self.group.document(self._known(episode)))
+        document = self.group.document(self._known(episode))
+        return episode_of(decode(self.group, document), document, self.group.manifest)
 
     def __iter__(self) -> Iterator[Episode]:
         return (self[int(i)] for i in self.episodes)
@@ -125,17 +114,19 @@ class Dataset:
         return self.group.document(int(episode))
 
     def arrays(self, episode: int, *names: str) -> dict[str, NDArray[Any]]:
-        """Return arrays of an episode as they are stored: coordinates in units of 0.1 mm."""
+        """Return arrays of an episode as they are stored: coordinates in units of 0.1 mm.
+
+        Parameters
+        ----------
+        episode : int
+        *names : str
+            Of the arrays, all when none is named.
+        """
         return decode(self.group, self.group.document(self._known(episode)), names)
 
     def checksum(self) -> str:
         """Return one SHA-256 of what the dataset is and of all its episodes: the same however it was made."""
-        return total(self.group.manifest, self.group.records)
-
-    @property
-    def label_names(self) -> list[str]:
-        """The sets of labels there are."""
-        return self.group.names("labels")
+        return self.group.checksum()
 
     def labels(self, name: str) -> Group:
         """Return a set of labels: its `records`, its `manifest` with the options of the tracker, and its arrays.
@@ -147,7 +138,7 @@ class Dataset:
         """
         if name not in self._labels:
             if self.group.read(f"labels/{name}/zarr.json") is None:
-                known = ", ".join(self.label_names) or "none: topokit label makes them"
+                known = ", ".join(self.group.names("labels")) or "none: topokit label makes them"
                 raise FileNotFoundError(f"{self.group.url} has no labels {name!r}; it has {known}")
             self._labels[name] = Group(self.group.url, f"labels/{name}")
         return self._labels[name]
@@ -160,6 +151,12 @@ class Dataset:
         """Return the tracked states of an episode, one a frame, from its labels.
 
         Lengths are rounded to single precision; the parameters of a state count the loops that had no slot (`dropped`).
+
+        Parameters
+        ----------
+        episode : int
+        name : str
+            Of the labels.
 
         Raises
         ------
@@ -181,6 +178,9 @@ class Dataset:
     ) -> dict[str, Ids]:
         """Divide the episodes into parts, never within an episode: neighbouring frames are nearly the same.
 
+        Parts are cut in one order, however `shares` names them, as a JSON object keeps none: "train" is the first and "test"
+        the last, and others come between them in the order of the alphabet.
+
         Parameters
         ----------
         by : {"episode", "garment"}
@@ -188,7 +188,7 @@ class Dataset:
             and no episode changes its part when the dataset grows. By garment whole garments are dealt out, at least one
             to every part.
         shares : mapping of str to float
-            Parts and their shares, in any order: "train", "validation" and "test" come first, others by name.
+            Parts and their shares.
         seed : int
         held_out : sequence of str
             By garment: exactly these make the last part, for example ``["apron", "apron2"]``, which are alike.
@@ -197,40 +197,44 @@ class Dataset:
         -------
         dict of str to (n,) int64
             Numbers of episodes, ascending.
+
+        Raises
+        ------
+        ValueError
+            When there is no such way to split, a share is not positive, or garments are unknown or too few.
         """
-        names = sorted(shares, key=lambda name: (_ORDER.get(name, len(_ORDER)), name))  # JSON objects have no order
+        names = sorted(shares, key=lambda name: (_FIRST_AND_LAST.get(name, 0), name))
         weights = np.array([shares[name] for name in names], dtype=np.float64)
         if len(names) < 2 or not (weights > 0).all() or not np.isfinite(weights).all():
             raise ValueError(f"shares must give two parts or more a positive share each, not {dict(shares)}")
-        if by == "episode":
-            if held_out:
-                raise ValueError("held_out names garments: split by garment")
+        if by == "garment":
+            owner = self._owners(weights, seed, held_out)
+            part = np.array([owner[self.group.records[int(i)].garment] for i in self.episodes], dtype=np.int64)
+        elif by != "episode":
+            raise ValueError(f"by must be 'episode' or 'garment', not {by!r}")
+        elif held_out:
+            raise ValueError("held_out names garments: split by garment")
+        else:
             # Not the stream (seed, i) that episode i was made from: its first draw is the task.
             keys = [np.random.SeedSequence(seed, spawn_key=(int(i), 1)) for i in self.episodes]
             draws = [np.random.default_rng(key).random() for key in keys]
             part = np.searchsorted(np.cumsum(weights / weights.sum())[:-1], draws, side="right")
-        elif by == "garment":
-            owner = self._owners(names, weights / weights.sum(), seed, held_out)
-            part = np.array([owner[self.group.records[int(i)].garment] for i in self.episodes], dtype=np.int64)
-        else:
-            raise ValueError(f"by must be 'episode' or 'garment', not {by!r}")
         return {name: self.episodes[part == k] for k, name in enumerate(names)}
 
-    def _owners(
-        self, names: list[str], shares: NDArray[np.float64], seed: int, held_out: Sequence[str]
-    ) -> dict[str, int]:
+    def _owners(self, weights: NDArray[np.float64], seed: int, held_out: Sequence[str]) -> dict[str, int]:
         """Return which part each garment goes to."""
         unknown = sorted(set(held_out) - set(self.garments))
         if unknown:
             raise ValueError(f"held_out: no garment {', '.join(unknown)}; there are {', '.join(self.garments)}")
         rest = [g for g in np.random.default_rng(seed).permutation(self.garments).tolist() if g not in held_out]
-        parts = len(names) - bool(held_out)
+        parts = len(weights) - bool(held_out)
         if len(rest) < parts:
             raise ValueError(f"{len(rest)} garments cannot be dealt out to {parts} parts")
+        shares = (weights / weights.sum())[:parts]
         free = len(rest) - parts  # beyond the one that every part gets
-        ends = np.rint(np.cumsum(shares[:parts] / shares[:parts].sum()) * free).astype(int) + np.arange(1, parts + 1)
+        ends = np.rint(np.cumsum(shares / shares.sum()) * free).astype(int) + np.arange(1, parts + 1)
         owner = {garment: int(np.searchsorted(ends, place, side="right")) for place, garment in enumerate(rest)}
-        return {**owner, **dict.fromkeys(held_out, len(names) - 1)}
+        return {**owner, **dict.fromkeys(held_out, len(weights) - 1)}
 
     def cut(self, episodes: Iterable[int], out: str | Path) -> Dataset:
         """Write a dataset of some of the episodes, with their labels; they keep their numbers and checksums.
@@ -241,34 +245,31 @@ class Dataset:
         out : path
             A folder that is empty or not there yet.
 
-        Returns
-        -------
-        Dataset
+        Raises
+        ------
+        ValueError
+            When there is no episode to write, or the folder is not empty.
         """
         folder, numbers = Path(out), sorted({self._known(i) for i in episodes})
         if not numbers:
             raise ValueError("a cut needs one episode at least")
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise ValueError(f"{folder} is not an empty folder")
-        from ._label import label_fields
-
-        _copy(self.group, folder, numbers, episode_fields(self.group.manifest["room"]))
-        for name in self.label_names:
-            labels = self.labels(name)
-            fields = label_fields(self.group.manifest["room"]["frames"], labels.manifest["slots"])
-            _copy(labels, folder / "labels" / name, [i for i in numbers if i in labels.records], fields, numbers)
+        _copy(self.group, folder, numbers)
+        for name in self.group.names("labels"):
+            _copy(self.labels(name), folder / "labels" / name, numbers)
         return Dataset(folder)
 
 
-def _copy(group: Group, folder: Path, episodes: list[int], fields: Any, numbers: list[int] | None = None) -> None:
+def _copy(group: Group, folder: Path, numbers: list[int]) -> None:
     """Write a group with some of its episodes."""
-    manifest = {**group.manifest, "numbers": episodes if numbers is None else numbers}
-    files = [(path, None) for i in episodes for path in (*group.document(i)["objects"], record_path(i))]
-    made = [("index.json", index_bytes(group.records[i] for i in episodes))]
-    made += skeleton(fields, manifest["episodes"], {"topokit": manifest}).items()
-    for path, content in [*files, *made]:
-        data = group.read(path) if content is None else content
-        if data is None:
+    there = [i for i in numbers if i in group.records]
+    paths = [path for i in there for path in (*group.document(i)["objects"], record_path(i))]
+    paths += [f"{name}/zarr.json" for name in group.names("") if group.read(f"{name}/zarr.json")]
+    index = index_bytes(group.records[i] for i in there)
+    made = {"index.json": index, **skeleton([], {**group.manifest, "numbers": numbers})}
+    for path, content in chain(((path, group.read(path)) for path in paths), made.items()):
+        if content is None:
             raise FileNotFoundError(f"{group.where(path)}: there is no such file; topokit check says what is wrong")
         with atomic_file(folder / path) as handle:
-            handle.write(data)
+            handle.write(content)

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import as_points
 
-from .garments import WARDROBE, Garment
-from .paths import GripperPath, Via
-from .targets import Hanger, Hook, Mannequin, Target
+from ._garments import WARDROBE, Garment
+from ._paths import GripperPath, Via
+from ._targets import Hanger, Hook, Mannequin, Target
 
 __all__ = ["TASKS", "Planner", "Task", "dress", "hang_by_strap", "pull_over_head", "put_on_shoulders", "task_for"]
 

@@ -16,11 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .camera import Camera
-from .config import SimulationConfig
-from .garments import Garment
+from topokit.sampling import farthest_point_sample
 
-__all__ = ["World"]
+from ._camera import Camera
+from ._garments import Garment
+from ._physics import SimulationConfig
+
+__all__ = ["World", "observe"]
 
 Array = NDArray[np.float64]
 _GRAVITY = 9.8  # m/s^2
@@ -221,6 +223,48 @@ class World:
         if size > most:
             x, y, z = (most / size * part for part in (x, y, z))
         self._p.applyExternalForce(body, -1, (x, y, z), place, self._p.WORLD_FRAME, client)
+
+
+def observe(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
+    """Return `n` points of the cloth seen by the cameras together: a farthest-point sample of all their pixels.
+
+    When they see fewer than `n` points, those seen are repeated in order until there are `n`: a network keeps its input
+    size, and the repeats change no loop and no distance.
+
+    Parameters
+    ----------
+    world : World
+    cameras : sequence of Camera
+        One at least.
+    n : int
+    rng : numpy.random.Generator
+        Used by cameras with noise only.
+
+    Returns
+    -------
+    (n, 3) float64
+
+    Raises
+    ------
+    ValueError
+        When there is no camera, `n` is not positive, or no camera sees any cloth.
+    """
+    if not cameras:
+        raise ValueError("observe needs one camera at least")
+    if n < 1:
+        raise ValueError(f"n must be 1 or more, not {n}")
+    views = []
+    for camera in cameras:
+        depth, mask = world.image(camera)
+        if camera.noise is not None:
+            depth, mask = camera.noise.apply(depth, mask, rng)
+        views.append(camera.unproject(depth, mask))
+    seen = np.concatenate(views)
+    if not len(seen):
+        places = ", ".join(str(camera.eye) for camera in cameras)
+        raise ValueError(f"no cloth is in view of the cameras at {places}; move them or widen their fov")
+    chosen = farthest_point_sample(seen, min(n, len(seen)))[0]
+    return np.asarray(seen[np.resize(chosen, n)])
 
 
 def _turn_z_to(axis: Array) -> list[float]:
