@@ -419,9 +419,8 @@ def test_baselines_are_tracked_on_what_the_networks_see(dataset):
     assert not noisy["clouds"].equal(window["clouds"])
     other = WindowDataset(dataset, [number], observe=spoilt_observer(Clouds(keep=0.5), 4))[5]
     assert not other["clouds"].equal(window["clouds"])
-    window = WindowDataset(dataset, [number], observe=spoilt_observer(Clouds(), 3))[
-        0
-    ]  # as it is, from its first frame on
+    as_it_is = WindowDataset(dataset, [number], observe=spoilt_observer(Clouds(), 3))
+    window = as_it_is[0]  # of the episode's first frames
     assert window["clouds"].equal(WindowDataset(dataset, [number])[0]["clouds"])
     states = track(window["clouds"].double().numpy(), n_jobs=1, **RECOMMENDED)
     assert any(states)
