@@ -46,7 +46,6 @@ def main() -> None:
         every=3,
         size=(320, 400),
         focus=episode.points.reshape(-1, 3).mean(axis=0) + [0, 0.05, 0.05],
-        progress=True,
     )
     garments = [make() for make in WARDROBE.values()]
     rows = [

@@ -143,7 +143,7 @@ def load_episode(path: str | Path) -> Episode:
     FormatError
         When the file is empty, truncated, damaged, of another format or of a newer schema; the message says which.
     """
-    text, arrays = _load(path, _KIND, SCHEMA, "record it again")
+    text, arrays = _load(path, _KIND, (SCHEMA,), "record it again")
     try:
         ends = np.cumsum(arrays.pop("loop_lengths"))[:-1]
         vertices = arrays.pop("loop_vertices")
@@ -204,12 +204,15 @@ def _unpack(packed: NDArray[np.uint16], scale: NDArray[np.float64]) -> NDArray[n
     return np.asarray(packed * scale[0] + scale[1:], dtype=np.float32)
 
 
-def _load(path: str | Path, kind: str, schema: int, remedy: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read an archive of a kind and schema."""
+def _load(
+    path: str | Path, kind: str, schemas: tuple[int, ...], remedy: str
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Read an archive of a kind, of a schema that is known."""
     text, arrays = load_archive(path, kind)
-    if text.get("schema") != schema:
+    if text.get("schema") not in schemas:
+        known = " and ".join(map(str, schemas))
         raise FormatError(
-            f"{path}: of schema {text.get('schema')}, this topokit reads schema {schema}: update topokit or {remedy}"
+            f"{path}: of schema {text.get('schema')}, this topokit reads schema {known}: update topokit or {remedy}"
         )
     return text, arrays
 
@@ -266,9 +269,9 @@ def load_states(path: str | Path) -> list[TopologicalState]:
     FileNotFoundError, FormatError
         As `load_episode`.
     """
-    text, arrays = _load(path, _STATES_KIND, _STATES_SCHEMA, "track them again")
+    text, arrays = _load(path, _STATES_KIND, (1, _STATES_SCHEMA), "track them again")
     try:
-        loops = _loops(arrays)
+        loops = _loops(arrays, with_cycles=text["schema"] != 1)
         starts = np.concatenate([[0], np.cumsum(arrays["n_loops"])]).tolist()
         rows = zip(arrays["frame"].tolist(), arrays["time"].tolist(), text["parameters"], strict=True)
         return [
@@ -279,14 +282,15 @@ def load_states(path: str | Path) -> list[TopologicalState]:
         raise FormatError(f"{path}: states with a missing or an unknown part: {error}; track them again") from error
 
 
-def _loops(arrays: dict[str, NDArray[Any]]) -> list[Loop]:
-    """All loops of all frames."""
+def _loops(arrays: dict[str, NDArray[Any]], with_cycles: bool) -> list[Loop]:
+    """All loops of all frames; those of the first schema know no cycle."""
     columns = {name: arrays[name].tolist() for name in _LOOP_NUMBERS} | {name: arrays[name] for name in _LOOP_ARRAYS}
     for count, names in _LOOP_LISTS.items():
-        columns |= {name: np.split(arrays[name], np.cumsum(arrays[count])[:-1]) for name in names}
-    curves = zip(columns.pop("cycle"), columns.pop("cycle_points"), strict=True)
+        if count != "n_cycle" or with_cycles:
+            columns |= {name: np.split(arrays[name], np.cumsum(arrays[count])[:-1]) for name in names}
     number = len(arrays["id"])
-    return [
-        Loop(**{name: column[i] for name, column in columns.items()}, _curve=partial(tuple, curve))
-        for i, curve in zip(range(number), curves, strict=False)
-    ]
+    curves: list[Any] = [None] * number
+    if with_cycles:
+        pairs = zip(columns.pop("cycle"), columns.pop("cycle_points"), strict=True)
+        curves = [partial(tuple, pair) for _, pair in zip(range(number), pairs, strict=False)]
+    return [Loop(**{name: column[i] for name, column in columns.items()}, _curve=curves[i]) for i in range(number)]

@@ -5,27 +5,21 @@ Taught in chapter 5.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._validate import as_sequence
-from ._converse import check_converse
-from ._diagrams import (
-    check_feature_approximation,
-    check_gates,
-    check_observability,
-    check_temporal_persistence,
-    vertex_views,
-)
-from ._killers import check_corollary, check_recovering_killers, check_regularity
+from ._diagrams import check_feature_approximation, check_gates, check_observability, check_temporal_persistence
+from ._killers import check_converse, check_corollary, check_recovering_killers, check_regularity
+from ._measures import State
+from ._step import Step, observed_step, vertex_ids
 from ._verdict import Check
-from ._view import Motion, State, View, as_motion, vertex_ids
 
-__all__ = ["STATEMENTS", "StepCheck", "check_episode", "check_step"]
+__all__ = ["STATEMENTS", "StepCheck", "verify_episode", "verify_step"]
 
 STATEMENTS = (
     "feature approximation",
@@ -71,61 +65,46 @@ class StepCheck:
     checks: dict[str, Check]
 
 
-def check_step(
+def verify_step(
     before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, observed_after: ArrayLike
 ) -> dict[str, Check]:
-    """Check all statements on two states in succession; those about one state on the first.
+    """Check all statements on two states in succession, in the order of `STATEMENTS`; those about one state on the first.
 
     Parameters
     ----------
-    before, after : (n, d) array_like
-        S_t and S_t+1: row i of both is the same point.
-    observed_before, observed_after : (m,) array_like of int, or (m, d) array_like
-        O_t and O_t+1: vertex ids, or coordinates of vertices.
-
-    Returns
-    -------
-    dict of str to Check
-        By statement, in the order of `STATEMENTS`.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When they are no point clouds, differ in shape, or what is observed is not in the state.
+    before, observed_before, after, observed_after : array_like
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. They need not be the same
+        vertices.
 
     Examples
     --------
     >>> square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    >>> checks = check_step(square, [0, 1, 2, 3], square + [0.01, 0], [0, 1, 2, 3])
+    >>> checks = verify_step(square, [0, 1, 2, 3], square + [0.01, 0], [0, 1, 2, 3])
     >>> [name for name, check in checks.items() if not check.corrected.holds]
     []
     """
-    motion = as_motion(before, after)
-    return _check(motion, *vertex_views(motion, observed_before, observed_after))
+    return _checks(observed_step(before, observed_before, after, observed_after))
 
 
-def _check(motion: Motion, seen: View, seen_after: View) -> dict[str, Check]:
+def _checks(step: Step) -> dict[str, Check]:
+    still = Step(step.before, step.before)
     checks = (
-        check_feature_approximation(seen),
-        check_observability(seen),
-        check_temporal_persistence(motion),
-        check_gates(motion, seen, seen_after),
-        check_recovering_killers(seen),
-        check_regularity(motion, max(seen.alpha, seen_after.alpha)),
-        check_corollary(motion, seen, seen_after),
-        check_converse(motion, seen, seen_after),
+        check_feature_approximation(still),
+        check_observability(still),
+        check_temporal_persistence(step),
+        check_gates(step),
+        check_recovering_killers(still),
+        check_regularity(step, step.alpha),
+        check_corollary(step),
+        check_converse(step),
     )
     return {check.statement: check for check in checks}
 
 
-def check_episode(
-    points: ArrayLike | Sequence[ArrayLike],
-    observed: ArrayLike | Sequence[ArrayLike],
-    *,
-    stride: int = 1,
-    progress: bool = False,
+def verify_episode(
+    points: ArrayLike | Sequence[ArrayLike], observed: ArrayLike | Sequence[ArrayLike], *, stride: int = 1
 ) -> list[StepCheck]:
-    """Check all statements on every step of a sequence.
+    """Check all statements on every step of a sequence: one step fewer than frames looked at.
 
     Parameters
     ----------
@@ -136,13 +115,6 @@ def check_episode(
         length.
     stride : int
         Look at every stride-th frame only; a step is then from one to the next of those.
-    progress : bool
-        Count the steps done on stderr.
-
-    Returns
-    -------
-    list of StepCheck
-        One a step: one fewer than frames looked at.
 
     Raises
     ------
@@ -154,7 +126,7 @@ def check_episode(
     --------
     >>> angle = 2 * np.pi * np.arange(24) / 24
     >>> circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    >>> steps = check_episode([circle, 1.01 * circle, 1.02 * circle], np.arange(0, 24, 2))
+    >>> steps = verify_episode([circle, 1.01 * circle, 1.02 * circle], np.arange(0, 24, 2))
     >>> [step.checks["corollary"].corrected.holds for step in steps]
     [True, True]
     """
@@ -165,29 +137,30 @@ def check_episode(
     if len(shapes) > 1:
         raise ValueError(f"the frames of points differ in shape: {sorted(shapes)}; states are in bijection by row")
     per_frame = _per_frame(observed, len(frames))
-    looked_at = range(0, len(frames), stride)
-    ids = [vertex_ids(frames[t], per_frame[t], f"observed[{t}]") for t in looked_at]
-    views = [View(State(frames[t]), seen) for t, seen in zip(looked_at, ids, strict=True)]
-    steps = []
-    for done, (t, seen, seen_after) in enumerate(zip(looked_at, views[:-1], views[1:], strict=False), 1):
-        steps.append(_step(t, seen, seen_after))
-        vars(seen.state).pop("distances", None)  # (n, n) a frame: not needed again
-        if progress:
-            print(f"\rlemmas: {done} of {len(views) - 1} steps", end="", file=sys.stderr, flush=True)
-    if progress and steps:
-        print(file=sys.stderr)
-    return steps
+    chosen = range(0, len(frames), stride)
+    ids = [vertex_ids(frames[t], per_frame[t], f"observed[{t}]") for t in chosen]
+    states = map(State, (frames[t] for t in chosen), ids)  # each is dropped after its two steps
+    return [_step_check(t, Step(*pair)) for t, pair in zip(chosen, pairwise(states), strict=False)]
 
 
-def _step(frame: int, seen: View, seen_after: View) -> StepCheck:
-    motion = Motion(seen.state, seen_after.state)
-    checks = _check(motion, seen, seen_after)
-    s, check, epsilon = motion.before.diagram, checks["corollary"], motion.epsilon
+def _per_frame(observed: ArrayLike | Sequence[ArrayLike], n_frames: int) -> Sequence[ArrayLike]:
+    """What is observed in each frame."""
+    sets = list(observed)  # type: ignore[arg-type]
+    if sets and np.ndim(sets[0]) == 0:
+        return [np.asarray(observed)] * n_frames
+    if len(sets) != n_frames:
+        raise ValueError(f"observed has {len(sets)} frames, points {n_frames}")
+    return sets
+
+
+def _step_check(frame: int, step: Step) -> StepCheck:
+    checks = _checks(step)
+    s, check, epsilon = step.before.diagram, checks["corollary"], step.epsilon
     return StepCheck(
         frame,
         check.alpha,
         epsilon,
-        motion.distortion,
+        step.distortion,
         float(s.lifetime[0]) if len(s) else 0.0,
         float(s.death[0]) if len(s) else 0.0,
         _largest(checks["recovering killers"], "paper"),
@@ -200,13 +173,3 @@ def _step(frame: int, seen: View, seen_after: View) -> StepCheck:
 def _largest(check: Check, version: str) -> float:
     """The largest bound of a version, nan where it speaks about no loop."""
     return max((row.bounds[version] for row in check.loops if version in row.bounds), default=float("nan"))
-
-
-def _per_frame(observed: ArrayLike | Sequence[ArrayLike], n_frames: int) -> Sequence[ArrayLike]:
-    """What is observed in each frame."""
-    sets = list(observed)  # type: ignore[arg-type]
-    if sets and np.ndim(sets[0]) == 0:
-        return [np.asarray(observed)] * n_frames
-    if len(sets) != n_frames:
-        raise ValueError(f"observed has {len(sets)} frames, points {n_frames}")
-    return sets
