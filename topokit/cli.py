@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     from . import _commands
     from .data import _commands as data
-    from .evaluate import commands as evaluate
+    from .evaluate import _commands as evaluate
     from .models import _commands as models
 
     parser = argparse.ArgumentParser(prog="topokit", description="Sequential topology for deformable objects.")

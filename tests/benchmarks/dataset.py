@@ -188,7 +188,7 @@ def windows(url: str, labels: str, n_points: int, batch: int, workers: list[int]
         {
             "windows": len(data),
             "index_s": made,
-            "decode_s_an_episode": loaded / len(data._kept),
+            "decode_s_an_episode": loaded / len(data.episodes),
             "windows_a_second": rate,
         }
     )

@@ -16,13 +16,12 @@ if TYPE_CHECKING:
     from ._label import label_dataset
     from ._recipe import DatasetConfig, make_episode
     from ._spoil import spoil
-    from .windows import Truth, WindowDataset
+    from ._windows import WindowDataset
 
 __all__ = [
     "Dataset",
     "DatasetConfig",
     "Problem",
-    "Truth",
     "WindowDataset",
     "check_dataset",
     "generate_dataset",
@@ -40,7 +39,7 @@ __getattr__ = attach(
         "_label": "label_dataset",
         "_recipe": "DatasetConfig make_episode",
         "_spoil": "spoil",
-        "windows": "Truth WindowDataset",
+        "_windows": "WindowDataset",
     },
     extra="data,sim,learn",
 )

@@ -22,6 +22,7 @@ from ._planar import coverage, growth, motion, nudge
 from ._player import player
 from ._plots import plot_diagram, plot_tracks, track_figure
 from ._render import pyvista_works, render_cloth, save_animation
+from ._report import model_label, plot_accuracy, plot_by_horizon, plot_conditions, plot_treatments
 
 __all__ = [
     "Scene",
@@ -30,14 +31,19 @@ __all__ = [
     "data_flow",
     "growth",
     "loop_colour",
+    "model_label",
     "motion",
     "nudge",
     "player",
+    "plot_accuracy",
+    "plot_by_horizon",
     "plot_cloth",
+    "plot_conditions",
     "plot_diagram",
     "plot_lens",
     "plot_lune",
     "plot_tracks",
+    "plot_treatments",
     "pyvista_works",
     "render_cloth",
     "save_animation",

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import default_collate
 
@@ -20,73 +19,63 @@ from topokit.data import Dataset, WindowDataset
 from topokit.io import save_episode
 from topokit.models import States
 
-from .summary import Samples
+from ._summary import Samples
 
-__all__ = ["MOST", "save_clips", "shown", "worst"]
+__all__ = ["far_astray", "save_clips"]
 
 MOST = 6
 Model = Callable[[Mapping[str, Tensor]], States]
 
 
-def worst(samples: Samples, model: str, tolerance: float) -> list[int]:
-    """Of each garment the sample that a model's first seed puts farthest outside at the last step; the farthest first.
-
-    Loops that are said to be absent count, too: where nothing is forecast there would be nothing to be seen.
-    """
-    reach = samples.columns[model]["outside_anyway"][0, :, -1]
-    reach = np.where(np.isfinite(reach), reach, -1)
-    found = []
-    for garment in np.unique(samples.garment):
-        rows = np.flatnonzero(samples.garment == garment)
-        row = int(rows[np.argmax(reach[rows])])
-        if reach[row] > tolerance:
-            found.append(row)
-    return sorted(found, key=lambda row: -reach[row])[:MOST]
-
-
-def shown(
-    windows: WindowDataset, rows: NDArray[np.int64], samples: Samples, models: Mapping[str, Model], tolerance: float
+def far_astray(
+    windows: WindowDataset, samples: Samples, models: Mapping[str, Model], tolerance: float
 ) -> list[dict[str, Any]]:
-    """Those samples, with what each of the models said about the last step.
+    """The samples that `_worst` names, with what each of the models said about the last step.
 
     A forecast is a list of loops by lifetime times presence, each with its `mean` and its two killer `triangles`, metres.
     """
-    chosen, step = worst(samples, "ours", tolerance), samples.steps[-1]
+    chosen, step = _worst(samples, tolerance), samples.steps[-1]
     if not chosen:
         return []
-    window = default_collate([windows[int(rows[row])] for row in chosen])
+    window = default_collate([windows[row] for row in chosen])
     with torch.inference_mode():
-        said = {name: model(window)[:, step - 1] for name, model in models.items()}
+        forecasts = {name: model(window)[:, step - 1] for name, model in models.items()}
     return [
         {
             "episode": int(samples.episode[row]),
-            "frame": int(windows.index[rows[row], 1]),
+            "frame": int(windows.index[row, 1]),
             "step": step,
             "garment": str(samples.garment[row]),
-            "outside_cm": {
-                name: _cm(samples.columns[name]["outside_anyway"][0, row, -1])
-                for name in models
-                if name in samples.columns
-            },
-            "forecasts": {name: _loops(states[place]) for name, states in said.items()},
+            "outside_cm": {name: _cm(samples.columns[name]["outside_anyway"][0, row, -1]) for name in models},
+            "forecasts": {name: _loops(states[place]) for name, states in forecasts.items()},
         }
         for place, row in enumerate(chosen)
     ]
 
 
-def save_clips(failures: Sequence[Mapping[str, Any]], dataset: Dataset, folder: str | Path) -> list[Path]:
+def _worst(samples: Samples, tolerance: float) -> list[int]:
+    """Of each garment the sample that our first seed puts farthest outside at the last step; the farthest first.
+
+    Loops that are said to be absent count, too: where nothing is forecast there would be nothing to be seen.
+    """
+    reach = samples.columns["ours"]["outside_anyway"][0, :, -1]
+    reach = np.where(np.isfinite(reach), reach, -1)
+    rows = [np.flatnonzero(samples.garment == garment) for garment in np.unique(samples.garment)]
+    farthest = [int(some[np.argmax(reach[some])]) for some in rows]
+    return sorted((row for row in farthest if reach[row] > tolerance), key=lambda row: -reach[row])[:MOST]
+
+
+def save_clips(failures: Sequence[Mapping[str, Any]], dataset: Dataset, folder: Path) -> None:
     """Save the last frame that was seen and the frame that was forecast, as episodes of two frames."""
-    paths = []
     for number, failure in enumerate(failures):
-        episode, seen = dataset[failure["episode"]], failure["frame"]
-        frames = [seen, seen + failure["step"]]
+        episode, last = dataset[failure["episode"]], failure["frame"]
+        frames = [last, last + failure["step"]]
         arrays = {
             name: getattr(episode, name)[frames] for name in ("points", "observed", "actions", "grippers", "held")
         }
         note = {key: value for key, value in failure.items() if key != "forecasts"}
         clip = dataclasses.replace(episode, **arrays, dt=episode.dt * failure["step"], observation=note)
-        paths.append(save_episode(Path(folder) / f"forecast_{number}.npz", clip))
-    return paths
+        save_episode(folder / f"forecast_{number}.npz", clip)
 
 
 def _loops(states: States) -> list[dict[str, Any]]:

@@ -5,7 +5,7 @@ centres says which could be which. What is there is decided by topology, on the 
 a true loop (`Diagram.killers_of`), and the loop counts when it has lived for alpha or longer by then. A strap that lies flat
 does not count, nor does the hem of a shirt: it is the sum of the neck and the sleeves, and has no bar of its own.
 
-The scores themselves are in `topokit.evaluate.scores`. Taught in chapter 6.
+Taught in chapter 6.
 """
 
 from __future__ import annotations
@@ -16,26 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from topokit._curves import curve_centroid, side_lengths
 from topokit._matching import assign
 from topokit._validate import as_points
 from topokit.rips import rips_persistence
 from topokit.sampling import spacing
 from topokit.state import TopologicalState
 
-from .scores import THRESHOLD, Event, Overlap, TrackingScore, events, score
+from ._scores import THRESHOLD, Overlap
 
-__all__ = [
-    "Event",
-    "Overlap",
-    "TrackingScore",
-    "TrueLoops",
-    "by_killer",
-    "by_place",
-    "compare",
-    "events",
-    "score",
-    "true_loops",
-]
+__all__ = ["TrueLoops", "by_killer", "by_place", "compare", "extent", "true_loops"]
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -77,26 +67,35 @@ def true_loops(
     alpha : float, optional
         How long the class of a loop must live to count; for each frame what `SeqPH` estimates when not given.
     """
-    found = []
-    for frame, cloud in enumerate(points):
-        vertices = as_points(cloud, f"frame {frame}")
-        shortest = spacing(vertices) if alpha is None else alpha
-        diagram = rips_persistence(vertices)
-        curves = [vertices[np.asarray(loop)] for loop in loops]
-        sides = [np.linalg.norm(curve - np.roll(curve, -1, axis=0), axis=1) for curve in curves]
-        centres = np.array([_centroid(c, s) for c, s in zip(curves, sides, strict=True)]).reshape(-1, vertices.shape[1])
-        killers = diagram.killers_of(loops)
-        lives = np.linalg.norm(vertices[killers[:, 0]] - vertices[killers[:, 1]], axis=1) / 2
-        lives -= [side.max() / 2 for side in sides]
-        radii = np.array([np.linalg.norm(c - m, axis=1).max() for c, m in zip(curves, centres, strict=True)])
-        found.append(TrueLoops(centres, radii, killers, lives >= shortest))
-    return found
+    return [_true_loops(as_points(cloud, f"frame {frame}"), loops, alpha) for frame, cloud in enumerate(points)]
+
+
+def _true_loops(vertices: Array, loops: Sequence[NDArray[np.integer]], alpha: float | None) -> TrueLoops:
+    curves = [vertices[np.asarray(loop)] for loop in loops]
+    centres, radii = zip(*map(extent, curves), strict=True) if curves else ((), ())
+    killers = rips_persistence(vertices).killers_of(loops)
+    lives = np.linalg.norm(vertices[killers[:, 0]] - vertices[killers[:, 1]], axis=1) / 2
+    lives -= [side_lengths(curve).max() / 2 for curve in curves]
+    present = lives >= (spacing(vertices) if alpha is None else alpha)
+    return TrueLoops(np.reshape(centres, (-1, vertices.shape[1])), np.array(radii), killers, present)
+
+
+def extent(curve: Array) -> tuple[Array, float]:
+    """(d,) the centroid of a closed curve (n, d), by length, and the distance of the vertex farthest from it."""
+    centre = curve_centroid(curve)
+    return centre, float(np.linalg.norm(curve - centre, axis=1).max())
 
 
 def by_place(truth: TrueLoops, state: TopologicalState) -> Array:
     """(L, k) similarity 1 - distance / (2 radius), not below 0, of the tracked centre from the true one.
 
     The threshold of a half, one radius away, lets the killers stand anywhere in the opening: along a slot they do.
+
+    Parameters
+    ----------
+    truth : TrueLoops
+    state : TopologicalState
+        Of the same frame.
     """
     centres = np.array([loop.centre for loop in state.loops]).reshape(-1, truth.centres.shape[1])
     away = np.linalg.norm(truth.centres[:, None] - centres[None], axis=2)
@@ -107,6 +106,12 @@ def by_killer(truth: TrueLoops, state: TopologicalState) -> Array:
     """(L, k) similarity 1 where the true loop dies with the very killer edge of the tracked one, else 0.
 
     Exact and without a threshold, but only for states of the full cloud, whose vertices are those of the truth.
+
+    Parameters
+    ----------
+    truth : TrueLoops
+    state : TopologicalState
+        Of the same frame.
     """
     killers = np.array([loop.killer_edge for loop in state.loops]).reshape(-1, 2)
     return np.asarray((truth.killers[:, None] == killers[None]).all(axis=2), dtype=np.float64)
@@ -120,6 +125,19 @@ def compare(
     """Bring states and truth together, frame by frame.
 
     A detection that fits a true loop which is not there is set aside: it is neither a find nor a false positive.
+
+    Parameters
+    ----------
+    states : sequence of TopologicalState
+    truth : sequence of TrueLoops
+        Of the same frames.
+    similarity : callable
+        `by_place` or `by_killer`.
+
+    Returns
+    -------
+    list of Overlap
+        One a frame, for `score` and `events`.
 
     Raises
     ------
@@ -138,8 +156,3 @@ def compare(
         objects = np.flatnonzero(true.present)
         overlaps.append(Overlap(objects, ids[kept], table[np.ix_(objects, kept)]))
     return overlaps
-
-
-def _centroid(curve: Array, sides: Array) -> Array:
-    """Of a closed polygon's border, by length: vertices may crowd on one side."""
-    return np.average((curve + np.roll(curve, -1, axis=0)) / 2, axis=0, weights=sides)

@@ -5,44 +5,29 @@ Source: Antonova et al. 2021, section 5 (h = 16, k = 60). Taught in chapter 8.
 
 from __future__ import annotations
 
+import copy
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from topokit.io import HISTORY, HORIZON
+from topokit.seqph import RECOMMENDED, track
 
 from ._dataset import Dataset
 from ._group import decode
-from ._layout import METRE, unpack
-from ._states import ABSENT, SIMPLICES
+from ._layout import METRE, pack, unpack
+from ._states import ABSENT, SIMPLICES, arrays_of
 
-__all__ = ["Truth", "WindowDataset"]
+__all__ = ["WindowDataset"]
 
 Array = NDArray[np.float32]
 _UNIT = np.float32(1 / METRE)
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """What evaluation compares a forecast with.
-
-    Attributes
-    ----------
-    loops, past_loops : tuple of (k, L, 3) and of (h, L, 3) float32
-        Vertices of every true loop in the frames t+1..t+k, and in t-h+1..t, metres.
-    task : str
-    success : bool
-        Of the whole episode.
-    """
-
-    loops: tuple[Array, ...]
-    past_loops: tuple[Array, ...]
-    task: str
-    success: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +45,6 @@ class _Tracked:
         triangles, values = _triangles(found["simplices"], found["values"], cloud)
         return cls(found["id"], triangles, values, np.nan_to_num(found["values"][..., :3], nan=0.0))
 
-    @property
-    def nbytes(self) -> int:
-        return sum(array.nbytes for array in vars(self).values())
-
 
 @dataclass(frozen=True, eq=False)
 class _Episode:
@@ -78,7 +59,32 @@ class _Episode:
 
     @property
     def nbytes(self) -> int:
-        return sum(part.nbytes for part in vars(self).values() if part is not None)
+        own, *tracked = (vars(part) for part in (self, self.tracked, self.seen) if part is not None)
+        return sum(part.nbytes for parts in (own, *tracked) for part in parts.values() if isinstance(part, np.ndarray))
+
+
+class _Memory:
+    """Decoded episodes, the one that was used last at the end: at most so many bytes, and one at least.
+
+    Copies of a `WindowDataset` share it. Processes that are spawned decode for themselves: it travels empty.
+    """
+
+    def __init__(self, most: float) -> None:
+        self.most, self.nbytes = most, 0
+        self.episodes: OrderedDict[int, _Episode] = OrderedDict()
+
+    def __reduce__(self) -> tuple[type[_Memory], tuple[float]]:
+        return _Memory, (self.most,)
+
+    def get(self, number: int, decode_episode: Callable[[int], _Episode]) -> _Episode:
+        """Return an episode, decoded now if need be; the ones that were not used for longest make room for it."""
+        if number not in self.episodes:
+            self.episodes[number] = decode_episode(number)
+            self.nbytes += self.episodes[number].nbytes
+        self.episodes.move_to_end(number)
+        while self.nbytes > self.most and len(self.episodes) > 1:
+            self.nbytes -= self.episodes.popitem(last=False)[1].nbytes
+        return self.episodes[number]
 
 
 class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
@@ -128,6 +134,10 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         Frames from one window of an episode to the next.
     memory : float
         Bytes of decoded episodes that a process keeps; the one that was not used for longest goes first.
+    observe : callable, optional
+        What is seen of an episode instead of its clouds: from its number and its clouds, (T, P, 3) float64, to clouds
+        (T, P', 3), in metres. All states, past and future, are then those that seqPH tracks on these, from the first frame
+        on, as labels are made (`topokit.seqph.RECOMMENDED`); `labels` only say which episodes there are.
 
     Raises
     ------
@@ -144,44 +154,38 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         *,
         labels: str = "full",
         seen_labels: str | None = None,
-        history: int = 16,
-        horizon: int = 60,
+        history: int = HISTORY,
+        horizon: int = HORIZON,
         n_points: int = 128,
         slots: int = 4,
         stride: int = 1,
         memory: float = 4e9,
+        observe: Callable[[int, NDArray[np.float64]], NDArray[np.float64]] | None = None,
     ) -> None:
-        for name, value in {
-            "history": history,
-            "horizon": horizon,
-            "n_points": n_points,
-            "slots": slots,
-            "stride": stride,
-        }.items():
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+        sizes = {"history": history, "horizon": horizon, "n_points": n_points, "slots": slots, "stride": stride}
+        for name, value in sizes.items():
+            if type(value) is not int or value < 1:
                 raise ValueError(f"{name} must be a whole number, at least 1, not {value!r}")
         self.dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
         self.labels, self.seen_labels, self.history, self.horizon = labels, seen_labels, history, horizon
         self.n_points, self.slots, self.stride = n_points, slots, stride
-        labelled = {name: self.dataset.labelled(name) for name in (labels, seen_labels) if name is not None}
-        self.episodes = labelled[labels] if episodes is None else np.unique(np.fromiter(episodes, dtype=np.int64))
-        for name, known in labelled.items():
-            missing = np.setdiff1d(self.episodes, known)
+        self.observe, self._memory = observe, _Memory(memory)
+        self.episodes = self.dataset.labelled(labels) if episodes is None else np.unique([*map(int, episodes)])
+        self._check_labelled()
+        lengths = [self.dataset.group.records[int(i)].frames for i in self.episodes]
+        frames = [np.arange(history - 1, length - horizon, stride) for length in lengths]
+        counts = [len(span) for span in frames]
+        if not any(counts):
+            raise ValueError(f"no episode has the {history + horizon} frames of a window (of {len(lengths)} episodes)")
+        self.index = np.column_stack([np.repeat(self.episodes, counts), np.concatenate(frames)])
+
+    def _check_labelled(self) -> None:
+        for name in [self.labels] if self.seen_labels is None else [self.labels, self.seen_labels]:
+            missing = np.setdiff1d(self.episodes, self.dataset.labelled(name))
             if len(missing):
                 raise ValueError(
                     f"{len(missing)} episodes have no labels {name!r}, the first is {missing[0]}: topokit label makes them"
                 )
-        lengths = np.array([self.dataset.group.records[int(i)].frames for i in self.episodes], dtype=np.int64)
-        counts = np.maximum(0, -(-(lengths - history - horizon + 1) // stride))
-        if counts.sum() == 0:
-            raise ValueError(
-                f"no episode has the {history + horizon} frames of a window (of {len(self.episodes)} episodes)"
-            )
-        place = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-        self.index = np.column_stack([np.repeat(self.episodes, counts), history - 1 + stride * place])
-        self._garment = {garment: i for i, garment in enumerate(self.dataset.garments)}
-        self._kept: OrderedDict[int, _Episode] = OrderedDict()
-        self._memory, self._bytes = memory, 0
 
     def __len__(self) -> int:
         return len(self.index)
@@ -192,7 +196,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     def __getitem__(self, i: int) -> dict[str, torch.Tensor]:
         """Return window `i` as a dict of tensors."""
         number, frame = (int(value) for value in self.index[i])
-        episode = self._episode(number)
+        episode = self._memory.get(number, self._decode)
         past = slice(frame - self.history + 1, frame + 1)
         future = slice(frame + 1, frame + self.horizon + 1)
         parts: dict[str, Any] = {
@@ -204,31 +208,32 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
             **self._states(episode, past, future),
             "episode": np.int64(number),
             "frame": np.int64(frame),
-            "garment": np.int64(self._garment[self.dataset.group.records[number].garment]),
+            "garment": np.int64(self.dataset.garments.index(self.dataset.group.records[number].garment)),
         }
         return {name: torch.as_tensor(part) for name, part in parts.items()}
 
-    def truth(self, i: int) -> Truth:
-        """Return where the true loops are in window `i`."""
+    def true_loops(self, i: int) -> tuple[Array, ...]:
+        """Return the vertices of every true loop in the frames t+1..t+k of window `i`, (k, L, 3) metres each."""
         number, frame = (int(value) for value in self.index[i])
         document = self.dataset.document(number)
         stored = decode(self.dataset.group, document, ("points", "loops"))
-        points = unpack(stored["points"])
-        loops = [points[:, row[:length]] for row, length in zip(stored["loops"], document["loops"], strict=True)]
-        return Truth(
-            tuple(loop[frame + 1 : frame + self.horizon + 1] for loop in loops),
-            tuple(loop[frame - self.history + 1 : frame + 1] for loop in loops),
-            document["task"],
-            document["success"],
-        )
+        points = unpack(stored["points"][frame + 1 : frame + self.horizon + 1])
+        return tuple(points[:, row[:n]] for row, n in zip(stored["loops"], document["loops"], strict=True))
 
     def load(self) -> WindowDataset:
         """Decode the episodes now, as many as `memory` lets; processes forked later share them."""
-        for number in self.episodes:
-            if self._bytes >= self._memory:
+        for number in self.episodes.tolist():
+            if self._memory.nbytes >= self._memory.most:
                 break
-            self._episode(int(number))
+            self._memory.get(number, self._decode)
         return self
+
+    def select(self, rows: ArrayLike) -> WindowDataset:
+        """Return the windows of these rows of `index` alone, in their order; decoded episodes are shared."""
+        chosen = copy.copy(self)
+        chosen.index = self.index[np.asarray(rows, dtype=np.int64)]
+        chosen.episodes = np.unique(chosen.index[:, 0])
+        return chosen
 
     def _states(self, episode: _Episode, past: slice, future: slice) -> dict[str, Any]:
         """The labels of the two spans, by identity, and what else was seen of the first."""
@@ -246,59 +251,46 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
 
     def _identities(self, tracked: _Tracked, past: slice, future: slice) -> NDArray[np.int64]:
         """(S,) who has which slot; -2 for nobody."""
-        ids = tracked.ids[past]
+        ids, numbers = tracked.ids[past], tracked.numbers[past]
         alive = ids >= 0
-        lifetime = tracked.numbers[past][..., 1] - tracked.numbers[past][..., 0]
         known, where = np.unique(ids[alive], return_inverse=True)
-        order = known[np.argsort(-np.bincount(where, lifetime[alive], len(known)), kind="stable")]
-        if len(order) < self.slots:
-            later, first = np.unique(
-                tracked.ids[future], return_index=True
-            )  # first: in order of frames, then of lifetime
-            later = later[np.argsort(first)]
-            order = np.concatenate([order, later[(later >= 0) & ~np.isin(later, known)]])
-        filled = np.full(self.slots, -2, dtype=np.int64)
-        filled[: len(order[: self.slots])] = order[: self.slots]
-        return filled
-
-    def _episode(self, number: int) -> _Episode:
-        kept = self._kept.get(number)
-        if kept is not None:
-            self._kept.move_to_end(number)
-            return kept
-        made = self._decode(number)
-        self._kept[number] = made
-        self._bytes += made.nbytes
-        while self._bytes > self._memory and len(self._kept) > 1:
-            self._bytes -= self._kept.popitem(last=False)[1].nbytes
-        return made
+        total = np.bincount(where, (numbers[..., 1] - numbers[..., 0])[alive], len(known))
+        later, first = np.unique(tracked.ids[future], return_index=True)  # in order of frames, then of lifetime
+        later = later[np.argsort(first)]
+        order = [known[np.argsort(-total, kind="stable")], later[(later >= 0) & ~np.isin(later, known)]]
+        return np.concatenate([*order, np.full(self.slots, -2)])[: self.slots]
 
     def _decode(self, number: int) -> _Episode:
         group = self.dataset.group
         stored = decode(group, group.document(number), ("points", "observed", "actions", "grippers", "held"))
         points, seen = stored["points"], stored["observed"]
-        take = np.arange(self.n_points) % seen.shape[1]
-        row = np.arange(len(points))[:, None]
-
-        def tracked(name: str) -> _Tracked:
-            labels, cloud = self.dataset.labels(name), points
-            if labels.manifest["observation"] != "full":
-                some = seen[:, : labels.manifest["n_points"]]
-                cloud = some if seen.ndim == 3 else points[row, some]
-            return _Tracked.of(decode(labels, labels.document(number), ("id", "simplices", "values")), cloud)
-
+        if seen.ndim == 2:
+            seen = points[np.arange(len(points))[:, None], seen]
+        told = None if self.seen_labels is None else self._labelled(self.seen_labels, number, points, seen)
+        if self.observe is None:
+            tracked = self._labelled(self.labels, number, points, seen)
+        else:
+            seen = pack("clouds", self.observe(number, unpack(seen[:, : self.n_points]).astype(np.float64)))
+            tracked = self._tracked(seen)
         return _Episode(
-            seen[:, take] if seen.ndim == 3 else points[row, seen[:, take]],
+            seen[:, np.arange(self.n_points) % seen.shape[1]],
             stored["grippers"],
             stored["actions"],
             stored["held"].astype(bool),
-            tracked(self.labels),
-            None if self.seen_labels is None else tracked(self.seen_labels),
+            tracked,
+            told,
         )
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Processes that are spawned decode for themselves: what was decoded here is not sent to them."""
-        return {**vars(self), "_kept": OrderedDict(), "_bytes": 0}
+    def _labelled(self, name: str, number: int, points: NDArray[np.int16], seen: NDArray[np.int16]) -> _Tracked:
+        """The labels of a name, in the coordinates of the cloud that they are of."""
+        labels = self.dataset.labels(name)
+        cloud = points if labels.manifest["observation"] == "full" else seen[:, : labels.manifest["n_points"]]
+        return _Tracked.of(decode(labels, labels.document(number), ("id", "simplices", "values")), cloud)
+
+    def _tracked(self, cloud: NDArray[np.int16]) -> _Tracked:
+        """The states that a cloud shows, as `label` would store them."""
+        slots = self.dataset.labels(self.labels).manifest["slots"]
+        return _Tracked.of(arrays_of(track(unpack(cloud), n_jobs=1, **RECOMMENDED), slots), cloud)
 
 
 def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> dict[str, NDArray[Any]]:

@@ -20,6 +20,7 @@ __all__ = ["LEVELS", "THRESHOLD", "Event", "Overlap", "TrackingScore", "events",
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
+Kind = Literal["match", "switch", "fragment", "miss", "false positive"]
 LEVELS = np.arange(0.05, 0.99, 0.05)
 """(19,) the similarities over which HOTA is averaged."""
 THRESHOLD = 0.5
@@ -63,7 +64,7 @@ class Event:
     """
 
     frame: int
-    kind: Literal["match", "switch", "fragment", "miss", "false positive"]
+    kind: Kind
     loop: int
     id: int
 
@@ -159,10 +160,8 @@ def score(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Tracking
     >>> s.switches, s.mota, s.idf1, round(s.hota, 3)
     (1, 0.5, 0.5, 0.707)
     """
-    overlaps = _numbered(overlaps)
+    overlaps, shape = _numbered(overlaps)
     kinds = [event.kind for event in events(overlaps, threshold)]
-    n_objects, n_ids = (1 + max((int(a.max()) for a in arrays if len(a)), default=-1) for arrays in _names(overlaps))
-    shape = n_objects, n_ids
     together = np.zeros(shape)
     for overlap in overlaps:
         together[np.ix_(overlap.objects, overlap.ids)] += overlap.similarity >= threshold - _SLACK
@@ -172,7 +171,7 @@ def score(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Tracking
         kinds.count("match") + kinds.count("switch"),
         kinds.count("switch"),
         kinds.count("fragment"),
-        int(sum(together[i, j] for i, j in greatest(together))),
+        int(sum(together[pair] for pair in greatest(together))),
         *_higher_order(overlaps, shape),
     )
 
@@ -181,6 +180,12 @@ def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterato
     """Yield what became of every object and detection.
 
     A match of the frame before is kept while it holds; the rest is matched for the greatest similarity.
+
+    Parameters
+    ----------
+    overlaps : sequence of Overlap
+    threshold : float
+        Least similarity of a match.
     """
     last: dict[int, int] = {}  # of each object: the identity of its last match
     current: dict[int, int] = {}  # the matches of the last frame with anything in it
@@ -197,9 +202,8 @@ def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterato
             if loop not in matched:
                 yield Event(frame, "miss", loop, -1)
                 continue
-            yield Event(
-                frame, "match" if last.get(loop, matched[loop]) == matched[loop] else "switch", loop, matched[loop]
-            )
+            kind: Kind = "match" if last.get(loop, matched[loop]) == matched[loop] else "switch"
+            yield Event(frame, kind, loop, matched[loop])
             if loop in last and loop not in current:
                 yield Event(frame, "fragment", loop, matched[loop])
         yield from (Event(frame, "false positive", -1, i) for i in ids if i not in matched.values())
@@ -233,20 +237,20 @@ def greatest(gain: Array) -> list[tuple[int, int]]:
     """The assignment of greatest total gain, pairs without any left out."""
     from scipy.optimize import linear_sum_assignment
 
-    return [(int(i), int(j)) for i, j in zip(*linear_sum_assignment(-gain), strict=True) if gain[i, j] > 0]
+    rows, columns = linear_sum_assignment(gain, maximize=True)
+    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if gain[i, j] > 0]
 
 
-def _numbered(overlaps: Sequence[Overlap]) -> list[Overlap]:
-    """The same with objects and identities numbered from 0."""
-    objects, ids = (np.unique(np.concatenate(arrays or [np.empty(0, np.int64)])) for arrays in _names(overlaps))
-    return [
+def _numbered(overlaps: Sequence[Overlap]) -> tuple[list[Overlap], tuple[int, int]]:
+    """The same with objects and identities numbered from 0, and how many there are of each."""
+    nobody = [np.empty(0, np.int64)]
+    objects = np.unique(np.concatenate(nobody + [o.objects for o in overlaps]))
+    ids = np.unique(np.concatenate(nobody + [o.ids for o in overlaps]))
+    numbered = [
         Overlap(np.searchsorted(objects, o.objects), np.searchsorted(ids, o.ids), np.asarray(o.similarity, np.float64))
         for o in overlaps
     ]
-
-
-def _names(overlaps: Sequence[Overlap]) -> tuple[list[Ids], list[Ids]]:
-    return [overlap.objects for overlap in overlaps], [overlap.ids for overlap in overlaps]
+    return numbered, (len(objects), len(ids))
 
 
 def _share(part: int, whole: int) -> float:

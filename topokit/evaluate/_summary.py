@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .config import EvaluationConfig
-from .intervals import Bootstrap, Estimate, mean_of
+from ._bootstrap import Bootstrap, Estimate, mean_of
+from ._config import EvaluationConfig
 
-__all__ = ["MEASURES", "ORDER", "TOLERANCES", "Samples", "horizons_of", "steps_of", "summarise"]
+__all__ = ["MEASURES", "Samples", "horizons_of", "steps_of", "summarise"]
 
 Array = NDArray[np.float64]
-ORDER = ("seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours")
+_ORDER = ("seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours")
+_PLACES = {name: place for place, name in enumerate(_ORDER)}
 TOLERANCES = (0.0, 0.01, 0.02, 0.03, 0.05, 0.1)
 MEASURES = {
     "hull_accuracy": "share of windows in which the mean of the mixture is in the hull",
@@ -44,7 +46,7 @@ class Samples:
     Attributes
     ----------
     columns : dict of dict of (seeds, n, K) float64
-        Model, then a name of `measures.COLUMNS`.
+        Model, then a name of `COLUMNS`.
     episode : (n,) int
     garment : (n,) str
     steps, horizons : tuple of int
@@ -103,8 +105,7 @@ class _Table:
     def __init__(self, samples: Samples, config: EvaluationConfig) -> None:
         self.samples, self.tolerance = samples, config.tolerance
         self.bootstrap = Bootstrap(samples.episode, config.samples, config.seed, strata=samples.garment)
-        known = [name for name in ORDER if name in samples.columns]
-        self.models = [*known, *sorted(set(samples.columns) - set(known))]
+        self.models = sorted(samples.columns, key=lambda name: (_PLACES.get(name, len(_PLACES)), name))
 
     def hits(self, model: str, tolerance: float | None = None, column: str = "outside") -> Array:
         """(seeds, n, K) whether the means are in their hulls; nan where no true loop is there."""
@@ -114,108 +115,85 @@ class _Table:
     def estimate(self, model: str, name: str, k: int) -> Estimate:
         """A measure at the k-th step."""
         columns, number = self.samples.columns[model], self.models.index(model)
-
-        def ratio(top: str, bottom: str) -> Estimate:
-            return self.bootstrap.ratio(columns[top][..., k], columns[bottom][..., k], number)
-
-        if name == "presence":
-            return mean_of([ratio("there_right", "there"), ratio("absent_right", "absent")])
-        if name in ("presence_changed", "presence_same"):
-            kind = name.removeprefix("presence_")
-            return ratio(f"{kind}_right", kind)
+        if name.startswith("presence"):
+            kinds = ("there", "absent") if name == "presence" else (name.removeprefix("presence_"),)
+            pairs = [(columns[f"{kind}_right"][..., k], columns[kind][..., k]) for kind in kinds]
+            return mean_of([self.bootstrap.ratio(*pair, number) for pair in pairs])
         if name == "hull_accuracy":
-            return self.mean(self.hits(model)[..., k], number)
+            return self.mean(self.hits(model)[..., k], model)
         column = name.removesuffix("_cm").removesuffix("_median")
         values = columns[{"identity": "kept"}.get(column, column)][..., k] * (100 if name.endswith("_cm") else 1)
-        if "median" in name:
-            return self.bootstrap.median(values, number)
-        return self.mean(values, number)
+        return self.bootstrap.median(values, number) if "median" in name else self.mean(values, model)
 
-    def mean(self, values: Array, number: int) -> Estimate:
+    def mean(self, values: Array, model: str) -> Estimate:
         """Of (seeds, n) values, without those that are nan."""
         there = np.isfinite(values)
-        return self.bootstrap.ratio(np.where(there, values, 0), there, number)
+        return self.bootstrap.ratio(np.where(there, values, 0), there, self.models.index(model))
 
-    def row(self, make: Callable[[int], Estimate]) -> dict[str, Estimate]:
-        """At the horizons, and the mean over them."""
-        each = {str(step): make(self.samples.steps.index(step)) for step in self.samples.horizons}
+    def row(self, at: Callable[[int], Estimate]) -> dict[str, Estimate]:
+        """What is estimated at the horizons, and the mean over them."""
+        each = {str(step): at(self.samples.steps.index(step)) for step in self.samples.horizons}
         return each | {"mean": mean_of(list(each.values()))}
 
-    def at_horizons(self, name: str) -> dict[str, Any]:
+    def rows(self, estimate: Callable[[str, int], Estimate]) -> dict[str, dict[str, Estimate]]:
         """Model, then horizon."""
-        return {m: _plain(self.row(lambda k, m=m: self.estimate(m, name, k))) for m in self.models}  # type: ignore[misc]
+        return {model: self.row(partial(estimate, model)) for model in self.models}
+
+    def at_horizons(self, name: str) -> dict[str, Any]:
+        """A measure."""
+        return _plain(self.rows(lambda model, k: self.estimate(model, name, k)))
 
     def curve(self, name: str) -> dict[str, Any]:
         """Model, then every step."""
-        return {
-            model: {str(step): self.estimate(model, name, k).as_dict() for k, step in enumerate(self.samples.steps)}
-            for model in self.models
-        }
+        steps = {str(step): k for k, step in enumerate(self.samples.steps)}
+        return _plain({m: {step: self.estimate(m, name, k) for step, k in steps.items()} for m in self.models})
 
     def gains(self, of: str) -> dict[str, Any]:
         """What the hull accuracy of a model is above that of the others, on the same draws of episodes."""
         if of not in self.models:
             return {}
-        mine = self.row(lambda k: self.estimate(of, "hull_accuracy", k))
-        answer = {}
-        for model in self.models:
-            if model != of:
-                other = self.row(lambda k, m=model: self.estimate(m, "hull_accuracy", k))  # type: ignore[misc]
-                answer[model] = {key: (mine[key] - other[key]).as_dict() for key in mine}
-        return answer
+        rows = self.rows(lambda model, k: self.estimate(model, "hull_accuracy", k))
+        mine = rows.pop(of)
+        return _plain({model: {key: mine[key] - row[key] for key in row} for model, row in rows.items()})
 
     def outcomes(self) -> dict[str, Any]:
         """Shares of windows: in the hull, beside it by 10 cm at most, farther, or too few loops forecast."""
-        answer: dict[str, Any] = {}
-        for model in self.models:
-            answer[model] = {}
-            for step in self.samples.horizons:
-                outside = self.samples.columns[model]["outside"][..., self.samples.steps.index(step)]
-                outside = outside[~np.isnan(outside)]
-                hit = outside <= max(self.tolerance, 1e-9)
-                near = ~hit & (outside <= 0.1)
-                shares = {
-                    "hit": hit,
-                    "near": near,
-                    "far": ~hit & ~near & np.isfinite(outside),
-                    "silent": np.isinf(outside),
-                }
-                answer[model][str(step)] = {name: round(float(part.mean()), 4) for name, part in shares.items()}
-        return answer
+        places = {str(step): self.samples.steps.index(step) for step in self.samples.horizons}
+        return {model: {step: self.shares(model, k) for step, k in places.items()} for model in self.models}
+
+    def shares(self, model: str, k: int) -> dict[str, float]:
+        """The outcomes at the k-th step."""
+        outside = self.samples.columns[model]["outside"][..., k]
+        outside = outside[~np.isnan(outside)]
+        hit, near, silent = outside <= max(self.tolerance, 1e-9), outside <= 0.1, np.isinf(outside)
+        parts = {"hit": hit, "near": near & ~hit, "far": ~near & ~hit & ~silent, "silent": silent}
+        return {name: round(float(part.mean()), 4) for name, part in parts.items()}
 
     def by_seed(self) -> dict[str, Any]:
         """Hull accuracy of every training seed on its own, for models that have several."""
         answer = {}
-        for model in self.models:
-            hits = self.hits(model)
+        for model, hits in {model: self.hits(model) for model in self.models}.items():
             if len(hits) > 1:
-                at = [self.samples.steps.index(step) for step in self.samples.horizons]
-                each = np.nanmean(hits, axis=1)[:, at]
+                each = np.nanmean(hits, axis=1)[:, [self.samples.steps.index(step) for step in self.samples.horizons]]
                 columns = dict(zip(map(str, self.samples.horizons), each.T.round(4).tolist(), strict=True))
                 answer[model] = columns | {"mean": each.mean(axis=1).round(4).tolist()}
         return answer
 
     def treatments(self) -> dict[str, Any]:
         """Hull accuracy when a nearly flat hull is treated otherwise, or presence is not asked for."""
-        ways: dict[str, Callable[[str], Array]] = {
-            f"within {100 * tolerance:g} cm": lambda model, t=tolerance: self.hits(model, t)  # type: ignore[misc]
-            for tolerance in TOLERANCES
-        }
-        for tolerance in TOLERANCES:
-            name = f"marked curve alone, within {100 * tolerance:g} cm"
-            ways[name] = lambda model, t=tolerance: self.hits(model, t, "outside_marked")  # type: ignore[misc]
+        ways: dict[str, Callable[[str], Array]] = {}
+        for marked, column in {"": "outside", "marked curve alone, ": "outside_marked"}.items():
+            for near in TOLERANCES:
+                ways[f"{marked}within {100 * near:g} cm"] = partial(self.hits, tolerance=near, column=column)
         ways["in the plane"] = lambda model: self.samples.columns[model]["in_plane"]
         ways["in the opening"] = lambda model: self.samples.columns[model]["in_opening"]
-        ways["presence not asked for"] = lambda model: self.hits(model, column="outside_anyway")
-        answer: dict[str, Any] = {}
-        for name, way in ways.items():
-            rows = {}
-            for number, model in enumerate(self.models):
-                hits = way(model)
-                rows[model] = _plain(self.row(lambda k, h=hits, i=number: self.mean(h[..., k], i)))  # type: ignore[misc]
-            answer[name] = rows
-        return answer
+        ways["presence not asked for"] = partial(self.hits, column="outside_anyway")
+        return {name: _plain(self.rows(partial(self.treated, way))) for name, way in ways.items()}
+
+    def treated(self, way: Callable[[str], Array], model: str, k: int) -> Estimate:
+        """Hull accuracy at the k-th step when `way` says what is a hit."""
+        return self.mean(way(model)[..., k], model)
 
 
-def _plain(row: Mapping[str, Estimate]) -> dict[str, Any]:
-    return {key: one.as_dict() for key, one in row.items()}
+def _plain(rows: Mapping[str, Mapping[str, Estimate]]) -> dict[str, Any]:
+    return {model: {key: one.as_dict() for key, one in row.items()} for model, row in rows.items()}

@@ -93,7 +93,7 @@ def summarise_tracks(
     Parameters
     ----------
     states : sequence of TopologicalState
-    points : (T, N, 3) array
+    points : (T, N, 3) array, optional
         Positions of the garment's vertices, a row a frame of `states`.
     loops : sequence of (L,) int arrays
         True loops as vertex ids into `points`.
@@ -108,37 +108,31 @@ def summarise_tracks(
     """
     if loops and (points is None or len(points) != len(states)):
         raise ValueError(f"points has {0 if points is None else len(points)} frames, states {len(states)}")
-    tracks: dict[int, list[tuple[int, TopologicalState]]] = {}
+    tracks: dict[int, list[int]] = {}
     for row, state in enumerate(states):
         for loop in state.loops:
-            tracks.setdefault(loop.id, []).append((row, state))
-    summaries = [_summarise(identity, seen, points, loops, tolerance) for identity, seen in tracks.items()]
+            tracks.setdefault(loop.id, []).append(row)
+    summaries = []
+    for identity, rows in tracks.items():
+        found = [states[row][identity] for row in rows]
+        where = -1, float("nan"), float("nan")
+        if loops and points is not None:
+            where = _nearest_loop(np.array([loop.centre for loop in found]), points[rows], loops, tolerance)
+        lifetime = float(np.mean([loop.lifetime for loop in found]))
+        first, last = states[rows[0]].frame, states[rows[-1]].frame
+        summaries.append(TrackSummary(identity, first, last, len(rows), lifetime, *where))
     return sorted(summaries, key=lambda track: (-track.frames, -track.lifetime))
 
 
-def _summarise(
-    identity: int,
-    seen: list[tuple[int, TopologicalState]],
-    points: NDArray[np.floating] | None,
+def _nearest_loop(
+    centres: NDArray[np.float64],
+    points: NDArray[np.floating],
     loops: Sequence[NDArray[np.integer]],
     tolerance: float,
-) -> TrackSummary:
-    centres = np.array([state[identity].centre for _, state in seen])
-    nearest, distance, in_hull = -1, float("nan"), float("nan")
-    if loops and points is not None:
-        rows = [row for row, _ in seen]
-        away = [np.linalg.norm(points[rows][:, loop].mean(axis=1) - centres, axis=1).mean() for loop in loops]
-        nearest = int(np.argmin(away))
-        distance = float(away[nearest])
-        outside = [distance_to_hull(c, points[row][loops[nearest]]) for c, row in zip(centres, rows, strict=True)]
-        in_hull = float(np.mean(np.array(outside) <= max(tolerance, 1e-9)))
-    return TrackSummary(
-        id=identity,
-        first=seen[0][1].frame,
-        last=seen[-1][1].frame,
-        frames=len(seen),
-        lifetime=float(np.mean([state[identity].lifetime for _, state in seen])),
-        true_loop=nearest,
-        distance=distance,
-        in_hull=in_hull,
-    )
+) -> tuple[int, float, float]:
+    """Which true loop a track is nearest to, how far from it, and its share of frames in the hull."""
+    away = [np.linalg.norm(points[:, loop].mean(axis=1) - centres, axis=1).mean() for loop in loops]
+    nearest = int(np.argmin(away))
+    hulls = points[:, loops[nearest]]
+    outside = [distance_to_hull(centre, hull) for centre, hull in zip(centres, hulls, strict=True)]
+    return nearest, float(away[nearest]), float(np.mean(np.array(outside) <= max(tolerance, 1e-9)))

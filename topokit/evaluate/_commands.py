@@ -43,52 +43,46 @@ def _evaluate(options: argparse.Namespace) -> int:
         raise ValueError(f"--out {options.out}: the name of results ends in .json")
     if options.threads < 1:
         raise ValueError(f"--threads {options.threads}: one at least")
-    import torch
-
-    from .config import load_evaluation
-    from .forecasts import evaluate_forecasts
-    from .report import hull_table
-
-    config, folder = load_evaluation(options.evaluation)
     if options.out.resolve() == options.evaluation.resolve():
         raise ValueError(f"--out {options.out}: that is the evaluation itself")
+    import torch
+
+    from . import evaluate_forecasts, load_evaluation
+
+    config, folder = load_evaluation(options.evaluation)
     torch.set_num_threads(min(options.threads, torch.get_num_threads()))
+    command = f"topokit evaluate {options.evaluation} --out {options.out}"
+    command += f" --clips {options.clips}" if options.clips else ""
     loud = not (options.quiet or options.json)
-
-    def tell(line: str) -> None:
-        if loud:
-            print(line, file=sys.stderr, flush=True)
-
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_, **__: print(
-                f"topokit evaluate: warning: {message}", file=sys.stderr
-            )
+            warnings.showwarning = _show_warning
             results = evaluate_forecasts(
-                config,
-                folder,
-                options.out,
-                progress=loud and sys.stderr.isatty(),
-                tell=tell,
-                command=f"topokit evaluate {options.evaluation} --out {options.out}"
-                + (f" --clips {options.clips}" if options.clips else ""),
-                clips=options.clips,
+                config, folder, options.out, progress=loud, command=command, clips=options.clips
             )
     except (KeyboardInterrupt, SystemError) as error:
         if not _interrupted(error):
             raise
-        print(
-            f"topokit evaluate: stopped; conditions that were done are in {options.out}, the same command goes on",
-            file=sys.stderr,
-        )
+        where = f"conditions that were done are in {options.out}"
+        print(f"topokit evaluate: stopped; {where}, the same command goes on", file=sys.stderr)
         return 130
+    _show(options, results)
+    return 0
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    print(f"topokit evaluate: warning: {message}", file=sys.stderr)
+
+
+def _show(options: argparse.Namespace, results: dict[str, Any]) -> None:
+    from ._report import hull_table
+
     if options.json:
         print(json.dumps({"results": str(options.out), "hull_accuracy": results["hull_accuracy"]}))
-    else:
-        for name, condition in results["conditions"].items():
-            print(f"\n{name}\n\n{hull_table(condition, results['horizons'])}")
-        print(f"results: {options.out}")
-    return 0
+        return
+    for name, condition in results["conditions"].items():
+        print(f"\n{name}\n\n{hull_table(condition, results['horizons'])}")
+    print(f"results: {options.out}")
 
 
 def _interrupted(error: BaseException | None) -> bool:
@@ -99,7 +93,7 @@ def _interrupted(error: BaseException | None) -> bool:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from .report import write_report
+    from . import write_report
 
     files = write_report(options.results, options.out)
     print(json.dumps([str(path) for path in files]) if options.json else "\n".join(map(str, files)))

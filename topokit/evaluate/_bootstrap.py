@@ -42,18 +42,16 @@ class Estimate:
         """The gain over another one on the same draws."""
         return Estimate(self.value - other.value, self.draws - other.draws, min(self.n, other.n))
 
-    def interval(self, share: float = 0.95) -> tuple[float, float]:
-        """The middle `share` of the draws."""
+    def interval(self) -> tuple[float, float]:
+        """The middle 95 % of the draws."""
         known = self.draws[np.isfinite(self.draws)]
-        if not len(known):
-            return float("nan"), float("nan")
-        low, high = np.quantile(known, [(1 - share) / 2, (1 + share) / 2])
+        low, high = np.quantile(known, [0.025, 0.975]) if len(known) else (np.nan, np.nan)
         return float(low), float(high)
 
-    def as_dict(self, digits: int = 4) -> dict[str, float | int | None]:
+    def as_dict(self) -> dict[str, float | int | None]:
         """`mean`, `low`, `high`, `n`; None where there is nothing to say."""
         numbers = dict(zip(("mean", "low", "high"), (self.value, *self.interval()), strict=True))
-        return {name: round(x, digits) if np.isfinite(x) else None for name, x in numbers.items()} | {"n": self.n}
+        return {name: round(x, 4) if np.isfinite(x) else None for name, x in numbers.items()} | {"n": self.n}
 
 
 def mean_of(estimates: Sequence[Estimate]) -> Estimate:
@@ -72,11 +70,11 @@ class Bootstrap:
     ----------
     bunches : (n,) array_like of int
         Which episode each sample is of.
+    draws : int
+    seed : int
     strata : (n,) array_like, optional
         Which garment, say. How many there are of each was decided and not drawn, so it is the same in all draws: episodes are
         drawn among those of the same stratum.
-    draws : int
-    seed : int
 
     Examples
     --------
@@ -100,25 +98,36 @@ class Bootstrap:
             self.weights[:, mine] = drawn * (size.sum() / (drawn @ size))[:, None]
         self.seed = seed
 
-    def seeds(self, count: int, model: int = 0) -> Array:
+    def _seeds(self, count: int, model: int) -> Array:
         """(D, count) how often each of the seeds of a model is drawn."""
         rng = np.random.default_rng((self.seed, 1 + model))
         return rng.multinomial(count, np.full(count, 1 / count), size=len(self.weights)).astype(np.float64)
 
     def ratio(self, top: ArrayLike, bottom: ArrayLike, model: int = 0) -> Estimate:
-        """Sum of `top` over sum of `bottom`, both (seeds, n): a mean, where `bottom` says which samples count.
+        """Return the sum of `top` over that of `bottom`: a mean, where `bottom` says which samples count.
 
-        `model` is any number that tells models apart, so that their seeds are drawn independently.
+        Parameters
+        ----------
+        top, bottom : (seeds, n) array_like
+        model : int
+            Any number that tells models apart, so that their seeds are drawn independently.
         """
         above, below = (self._by_bunch(np.asarray(part, dtype=np.float64)) for part in (top, bottom))  # (S, E)
-        often = self.seeds(len(above), model)
+        often = self._seeds(len(above), model)
         with np.errstate(invalid="ignore", divide="ignore"):
             draws = (often * (self.weights @ above.T)).sum(axis=1) / (often * (self.weights @ below.T)).sum(axis=1)
             value = float(above.sum() / below.sum())
         return Estimate(value, draws, round(float(np.asarray(bottom).sum()) / len(above)))
 
     def median(self, values: ArrayLike, model: int = 0) -> Estimate:
-        """Median of `values` (seeds, n), without those that are nan."""
+        """Return the median of what is not nan.
+
+        Parameters
+        ----------
+        values : (seeds, n) array_like
+        model : int
+            As in `ratio`.
+        """
         table = np.asarray(values, dtype=np.float64)
         seed, sample = np.nonzero(np.isfinite(table))
         if not len(seed):
@@ -126,7 +135,7 @@ class Bootstrap:
         order = np.argsort(table[seed, sample], kind="stable")
         seed, sample = seed[order], sample[order]
         found = table[seed, sample]
-        often, draws = self.seeds(len(table), model), []
+        often, draws = self._seeds(len(table), model), []
         for weight, times in zip(self.weights, often, strict=True):
             reached = np.cumsum(weight[self.bunch[sample]] * times[seed])
             draws.append(found[np.searchsorted(reached, reached[-1] / 2)] if reached[-1] else np.nan)
