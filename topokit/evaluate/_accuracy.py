@@ -30,8 +30,6 @@ from topokit.models import States, loop_mixtures, match_slots
 from ._localisation import nearest_in_hull
 from ._tracking import extent
 
-__all__ = ["COLUMNS", "TrueCurves", "measure_forecasts", "opening_points"]
-
 Array = NDArray[np.float64]
 MOST = 2
 """True loops that a sample asks for, at most: the paper's objects have one or two."""

@@ -21,8 +21,6 @@ from topokit.state import TopologicalState
 
 from ._scores import greatest
 
-__all__ = ["by_diagram", "by_midpoint", "track_vines"]
-
 
 def by_diagram(loops: Candidates) -> list[tuple[int, int]]:
     """Match by birth and death alone, as a distance between persistence diagrams does; places count for nothing.

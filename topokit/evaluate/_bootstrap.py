@@ -15,8 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Bootstrap", "Estimate", "mean_of"]
-
 Array = NDArray[np.float64]
 
 

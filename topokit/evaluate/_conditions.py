@@ -22,16 +22,6 @@ from ._config import UNTRAINED, Clouds, Condition, EvaluationConfig
 from ._results import digest, library_digest
 from ._tracking import true_loops
 
-__all__ = [
-    "Forecaster",
-    "PreparedCondition",
-    "garments_of",
-    "prepare_condition",
-    "spoilt_observer",
-    "spread_windows",
-    "true_curves",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Forecaster:

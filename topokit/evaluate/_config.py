@@ -11,8 +11,6 @@ from pydantic import AfterValidator, Field
 from topokit._config import Count, NotNegative, checked, load
 from topokit.models import Shape
 
-__all__ = ["UNTRAINED", "Clouds", "Condition", "EvaluationConfig", "load_evaluation"]
-
 UNTRAINED = ("seqph", "hold", "carry")
 """Need no checkpoint; the first sees the future."""
 

@@ -21,8 +21,6 @@ from topokit.models import States
 
 from ._summary import Samples
 
-__all__ = ["far_astray", "save_clips"]
-
 MOST = 6
 Model = Callable[[Mapping[str, Tensor]], States]
 

@@ -29,8 +29,6 @@ from ._failures import Model, far_astray, save_clips
 from ._results import KIND, read_results, write_results
 from ._summary import Samples, horizons_of, steps_of, summarise
 
-__all__ = ["evaluate_forecasts"]
-
 BATCH = 64
 
 

@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from topokit._validate import as_points
 from topokit.state import TopologicalState
 
-__all__ = ["TrackSummary", "distance_to_hull", "nearest_in_hull", "summarise_tracks"]
-
 
 def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
     """Return how far `point` is from the convex hull of `points`; zero inside, to rounding.

@@ -14,8 +14,6 @@ from topokit._archive import atomic_file
 from ._results import read_results
 from ._summary import MEASURES
 
-__all__ = ["hull_table", "markdown", "write_report"]
-
 
 def write_report(results: str | Path, out: str | Path) -> list[Path]:
     """Write `tables.md` and the figures of a file of results, which it shows at its end, into a folder.

@@ -14,8 +14,6 @@ from typing import Any
 import topokit
 from topokit._archive import FormatError, atomic_file
 
-__all__ = ["KIND", "digest", "library_digest", "read_results", "write_results"]
-
 KIND = "topokit-evaluation"
 
 

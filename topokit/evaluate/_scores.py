@@ -16,8 +16,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LEVELS", "THRESHOLD", "Event", "Overlap", "TrackingScore", "events", "greatest", "score"]
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 Kind = Literal["match", "switch", "fragment", "miss", "false positive"]

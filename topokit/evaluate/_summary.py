@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from ._bootstrap import Bootstrap, Estimate, mean_of
 from ._config import EvaluationConfig
 
-__all__ = ["MEASURES", "Samples", "horizons_of", "steps_of", "summarise"]
-
 Array = NDArray[np.float64]
 _ORDER = ("seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours")
 _PLACES = {name: place for place, name in enumerate(_ORDER)}

@@ -25,8 +25,6 @@ from topokit.state import TopologicalState
 
 from ._scores import THRESHOLD, Overlap
 
-__all__ = ["TrueLoops", "by_killer", "by_place", "compare", "extent", "true_loops"]
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 

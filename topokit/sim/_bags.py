@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from ._pattern import Arch, Band, chain, cut, inflate, mirror, polyline, ring, sew
 from ._wardrobe import THIRDS, Fields, check_sizes, demand, numbered
 
-__all__ = ["backpack", "tote"]
-
 Array = NDArray[np.float64]
 
 

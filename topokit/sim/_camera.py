@@ -17,8 +17,6 @@ from pydantic import BeforeValidator, Field
 
 from topokit._config import Count, NotNegative, Positive, checked
 
-__all__ = ["Camera", "DepthNoise", "cameras_around"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 

@@ -32,8 +32,6 @@ from ._targets import Target
 from ._tasks import Task, task_named
 from ._world import World, observe
 
-__all__ = ["HangEnv"]
-
 Array = NDArray[np.float64]
 Observation = dict[str, Any]
 REWARDS = ("sparse", "dense", "topological", "topological-observed")

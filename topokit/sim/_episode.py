@@ -29,8 +29,6 @@ from ._recording import Recording, Run, record, record_afresh
 from ._targets import Hook, Target
 from ._tasks import Task, task_for, task_named
 
-__all__ = ["simulate"]
-
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 
 

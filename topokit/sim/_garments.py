@@ -21,8 +21,6 @@ from topokit._validate import as_points
 from . import _bags, _mesh, _wardrobe
 from ._surface import as_ids, check_loop, check_mesh, half_edges
 
-__all__ = ["WARDROBE", "Garment"]
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 Sizes = ParamSpec("Sizes")

@@ -20,8 +20,6 @@ from topokit._validate import positive
 from ._read import read_mesh
 from ._surface import EdgeGraph, as_ids, border_cycles, close_loop, components, half_edges, joined, wind
 
-__all__ = ["from_mesh"]
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 _log = logging.getLogger("topokit.sim")

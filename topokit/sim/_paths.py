@@ -19,8 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
-__all__ = ["GripperPath", "Via"]
-
 Array = NDArray[np.float64]
 
 

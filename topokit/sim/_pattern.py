@@ -20,8 +20,6 @@ from scipy.spatial import cKDTree
 from ._surface import half_edges, joined, strangers, wind
 from ._triangulate import arc_length, count_steps, points_at, triangulate
 
-__all__ = ["Arch", "Band", "Panel", "chain", "cut", "inflate", "mirror", "polyline", "ring", "sew"]
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 

@@ -8,8 +8,6 @@ from pydantic import Field
 
 from topokit._config import Count, NotNegative, Positive, checked
 
-__all__ = ["SimulationConfig"]
-
 Stretch = Annotated[float, Field(gt=1)]
 
 

@@ -25,8 +25,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
-__all__ = ["Forge", "SimulationError"]
-
 _MAIN = (  # what lies in the working directory, '' on the path, is not imported
     "import sys; sys.path[:] = filter(None, sys.path); from topokit.sim._process import serve; serve(*sys.argv[1:])"
 )

@@ -18,8 +18,6 @@ from ._camera import Camera
 from ._garments import Garment
 from ._physics import SimulationConfig
 
-__all__ = ["PURPOSES", "Randomisation", "generator"]
-
 PURPOSES = ("path", "physics", "cameras", "noise")
 Bounds = tuple[float, float]
 _CONFIGURED = ("stiffness", "bending", "damping", "friction", "mass")

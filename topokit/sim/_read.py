@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from topokit._archive import FormatError
 
-__all__ = ["read_mesh"]
-
 Array = NDArray[np.float64]
 Polygons = list[list[int]]
 _PLY_CODES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")

@@ -22,8 +22,6 @@ from ._process import Forge, SimulationError
 from ._targets import Rod
 from ._world import World, observe
 
-__all__ = ["Recording", "Report", "Run", "StretchCheck", "record", "record_afresh"]
-
 Array = NDArray[np.float64]
 Report = Callable[[int], None]
 

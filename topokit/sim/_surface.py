@@ -11,21 +11,6 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from topokit.rips import rips_persistence, tighten
 
-__all__ = [
-    "EdgeGraph",
-    "as_ids",
-    "border_cycles",
-    "check_loop",
-    "check_mesh",
-    "close_loop",
-    "components",
-    "half_edges",
-    "joined",
-    "simple_cycles",
-    "strangers",
-    "wind",
-]
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 _GAP = 4  # edges: as far as a hole in a loop is closed without asking

@@ -19,8 +19,6 @@ from topokit._config import Positive, checked
 from topokit._validate import as_points
 from topokit.linking import close_far, linking_number
 
-__all__ = ["Hanger", "Hook", "Mannequin", "Rod", "Target"]
-
 Array = NDArray[np.float64]
 Rod = tuple[Array, Array, float]  # a capsule: start, end, radius
 _SHOULDER = 0.3  # radius of the shoulders as a share of the depth of the chest

@@ -19,8 +19,6 @@ from ._garments import WARDROBE, Garment
 from ._paths import GripperPath, Via
 from ._targets import Hanger, Hook, Mannequin, Target
 
-__all__ = ["TASKS", "Task", "pull_over_head", "task_for", "task_named"]
-
 Array = NDArray[np.float64]
 Planner = Callable[[Garment, Target, np.random.Generator], GripperPath]
 

@@ -11,8 +11,6 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ._surface import half_edges
 
-__all__ = ["arc_length", "count_steps", "points_at", "triangulate"]
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 

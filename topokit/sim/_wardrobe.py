@@ -15,8 +15,6 @@ from topokit._validate import positive
 from ._pattern import Arch, Band, cut, inflate, mirror, polyline, ring, sew
 from ._surface import EdgeGraph, half_edges
 
-__all__ = ["THIRDS", "Fields", "apron", "check_sizes", "demand", "mask", "numbered", "sheet", "shirt", "vest"]
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 Fields = tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float]]

@@ -22,8 +22,6 @@ from ._camera import Camera
 from ._garments import Garment
 from ._physics import SimulationConfig
 
-__all__ = ["World", "observe"]
-
 Array = NDArray[np.float64]
 _GRAVITY = 9.8  # m/s^2
 
