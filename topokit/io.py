@@ -94,7 +94,7 @@ class Episode:
     observation: dict[str, Any] = field(default_factory=dict)
     physics: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
-    schema: int = SCHEMA
+    schema: int = SCHEMA  #: of the file format
 
     def __len__(self) -> int:
         return len(self.points)
