@@ -8,16 +8,10 @@ import numpy as np
 import pytest
 
 from topokit import rips_persistence, rips_persistence_many
-from topokit.rips import _compute
+from topokit.rips import _cloud
 
-from clouds import FAMILIES, gudhi_pairs, random_cloud, sorted_pairs
+from clouds import gudhi_pairs, sorted_pairs
 from conftest import polygon
-
-
-@pytest.fixture
-def no_bitsets(monkeypatch):
-    """Send every cloud to the kernel for many points."""
-    monkeypatch.setattr(_compute, "MOST_ROWS", 0)
 
 
 def same(one, other) -> None:
@@ -25,33 +19,11 @@ def same(one, other) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_both_kernels_agree_to_the_last_simplex(family, monkeypatch):
-    rng = np.random.default_rng(200 + FAMILIES.index(family))
-    for _ in range(60):
-        cloud = random_cloud(rng, family, 60)
-        by_rows = rips_persistence(cloud)
-        with monkeypatch.context() as patch:
-            patch.setattr(_compute, "MOST_ROWS", 0)
-            same(by_rows, rips_persistence(cloud))
-
-
-def test_kernel_for_many_points_equals_gudhi(no_bitsets):
-    rng = np.random.default_rng(9)
-    sheet = np.column_stack([rng.random((150, 2)), 0.02 * rng.normal(size=150)])
-    sheet = sheet[np.linalg.norm(sheet[:, :2] - 0.5, axis=1) > 0.25]
-    diagram = rips_persistence(sheet)
-    ours = sorted_pairs(np.column_stack([diagram.birth, diagram.death]))
-    np.testing.assert_allclose(ours, gudhi_pairs(sheet), atol=1e-9)
-    assert diagram.lifetime[0] > 3 * diagram.lifetime[1]
-
-
-def test_more_points_than_bitsets_are_kept_for():
+def test_ring_of_thousands_of_points():
     rng = np.random.default_rng(0)
     angle = 2 * np.pi * rng.random(5000)
     ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(5000)]) * (1 + 0.05 * rng.random((5000, 1)))
     diagram = rips_persistence(ring)
-    assert len(ring) > _compute.MOST_ROWS
     assert diagram.death[0] == pytest.approx(np.sqrt(3) / 2, rel=0.01)  # the inner rim has radius 1
     assert (diagram.lifetime[1:] < 0.05).all()
 
@@ -114,11 +86,11 @@ def test_many_says_which_cloud_is_bad(capsys):
 
 
 def test_long_compilation_is_announced(monkeypatch, capsys):
-    monkeypatch.setattr(_compute, "_PATIENCE", 0.01)
-    with _compute._announced("compiling"):
+    monkeypatch.setattr(_cloud, "_PATIENCE", 0.01)
+    with _cloud._announced("compiling"):
         time.sleep(0.2)
     assert capsys.readouterr().err == "compiling\n"
-    with _compute._announced("compiling"):
+    with _cloud._announced("compiling"):
         pass
     time.sleep(0.05)
     assert capsys.readouterr().err == ""

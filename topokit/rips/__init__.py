@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from .._validate import as_points, as_sequence, positive
-from ._compute import pairs
+from .._validate import as_sequence, positive
+from ._cloud import Cloud, pairs
 from ._diagram import Diagram, tighten
 
 __all__ = ["Diagram", "rips_persistence", "rips_persistence_many", "tighten"]
@@ -64,13 +64,8 @@ def rips_persistence(
     """
     cutoff = positive(max_radius, "max_radius", infinite=True)
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
-    if metric not in ("euclidean", "precomputed"):
-        raise ValueError(f'metric must be "euclidean" or "precomputed", not {metric!r}')
-    array = as_points(points)
-    precomputed = metric == "precomputed"
-    if precomputed:
-        _check_distances(array)
-    created, killed, birth, death = pairs(array, cutoff, precomputed)
+    cloud = Cloud.of(points, metric)
+    created, killed, birth, death = pairs(cloud, cutoff)
     keep = np.flatnonzero((death > birth) & (death - birth >= shortest))
     keep = keep[np.lexsort((created[keep, 1], created[keep, 0], birth[keep], -(death - birth)[keep]))]
     return Diagram(
@@ -79,10 +74,9 @@ def rips_persistence(
         birth_edge=created[keep],
         killer_edge=killed[keep, :2],
         killer_triangles=killed[keep][:, [[0, 1, 3], [0, 1, 2]]],
-        n_points=len(array),
+        n_points=len(cloud),
         max_radius=cutoff,
-        _points=array,
-        _precomputed=precomputed,
+        _cloud=cloud,
         _simplices=(created, killed),
     )
 
@@ -143,20 +137,3 @@ def rips_persistence_many(
                 print(file=sys.stderr)
     return diagrams
 
-
-def _check_distances(matrix: NDArray[np.float64]) -> None:
-    """Raise ValueError when the matrix cannot be one of distances; the message names the entry."""
-    if matrix.shape[0] != matrix.shape[1]:
-        raise ValueError(
-            f'with metric="precomputed", points must be a square matrix of distances, not of shape {matrix.shape}'
-        )
-    for wrong, what in (
-        (matrix < 0, "negative"),
-        (matrix != matrix.T, "not symmetric"),
-        (np.diag(np.diag(matrix) != 0), "not zero on the diagonal"),
-    ):
-        if wrong.any():
-            i, j = np.argwhere(wrong)[0].tolist()
-            raise ValueError(
-                f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]} there and {matrix[j, i]} at [{j}, {i}]"
-            )

@@ -1,21 +1,28 @@
-"""Lengths of edges, the same to the last bit wherever they are computed: they decide ties."""
+"""What orders the edges, compiled: lengths, the same to the last bit wherever they are computed, and how ties fall."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from ._jit import njit
 
-__all__ = ["power_of_two", "squares_from"]
-
-
-def power_of_two(points: NDArray[np.float64]) -> float:
-    """A factor for coordinates that saves squared distances from overflow and underflow, and changes no digit."""
-    return 2.0 ** -int(np.frexp(np.ptp(points, axis=0).max())[1]) if len(points) else 1.0
+__all__ = ["edge_length", "precedes"]
 
 
-def squares_from(points: NDArray[np.float64], i: int) -> NDArray[np.float64]:
-    """(n,) squared distances from point i, summed axis by axis, as the kernels do; NumPy's `sum` pairs the terms."""
-    total = np.zeros(len(points))
-    for axis in range(points.shape[1]):
-        total += (points[:, axis] - points[i, axis]) ** 2
+@njit(forceinline=True)
+def edge_length(data, i, j, axes):
+    """The entry of a matrix (no axes), or the squared distance of two points; the same for (i, j) and (j, i)."""
+    if len(axes) == 0:
+        return data[i, j]
+    total = 0.0
+    for k in range(len(axes)):
+        step = data[i, k] - data[j, k]
+        total += step * step
     return total
+
+
+@njit(forceinline=True)
+def precedes(length, a, b, other, x, y):
+    """Whether the edge {a, b} comes before {x, y} in the total order, given what `edge_length` says of both."""
+    if length != other:
+        return length < other
+    low, least = min(a, b), min(x, y)
+    return low < least or (low == least and max(a, b) < max(x, y))
