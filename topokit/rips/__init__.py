@@ -136,4 +136,3 @@ def rips_persistence_many(
             if progress and jobs:
                 print(file=sys.stderr)
     return diagrams
-

@@ -47,7 +47,9 @@ class Cloud:
             return cls(array.copy(), (), 1.0)
         widest = np.ptp(array / 2, axis=0).max() if len(array) else 0.0  # halved, for it may overflow
         scale = 2.0 ** -min(max(int(np.frexp(widest)[1]) + 1, -1000), 1000)
-        flat = np.zeros((len(array), max(3 - array.shape[1], 0)))  # the plane is a part of space: fewer kernels to compile
+        flat = np.zeros(
+            (len(array), max(3 - array.shape[1], 0))
+        )  # the plane is a part of space: fewer kernels to compile
         data = np.hstack([array * scale, flat])
         return cls(data, (0,) * data.shape[1], scale)
 
@@ -96,7 +98,9 @@ def _check_distances(matrix: NDArray[np.float64]) -> None:
 
 def pairs(cloud: Cloud, max_radius: float) -> Pairs:
     """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,)."""
-    if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # a loop needs four vertices, and room to go around
+    if len(cloud) < 4 or (
+        cloud.axes and not cloud.data[:, 1:].any()
+    ):  # a loop needs four vertices, and room to go around
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
     created, killed = _kernel(cloud, cloud.key_of(2 * max_radius))
     birth, death = (cloud.lengths(edges[:, 0], edges[:, 1]) / 2 for edges in (created, killed))
@@ -141,7 +145,9 @@ def _run(cloud: Cloud, max_length: float, spare: int) -> tuple[NDArray[np.int64]
     room = getattr(_kept, "room", None) or new_room(1 << 16)
     room, created, killed = pair_edges(data, cloud.axes, tree, max_length, room, spare)
     _kept.room = room if len(room[0]) <= WINDOW else None
-    return created, killed
+    label = np.append(tree.label, -1)  # of what is not there
+    created, killed = label[created], label[killed]
+    return np.sort(created), np.hstack([np.sort(killed[:, :2]), killed[:, 2:]])
 
 
 def _compile(axes: tuple[int, ...]) -> None:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._cloud import Cloud
-from ._lengths import edge_length
+from ._edges import edge_length
 from ._paths import Time, lune_vertex, neighbours, shortest_paths
 
 __all__ = ["Homology", "sides"]

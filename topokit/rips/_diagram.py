@@ -46,7 +46,9 @@ class Diagram:
     n_points: int
     max_radius: float
     _cloud: Cloud
-    _simplices: tuple[NDArray[np.int64], NDArray[np.int64]]  # of all loops, the short too: created (c, 2), killed (c, 4)
+    _simplices: tuple[
+        NDArray[np.int64], NDArray[np.int64]
+    ]  # of all loops, the short too: created (c, 2), killed (c, 4)
 
     def __post_init__(self) -> None:
         for name in ("birth", "death", "birth_edge", "killer_edge", "killer_triangles"):
@@ -221,7 +223,9 @@ def tighten(
     """
     from ._cycles import Homology, sides  # numba takes a while to import
 
-    cloud, known = (points._cloud, points.max_radius) if isinstance(points, Diagram) else (Cloud.of(points, metric), 0.0)
+    cloud, known = (
+        (points._cloud, points.max_radius) if isinstance(points, Diagram) else (Cloud.of(points, metric), 0.0)
+    )
     walk = _as_walk(cycle, len(cloud))
     a, b = np.sort(sides(walk)).T
     key, low, high = max(zip(cloud.keys(a, b).tolist(), a.tolist(), b.tolist(), strict=True))
@@ -229,7 +233,9 @@ def tighten(
     own = float(cloud.lengths(low, np.array(high))) / 2
     bound = (own if radius is None else positive(radius, "radius", infinite=True)) * (1 + 1e-12)
     if own > bound:
-        raise ValueError(f"cycle is not in the complex: it has an edge of half length {own}, longer than radius {radius}")
+        raise ValueError(
+            f"cycle is not in the complex: it has an edge of half length {own}, longer than radius {radius}"
+        )
     if radius is not None:
         time = max(time, (cloud.key_of(2 * float(radius)), len(cloud), len(cloud)))
     enough = isinstance(points, Diagram) and bound <= known

@@ -1,7 +1,8 @@
 """Edges of a point cloud or of a matrix of distances, a window of lengths at a time, in the total order.
 
 A cloud comes as a kd-tree (`_tree`), whose boxes are walked in pairs so that only edges of about the right length are
-looked at. For a cloud a "length" here is squared: it orders edges alike and costs no root.
+looked at. For a cloud a "length" here is squared: it orders edges alike and costs no root. `edge_length` decides ties, so
+all compiled code asks it, and `_cloud.squares` is its like in NumPy, the same to the last bit.
 """
 
 from __future__ import annotations
@@ -9,15 +10,35 @@ from __future__ import annotations
 import numpy as np
 
 from ._jit import njit
-from ._lengths import edge_length, precedes
 from ._tree import LEAF, between_boxes, centre, nearby_point
 
 WINDOW = 1 << 22  # edges at a time, unless more have one length
-EDGE_BYTES = 36  # of room for an edge
+EDGE_BYTES = 76  # of room for an edge while it is sorted
 CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)  # of an edge's length; a little less, for rounding
 FEW = 8  # edges that insertion sorts as quickly as anything
 _BITS = 21  # of an int64 for a vertex, three times: two million vertices
 _MASK = (1 << _BITS) - 1
+
+
+@njit(forceinline=True)
+def edge_length(data, i, j, axes):
+    """The entry of a matrix (no axes), or the squared distance of two points; the same for (i, j) and (j, i)."""
+    if len(axes) == 0:
+        return data[i, j]
+    total = 0.0
+    for k in range(len(axes)):
+        step = data[i, k] - data[j, k]
+        total += step * step
+    return total
+
+
+@njit(forceinline=True)
+def precedes(length, a, b, other, x, y):
+    """Whether the edge {a, b} comes before {x, y} in the total order, given the lengths of both."""
+    if length != other:
+        return length < other
+    low, least = min(a, b), min(x, y)
+    return low < least or (low == least and max(a, b) < max(x, y))
 
 
 @njit()
@@ -106,39 +127,21 @@ def _comes_before(key, length, other_key, other_length, label):
     return precedes(length, label[a], label[b], length, label[x], label[y])
 
 
-@njit(forceinline=True)
-def _swap(keys, lengths, i, j):
-    keys[i], keys[j] = keys[j], keys[i]
-    lengths[i], lengths[j] = lengths[j], lengths[i]
-
-
 @njit()
-def _heap_sort(keys, lengths, start, end, label):
-    """Put the edges in places start to end in order, however many have almost the same length."""
-    size = end - start
-    root = size // 2
-    while size > 1:
-        if root > 0:  # make a heap, from the last parent up
-            root -= 1
-        else:  # take the greatest off it
-            size -= 1
-            _swap(keys, lengths, start, start + size)
-        parent = start + root
-        while 2 * parent - start + 1 < start + size:
-            child = 2 * parent - start + 1
-            if child + 1 < start + size and _comes_before(
-                keys[child], lengths[child], keys[child + 1], lengths[child + 1], label
-            ):
-                child += 1
-            if not _comes_before(keys[parent], lengths[parent], keys[child], lengths[child], label):
-                break
-            _swap(keys, lengths, parent, child)
-            parent = child
+def _sort_slice(keys, lengths, label):
+    """Put edges in the total order, however many have almost the same length: by their ends, then stably by length."""
+    ends = np.empty(len(keys), np.int64)
+    for e in range(len(keys)):
+        x, y, _ = ends_of(keys[e])
+        ends[e] = min(label[x], label[y]) << _BITS | max(label[x], label[y])
+    order = np.argsort(ends, kind="mergesort")
+    order = order[np.argsort(lengths[order], kind="mergesort")]
+    keys[:], lengths[:] = keys[order], lengths[order]
 
 
 @njit()
 def _sort(room, m, label, shortest, longest):
-    """Put m edges in the total order: a slice of lengths holds about one edge; fuller ones are sorted as heaps."""
+    """Put m edges in the total order: a slice of lengths holds about one edge, and insertion does the rest."""
     keys, lengths, sorted_keys, sorted_lengths, start = room
     scale = m / (longest - shortest)
     if not scale < 1e300:  # tiny distances: the place of a slice would not be a number
@@ -154,8 +157,8 @@ def _sort(room, m, label, shortest, longest):
         start[s] += 1
     for s in range(m):
         if start[s + 1] - start[s] > FEW:
-            _heap_sort(sorted_keys, sorted_lengths, start[s], start[s + 1], label)
-    for e in range(1, m):  # the others by insertion
+            _sort_slice(sorted_keys[start[s] : start[s + 1]], sorted_lengths[start[s] : start[s + 1]], label)
+    for e in range(1, m):
         key, length, i = sorted_keys[e], sorted_lengths[e], e
         while i > 0 and _comes_before(key, length, sorted_keys[i - 1], sorted_lengths[i - 1], label):
             sorted_keys[i], sorted_lengths[i] = sorted_keys[i - 1], sorted_lengths[i - 1]

@@ -10,43 +10,31 @@ from __future__ import annotations
 
 import numpy as np
 
+from ._edges import edge_length
 from ._jit import njit
-from ._lengths import edge_length
 from ._tree import between_boxes, centre, nearby_point, nearest_in_box
 
 __all__ = ["last_empty_lune"]
 
 
 @njit()
-def last_empty_lune(data, axes, tree, rows, shortest):
-    """The greatest length of an edge with an empty lune among those not shorter than `shortest`; 0 when there is none.
-
-    `rows` are the edges of a matrix that are shorter, as bitsets.
-    """
-    if len(axes) == 0:
-        return _last_of_matrix(data, rows, shortest)
-    return _last_of_points(tree, shortest)
+def last_empty_lune(data, axes, tree, shortest):
+    """The greatest length of an edge with an empty lune among those not shorter than `shortest`; 0 when there is none."""
+    return _last_of_matrix(data, shortest) if len(axes) == 0 else _last_of_points(tree, shortest)
 
 
 @njit()
-def _last_of_matrix(data, rows, shortest):
+def _last_of_matrix(data, shortest):
     latest = 0.0
     for x in range(len(data)):
         for y in range(x + 1, len(data)):
             length = data[x, y]
-            if length < max(shortest, latest):
-                continue
-            empty = True
-            for w in range(rows.shape[1]):
-                if rows[x, w] & rows[y, w]:
-                    empty = False
-                    break
-            z = 0
-            while empty and z < len(data):
-                empty = z in (x, y) or data[x, z] >= length or data[y, z] >= length
-                z += 1
-            if empty:
-                latest = length
+            if length >= max(shortest, latest):
+                z = 0
+                while z < len(data) and (data[x, z] >= length or data[y, z] >= length):
+                    z += 1
+                if z == len(data):
+                    latest = length
     return latest
 
 
@@ -78,9 +66,9 @@ def _last_of_points(tree, shortest):
                 length = edge_length(tree.points, x, y, axes)
                 if length < shortest or length <= latest or _is_in_lune(tree, z, x, y, length):
                     continue
-                if not (_leaf_meets_lune(tree, x, y, length, a) or _leaf_meets_lune(tree, x, y, length, b)):
-                    if _is_empty(tree, x, y, length, stack, place):
-                        latest = length
+                met = _leaf_meets_lune(tree, x, y, length, a) or _leaf_meets_lune(tree, x, y, length, b)
+                if not met and _is_empty(tree, x, y, length, stack, place):
+                    latest = length
     return latest
 
 
@@ -88,9 +76,7 @@ def _last_of_points(tree, shortest):
 def _is_in_lune(tree, z, x, y, length):
     """Whether z is nearer to both ends of {x, y} than its length."""
     points, axes = tree.points, tree.axes
-    return (
-        z != x and z != y and edge_length(points, x, z, axes) < length and edge_length(points, y, z, axes) < length
-    )
+    return z != x and z != y and edge_length(points, x, z, axes) < length and edge_length(points, y, z, axes) < length
 
 
 @njit(forceinline=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ._edges import edge_length, precedes
 from ._jit import njit
-from ._lengths import edge_length, precedes
 
 __all__ = ["Time", "lune_vertex", "neighbours", "shortest_paths"]
 

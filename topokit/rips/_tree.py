@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
+
 from ._jit import njit
 
 Tree = namedtuple("Tree", "points label start end low high first_leaf axes")

@@ -21,40 +21,21 @@ from collections import namedtuple
 
 import numpy as np
 
-from ._edges import EDGE_BYTES, edges_between, ends_of, first_window, greatest_length, next_window
+from ._creators import ONE, Graph, add_in_creators, first_word, lowest, new_loops, reduce_column, with_edge, with_loop
+from ._edges import EDGE_BYTES, edge_length, edges_between, ends_of, first_window, greatest_length, next_window
 from ._jit import njit
-from ._lengths import edge_length, precedes
 from ._lunes import last_empty_lune
 
 __all__ = ["is_cone", "is_connected", "pair_edges", "reduce_column"]
 
-# Bitsets of n vertices, or room for n of them.
-Search = namedtuple("Search", "lune left stack apexes values")
-# Edges with an empty lune, as lists at their ends: the first slot of a vertex, and for a slot the next one, the edge's other
-# end, and the number of the loop that it created (-1: none, it joined two components).
-Graph = namedtuple("Graph", "head following other creator")
-# Loops by number: the edges that create them, killer edges with two apexes (-1: still alive), the columns of the dead ones, of
-# which that of loop c begins at word `_first_word(c)`, and room for one column.
-Loops = namedtuple("Loops", "created killed columns column")
-
-_DEBRUIJN = np.uint64(0x03F79D71B4CB0A89)
-_BIT = np.zeros(64, dtype=np.int64)
-for _k in range(64):
-    _BIT[((int(_DEBRUIJN) << _k) & (2**64 - 1)) >> 58] = _k
-_ONE = np.uint64(1)
 FEW_WORDS = 32  # rows so short are read as quickly as a place is compared
-
-
-@njit(forceinline=True)
-def _lowest(word):
-    """Position of the lowest bit that is set."""
-    return _BIT[((word & (~word + _ONE)) * _DEBRUIJN) >> np.uint64(58)]
+Search = namedtuple("Search", "lune left stack apexes values")  # two bitsets of vertices, and room for all
 
 
 @njit(forceinline=True)
 def _join(rows, x, y):
-    rows[x, y >> 6] |= _ONE << np.uint64(y & 63)
-    rows[y, x >> 6] |= _ONE << np.uint64(x & 63)
+    rows[x, y >> 6] |= ONE << np.uint64(y & 63)
+    rows[y, x >> 6] |= ONE << np.uint64(x & 63)
 
 
 @njit(forceinline=True)
@@ -68,7 +49,7 @@ def is_cone(rows, x, y, z):
     x, y, z : int
         Vertices.
     """
-    if not (rows[x, z >> 6] & rows[y, z >> 6]) >> np.uint64(z & 63) & _ONE:
+    if not (rows[x, z >> 6] & rows[y, z >> 6]) >> np.uint64(z & 63) & ONE:
         return False
     outside = np.uint64(0)
     for w in range(rows.shape[1]):
@@ -102,7 +83,7 @@ def _lune(rows, x, y, lune):
         lune[w] = rows[x, w] & rows[y, w]
     for w in range(len(lune)):
         if lune[w]:
-            return (w << 6) + _lowest(lune[w])
+            return (w << 6) + lowest(lune[w])
     return -1
 
 
@@ -131,7 +112,7 @@ def is_connected(rows, lune, z, left):
         w = 0
         while not left[w]:
             w += 1
-        v = (w << 6) + _lowest(left[w])
+        v = (w << 6) + lowest(left[w])
         shared = np.uint64(0)
         for w in range(words):
             shared |= lune[w] & rows[v, w] & ~left[w]
@@ -152,7 +133,7 @@ def _take_component(data, axes, rows, label, x, y, z, lune, stack):
     """
     apex, best, top = -1, np.inf, 0
     stack[0] = z
-    lune[z >> 6] ^= _ONE << np.uint64(z & 63)
+    lune[z >> 6] ^= ONE << np.uint64(z & 63)
     while top >= 0:
         z = stack[top]
         top -= 1
@@ -164,8 +145,8 @@ def _take_component(data, axes, rows, label, x, y, z, lune, stack):
             lune[w] ^= reached
             while reached:
                 top += 1
-                stack[top] = (w << 6) + _lowest(reached)
-                reached &= reached - _ONE
+                stack[top] = (w << 6) + lowest(reached)
+                reached &= reached - ONE
     return apex, best
 
 
@@ -175,7 +156,7 @@ def _components(data, axes, rows, label, x, y, search):
     lune, apexes, values, count = search.lune, search.apexes, search.values, 0
     for w in range(len(lune)):
         while lune[w]:
-            z = (w << 6) + _lowest(lune[w])
+            z = (w << 6) + lowest(lune[w])
             apex, best = _take_component(data, axes, rows, label, x, y, z, lune, search.stack)
             i = count
             while i > 0 and (values[i - 1] > best or (values[i - 1] == best and label[apexes[i - 1]] > label[apex])):
@@ -184,137 +165,6 @@ def _components(data, axes, rows, label, x, y, search):
             values[i], apexes[i] = best, apex
             count += 1
     return count
-
-
-@njit(forceinline=True)
-def _lune_vertex(data, axes, rows, label, a, b):
-    """A vertex of the lune that {a, b} had when it arrived: one near the middle, or that whose longer edge is shortest.
-
-    Near is what is little farther from both ends than half the length, or a quarter of the square; which one does not matter.
-    """
-    length = edge_length(data, a, b, axes)
-    near = (0.63 if len(axes) == 0 else 0.4) * length
-    best, best_value = -1, np.inf
-    for w in range(rows.shape[1]):
-        both = rows[a, w] & rows[b, w]
-        while both:
-            z = (w << 6) + _lowest(both)
-            both &= both - _ONE
-            to_a, to_b = edge_length(data, a, z, axes), edge_length(data, b, z, axes)
-            value = max(to_a, to_b)
-            if z in (a, b) or value > length or value >= best_value:
-                continue
-            x, y, apex = label[a], label[b], label[z]
-            if precedes(to_a, x, apex, length, x, y) and precedes(to_b, y, apex, length, x, y):
-                if value <= near:
-                    return z
-                best, best_value = z, value
-    return best
-
-
-@njit(forceinline=True)
-def _add_in_creators(data, axes, rows, label, graph, a, b, column, stack):
-    """Add the edge {a, b}, written in creators, to `column` (a bitset, mod 2)."""
-    stack[0, 0], stack[0, 1] = a, b
-    top = 0
-    while top >= 0:
-        a, b = stack[top, 0], stack[top, 1]
-        top -= 1
-        slot = graph.head[a]
-        while slot >= 0 and graph.other[slot] != b:
-            slot = graph.following[slot]
-        if slot >= 0:  # its lune was empty; an edge that joined two components counts as nothing
-            creator = graph.creator[slot]
-            if creator >= 0:
-                column[creator >> 6] ^= _ONE << np.uint64(creator & 63)
-            continue
-        z = _lune_vertex(data, axes, rows, label, a, b)
-        if top + 2 >= len(stack):
-            stack = np.concatenate((stack, np.empty_like(stack)))
-        stack[top + 1, 0], stack[top + 1, 1] = a, z
-        stack[top + 2, 0], stack[top + 2, 1] = z, b
-        top += 2
-
-
-@njit()
-def _doubled(array):
-    return np.concatenate((array, array))
-
-
-@njit()
-def _with_edge(graph, slot, a, b, creator):
-    """The graph with the edge {a, b} on the lists of its two ends, in slots `slot` and `slot` + 1."""
-    if slot + 2 > len(graph.other):
-        graph = Graph(graph.head, _doubled(graph.following), _doubled(graph.other), _doubled(graph.creator))
-    for here, v, other in ((slot, a, b), (slot + 1, b, a)):
-        graph.other[here], graph.following[here], graph.creator[here] = other, graph.head[v], creator
-        graph.head[v] = here
-    return graph
-
-
-@njit(forceinline=True)
-def _first_word(loop):
-    """Where the column of a loop begins: before it are those of the older ones, each as long as its youngest creator needs."""
-    whole, rest = loop >> 6, loop & 63
-    return 32 * whole * (whole + 1) + rest * (whole + 1)
-
-
-@njit()
-def _new_loops(capacity):
-    return Loops(
-        np.empty((capacity, 2), dtype=np.int64),
-        np.full((capacity, 4), -1, dtype=np.int64),
-        np.empty(_first_word(capacity), dtype=np.uint64),
-        np.zeros(capacity >> 6, dtype=np.uint64),
-    )
-
-
-@njit()
-def _with_loop(loops, born, x, y, spare):
-    """The loops with one more, created by the edge {x, y}."""
-    if born == len(loops.created):
-        if 8 * (_first_word(born) + _first_word(2 * born)) > spare:
-            raise MemoryError("loops")
-        more = _new_loops(2 * born)
-        more.created[:born], more.killed[:born] = loops.created, loops.killed
-        more.columns[: len(loops.columns)] = loops.columns
-        loops = more
-    loops.created[born, 0], loops.created[born, 1] = x, y
-    return loops
-
-
-@njit()
-def _pivot(column):
-    """The youngest creator of a column, -1 when it is empty."""
-    for w in range(len(column) - 1, -1, -1):
-        if column[w]:
-            bit = 63
-            while not (column[w] >> np.uint64(bit)) & _ONE:
-                bit -= 1
-            return (w << 6) + bit
-    return -1
-
-
-@njit()
-def reduce_column(column, columns, killed):
-    """Reduce a column by those of the loops that are dead; return the loop it kills, -1 for none.
-
-    Parameters
-    ----------
-    column : (words,) uint64
-        A relation as the bitset of its creators; changed.
-    columns : (all words,) uint64
-        The columns of the dead loops, one after the other.
-    killed : (c, 4) int64
-        Killer edges and apexes of the loops, -1 for those that are alive.
-    """
-    pivot = _pivot(column)
-    while pivot >= 0 and killed[pivot, 0] >= 0:
-        first = _first_word(pivot)
-        for w in range((pivot >> 6) + 1):
-            column[w] ^= columns[first + w]
-        pivot = _pivot(column)
-    return pivot
 
 
 @njit(forceinline=True)
@@ -327,10 +177,10 @@ def _kill(data, axes, rows, label, graph, loops, x, y, search, stack):
         further = search.apexes[i]
         loops.column[:] = 0
         for a, b in ((x, first), (first, y), (y, further), (further, x)):
-            _add_in_creators(data, axes, rows, label, graph, a, b, loops.column, stack)
+            add_in_creators(data, axes, rows, label, graph, a, b, loops.column, stack)
         loop = reduce_column(loops.column, loops.columns, loops.killed)
         if loop >= 0:
-            start, words = _first_word(loop), (loop >> 6) + 1
+            start, words = first_word(loop), (loop >> 6) + 1
             loops.columns[start : start + words] = loops.column[:words]
             killed = loops.killed[loop]
             killed[0], killed[1], killed[2], killed[3] = x, y, first, further
@@ -344,21 +194,6 @@ def _root(parent, x):
         parent[x] = parent[parent[x]]
         x = parent[x]
     return x
-
-
-@njit()
-def _labelled(loops, born, label):
-    """Created and killer edges by the labels of their vertices, the smaller end of an edge first."""
-    created, killed = loops.created[:born], loops.killed[:born]
-    for edges in (created, killed):
-        for i in range(born):
-            if edges[i, 0] >= 0:
-                a, b = label[edges[i, 0]], label[edges[i, 1]]
-                edges[i, 0], edges[i, 1] = min(a, b), max(a, b)
-    for i in range(born):
-        if killed[i, 0] >= 0:
-            killed[i, 2], killed[i, 3] = label[killed[i, 2]], label[killed[i, 3]]
-    return created, killed
 
 
 @njit(nogil=True)
@@ -385,9 +220,10 @@ def pair_edges(data, axes, tree, max_length, room, spare):
     room : tuple
         For the next call.
     created : (c, 2) int64
-        The edges that create loops, in order, smaller label first.
+        The edges that create loops, in order.
     killed : (c, 4) int64
-        For each the killer edge and the two apexes (first component, further component), -1 when nothing kills it.
+        For each the killer edge and the two apexes (first component, further component), -1 when nothing kills it. Vertices
+        are those of `data`.
 
     Raises
     ------
@@ -400,10 +236,14 @@ def pair_edges(data, axes, tree, max_length, room, spare):
     for v in range(n):
         _join(rows, v, v)  # a vertex reaches itself
     search = Search(
-        np.empty(words, np.uint64), np.empty(words, np.uint64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n)
+        np.empty(words, np.uint64),
+        np.empty(words, np.uint64),
+        np.empty(n, np.int64),
+        np.empty(n, np.int64),
+        np.empty(n),
     )
-    graph, slots = Graph(np.full(n, -1), np.empty(8 * n, np.int64), np.empty(8 * n, np.int64), np.empty(8 * n, np.int64)), 0
-    loops, born, alive = _new_loops(64), 0, 0
+    graph, size = Graph(np.full(n, -1), np.empty((8 * n, 3), np.int64)), 0
+    loops, born, alive = new_loops(64), 0, 0
     stack, parent, pieces = np.empty((256, 2), dtype=np.int64), np.arange(n), n
     last = -1.0  # the length of the last edge with an empty lune, once it is known
     shortest, longest, greatest = 0.0, first_window(data, axes, tree), greatest_length(data, axes, tree)
@@ -421,7 +261,7 @@ def pair_edges(data, axes, tree, max_length, room, spare):
                 _join(rows, x, y)
                 continue
             z = _lune(rows, x, y, search.lune)
-            if (search.lune[middle >> 6] >> np.uint64(middle & 63)) & _ONE:
+            if (search.lune[middle >> 6] >> np.uint64(middle & 63)) & ONE:
                 z = middle
             connected = z >= 0 and (alive == 0 or is_connected(rows, search.lune, z, search.left))
             _join(rows, x, y)
@@ -430,19 +270,18 @@ def pair_edges(data, axes, tree, max_length, room, spare):
             if z >= 0:
                 alive -= _kill(data, axes, rows, label, graph, loops, x, y, search, stack)
                 if alive == 0 and pieces == 1 and last < 0:
-                    last = last_empty_lune(data, axes, tree, rows, length)
+                    last = last_empty_lune(data, axes, tree, length)
                 continue
             a, b = _root(parent, x), _root(parent, y)
-            graph = _with_edge(graph, slots, x, y, born if a == b else -1)
-            slots += 2
+            graph = with_edge(graph, size, x, y, born if a == b else -1)
+            size += 1
             if a != b:  # the edge joins two components
                 parent[a] = b
                 pieces -= 1
             else:  # it creates a loop
-                loops = _with_loop(loops, born, x, y, spare // 2)
+                loops = with_loop(loops, born, x, y, spare // 2)
                 born += 1
                 alive += 1
         done = done or longest > greatest
         shortest, longest = longest, next_window(data, axes, shortest, longest, m)
-    created, killed = _labelled(loops, born, label)
-    return room, created, killed
+    return room, loops.created[:born], loops.killed[:born]
