@@ -45,8 +45,8 @@ class Cloud:
         if metric == "precomputed":
             _check_distances(array)
             return cls(array.copy(), (), 1.0)
-        widest = np.ptp(array / 2, axis=0).max() if len(array) else 0.0  # halved, for it may overflow
-        scale = 2.0 ** -min(max(int(np.frexp(widest)[1]) + 1, -1000), 1000)
+        exponent = int(np.frexp(np.abs(array).max(initial=0.0))[1])
+        scale = 2.0 ** -min(max(exponent, -1000), 1000)
         flat = np.zeros(
             (len(array), max(3 - array.shape[1], 0))
         )  # the plane is a part of space: fewer kernels to compile
@@ -132,7 +132,7 @@ def _too_large(n: int, needs: str) -> MemoryError:
 
 
 def _run(cloud: Cloud, max_length: float, spare: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    from ._edges import WINDOW, new_room  # numba takes a while to import
+    from ._edges import EDGE_BYTES, WINDOW, new_room  # numba takes a while to import
     from ._tree import build_tree
     from .kernel import pair_edges
 
@@ -142,7 +142,9 @@ def _run(cloud: Cloud, max_length: float, spare: int) -> tuple[NDArray[np.int64]
     else:
         tree = build_tree(np.zeros((1, 1)), (0,))._replace(label=np.arange(len(cloud)))
         data = cloud.data
-    room = getattr(_kept, "room", None) or new_room(1 << 16)
+    room = getattr(_kept, "room", None)
+    if room is None or EDGE_BYTES * len(room[0]) > spare // 2:
+        room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
     room, created, killed = pair_edges(data, cloud.axes, tree, max_length, room, spare)
     _kept.room = room if len(room[0]) <= WINDOW else None
     label = np.append(tree.label, -1)  # of what is not there

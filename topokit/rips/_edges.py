@@ -193,7 +193,7 @@ def edges_between(data, axes, tree, shortest, longest, room, most):
             _sort(room, m, tree.label, shortest, longest)
             return room, m, longest
         middle = shortest + 0.5 * (longest - shortest)
-        if len(room[0]) >= WINDOW and shortest < middle < longest:
+        if len(room[0]) >= min(WINDOW, most) and shortest < middle < longest:
             longest = middle
         elif len(room[0]) < most:
             room = new_room(min(2 * len(room[0]), most))

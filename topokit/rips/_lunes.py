@@ -81,10 +81,10 @@ def _is_in_lune(tree, z, x, y, length):
 
 @njit(forceinline=True)
 def _leaf_meets_lune(tree, x, y, length, leaf):
+    met = False
     for z in range(tree.start[leaf], tree.end[leaf]):
-        if _is_in_lune(tree, z, x, y, length):
-            return True
-    return False
+        met = met or _is_in_lune(tree, z, x, y, length)
+    return met
 
 
 @njit()
