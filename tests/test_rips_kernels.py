@@ -14,7 +14,6 @@ from numba import config
 
 from topokit import rips_persistence, rips_persistence_many
 from topokit.rips import _cloud, _edges, _jit, _tree, kernel
-from topokit.rips.reduction import persistence
 
 from clouds import gudhi_pairs, sorted_pairs
 from conftest import polygon

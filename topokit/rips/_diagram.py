@@ -241,6 +241,8 @@ def tighten(
     enough = isinstance(points, Diagram) and bound <= known
     classes = points._homology if enough else Homology(cloud, *pairs(cloud, bound)[:2])
     tight = classes.tightened(walk, time)
+    if classes.length(tight) > classes.length(walk):  # by rounding
+        tight = walk
     first = next((tight.index(v) for v in walk if v in tight), 0)
     return np.array([*tight[first:], *tight[:first]], dtype=np.int64)
 
