@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._cores import n_cores
 from .._validate import as_sequence, positive
 from ._cloud import Cloud, pairs
 from ._diagram import Diagram, tighten
@@ -122,7 +123,7 @@ def rips_persistence_many(
     arrays = as_sequence(clouds, "clouds")
     if n_jobs is not None and n_jobs < 1:
         raise ValueError(f"n_jobs must be 1 or more, not {n_jobs}")
-    workers = n_jobs or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    workers = n_jobs or n_cores()
     diagrams = []
     with ThreadPoolExecutor(workers) as pool:
         jobs = [pool.submit(rips_persistence, a, max_radius=max_radius, min_lifetime=min_lifetime) for a in arrays]

@@ -22,16 +22,15 @@ Graph = namedtuple("Graph", "head links")
 Loops = namedtuple("Loops", "created killed columns column")
 
 ONE = np.uint64(1)
-_DEBRUIJN = np.uint64(0x03F79D71B4CB0A89)
-_BIT = np.zeros(64, dtype=np.int64)
+_BIT = np.zeros(67, dtype=np.int64)
 for _k in range(64):
-    _BIT[((int(_DEBRUIJN) << _k) & (2**64 - 1)) >> 58] = _k
+    _BIT[2**_k % 67] = _k  # the powers of two differ modulo 67
 
 
 @njit(forceinline=True)
 def lowest(word):
     """Position of the lowest bit that is set."""
-    return _BIT[((word & (~word + ONE)) * _DEBRUIJN) >> np.uint64(58)]
+    return _BIT[(word & (~word + ONE)) % np.uint64(67)]
 
 
 @njit(forceinline=True)

@@ -223,9 +223,8 @@ def tighten(
     """
     from ._cycles import Homology, sides  # numba takes a while to import
 
-    cloud, known = (
-        (points._cloud, points.max_radius) if isinstance(points, Diagram) else (Cloud.of(points, metric), 0.0)
-    )
+    diagram = points if isinstance(points, Diagram) else None
+    cloud = diagram._cloud if diagram is not None else Cloud.of(points, metric)  # type: ignore[arg-type]
     walk = _as_walk(cycle, len(cloud))
     a, b = np.sort(sides(walk)).T
     key, low, high = max(zip(cloud.keys(a, b).tolist(), a.tolist(), b.tolist(), strict=True))
@@ -238,8 +237,10 @@ def tighten(
         )
     if radius is not None:
         time = max(time, (cloud.key_of(2 * float(radius)), len(cloud), len(cloud)))
-    enough = isinstance(points, Diagram) and bound <= known
-    classes = points._homology if enough else Homology(cloud, *pairs(cloud, bound)[:2])
+    if diagram is not None and bound <= diagram.max_radius:
+        classes = diagram._homology
+    else:
+        classes = Homology(cloud, *pairs(cloud, bound)[:2])
     tight = classes.tightened(walk, time)
     if classes.length(tight) > classes.length(walk):  # by rounding
         tight = walk
