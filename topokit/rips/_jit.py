@@ -34,10 +34,10 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compiled(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(**options)(function)
-        if not numba.config.DISABLE_JIT:
+        if hasattr(dispatcher, "enable_caching"):  # not when NUMBA_DISABLE_JIT is set
             dispatcher.enable_caching()  # in the folder that numba chooses, and under our digest
             cache = dispatcher._cache
-            cache._cache_file = IndexDataCacheFile(cache.cache_path, cache._impl.filename_base, _DIGEST)
+            cache._cache_file = IndexDataCacheFile(cache.cache_path, cache._impl.filename_base, _DIGEST)  # type: ignore[no-untyped-call]
         return dispatcher
 
     return compiled
