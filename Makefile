@@ -1,7 +1,8 @@
 # make book   build the environment if needed, run every chapter on data_small, build the HTML book
 # make test   the same environment; unit tests, doctests, notebooks, lint
+# make core   the small library alone, in an environment with NumPy, SciPy and numba, under any Python that it supports (PYTHON=...)
 # make lab    open JupyterLab on the first chapter
-# make clean  remove what the others made (environment, book, caches)
+# make clean  remove what the others made (environments, book, caches)
 
 IS_311 := -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))'
 PYTHON ?= $(shell for p in python3.11 python3 python; do $$p $(IS_311) 2>/dev/null && echo $$p && break; done)
@@ -11,7 +12,7 @@ READY := $(VENV)/ready
 export PYTHONHASHSEED = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: book test lint lab env clean clean-kernels help
+.PHONY: book test core lint lab env clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -25,6 +26,15 @@ book: env opengl
 test: env opengl lint
 	$(BIN)/python -m pytest -n auto --dist loadfile
 	$(BIN)/python -m pytest -n auto --nbmake notebooks/ -o addopts=""
+
+# The wheel as a user gets it, imported from outside the checkout: what the core needs must be in it.
+CORE := .venv-core
+CORE_BIN := $(CORE)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
+CORE_TESTS := rips rips_properties cycles reduction seqph linking mixture io core
+core:
+	$(PYTHON) -m venv --clear $(CORE)
+	$(CORE_BIN)/python -m pip install --quiet . gudhi hypothesis 'pytest<10' scikit-learn
+	$(CORE_BIN)/pytest -o addopts= --import-mode=append $(CORE_TESTS:%=tests/test_%.py)
 
 lint: env
 	$(BIN)/ruff check .
@@ -51,9 +61,5 @@ $(READY): requirements.txt pyproject.toml
 opengl: env
 	@$(BIN)/python -c 'from topokit.view import pyvista_works; ok, why = pyvista_works(); ok or print("topokit:", why)'
 
-# numba does not notice when a function imported from another file changes.
-clean-kernels:
-	find topokit -name '*.nb[ic]' -delete
-
 clean:
-	rm -rf $(VENV) _build .pytest_cache .ruff_cache .mypy_cache .hypothesis *.egg-info
+	rm -rf $(VENV) $(CORE) _build build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis *.egg-info

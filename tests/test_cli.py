@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
+import signal
 import subprocess
 import sys
 
@@ -140,3 +141,35 @@ def test_live_says_which_frame_is_broken_and_keeps_those_before():
 def test_track_needs_one_source(arguments, capsys):
     assert main(arguments) == 2
     assert "--live" in capsys.readouterr().err
+
+
+def test_a_live_track_that_is_stopped_says_what_it_gave():
+    command = [sys.executable, "-m", "topokit", "track", "--live"]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes) as process:
+        for _ in range(2):
+            stream = io.BytesIO()
+            np.save(stream, polygon(30))
+            process.stdin.write(stream.getvalue())
+            process.stdin.flush()
+            assert json.loads(process.stdout.readline())["loops"]
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 130
+        assert process.stderr.read().decode().strip() == "topokit track: stopped after 2 frames, which were printed"
+
+
+def test_a_mistake_in_the_code_shows_where(episode, monkeypatch):
+    def broken(*_: object, **__: object) -> None:
+        raise TypeError("unsupported operand")
+
+    monkeypatch.setattr("topokit._commands.track", broken)
+    with pytest.raises(TypeError, match="unsupported operand"):
+        main(["track", str(episode)])
+
+
+def test_arrays_that_hold_no_numbers_are_bad_input():
+    stream = io.BytesIO()
+    np.save(stream, np.zeros((5, 3), dtype=complex))
+    done = live(stream.getvalue())
+    assert done.returncode == 2
+    assert done.stderr.decode().strip() == "topokit track: error: frame 0 must hold real numbers, not complex ones"

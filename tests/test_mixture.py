@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 from scipy.stats import invwishart, multivariate_normal
@@ -130,3 +132,97 @@ def test_bad_input_is_named(loop, options, says):
 def test_points_of_another_dimension_are_refused(loop):
     with pytest.raises(ValueError, match=r"x must be a \(3,\) point or \(n, 3\) points"):
         loop_mixture(loop).log_prob([[0.0, 0.0]])
+
+
+def test_a_mixture_does_not_freeze_or_share_what_it_was_made_of():
+    means, covariances, weights = np.zeros((1, 3)), np.eye(3)[None], np.ones(1)
+    mixture = LoopMixture(means, covariances, weights)
+    means += 1
+    assert mixture.mean.tolist() == [0, 0, 0]
+    with pytest.raises(ValueError, match="read-only"):
+        mixture.means[0, 0] = 5
+
+
+def two_places() -> LoopMixture:
+    return LoopMixture(np.array([[0.0, 0.0], [4.0, 0.0]]), np.stack([np.eye(2), 4 * np.eye(2)]), np.array([0.25, 0.75]))
+
+
+def test_the_grid_reaches_three_deviations_from_every_mean():
+    axes, values = two_places().density()
+    assert [len(axis) for axis in axes] == [48, 48]
+    assert [(axis[0], axis[-1]) for axis in axes] == [(-3.0, 10.0), (-6.0, 6.0)]
+    assert values.shape == (48, 48)
+    place = np.array([axes[0][20], axes[1][30]])
+    assert values[20, 30] == pytest.approx(np.exp(two_places().log_prob(place)), rel=1e-12)
+
+
+def test_credibility_is_the_share_of_samples_that_are_likelier():
+    mixture = two_places()
+    samples = mixture.sample(4096, 0)
+    order = np.argsort(-mixture.log_prob(samples))
+    places = samples[order[[0, 1, 100, 4095]]]
+    np.testing.assert_allclose(mixture.credibility(places), np.array([0, 1, 100, 4095]) / 4096)
+    np.testing.assert_array_equal(
+        mixture.credibility(places), mixture.credibility(places)
+    )  # the same samples every time
+    other = mixture.credibility(places, n=512, rng=9)
+    assert (other * 512 == np.round(other * 512)).all()
+    assert not np.array_equal(other, mixture.credibility(places, n=512, rng=8))
+
+
+def test_samples_lie_where_the_mixture_says():
+    mixture = two_places()
+    samples = mixture.sample(40_000, np.random.default_rng(3))
+    np.testing.assert_allclose(samples.mean(axis=0), mixture.mean, atol=0.05)
+    np.testing.assert_allclose(np.cov(samples.T), mixture.covariance, atol=0.15)
+    np.testing.assert_array_equal(mixture.sample(3, 5), mixture.sample(3, np.random.default_rng(5)))
+    with pytest.raises(ValueError, match="n must be zero or more, not -1"):
+        mixture.sample(-1)
+
+
+@dataclass
+class Given:
+    """A loop of any arrays."""
+
+    killer_triangles: np.ndarray
+    killer_values: np.ndarray
+    neighbours: np.ndarray
+    neighbour_values: np.ndarray
+
+
+def given(values: list[float], corners: int = 3, entry: float = 1.0) -> Given:
+    triangles = np.zeros((len(values), corners, 3))
+    triangles[0, 0, 0] = entry
+    return Given(triangles[:2], np.array(values[:2]), triangles[2:], np.array(values[2:]))
+
+
+@pytest.mark.parametrize(
+    ("loop", "says"),
+    [
+        (given([1.0, 1.0, 1.0], corners=4), r"\(m, 3, d\) triangles and m values, not \(3, 4, 3\) and \(3,\)"),
+        (replace(given([1.0, 1.0, 1.0]), neighbour_values=np.ones(2)), r"not \(3, 3, 3\) and \(4,\)"),
+        (replace(given([1.0, 1.0]), killer_triangles=np.ones((2, 3)), neighbours=np.ones((0, 3))), r"not \(2, 3\) and"),
+        (given([1.0, 1.0], entry=np.nan), "triangles has 1 of 2 points with a NaN"),
+        (given([1.0, np.nan]), "finite and not negative"),
+        (given([1.0, np.inf]), "finite and not negative"),
+        (given([3.0, -1.0]), "finite and not negative"),
+        (given([0.0, 0.0]), "one of them positive"),
+    ],
+)
+def test_loops_that_give_no_mixture_say_why(loop, says):
+    with pytest.raises(ValueError, match=says):
+        loop_mixture(loop)
+
+
+def test_a_value_of_zero_weighs_nothing():
+    assert loop_mixture(given([2.0, 0.0, 2.0])).weights.tolist() == [0.5, 0.0, 0.5]
+    with pytest.raises(ValueError, match="noise must be more than zero"):
+        loop_mixture(given([1.0, 1.0]), noise=0.0)
+
+
+@pytest.mark.parametrize(
+    "scale", [np.diag([1.0, 1.0, 0.0]), np.diag([-1.0, 1.0, 1.0]), np.array([[1.0, 2, 0]] * 3), np.eye(2), 0.0]
+)
+def test_a_prior_needs_a_positive_definite_scale(scale):
+    with pytest.raises(ValueError, match="scale must be a positive number or a positive definite"):
+        loop_mixture(given([1.0, 1.0]), prior=InverseWishart(scale))

@@ -89,10 +89,9 @@ assert [state.loops[0].id for state in states] == [0, 0]
 
 # Data flows downwards in this list; nothing imports from a line below its own.
 LAYERS = [
-    {"_validate", "_archive", "_cores", "_curves", "_lazy"},
+    {"_validate", "_archive", "_cores", "_curves", "_lazy", "_matching"},
     {"sampling", "linking", "rips"},
-    {"state"},
-    {"mixture"},
+    {"state", "mixture", "_frames"},
     {"seqph"},
     {"io"},
     {"_config"},
@@ -102,6 +101,7 @@ LAYERS = [
     {"models"},
     {"view"},
     {"evaluate"},
+    {"_commands"},
     {"cli", "__main__"},
 ]
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from topokit import SeqPH, TopologicalState, farthest_point_sample, hausdorff, track
-from topokit.seqph import assign
+from topokit import SeqPH, TopologicalState, farthest_point_sample, hausdorff, rips_persistence, track
+from topokit._matching import assign, within_gates
+from topokit.sampling import spacing
+from topokit.seqph import Candidates
 from topokit.state import as_table
 
 from conftest import polygon
@@ -134,6 +138,8 @@ def test_few_points_have_no_loops():
     [
         ({"alpha": -1}, ValueError),
         ({"beta": "wide"}, TypeError),
+        ({"alpha": "0.1"}, TypeError),
+        ({"epsilon": True}, TypeError),
         ({"gates": "loose"}, ValueError),
         ({"identity": "soul"}, ValueError),
     ],
@@ -259,7 +265,7 @@ def test_streaming_is_updating():
     for a, b in zip(streamed, whole, strict=True):
         assert (a.frame, a.time, a.parameters) == (b.frame, b.time, b.parameters)
         for one, two in zip(a.loops, b.loops, strict=True):
-            for name in vars(one):
+            for name in [*(name for name in vars(one) if not name.startswith("_")), "cycle", "cycle_points"]:
                 np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
@@ -279,3 +285,141 @@ def test_states_as_a_table():
     pandas.testing.assert_index_equal(
         as_table([]).columns, pandas.Index([*table.columns[:7], "x", "y", "z", *table.columns[-2:]])
     )
+
+
+# -- what a caller does with its arrays afterwards ----------------------------------------------------------------------------
+
+
+def test_a_buffer_that_is_refilled_is_not_the_frame_before():
+    tracker, buffer = SeqPH(), np.empty((20, 2))
+    states = []
+    for t in range(4):
+        buffer[:] = polygon(20) + [0.07 * t, 0]
+        states.append(tracker.update(buffer))
+    fresh = track([polygon(20) + [0.07 * t, 0] for t in range(4)])
+    assert [state.parameters for state in states] == [state.parameters for state in fresh]
+    assert states[1].parameters["epsilon"] > 0
+    assert [[loop.id for loop in state.loops] for state in states] == [[0]] * 4
+    for state, other in zip(states, fresh, strict=True):  # found when asked for, long after the buffer was refilled
+        np.testing.assert_array_equal(state.loops[0].cycle_points, other.loops[0].cycle_points)
+
+
+def test_a_tracked_sequence_owns_its_clouds():
+    frames = np.stack([polygon(20), polygon(20) + [0.05, 0]])
+    states, copy = track(frames), frames.copy()
+    frames[:] = np.nan
+    np.testing.assert_array_equal(states[1].loops[0].cycle_points, copy[1][states[1].loops[0].cycle])
+
+
+def test_a_loop_does_not_freeze_or_share_what_it_was_made_of():
+    loop = track([polygon(20)])[0].loops[0]
+    edge = loop.killer_edge.copy()
+    made = replace(loop, killer_edge=edge)
+    edge[0] += 1
+    np.testing.assert_array_equal(made.killer_edge, loop.killer_edge)
+    with pytest.raises(ValueError, match="read-only"):
+        made.killer_edge[0] = 3
+
+
+# -- repeated points -----------------------------------------------------------------------------------------------------------
+
+
+def test_repeated_points_change_nothing():
+    rng = np.random.default_rng(5)
+    ring = polygon(60) + rng.normal(scale=0.01, size=(60, 2))
+    one = track([ring])[0]
+    for padded in (np.concatenate([ring, ring[:25]]), np.concatenate([ring, ring])):  # a camera's, and a doubled cloud
+        other = track([padded])[0]
+        assert one.parameters == other.parameters
+        assert [loop.lifetime for loop in one.loops] == [loop.lifetime for loop in other.loops]
+    assert spacing(np.array([[0.0], [-0.0], [0.0]])) == 0.0
+    assert spacing(np.array([[0.0], [-0.0], [3.0]])) == 1.5
+
+
+# -- a diagram that is handed in -----------------------------------------------------------------------------------------------
+
+
+def test_a_known_diagram_is_taken_and_an_open_one_refused():
+    tracker = SeqPH()
+    with pytest.raises(ValueError, match=r"frame 0: 1 loops .* do not die below max_radius = 0.5"):
+        tracker.update(polygon(20), diagram=rips_persistence(polygon(20), max_radius=0.5))
+    with pytest.raises(ValueError, match="frame 0 has 20 points, its diagram is of 19"):
+        tracker.update(polygon(20), diagram=rips_persistence(polygon(19)))
+    state = tracker.update(polygon(20), diagram=rips_persistence(polygon(20)))
+    np.testing.assert_array_equal(state.loops[0].centre, track([polygon(20)])[0].loops[0].centre)
+
+
+# -- time ------------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("times", "says"),
+    [
+        ([1.0, None, 0.5], "frame 1 has no time, the frame before it one"),
+        ([None, 1.0], r"frame 1 has time 1.0 s, the frame before it none"),
+    ],
+)
+def test_all_frames_have_a_time_or_none(times, says):
+    tracker = SeqPH()
+    tracker.update(polygon(20), time=times[0])
+    with pytest.raises(ValueError, match=says):
+        tracker.update(polygon(20), time=times[1])
+    with pytest.raises(ValueError, match=says):
+        track([polygon(20)] * len(times), times=times)
+
+
+# -- gates -----------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("gates", "gate", "bound"),
+    [("paper", 2 * 0.1 + 0.05, 2 * 0.1 + 0.3 + 0.05), ("proved", 0.1 + 0.05, 2 * 0.3 + 0.05)],
+)
+def test_gates_are_as_wide_as_they_are_said_to_be(gates, gate, bound):
+    """Just inside is the same loop, just outside is not: for births, deaths and places."""
+    for size, change in ((gate, "birth"), (gate, "death"), (bound, "place")):
+        for factor, wanted in ((0.999, [(0, 0)]), (1.001, [])):
+            moved = {"birth": 1.0, "death": 2.0, "place": 0.0} | {change: 3.0 + factor * size}
+            base = {"birth": 1.0, "death": 2.0, "place": 0.0} | {change: 3.0}
+            loops = Candidates(
+                *(np.array([moved[name]]) for name in ("birth", "death")),
+                np.array([[[moved["place"]]]]),
+                *(np.array([base[name]]) for name in ("birth", "death")),
+                np.array([[[base["place"]]]]),
+                motion=np.array([0.05]),
+                alpha=0.1,
+                beta=0.3,
+            )
+            assert within_gates(gates, loops) == wanted, (change, factor)
+
+
+def test_a_remembered_loop_may_have_moved_in_every_frame_since():
+    """Three steps of 0.1 are farther than one step's gates allow, and not farther than three's."""
+    options = {"alpha": 0.3, "beta": 0.05, "epsilon": 0.1, "gates": "proved", "identity": "killer-triangles"}
+    gap = np.vstack([polygon(20)[:16], [[3.0, 0.0]]])
+    for gone, wanted in ((0, 1), (2, 0)):  # as far as three steps, at once or after two frames without the loop
+        frames = [polygon(20), *[gap] * gone, polygon(20) + [0.35, 0]]
+        assert [loop.id for loop in track(frames, memory=2, **options)[-1].loops] == [wanted]
+
+
+def test_a_matching_of_ones_own():
+    def first_come(loops: Candidates) -> list[tuple[int, int]]:
+        return [(i, i) for i in range(min(len(loops.birth), len(loops.known_birth)))]
+
+    far = [polygon(20), polygon(20) + [9.0, 0]]
+    options = {"alpha": 0.1, "beta": 0.1, "epsilon": 0.1}
+    assert [state.loops[0].id for state in track(far, **options)] == [0, 1]
+    assert [state.loops[0].id for state in track(far, match=first_come, **options)] == [0, 0]
+
+
+def test_a_loop_carries_its_curve():
+    cloud = two_circles(0.0)
+    diagram = rips_persistence(cloud)
+    state = track([cloud])[0]
+    assert len(state) == 2
+    for i, loop in enumerate(state.loops):
+        np.testing.assert_array_equal(loop.cycle, diagram.cycle(i))
+        np.testing.assert_array_equal(loop.cycle_points, cloud[diagram.cycle(i)])
+        assert loop.cycle is loop.cycle  # found once
+    with pytest.raises(LookupError, match="loop 0 knows no cloud"):
+        _ = replace(state.loops[0], _curve=None).cycle

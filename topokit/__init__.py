@@ -16,7 +16,7 @@ from .sampling import covering_radius, farthest_point_sample, hausdorff
 from .seqph import SeqPH, track
 from .state import Loop, TopologicalState
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Diagram",

@@ -22,16 +22,20 @@ from numpy.typing import NDArray
 __all__ = ["FormatError", "atomic_file", "load_archive", "save_archive"]
 
 
+_VERSION = 2  # of the checksum: the first covered the arrays alone, and still reads
+
+
 class FormatError(ValueError):
     """A file that is not a whole one of the kind and schema asked for. The message says which and what is wrong."""
 
 
 def save_archive(path: str | Path, kind: str, text: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Path:
-    """Write arrays and a JSON document to one `.npz`, checksummed; same input, same bytes."""
+    """Write arrays and a JSON document to one `.npz`, both checksummed; same input, same bytes."""
     path = Path(path)
     if path.suffix != ".npz":
         raise ValueError(f"{path}: the name of an archive ends in .npz")
-    document = {"kind": kind, "sha256": _digest(arrays), **text}
+    document = {**text, "kind": kind, "archive": _VERSION}
+    document["sha256"] = _digest(arrays, document)
     parts = {**arrays, "json": np.frombuffer(json.dumps(document, sort_keys=True).encode(), dtype=np.uint8)}
     with atomic_file(path) as handle, zipfile.ZipFile(handle, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in sorted(
@@ -70,13 +74,14 @@ def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str,
         raise FormatError(f"{path}: the file is truncated or damaged ({error}); copy or record it again") from error
     try:
         document = json.loads(arrays.pop("json").tobytes())
-        found = document.pop("kind")
-        digest = document.pop("sha256")
-    except (KeyError, ValueError, AttributeError) as error:
+        found, digest = document["kind"], document.pop("sha256")
+        whole = _digest(arrays, document if "archive" in document else None)
+        document = {name: value for name, value in document.items() if name not in ("kind", "archive")}
+    except (KeyError, ValueError, AttributeError, TypeError) as error:
         raise FormatError(f"{path}: not a {what}: an .npz archive that topokit did not write") from error
     if found != kind:
         raise FormatError(f"{path}: holds a {str(found).replace('topokit-', 'topokit ')}, not a {what}")
-    if _digest(arrays) != digest:
+    if whole != digest:
         raise FormatError(
             f"{path}: the checksum does not match: the file was changed or damaged; copy or record it again"
         )
@@ -104,11 +109,13 @@ def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
         raise
 
 
-def _digest(arrays: dict[str, NDArray[Any]]) -> str:
-    """SHA-256 over names, types, shapes and values, in the order of the names."""
+def _digest(arrays: dict[str, NDArray[Any]], document: dict[str, Any] | None) -> str:
+    """SHA-256 over names, types, shapes and values, in the order of the names, and over the document, if any."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
         digest.update(f"{name}|{array.dtype.str}|{array.shape}|".encode())
         digest.update(array.tobytes())
+    if document is not None:
+        digest.update(json.dumps(document, sort_keys=True).encode())
     return digest.hexdigest()

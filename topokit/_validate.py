@@ -7,11 +7,23 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["as_points", "as_sequence", "positive"]
+__all__ = ["WrongKindError", "as_points", "as_sequence", "own_arrays", "positive"]
 
 
-def as_points(points: ArrayLike, name: str = "points") -> NDArray[np.float64]:
+class WrongKindError(TypeError, ValueError):
+    """An argument of the wrong kind: a `TypeError` of ours, which the command line tells from a mistake in the code."""
+
+
+def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False) -> NDArray[np.float64]:
     """Return `points` as a C-contiguous (n, d) float64 array, or say why it is not a point cloud.
+
+    Parameters
+    ----------
+    points : (n, d) array_like
+    name : str
+        What the messages call it.
+    copy : bool
+        Whether the answer must not share memory with `points`: whoever keeps it copies it.
 
     Raises
     ------
@@ -25,15 +37,15 @@ def as_points(points: ArrayLike, name: str = "points") -> NDArray[np.float64]:
     except ValueError as error:  # ragged nested lists
         raise ValueError(f"{name} must be an (n, d) array of coordinates; its rows differ in length") from error
     if array.dtype == object or not (np.issubdtype(array.dtype, np.number) or array.dtype == bool):
-        raise TypeError(f"{name} must hold real numbers, not {array.dtype}")
+        raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}")
     if np.iscomplexobj(array):
-        raise TypeError(f"{name} must hold real numbers, not complex ones")
+        raise WrongKindError(f"{name} must hold real numbers, not complex ones")
     if array.ndim != 2 or array.shape[1] == 0:
         raise ValueError(
             f"{name} must be an (n, d) array, one row a point, not an array of shape {array.shape}"
             + ("; for a sequence of clouds use topokit.track" if array.ndim == 3 else "")
         )
-    array = np.ascontiguousarray(array, dtype=np.float64)
+    array = np.array(array, dtype=np.float64, order="C", copy=copy or None)
     finite = np.isfinite(array).all(axis=1)
     if not finite.all():
         bad = np.flatnonzero(~finite)
@@ -44,8 +56,10 @@ def as_points(points: ArrayLike, name: str = "points") -> NDArray[np.float64]:
     return array
 
 
-def as_sequence(sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence") -> list[NDArray[np.float64]]:
-    """Return a sequence of point clouds as a list of (n_t, d) float64 arrays; errors name the frame.
+def as_sequence(
+    sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence", *, copy: bool = False
+) -> list[NDArray[np.float64]]:
+    """Return a sequence of point clouds as a list of (n_t, d) float64 arrays; errors name the frame. See `as_points`.
 
     Clouds may differ in their number of points (a camera sees what it sees), not in their dimension.
     """
@@ -55,7 +69,7 @@ def as_sequence(sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence
         )
     clouds: list[NDArray[np.float64]] = []
     for frame, cloud in enumerate(sequence):  # type: ignore[arg-type]
-        array = as_points(cloud, f"{name}[{frame}]")
+        array = as_points(cloud, f"{name}[{frame}]", copy=copy)
         if clouds and array.shape[1] != clouds[0].shape[1]:
             raise ValueError(
                 f"{name}[{frame}] has points in {array.shape[1]} dimensions where the frames before it have {clouds[0].shape[1]}"
@@ -66,11 +80,19 @@ def as_sequence(sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence
 
 def positive(value: float, name: str, *, zero: bool = True, infinite: bool = False) -> float:
     """Return `value` as a float, or say that it must be a (finite) number that is not negative."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError) as error:
-        raise TypeError(f"{name} must be a number, not {value!r}") from error
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise WrongKindError(f"{name} must be a number, not {value!r}")
+    number = float(value)
     if np.isnan(number) or number < 0 or (number == 0 and not zero) or (np.isinf(number) and not infinite):
         bound = "zero or more" if zero else "more than zero"
         raise ValueError(f"{name} must be {bound}{'' if infinite else ' and finite'}, not {value!r}")
     return number
+
+
+def own_arrays(record: object) -> None:
+    """Replace the arrays of a frozen dataclass by copies that nobody can write to, so that it shares none with its maker."""
+    for name, value in vars(record).items():
+        if isinstance(value, np.ndarray):
+            own = value.copy()
+            own.setflags(write=False)
+            object.__setattr__(record, name, own)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ SCHEMA = 1
 HISTORY, HORIZON = 16, 60  # frames that a forecast looks back on, and ahead to (Antonova et al. 2021, section 5)
 FEWEST_FRAMES = HISTORY + HORIZON
 _KIND = "topokit-episode"
-_STATES_KIND = "topokit-states"
+_STATES_KIND, _STATES_SCHEMA = "topokit-states", 2
 _MAX_PACKING_ERROR = 1e-4  # metres
 _PACKED = ("points", "observed", "actions", "grippers", "centre_line")
 _TEXT = ("garment", "target", "task", "success", "seed", "dt", "observation", "physics", "provenance", "schema")
@@ -107,6 +108,12 @@ class Episode:
 def save_episode(path: str | Path, episode: Episode) -> Path:
     """Write `episode` to `path` (`.npz`) in one piece: a reader sees the old file or the whole new one.
 
+    Parameters
+    ----------
+    path : path
+        It ends in .npz.
+    episode : Episode
+
     Raises
     ------
     ValueError
@@ -136,12 +143,7 @@ def load_episode(path: str | Path) -> Episode:
     FormatError
         When the file is empty, truncated, damaged, of another format or of a newer schema; the message says which.
     """
-    text, arrays = load_archive(path, _KIND)
-    if text.get("schema") != SCHEMA:
-        raise FormatError(
-            f"{path}: an episode of schema {text.get('schema')}, this topokit reads schema {SCHEMA}; "
-            "update topokit or record it again"
-        )
+    text, arrays = _load(path, _KIND, SCHEMA, "record it again")
     try:
         ends = np.cumsum(arrays.pop("loop_lengths"))[:-1]
         vertices = arrays.pop("loop_vertices")
@@ -159,7 +161,13 @@ def load_episode(path: str | Path) -> Episode:
 
 
 def check_episode(episode: Episode) -> None:
-    """Raise ValueError when the parts of an episode do not fit each other; the message says which and where."""
+    """Check that the parts of an episode fit each other.
+
+    Raises
+    ------
+    ValueError
+        When they do not; the message says which and where.
+    """
     frames, vertices = episode.points.shape[:2] if episode.points.ndim == 3 else (0, 0)
     if episode.points.ndim == 3 and frames == 0:
         raise ValueError("points holds no frame")
@@ -196,7 +204,18 @@ def _unpack(packed: NDArray[np.uint16], scale: NDArray[np.float64]) -> NDArray[n
     return np.asarray(packed * scale[0] + scale[1:], dtype=np.float32)
 
 
-# What a state's loops hold, flattened over the frames: name -> shape of one loop's entry, -1 where the number varies.
+def _load(path: str | Path, kind: str, schema: int, remedy: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Read an archive of a kind and schema."""
+    text, arrays = load_archive(path, kind)
+    if text.get("schema") != schema:
+        raise FormatError(
+            f"{path}: of schema {text.get('schema')}, this topokit reads schema {schema}: update topokit or {remedy}"
+        )
+    return text, arrays
+
+
+# What the loops of states hold: numbers, arrays of one shape, and arrays whose length varies.
+_LOOP_NUMBERS = ("id", "birth", "death", "step")
 _LOOP_ARRAYS = (
     "birth_edge",
     "killer_edge",
@@ -205,12 +224,21 @@ _LOOP_ARRAYS = (
     "killer_triangles",
     "killer_values",
 )
-_NEIGHBOUR_ARRAYS = ("neighbour_ids", "neighbours", "neighbour_values")
-_LOOP_NUMBERS = ("id", "birth", "death", "step")
+_LOOP_LISTS = {
+    "n_neighbours": ("neighbour_ids", "neighbours", "neighbour_values"),
+    "n_cycle": ("cycle", "cycle_points"),
+}
 
 
 def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
-    """Write tracked states to `path` (`.npz`) in one piece; `load_states` gives the same states back, to the last bit.
+    """Write tracked states to a file in one piece; `load_states` gives the same states back, to the last bit.
+
+    Parameters
+    ----------
+    path : path
+        It ends in .npz.
+    states : sequence of TopologicalState
+        The cycles of their loops are found and stored with them.
 
     Raises
     ------
@@ -218,18 +246,15 @@ def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
         When `path` does not end in .npz.
     """
     loops = [loop for state in states for loop in state.loops]
-    arrays: dict[str, NDArray[Any]] = {
-        name: np.array([getattr(loop, name) for loop in loops]) for name in _LOOP_NUMBERS
-    }
-    arrays |= {name: np.array([getattr(loop, name) for loop in loops]) for name in _LOOP_ARRAYS}
-    arrays |= {
-        name: np.concatenate([getattr(loop, name) for loop in loops] or [np.empty(0)]) for name in _NEIGHBOUR_ARRAYS
-    }
-    arrays["n_neighbours"] = np.array([len(loop.neighbour_ids) for loop in loops], dtype=np.int64)
+    arrays = {name: np.array([getattr(loop, name) for loop in loops]) for name in _LOOP_NUMBERS + _LOOP_ARRAYS}
+    for count, names in _LOOP_LISTS.items():
+        for name in names:
+            arrays[name] = np.concatenate([getattr(loop, name) for loop in loops] or [np.empty(0)])
+        arrays[count] = np.array([len(getattr(loop, names[0])) for loop in loops], dtype=np.int64)
     arrays["n_loops"] = np.array([len(state) for state in states], dtype=np.int64)
     arrays["frame"] = np.array([state.frame for state in states], dtype=np.int64)
     arrays["time"] = np.array([state.time for state in states], dtype=np.float64)
-    text = {"schema": SCHEMA, "parameters": [state.parameters for state in states]}
+    text = {"schema": _STATES_SCHEMA, "parameters": [state.parameters for state in states]}
     return save_archive(path, _STATES_KIND, text, arrays)
 
 
@@ -241,21 +266,27 @@ def load_states(path: str | Path) -> list[TopologicalState]:
     FileNotFoundError, FormatError
         As `load_episode`.
     """
-    text, arrays = load_archive(path, _STATES_KIND)
-    if text.get("schema") != SCHEMA:
-        raise FormatError(
-            f"{path}: states of schema {text.get('schema')}, this topokit reads schema {SCHEMA}; track them again"
-        )
-    ends = np.cumsum(arrays["n_neighbours"])[:-1]
-    neighbours = {name: np.split(arrays[name], ends) for name in _NEIGHBOUR_ARRAYS}
-    loops = []
-    for i in range(len(arrays["id"])):
-        parts: dict[str, Any] = {name: arrays[name][i].item() for name in _LOOP_NUMBERS}
-        parts |= {name: arrays[name][i] for name in _LOOP_ARRAYS}
-        parts |= {name: rows[i] for name, rows in neighbours.items()}
-        loops.append(Loop(**parts))
-    starts = np.concatenate([[0], np.cumsum(arrays["n_loops"])])
+    text, arrays = _load(path, _STATES_KIND, _STATES_SCHEMA, "track them again")
+    try:
+        loops = _loops(arrays)
+        starts = np.concatenate([[0], np.cumsum(arrays["n_loops"])]).tolist()
+        rows = zip(arrays["frame"].tolist(), arrays["time"].tolist(), text["parameters"], strict=True)
+        return [
+            TopologicalState(frame, time, tuple(loops[start:end]), parameters)
+            for (frame, time, parameters), start, end in zip(rows, starts[:-1], starts[1:], strict=True)
+        ]
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise FormatError(f"{path}: states with a missing or an unknown part: {error}; track them again") from error
+
+
+def _loops(arrays: dict[str, NDArray[Any]]) -> list[Loop]:
+    """All loops of all frames."""
+    columns = {name: arrays[name].tolist() for name in _LOOP_NUMBERS} | {name: arrays[name] for name in _LOOP_ARRAYS}
+    for count, names in _LOOP_LISTS.items():
+        columns |= {name: np.split(arrays[name], np.cumsum(arrays[count])[:-1]) for name in names}
+    curves = zip(columns.pop("cycle"), columns.pop("cycle_points"), strict=True)
+    number = len(arrays["id"])
     return [
-        TopologicalState(int(frame), float(time), tuple(loops[starts[k] : starts[k + 1]]), text["parameters"][k])
-        for k, (frame, time) in enumerate(zip(arrays["frame"], arrays["time"], strict=True))
+        Loop(**{name: column[i] for name, column in columns.items()}, _curve=partial(tuple, curve))
+        for i, curve in zip(range(number), curves, strict=False)
     ]

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._validate import as_points, positive
+from ._validate import as_points, own_arrays, positive
 
 __all__ = ["InverseWishart", "LoopMixture", "loop_mixture"]
 
@@ -100,8 +100,7 @@ class LoopMixture:
     weights: Array
 
     def __post_init__(self) -> None:
-        for value in vars(self).values():
-            value.setflags(write=False)
+        own_arrays(self)
 
     @property
     def mean(self) -> Array:
@@ -116,7 +115,19 @@ class LoopMixture:
         return np.asarray(np.einsum("m,mij->ij", self.weights, self.covariances + between))
 
     def sample(self, n: int, rng: np.random.Generator | int | None = None) -> Array:
-        """Draw `n` points, (n, d); `rng` is a generator or the seed of one."""
+        """Draw `n` points, (n, d).
+
+        Parameters
+        ----------
+        n : int
+        rng : numpy.random.Generator or int, optional
+            A generator or the seed of one.
+
+        Raises
+        ------
+        ValueError
+            When `n` is negative.
+        """
         if n < 0:
             raise ValueError(f"n must be zero or more, not {n}")
         generator = np.random.default_rng(rng)
@@ -125,7 +136,13 @@ class LoopMixture:
         return np.asarray(self.means[component] + (np.linalg.cholesky(self.covariances)[component] @ white)[..., 0])
 
     def log_prob(self, x: ArrayLike) -> Array:
-        """(n,) natural logarithm of the density at the points `x` (n, d), or a number for one point (d,)."""
+        """(n,) natural logarithm of the density at the points `x` (n, d), or a number for one point (d,).
+
+        Raises
+        ------
+        ValueError
+            When `x` has another shape.
+        """
         points = np.asarray(x, dtype=np.float64)
         d = self.means.shape[1]
         if points.ndim not in (1, 2) or points.shape[-1] != d:
@@ -141,7 +158,14 @@ class LoopMixture:
         return np.asarray(answer if points.ndim == 2 else answer[0])
 
     def density(self, n: int = 48, *, extent: float = 3.0) -> tuple[tuple[Array, ...], Array]:
-        """Evaluate on a grid that covers `extent` standard deviations of every component.
+        """Evaluate on a grid.
+
+        Parameters
+        ----------
+        n : int
+            Places along each axis.
+        extent : float
+            Standard deviations of every component that the grid covers.
 
         Returns
         -------
@@ -159,8 +183,16 @@ class LoopMixture:
     def credibility(self, x: ArrayLike, *, n: int = 4096, rng: np.random.Generator | int | None = 0) -> Array:
         """Mass of the smallest region that reaches each point of `x`, (n,): 0 at the mode, 1 far away.
 
-        The share of `n` samples whose density is above that of the point. If mixtures are calibrated, the credibilities of
-        what came true are uniform: q of them lie below q.
+        The share of samples whose density is above that of the point. If mixtures are calibrated, the credibilities of what
+        came true are uniform: q of them lie below q.
+
+        Parameters
+        ----------
+        x : (n, d) array_like
+        n : int
+            How many samples.
+        rng : numpy.random.Generator or int, optional
+            As in `sample`.
         """
         samples = np.sort(self.log_prob(self.sample(n, rng)))
         return np.asarray(1 - np.searchsorted(samples, self.log_prob(x), side="right") / n)

@@ -15,7 +15,7 @@ from ._validate import as_points
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = ["covering_radius", "farthest_point_sample", "hausdorff"]
+__all__ = ["covering_radius", "farthest_point_sample", "hausdorff", "spacing"]
 
 
 def farthest_point_sample(points: ArrayLike, n: int, start: int = 0) -> tuple[NDArray[np.int64], float]:
@@ -66,6 +66,16 @@ def covering_radius(dense: ArrayLike, sample: ArrayLike) -> float:
 
     This is the directed Hausdorff distance, in the unit of the points.
 
+    Parameters
+    ----------
+    dense, sample : (n, d), (m, d) array_like
+        One point each at least.
+
+    Raises
+    ------
+    ValueError
+        When one of them has no point, or they differ in their dimension.
+
     Examples
     --------
     >>> covering_radius([[0.0], [1.0], [3.0]], [[0.0]])
@@ -84,12 +94,39 @@ def hausdorff(a: ArrayLike, b: ArrayLike) -> float:
 
     For two edges this is the paper's distance between killer edges: each taken as the set of its two end points.
 
+    Parameters
+    ----------
+    a, b : (n, d), (m, d) array_like
+        One point each at least.
+
     Examples
     --------
     >>> hausdorff([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.0], [1.0, 2.0]])
     2.0
     """
     return max(covering_radius(a, b), covering_radius(b, a))
+
+
+def spacing(points: ArrayLike) -> float:
+    """Return half the largest distance from a point to its nearest other one; repeated points count once.
+
+    No smaller covering radius is possible when no piece of the scene is a single point.
+
+    Examples
+    --------
+    >>> spacing([[0.0], [1.0], [3.0], [3.0]])
+    1.0
+    """
+    cloud = as_points(points)
+    if len(cloud) < 2:
+        return 0.0
+    nearest = _tree(cloud).query(cloud, k=2)[0][:, 1]
+    if not nearest.all():  # some are repeated
+        cloud = np.unique(cloud + 0.0, axis=0)  # -0.0 and 0.0 are one place
+        if len(cloud) < 2:
+            return 0.0
+        nearest = _tree(cloud).query(cloud, k=2)[0][:, 1]
+    return float(nearest.max()) / 2
 
 
 def _tree(points: NDArray[np.float64]) -> cKDTree:

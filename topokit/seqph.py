@@ -12,33 +12,35 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._curves import curve_centroid
+from ._frames import check_diagram, check_follows
+from ._matching import Candidates, Matching, hausdorff_table, within_gates
 from ._validate import as_points, as_sequence, positive
 from .rips import Diagram, rips_persistence, rips_persistence_many
-from .sampling import hausdorff
+from .sampling import hausdorff, spacing
 from .state import Loop, TopologicalState
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["RECOMMENDED", "SeqPH", "track"]
+__all__ = ["RECOMMENDED", "Candidates", "SeqPH", "place", "track"]
 
 Array = NDArray[np.float64]
 RECOMMENDED: Mapping[str, Any] = {"identity": "killer-triangles", "gates": "proved", "memory": 8}
 """Options of the tracker that labels are made with and predictors use: the fewest switches of identity (chapter 6)."""
 _GATES = ("paper", "proved")
 _IDENTITIES = ("killer-edge", "killer-triangles", "cycle")
-_OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
 
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """A loop that was seen, where it is for its identity (p, d), how far the scene has moved since, and for how many frames."""
+    """A loop that may come back: where it is for its identity (p, d), how far the scene has moved since, for how many frames."""
 
     loop: Loop
     place: Array
@@ -72,6 +74,9 @@ class SeqPH:
     memory : int
         For how many frames a loop that is not found is remembered: when it comes back within its gates, widened by the
         motion since, it keeps its identity. 0 is the paper's algorithm.
+    match : callable, optional
+        Takes `Candidates` and gives the pairs (i, j) of a found loop i that is the known loop j. By default the least total
+        distance of places within the gates.
 
     Raises
     ------
@@ -95,6 +100,7 @@ class SeqPH:
         gates: str = "paper",
         identity: str = "killer-edge",
         memory: int = 0,
+        match: Matching | None = None,
     ) -> None:
         self.alpha = None if alpha is None else positive(alpha, "alpha")
         self.beta = None if beta is None else positive(beta, "beta")
@@ -106,6 +112,7 @@ class SeqPH:
         if positive(memory, "memory") != int(memory):
             raise ValueError(f"memory must be a whole number of frames, not {memory}")
         self.gates, self.identity, self.memory = gates, identity, int(memory)
+        self._match = partial(within_gates, gates) if match is None else match
         self._frame, self._next_id = 0, 0
         self._time: float | None = None
         self._cloud: Array | None = None
@@ -119,23 +126,26 @@ class SeqPH:
         Parameters
         ----------
         points : (n, d) array_like
-            At least one point; clouds may differ in n, not in d.
+            At least one point; clouds may differ in n, not in d. They are copied.
         time : float, optional
-            Seconds; the frame's number when not given.
+            Seconds, for all frames or for none; the frame's number when not given.
         diagram : Diagram, optional
-            The persistence of these points, when it is known already; computed when not given.
+            The persistence of these points, when it is known already; computed when not given. All its loops must die.
 
         Raises
         ------
         TypeError, ValueError
             When the cloud is empty, not finite, of another dimension or in other units than the one before, its time is not
-            later, or the diagram is of another number of points; the message names the frame.
+            later or there is none where there was one, or the diagram is of another number of points or has a loop without
+            a killer; the message names the frame.
         """
-        cloud = as_points(points, f"frame {self._frame}")
-        _check(self._frame, (self._cloud, self._time), (cloud, time))
-        if diagram is not None and diagram.n_points != len(cloud):
-            raise ValueError(f"frame {self._frame} has {len(cloud)} points, its diagram is of {diagram.n_points}")
-        return self._advance(cloud, rips_persistence(cloud) if diagram is None else diagram, time)
+        cloud = as_points(points, f"frame {self._frame}", copy=True)
+        check_follows(self._frame, (self._cloud, self._time), (cloud, time))
+        if diagram is None:
+            diagram = rips_persistence(cloud)
+        else:
+            check_diagram(self._frame, diagram, len(cloud))
+        return self._advance(cloud, diagram, time)
 
     def stream(self, frames: Iterable[ArrayLike]) -> Iterator[TopologicalState]:
         """Yield the state of every frame as it comes; nothing is kept but what the next frame needs.
@@ -156,7 +166,9 @@ class SeqPH:
         epsilon, beta = self._motion(cloud, diagram, found)
         known = [replace(k, motion=k.motion + epsilon, missed=k.missed + 1) for k in self._known]
         places = [place(diagram, i, cloud, self.identity) for i in found]
-        matched = self._match(diagram, found, places, known, (alpha, beta))
+        matched: dict[int, int] = {}
+        if found and known:
+            matched = dict(self._match(_candidates(diagram, found, places, known, (alpha, beta))))
         loops, next_id = [], self._next_id
         for k, i in enumerate(found):
             before = known[matched[k]].loop if k in matched else None
@@ -178,22 +190,6 @@ class SeqPH:
         if beta is None:
             beta = 2 * max([*diagram.death[found], *(known.loop.death for known in self._known)], default=0.0)
         return epsilon, float(beta)
-
-    def _match(
-        self, diagram: Diagram, found: list[int], places: list[Array], known: list[_Known], sizes: tuple[float, float]
-    ) -> dict[int, int]:
-        """For each loop that is recognised (its place in `found`): which of the known ones it is."""
-        if not found or not known:
-            return {}
-        alpha, beta = sizes
-        epsilon = np.array([k.motion for k in known])
-        gate, bound = 2 * alpha + epsilon, 2 * alpha + beta + epsilon
-        if self.gates == "proved":
-            gate, bound = alpha + epsilon, 2 * beta + epsilon
-        births = np.abs(diagram.birth[found][:, None] - [k.loop.birth for k in known])
-        deaths = np.abs(diagram.death[found][:, None] - [k.loop.death for k in known])
-        distance = hausdorff_table(np.array(places), np.array([k.place for k in known]))
-        return dict(assign(distance, (births < gate) & (deaths < gate) & (distance < bound)))
 
 
 def track(
@@ -228,89 +224,44 @@ def track(
     TypeError, ValueError
         As `SeqPH` does, naming the frame; before anything is computed when a frame is not a cloud.
     """
-    clouds = as_sequence(sequence)
+    clouds = as_sequence(sequence, copy=True)
     stamps: list[float | None] = [None] * len(clouds) if times is None else list(times)
     if len(stamps) != len(clouds):
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
     tracker = SeqPH(**options)
     frames = list(zip(clouds, stamps, strict=True))
     for number, frame in enumerate(frames):
-        _check(number, frames[number - 1] if number else (None, None), frame)
+        check_follows(number, frames[number - 1] if number else (None, None), frame)
     diagrams = rips_persistence_many(clouds, n_jobs, progress=progress)
     return [tracker._advance(*frame) for frame in zip(clouds, diagrams, stamps, strict=True)]
 
 
-def hausdorff_table(a: Array, b: Array) -> Array:
-    """(m, k) Hausdorff distances between small sets of points, each of a (m, p, d) and each of b (k, q, d).
-
-    Examples
-    --------
-    >>> hausdorff_table(np.array([[[0.0], [1.0]]]), np.array([[[0.0], [3.0]], [[1.0], [0.0]]]))
-    array([[2., 0.]])
-    """
-    apart = np.linalg.norm(a[:, None, :, None] - b[None, :, None], axis=-1)  # (m, k, p, q)
-    return np.asarray(np.maximum(apart.min(axis=3).max(axis=2), apart.min(axis=2).max(axis=2)))
-
-
-def assign(cost: NDArray[np.float64], allowed: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Match as many rows and columns as `allowed` lets, at the least total cost among such matchings.
-
-    A forbidden pair costs more than all allowed ones together, so the Hungarian algorithm takes one only where it has no
-    choice, and those are dropped: unlike infinite entries this cannot make the problem infeasible.
-
-    Examples
-    --------
-    >>> assign(np.array([[1.0, 2.0], [1.0, 9.0]]), np.array([[True, True], [True, False]]))
-    [(0, 1), (1, 0)]
-    """
-    from scipy.optimize import linear_sum_assignment
-
-    forbidden = 1.0 + 2.0 * float(np.where(allowed, cost, 0.0).sum())
-    rows, columns = linear_sum_assignment(np.where(allowed, cost, forbidden))
-    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if allowed[i, j]]
-
-
-def _check(frame: int, before: tuple[Array | None, float | None], now: tuple[Array, float | None]) -> None:
-    """Raise ValueError unless a cloud and its time can follow those before."""
-    (cloud_before, time_before), (cloud, time) = before, now
-    if len(cloud) == 0:
-        raise ValueError(f"frame {frame} has no points: nothing seen is not the same as no loops; skip the frame")
-    if time is not None and not np.isfinite(time):
-        raise ValueError(f"frame {frame} has time {time}; it must be a finite number of seconds")
-    if time is not None and time_before is not None and time <= time_before:
-        what = "is repeated" if time == time_before else "is out of order"
-        raise ValueError(
-            f"frame {frame} {what}: its time {time} s is not later than {time_before} s, that of the frame before; "
-            "sort the frames by time and drop repeated ones"
-        )
-    if cloud_before is None:
-        return
-    if cloud.shape[1] != cloud_before.shape[1]:
-        raise ValueError(f"frame {frame} has {cloud.shape[1]} dimensions, the frames before it {cloud_before.shape[1]}")
-    size, size_before = (float(np.ptp(points, axis=0).max()) for points in (cloud, cloud_before))
-    if _differ_in_units(size, size_before) and _differ_in_units(spacing(cloud), spacing(cloud_before)):
-        raise ValueError(
-            f"frame {frame} is {size:.4g} across, the frame before it {size_before:.4g}, and its points are as much farther "
-            "apart or nearer: is it in other units? Convert it, or start a new tracker"
-        )
-
-
-def _differ_in_units(size: float, before: float) -> bool:
-    """Whether a length and the same one before differ as metres and inches do (39), or centimetres, or millimetres."""
-    return min(size, before) > 0 and max(size, before) > _OTHER_UNITS * min(size, before)
-
-
-def spacing(cloud: NDArray[np.float64]) -> float:
-    """Half the largest distance from a point to its nearest other one."""
-    from scipy.spatial import cKDTree
-
-    if len(cloud) < 2:
-        return 0.0
-    return float(cKDTree(cloud).query(cloud, k=2)[0][:, 1].max()) / 2
+def _candidates(
+    diagram: Diagram, found: list[int], places: list[Array], known: list[_Known], sizes: tuple[float, float]
+) -> Candidates:
+    return Candidates(
+        diagram.birth[found],
+        diagram.death[found],
+        np.array(places),
+        np.array([k.loop.birth for k in known]),
+        np.array([k.loop.death for k in known]),
+        np.array([k.place for k in known]),
+        np.array([k.motion for k in known]),
+        *sizes,
+    )
 
 
 def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
-    """(p, d) where loop `i` of a diagram is."""
+    """Return (p, d) where loop `i` of a diagram is, for one of the identities of `SeqPH`.
+
+    Parameters
+    ----------
+    diagram : Diagram
+    i : int
+    cloud : (n, d) float64
+        The diagram's points.
+    identity : str
+    """
     if identity == "killer-edge":
         return cloud[diagram.killer_edge[i]]
     if identity == "killer-triangles":
@@ -338,7 +289,14 @@ def _loop(diagram: Diagram, i: int, cloud: Array, identity: int, before: Loop | 
         killer_values=np.full(2, diagram.death[i]),  # their longest edge is the killer edge
         neighbour_values=_values(cloud[neighbours]),
         step=step,
+        _curve=partial(_curve, diagram, i, cloud),
     )
+
+
+def _curve(diagram: Diagram, i: int, cloud: Array) -> tuple[NDArray[np.int64], Array]:
+    """The representative cycle of a loop, as vertex ids and as points."""
+    ids = diagram.cycle(i)
+    return ids, cloud[ids]
 
 
 def _values(triangles: Array) -> Array:

@@ -8,12 +8,15 @@ Source: Antonova et al. 2021, section 4 (the zeta_l of Algorithm 1). Taught in c
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ._validate import own_arrays
 
 __all__ = ["Loop", "TopologicalState", "as_table"]
 
@@ -54,11 +57,10 @@ class Loop:
     killer_values: NDArray[np.float64]
     neighbour_values: NDArray[np.float64]
     step: float = float("nan")
+    _curve: Callable[[], tuple[NDArray[np.int64], NDArray[np.float64]]] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        for value in vars(self).values():
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
+        own_arrays(self)
 
     @property
     def lifetime(self) -> float:
@@ -71,12 +73,36 @@ class Loop:
         return np.asarray(self.killer_triangles.mean(axis=(0, 1)))
 
     @property
+    def cycle(self) -> NDArray[np.int64]:
+        """(length,) vertex ids of a closed walk, tight around the loop at its birth: `Diagram.cycle`, found when asked for.
+
+        Raises
+        ------
+        LookupError
+            When the loop was put together from labels, which hold no cycle.
+        """
+        return self._closed_curve[0]
+
+    @property
+    def cycle_points(self) -> NDArray[np.float64]:
+        """(length, d) the places of `cycle`: the curve to draw, or to link with a target."""
+        return self._closed_curve[1]
+
+    @cached_property
+    def _closed_curve(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        if self._curve is None:
+            raise LookupError(
+                f"loop {self.id} knows no cloud to find its cycle in: track the cloud, topokit.track(...)"
+            )
+        return self._curve()
+
+    @property
     def quadrilateral(self) -> NDArray[np.float64]:
         """(4, d) the closed curve x, z1, y, z2 around the two killer triangles: the killer edge's ends and the apexes.
 
         Just before the loop dies this curve is in its class: its own coarse outline. That is its class among the points, which
         know nothing of a hook: edges as long as the killer may have passed through a thin one. Around a target that fills
-        the opening the outline links as the loop does; around a hook link `Diagram.cycle`, which is tight.
+        the opening the outline links as the loop does; around a hook link `cycle_points`, which is tight.
         """
         apex = ~np.isin(self.killer_triangle_ids, self.killer_edge)
         (x, y), (z1, z2) = self.killer_edge_points, self.killer_triangles[apex]

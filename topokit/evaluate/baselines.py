@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from topokit._matching import assign
 from topokit._validate import as_sequence
-from topokit.rips import Diagram
-from topokit.seqph import SeqPH, assign
+from topokit.seqph import Candidates, SeqPH
 from topokit.state import TopologicalState
 
 from .scores import greatest
@@ -31,15 +31,14 @@ class DiagramMatching(SeqPH):
     from the diagonal; the cheapest of all matchings is taken (the 1-Wasserstein distance under the maximum norm).
     """
 
-    def _match(
-        self, diagram: Diagram, found: list[int], places: list[Array], known: list[Any], _: Any
-    ) -> dict[int, int]:
-        if not found or not known:
-            return {}
-        births = np.abs(diagram.birth[found][:, None] - [k.loop.birth for k in known])
-        deaths = np.abs(diagram.death[found][:, None] - [k.loop.death for k in known])
-        alone = (diagram.lifetime[found][:, None] + [k.loop.lifetime for k in known]) / 2
-        return dict(greatest(np.maximum(alone - np.maximum(births, deaths), 0)))
+    def __init__(self, **options: Any) -> None:
+        super().__init__(match=_by_diagram, **options)
+
+
+def _by_diagram(loops: Candidates) -> list[tuple[int, int]]:
+    births, deaths = loops.changes()
+    alone = ((loops.death - loops.birth)[:, None] + (loops.known_death - loops.known_birth)) / 2
+    return list(greatest(np.maximum(alone - np.maximum(births, deaths), 0)))
 
 
 class NearestMidpoint(SeqPH):
@@ -48,16 +47,13 @@ class NearestMidpoint(SeqPH):
     A midpoint may go as far as seqPH's killer edge.
     """
 
-    def _match(
-        self, diagram: Diagram, found: list[int], places: list[Array], known: list[Any], sizes: tuple[float, float]
-    ) -> dict[int, int]:
-        if not found or not known:
-            return {}
-        alpha, beta = sizes
-        here = np.array([place.mean(axis=0) for place in places])
-        there = np.array([k.place.mean(axis=0) for k in known])
-        distance = np.linalg.norm(here[:, None] - there, axis=2)
-        return dict(assign(distance, distance < 2 * alpha + beta + np.array([k.motion for k in known])))
+    def __init__(self, **options: Any) -> None:
+        super().__init__(match=_by_midpoint, **options)
+
+
+def _by_midpoint(loops: Candidates) -> list[tuple[int, int]]:
+    distance = np.linalg.norm(loops.places.mean(axis=1)[:, None] - loops.known_places.mean(axis=1), axis=2)
+    return assign(distance, distance < 2 * loops.alpha + loops.beta + loops.motion)
 
 
 def track_vines(sequence: ArrayLike | Sequence[ArrayLike], *, steps: int = 8, **options: Any) -> list[TopologicalState]:

@@ -24,10 +24,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from topokit._matching import assign
 from topokit.models.losses import match_slots
 from topokit.models.mixture import loop_mixtures
 from topokit.models.states import States
-from topokit.seqph import assign
 
 from .localisation import nearest_in_hull
 

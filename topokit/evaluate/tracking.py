@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from topokit._matching import assign
 from topokit._validate import as_points
 from topokit.rips import rips_persistence
-from topokit.seqph import assign, spacing
+from topokit.sampling import spacing
 from topokit.state import TopologicalState
 
 from .scores import THRESHOLD, Event, Overlap, TrackingScore, events, score

@@ -1,0 +1,88 @@
+"""The core is small: its thirteen names need NumPy, SciPy and numba, and no companion's package."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+COMPANIONS = [
+    *(
+        "bokeh",
+        "dask",
+        "distributed",
+        "fsspec",
+        "gymnasium",
+        "lightning_fabric",
+        "matplotlib",
+        "pandas",
+        "pybullet",
+        "pydantic",
+    ),
+    *("pyvista", "safetensors", "sklearn", "torch", "tqdm", "trimesh", "vtk", "yaml", "zarr"),
+]
+FACE = [
+    *(
+        "Diagram",
+        "Loop",
+        "LoopMixture",
+        "SeqPH",
+        "TopologicalState",
+        "covering_radius",
+        "farthest_point_sample",
+        "hausdorff",
+    ),
+    *("linking_number", "loop_mixture", "rips_persistence", "rips_persistence_many", "track"),
+]
+
+USE_ALL = """
+import sys
+for name in {companions}:
+    sys.modules[name] = None  # importing it fails, as where it is not installed
+import numpy as np
+import topokit as tk
+from topokit.io import load_states, save_states
+
+angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+ring = np.column_stack([np.cos(angle), np.sin(angle), 0.1 * np.cos(2 * angle)])
+assert sorted(tk.__all__) == {face}, tk.__all__
+idx, radius = tk.farthest_point_sample(ring, 30)
+assert tk.covering_radius(ring, ring[idx]) == radius == tk.hausdorff(ring, ring[idx])
+assert isinstance(tk.rips_persistence(ring), tk.Diagram)
+assert len(tk.rips_persistence_many([ring, ring])) == 2
+states = tk.track([ring, ring + [0, 0, 0.01]])
+assert isinstance(states[1], tk.TopologicalState)
+assert [loop.id for loop in tk.SeqPH().update(ring).loops] == [0]
+loop = states[1].loops[0]
+assert isinstance(loop, tk.Loop)
+assert isinstance(tk.loop_mixture(loop), tk.LoopMixture)
+pole = np.array([[0, 0, -9], [0, 0, 9], [99, 0, 9], [99, 0, -9]])
+assert abs(tk.linking_number(loop.cycle_points, pole)) == 1
+assert load_states(save_states(sys.argv[1], states))[1].loops[0].birth == loop.birth
+"""
+
+
+def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
+
+
+def test_the_core_works_without_the_companions_packages(tmp_path):
+    done = run(USE_ALL.format(companions=COMPANIONS, face=FACE), str(tmp_path / "states.npz"))
+    assert done.returncode == 0, done.stderr
+
+
+def test_tracks_are_scored_without_the_companions_packages():
+    done = run(
+        f"import sys\nfor name in {COMPANIONS}: sys.modules[name] = None\n"
+        "from topokit.evaluate import TrackingScore, compare, distance_to_hull, score, summarise_tracks, true_loops\n"
+        "assert distance_to_hull([0.5], [[0], [1]]) < 1e-9"
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("name", "missing"), [("WindowDataset", "torch"), ("DatasetConfig", "pydantic")])
+def test_a_missing_extra_is_named(name, missing):
+    done = run(f"import sys; sys.modules['{missing}'] = None; from topokit.data import {name}")
+    assert done.returncode == 1
+    assert f"topokit.data.{name} needs {missing}: pip install 'topokit[data,sim,learn]'" in done.stderr

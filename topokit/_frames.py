@@ -1,0 +1,62 @@
+"""What may follow what in a sequence of point clouds."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .rips import Diagram
+from .sampling import spacing
+
+__all__ = ["check_diagram", "check_follows"]
+
+Array = NDArray[np.float64]
+_OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
+
+
+def check_follows(frame: int, before: tuple[Array | None, float | None], after: tuple[Array, float | None]) -> None:
+    """Raise ValueError unless a cloud and its time can follow those before."""
+    (cloud_before, time_before), (cloud, time) = before, after
+    if len(cloud) == 0:
+        raise ValueError(f"frame {frame} has no points: nothing seen is not the same as no loops; skip the frame")
+    if time is not None and not np.isfinite(time):
+        raise ValueError(f"frame {frame} has time {time}; it must be a finite number of seconds")
+    if cloud_before is None:
+        return
+    _check_time(frame, time_before, time)
+    if cloud.shape[1] != cloud_before.shape[1]:
+        raise ValueError(f"frame {frame} has {cloud.shape[1]} dimensions, the frames before it {cloud_before.shape[1]}")
+    size, size_before = (float(np.ptp(points, axis=0).max()) for points in (cloud, cloud_before))
+    if _differ_in_units(size, size_before) and _differ_in_units(spacing(cloud), spacing(cloud_before)):
+        raise ValueError(
+            f"frame {frame} is {size:.4g} across, the frame before it {size_before:.4g}, and its points are as much farther "
+            "apart or nearer: is it in other units? Convert it, or start a new tracker"
+        )
+
+
+def _check_time(frame: int, before: float | None, time: float | None) -> None:
+    if (before is None) != (time is None):
+        has = ("no time", "one") if time is None else (f"time {time} s", "none")
+        raise ValueError(f"frame {frame} has {has[0]}, the frame before it {has[1]}: give all frames a time, or none")
+    if before is not None and time is not None and time <= before:
+        what = "is repeated" if time == before else "is out of order"
+        raise ValueError(
+            f"frame {frame} {what}: its time {time} s is not later than {before} s, that of the frame before; "
+            "sort the frames by time and drop repeated ones"
+        )
+
+
+def check_diagram(frame: int, diagram: Diagram, n_points: int) -> None:
+    if diagram.n_points != n_points:
+        raise ValueError(f"frame {frame} has {n_points} points, its diagram is of {diagram.n_points}")
+    still_open = int(np.isinf(diagram.death).sum())
+    if still_open:
+        raise ValueError(
+            f"frame {frame}: {still_open} loops of its diagram do not die below max_radius = {diagram.max_radius:g}, and a "
+            "tracked loop needs its killer: compute the diagram without max_radius"
+        )
+
+
+def _differ_in_units(size: float, before: float) -> bool:
+    """Whether a length and the same one before differ as metres and inches do (39), or centimetres, or millimetres."""
+    return min(size, before) > 0 and max(size, before) > _OTHER_UNITS * min(size, before)

@@ -1,0 +1,90 @@
+"""Which loop of a frame is which of the loops known before: minimum-cost assignments, and the gates of seqPH."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Candidates", "Matching", "assign", "hausdorff_table", "within_gates"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """What a matching sees: the n loops found in a frame and the m known from before.
+
+    Attributes
+    ----------
+    birth, death : (n,) float64
+    places : (n, p, d) float64
+        Where they are, by the tracker's `identity`: the two ends of the killer edge, or one point.
+    known_birth, known_death : (m,) float64
+    known_places : (m, p, d) float64
+    motion : (m,) float64
+        How far the scene may have moved since each was seen, the sum of the steps' epsilon.
+    alpha, beta : float
+        Of this step.
+    """
+
+    birth: Array
+    death: Array
+    places: Array
+    known_birth: Array
+    known_death: Array
+    known_places: Array
+    motion: Array
+    alpha: float
+    beta: float
+
+    def changes(self) -> tuple[Array, Array]:
+        """(n, m) changes of birth and of death between every found loop and every known one."""
+        birth = np.abs(self.birth[:, None] - self.known_birth)
+        return birth, np.abs(self.death[:, None] - self.known_death)
+
+
+Matching = Callable[[Candidates], Iterable[tuple[int, int]]]
+
+
+def hausdorff_table(a: Array, b: Array) -> Array:
+    """(m, k) Hausdorff distances between small sets of points, each of a (m, p, d) and each of b (k, q, d).
+
+    Examples
+    --------
+    >>> hausdorff_table(np.array([[[0.0], [1.0]]]), np.array([[[0.0], [3.0]], [[1.0], [0.0]]]))
+    array([[2., 0.]])
+    """
+    apart = np.linalg.norm(a[:, None, :, None] - b[None, :, None], axis=-1)  # (m, k, p, q)
+    return np.asarray(np.maximum(apart.min(axis=3).max(axis=2), apart.min(axis=2).max(axis=2)))
+
+
+def assign(cost: Array, allowed: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Match as many rows and columns as `allowed` lets, at the least total cost among such matchings.
+
+    A forbidden pair costs more than all allowed ones together, so the Hungarian algorithm takes one only where it has no
+    choice, and those are dropped: unlike infinite entries this cannot make the problem infeasible.
+
+    Examples
+    --------
+    >>> assign(np.array([[1.0, 2.0], [1.0, 9.0]]), np.array([[True, True], [True, False]]))
+    [(0, 1), (1, 0)]
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    forbidden = 1.0 + 2.0 * float(np.where(allowed, cost, 0.0).sum())
+    rows, columns = linear_sum_assignment(np.where(allowed, cost, forbidden))
+    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if allowed[i, j]]
+
+
+def within_gates(gates: str, loops: Candidates) -> list[tuple[int, int]]:
+    """The paper's matching: least total Hausdorff distance of places, births, deaths and places within their gates."""
+    alpha, beta, epsilon = loops.alpha, loops.beta, loops.motion
+    gate, bound = 2 * alpha + epsilon, 2 * alpha + beta + epsilon
+    if gates == "proved":
+        gate, bound = alpha + epsilon, 2 * beta + epsilon
+    births, deaths = loops.changes()
+    distance = hausdorff_table(loops.places, loops.known_places)
+    return assign(distance, (births < gate) & (deaths < gate) & (distance < bound))
