@@ -53,6 +53,10 @@ def rips_persistence(
     TypeError, ValueError
         When `points` is not a finite (n, d) array, the matrix is not square, symmetric, zero on its diagonal and not
         negative, or an option is out of range.
+    MemoryError
+        When the tables would take more than 4.3 GB. They hold a bit for each pair of points (0.3 GB for 50,000 points), a
+        sixteenth of a byte for each pair of loops, however short, and 76 bytes for each edge of those that are sorted at a
+        time: about four million, or as many as have the same length. Take a subset then (`farthest_point_sample`).
 
     Examples
     --------

@@ -182,10 +182,14 @@ def filtration(
 
     Parameters
     ----------
-    points, max_radius, metric
+    points : (n, d) array_like
         As in `persistence`.
     dimension : int
         Of the largest simplices.
+    max_radius : float
+        As in `persistence`.
+    metric : {"euclidean", "precomputed"}
+        As in `persistence`.
 
     Returns
     -------
