@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numba import config
 
 from topokit import rips_persistence, rips_persistence_many
 from topokit.rips import _cloud, _edges, _jit, _tree, kernel
 
-from clouds import gudhi_pairs, sorted_pairs
+from clouds import compiled, gudhi_pairs, sorted_pairs
 from conftest import polygon
 
 
@@ -27,9 +26,6 @@ def same(one, other) -> None:
 def plain(function):
     """A compiled function as Python."""
     return getattr(function, "py_func", function)
-
-
-compiled = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="takes long without compiling")
 
 
 class Counting(np.ndarray):
