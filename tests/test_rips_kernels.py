@@ -61,6 +61,7 @@ def test_sorting_edges_of_nearly_equal_length_takes_few_moves(spread, monkeypatc
     assert found == [[a, b] for _, a, b in ends]
 
 
+@compiled  # NumPy would warn of the quotients that overflow on purpose
 @pytest.mark.parametrize("size", [5e-324, 1e-310, 1.7e308])
 def test_distances_at_the_ends_of_floating_point(size):
     equal = np.full((8, 8), size)
@@ -70,7 +71,7 @@ def test_distances_at_the_ends_of_floating_point(size):
     assert rips_persistence(square, metric="precomputed").killer_edge.tolist() == [[0, 2]]
 
 
-@pytest.mark.parametrize("size", [5e-324, 1e-310, 1e308])
+@pytest.mark.parametrize("size", [1e-320, 1e-310, 1e308])
 def test_coordinates_at_the_ends_of_floating_point(size):
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * size
     assert rips_persistence(square).killer_edge.tolist() == [[0, 2]]
@@ -89,8 +90,8 @@ def test_a_diagram_does_not_change_with_the_array_it_was_made_of(metric):
     diagram = rips_persistence(buffer, metric=metric)
     buffer[:] = 0
     for i in range(len(kept)):
-        assert diagram.cycle(i).tolist() == kept.cycle(i).tolist()
         assert diagram.neighbours(i).tolist() == kept.neighbours(i).tolist()
+        assert diagram.cycle(i).tolist() == kept.cycle(i).tolist()
     assert diagram.killers_of([walk]).tolist() == kept.killers_of([walk]).tolist()
 
 
