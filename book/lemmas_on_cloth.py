@@ -45,7 +45,7 @@ def find_episodes(places: list[Path]) -> list[Path]:
 
 def of_dataset(folder: Path, each: int) -> Iterator[tuple[str, Episode]]:
     """The first `each` tested episodes of every garment, by the names of their tasks and their numbers."""
-    dataset = Dataset.open(folder)
+    dataset = Dataset(folder)
     tested = [dataset.group.records[int(i)] for i in dataset.split()["test"]]
     for garment in dataset.garments:
         for record in [record for record in tested if record.garment == garment][:each]:
@@ -149,7 +149,7 @@ def main() -> int:
     for name, episode in of_dataset(options.dataset, options.each) if options.dataset else films:
         seen, how = observe(episode, options.observed)
         print(f"{name}: {episode.garment}, {len(episode)} frames, {how}", file=sys.stderr)
-        steps = lemmas.check_episode(episode.points, seen, stride=options.stride, progress=sys.stderr.isatty())
+        steps = lemmas.verify_episode(episode.points, seen, stride=options.stride)
         by_garment.setdefault(episode.garment, []).extend(steps)
         looked_at = range(0, len(episode), options.stride)
         for step, later in zip(steps, looked_at[1:], strict=True):

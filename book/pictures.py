@@ -46,7 +46,6 @@ def main() -> None:
         every=3,
         size=(320, 400),
         focus=episode.points.reshape(-1, 3).mean(axis=0) + [0, 0.05, 0.05],
-        progress=True,
     )
     garments = [make() for make in WARDROBE.values()]
     rows = [
@@ -67,7 +66,7 @@ def main() -> None:
 
 def every_task(folder: Path, moments: int = 20) -> None:
     """Every task of the wardrobe: how it begins and ends, with what the tracker finds, and all of them as one film."""
-    dataset = Dataset.open(folder)
+    dataset = Dataset(folder)
     numbers = {record.task: record.episode for record in reversed(dataset.records) if record.status == "ok"}
     columns = []
     for task in TASKS:

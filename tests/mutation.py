@@ -24,7 +24,7 @@ ROOT = Path(__file__).parent.parent
 WORK = ROOT / "runs" / "mutation"
 PARTS = {
     "tracking": (
-        ("seqph.py", "_matching.py", "_frames.py", "sampling.py", "linking.py", "mixture.py", "data/windows.py"),
+        ("seqph.py", "_matching.py", "_frames.py", "sampling.py", "linking.py", "mixture.py", "data/_windows.py"),
         ("seqph", "linking", "mixture", "data_windows"),
     ),
     "rips": (("rips/*",), ("rips", "rips_properties", "reduction", "cycles")),

@@ -312,7 +312,7 @@ class Search:
         rng = np.random.default_rng([self.seed, 0, index])
         small = rng.random() < 0.5
         instance = random_instance(rng, int(rng.integers(4, 13) if small else rng.integers(13, 61)))
-        for name, check in lemmas.check_step(
+        for name, check in lemmas.verify_step(
             instance.before, instance.seen, instance.after, instance.seen_after
         ).items():
             self._add(self.random, name, check, instance, f"random {index}")

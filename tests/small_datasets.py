@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from topokit.data import DatasetConfig, _generate, _label
+from topokit.data import DatasetConfig, _generate
 from topokit.sim import SimulationConfig
 
 TINY = DatasetConfig(
@@ -31,13 +31,12 @@ SEED = 5
 def without_dask() -> Iterator[None]:
     """Do the jobs one after another in this process: they are the same, and Dask takes seconds to start."""
 
-    def jobs(job: Any, items: Any, arguments: Any, _: Any) -> Iterator[Any]:
+    def jobs(job: Any, items: Any, _: Any) -> Iterator[Any]:
         for item in items:
-            yield item, job(*arguments, item)
+            yield item, job(item)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_generate, "run_jobs", jobs)
-        patch.setattr(_label, "run_jobs", jobs)
         patch.setattr(_generate, "_forge", None)
         yield
         if _generate._forge is not None:
@@ -52,9 +51,9 @@ def crash(job: dict[str, object]) -> str:
 
 def crash_twice(job: dict[str, object]) -> str:
     """Crash, but not on the third try."""
-    from topokit.data._generate import work
+    from topokit.data._generate import simulate_and_commit
 
-    return crash(job) if job["attempt"] != 3 else work(job)
+    return crash(job) if job["attempt"] != 3 else simulate_and_commit(job)
 
 
 def hang(job: dict[str, object]) -> str:

@@ -27,7 +27,7 @@ from pathlib import Path
 
 import psutil
 
-from topokit.data import Dataset, check
+from topokit.data import Dataset, check_dataset
 from topokit.data._generate import PACKAGES
 from topokit.data._group import versions_of
 
@@ -53,11 +53,11 @@ def processes(root: psutil.Process, kind: str) -> list[psutil.Process]:
     for process in root.children(recursive=True):
         with contextlib.suppress(psutil.Error):
             text, parent = " ".join(process.cmdline()), " ".join(process.parent().cmdline())
-            is_forge = "_forge import serve" in text
+            is_forge = "_process import serve" in text
             kinds = {
                 "worker killed": "spawn_main" in text and not is_forge,
-                "forge killed": is_forge and "_forge import serve" not in parent,
-                "simulation killed": is_forge and "_forge import serve" in parent,
+                "forge killed": is_forge and "_process import serve" not in parent,
+                "simulation killed": is_forge and "_process import serve" in parent,
             }
             if kinds[kind]:
                 found.append(process)
@@ -170,7 +170,7 @@ def soak(folder: Path, episodes: int, workers: int, every: float, seed: int) -> 
         "failed": len(Dataset(war).failures) - len(Dataset(peace).failures),
         "files": len(one),
         "files that differ": sum(one.get(name) != other.get(name) for name in {*one, *other}),
-        "problems": [str(problem) for problem in check(war)],
+        "problems": [str(problem) for problem in check_dataset(war)],
         "checksum": Dataset(war).checksum(),
         "checksum undisturbed": Dataset(peace).checksum(),
         "versions": versions_of(*PACKAGES),

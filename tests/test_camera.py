@@ -12,9 +12,11 @@ pytest.importorskip("pybullet")
 import pybullet
 
 from topokit import rips_persistence
+from topokit._config import from_mapping
+from topokit.sampling import spacing
 from topokit.sim import Garment, SimulationConfig
-from topokit.sim.camera import Camera, DepthNoise, cameras_around, observe
-from topokit.sim.world import World
+from topokit.sim._camera import Camera, DepthNoise, cameras_around
+from topokit.sim._world import World, observe
 
 APRON = Garment.apron(spacing=0.05, strap_width=0.05)
 OFFSET = np.array([0.0, -0.2, 1.1])
@@ -124,6 +126,7 @@ def test_fewer_pixels_than_points_are_repeated(world, rng):
     keep = repeated.lifetime > 0
     np.testing.assert_allclose(repeated.death[keep], once.death)
     np.testing.assert_allclose(repeated.birth[keep], once.birth)
+    assert spacing(points) == pytest.approx(spacing(points[:seen]))  # the scale below which loops are noise
 
 
 def test_noise_is_repeatable_and_small(world):
@@ -159,16 +162,22 @@ def test_lateral_noise_and_dropout(rng):
     assert kept[:, :200].mean() == pytest.approx(0.75, abs=0.01)
 
 
+def test_places_may_be_arrays():
+    camera = Camera((0.0, -2.0, 1.0), (0.0, 0.0, 0.0), noise=DepthNoise())
+    assert Camera(np.array([0, -2, 1]), np.zeros(3), noise=DepthNoise()) == camera
+    assert from_mapping(Camera, dataclasses.asdict(camera), "a camera") == camera  # and lists, as JSON has them
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"eye": (0, 0)}, "eye must be three"),
-        ({"target": (0, 0, np.nan)}, "target must be three"),
+        ({"eye": (0, 0)}, "eye"),
+        ({"target": (0, 0, np.nan)}, "target.*finite"),
         ({"eye": (0, 0, 2), "target": (0, 0, 1)}, "not along up"),
         ({"eye": (0, 0, 1), "target": (0, 0, 1)}, "another place than itself"),
         ({"fov": 180}, "fov"),
         ({"fov": 0}, "fov"),
-        ({"width": 12.5}, "whole numbers"),
+        ({"width": 12.5}, "width.*integer"),
         ({"near": 2, "far": 1}, "near"),
     ],
 )

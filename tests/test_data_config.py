@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import collections
 import json
+import re
 
 import numpy as np
 import pytest
 
 from topokit.data import DatasetConfig
 from topokit.data._layout import pack, room, unpack, vertex_ids
-from topokit.data.config import draw, garment_of
 from topokit.sim import TASKS, Randomisation, SimulationConfig
 
 from small_datasets import TINY
@@ -32,56 +32,55 @@ def test_json_gives_the_configuration_back(config):
 @pytest.mark.parametrize(
     ("values", "says"),
     [
-        ({"tasks": {}}, "one task at least"),
+        ({"tasks": {}}, "tasks: "),
         ({"tasks": {"apron-moon": 1}}, "no 'apron-moon'"),
-        ({"tasks": {"apron-hook": 0}}, "tasks['apron-hook'] must be more than zero"),
+        ({"tasks": {"apron-hook": 0}}, "tasks.apron-hook: Input should be greater than 0"),
         ({"sizes": {"kilt": {}}}, "no task has a garment 'kilt'"),
-        ({"n_observed": 0}, "n_observed must be a whole number, at least 1"),
+        ({"n_observed": 0}, "n_observed: Input should be greater than or equal to 1"),
         ({"depth_noise": True}, "cameras is 0"),
-        ({"colour": 1}, "the configuration has no 'colour'"),
-        ({"simulation": {"gravity": 1}}, "simulation has no 'gravity'"),
-        ({"simulation": {"dt": -1}}, "dt must be more than zero"),
-        ({"randomisation": {"luck": 1}}, "randomisation has no 'luck'"),
+        ({"colour": 1}, "the configuration: there is no 'colour'"),
+        ({"simulation": {"gravity": 1}}, "the configuration: there is no 'simulation.gravity'"),
+        ({"simulation": {"dt": -1}}, "simulation.dt: Input should be greater than 0"),
+        ({"randomisation": {"luck": 1}}, "there is no 'randomisation.luck'"),
         ({"randomisation": {"version": 0}}, "another version"),
-        ({"version": 2}, "version 2"),
+        ({"version": 2}, "version: Input should be 1, not 2"),
     ],
 )
 def test_a_wrong_configuration_is_refused(values, says):
-    with pytest.raises((ValueError, TypeError)) as refused:
+    with pytest.raises(ValueError, match=re.escape(says)):
         DatasetConfig.from_json(values)
-    assert says in str(refused.value)
 
 
 def test_a_size_that_no_garment_has_is_refused():
     config = DatasetConfig(tasks={"sheet-hook": 1}, sizes={"sheet": {"sleeves": 2}})
     with pytest.raises(ValueError, match=r"sizes\['sheet'\].*sleeves"):
-        garment_of(config, "sheet-hook")
+        config.garment("sheet-hook")
 
 
 def test_draws_are_pure_and_do_not_depend_on_the_order_of_tasks():
     names = ["apron-hook", "tote-hook", "vest-mannequin"]
     one, other = DatasetConfig(tasks=dict.fromkeys(names, 1)), DatasetConfig(tasks=dict.fromkeys(names[::-1], 1))
-    draws = [draw(one, 3, i) for i in range(200)]
-    assert draws == [draw(other, 3, i) for i in reversed(range(200))][::-1]
+    draws = [one.draw(3, i) for i in range(200)]
+    assert draws == [other.draw(3, i) for i in reversed(range(200))][::-1]
     assert len({d.seed for d in draws}) == 200
     assert all(0 <= d.seed < 2**63 for d in draws)
-    assert draws != [draw(one, 4, i) for i in range(200)]
+    assert draws != [one.draw(4, i) for i in range(200)]
 
 
 def test_tasks_are_drawn_at_their_weights():
     config = DatasetConfig(tasks={"apron-hook": 3, "tote-hook": 1})
-    count = collections.Counter(draw(config, 0, i).task for i in range(4000))
+    count = collections.Counter(config.draw(0, i).task for i in range(4000))
     assert abs(count["apron-hook"] / 4000 - 0.75) < 0.03  # four standard deviations
 
 
 def test_every_task_is_drawn_by_default():
     config = DatasetConfig()
-    assert {draw(config, 0, i).task for i in range(400)} == set(TASKS)
+    assert {config.draw(0, i).task for i in range(400)} == set(TASKS)
 
 
 def test_room_for_the_largest():
     size = room(TINY)
-    garments = [garment_of(TINY, task) for task in TINY.tasks]
+    garments = [TINY.garment(task) for task in TINY.tasks]
     assert size["vertices"] == max(len(garment.vertices) for garment in garments)
     assert size["frames"] == 32  # 20, in whole chunks of 16
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 from types import SimpleNamespace
@@ -9,18 +10,19 @@ from types import SimpleNamespace
 import fsspec
 import numpy as np
 import pytest
+from distributed import KilledWorker
 
 from topokit import track
 from topokit._archive import FormatError
 from topokit.cli import main
-from topokit.data import Dataset, DatasetConfig, check, generate, label, make_episode
-from topokit.data._label import TRACKER, arrays_of
-from topokit.data._read import states_of
+from topokit.data import Dataset, DatasetConfig, _generate, check_dataset, generate_dataset, label_dataset, make_episode
+from topokit.data._states import arrays_of, states_of
+from topokit.seqph import RECOMMENDED
 
 from small_datasets import SEED, TINY, without_dask
 
 EPISODES = 10
-OPTIONS = {**TRACKER, "alpha": 0.003}  # cloth this coarse has no loop that outlives its spacing
+OPTIONS = {**RECOMMENDED, "alpha": 0.003}  # cloth this coarse has no loop that outlives its spacing
 
 
 @pytest.fixture(scope="module")
@@ -28,9 +30,9 @@ def made(tmp_path_factory):
     """A dataset with two sets of labels; not to be changed."""
     folder = tmp_path_factory.mktemp("made") / "data"
     with without_dask():
-        generate(TINY, folder, EPISODES, SEED, progress=False)
-        label(folder, options=OPTIONS, progress=False)
-        label(folder, "observed", n_points=40, options=OPTIONS, progress=False)
+        generate_dataset(TINY, folder, EPISODES, SEED, progress=False)
+        label_dataset(folder, options=OPTIONS, progress=False)
+        label_dataset(folder, "observed", n_points=40, options=OPTIONS, progress=False)
     return folder
 
 
@@ -40,7 +42,7 @@ def copy(made, tmp_path):
 
 
 def test_an_episode_is_what_was_simulated(made):
-    dataset, episode = Dataset.open(made), make_episode(TINY, SEED, 3)
+    dataset, episode = Dataset(made), make_episode(TINY, SEED, 3)
     found = dataset[3]
     for name in ("points", "observed", "actions", "grippers", "centre_line"):
         assert np.abs(getattr(found, name) - getattr(episode, name)).max() < 0.51e-4, name
@@ -60,7 +62,7 @@ def test_what_a_dataset_says_of_itself(made):
     assert dataset.garments == ("mask", "sheet", "sheet2")
     assert dataset.failures == ()
     assert "10 of 10 episodes" in repr(dataset)
-    assert dataset.label_names == ["full", "observed-40"]
+    assert dataset.group.names("labels") == ["full", "observed-40"]
     assert [episode.seed for episode in dataset] == [record.seed for record in dataset.records]
     with pytest.raises(KeyError, match="no episode 10"):
         dataset[10]
@@ -125,7 +127,7 @@ def test_it_reads_from_any_url(made, tmp_path, url):
         assert dataset.checksum() == Dataset(made).checksum()
         assert (dataset[2].points == Dataset(made)[2].points).all()
         assert len(dataset.states(2, "full")) == 20
-        assert check(url.format(tmp_path)) == []
+        assert check_dataset(url.format(tmp_path)) == []
     finally:
         memory.rm("/data", recursive=True)
 
@@ -136,29 +138,40 @@ def test_a_cut_keeps_numbers_checksums_and_labels(made, tmp_path):
     assert [record.sha256 for record in cut.records] == [whole.records[i].sha256 for i in (2, 5, 7)]
     assert (cut[5].points == whole[5].points).all()
     assert len(cut.states(7, "observed-40")) == 20
-    assert check(tmp_path / "cut") == []
+    assert check_dataset(tmp_path / "cut") == []
     assert cut.checksum() != whole.checksum()
     with pytest.raises(KeyError, match="no episode 3"):
         cut[3]
     with pytest.raises(ValueError, match="not an empty folder"):
         whole.cut([1], tmp_path / "cut")
     with pytest.raises(ValueError, match="begun with numbers"):
-        generate(TINY, tmp_path / "cut", EPISODES, SEED, progress=False)
+        generate_dataset(TINY, tmp_path / "cut", EPISODES, SEED, progress=False)
 
 
 def test_labels_go_on_with_new_episodes_and_refuse_other_options(copy):
     (copy / "labels" / "full" / "records" / "00000004.json").unlink()
     (copy / "labels" / "full" / "index.json").unlink()
-    assert [p.where for p in check(copy)].count("labels/full/records") == 1
+    assert [p.where for p in check_dataset(copy)].count("labels/full/records") == 1
     with without_dask():
-        label(copy, options=OPTIONS, progress=False)
-    assert check(copy) == []
+        label_dataset(copy, options=OPTIONS, progress=False)
+    assert check_dataset(copy) == []
     with pytest.raises(ValueError, match=r"begun with options.memory = 8, this is options.memory = 0"):
-        label(copy, options={**OPTIONS, "memory": 0}, progress=False)
+        label_dataset(copy, options={**OPTIONS, "memory": 0}, progress=False)
     with pytest.raises(ValueError, match="made without cameras"):
-        label(copy, "camera", progress=False)
+        label_dataset(copy, "camera", progress=False)
+    with pytest.raises(ValueError, match="match is a function"):
+        label_dataset(copy, options={"match": dict}, progress=False)
     with pytest.raises(ValueError, match="letters, digits"):
-        label(copy, name="../full", progress=False)
+        label_dataset(copy, name="../full", progress=False)
+
+
+def test_labels_whose_workers_died_are_recorded(copy, monkeypatch):
+    (copy / "labels" / "full" / "records" / "00000004.json").unlink()
+    (copy / "labels" / "full" / "index.json").unlink()
+    monkeypatch.setattr(_generate, "run_jobs", lambda *_: (pair for pair in [(4, KilledWorker("job", None, 10))]))
+    record = label_dataset(copy, options=OPTIONS, progress=False).records[4]
+    assert (record.status, record.garment) == ("failed", Dataset(copy).records[4].garment)
+    assert {problem.where.split("/")[0] for problem in check_dataset(copy)} == {"labels"}  # what it had is left over
 
 
 def first(folder, name):
@@ -231,7 +244,7 @@ def record(folder, i=0):
 )
 def test_check_finds_damage_and_says_where(copy, damage, where, says):
     damage(copy)
-    problems = check(copy)
+    problems = check_dataset(copy)
     assert any(problem.where.startswith(where) and says in problem.what for problem in problems), list(
         map(str, problems)
     )
@@ -262,10 +275,9 @@ class Many(Dataset):
 
     def __init__(self, n):
         from topokit.data._records import Record
-        from topokit.data.config import draw
 
         config = DatasetConfig()
-        tasks = [draw(config, 0, i).task for i in range(n)]
+        tasks = [config.draw(0, i).task for i in range(n)]
         rows = [Record(i, "ok", "", t, *t.split("-"), 0, True, 80, 9, 9, "") for i, t in enumerate(tasks)]
 
         self.group = SimpleNamespace(records=dict(enumerate(rows)), manifest={"config": config.to_json()})
@@ -285,6 +297,21 @@ def test_splits_are_parts_and_do_not_change(by):
         assert abs(len(parts["train"]) / 2000 - 0.8) < 0.04
         small = Many(500).split(by, seed=1)  # what was there before the dataset grew stays in its part
         assert all((small[name] == part[part < 500]).all() for name, part in parts.items())
+
+
+@pytest.mark.parametrize("names", [("train", "validation", "test"), ("train", "dev", "tune", "test"), ("b", "a")])
+@pytest.mark.parametrize(("by", "held_out"), [("episode", ()), ("garment", ()), ("garment", ("tote", "tote2"))])
+def test_a_split_does_not_depend_on_the_order_in_which_its_shares_are_named(by, held_out, names):
+    """A checkpoint keeps them in a JSON object, sorted: the same shares must stay the same episodes."""
+    shares, dataset = dict(zip(names, (4, 2, 3, 1), strict=False)), Many(500)
+    parts = dataset.split(by, shares, seed=1, held_out=held_out)
+    for other in itertools.permutations(shares.items()):
+        again = dataset.split(by, dict(other), seed=1, held_out=held_out)
+        assert {name: part.tolist() for name, part in again.items()} == {k: v.tolist() for k, v in parts.items()}
+    if "test" in names:
+        assert list(parts) == list(names)  # train first and test last, whatever is between them
+    if held_out:
+        assert {dataset.group.records[i].garment for i in list(parts.values())[-1]} == set(held_out)
 
 
 def test_every_garment_is_in_every_part_of_a_split_by_episode():

@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 import copy
+import pickle
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from topokit.data import Dataset, WindowDataset, generate, label
-from topokit.data._label import TRACKER
-from topokit.data.windows import _Episode
+from topokit import track
+from topokit.data import Dataset, WindowDataset, _windows, generate_dataset, label_dataset
+from topokit.data._windows import _by_identity, _Episode, _Memory, _Tracked
+from topokit.seqph import RECOMMENDED
 
+from conftest import polygon
 from small_datasets import SEED, TINY, without_dask
 
 H, K = 4, 6
+SIZES = ("history", "horizon", "n_points", "slots", "stride")
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("windows") / "data"
     with without_dask():
-        generate(TINY, folder, 6, SEED, progress=False)
-        label(folder, options={**TRACKER, "alpha": 0.003}, progress=False)
-        label(folder, "observed", n_points=40, options={**TRACKER, "alpha": 0.003}, progress=False)
+        generate_dataset(TINY, folder, 6, SEED, progress=False)
+        label_dataset(folder, options={**RECOMMENDED, "alpha": 0.003}, progress=False)
+        label_dataset(folder, "observed", n_points=40, options={**RECOMMENDED, "alpha": 0.003}, progress=False)
     return Dataset(folder)
 
 
@@ -36,7 +40,11 @@ def windows(dataset):
 def test_there_is_a_window_for_every_frame_that_has_a_past_and_a_future(dataset, windows):
     assert len(windows) == 6 * (20 - H - K + 1)
     assert windows.index[:12].tolist() == [[0, t] for t in range(H - 1, 20 - K)] + [[1, H - 1]]
-    assert len(WindowDataset(dataset, history=H, horizon=K, stride=4)) == 6 * 3
+    assert WindowDataset(dataset, [3], history=H, horizon=K, stride=4).index.tolist() == [[3, 3], [3, 7], [3, 11]]
+    assert WindowDataset(dataset, [3], history=H, horizon=8, stride=4).index.tolist() == [[3, 3], [3, 7], [3, 11]]
+    assert WindowDataset(dataset, [3], history=H, horizon=9, stride=4).index.tolist() == [[3, 3], [3, 7]]
+    assert windows.index.dtype == np.int64
+    assert repr(windows) == "WindowDataset(66 windows of 6 episodes, labels 'full')"
     assert WindowDataset(dataset, [4, 2], history=H, horizon=K).episodes.tolist() == [2, 4]
     assert len(WindowDataset(dataset, history=4, horizon=16)) == 6  # of the very length of an episode
 
@@ -106,25 +114,29 @@ def same_loop(part, loop):
     np.testing.assert_allclose(part["step"], 0 if np.isnan(loop.step) else loop.step, rtol=1e-6)
 
 
-def test_who_gets_a_slot():
+@pytest.mark.parametrize("zero", [2, 5])
+def test_who_gets_a_slot(zero):
     """The longest mean lifetime in the history first, then those that come, in their order; who is gone before has none."""
     ids = np.full((8, 3), -1, dtype=np.int32)
-    ids[0] = [9, -1, -1]  # before the history
-    ids[1] = [5, 7, -1]
+    ids[0] = [8, -1, -1]  # before the history
+    ids[1] = [5, 7, 4]
     ids[2] = [5, -1, -1]
-    ids[3] = [7, 5, -1]
+    ids[3] = [7, 5, 4]
     ids[4] = [7, 2, -1]  # the future
     ids[5] = [3, 2, 9]
+    ids[ids == zero] = 0  # an identity like any other, among those that were there and among those that come
     numbers = np.zeros((8, 3, 3), dtype=np.float32)
-    numbers[..., 1] = [1.0, 0.5, 0.25]
+    numbers[..., 0] = [0.5, 0.25, 1.0]
+    numbers[..., 1] = [1.5, 0.75, 1.25]
     numbers[3, 0, 1] = 9.0  # 7 lives longer at frame 3 than 5 in three frames
     tracked = SimpleNamespace(ids=ids, numbers=numbers)
 
     def order(slots):
         return WindowDataset._identities(SimpleNamespace(slots=slots), tracked, slice(1, 4), slice(4, 8)).tolist()
 
-    assert order(6) == [7, 5, 2, 3, 9, -2]
-    assert order(3) == [7, 5, 2]
+    first = [0 if i == zero else i for i in (7, 5, 4, 2, 3, 9)]
+    assert order(7) == [*first, -2]
+    assert order(4) == first[:4]
     assert order(1) == [7]
 
 
@@ -143,21 +155,118 @@ def test_what_was_seen_besides_is_the_history_of_the_other_labels(dataset, windo
         WindowDataset(dataset, history=H, horizon=K, seen_labels="camera")
 
 
-def test_truth_is_the_true_loops(dataset, windows):
-    truth = windows.truth(25)
+def test_what_is_stored_becomes_triangles_and_values():
+    """One frame, two loops in units of 0.1 mm: one with two neighbours, one that is not there."""
+    cloud = np.arange(30, dtype=np.int16).reshape(1, 10, 3)
+    simplices = np.full((1, 2, 22), 65535, dtype=np.uint16)
+    simplices[0, 0, 4:16] = [0, 1, 2, 0, 1, 3, 2, 1, 4, 0, 3, 5]
+    simplices[0, 1, 4:10] = 0
+    values = np.zeros((1, 2, 7), dtype=np.float32)
+    values[0, 0] = [
+        1,
+        5,
+        np.nan,
+        3,
+        4,
+        77,
+        77,
+    ]  # birth, death, step, neighbours; what is behind an absent one is no matter
+    tracked = _Tracked.of({"id": np.array([[6, -1]]), "simplices": simplices, "values": values}, cloud)
+    ids = [[0, 1, 2], [0, 1, 3], [2, 1, 4], [0, 3, 5], [0, 1, 2], [0, 1, 2]]
+    assert (tracked.triangles[0, 0] == cloud[0][np.array(ids)]).all()
+    assert tracked.values[0, 0].tolist() == [5, 5, 3, 4, 0, 0]
+    assert tracked.numbers[0, 0].tolist() == [1, 5, 0]
+
+    slots = _by_identity(tracked, np.array([9, 6, -2]), slice(0, 1))
+    assert slots["present"].tolist() == [[False, True, False]]
+    assert slots["values"][0].tolist() == [[0] * 6, [5, 5, 3, 4, 0, 0], [0] * 6]
+    np.testing.assert_allclose(slots["triangles"][0, 1], cloud[0][np.array(ids)] / 10_000, rtol=1e-6)
+    assert not slots["triangles"][0, [0, 2]].any()
+    assert [slots[name].tolist() for name in ("birth", "death", "step")] == [[[0, 1, 0]], [[0, 5, 0]], [[0, 0, 0]]]
+    assert slots["triangles"].dtype == slots["values"].dtype == slots["birth"].dtype == np.float32
+
+
+def test_true_loops_are_those_of_the_episode(dataset, windows):
     number, t = windows.index[25]
     episode = dataset[int(number)]
-    assert len(truth.loops) == len(episode.loops)
-    for found, before, loop in zip(truth.loops, truth.past_loops, episode.loops, strict=True):
-        assert (found == episode.points[t + 1 : t + K + 1, loop]).all()
-        assert (before == episode.points[t - H + 1 : t + 1, loop]).all()
-    assert (truth.task, truth.success) == (episode.task, episode.success)
+    found = windows.true_loops(25)
+    assert len(found) == len(episode.loops) > 0
+    for curve, loop in zip(found, episode.loops, strict=True):
+        assert (curve == episode.points[t + 1 : t + K + 1, loop]).all()
 
 
 def test_clouds_with_fewer_points_are_repeated(dataset):
     window = WindowDataset(dataset, history=H, horizon=K, n_points=100)[0]
     assert window["clouds"].shape == (H, 100, 3)
     assert (window["clouds"][:, 48:96] == window["clouds"][:, :48]).all()
+    assert (window["clouds"][:, 96:] == window["clouds"][:, :4]).all()
+
+
+def test_what_is_observed_takes_the_place_of_the_clouds_and_is_tracked(dataset):
+    """Whatever hangs there, a ring of twelve points is seen, and moves by a millimetre a frame."""
+    radius, given = np.linspace(0.1, 0.11, 12)[:, None], {}
+    ring = np.column_stack([radius * polygon(12), np.zeros(12)])
+
+    def observe(number, clouds):
+        given[number] = clouds
+        return ring + np.arange(len(clouds))[:, None, None] * [0.001, 0, 0]
+
+    options = {"history": H, "horizon": K, "n_points": 30, "slots": 3}
+    window = WindowDataset(dataset, [2, 4], observe=observe, **options)[12]  # the second of episode 4, t = 4
+    plain = WindowDataset(dataset, [2, 4], **options)[12]
+    assert list(given) == [4]
+    assert given[4].dtype == np.float64
+    np.testing.assert_allclose(given[4], dataset[4].observed[:, :30], atol=1e-6)
+    np.testing.assert_allclose(window["clouds"][0, :12], ring + [0.001, 0, 0], atol=1e-4)
+    assert (window["clouds"][:, 12:] == window["clouds"][:, [*range(12), *range(6)]]).all()
+    assert all(window[name].equal(plain[name]) for name in ("grippers", "actions", "held", "episode", "frame"))
+    (state,) = track([ring], **RECOMMENDED)
+    for prefix in ("past_", ""):
+        assert window[f"{prefix}present"].all(dim=0).tolist() == [True, False, False]
+        np.testing.assert_allclose(window[f"{prefix}death"][:, 0], state.loops[0].death, atol=1e-4)
+        assert not window[f"{prefix}death"][:, 1:].any()
+    assert window["past_step"][0, 0] == pytest.approx(0.001, abs=1e-4)  # tracked from the first frame on
+    with pytest.raises(ValueError, match="no labels 'full'"):
+        WindowDataset(dataset, [77], observe=observe, **options)
+
+
+def test_a_selection_is_some_of_the_windows(dataset, windows):
+    some = windows.select([40, 3, 3])
+    assert len(some) == 3
+    assert some.index.tolist() == windows.index[[40, 3, 3]].tolist()
+    assert some.episodes.tolist() == [0, 3]
+    for i, row in enumerate((40, 3, 3)):
+        assert all(torch.equal(part, windows[row][name]) for name, part in some[i].items())
+    assert len(windows) == 66
+    fresh = WindowDataset(dataset, history=H, horizon=K)
+    fresh.select([0]).load()
+    assert list(fresh._memory.episodes) == [0]  # decoded episodes are shared, both ways
+    fresh.load()
+    assert list(fresh.select([0])._memory.episodes) == [0, 1, 2, 3, 4, 5]
+
+
+def test_what_is_done_to_a_window_does_not_reach_the_next(windows):
+    before = {name: part.clone() for name, part in windows[7].items()}
+    for part in windows[7].values():
+        part.add_(1) if part.dtype != torch.bool else part.logical_not_()
+    assert all(torch.equal(part, before[name]) for name, part in windows[7].items())
+
+
+@pytest.mark.parametrize("name", ["full", "observed-40"])
+def test_what_a_camera_saw_is_stored_as_places(dataset, name, monkeypatch):
+    options = {"labels": name, "history": H, "horizon": K, "n_points": 60, "slots": 3}
+    expected = WindowDataset(dataset, [1], **options)[3]
+    real = _windows.decode
+
+    def seen_by_a_camera(*arguments):
+        stored = real(*arguments)
+        if "observed" in stored:
+            stored["observed"] = stored["points"][np.arange(20)[:, None], stored["observed"]]
+        return stored
+
+    monkeypatch.setattr(_windows, "decode", seen_by_a_camera)
+    found = WindowDataset(dataset, [1], **options)[3]
+    assert all(torch.equal(part, expected[key]) for key, part in found.items())
 
 
 def test_batches(windows):
@@ -168,21 +277,50 @@ def test_batches(windows):
     assert torch.isfinite(batch["triangles"]).all()
 
 
+def test_the_episode_that_was_not_used_for_longest_goes_first():
+    sizes, decoded = {1: 40, 2: 40, 3: 40, 4: 500}, []
+    memory = _Memory(100)
+
+    def made(number):
+        decoded.append(number)
+        return SimpleNamespace(nbytes=sizes[number], number=number)
+
+    assert [memory.get(number, made).number for number in (1, 2, 1, 3, 1, 2)] == [1, 2, 1, 3, 1, 2]
+    assert decoded == [1, 2, 3, 2]  # 3 drove out 2, then 2 drove out 3: 1 was used in between
+    assert (list(memory.episodes), memory.nbytes) == ([1, 2], 80)
+    assert memory.get(4, made).number == 4  # too large, but one is always kept
+    assert (list(memory.episodes), memory.nbytes) == ([4], 500)
+    exact = _Memory(80)
+    assert [exact.get(number, made).number for number in (1, 2)] == [1, 2]
+    assert list(exact.episodes) == [1, 2]
+
+
 def test_what_is_kept_does_not_grow(dataset, windows):
-    one = windows._decode(0).nbytes
-    small = WindowDataset(dataset, history=H, horizon=K, n_points=30, slots=3, memory=2.5 * one)
+    episode = windows._decode(0)
+    assert isinstance(episode, _Episode)
+    tracked = [getattr(episode.tracked, name).nbytes for name in ("ids", "triangles", "values", "numbers")]
+    own = [getattr(episode, name).nbytes for name in ("clouds", "grippers", "actions", "held")]
+    assert episode.nbytes == sum(own) + sum(tracked)
+    both = WindowDataset(dataset, history=H, horizon=K, n_points=30, seen_labels="observed-40")._decode(0)
+    assert both.nbytes == episode.nbytes + sum(part.nbytes for part in vars(both.seen).values())
+    small = WindowDataset(dataset, history=H, horizon=K, n_points=30, slots=3, memory=2.5 * episode.nbytes)
     for i in (0, 30, 60, 0, 65):
         assert (small[i]["clouds"] == windows[i]["clouds"]).all()
-        assert small._bytes == sum(episode.nbytes for episode in small._kept.values()) <= 2.5 * one
-    assert isinstance(next(iter(small._kept.values())), _Episode)
-    assert len(WindowDataset(dataset, history=H, horizon=K).load()._kept) == 6
+        assert (
+            small._memory.nbytes == sum(one.nbytes for one in small._memory.episodes.values()) <= 2.5 * episode.nbytes
+        )
+    assert len(WindowDataset(dataset, history=H, horizon=K).load()._memory.episodes) == 6
+    enough = WindowDataset(dataset, history=H, horizon=K, n_points=30, memory=episode.nbytes)
+    assert list(enough.load()._memory.episodes) == [0]
 
 
 def test_it_travels_to_spawned_processes_without_its_episodes(windows):
     windows.load()
-    again = copy.copy(windows)  # of the state that is sent to them
-    assert len(again._kept) == 0
+    again = pickle.loads(pickle.dumps(windows))
+    assert len(again._memory.episodes) == 0
+    assert (again._memory.most, again._memory.nbytes) == (windows._memory.most, 0)
     assert (again[7]["clouds"] == windows[7]["clouds"]).all()
+    assert copy.copy(windows)._memory is windows._memory
 
 
 def test_parts_share_no_episode(dataset):
@@ -198,11 +336,33 @@ def test_parts_share_no_episode(dataset):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"horizon": 60}, "no episode has the 64 frames of a window"),
-        ({"slots": 0}, "slots must be a whole number, at least 1"),
-        ({"episodes": [0, 77]}, "1 episodes have no labels 'full', the first is 77"),
+        ({"horizon": 60}, r"no episode has the 64 frames of a window \(of 6 episodes\)"),
+        ({"history": 15}, r"no episode has the 21 frames of a window \(of 6 episodes\)"),
+        ({"episodes": []}, r"no episode has the 10 frames of a window \(of 0 episodes\)"),
+        *(({name: 0}, f"{name} must be a whole number, at least 1, not 0") for name in SIZES),
+        ({"stride": True}, "stride must be a whole number, at least 1, not True"),
+        ({"history": 4.0}, "history must be a whole number, at least 1, not 4.0"),
+        ({"episodes": [0, 77, 78]}, "2 episodes have no labels 'full', the first is 77: topokit label makes them"),
     ],
 )
 def test_what_cannot_be_is_refused(dataset, options, says):
     with pytest.raises(ValueError, match=says):
         WindowDataset(dataset, **{"history": H, "horizon": K, **options})
+
+
+def test_sizes_are_those_of_the_paper_when_none_are_given(dataset):
+    with pytest.raises(ValueError, match="no episode has the 76 frames"):
+        WindowDataset(dataset)
+    window = WindowDataset(dataset, history=H, horizon=K)[0]
+    assert (window["clouds"].shape[1], window["present"].shape[1]) == (128, 4)
+    assert WindowDataset(dataset, history=H, horizon=K)._memory.most == 4e9
+
+
+def test_episodes_without_the_second_labels_are_refused(dataset, tmp_path):
+    few = dataset.cut([0, 1], tmp_path / "few")
+    (tmp_path / "few" / "labels" / "observed-40" / "records" / "00000001.json").unlink()
+    (tmp_path / "few" / "labels" / "observed-40" / "index.json").unlink()
+    assert few.episodes.tolist() == [0, 1]
+    with pytest.raises(ValueError, match="1 episodes have no labels 'observed-40', the first is 1"):
+        WindowDataset(tmp_path / "few", history=H, horizon=K, seen_labels="observed-40")
+    assert WindowDataset(tmp_path / "few", history=H, horizon=K, labels="observed-40").episodes.tolist() == [0]

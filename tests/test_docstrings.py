@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import importlib
 import inspect
+import re
 import textwrap
 from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
 
+import numpydoc.docscrape
 import numpydoc.validate
 import pytest
 
@@ -48,14 +51,31 @@ def public(face: str) -> Iterator[tuple[str, Any]]:
 
 
 def arguments(thing: Any) -> list[str]:
-    """Names of the arguments; none for a class whose fields are told under Attributes, as those of a dataclass are."""
-    if inspect.isclass(thing) and "Attributes\n" in (thing.__doc__ or ""):
+    """Names of the arguments; none for a dataclass, whose fields are told under Attributes or beside them."""
+    if dataclasses.is_dataclass(thing) and "Parameters\n" not in (thing.__doc__ or ""):
         return []
     try:
         names = list(inspect.signature(thing).parameters)
     except ValueError:  # a class of the interpreter's own, such as an error
         return []
     return [name for name in names if name not in ("self", "cls")]
+
+
+def untold(kind: type) -> list[str]:
+    """Fields of a dataclass that are told neither under Attributes nor by a comment ``#:`` beside or above them."""
+    words = numpydoc.docscrape.ClassDoc(kind, config={"show_class_members": False})
+    told = {name for entry in words["Attributes"] + words["Parameters"] for name in entry.name.split(", ")}
+    for base in kind.__mro__[:-1]:
+        lines = inspect.getsource(base).splitlines()
+        for number, line in enumerate(lines):
+            field = re.match(r"    (\w+):", line)
+            if field and ("#:" in line or lines[number - 1].strip().startswith("#:")):
+                told.add(field[1])
+    return [
+        field.name
+        for field in dataclasses.fields(kind)
+        if field.init and field.name not in told and field.name[0] != "_"
+    ]
 
 
 def raises(thing: Any) -> bool:
@@ -81,6 +101,13 @@ def test_every_argument_is_told(face):
             continue
         found = numpydoc.validate.validate(name)["errors"]
         wrong += [f"{name}: {words}" for code, words in found if code in PARAMETERS]
+    assert not wrong, "\n".join(wrong)
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_every_field_is_told(face):
+    kinds = [(name, thing) for name, thing in public(face) if dataclasses.is_dataclass(thing)]
+    wrong = [f"{name}: {', '.join(missing)}" for name, thing in kinds if (missing := untold(thing))]
     assert not wrong, "\n".join(wrong)
 
 

@@ -18,7 +18,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
 from topokit.sim import TASKS, Garment, HangEnv, SimulationConfig, cameras_around
-from topokit.sim.env import REWARDS, _simple
+from topokit.sim._env import REWARDS
+from topokit.sim._surface import simple_cycles
 
 COARSE = Garment.apron(spacing=0.05, strap_width=0.05)
 QUICK = SimulationConfig(self_collision=False, settle=0.05)
@@ -183,8 +184,8 @@ def test_a_task_of_ones_own():
 
 
 def test_walks_are_cut_where_they_return():
-    assert _simple(np.array([1, 2, 3, 4])) == [[1, 2, 3, 4]]
-    assert _simple(np.array([1, 2, 3, 9, 5, 6, 7, 5, 9])) == [[5, 6, 7], [1, 2, 3, 9]]
+    assert simple_cycles([1, 2, 3, 4]) == [[1, 2, 3, 4]]
+    assert simple_cycles([1, 2, 3, 9, 5, 6, 7, 5, 9]) == [[5, 6, 7], [1, 2, 3, 9]]
 
 
 def test_without_gymnasium_only_the_environment_is_missing():

@@ -13,29 +13,30 @@ import numpy as np
 import pytest
 import torch
 
+import topokit
 from topokit import cli, track
 from topokit._archive import FormatError
+from topokit._config import from_mapping
 from topokit.data import Dataset, WindowDataset
-from topokit.data._label import TRACKER
 from topokit.evaluate import (
+    Clouds,
+    Condition,
     EvaluationConfig,
+    _forecasts,
     distance_to_hull,
     evaluate_forecasts,
-    forecasts,
+    library_digest,
     load_evaluation,
     read_results,
     true_loops,
     write_report,
 )
-from topokit.evaluate.config import Clouds, Condition
-from topokit.evaluate.seen import SpoiltWindows, choose, spoil, true_curves
-from topokit.evaluate.summary import steps_of
+from topokit.evaluate._conditions import prepare_condition, spoilt_observer, spread_windows, true_curves
+from topokit.evaluate._summary import steps_of
 from topokit.io import load_episode
-from topokit.models import TrainConfig, train
-from topokit.models.base import Normalisation, Shape
-from topokit.models.checkpoint import describe, save_tensors
-from topokit.models.registry import build
-from topokit.models.training import open_windows
+from topokit.models import Normalisation, Shape, TrainConfig, build, open_windows, train
+from topokit.models._checkpoint import describe, save_tensors
+from topokit.seqph import RECOMMENDED
 
 from conftest import DATA
 
@@ -58,6 +59,23 @@ def dataset() -> Dataset:
     return Dataset(SMALL)
 
 
+def trained(out: Path, model: str = "mlp", seed: int = 0, split: dict[str, Any] = SPLIT) -> TrainConfig:
+    """Train a model for a few steps; its best weights are in `out`."""
+    config = TrainConfig(
+        model=model,
+        dataset=str(SMALL),
+        out=str(out),
+        split=split,
+        seed=seed,
+        batch=8,
+        epochs=1,
+        windows_per_epoch=16,
+        validation_windows=8,
+    )
+    train(config, open_windows(config))
+    return config
+
+
 @pytest.fixture(scope="module")
 def checkpoints(tmp_path_factory) -> dict[str, list[str]]:
     """Every model after a few steps; the MLP under two seeds."""
@@ -65,26 +83,14 @@ def checkpoints(tmp_path_factory) -> dict[str, list[str]]:
     for model in MODELS:
         for seed in range(2 if model == "mlp" else 1):
             where = out / f"{model}_{seed}"
-            config = TrainConfig(
-                model=model,
-                dataset=str(SMALL),
-                out=str(where),
-                split=SPLIT,
-                seed=seed,
-                batch=8,
-                epochs=1,
-                windows_per_epoch=16,
-                validation_windows=8,
-            )
-            train(config, open_windows(config))
+            trained(where, model, seed)
             paths.setdefault(model, []).append(str(where / "best.safetensors"))
     return paths
 
 
 def evaluation(conditions: list[dict[str, Any]], **more: Any) -> EvaluationConfig:
-    return EvaluationConfig(
-        **{"dataset": str(SMALL), "models": {}, "conditions": conditions, "samples": 100, "ours": "carry", **more}
-    )
+    entries = {"dataset": str(SMALL), "models": {}, "conditions": conditions, "samples": 100, "ours": "carry"}
+    return from_mapping(EvaluationConfig, entries | more, "the evaluation")
 
 
 @pytest.fixture(scope="module")
@@ -210,7 +216,7 @@ def test_noise_spoils_the_tracker_too(results):
 
 
 def test_it_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
-    path, real = tmp_path / "r.json", forecasts._run
+    path, real = tmp_path / "r.json", _forecasts._measured
     config = evaluation(
         [
             {"name": "one", "part": "all", "garments": ["mask"], "windows": 2},
@@ -223,13 +229,13 @@ def test_it_goes_on_where_it_was_stopped(tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return real(config, condition, *arguments)
 
-    monkeypatch.setattr(forecasts, "_run", stopped)
+    monkeypatch.setattr(_forecasts, "_measured", stopped)
     with pytest.raises(KeyboardInterrupt):
         evaluate_forecasts(config, out=path)
     assert list(read_results(path)["conditions"]) == ["one"]
     assert not read_results(path)["complete"]
     ran = []
-    monkeypatch.setattr(forecasts, "_run", lambda *given: ran.append(given[1].name) or real(*given))
+    monkeypatch.setattr(_forecasts, "_measured", lambda *given: ran.append(given[1].name) or real(*given))
     whole = evaluate_forecasts(config, out=path)
     assert ran == ["two"]
     assert whole == evaluate_forecasts(config)  # the same as in one go
@@ -250,6 +256,22 @@ def test_it_refuses_episodes_that_a_model_was_trained_on(checkpoints):
     word = {"name": "x", "split": SPLIT, "part": "train", "shares_no_episode": True}
     with pytest.raises(ValueError, match="was trained on this dataset"):  # no word helps against the checksum
         evaluate_forecasts(evaluation([word], models={"mlp": checkpoints["mlp"][:1]}))
+
+
+def test_no_order_of_the_shares_hides_a_leak(tmp_path):
+    """A checkpoint stores its configuration with sorted names: the parts must not depend on their order."""
+    other = {"seed": 1, "shares": {name: SHARES[name] for name in ("test", "train", "validation")}}
+    config = trained(tmp_path, split=other)
+    models = {"mlp": [str(tmp_path / "best.safetensors")]}
+    windows = open_windows(config)
+    learned = {*windows.train.index[:, 0].tolist(), *windows.validation.index[:, 0].tolist()}
+    for split in (SPLIT, other):
+        for part in ("train", "validation"):
+            with pytest.raises(ValueError, match=r"was trained on this dataset.*training or validation part"):
+                evaluate_forecasts(evaluation([{"name": "x", "split": split, "part": part}], models=models))
+        condition = evaluation([{"name": "x", "split": split, "windows": 1}], models=models)
+        prepared = prepare_condition(condition, condition.conditions[0], tmp_path)
+        assert not learned & set(prepared.observed.index[:, 0].tolist())
 
 
 def test_it_is_wary_of_another_dataset(checkpoints, dataset, tmp_path):
@@ -298,6 +320,8 @@ def test_it_refuses_conditions_without_windows(tmp_path, dataset):
     refused(ValueError, "no garment 'glove'.*it has apron", garments=["glove"])
     refused(ValueError, "no part 'exam'; it has train, validation, test, all", part="exam")
     refused(FileNotFoundError, "nowhere", dataset="nowhere")
+    refused(ValueError, "condition 'x': split .*'seeds'", split={"seeds": 1})
+    refused(ValueError, "condition 'x': split .*by must be", split={"by": "hand"})
     numbers = dataset.episodes[:2]
     cut = dataset.cut(numbers, tmp_path / "cut")
     shutil.rmtree(tmp_path / "cut" / "labels")
@@ -306,28 +330,34 @@ def test_it_refuses_conditions_without_windows(tmp_path, dataset):
 
 
 @pytest.mark.parametrize(
-    ("entries", "error", "match"),
+    ("entries", "match"),
     [
-        ({"conditions": [{"name": "x", "tolerant": 1}]}, ValueError, "no entry 'tolerant'; it may have"),
-        ({"conditions": []}, ValueError, "one condition or more"),
-        ({"conditions": [{"name": "x"}, {"name": "x"}]}, ValueError, "two conditions are called 'x'"),
-        ({"conditions": [{"garments": ["apron"]}]}, ValueError, "has no 'name'"),
-        ({"conditions": [{"name": "x", "windows": 0}]}, ValueError, "windows must be a whole number above zero"),
-        ({"conditions": [{"name": "x", "clouds": {"keep": 2}}]}, ValueError, "clouds.keep must be a share"),
-        ({"conditions": [{"name": "x", "clouds": {"outliers": 1}}]}, ValueError, "clouds.outliers must be a share"),
-        ({"conditions": [{"name": "x", "clouds": {"fog": 1}}]}, ValueError, "no entry 'fog'"),
-        ({"models": {"hold": ["a"]}}, ValueError, "hold needs no checkpoint"),
-        ({"models": {"mlp": "a"}}, TypeError, "mlp must have a list of checkpoints"),
-        ({"samples": 1}, ValueError, "samples"),
-        ({"tolerance": -1}, ValueError, "tolerance"),
-        ({"shape": {"history": 0}}, ValueError, "shape.history"),
+        ({"conditions": [{"name": "x", "tolerant": 1}]}, "there is no 'conditions.0.tolerant'"),
+        ({"conditions": []}, "conditions: .* at least 1 item"),
+        ({"conditions": [{"name": "x"}, {"name": "x"}]}, "two conditions are called 'x'"),
+        ({"conditions": [{"garments": ["apron"]}]}, "'conditions.0.name' is missing"),
+        ({"conditions": [{"name": ""}]}, "conditions.0.name: .* at least 1 character"),
+        ({"conditions": [{"name": "x", "garments": []}]}, "conditions.0.garments: .* at least 1 item"),
+        ({"conditions": [{"name": "x", "windows": 0}]}, "conditions.0.windows: .* greater than or equal to 1, not 0"),
+        ({"conditions": [{"name": "x", "windows": True}]}, "conditions.0.windows: .* not True"),
+        ({"conditions": [{"name": "x", "clouds": {"keep": 2}}]}, "conditions.0.clouds.keep: .* equal to 1, not 2"),
+        ({"conditions": [{"name": "x", "clouds": {"keep": 0}}]}, "conditions.0.clouds.keep: .* than 0, not 0"),
+        ({"conditions": [{"name": "x", "clouds": {"outliers": 1}}]}, "conditions.0.clouds.outliers: .* less than 1"),
+        ({"conditions": [{"name": "x", "clouds": {"fog": 1}}]}, "there is no 'conditions.0.clouds.fog'"),
+        ({"conditions": [{"name": "x", "models": {"carry": ["a"]}}]}, "conditions.0.models: carry needs no checkpoint"),
+        ({"models": {"hold": ["a"]}}, "models: hold needs no checkpoint"),
+        ({"models": {"mlp": "a"}}, "models.mlp: .* array, not 'a'"),
+        ({"models": {"mlp": []}}, "models.mlp: .* at least 1 item"),
+        ({"samples": 1}, "samples: .* 2, not 1"),
+        ({"tolerance": -1}, "tolerance: .* not -1"),
+        ({"shape": {"history": 0}}, "shape.*history.* not 0"),
     ],
 )
-def test_a_wrong_configuration_says_what_is_wrong(entries, error, match, tmp_path):
+def test_a_wrong_configuration_says_what_is_wrong(entries, match, tmp_path):
     path = tmp_path / "evaluation.json"
     whole = {"dataset": "d", "models": {}, "conditions": [{"name": "x"}], **entries}
     path.write_text(json.dumps(whole))
-    with pytest.raises(error, match=match) as caught:
+    with pytest.raises(ValueError, match=match) as caught:
         load_evaluation(path)
     assert str(path) in str(caught.value)
 
@@ -346,7 +376,7 @@ def test_the_committed_evaluation_is_a_good_one():
 
 def test_windows_are_spread_over_episodes(dataset):
     windows = WindowDataset(dataset)
-    rows = choose(windows, 12)
+    rows = spread_windows(windows, 12)
     record = dataset.group.records
     for garment in {record[int(i)].garment for i in windows.index[:, 0]}:
         own = [i for i in rows if record[int(windows.index[i, 0])].garment == garment]
@@ -354,16 +384,16 @@ def test_windows_are_spread_over_episodes(dataset):
         there = {int(i) for i in windows.episodes if record[int(i)].garment == garment}
         assert len(own) == len(set(own)) == 12
         assert episodes == there or len(there) > 12
-    assert len(choose(windows, 10**6)) == len(windows)
+    assert len(spread_windows(windows, 10**6)) == len(windows)
 
 
 def test_true_loops_are_those_of_the_window(dataset):
     windows, steps = WindowDataset(dataset), (1, 30, 60)
     rows = np.array([0, len(windows) // 2, len(windows) - 1])
     for row, curves in zip(rows, true_curves(windows, rows, steps), strict=True):
-        truth = windows.truth(int(row))
-        assert len(curves.curves) == len(truth.loops)
-        for mine, true in zip(curves.curves, truth.loops, strict=True):
+        truth = windows.true_loops(int(row))
+        assert len(curves.curves) == len(truth)
+        for mine, true in zip(curves.curves, truth, strict=True):
             assert np.array_equal(mine, true[np.array(steps) - 1])
         number, frame = windows.index[row].tolist()
         film = dataset[number]
@@ -375,34 +405,59 @@ def test_true_loops_are_those_of_the_window(dataset):
     assert steps_of(60)[:3] == (1, 5, 10)
 
 
-def test_spoiling_is_what_it_says():
-    rng = np.random.default_rng(0)
-    clouds = rng.uniform(-1, 1, (20, 128, 3))
-    assert np.array_equal(spoil(clouds, Clouds(), rng), clouds)
-    noisy = spoil(clouds, Clouds(noise=0.005), rng) - clouds
-    assert noisy.std() == pytest.approx(0.005, rel=0.03)
-    wild = (spoil(clouds, Clouds(outliers=0.05), rng) != clouds).any(axis=2)
-    assert (wild.sum(axis=1) == 6).all()  # 5 % of 128 in every frame
-    half = spoil(clouds, Clouds(keep=0.5), rng)
-    assert half.shape == (20, 64, 3)
-    assert all(len({*map(tuple, kept)} & {*map(tuple, cloud)}) == 64 for kept, cloud in zip(half, clouds, strict=True))
-
-
 def test_baselines_are_tracked_on_what_the_networks_see(dataset):
     number = next(r.episode for r in dataset.records if r.garment == "mask")  # 128 points show its loops
-    windows = SpoiltWindows(dataset, [number], how=Clouds(keep=0.5), seed=3)
+    windows, again = (WindowDataset(dataset, [number], observe=spoilt_observer(Clouds(keep=0.5), 3)) for _ in range(2))
     window = windows[5]
-    again = SpoiltWindows(dataset, [number], how=Clouds(keep=0.5), seed=3)[5]
-    assert all(torch.equal(window[name], again[name]) for name in window)
+    assert all(torch.equal(window[name], again[5][name]) for name in window)
     assert torch.equal(window["clouds"][:, :64], window["clouds"][:, 64:])  # half the points, twice
-    window = SpoiltWindows(dataset, [number], how=Clouds(), seed=3)[0]  # of the episode's first frames, as it is
-    states = track(window["clouds"].double().numpy(), n_jobs=1, **TRACKER)
+    noisy = WindowDataset(dataset, [number], observe=spoilt_observer(Clouds(keep=0.5, noise=0.005), 3))[5]
+    assert noisy["clouds"][:, 64:].equal(noisy["clouds"][:, :64])  # a point that is kept is seen once
+    assert not noisy["clouds"].equal(window["clouds"])
+    other = WindowDataset(dataset, [number], observe=spoilt_observer(Clouds(keep=0.5), 4))[5]
+    assert not other["clouds"].equal(window["clouds"])
+    as_it_is = WindowDataset(dataset, [number], observe=spoilt_observer(Clouds(), 3))
+    window = as_it_is[0]  # of the episode's first frames
+    assert window["clouds"].equal(WindowDataset(dataset, [number])[0]["clouds"])
+    states = track(window["clouds"].double().numpy(), n_jobs=1, **RECOMMENDED)
     assert any(states)
     for state, death, present in zip(states, window["past_death"], window["past_present"], strict=True):
         expected = sorted((loop.death for loop in state.loops), reverse=True)
         found = sorted(death[present].tolist(), reverse=True)
         assert len(found) == min(len(expected), 4)
         assert set(np.round(found, 5)) <= set(np.round(expected, 5))
+
+
+# -- the code ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("module", "old", "new"),
+    [
+        ("evaluate/_localisation.py", "if scale == 0.0:", "if scale <= 0.0:"),  # in nearest_in_hull
+        ("seqph.py", "options: ", None),
+        ("seqph.py", "next_id += before is None", "next_id += 1"),
+        ("_matching.py", "2 * alpha + epsilon", "3 * alpha + epsilon"),
+        ("models/states.py", "clamp_min(1e-9)", "clamp_min(1e-6)"),
+        ("data/_spoil.py", "_MARGIN = 0.1", "_MARGIN = 0.2"),
+    ],
+)
+def test_results_of_other_code_are_stale_and_words_do_not_count(module, old, new, tmp_path):
+    """Any line of the library that numbers can depend on changes its digest; docstrings and comments do not."""
+    package = tmp_path / "topokit"
+    shutil.copytree(Path(topokit.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__"))
+    path = package / module
+    text = path.read_text()
+    assert old in text
+    if new is None:
+        path.write_text(
+            '"""Other words."""  # and a comment\n' + text.split('"""', 2)[2].replace("Parameters\n", "Given\n")
+        )
+        (package / "view" / "_palette.py").write_text("nothing = 0\n")
+        assert library_digest(package) == library_digest()
+    else:
+        path.write_text(text.replace(old, new))
+        assert library_digest(package) != library_digest()
 
 
 # -- the commands -----------------------------------------------------------------------------------------------------------
@@ -425,6 +480,12 @@ def test_report_is_made_of_the_file_alone(results, tmp_path):
     assert "topokit evaluate" not in text  # the command was not known
     again = write_report(results[1], tmp_path / "b")
     assert [path.read_bytes() for path in files] == [path.read_bytes() for path in again]
+    old = json.loads(results[1].read_text())
+    del old["conditions"]["held out"]["in_plane"]
+    (tmp_path / "old.json").write_text(json.dumps(old))
+    assert (
+        "in the outline" not in write_report(tmp_path / "old.json", tmp_path / "c")[0].read_text().split("## Noisy")[0]
+    )
     with pytest.raises(FormatError, match="no results of topokit evaluate"):
         write_report(DATA / "manifest.json", tmp_path / "c")
 
@@ -456,9 +517,9 @@ def test_an_interrupt_in_compiled_code_is_one(tmp_path, monkeypatch, capsys):
     def broken(*_: object) -> None:
         raise SystemError("broken")
 
-    monkeypatch.setattr(forecasts, "_run", stopped)
+    monkeypatch.setattr(_forecasts, "_measured", stopped)
     assert cli.main(["evaluate", str(given), "--out", str(tmp_path / "r.json")]) == 130
     assert "the same command goes on" in capsys.readouterr().err
-    monkeypatch.setattr(forecasts, "_run", broken)
+    monkeypatch.setattr(_forecasts, "_measured", broken)
     with pytest.raises(SystemError, match="broken"):
         cli.main(["evaluate", str(given), "--out", str(tmp_path / "r.json")])

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from topokit import LoopMixture
-from topokit.evaluate.intervals import Bootstrap, Estimate, mean_of
-from topokit.evaluate.measures import COLUMNS, TrueCurves, measure, opening_points
-from topokit.models.forecast import Forecast
-from topokit.models.states import States
+from topokit.evaluate import Bootstrap, Estimate
+from topokit.evaluate._accuracy import COLUMNS, TrueCurves, measure_forecasts, opening_points
+from topokit.evaluate._bootstrap import mean_of
+from topokit.models import Forecast, States
 
 HORIZON, SLOTS = 4, 3
 STEPS = (1, 2, 4)
@@ -46,7 +46,7 @@ def score(states: States, *curves: np.ndarray, target: States | None = None) -> 
     """All columns, (K,) of the one window."""
     target = states if target is None else target
     rng = np.random.default_rng(0)
-    found = measure(states, target, target[:, :1], [TrueCurves(curves)], STEPS, (1, 4), rng)
+    found = measure_forecasts(states, target, target[:, :1], [TrueCurves(curves)], STEPS, (1, 4), rng)
     assert tuple(found) == COLUMNS
     return {name: column[0] for name, column in found.items()}
 
@@ -89,7 +89,7 @@ def test_the_edge_that_ends_a_loop_widens_its_hull():
     edge = np.repeat(np.array([[[-0.05, 0, -0.1], [0.05, 0, -0.1]]]), len(STEPS), axis=0)
     states, rng = said([below], [0.05]), np.random.default_rng(0)
     for closing, expected in (((edge,), 0.0), ((), 0.1)):
-        found = measure(states, states, states[:, :1], [TrueCurves((curve,), closing)], STEPS, (), rng)
+        found = measure_forecasts(states, states, states[:, :1], [TrueCurves((curve,), closing)], STEPS, (), rng)
         assert np.allclose(found["outside"], expected, atol=1e-5)
         assert np.allclose(found["outside_marked"], 0.1, atol=1e-5)
 
@@ -98,7 +98,9 @@ def test_a_true_loop_that_is_not_there_is_not_asked_for():
     here, there = circle((-0.3, 0, 0)), circle((0.3, 0, 0))
     present = (np.array([True, True, False]), np.array([True, False, False]))
     states, rng = said([(-0.3, 0, 0)], [0.05]), np.random.default_rng(0)
-    found = measure(states, states, states[:, :1], [TrueCurves((here, there), (), present)], STEPS, (1, 4), rng)
+    found = measure_forecasts(
+        states, states, states[:, :1], [TrueCurves((here, there), (), present)], STEPS, (1, 4), rng
+    )
     assert np.isinf(found["outside"][0, 0])  # two are there, one is forecast
     assert found["outside"][0, 1] < 1e-6  # one is there
     assert np.isnan(found["outside"][0, 2])  # none: nothing is asked
@@ -157,7 +159,7 @@ def test_centres_are_by_length_not_by_vertices():
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
     crowded = np.concatenate([np.column_stack([np.linspace(0, 1, 50), np.zeros(50), np.zeros(50)]), square[2:]])
     curves = TrueCurves((np.repeat(crowded[None], len(STEPS), axis=0),))
-    assert np.allclose(curves.centres, [0.5, 0.5, 0])
+    assert np.allclose(curves.extents[0], [0.5, 0.5, 0])
 
 
 def test_identity_is_kept_by_the_same_slot():

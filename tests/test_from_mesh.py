@@ -18,8 +18,8 @@ import trimesh
 import topokit as tk
 from topokit.evaluate import summarise_tracks
 from topokit.sim import SimulationConfig
-from topokit.sim.garments import Garment
-from topokit.sim.world import World
+from topokit.sim._garments import Garment
+from topokit.sim._world import World
 
 APRON = Garment.apron(spacing=0.05, strap_width=0.05)
 TOTE = Garment.tote(handles=2, spacing=0.04)

@@ -14,8 +14,8 @@ pytest.importorskip("pybullet")
 from topokit import rips_persistence
 from topokit.io import load_episode
 from topokit.sim import SimulationConfig
-from topokit.sim.garments import WARDROBE, Garment
-from topokit.sim.world import World
+from topokit.sim._garments import WARDROBE, Garment
+from topokit.sim._world import World
 
 CLASSES = {"apron": 1, "apron2": 2, "tote": 1, "tote2": 2, "backpack": 2, "shirt": 3, "vest": 3, "mask": 2, "sheet": 1}
 CLASSES["sheet2"] = 2

@@ -17,6 +17,7 @@ from topokit.lemmas import COUNTEREXAMPLES, STATEMENTS, Verdict
 from topokit.lemmas._critical import is_critical
 from topokit.lemmas._diagrams import _rank_inequality
 from topokit.lemmas._matching import longest_unmatched, match_diagrams
+from topokit.lemmas._step import observed_state
 
 from conftest import DATA
 
@@ -214,7 +215,7 @@ def test_rank_inequality_against_counting(seed):
     points = shape(seed, 24)
     ids = some(seed, 24, 8)
     s, o = rips_persistence(points), rips_persistence(points[ids])
-    least = _rank_inequality(s, o, 0.0, 0.0).statistic
+    least = _rank_inequality(observed_state(points, ids), 0.0).statistic
     events = np.unique(np.concatenate([s.birth, s.death, o.birth, o.death]))
     values = np.concatenate([events, (events[1:] + events[:-1]) / 2, events - 1e-9])
 
@@ -228,11 +229,11 @@ def test_rank_inequality_against_counting(seed):
 def test_every_inequality_can_fail():
     """A verdict with a bound that is too small says so, and names the loop."""
     points, ids = shape(1, 24), np.arange(0, 24, 2)
-    s, o = rips_persistence(points), rips_persistence(points[ids])
+    s = rips_persistence(points)
     honest = lemmas.feature_approximation(points, ids).corrected
     assert honest.holds
     assert honest.statistic > 0
-    verdict = _rank_inequality(s, o, honest.statistic / 2, 0.0)
+    verdict = _rank_inequality(observed_state(points, ids), honest.statistic / 2)
     assert verdict.violated
     assert verdict.margin == pytest.approx(-honest.statistic / 2)
     loop = verdict.witness.loop
@@ -382,7 +383,7 @@ def test_a_round_loop_dies_at_its_largest_triangle():
 def test_a_rigid_motion_changes_nothing_however_fast():
     points = shape(5, 30)
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
-    checks = lemmas.check_step(points, np.arange(30), points @ turn.T + 100, np.arange(30))
+    checks = lemmas.verify_step(points, np.arange(30), points @ turn.T + 100, np.arange(30))
     assert checks["temporal persistence"].intrinsic.statistic == pytest.approx(0, abs=1e-12)
     assert checks["gates"].intrinsic.bound == pytest.approx(0, abs=1e-9)
     assert all(check.intrinsic is None or check.intrinsic.holds for check in checks.values())
@@ -391,7 +392,7 @@ def test_a_rigid_motion_changes_nothing_however_fast():
 def test_observed_points_and_ids_are_the_same():
     points, ids = shape(6, 25), some(6, 25, 9)
     later = points + 0.01
-    by_id, by_point = (lemmas.check_step(points, o, later, p) for o, p in ((ids, ids), (points[ids], later[ids])))
+    by_id, by_point = (lemmas.verify_step(points, o, later, p) for o, p in ((ids, ids), (points[ids], later[ids])))
     assert by_id == by_point
     assert list(by_id) == list(STATEMENTS)
 
@@ -417,10 +418,10 @@ def test_a_verdict_with_nothing_to_say():
         (lambda s: lemmas.observability(s, np.zeros((3, 3))), "has 3 dimensions, the state 2"),
         (lambda s: lemmas.temporal_persistence(s, s[:-1]), "row i of both must be the same point"),
         (lambda s: lemmas.beta_critical(s, -1), "alpha must be zero or more"),
-        (lambda s: lemmas.check_episode([s, s], [0, 1], stride=0), "stride must be a whole number"),
-        (lambda s: lemmas.check_episode([s, s[:-1]], [0, 1]), "differ in shape"),
-        (lambda s: lemmas.check_episode([s, s], [[0, 1]]), "observed has 1 frames, points 2"),
-        (lambda s: lemmas.check_episode([s, s], [[0, 1], [0, 77]]), r"observed\[1\] names vertex 77"),
+        (lambda s: lemmas.verify_episode([s, s], [0, 1], stride=0), "stride must be a whole number"),
+        (lambda s: lemmas.verify_episode([s, s[:-1]], [0, 1]), "differ in shape"),
+        (lambda s: lemmas.verify_episode([s, s], [[0, 1]]), "observed has 1 frames, points 2"),
+        (lambda s: lemmas.verify_episode([s, s], [[0, 1], [0, 77]]), r"observed\[1\] names vertex 77"),
         (lambda s: lemmas.feature_approximation(np.zeros((0, 2)), [0]), "state has no points"),
     ],
 )
@@ -437,18 +438,18 @@ def test_ids_must_be_whole_numbers():
 # Episodes and the search
 
 
-def test_check_episode_is_check_step_by_step():
+def test_verify_episode_is_verify_step_by_step():
     episode = load_episode(DATA / "apron_hook_0.npz")
     points, observed = episode.points[60:63], episode.observed[60:63]
-    steps = lemmas.check_episode(points, observed)
+    steps = lemmas.verify_episode(points, observed)
     assert [step.frame for step in steps] == [0, 1]
     for t, step in enumerate(steps):
-        assert step.checks == lemmas.check_step(points[t], observed[t], points[t + 1], observed[t + 1])
+        assert step.checks == lemmas.verify_step(points[t], observed[t], points[t + 1], observed[t + 1])
         assert all(v.holds for c in step.checks.values() for name, v in c.versions.items() if name != "paper")
         assert step.distortion < step.epsilon / 5  # cloth in the air moves almost rigidly
         assert step.beta_intrinsic < step.beta_all / 4  # the killer's rivals are around the loop
         assert step.lifetime == rips_persistence(points[t]).lifetime[0]
-    assert len(lemmas.check_episode(points, observed, stride=2)) == 1
+    assert len(lemmas.verify_episode(points, observed, stride=2)) == 1
 
 
 def test_the_search_finds_no_violation_and_would_find_one(monkeypatch):

@@ -16,12 +16,22 @@ import topokit as tk
 from topokit._archive import FormatError
 from topokit.cli import main
 from topokit.io import load_episode
-from topokit.models import Forecast, Predictor
-from topokit.models.base import Normalisation, Shape
-from topokit.models.baselines import past_window
-from topokit.models.checkpoint import describe, load_model, load_tensors, save_tensors
-from topokit.models.registry import MODELS, build
-from topokit.models.states import target_states
+from topokit.models import (
+    MODELS,
+    Forecast,
+    LossWeights,
+    Normalisation,
+    Predictor,
+    Shape,
+    build,
+    forecast_loss,
+    load_model,
+    load_tensors,
+    target_states,
+)
+from topokit.models._baselines import past_window
+from topokit.models._checkpoint import describe, save_tensors
+from topokit.seqph import RECOMMENDED
 
 from windows import HISTORY, HORIZON, POINTS, SLOTS, RingWindows
 
@@ -65,7 +75,7 @@ def save(path, name="mlp", **changes):
 @pytest.mark.parametrize("name", MODELS)
 def test_shapes_and_finite(window, name):
     with torch.inference_mode():
-        states, now = make(name)(window)
+        states, present = make(name)(window)
     assert states.corners.shape == (4, HORIZON, SLOTS, 8, 3)
     assert states.neighbour_values.shape == (4, HORIZON, SLOTS, 4)
     for part in ("birth", "death", "step", "presence"):
@@ -73,16 +83,15 @@ def test_shapes_and_finite(window, name):
         assert torch.isfinite(getattr(states, part)).all()
     assert (states.death >= states.birth).all()
     assert (states.birth >= 0).all()
-    assert (now is not None) == (name == "loopcast")
+    assert (present is not None) == (name == "loopcast")
 
 
 @pytest.mark.parametrize("name", NETWORKS)
 def test_every_weight_learns(window, name):
-    from topokit.models.losses import LossWeights, forecast_loss
-
     model = make(name).train()
-    states, now = model(window)
-    forecast_loss(states, window, LossWeights(centre=1, nll=0.1, now=1, match=True), now=now)[0].backward()
+    states, present = model(window)
+    weights = LossWeights(centre=1, nll=0.1, now=1, match=True)
+    forecast_loss(states, window, weights, present=present)[0].backward()
     assert [key for key, part in model.named_parameters() if part.grad is None or not part.grad.any()] == []
 
 
@@ -178,7 +187,7 @@ def test_loopcast_that_believes_all_and_adds_nothing_is_carry(window):
     model.hold.bias.data = torch.tensor([0.0, 0.0, -100.0])
     with torch.inference_mode():
         found, expected = model(seen)[0], make("carry")(seen)[0]
-    away = (found.centre - expected.centre[:, :, :1]).norm(dim=-1).amax(dim=1)  # (B, slots), over the horizon
+    away = (found.mean - expected.mean[:, :, :1]).norm(dim=-1).amax(dim=1)  # (B, slots), over the horizon
     slot = away.argmin(dim=1)
     assert away.amin(dim=1).max() < 1e-3  # its death weighs its triangles
     for name in ("birth", "death"):
@@ -242,19 +251,28 @@ def test_many_plans_are_the_single_ones(window, stream, name):
 @pytest.mark.parametrize("name", NETWORKS)
 def test_a_stream_is_the_window(window, stream, name):
     """Frames encoded one at a time, with earlier ones that have been forgotten, give what the batch gives."""
-    predictor, seen = Predictor(make(name)), [*stream[5:10], *stream]
-    for cloud, grippers in seen:
+    predictor, frames = Predictor(make(name)), [*stream[5:10], *stream]
+    for cloud, grippers in frames:
         predictor.observe(cloud, grippers)
     forecast = predictor.predict(window["actions"][1], window["actions_held"][1])
-    tracked = tk.track([cloud for cloud, _ in seen], identity="killer-triangles", gates="proved", memory=8)
+    tracked = tk.track([cloud for cloud, _ in frames], **RECOMMENDED)
     with torch.inference_mode():
         single = {key: part[1:2] for key, part in window.items()} | past_window(tracked[-HISTORY:], SLOTS)
         states = make(name)(single)[0]
     assert np.allclose(forecast.corners, states.corners[0], atol=1e-5)
-    assert np.allclose(forecast.centre, states.centre[0], atol=1e-5)
+    assert np.allclose(forecast.mean, states.mean[0], atol=1e-5)
     assert np.allclose(forecast.triangles, states.triangles[0], atol=1e-5)
     assert np.allclose(forecast.values, states.values[0], atol=1e-6)
     assert np.allclose(forecast.presence, states.presence[0].sigmoid(), atol=1e-5)
+
+
+def test_a_predictor_tracks_with_the_recommended_options(monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        "topokit.models._predictor.SeqPH", lambda **options: made.append(options) or tk.SeqPH(**options)
+    )
+    Predictor(make("carry"))
+    assert made == [dict(RECOMMENDED)]
 
 
 def test_frames_are_encoded_once(window, stream, monkeypatch):
@@ -292,7 +310,8 @@ def test_loops_of_a_forecast(window, stream):
         assert len(loops) == (forecast.presence[step] > 0.5).sum()
         assert [loop.lifetime for loop in loops] == sorted((loop.lifetime for loop in loops), reverse=True)
         for loop in loops:
-            assert np.allclose(loop.mixture().mean, forecast.centre[step, loop.slot], atol=1e-5)
+            assert np.allclose(loop.mixture().mean, forecast.mean[step, loop.slot], atol=1e-5)
+            assert np.allclose(loop.centre, tk.Loop.centre.fget(loop))
             assert np.allclose(tk.loop_mixture(loop, noise=1e-3).covariances, loop.mixture(1e-3).covariances)
     assert len(json.loads(json.dumps(forecast.as_dict()))["steps"]) == HORIZON
 

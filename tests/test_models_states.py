@@ -9,11 +9,19 @@ from torch.utils.data import default_collate
 
 import topokit as tk
 from topokit.io import load_episode
-from topokit.models.baselines import past_window
-from topokit.models.forecast import PredictedLoop
-from topokit.models.losses import LossWeights, forecast_loss, match_slots
-from topokit.models.mixture import loop_mixtures, sigma_points
-from topokit.models.states import States, corners_of, past_states, target_states
+from topokit.models import (
+    LossWeights,
+    PredictedLoop,
+    States,
+    forecast_loss,
+    loop_mixtures,
+    match_slots,
+    past_states,
+    target_states,
+)
+from topokit.models._baselines import past_window
+from topokit.models._mixture import sigma_points
+from topokit.models._states import corners_of
 
 from windows import SLOTS, RingWindows
 
@@ -45,7 +53,7 @@ def test_corners_give_the_triangles_of_the_tracker_back(tracked):
             assert np.allclose(triangles[:2], loop.killer_triangles, atol=1e-6)
             assert np.allclose(triangles[2:][values[2:] > 0], loop.neighbours, atol=1e-6)
             assert np.allclose(values[2:][values[2:] > 0], loop.neighbour_values, atol=1e-6)
-            assert np.allclose(states.centre[0, frame, slot], tk.loop_mixture(loop).mean, atol=1e-6)
+            assert np.allclose(states.mean[0, frame, slot], tk.loop_mixture(loop).mean, atol=1e-6)
             seen += 1
     assert seen >= 16
 
@@ -127,7 +135,7 @@ def test_the_truth_has_no_error_and_anything_else_more(window):
 def test_the_log_likelihood_prefers_the_truth(window):
     """To a mixture that is elsewhere, wider, or surer than it may be; and is that of NumPy."""
     truth = target_states(window)
-    middle = truth.centre[..., None, :]
+    middle = truth.mean[..., None, :]
     best = losses(truth, window, nll=1)[1]["nll"]
     for corners in (
         truth.corners + 0.02,
@@ -184,7 +192,7 @@ def test_a_batch_without_a_loop_has_a_finite_loss(window):
 
 
 def test_bad_weights_are_named():
-    with pytest.raises(ValueError, match=r"loss\.nll must be a number of zero or more, not -1"):
+    with pytest.raises(ValueError, match=r"nll: .* greater than or equal to 0, not -1"):
         LossWeights(nll=-1)
 
 

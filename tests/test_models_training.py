@@ -8,21 +8,33 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 import torch
 from torch.utils.data import default_collate
 
-from topokit.models.augment import Spoiling, mirrored, spoilt
-from topokit.models.base import PAST, Normalisation, Shape
-from topokit.models.checkpoint import load_model, load_tensors
-from topokit.models.config import TrainConfig, load_config
-from topokit.models.losses import LossWeights, forecast_loss
-from topokit.models.pointnet import PointNet
-from topokit.models.registry import build
-from topokit.models.states import target_states
-from topokit.models.training import EpochSampler, Windows, train
+from topokit._config import from_mapping
+from topokit.models import (
+    PAST,
+    LossWeights,
+    Normalisation,
+    Shape,
+    Spoiling,
+    TrainConfig,
+    Windows,
+    build,
+    forecast_loss,
+    load_config,
+    load_model,
+    load_tensors,
+    target_states,
+    train,
+)
+from topokit.models._augment import mirrored, spoilt
+from topokit.models._paper import PointNet
+from topokit.models._windows import epoch_order
 
 from windows import POINTS, SLOTS, RingWindows
 
@@ -70,13 +82,13 @@ def test_the_loss_falls_and_the_checkpoint_is_the_best_epoch(tmp_path, windows, 
     assert answer["finished"]
     _, description = load_model(tmp_path / "best.safetensors")
     assert description["dataset"] == "rings"
-    assert description["config"] == json.loads(json.dumps(how.as_dict()))
+    assert description["config"] == json.loads(json.dumps(asdict(how)))
     assert description["normalisation"]["scale"] > 0
 
 
 @pytest.mark.parametrize("stop", [4, 6, 13])  # within an epoch, at its end, in the last
 def test_stopped_and_resumed_is_as_undisturbed(tmp_path, windows, stop):
-    options = {"width": 16, "step_width": 8, "frames": [0, 5], "tracked": True}
+    options = {"width": 16, "step_width": 8, "tracked": True}
     spoil = Spoiling(clouds=0.5, noise=0.01, outliers=0.1, drop=0.5, lost=0.1, false=0.1)
     how = {"model": "loopcast", "options": options, "loss": OURS, "spoil": spoil}
     whole, parts = config(tmp_path / "whole", **how), config(tmp_path / "parts", **how)
@@ -99,7 +111,7 @@ sys.path.insert(0, sys.argv[2])
 import torch
 torch.set_num_threads(1)
 from test_models_training import config, windows
-from topokit.models.training import train, Windows
+from topokit.models import train, Windows
 from windows import RingWindows
 train(config(sys.argv[1], epochs=8, patience=99, minutes_between_checkpoints=1e-4),
       Windows(RingWindows(96, seed=0), RingWindows(24, seed=1), "rings"))
@@ -170,14 +182,10 @@ def test_ridge_is_solved_in_one_pass(tmp_path, windows):
 
 
 def test_every_window_once_an_epoch_and_another_order_the_next():
-    sampler = EpochSampler(10, None, seed=0)
-    first = list(sampler)
-    sampler.epoch = 1
-    assert sorted(first) == sorted(sampler) == list(range(10))
-    assert first != list(sampler)
-    shares = [EpochSampler(10, 8, seed=0, rank=rank, world=2) for rank in (0, 1)]
-    assert [len(share) for share in shares] == [4, 4]
-    assert len(set(shares[0]) | set(shares[1])) == 8
+    first, second = (epoch_order(10, None, 0, epoch) for epoch in (0, 1))
+    assert sorted(first) == sorted(second) == list(range(10))
+    assert first != second
+    assert epoch_order(10, 8, 0, 0) == first[:8]
 
 
 def test_too_little_data(tmp_path, windows):
@@ -193,7 +201,7 @@ def test_load_config(tmp_path):
     assert a == b
     assert a.shape == Shape(slots=2)
     assert a.dataset == str(tmp_path / "data")
-    assert TrainConfig.from_dict(json.loads(json.dumps(a.as_dict()))) == a
+    assert from_mapping(TrainConfig, json.loads(json.dumps(asdict(a))), "c") == a
 
 
 @pytest.mark.parametrize(
@@ -202,22 +210,20 @@ def test_load_config(tmp_path):
         ("{", "not JSON"),
         ("[]", "an object with named entries"),
         ('{"model": "gpt"}', "model must be one of hold, carry, ridge, mlp, pointnet, loopcast, not 'gpt'"),
-        ('{"model": "mlp", "epoch": 3}', "has no entry 'epoch'; it may have .*epochs"),
-        ('{"model": "mlp", "batch": 0}', "batch must be a whole number above zero"),
-        ('{"model": "mlp", "learning_rate": "fast"}', "learning_rate must be a number above zero"),
-        ('{"model": "mlp", "shape": {"slots": 0}}', "shape.slots must be"),
-        ('{"model": "mlp", "loss": {"nll": -1}}', "loss.nll must be"),
-        ('{"model": "mlp", "spoil": {"noise": 1}}', "spoil.noise must be a number from 0 to below 1"),
+        ('{"model": "mlp", "epoch": 3}', "there is no 'epoch'; there are .*epochs"),
+        ('{"model": "mlp", "batch": 0}', "batch: .* greater than or equal to 1, not 0"),
+        ('{"model": "mlp", "learning_rate": "fast"}', "learning_rate: .* valid number, not 'fast'"),
+        ('{"model": "mlp", "shape": {"slots": 0}}', r"shape\.slots: .* greater than or equal to 1"),
+        ('{"model": "mlp", "loss": {"nll": -1}}', r"loss\.nll: .* greater than or equal to 0"),
+        ('{"model": "mlp", "spoil": {"noise": 1}}', r"spoil\.noise: .* less than 1, not 1"),
         ('{"model": "mlp", "spoil": {"seen": 0.5}}', "spoil.seen needs windows.seen_labels"),
-        ("{}", "model"),
+        ("{}", "'model' is missing"),
     ],
 )
 def test_bad_configurations_are_named(tmp_path, text, says):
     path = tmp_path / "c.json"
     path.write_text(text)
-    with pytest.raises((ValueError, TypeError), match=says):
-        load_config(path)
-    with pytest.raises((ValueError, TypeError), match=r"c\.json"):
+    with pytest.raises(ValueError, match=rf"c\.json.*{says}"):
         load_config(path)
 
 
@@ -232,9 +238,21 @@ def test_a_mirrored_window_is_the_window_of_the_mirrored_scene():
     again = mirrored(mirror, which)
     assert all(torch.equal(part, again[name]) for name, part in window.items())
     one, other = target_states(window), target_states(mirror)
-    assert torch.allclose(one.centre[0] * torch.tensor([-1.0, 1, 1]), other.centre[0])
-    carried = (build("carry", SHAPE, Normalisation())(w)[0].centre for w in (window, mirror))
+    assert torch.allclose(one.mean[0] * torch.tensor([-1.0, 1, 1]), other.mean[0])
+    carried = (build("carry", SHAPE, Normalisation())(w)[0].mean for w in (window, mirror))
     assert torch.allclose(next(carried)[2] * torch.tensor([-1.0, 1, 1]), next(carried)[2], atol=1e-6)
+
+
+def test_the_mirror_exchanges_the_grippers_and_their_targets():
+    data, image = RingWindows(2, seed=2), torch.tensor([-1.0, 1, 1])
+    window = default_collate([data[i] for i in range(2)])
+    for name in ("grippers", "actions"):  # one is higher and farther ahead than the other
+        window[name] = window[name] + torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.02, 0.03]])
+    mirror = mirrored(window, torch.tensor([True, False]))
+    for name in ("grippers", "actions"):
+        assert torch.equal(mirror[name][0, :, 0], window[name][0, :, 1] * image)
+        assert torch.equal(mirror[name][0, :, 1], window[name][0, :, 0] * image)
+        assert torch.equal(mirror[name][1], window[name][1])
 
 
 @pytest.fixture
@@ -314,9 +332,9 @@ def test_a_model_is_shown_the_spoilt_window_and_held_against_the_clean_one(tmp_p
         return forecast_loss(predicted, window, *arguments, **options)
 
     monkeypatch.setattr(
-        "topokit.models.training.spoilt", lambda window, *_: window | {"clouds": window["clouds"] + 5.0}
+        "topokit.models._training.spoilt", lambda window, *_: window | {"clouds": window["clouds"] + 5.0}
     )
-    monkeypatch.setattr("topokit.models.training.forecast_loss", hold)
+    monkeypatch.setattr("topokit.models._training.forecast_loss", hold)
     monkeypatch.setattr(PointNet, "encode_frames", look)
     windows = Windows(RingWindows(32, seed=0), RingWindows(8, seed=1), "rings")
     train(config(tmp_path, model="pointnet", spoil=Spoiling(clouds=0.5), epochs=1), windows)

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -32,12 +28,11 @@ from topokit.sim import (
     SimulationError,
     Via,
     World,
-    _process,
     cameras_around,
     simulate,
 )
-from topokit.sim.randomise import PURPOSES, generator
-from topokit.sim.tasks import pull_over_head, task_for
+from topokit.sim._randomise import PURPOSES, generator
+from topokit.sim._tasks import pull_over_head, task_for
 
 from conftest import polygon
 
@@ -98,7 +93,6 @@ def test_targets_stand_on_the_floor_around_their_centre_line(target):
     line = target.centre_line
     assert line[0, 2] == 0
     assert min(min(a[2], b[2]) for a, b, _ in target.rods) >= 0
-    assert target.position[1] == target.distance
     for point in line[1:-1]:  # the centre line runs inside the shape
         gaps = [np.linalg.norm(point - np.clip(_share(point, a, b), 0, 1) * (b - a) - a) - r for a, b, r in target.rods]
         assert min(gaps) < 0
@@ -183,7 +177,7 @@ def test_the_spline_has_less_jerk_than_its_neighbours():
         ({"vias": [Via(1, [0, 0, 0]), Via(1, [0, 0, 1])]}, "increase"),
         ({"vias": [Via(0, [0, 0, 0]), Via(1, [0, 0, np.nan])]}, "finite"),
         ({"vias": [Via(0, [0, 0, 0]), Via(1, [0, 0, 1], 0.0)]}, "more than zero"),
-        ({"release": 2.0, "end": 1.0}, "after the release"),
+        ({"release": 2.0, "end": 1.0}, "come after the release"),
         ({"spread": np.zeros(3)}, "spread"),
     ],
 )
@@ -246,11 +240,10 @@ def test_draws_stay_in_their_ranges_and_fill_them():
 
 
 @pytest.mark.parametrize(
-    ("option", "error"),
-    [({"mass": (0.4, 0.2)}, ValueError), ({"mass": 0.3}, TypeError), ({"scale": (0, 1)}, ValueError)],
+    "option", [{"mass": (0.4, 0.2)}, {"mass": 0.3}, {"scale": (0, 1)}, {"camera_turn": (0.0, np.inf)}]
 )
-def test_bad_ranges(option, error):
-    with pytest.raises(error, match=next(iter(option))):
+def test_bad_ranges(option):
+    with pytest.raises(ValueError, match=next(iter(option))):
         Randomisation(**option)
 
 
@@ -333,27 +326,6 @@ def test_tasks_of_ones_own():
         simulate(task="apron-moon")
 
 
-# Processes that hang, crash, or are not wanted any more.
-
-
-@pytest.mark.parametrize(
-    ("child", "says"),
-    [
-        ("import time; time.sleep(60)", "stopped while loading the garment.*time_limit = 1 s"),
-        (
-            "import time; print('topokit-frame 7', flush=True); time.sleep(60)",
-            "stopped while in the steps after frame 7",
-        ),
-        ("import os; print('topokit-frame -1', flush=True); os.abort()", "ended while settling, SIGABRT"),
-        ("raise SystemExit('no room on the disk')", "exit code 1: no room on the disk"),
-    ],
-)
-def test_a_process_that_fails_is_a_simulation_error(child, says, monkeypatch):
-    monkeypatch.setattr(_process, "_CHILD", child)
-    with pytest.raises(SimulationError, match=says):
-        simulate(coarse("apron"), config=SHORT, n_observed=50, time_limit=1)
-
-
 @pytest.mark.parametrize("limit", ["max_stretch", "max_edge_stretch"])
 def test_over_stretched_cloth_is_refused(limit):
     """With limits that a garment's own weight exceeds."""
@@ -368,29 +340,6 @@ def test_errors_of_the_process_are_ours():
         simulate(coarse("apron"), config=SHORT, cameras=blind)
     with pytest.raises(ValueError, match="time_limit"):
         simulate(coarse("apron"), n_observed=50, time_limit=0)
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_control_c_stops_the_process(monkeypatch, tmp_path):
-    pid = tmp_path / "pid"
-    monkeypatch.setattr(
-        _process, "_CHILD", f"import os, time; open({str(pid)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
-    )
-
-    def interrupt():
-        while not (pid.exists() and pid.read_text()):
-            time.sleep(0.02)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
-    try:
-        threading.Thread(target=interrupt, daemon=True).start()
-        with pytest.raises(KeyboardInterrupt):
-            simulate(coarse("apron"), config=SHORT, n_observed=50)
-    finally:
-        signal.signal(signal.SIGINT, before)
-    with pytest.raises(ProcessLookupError):
-        os.kill(int(pid.read_text()), 0)
 
 
 # The command.

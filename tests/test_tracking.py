@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import subprocess
+import sys
 import tracemalloc
 import weakref
 
@@ -10,8 +12,18 @@ import numpy as np
 import pytest
 
 from topokit import SeqPH, track
-from topokit.evaluate.baselines import DiagramMatching, NearestMidpoint, track_vines
-from topokit.evaluate.tracking import Overlap, by_killer, by_place, compare, events, score, true_loops
+from topokit.evaluate import (
+    Overlap,
+    by_diagram,
+    by_killer,
+    by_midpoint,
+    by_place,
+    compare,
+    events,
+    score,
+    track_vines,
+    true_loops,
+)
 from topokit.io import load_episode
 
 from conftest import polygon
@@ -138,6 +150,30 @@ def test_a_match_is_kept_while_it_holds():
     assert score([before, after, after], threshold=0.7).matches == 2  # now 1 is too far away
 
 
+def test_scores_of_trackers_need_only_the_core():
+    code = """
+import sys
+for name in "torch safetensors zarr dask pydantic tqdm matplotlib pandas".split():
+    sys.modules[name] = None
+import numpy as np, topokit
+from topokit.evaluate import by_diagram, by_midpoint, compare, score, summarise_tracks, track_vines, true_loops
+angle = 2 * np.pi * np.arange(30) / 30
+film = np.array([[np.cos(angle), np.sin(angle), 0 * angle]] * 3).swapaxes(1, 2)
+truth = true_loops(film, [np.arange(30)])
+for match in (None, by_diagram, by_midpoint):
+    states = topokit.track(film, match=match)
+    assert score(compare(states, truth)).mota == 1
+assert score(compare(track_vines(film, steps=2), truth)).mota == 1
+assert summarise_tracks(states, film, [np.arange(30)])[0].in_hull == 1
+try:
+    topokit.evaluate.evaluate_forecasts
+    raise SystemExit("it needs nothing")
+except ImportError as error:
+    assert "pip install 'topokit[learn,data]'" in str(error)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 def ring(n: int, radius: float, centre: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
     return np.column_stack([polygon(n, radius), np.zeros(n)]) + centre
 
@@ -197,25 +233,26 @@ def test_baselines_on_what_they_cannot_see():
     sizes = np.linspace(1, 0.6, 9)
     frames = [np.vstack([ring(24, s), ring(24, 1.6 - s, (6, 0, 0))]) for s in sizes]
     where = {}
-    for tracker in (SeqPH, DiagramMatching, NearestMidpoint):
-        states = [state for made in [tracker()] for state in made.stream(frames)]
-        where[tracker] = [next(loop.id for loop in state.loops if loop.centre[0] < 3) for state in states]
-    assert len(set(where[SeqPH])) == len(set(where[NearestMidpoint])) == 1
-    assert len(set(where[DiagramMatching])) == 2  # it follows the size, not the ring
+    for match in (None, by_diagram, by_midpoint):
+        states = list(SeqPH(match=match).stream(frames))
+        where[match] = [next(loop.id for loop in state.loops if loop.centre[0] < 3) for state in states]
+    assert len(set(where[None])) == len(set(where[by_midpoint])) == 1
+    assert len(set(where[by_diagram])) == 2  # it follows the size, not the ring
     small, large = ring(24, 0.5), ring(24, 1.5)
-    assert [state.loops[0].id for state in map(NearestMidpoint(epsilon=0.1).update, [small, large])] == [0, 0]
-    assert [state.loops[0].id for state in map(SeqPH(epsilon=0.1).update, [small, large])] == [0, 1]
+    for match, ids in ((by_midpoint, [0, 0]), (None, [0, 1])):
+        tracker = SeqPH(epsilon=0.1, match=match)
+        assert [tracker.update(cloud).loops[0].id for cloud in (small, large)] == ids
 
 
 def test_a_diagram_matching_prefers_the_diagonal_where_that_is_nearer():
-    tracker = DiagramMatching(alpha=0.0)
+    tracker = SeqPH(alpha=0.0, match=by_diagram)
     ids = [tracker.update(polygon(24, size)).loops[0].id for size in (1.0, 1.3, 9.0)]
     assert ids == [0, 0, 1]
 
 
 def test_vines_follow_a_motion_that_a_matching_loses():
     small, large = ring(24, 0.2), ring(24, 1.5)
-    assert [state.loops[0].id for state in map(DiagramMatching().update, [small, large])] == [0, 1]
+    assert [state.loops[0].id for state in map(SeqPH(match=by_diagram).update, [small, large])] == [0, 1]
     states = track_vines([small, large], steps=12)
     assert [(state.frame, state.loops[0].id) for state in states] == [(0, 0), (1, 0)]
     assert states[1].loops[0].death == track([large])[0].loops[0].death

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
-import subprocess
-from importlib import resources
 from itertools import combinations
 
 import numpy as np
 import pytest
 
 from topokit import rips_persistence, view
+from topokit.view._palette import OKABE_ITO
 
 from clouds import gudhi_pairs, sorted_pairs
 from conftest import polygon
+from pages import NETWORK, by_script, needs_node, page_data
 
 SQUARE = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
-
-
-def payload(figure: view.Growth) -> dict:
-    return json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', figure.page, re.DOTALL).group(1))
 
 
 # ---- the page
@@ -29,21 +23,21 @@ def payload(figure: view.Growth) -> dict:
 
 def test_holds_the_points_to_the_last_digit():
     points = np.random.default_rng(0).normal(size=(30, 2)) / 3
-    np.testing.assert_array_equal(payload(view.growth(points))["points"], points)
+    np.testing.assert_array_equal(page_data(view.growth(points))["points"], points)
 
 
 def test_holds_its_options():
-    data = payload(view.growth(SQUARE, start=1, max_radius=3, height=321, balls=False, title="four </script> corners"))
-    assert (data["start"], data["end"], data["height"], data["balls"]) == (1.0, 3.0, 321, False)
+    data = page_data(view.growth(SQUARE, start=1, max_radius=3, height=321, title="four </script> corners"))
+    assert (data["start"], data["end"], data["height"]) == (1.0, 3.0, 321)
     assert data["title"] == "four </script> corners"
-    assert data["palette"] == list(view.OKABE_ITO)
-    plain = payload(view.growth(SQUARE))
-    assert (plain["start"], plain["end"], plain["balls"]) == (None, None, True)
+    assert data["palette"] == list(OKABE_ITO)
+    plain = page_data(view.growth(SQUARE))
+    assert (plain["start"], plain["end"]) == (None, None)
 
 
 def test_asks_nothing_of_the_network():
     page = view.growth(SQUARE).page
-    assert not re.search(r"https?:|//[a-z]+\.[a-z]|@import|url\(|<link|src=|fetch\(|XMLHttpRequest|WebSocket", page)
+    assert not NETWORK.search(page)
     assert "__" not in re.sub(r"__proto__", "", page)  # nothing left to fill in
 
 
@@ -54,7 +48,7 @@ def test_is_a_frame_that_text_cannot_break_out_of():
     assert "height:400px" in markup
     assert markup.count('"') == 8  # srcdoc, title, loading, style: nothing inside is unescaped
     assert figure.page.count("</script>") == 2
-    assert repr(figure).startswith("Growth('Rips complex of 4 points'")
+    assert repr(figure).startswith("Framed('Rips complex of 4 points'")
 
 
 def test_saves_a_small_whole_page(tmp_path):
@@ -69,8 +63,8 @@ def test_saves_a_small_whole_page(tmp_path):
     ("points", "options", "message"),
     [
         (np.zeros((5, 3)), {}, r"points must lie in the plane, not in 3 dimensions"),
-        (np.zeros((61, 2)), {}, "growth shows 1 to 60 points, not 61; see topokit.farthest_point_sample"),
-        (np.zeros((0, 2)), {}, "growth shows 1 to 60 points, not 0"),
+        (np.zeros((61, 2)), {}, "points must be 1 to 60 points, not 61; see topokit.farthest_point_sample"),
+        (np.zeros((0, 2)), {}, "points must be 1 to 60 points, not 0"),
         ([[0.0, np.nan]], {}, "NaN or infinite"),
         (SQUARE, {"max_radius": 0}, "max_radius must be more than zero"),
         (SQUARE, {"start": -1}, "start must be zero or more"),
@@ -84,26 +78,15 @@ def test_refuses_what_it_cannot_show(points, options, message):
 
 # ---- its script, run by node
 
-needs_node = pytest.mark.skipif(
-    shutil.which("node") is None, reason="node, which runs the page's script, is not installed"
-)
-
-RUN = """
-const clouds = JSON.parse(require("fs").readFileSync(0, "utf8"));
-const answer = clouds.map((points) => {
+RIPS = """(points) => {
   const { loops, merges, cone, edges } = rips(points);
   return { merges, cone, edges: edges.length, loops: loops.map((l) => ({ ...l, cycle: l.cycle })) };
-});
-console.log(JSON.stringify(answer));
-"""
+}"""
 
 
-def by_script(clouds: list[np.ndarray]) -> list[dict]:
+def rips_by_script(clouds: list[np.ndarray]) -> list[dict]:
     """What `rips.js` finds in every cloud."""
-    script = resources.files("topokit.view").joinpath("rips.js").read_text(encoding="utf-8") + RUN
-    text = json.dumps([np.asarray(cloud).tolist() for cloud in clouds])
-    done = subprocess.run(["node", "-e", script], input=text, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
+    return by_script(["rips.js"], RIPS, [np.asarray(cloud).tolist() for cloud in clouds])
 
 
 def planar_clouds(n_clouds: int, most: int, seed: int) -> list[np.ndarray]:
@@ -126,7 +109,7 @@ def test_script_finds_what_topokit_finds():
     """The same births and deaths to the last bit, the same birth edges, killer edges and killer triangles."""
     clouds = planar_clouds(600, 40, seed=1)
     found = 0
-    for cloud, theirs in zip(clouds, by_script(clouds), strict=True):
+    for cloud, theirs in zip(clouds, rips_by_script(clouds), strict=True):
         diagram = rips_persistence(cloud)
         ours = zip(
             diagram.birth.tolist(),
@@ -148,7 +131,7 @@ def test_script_finds_what_topokit_finds():
 @needs_node
 def test_script_agrees_with_gudhi():
     clouds = planar_clouds(60, 20, seed=2)
-    for cloud, theirs in zip(clouds, by_script(clouds), strict=True):
+    for cloud, theirs in zip(clouds, rips_by_script(clouds), strict=True):
         bars = np.array([(loop["birth"], loop["death"]) for loop in theirs["loops"]]).reshape(-1, 2)
         np.testing.assert_allclose(sorted_pairs(bars), gudhi_pairs(cloud), atol=1e-9, err_msg=str(cloud.tolist()))
 
@@ -175,7 +158,7 @@ def reduced(column: int, pivots: dict[int, int]) -> int:
 def test_cycles_are_born_with_their_bars_and_bound_at_death_and_not_before():
     clouds = planar_clouds(120, 16, seed=3)
     seen = 0
-    for cloud, theirs in zip(clouds, by_script(clouds), strict=True):
+    for cloud, theirs in zip(clouds, rips_by_script(clouds), strict=True):
         square = ((cloud[:, None] - cloud[None, :]) ** 2).sum(axis=-1)
         order = sorted(combinations(range(len(cloud)), 2), key=lambda edge: (square[edge], edge))
         for loop in theirs["loops"]:
@@ -199,7 +182,7 @@ def test_the_cycle_of_a_slot_does_not_run_around_the_ring_beside_it():
     along = ring[0, 0] + 0.5 * np.arange(1, 13)
     slot = np.vstack([np.column_stack([along, np.full(12, side)]) for side in (0.6, -0.6)] + [[[along[-1] + 0.3, 0.0]]])
     cloud = np.vstack([ring, slot])
-    [found] = by_script([cloud])
+    [found] = rips_by_script([cloud])
     [mouth] = [loop for loop in found["loops"] if loop["birthEdge"] == [0, 18]]
     assert mouth["birth"] == pytest.approx(0.5)
     assert 0.5 < mouth["death"] < 1.0
@@ -214,7 +197,7 @@ def test_components_merge_along_a_spanning_tree():
     from scipy.spatial.distance import cdist
 
     cloud = np.random.default_rng(4).normal(size=(35, 2))
-    [found] = by_script([cloud])
+    [found] = rips_by_script([cloud])
     np.testing.assert_allclose(found["merges"], np.sort(minimum_spanning_tree(cdist(cloud, cloud)).data) / 2)
     assert found["edges"] == 35 * 34 // 2
     assert found["cone"] == pytest.approx(cdist(cloud, cloud).max(axis=1).min() / 2)

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import re
-import shutil
-import subprocess
-from importlib import resources
 from itertools import pairwise
 
 import matplotlib.pyplot as plt
@@ -16,9 +11,10 @@ from scipy.spatial.distance import cdist
 
 from topokit import hausdorff, lemmas, rips_persistence, view
 from topokit.lemmas._critical import is_critical
-from topokit.view._lens import _witness
+from topokit.view._lunes import _witness
 
 from conftest import polygon
+from pages import NETWORK, by_script, needs_node, page_data
 
 HEXAGON = lemmas.COUNTEREXAMPLES["the sides of a hexagon"].before
 SQUARE = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
@@ -33,64 +29,43 @@ def no_figures_left():
 # ---- the page of the nudge
 
 
-def payload(figure: view.Nudge) -> dict:
-    return json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', figure.page, re.DOTALL).group(1))
-
-
-def test_nudge_holds_clouds_to_the_last_digit_and_its_options():
+def test_nudge_holds_clouds_to_the_last_digit():
     points = np.random.default_rng(0).normal(size=(24, 2)) / 3
-    data = payload(
-        view.nudge({"third": points, "square": SQUARE}, vertex=3, direction="along", height=321, title="</script>")
-    )
-    assert list(data["shapes"]) == ["third", "square"]
-    np.testing.assert_array_equal(data["shapes"]["third"], points)
-    assert (data["vertex"], data["direction"], data["height"], data["title"]) == (3, "along", 321, "</script>")
-    assert list(payload(view.nudge(SQUARE))["shapes"].values()) == [SQUARE]
+    data = page_data(view.nudge({"third </script>": points, "square": SQUARE}))
+    assert list(data["shapes"]) == ["third </script>", "square"]
+    np.testing.assert_array_equal(data["shapes"]["third </script>"], points)
+    assert list(page_data(view.nudge(SQUARE))["shapes"].values()) == [SQUARE]
 
 
 def test_nudge_asks_nothing_of_the_network():
     figure = view.nudge({"square": SQUARE, "hexagon": HEXAGON})
-    assert not re.search(
-        r"https?:|//[a-z]+\.[a-z]|@import|url\(|<link|src=|fetch\(|XMLHttpRequest|WebSocket", figure.page
-    )
+    assert not NETWORK.search(figure.page)
     assert "__" not in figure.page  # nothing left to fill in
     assert figure.page.count("</script>") == 2
     assert len(figure.page) < 40_000
-    assert repr(figure).startswith("Nudge('Loop of 4 or 6 points, nudged'")
+    assert repr(figure).startswith("Framed('Loop of 4 or 6 points, nudged'")
 
 
 @pytest.mark.parametrize(
-    ("points", "options", "message"),
+    ("points", "message"),
     [
-        (np.zeros((5, 3)), {}, r"points must lie in the plane, not in 3 dimensions"),
-        ({"cube": np.zeros((8, 3))}, {}, r"cube must lie in the plane"),
-        (np.zeros((25, 2)), {}, "nudge shows 1 to 24 points, not 25; see topokit.farthest_point_sample"),
-        (np.zeros((0, 2)), {}, "nudge shows 1 to 24 points, not 0"),
-        ({}, {}, "points names no cloud"),
-        ([[0.0, np.nan]], {}, "NaN or infinite"),
-        (SQUARE, {"vertex": 4}, "points has no vertex 4; its 4 points are numbered from 0"),
-        (SQUARE, {"direction": "up"}, "direction must be one of .* not 'up'"),
+        (np.zeros((5, 3)), "points must lie in the plane, not in 3 dimensions"),
+        ({"cube": np.zeros((8, 3))}, "cube must lie in the plane"),
+        (np.zeros((25, 2)), "points must be 1 to 24 points, not 25; see topokit.farthest_point_sample"),
+        (np.zeros((0, 2)), "points must be 1 to 24 points, not 0"),
+        ({}, "points names no cloud"),
+        ([[0.0, np.nan]], "NaN or infinite"),
     ],
 )
-def test_nudge_refuses_what_it_cannot_show(points, options, message):
+def test_nudge_refuses_what_it_cannot_show(points, message):
     with pytest.raises(ValueError, match=message):
-        view.nudge(points, **options)
+        view.nudge(points)
 
 
 # ---- its script, run by node
 
-needs_node = pytest.mark.skipif(
-    shutil.which("node") is None, reason="node, which runs the page's script, is not installed"
-)
 
-
-def by_script(call: str, given: object) -> list:
-    """What a function of the page answers for each item that is given."""
-    files = resources.files("topokit.view")
-    script = "\n".join(files.joinpath(name).read_text(encoding="utf-8") for name in ("rips.js", "places.js"))
-    script += f'\nconst given = JSON.parse(require("fs").readFileSync(0, "utf8"));console.log(JSON.stringify(given.map({call})));'
-    done = subprocess.run(["node", "-e", script], input=json.dumps(given), capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)
+PLACES = ["rips.js", "places.js"]
 
 
 def planar_clouds(seed: int) -> list[np.ndarray]:
@@ -103,7 +78,7 @@ def planar_clouds(seed: int) -> list[np.ndarray]:
 def test_script_finds_the_places_that_topokit_finds():
     clouds = planar_clouds(1)
     seen = 0
-    for cloud, found in zip(clouds, by_script("places", [c.tolist() for c in clouds]), strict=True):
+    for cloud, found in zip(clouds, by_script(PLACES, "places", [c.tolist() for c in clouds]), strict=True):
         diagram = rips_persistence(cloud)
         if len(diagram) == 0:
             assert found is None
@@ -126,7 +101,7 @@ def test_script_measures_moves_as_topokit_does():
     clouds = [c for c in planar_clouds(2) if len(rips_persistence(c))]
     pairs = [(a.tolist(), b.tolist()) for a, b in pairwise(clouds)]
     for (a, b), (edge, thick, _) in zip(
-        pairs, by_script("([a, b]) => moved(places(a), places(b))", pairs), strict=True
+        pairs, by_script(PLACES, "([a, b]) => moved(places(a), places(b))", pairs), strict=True
     ):
         first, second = (rips_persistence(c) for c in (a, b))
         a, b = np.array(a), np.array(b)
@@ -138,7 +113,9 @@ def test_script_measures_moves_as_topokit_does():
 @needs_node
 def test_script_nudges_one_point_outward_or_along():
     moved = by_script(
-        "([along, by]) => nudged([[1, 0], [0, 1], [-1, 0], [0, -1]], 0, along, by)", [[False, 0.25], [True, 0.25]]
+        PLACES,
+        "([along, by]) => nudged([[1, 0], [0, 1], [-1, 0], [0, -1]], 0, along, by)",
+        [[False, 0.25], [True, 0.25]],
     )
     np.testing.assert_allclose(moved[0], [[1.25, 0], [0, 1], [-1, 0], [0, -1]])
     np.testing.assert_allclose(moved[1], [[1, 0.25], [0, 1], [-1, 0], [0, -1]])
@@ -147,7 +124,7 @@ def test_script_nudges_one_point_outward_or_along():
 @needs_node
 def test_a_billionth_makes_the_edge_of_the_hexagon_leap_and_nothing_else():
     call = "(points) => moved(places(nudged(points, 0, true, -1e-9)), places(nudged(points, 0, true, 1e-9)))"
-    [[edge, thick, cycle]] = by_script(call, [HEXAGON.tolist()])
+    [[edge, thick, cycle]] = by_script(PLACES, call, [HEXAGON.tolist()])
     assert edge == pytest.approx(2 * rips_persistence(HEXAGON).death[0], rel=1e-6)
     assert max(thick, cycle) < 1e-8
 

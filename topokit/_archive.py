@@ -19,9 +19,6 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FormatError", "atomic_file", "load_archive", "save_archive"]
-
-
 _VERSION = 2  # of the checksum: the first covered the arrays alone, and still reads
 
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from .seqph import SeqPH, track
 
-__all__ = ["add"]
-
 _TASKS = """tasks, a garment and a target:
   {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2}-hook
   {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2}-hanger

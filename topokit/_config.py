@@ -16,8 +16,6 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from typing_extensions import dataclass_transform
 
-__all__ = ["Count", "NotNegative", "Positive", "Share", "checked", "from_mapping", "load"]
-
 T = TypeVar("T")
 
 Count = Annotated[int, Field(ge=1)]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 
-__all__ = ["n_cores"]
-
 
 def n_cores() -> int:
     """Cores that this process may run on; those of the machine where the system does not tell."""

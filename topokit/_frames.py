@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from .rips import Diagram
 from .sampling import spacing
 
-__all__ = ["check_diagram", "check_follows"]
-
 Array = NDArray[np.float64]
 _OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
-__all__ = ["attach"]
-
 
 def attach(package: str, modules: Mapping[str, str], extra: str) -> Callable[[str], Any]:
     """Return a `__getattr__` for a package.

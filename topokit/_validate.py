@@ -7,8 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["WrongKindError", "as_points", "as_sequence", "own_arrays", "positive"]
-
 
 class WrongKindError(TypeError, ValueError):
     """An argument of the wrong kind: a `TypeError` of ours, which the command line tells from a mistake in the code."""

@@ -30,9 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     from . import _commands
-    from .data import commands as data
-    from .evaluate import commands as evaluate
-    from .models import commands as models
+    from .data import _commands as data
+    from .evaluate import _commands as evaluate
+    from .models import _commands as models
 
     parser = argparse.ArgumentParser(prog="topokit", description="Sequential topology for deformable objects.")
     parser.add_argument("--version", action="version", version=f"topokit {__version__}")

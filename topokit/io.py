@@ -46,55 +46,30 @@ _TEXT = ("garment", "target", "task", "success", "seed", "dt", "observation", "p
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One recorded run of two grippers carrying a garment to a target.
+    """One recorded run of two grippers carrying a garment to a target. Arrays are held as they are given, not copied."""
 
-    Attributes
-    ----------
-    points : (T, N, 3) float32
-        All vertices of the garment in mesh order, metres.
-    observed : (T, M, 3) float32
-        What an observer sees: farthest-point samples of the vertices, or of what cameras see (`observation` says which).
-    actions, grippers : (T, 2, 3) float32
-        Where the two grippers were told to be, and where they were.
-    held : (T,) bool
-        Whether the grippers hold the garment at that frame.
-    faces : (F, 3) int32
-    loops : tuple of (L,) int32
-        The true loops, each a closed cycle of vertex ids (the last joins the first).
-    centre_line : (K, 3) float32
-        The target's centre line, an open polyline.
-    target, garment, task : str
-    success : bool
-        Whether the task's true loops hang on the target, at rest, after release.
-    observation : dict
-        How `observed` was made: its kind and, for cameras, all their parameters.
-    physics : dict
-        All parameters of the simulation, the target's sizes and position, what was randomised and in which ranges.
-    seed : int
-    dt : float
-        Seconds between frames.
-    provenance : dict
-        The command and the versions that made it.
-    """
-
-    points: NDArray[np.float32]
+    points: NDArray[np.float32]  #: (T, N, 3) all vertices of the garment in mesh order, metres
+    #: (T, M, 3) what an observer sees: farthest-point samples of the vertices, or of what cameras see (`observation` says which)
     observed: NDArray[np.float32]
-    actions: NDArray[np.float32]
-    grippers: NDArray[np.float32]
-    held: NDArray[np.bool_]
-    faces: NDArray[np.int32]
+    actions: NDArray[np.float32]  #: (T, 2, 3) where the two grippers were told to be
+    grippers: NDArray[np.float32]  #: (T, 2, 3) where they were
+    held: NDArray[np.bool_]  #: (T,) whether the grippers hold the garment at that frame
+    faces: NDArray[np.int32]  #: (F, 3)
+    #: the true loops, each a closed cycle (L,) of vertex ids, the last joins the first
     loops: tuple[NDArray[np.int32], ...]
-    centre_line: NDArray[np.float32]
-    garment: str
-    target: str
-    success: bool
-    seed: int
-    dt: float
-    task: str = ""
+    centre_line: NDArray[np.float32]  #: (K, 3) the target's centre line, an open polyline
+    garment: str  #: its name
+    target: str  #: its name
+    success: bool  #: whether the task's true loops hang on the target, at rest, after release
+    seed: int  #: of everything random
+    dt: float  #: seconds between frames
+    task: str = ""  #: garment and target
+    #: how `observed` was made: its kind and, for cameras, all their parameters
     observation: dict[str, Any] = field(default_factory=dict)
+    #: all parameters of the simulation, the target's sizes and position, what was randomised and in which ranges
     physics: dict[str, Any] = field(default_factory=dict)
-    provenance: dict[str, Any] = field(default_factory=dict)
-    schema: int = SCHEMA
+    provenance: dict[str, Any] = field(default_factory=dict)  #: the command and the versions that made it
+    schema: int = SCHEMA  #: of the file format
 
     def __len__(self) -> int:
         return len(self.points)
@@ -143,7 +118,7 @@ def load_episode(path: str | Path) -> Episode:
     FormatError
         When the file is empty, truncated, damaged, of another format or of a newer schema; the message says which.
     """
-    text, arrays = _load(path, _KIND, SCHEMA, "record it again")
+    text, arrays = _load(path, _KIND, (SCHEMA,), "record it again")
     try:
         ends = np.cumsum(arrays.pop("loop_lengths"))[:-1]
         vertices = arrays.pop("loop_vertices")
@@ -204,12 +179,15 @@ def _unpack(packed: NDArray[np.uint16], scale: NDArray[np.float64]) -> NDArray[n
     return np.asarray(packed * scale[0] + scale[1:], dtype=np.float32)
 
 
-def _load(path: str | Path, kind: str, schema: int, remedy: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read an archive of a kind and schema."""
+def _load(
+    path: str | Path, kind: str, schemas: tuple[int, ...], remedy: str
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Read an archive of a kind, of a schema that is known."""
     text, arrays = load_archive(path, kind)
-    if text.get("schema") != schema:
+    if text.get("schema") not in schemas:
+        known = " and ".join(map(str, schemas))
         raise FormatError(
-            f"{path}: of schema {text.get('schema')}, this topokit reads schema {schema}: update topokit or {remedy}"
+            f"{path}: of schema {text.get('schema')}, this topokit reads schema {known}: update topokit or {remedy}"
         )
     return text, arrays
 
@@ -266,9 +244,9 @@ def load_states(path: str | Path) -> list[TopologicalState]:
     FileNotFoundError, FormatError
         As `load_episode`.
     """
-    text, arrays = _load(path, _STATES_KIND, _STATES_SCHEMA, "track them again")
+    text, arrays = _load(path, _STATES_KIND, (1, _STATES_SCHEMA), "track them again")
     try:
-        loops = _loops(arrays)
+        loops = _loops(arrays, with_cycles=text["schema"] != 1)
         starts = np.concatenate([[0], np.cumsum(arrays["n_loops"])]).tolist()
         rows = zip(arrays["frame"].tolist(), arrays["time"].tolist(), text["parameters"], strict=True)
         return [
@@ -279,14 +257,15 @@ def load_states(path: str | Path) -> list[TopologicalState]:
         raise FormatError(f"{path}: states with a missing or an unknown part: {error}; track them again") from error
 
 
-def _loops(arrays: dict[str, NDArray[Any]]) -> list[Loop]:
-    """All loops of all frames."""
+def _loops(arrays: dict[str, NDArray[Any]], with_cycles: bool) -> list[Loop]:
+    """All loops of all frames; those of the first schema know no cycle."""
     columns = {name: arrays[name].tolist() for name in _LOOP_NUMBERS} | {name: arrays[name] for name in _LOOP_ARRAYS}
     for count, names in _LOOP_LISTS.items():
-        columns |= {name: np.split(arrays[name], np.cumsum(arrays[count])[:-1]) for name in names}
-    curves = zip(columns.pop("cycle"), columns.pop("cycle_points"), strict=True)
+        if count != "n_cycle" or with_cycles:
+            columns |= {name: np.split(arrays[name], np.cumsum(arrays[count])[:-1]) for name in names}
     number = len(arrays["id"])
-    return [
-        Loop(**{name: column[i] for name, column in columns.items()}, _curve=partial(tuple, curve))
-        for i, curve in zip(range(number), curves, strict=False)
-    ]
+    curves: list[Any] = [None] * number
+    if with_cycles:
+        pairs = zip(columns.pop("cycle"), columns.pop("cycle_points"), strict=True)
+        curves = [partial(tuple, pair) for _, pair in zip(range(number), pairs, strict=False)]
+    return [Loop(**{name: column[i] for name, column in columns.items()}, _curve=curves[i]) for i in range(number)]

@@ -30,10 +30,9 @@ from typing import Any
 
 import numpy as np
 
-from topokit.data import Dataset, DatasetConfig, generate
+from topokit.data import Dataset, DatasetConfig, generate_dataset
 from topokit.data._parallel import Cluster, run_jobs
 from topokit.data._records import Record, index_bytes
-from topokit.data.config import draw
 
 WANTED = 23_000
 
@@ -43,7 +42,7 @@ def scaling(folder: Path, config: DatasetConfig, episodes: int, counts: list[int
     rows: list[dict[str, Any]] = []
     for workers in counts:
         out = folder / f"workers{workers}"
-        generate(config, out, episodes, 0, n_workers=workers, progress=False)
+        generate_dataset(config, out, episodes, 0, n_workers=workers, progress=False)
         log = [json.loads(line) for line in (out / "timing.jsonl").read_text().splitlines()]
         start = log[0]["at"] - log[0]["seconds"]  # of the first episode: starting Dask is not counted
         wall = log[-1]["at"] - start
@@ -73,7 +72,7 @@ def empty(item: int) -> dict[str, Any]:
 def dispatch(jobs: int = 2000) -> float:
     """Jobs a second that the scheduler hands out to one worker and takes back."""
     done = 0
-    for _ in run_jobs(empty, range(jobs), (), Cluster(n_workers=1)):
+    for _ in run_jobs(empty, range(jobs), Cluster(n_workers=1)):
         if done == 0:
             start = time.perf_counter()
         done += 1
@@ -108,7 +107,7 @@ def store(url: str) -> dict[str, Any]:
     for path in sorted(Path(url).iterdir()):
         if path.is_dir() and path.name not in (".part", "labels"):
             sizes[path.name] = sum(file.stat().st_size for file in path.iterdir()) / max(1, len(dataset))
-    for name in dataset.label_names:
+    for name in dataset.group.names("labels"):
         files = [file for file in (Path(url) / "labels" / name).rglob("*") if file.is_file()]
         sizes[f"labels/{name}"] = sum(file.stat().st_size for file in files) / max(1, len(dataset))
     some = dataset.episodes[:: max(1, len(dataset) // 50)]
@@ -137,12 +136,12 @@ def opening(folder: Path, n: int = WANTED) -> dict[str, Any]:
 
     jobs, _generate.run_jobs = _generate.run_jobs, lambda *_: (pair for pair in ())
     try:
-        generate(config, small, n, 0, progress=False)
+        generate_dataset(config, small, n, 0, progress=False)
     finally:
         _generate.run_jobs = jobs
     rows = []
     for i in range(n):
-        drawn = draw(config, 0, i)
+        drawn = config.draw(0, i)
         rows.append(
             Record(i, "ok", "", drawn.task, *drawn.task.split("-"), drawn.seed, True, 96, 500, 500, f"{i:064x}")
         )
@@ -189,7 +188,7 @@ def windows(url: str, labels: str, n_points: int, batch: int, workers: list[int]
         {
             "windows": len(data),
             "index_s": made,
-            "decode_s_an_episode": loaded / len(data._kept),
+            "decode_s_an_episode": loaded / len(data.episodes),
             "windows_a_second": rate,
         }
     )

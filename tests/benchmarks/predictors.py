@@ -37,11 +37,17 @@ from torch.utils.flop_counter import FlopCounterMode
 
 import topokit as tk
 from topokit.io import load_episode
-from topokit.models import Predictor
-from topokit.models.base import Normalisation, PredictiveModel, Shape
-from topokit.models.config import TrainConfig, load_config
-from topokit.models.registry import MODELS, build
-from topokit.models.training import Batch, Objective
+from topokit.models import (
+    MODELS,
+    Normalisation,
+    PredictiveModel,
+    Predictor,
+    Shape,
+    TrainConfig,
+    build,
+    forecast_loss,
+    load_config,
+)
 
 sys.path.append(str(Path(__file__).parents[1]))
 from windows import RingWindows
@@ -141,17 +147,22 @@ def batches(dataset: Path | None, points: int, batch: int, steps: int) -> Iterat
 
 def training(name: str, dataset: Path | None, batch: int, steps: int, peak: float) -> dict[str, Any]:
     """Windows a second, the parts of a step, and what binds."""
-    model = Objective(fresh(name), configured(name).loss)
+    model, weights = fresh(name), configured(name).loss
+
+    def loss_of(window: dict[str, torch.Tensor]) -> torch.Tensor:
+        states, present = model(window)
+        return forecast_loss(states, window, weights, present=present)[0]
+
     optimizer = torch.optim.AdamW(model.parameters())
     reader = batches(dataset, Shape().points, batch, steps + 1)
     first = next(reader)
     with FlopCounterMode(display=False) as counter:
-        model(Batch(first), 0)[0].backward()
+        loss_of(first).backward()
     spent = dict.fromkeys(("data", "forward and loss", "backward", "optimiser"), 0.0)
     start = before = time.perf_counter()
     for window in reader:
         marks = [time.perf_counter()]
-        loss, _ = model(Batch(window), 0)
+        loss = loss_of(window)
         marks.append(time.perf_counter())
         optimizer.zero_grad()
         loss.backward()

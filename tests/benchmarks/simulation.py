@@ -22,7 +22,6 @@ import numpy as np
 
 from topokit.data import Dataset
 from topokit.sim import TASKS, WARDROBE, Randomisation, SimulationConfig, SimulationError, World, simulate
-from topokit.sim.config import SimulationConfig as Config
 
 SPACINGS = {"apron": (0.05, 0.04, 0.03, 0.022), "tote": (0.05, 0.04, 0.03, 0.02), "shirt": (0.06, 0.045, 0.035, 0.025)}
 
@@ -73,7 +72,7 @@ def cost(name: str, spacing: float) -> dict[str, Any]:
     steps = round((len(episode) * episode.dt + SimulationConfig().settle) / SimulationConfig().dt)
     row = {"garment": name, "target": target, "vertices": len(garment.vertices), "steps": steps, "seconds": seconds}
     start = time.perf_counter()
-    short = Config(frames=2, steps_per_frame=1, settle=0.0)
+    short = SimulationConfig(frames=2, steps_per_frame=1, settle=0.0)
     simulate(garment, task=f"{name}-{target}", n_observed=100, config=short)
     return {**row, "process_seconds": time.perf_counter() - start}
 
@@ -113,7 +112,7 @@ def attempts(names: list[str], seeds: range, randomise: bool, results: Path) -> 
 
 def recorded(folder: Path) -> list[dict[str, Any]]:
     """The same rows, of the episodes of a dataset that `topokit generate` made."""
-    dataset = Dataset.open(folder)
+    dataset = Dataset(folder)
     lines = (folder / "timing.jsonl").read_text().splitlines()
     seconds = {row["episode"]: row["seconds"] for row in map(json.loads, lines)}
     rows = []

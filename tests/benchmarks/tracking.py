@@ -24,8 +24,21 @@ from typing import Any
 import numpy as np
 
 import topokit as tk
-from topokit.evaluate import baselines, distance_to_hull, scores, tracking
-from topokit.evaluate.tracking import TrackingScore, TrueLoops, by_killer, compare, events, score
+from topokit.evaluate import (
+    Overlap,
+    TrackingScore,
+    TrueLoops,
+    by_diagram,
+    by_killer,
+    by_midpoint,
+    compare,
+    distance_to_hull,
+    events,
+    library_digest,
+    score,
+    track_vines,
+    true_loops,
+)
 from topokit.io import Episode, load_episode, save_episode, save_states
 from topokit.sim import TASKS, Camera, Randomisation, SimulationError, simulate
 
@@ -53,10 +66,10 @@ TRACKERS: dict[str, Callable[[], tk.SeqPH]] = {
     "killer-triangles, memory": seqph(identity="killer-triangles", memory=MEMORY),
     "killer-edge, proved, memory": seqph(gates="proved", memory=MEMORY),
     "killer-triangles, proved, memory": seqph(identity="killer-triangles", gates="proved", memory=MEMORY),
-    "birth and death": baselines.DiagramMatching,
-    "birth and death, memory": lambda: baselines.DiagramMatching(memory=MEMORY),
-    "nearest midpoint": baselines.NearestMidpoint,
-    "nearest midpoint, memory": lambda: baselines.NearestMidpoint(memory=MEMORY),
+    "birth and death": seqph(match=by_diagram),
+    "birth and death, memory": seqph(match=by_diagram, memory=MEMORY),
+    "nearest midpoint": seqph(match=by_midpoint),
+    "nearest midpoint, memory": seqph(match=by_midpoint, memory=MEMORY),
 }
 """Identity, gates where they are not the paper's, memory where there is any; the first is the paper's tracker."""
 PAPER, RECOMMENDED = "killer-edge", "killer-triangles, proved, memory"
@@ -109,13 +122,13 @@ def follow(tracker: tk.SeqPH, clouds: Clouds, diagrams: list[tk.Diagram]) -> lis
 def row_of(path: Path) -> dict[str, Any]:
     """All that is measured on an episode."""
     episode = load_episode(path)
-    truth = tracking.true_loops(episode.points, episode.loops)
+    truth = true_loops(episode.points, episode.loops)
     row: dict[str, Any] = {"episode": path.stem, "frames": len(episode), "scores": {}, "levels": {}, "failures": []}
     for name, clouds, stride in conditions(episode):
         true, diagrams = truth[::stride], tk.rips_persistence_many(clouds)
         films = {label: follow(make(), clouds, diagrams) for label, make in TRACKERS.items()}
         if name in VINES_IN:
-            films[VINES] = baselines.track_vines(clouds, steps=4)
+            films[VINES] = track_vines(clouds, steps=4)
         overlaps = {label: compare(states, true) for label, states in films.items()}
         row["scores"][name] = {label: pack(score(seen)) for label, seen in overlaps.items()}
         row["levels"][name] = {
@@ -151,9 +164,7 @@ def counts(result: TrackingScore) -> list[float]:
     return [result.objects, result.detections, result.matches, result.switches, result.id_matches]
 
 
-def failures(
-    episode: str, condition: str, tracker: str, overlaps: list[tracking.Overlap], stride: int
-) -> list[dict[str, Any]]:
+def failures(episode: str, condition: str, tracker: str, overlaps: list[Overlap], stride: int) -> list[dict[str, Any]]:
     """Every switch, and every run of frames in which a loop is missed or something else is found; frames are the film's."""
     found: list[dict[str, Any]] = []
     running: dict[tuple[str, int], dict[str, Any]] = {}
@@ -181,7 +192,7 @@ def failures(
 
 def places(
     states: list[tk.TopologicalState],
-    overlaps: list[tracking.Overlap],
+    overlaps: list[Overlap],
     truth: list[TrueLoops],
     episode: Episode,
     stride: int,
@@ -356,14 +367,9 @@ def garment_of(row: dict[str, Any]) -> str:
 
 def code() -> str:
     """A name for the state of the code that makes the rows; words about it do not count."""
-    modules = (tk.seqph, scores, tracking, baselines)
-    makers = (conditions, row_of, failures, places, jumps)
-    trees = [ast.parse(inspect.getsource(part)) for part in (*modules, *makers)]
-    for node in (node for tree in trees for node in ast.walk(tree)):
-        body = getattr(node, "body", None)
-        if isinstance(body, list) and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
-            body.pop(0)
-    text = [*map(ast.dump, trees), repr(list(TRACKERS)), repr(THRESHOLDS), str(MEMORY)]
+    makers = [ast.parse(inspect.getsource(maker)).body[0] for maker in (conditions, row_of, failures, places, jumps)]
+    lines = [ast.dump(line) for maker in makers for line in maker.body[1:]]
+    text = [library_digest(), *lines, repr(list(TRACKERS)), repr(THRESHOLDS), str(MEMORY)]
     return hashlib.sha256("".join(text).encode()).hexdigest()[:12]
 
 

@@ -10,24 +10,22 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._check import Problem, check
-    from ._generate import Interrupted, generate
-    from ._label import label
+    from ._check import Problem, check_dataset
+    from ._dataset import Dataset
+    from ._generate import generate_dataset
+    from ._label import label_dataset
+    from ._recipe import DatasetConfig, make_episode
     from ._spoil import spoil
-    from .config import DatasetConfig, make_episode
-    from .dataset import Dataset
-    from .windows import Truth, WindowDataset
+    from ._windows import WindowDataset
 
 __all__ = [
     "Dataset",
     "DatasetConfig",
-    "Interrupted",
     "Problem",
-    "Truth",
     "WindowDataset",
-    "check",
-    "generate",
-    "label",
+    "check_dataset",
+    "generate_dataset",
+    "label_dataset",
     "make_episode",
     "spoil",
 ]
@@ -35,13 +33,13 @@ __all__ = [
 __getattr__ = attach(
     __name__,
     {
-        "_check": "Problem check",
-        "_generate": "Interrupted generate",
-        "_label": "label",
+        "_check": "Problem check_dataset",
+        "_dataset": "Dataset",
+        "_generate": "generate_dataset",
+        "_label": "label_dataset",
+        "_recipe": "DatasetConfig make_episode",
         "_spoil": "spoil",
-        "config": "DatasetConfig make_episode",
-        "dataset": "Dataset",
-        "windows": "Truth WindowDataset",
+        "_windows": "WindowDataset",
     },
     extra="data,sim,learn",
 )

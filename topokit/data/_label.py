@@ -10,74 +10,33 @@ import inspect
 import re
 import time
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from topokit.seqph import SeqPH, track
-from topokit.state import TopologicalState
+from topokit.seqph import RECOMMENDED, SeqPH, track
 
-from ._generate import follow, same_versions
-from ._group import Group, locked, prepare, versions_of
-from ._layout import Field, encode
-from ._parallel import Cluster, run_jobs
-from ._read import ABSENT, PARAMETERS, SIMPLICES, VALUES, cloud_of
+from ._generate import make_missing, manifest_here
+from ._group import Group, cloud_of, locked, open_episodes, prepare, versions_of
+from ._layout import encode
+from ._parallel import Cluster
 from ._records import commit, record_path
-
-__all__ = ["OBSERVATIONS", "TRACKER", "label", "label_fields"]
+from ._states import arrays_of, label_fields
 
 OBSERVATIONS = ("full", "observed", "camera")
-TRACKER: Mapping[str, Any] = {"identity": "killer-triangles", "gates": "proved", "memory": 8}
-"""Options of the tracker that labels are made with when nothing else is asked for: the fewest switches of identity."""
-_PACKAGES = ("topokit", "numpy", "scipy", "numba", "zarr", "numcodecs")
+_PACKAGES = ("numpy", "scipy", "numba", "zarr", "numcodecs")
 
 
-def label_fields(frames: int, slots: int) -> tuple[Field, ...]:
-    """Return the arrays of a set of labels."""
-    columns = {name: [part.start, part.stop] for name, part in SIMPLICES.items()}
-    about = {
-        "units": "1",
-        "columns": columns,
-        "description": f"ids into the cloud that was tracked; {ABSENT}: no neighbour",
-    }
-    return (
-        Field(
-            "id",
-            (frames, slots),
-            "int32",
-            ("frame", "slot"),
-            {"units": "1", "description": "identity; -1: no loop"},
-            -1,
-        ),
-        Field("simplices", (frames, slots, 22), "uint16", ("frame", "slot", "column"), about),
-        Field(
-            "values",
-            (frames, slots, len(VALUES)),
-            "float32",
-            ("frame", "slot", "column"),
-            {"units": "m", "columns": VALUES},
-        ),
-        Field(
-            "parameters",
-            (frames, len(PARAMETERS)),
-            "float32",
-            ("frame", "column"),
-            {"units": "m, dropped: 1", "columns": PARAMETERS},
-        ),
-    )
-
-
-def label(
+def label_dataset(
     dataset: str | Path,
     observation: str = "full",
     *,
     name: str | None = None,
     n_points: int | None = None,
     slots: int = 8,
-    options: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any] = RECOMMENDED,
     scheduler: str | None = None,
     n_workers: int | None = None,
     dashboard: str | None = None,
@@ -88,7 +47,7 @@ def label(
     Parameters
     ----------
     dataset : path
-        A folder that `generate` made.
+        A folder that `generate_dataset` made.
     observation : {"full", "observed", "camera"}
         What the tracker sees: all vertices, the observation that was recorded, or that of a dataset made with cameras.
     name : str, optional
@@ -97,112 +56,95 @@ def label(
         Track so many points of an observation of vertices, a farthest-point sample.
     slots : int
         Loops kept in a frame, those of the longest lifetime; how many were dropped is stored beside them.
-    options : mapping, optional
-        Of `topokit.SeqPH`; `TRACKER` when not given.
+    options : mapping
+        Of `topokit.SeqPH`.
     scheduler, n_workers, dashboard, progress
-        As in `generate`.
+        As in `generate_dataset`.
 
     Raises
     ------
     ValueError
         When there is no such observation, or labels of that name were begun with other options.
-    OSError, ConnectionError, Interrupted
-        As in `generate`.
+    OSError, ConnectionError, KeyboardInterrupt
+        As in `generate_dataset`.
     """
     folder = Path(dataset)
-    group = Group(folder)
-    options = dict(TRACKER if options is None else options)
-    SeqPH(**options)  # refuses what it does not know
-    if group.manifest.get("format") != "topokit-dataset":
-        raise ValueError(f"{folder} is not a dataset")
+    group = open_episodes(folder)
+    manifest = _manifest(group, observation, n_points, slots, options)
+    name = name or observation + (f"-{n_points}" if n_points else "")
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
+        raise ValueError(f"name {name!r}: letters, digits, dots, hyphens and underscores only")
+    target, cluster = folder / "labels" / name, Cluster(scheduler, n_workers, dashboard)
+    job = partial(_label_episode, str(folder), name)
+    with locked(target):
+        prepare(target, manifest, label_fields(group.manifest["room"]["frames"], slots))
+        return make_missing(target, group.whole.tolist(), job, partial(_identity, group), cluster, progress)
+
+
+def _manifest(
+    group: Group, observation: str, n_points: int | None, slots: int, options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """What the group of the labels says it is."""
+    cameras = group.manifest["config"]["cameras"]
     if observation not in OBSERVATIONS:
         raise ValueError(f"observation must be one of {', '.join(OBSERVATIONS)}, not {observation!r}")
-    cameras = group.manifest["config"]["cameras"]
     if observation == "camera" and not cameras:
-        raise ValueError(f"{folder} was made without cameras: generate it with --cameras 1, or label what was observed")
+        raise ValueError(
+            f"{group.url} was made without cameras: set `cameras` in its configuration, or label `observed`"
+        )
     if n_points is not None and (observation != "observed" or cameras or n_points < 4):
         raise ValueError(f"n_points = {n_points}: a number of points, at least 4, of an observation of vertices")
     if slots < 1:
         raise ValueError(f"slots must be at least 1, not {slots}")
-    name = name or observation + (f"-{n_points}" if n_points else "")
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
-        raise ValueError(f"name {name!r}: letters, digits, dots, hyphens and underscores only")
-    given = {key: options.get(key, p.default) for key, p in inspect.signature(SeqPH).parameters.items()}
-    manifest = {
+    return {
         "format": "topokit-labels",
         "version": 1,
         "observation": observation,
         "n_points": n_points,
         "slots": slots,
-        "options": given,
+        "options": _all_options(options),
         "episodes": group.manifest["episodes"],
         "versions": versions_of(*_PACKAGES),
+        **{name: group.manifest[name] for name in ("numbers",) if name in group.manifest},
     }
-    if "numbers" in group.manifest:
-        manifest["numbers"] = group.manifest["numbers"]
-    target = folder / "labels" / name
-    with locked(target):
-        done = prepare(target, manifest, label_fields(group.manifest["room"]["frames"], slots)).records
-        todo = [int(i) for i in group.whole if i not in done]
-        jobs = run_jobs(_work, todo, (str(folder), name), Cluster(scheduler, n_workers, dashboard))
-        return follow(target, jobs, len(todo), len(group.whole), progress)
 
 
-@lru_cache(maxsize=2)
-def _open(folder: str, name: str) -> tuple[Group, Group]:
-    return Group(folder, records=False), Group(folder, f"labels/{name}", records=False)
+def _all_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of a tracker, also those that were not given."""
+    SeqPH(**options)  # refuses what it does not know
+    if options.get("match") is not None:
+        raise ValueError("options: match is a function, which cannot be stored beside the labels")
+    defaults = {name: p.default for name, p in inspect.signature(SeqPH).parameters.items() if name != "match"}
+    return {name: options.get(name, default) for name, default in defaults.items()}
 
 
-def _work(folder: str, name: str, index: int) -> dict[str, Any]:
+def _label_episode(folder: str, name: str, index: int) -> dict[str, Any]:
     """What a Dask worker does for an episode."""
-    start = time.monotonic()
-    same_versions(f"{folder}/labels/{name}", _PACKAGES)
-    group, labels = _open(folder, name)
-    manifest, document = labels.manifest, group.document(index)
-    identity = {key: document[key] for key in ("episode", "task", "garment", "target", "seed", "success")}
-    identity["of"] = group_sha(group, index)
-    target = Path(folder, "labels", name)
+    start, target, group = time.monotonic(), Path(folder, "labels", name), Group(folder, records=False)
+    manifest, episode = manifest_here(target, _PACKAGES), group.document(index)
     try:
-        cloud = cloud_of(group, document, manifest["observation"], manifest["n_points"])
-        states = track(cloud, times=np.arange(len(cloud)) * document["dt"], n_jobs=1, **manifest["options"])
+        cloud = cloud_of(group, episode, manifest["observation"], manifest["n_points"])
+        states = track(cloud, times=np.arange(len(cloud)) * episode["dt"], n_jobs=1, **manifest["options"])
     except ValueError as error:
-        commit(target, {**identity, "status": "failed", "reason": str(error)})
+        commit(target, {**_identity(group, index), "status": "failed", "reason": str(error)})
         return {"status": "failed", "seconds": round(time.monotonic() - start, 3)}
     arrays = arrays_of(states, manifest["slots"])
-    about = {
+    document = {
+        **_identity(group, index),
         "status": "ok",
         "frames": len(states),
         "observed": cloud.shape[1],
-        "vertices": document["vertices"],
+        "vertices": episode["vertices"],
         "identities": len({loop.id for state in states for loop in state.loops}),
         "dropped": int(arrays["parameters"][:, 3].sum()),
         "shapes": {key: list(values.shape) for key, values in arrays.items()},
     }
     fields = label_fields(group.manifest["room"]["frames"], manifest["slots"])
-    commit(target, {**identity, **about}, encode(fields, index, arrays))
+    commit(target, document, encode(fields, index, arrays))
     return {"status": "ok", "seconds": round(time.monotonic() - start, 3)}
 
 
-def group_sha(group: Group, index: int) -> str:
-    """Return the checksum of the record of an episode."""
-    return hashlib.sha256(group.read(record_path(index)) or b"").hexdigest()
-
-
-def arrays_of(states: list[TopologicalState], slots: int) -> dict[str, NDArray[Any]]:
-    """Return states as the arrays of labels; loops beyond `slots` in a frame, the shortest-lived ones, are dropped."""
-    frames = len(states)
-    ids = np.full((frames, slots), -1, dtype=np.int32)
-    simplices = np.zeros((frames, slots, 22), dtype=np.uint16)
-    values = np.zeros((frames, slots, len(VALUES)), dtype=np.float32)
-    parameters = np.zeros((frames, len(PARAMETERS)), dtype=np.float32)
-    for frame, state in enumerate(states):
-        parameters[frame] = [*(state.parameters[key] for key in PARAMETERS[:3]), max(0, len(state) - slots)]
-        for slot, loop in enumerate(state.loops[:slots]):
-            neighbours = np.full((4, 3), ABSENT)
-            neighbours[: len(loop.neighbour_ids)] = loop.neighbour_ids
-            parts = (loop.birth_edge, loop.killer_edge, loop.killer_triangle_ids, neighbours)
-            ids[frame, slot] = loop.id
-            simplices[frame, slot] = np.concatenate([np.ravel(part) for part in parts])
-            values[frame, slot, :3] = loop.birth, loop.death, loop.step
-            values[frame, slot, 3 : 3 + len(loop.neighbour_values)] = loop.neighbour_values
-    return {"id": ids, "simplices": simplices, "values": values, "parameters": parameters}
+def _identity(group: Group, index: int) -> dict[str, Any]:
+    document = group.document(index)
+    known = {key: document[key] for key in ("episode", "task", "garment", "target", "seed", "success")}
+    return {**known, "of": hashlib.sha256(group.read(record_path(index)) or b"").hexdigest()}

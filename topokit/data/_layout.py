@@ -20,28 +20,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topokit.io import Episode
+from topokit.io import FEWEST_FRAMES, HISTORY, Episode
 from topokit.sim import TASKS
-from topokit.sim.randomise import generator
+from topokit.sim._randomise import generator
 
-from .config import DatasetConfig, garment_of
-
-__all__ = [
-    "FRAMES_A_CHUNK",
-    "METRE",
-    "Field",
-    "encode",
-    "episode_arrays",
-    "episode_fields",
-    "pack",
-    "room",
-    "skeleton",
-    "unpack",
-]
+from ._recipe import DatasetConfig
 
 METRE = 10_000  # units of a stored coordinate in a metre
-FRAMES_A_CHUNK = 16  # the history of a window
-_FEWEST_FRAMES = 76
+_METRES = ("points", "actions", "grippers", "centre_line")
+_RECORDED = ("garment", "target", "task", "success", "seed", "dt", "observation", "physics")
 _COORDINATES = {"units": "m", "scale_factor": 1 / METRE, "add_offset": 0.0}
 
 
@@ -59,35 +46,26 @@ class Field:
     attributes: Mapping[str, Any] = field(default_factory=dict)
     fill: int = 0
 
-    @property
-    def by_frame(self) -> bool:
-        """Whether its first axis is the frame; then it is chunked along it."""
-        return self.axes[0] == "frame"
-
 
 def episode_fields(size: Mapping[str, int]) -> tuple[Field, ...]:
     """Return the arrays of a dataset with room for episodes of a size (`room`)."""
-    frames, xyz = size["frames"], ("xyz",)
-    if size["seen"]:
-        observed = Field("observed", (frames, size["seen"], 3), "int16", ("frame", "observation", *xyz), _COORDINATES)
-    else:
-        means = {
-            "units": "1",
-            "description": "vertex ids, farthest-point order: the first m are the sample of m points",
-        }
-        observed = Field("observed", (frames, size["observed"]), "uint16", ("frame", "observation"), means)
+    frames, steps = size["frames"], ("frame", "gripper", "xyz")
     ids = {"units": "1", "description": "vertex ids"}
+    farthest = {**ids, "description": "vertex ids, farthest-point order: the first m are the sample of m points"}
+    held = {"units": "1", "description": "1 while the grippers hold the cloth"}
+    if size["seen"]:
+        observed = Field("observed", (frames, size["seen"], 3), "int16", ("frame", "observation", "xyz"), _COORDINATES)
+    else:
+        observed = Field("observed", (frames, size["observed"]), "uint16", ("frame", "observation"), farthest)
     return (
-        Field("points", (frames, size["vertices"], 3), "int16", ("frame", "vertex", *xyz), _COORDINATES),
+        Field("points", (frames, size["vertices"], 3), "int16", ("frame", "vertex", "xyz"), _COORDINATES),
         observed,
-        Field("actions", (frames, 2, 3), "int16", ("frame", "gripper", *xyz), _COORDINATES),
-        Field("grippers", (frames, 2, 3), "int16", ("frame", "gripper", *xyz), _COORDINATES),
-        Field(
-            "held", (frames,), "uint8", ("frame",), {"units": "1", "description": "1 while the grippers hold the cloth"}
-        ),
+        Field("actions", (frames, 2, 3), "int16", steps, _COORDINATES),
+        Field("grippers", (frames, 2, 3), "int16", steps, _COORDINATES),
+        Field("held", (frames,), "uint8", ("frame",), held),
         Field("faces", (size["faces"], 3), "uint16", ("face", "corner"), ids),
         Field("loops", (size["loops"], size["loop"]), "int16", ("loop", "place"), ids, -1),
-        Field("centre_line", (size["line"], 3), "int16", ("place", *xyz), _COORDINATES),
+        Field("centre_line", (size["line"], 3), "int16", ("place", "xyz"), _COORDINATES),
     )
 
 
@@ -104,10 +82,29 @@ def episode_arrays(episode: Episode) -> dict[str, NDArray[Any]]:
     for row, loop in zip(loops, episode.loops, strict=True):
         row[: len(loop)] = loop
     arrays: dict[str, NDArray[Any]] = {"held": episode.held.astype(np.uint8), "faces": episode.faces.astype(np.uint16)}
-    arrays |= {name: pack(name, getattr(episode, name)) for name in ("points", "actions", "grippers", "centre_line")}
+    arrays |= {name: pack(name, getattr(episode, name)) for name in _METRES}
     of_vertices = episode.observation["kind"] == "vertices"
     seen = vertex_ids(episode.points, episode.observed) if of_vertices else pack("observed", episode.observed)
     return {**arrays, "observed": seen, "loops": loops}
+
+
+def episode_of(stored: Mapping[str, NDArray[Any]], document: Mapping[str, Any], manifest: Mapping[str, Any]) -> Episode:
+    """Return an episode from its arrays, its record, and what its dataset says of itself."""
+    metres: dict[str, Any] = {name: unpack(stored[name]) for name in _METRES}
+    return Episode(
+        **metres,
+        observed=observed(metres["points"], stored["observed"]),
+        held=stored["held"].astype(np.bool_),
+        faces=stored["faces"].astype(np.int32),
+        loops=tuple(row[:n].astype(np.int32) for row, n in zip(stored["loops"], document["loops"], strict=True)),
+        **{name: document[name] for name in _RECORDED},
+        provenance={**manifest["versions"], "dataset_seed": manifest["seed"], "episode": document["episode"]},
+    )
+
+
+def observed(points: NDArray[np.float32], stored: NDArray[Any]) -> NDArray[np.float32]:
+    """(T, M, 3) an observation from what is stored of it: places, or which of the points they are."""
+    return unpack(stored) if stored.ndim == 3 else points[np.arange(len(points))[:, None], stored]
 
 
 def vertex_ids(points: NDArray[np.float32], observed: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -133,61 +130,43 @@ def unpack(values: NDArray[Any]) -> NDArray[np.float32]:
     return np.asarray(values / METRE, dtype=np.float32)
 
 
-def skeleton(fields: Iterable[Field], episodes: int, attributes: Mapping[str, Any]) -> dict[str, bytes]:
-    """Return the `zarr.json` of a group and its arrays, that of the group last: path in the group -> content."""
-    store, memory = _memory()
+def skeleton(fields: Iterable[Field], manifest: Mapping[str, Any]) -> dict[str, bytes]:
+    """Return the `zarr.json` of a group and of its arrays: path in the group -> content."""
     import zarr
 
-    zarr.create_group(store, attributes=dict(attributes), zarr_format=3)
+    store: dict[str, Any] = {}
+    zarr.create_group(store, attributes={"topokit": dict(manifest)}, zarr_format=3)
     for f in fields:
-        _create(store, f, episodes)
-    files = {path: buffer.to_bytes() for path, buffer in memory.items()}
-    return {path: files[path] for path in sorted(files, key=lambda path: (path == "zarr.json", path))}
+        _create(store, f, manifest["episodes"])
+    return {path: buffer.to_bytes() for path, buffer in store.items()}
 
 
 def encode(fields: Iterable[Field], index: int, arrays: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, bytes]]:
     """Yield the objects of an episode: path in the group and content. What is all fill value has none."""
     for f in fields:
-        values = arrays[f.name]
-        if len(values.shape) != len(f.shape) or any(a > b for a, b in zip(values.shape, f.shape, strict=True)):
-            raise ValueError(f"{f.name} of episode {index} has shape {values.shape}; the store has room for {f.shape}")
-        store, memory = _memory()
-        array = _create(store, f, index + 1)
-        whole = np.full((1, *f.shape), f.fill, dtype=f.dtype)
-        corner: tuple[int | slice, ...] = (0, *(slice(n) for n in values.shape))
-        whole[corner] = values
-        array[index : index + 1] = whole
-        for path, buffer in memory.items():
+        store: dict[str, Any] = {}
+        _create(store, f, index + 1)[(index, *map(slice, arrays[f.name].shape))] = arrays[f.name]
+        for path, buffer in store.items():
             if not path.endswith("zarr.json"):
                 yield path, buffer.to_bytes()
 
 
-def _memory() -> tuple[Any, dict[str, Any]]:
-    from zarr.storage import MemoryStore
-
-    contents: dict[str, Any] = {}
-    return MemoryStore(contents), contents
-
-
-def _create(store: Any, f: Field, episodes: int) -> Any:
+def _create(store: dict[str, Any], f: Field, episodes: int) -> Any:
     import zarr
-    from zarr.codecs import BloscCodec, BloscShuffle, TransposeCodec
+    from zarr.codecs import BloscCodec, TransposeCodec
 
     # With time innermost, neighbours in memory differ by what a vertex moves in a frame: half the bytes of mesh order.
-    turned = [TransposeCodec(order=(0, *range(2, len(f.shape) + 1), 1))] if f.by_frame and len(f.shape) > 1 else None
-    inner = (min(FRAMES_A_CHUNK, f.shape[0]), *f.shape[1:]) if f.by_frame else f.shape
+    time_last = TransposeCodec(order=(0, *range(2, len(f.shape) + 1), 1))
     split = f.name in ("points", "observed")  # the others are a few kB: chunks would only add to them
     return zarr.create_array(
         store,
         name=f.name,
         shape=(episodes, *f.shape),
         dtype=f.dtype,
-        chunks=(1, *(inner if split else f.shape)),
+        chunks=(1, HISTORY, *f.shape[1:]) if split else (1, *f.shape),
         shards=(1, *f.shape) if split else None,
-        filters=turned,
-        compressors=[
-            BloscCodec(typesize=np.dtype(f.dtype).itemsize, cname="zstd", clevel=5, shuffle=BloscShuffle.shuffle)
-        ],
+        filters=[time_last] if f.axes[0] == "frame" and len(f.shape) > 1 else None,
+        compressors=BloscCodec(typesize=np.dtype(f.dtype).itemsize, cname="zstd", clevel=5, shuffle="shuffle"),
         fill_value=f.fill,
         chunk_key_encoding={"name": "default", "separator": "."},  # a file an episode, not four folders
         dimension_names=("episode", *f.axes),
@@ -201,20 +180,20 @@ def room(config: DatasetConfig) -> dict[str, int]:
 
     Numbers of vertices do not vary within a garment, nor does the length of a path within a task.
     """
-    garments = {task: garment_of(config, task) for task in config.tasks}
-    targets = {task: TASKS[task].target for task in config.tasks}
-    frames = config.simulation.frames
+    garments = [config.garment(task) for task in config.tasks]
+    tasks = [TASKS[task] for task in config.tasks]
+    frames, loops = config.simulation.frames, [loop for garment in garments for loop in garment.loops]
     if frames is None:
-        ends = [TASKS[task].plan(garments[task], targets[task], generator(0, "path")).end for task in config.tasks]
-        frames = max(_FEWEST_FRAMES, math.ceil(max(ends) / config.simulation.frame_time))
-    vertices = max(len(garment.vertices) for garment in garments.values())
+        plans = [task.plan(own, task.target, generator(0, "path")) for task, own in zip(tasks, garments, strict=True)]
+        frames = max(FEWEST_FRAMES, math.ceil(max(plan.end for plan in plans) / config.simulation.frame_time))
+    vertices = max(len(garment.vertices) for garment in garments)
     return {
-        "frames": -(-frames // FRAMES_A_CHUNK) * FRAMES_A_CHUNK,
+        "frames": -(-frames // HISTORY) * HISTORY,
         "vertices": vertices,
         "observed": min(config.n_observed, vertices),
         "seen": config.n_observed if config.cameras else 0,
-        "faces": max(len(garment.faces) for garment in garments.values()),
-        "loops": max([1, *(len(garment.loops) for garment in garments.values())]),
-        "loop": max([1, *(len(loop) for garment in garments.values() for loop in garment.loops)]),
-        "line": max(len(target.centre_line) for target in targets.values()),
+        "faces": max(len(garment.faces) for garment in garments),
+        "loops": max([1, *(len(garment.loops) for garment in garments)]),
+        "loop": max([1, *map(len, loops)]),
+        "line": max(len(task.target.centre_line) for task in tasks),
     }

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["spoil"]
-
 _MARGIN = 0.1  # metres around a cloud's box in which outliers lie
 
 
@@ -29,7 +27,8 @@ def spoil(
     outliers : float or such an array
         Share of the points that are anywhere in the cloud's box, which is grown by 10 cm on each side.
     keep : float or such an array
-        Share of the points that are kept. They come first, at least one; repeats of them, in their order, stand for the others.
+        Share of the points that are kept, at least one. They come first, in the order in which they were; repeats of them, in
+        their order, stand for the others.
 
     Returns
     -------
@@ -41,7 +40,8 @@ def spoil(
     )
     places = np.broadcast_to(np.arange(clouds.shape[-2]), clouds.shape[:-1])
     left = np.maximum(np.round(keep * clouds.shape[-2]), 1).astype(np.int64)
-    kept = np.take_along_axis(rng.permuted(places, axis=-1), places % left, axis=-1)
+    order = np.argsort(rng.permuted(places, axis=-1) >= left, axis=-1, kind="stable")  # kept ones first, as they were
+    kept = np.take_along_axis(order, places % left, axis=-1)
     spoilt = np.take_along_axis(clouds, kept[..., None], axis=-2) + noise[..., None] * rng.standard_normal(clouds.shape)
     low, high = clouds.min(axis=-2, keepdims=True) - _MARGIN, clouds.max(axis=-2, keepdims=True) + _MARGIN
     wild = rng.permuted(places, axis=-1) < np.round(outliers * clouds.shape[-2])

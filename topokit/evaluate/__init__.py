@@ -1,56 +1,64 @@
 """How good tracked and forecast loops are, against the true ones.
 
-Forecasts need `pip install topokit[learn]`; nothing here imports torch before it is used.
+Scores of trackers need the core alone. Forecasts need `pip install topokit[learn,data]`, and a report `topokit[view]`;
+nothing here imports them before they are used.
 """
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .localisation import TrackSummary, distance_to_hull, summarise_tracks
-from .tracking import TrackingScore, compare, score, true_loops
+from topokit._lazy import attach
+
+from ._baselines import by_diagram, by_midpoint, track_vines
+from ._localisation import TrackSummary, distance_to_hull, summarise_tracks
+from ._scores import Event, Overlap, TrackingScore, events, score
+from ._tracking import TrueLoops, by_killer, by_place, compare, true_loops
 
 if TYPE_CHECKING:
-    from .config import EvaluationConfig, load_evaluation
-    from .forecasts import evaluate_forecasts, read_results
-    from .intervals import Bootstrap, Estimate
-    from .report import write_report
-
-_WHERE = {
-    "Bootstrap": "intervals",
-    "Estimate": "intervals",
-    "EvaluationConfig": "config",
-    "evaluate_forecasts": "forecasts",
-    "load_evaluation": "config",
-    "read_results": "forecasts",
-    "write_report": "report",
-}
+    from ._bootstrap import Bootstrap, Estimate
+    from ._config import Clouds, Condition, EvaluationConfig, load_evaluation
+    from ._forecasts import evaluate_forecasts
+    from ._report import write_report
+    from ._results import library_digest, read_results
 
 __all__ = [
     "Bootstrap",
+    "Clouds",
+    "Condition",
     "Estimate",
     "EvaluationConfig",
+    "Event",
+    "Overlap",
     "TrackSummary",
     "TrackingScore",
+    "TrueLoops",
+    "by_diagram",
+    "by_killer",
+    "by_midpoint",
+    "by_place",
     "compare",
     "distance_to_hull",
     "evaluate_forecasts",
+    "events",
+    "library_digest",
     "load_evaluation",
     "read_results",
     "score",
     "summarise_tracks",
+    "track_vines",
     "true_loops",
     "write_report",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _WHERE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    try:
-        return getattr(import_module(f".{_WHERE[name]}", __name__), name)
-    except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] in ("torch", "safetensors", "tqdm", "zarr", "dask"):
-            raise ImportError(f"topokit.evaluate needs {error.name}: pip install 'topokit[learn,data]'") from error
-        raise
+__getattr__ = attach(
+    __name__,
+    {
+        "_bootstrap": "Bootstrap Estimate",
+        "_config": "Clouds Condition EvaluationConfig load_evaluation",
+        "_forecasts": "evaluate_forecasts",
+        "_report": "write_report",
+        "_results": "library_digest read_results",
+    },
+    extra="learn,data",
+)

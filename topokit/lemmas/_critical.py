@@ -11,8 +11,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["first_critical", "is_critical"]
-
 _ROUNDING = 1e-12  # relative; rounding may only make more edges critical
 
 
@@ -20,9 +18,7 @@ _ROUNDING = 1e-12  # relative; rounding may only make more edges critical
 def is_critical(distances: NDArray[np.float64], x: int, y: int, alpha: float, epsilon: float) -> bool:
     """Whether the edge {x, y} is (alpha, epsilon)-critical; `beta_critical` says what that means."""
     length = distances[x, y]
-    inner = (length - alpha - 4 * epsilon) * (
-        1 - _ROUNDING
-    )  # of the points that carry paths, and of a path's end steps
+    inner = (length - alpha - 4 * epsilon) * (1 - _ROUNDING)  # of points that carry paths, and of a path's end steps
     step = (length - 2 * alpha - 4 * epsilon) * (1 - _ROUNDING)
     outer = (length + 4 * epsilon) * (1 + _ROUNDING)
     apart = (length - 4 * epsilon) * (1 - _ROUNDING)
@@ -45,14 +41,8 @@ def is_critical(distances: NDArray[np.float64], x: int, y: int, alpha: float, ep
                 reached[i, component[j]] = True
     for i in range(n_lens):
         for j in range(i):
-            if distances[lens[i], lens[j]] >= apart:
-                joined = False
-                for k in range(n_components):
-                    if reached[i, k] and reached[j, k]:
-                        joined = True
-                        break
-                if not joined:
-                    return True
+            if distances[lens[i], lens[j]] >= apart and not (reached[i] & reached[j]).any():
+                return True
     return False
 
 
@@ -63,26 +53,18 @@ def _components(
     """Number of each vertex's component under steps shorter than `step`, and how many components there are."""
     m = len(vertices)
     component, waiting = np.full(m, -1, np.int64), np.empty(m, np.int64)
-    left = np.arange(m)  # not reached yet, the first n_left of them
-    n_left, n_components = m, 0
-    while n_left > 0:
-        n_left -= 1
-        waiting[0], top = left[n_left], 1
-        component[left[n_left]] = n_components
+    n_components = 0
+    for start in range(m):
+        if component[start] >= 0:
+            continue
+        component[start], waiting[0], top = n_components, start, 1
         while top > 0:
             top -= 1
-            v = vertices[waiting[top]]
-            k = 0
-            while k < n_left:
-                w = left[k]
-                if distances[v, vertices[w]] < step:
-                    component[w] = n_components
-                    waiting[top] = w
+            near = distances[vertices[waiting[top]]]
+            for w in range(m):
+                if component[w] < 0 and near[vertices[w]] < step:
+                    component[w], waiting[top] = n_components, w
                     top += 1
-                    n_left -= 1
-                    left[k] = left[n_left]
-                else:
-                    k += 1
         n_components += 1
     return component, n_components
 

@@ -10,12 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..rips import Diagram
 from ._matching import Matching, longest_unmatched, match_diagrams
-from ._verdict import Check, Verdict, Witness
-from ._view import Motion, View, as_motion, as_view, vertex_ids
+from ._step import Step, observed_state, observed_step
+from ._verdict import Check, Verdict, compared
 
-__all__ = ["feature_approximation", "gates", "observability", "temporal_persistence"]
-
-_Named = tuple[str, Diagram, NDArray[np.int64] | None]  # where, its diagram, its vertices in the state (None: all)
+Array = NDArray[np.float64]
 
 
 def feature_approximation(state: ArrayLike, observed: ArrayLike) -> Check:
@@ -34,19 +32,8 @@ def feature_approximation(state: ArrayLike, observed: ArrayLike) -> Check:
 
     Parameters
     ----------
-    state : (n, d) array_like
-        S_t.
-    observed : (m,) array_like of int, or (m, d) array_like
-        O_t: vertex ids, or coordinates of vertices.
-
-    Returns
-    -------
-    Check
-
-    Raises
-    ------
-    TypeError, ValueError
-        When `state` is no point cloud or `observed` is not among its points.
+    state, observed : array_like
+        S_t, (n, d), and O_t: (m,) ids of its points or their (m, d) coordinates.
 
     Examples
     --------
@@ -56,57 +43,59 @@ def feature_approximation(state: ArrayLike, observed: ArrayLike) -> Check:
     >>> check.paper.holds, check.corrected.holds
     (False, True)
     """
-    return check_feature_approximation(as_view(state, observed))
+    return check_feature_approximation(observed_state(state, observed))
 
 
-def check_feature_approximation(view: View) -> Check:
-    s, o, alpha, tolerance = view.state.diagram, view.diagram, view.alpha, view.state.tolerance
-    return Check(
-        "feature approximation",
-        paper=_some_loop_of_o(s, o, alpha, tolerance),
-        corrected=_rank_inequality(s, o, alpha, tolerance),
-        alpha=alpha,
-    )
+def check_feature_approximation(step: Step) -> Check:
+    versions = {"paper": _some_loop_of_o(step), "corrected": _rank_inequality(step, step.alpha)}
+    return Check("feature approximation", versions, step.alpha)
 
 
-def _some_loop_of_o(s: Diagram, o: Diagram, alpha: float, tolerance: float) -> Verdict:
+def _some_loop_of_o(step: Step) -> Verdict:
     """Where S has a loop at r, O has one at r + alpha: checked at the values of r where that may begin to be false."""
+    s, o, alpha, tolerance = step.diagram("S_t"), step.diagram("O_t"), step.alpha, step.tolerance
     if len(s) == 0:
         return Verdict(0.0, 0.0, True)
-    at = np.concatenate([s.birth, o.death - alpha])
-    alive = (s.birth[:, None] <= at) & (s.death[:, None] > at + tolerance)
-    in_o = ((o.birth[:, None] <= at + alpha + tolerance) & (o.death[:, None] > at + alpha + tolerance)).sum(axis=0)
-    at_least = np.where(alive.any(axis=0), in_o, len(s) + len(o))
-    worst = int(np.argmin(at_least))
-    loop = int(np.argmax(alive[:, worst]))
-    what = f"at r = {at[worst]:.6g} S has a loop, O at r + alpha has {at_least[worst]}"
-    return Verdict(1.0, float(at_least[worst]), bool(at_least[worst] >= 1), True, len(s), _bar(s, "S_t", loop, what))
+    radii = np.concatenate([s.birth, o.death - alpha])
+    alive = (s.birth[:, None] <= radii) & (s.death[:, None] > radii + tolerance)
+    shifted = radii + alpha + tolerance
+    in_o = ((o.birth[:, None] <= shifted) & (o.death[:, None] > shifted)).sum(axis=0)
+    loops_of_o = np.where(alive.any(axis=0), in_o, len(s) + len(o))
+    worst = int(np.argmin(loops_of_o))
+    what = f"at r = {radii[worst]:.6g} S has a loop, O at r + alpha has {loops_of_o[worst]}"
+    witness = step.witness("S_t", int(np.argmax(alive[:, worst])), what)
+    return compared(1.0, float(loops_of_o[worst]), 0.0, len(s), witness)
 
 
-def _rank_inequality(s: Diagram, o: Diagram, alpha: float, tolerance: float) -> Verdict:
+def _rank_inequality(step: Step, alpha: float) -> Verdict:
     """The least c with: at most as many bars of S contain [r, r + c] as bars of O are alive at r + c, for all r.
 
     At the value v = r + c, where O has m loops, c must be at least the age of the (m + 1)-th oldest loop of S. Between two
     values where something is born or dies only the ages change: they are largest at the end.
     """
+    s, o, tolerance = step.diagram("S_t"), step.diagram("O_t"), step.tolerance
     if len(s) == 0:
         return Verdict(0.0, alpha, True)
     events = np.unique(np.concatenate([s.birth, s.death, o.birth, o.death]))
-    start, end = events[:-1], events[1:]
-    long = end - start > tolerance  # equal up to rounding is equal
-    start, end = start[long], end[long]
-    born = np.sort(np.where((s.birth[:, None] <= start) & (s.death[:, None] >= end), s.birth[:, None], np.inf), axis=0)
-    in_o = ((o.birth[:, None] <= start) & (o.death[:, None] >= end)).sum(axis=0)
-    padded = np.vstack([born, np.full(len(start), np.inf)])
-    age = end - padded[np.minimum(in_o, len(s)), np.arange(len(start))]
+    long = np.diff(events) > tolerance  # equal up to rounding is equal
+    start, end = events[:-1][long], events[1:][long]
+    in_o = _alive(o, start, end).sum(axis=0)
+    born = np.sort(np.where(_alive(s, start, end), s.birth[:, None], np.inf), axis=0)
+    born = np.vstack([born, np.full(len(start), np.inf)])
+    age = end - born[np.minimum(in_o, len(s)), np.arange(len(start))]
     if not len(age) or age.max() <= 0:
         return Verdict(0.0, alpha, True, True, len(s))
     worst = int(np.argmax(age))
     statistic = float(age[worst])
     loop = int(np.argmin(np.abs(s.birth - (end[worst] - statistic)) + 1e9 * (s.death < end[worst])))
     what = f"just before {end[worst]:.6g} O has {in_o[worst]} loops, S has more that are older than alpha"
-    holds = statistic <= alpha + tolerance
-    return Verdict(statistic, alpha, holds, True, len(s), _bar(s, "S_t", loop, what))
+    return compared(statistic, alpha, tolerance, len(s), step.witness("S_t", loop, what))
+
+
+def _alive(diagram: Diagram, start: Array, end: Array) -> NDArray[np.bool_]:
+    """(n, k) which bars contain which of k intervals."""
+    alive: NDArray[np.bool_] = (diagram.birth[:, None] <= start) & (diagram.death[:, None] >= end)
+    return alive
 
 
 def observability(state: ArrayLike, observed: ArrayLike) -> Check:
@@ -122,19 +111,8 @@ def observability(state: ArrayLike, observed: ArrayLike) -> Check:
 
     Parameters
     ----------
-    state : (n, d) array_like
-        S_t.
-    observed : (m,) array_like of int, or (m, d) array_like
-        O_t: vertex ids, or coordinates of vertices.
-
-    Returns
-    -------
-    Check
-
-    Raises
-    ------
-    TypeError, ValueError
-        When `state` is no point cloud or `observed` is not among its points.
+    state, observed : array_like
+        S_t, (n, d), and O_t: (m,) ids of its points or their (m, d) coordinates.
 
     Examples
     --------
@@ -143,31 +121,16 @@ def observability(state: ArrayLike, observed: ArrayLike) -> Check:
     >>> check.corrected.holds, round(check.corrected.statistic / check.alpha, 2)
     (True, 0.5)
     """
-    return check_observability(as_view(state, observed))
+    return check_observability(observed_state(state, observed))
 
 
-def check_observability(view: View) -> Check:
-    s, o, alpha, tolerance = view.state.diagram, view.diagram, view.alpha, view.state.tolerance
-    alone, loop = longest_unmatched(s, o, alpha + tolerance, one_sided=True, tolerance=tolerance)
-    witness = _bar(s, "S_t", loop, "no counterpart within [0, alpha]") if loop >= 0 else None
-    long = int((s.lifetime > alpha + tolerance).sum())
-    match = view.matching
-    where, bar, i = ("S_t", s, match.worst[0]) if match.worst[0] >= 0 else ("O_t", o, match.worst[1])
-    ids = None if where == "S_t" else view.ids
-    worst = _bar(bar, where, i, f"costs {match.cost:.6g}", ids) if i >= 0 else None
-    return Check(
-        "observability",
-        paper=Verdict(alone, alpha, alone <= alpha + tolerance, True, long, witness),
-        corrected=Verdict(
-            match.cost,
-            alpha,
-            match.cost <= alpha + tolerance,
-            True,
-            long + int((o.lifetime > alpha + tolerance).sum()),
-            worst,
-        ),
-        alpha=alpha,
-    )
+def check_observability(step: Step) -> Check:
+    alpha = step.alpha
+    versions = {
+        "paper": _unmatched(step, "O_t", alpha, "no counterpart within [0, alpha]"),
+        "corrected": _bottleneck(step, "S_t", "O_t", step.before.matching, alpha, alpha + step.tolerance),
+    }
+    return Check("observability", versions, alpha)
 
 
 def temporal_persistence(before: ArrayLike, after: ArrayLike) -> Check:
@@ -183,17 +146,8 @@ def temporal_persistence(before: ArrayLike, after: ArrayLike) -> Check:
 
     Parameters
     ----------
-    before, after : (n, d) array_like
-        S_t and S_t+1: row i of both is the same point.
-
-    Returns
-    -------
-    Check
-
-    Raises
-    ------
-    TypeError, ValueError
-        When they are no point clouds or differ in shape.
+    before, after : array_like
+        S_t and S_t+1, both (n, d): row i of both is the same point.
 
     Examples
     --------
@@ -202,22 +156,15 @@ def temporal_persistence(before: ArrayLike, after: ArrayLike) -> Check:
     >>> check.epsilon, check.distortion, check.corrected.statistic
     (3.0, 0.0, 0.0)
     """
-    return check_temporal_persistence(as_motion(before, after))
+    return check_temporal_persistence(observed_step(before, None, after, None))
 
 
-def check_temporal_persistence(motion: Motion) -> Check:
-    s, epsilon, tolerance = motion.before.diagram, motion.epsilon, motion.tolerance
-    alone, loop = longest_unmatched(s, motion.after.diagram, epsilon + tolerance)
-    witness = _bar(s, "S_t", loop, "no counterpart within epsilon") if loop >= 0 else None
-    diagrams = (("S_t", s, None), ("S_t+1", motion.after.diagram, None))
-    return Check(
-        "temporal persistence",
-        paper=Verdict(alone, epsilon, alone <= epsilon + tolerance, True, _longer(s, epsilon + tolerance), witness),
-        corrected=_bottleneck(motion.matching, diagrams, epsilon, tolerance),
-        intrinsic=_bottleneck(motion.matching, diagrams, motion.distortion, tolerance),
-        epsilon=epsilon,
-        distortion=motion.distortion,
-    )
+def check_temporal_persistence(step: Step) -> Check:
+    epsilon, delta = step.epsilon, step.distortion
+    versions = {"paper": _unmatched(step, "S_t+1", epsilon, "no counterpart within epsilon")}
+    for version, bound in (("corrected", epsilon), ("intrinsic", delta)):
+        versions[version] = _bottleneck(step, "S_t", "S_t+1", step.matching, bound, 2 * bound)
+    return Check("temporal persistence", versions, epsilon=epsilon, distortion=delta)
 
 
 def gates(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, observed_after: ArrayLike) -> Check:
@@ -231,19 +178,9 @@ def gates(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, obser
 
     Parameters
     ----------
-    before, after : (n, d) array_like
-        S_t and S_t+1: row i of both is the same point.
-    observed_before, observed_after : (m,) array_like of int, or (m, d) array_like
-        O_t and O_t+1: vertex ids, or coordinates of vertices. They need not be the same vertices.
-
-    Returns
-    -------
-    Check
-
-    Raises
-    ------
-    TypeError, ValueError
-        When they are no point clouds, differ in shape, or what is observed is not in the state.
+    before, observed_before, after, observed_after : array_like
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. They need not be the same
+        vertices.
 
     Examples
     --------
@@ -253,50 +190,28 @@ def gates(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, obser
     >>> check.paper.holds, check.corrected.holds
     (True, True)
     """
-    motion = as_motion(before, after)
-    seen = vertex_views(motion, observed_before, observed_after)
-    return check_gates(motion, *seen)
+    return check_gates(observed_step(before, observed_before, after, observed_after))
 
 
-def vertex_views(motion: Motion, observed_before: ArrayLike, observed_after: ArrayLike) -> tuple[View, View]:
-    """What is observed of both states of a motion."""
-    return (
-        View(motion.before, vertex_ids(motion.before.points, observed_before, "observed_before")),
-        View(motion.after, vertex_ids(motion.after.points, observed_after, "observed_after")),
-    )
+def check_gates(step: Step) -> Check:
+    alpha, epsilon, delta = step.alpha, step.epsilon, step.distortion
+    match = match_diagrams(step.diagram("O_t"), step.diagram("O_t+1"))
+    bounds = {"paper": 2 * alpha + epsilon, "corrected": alpha + epsilon, "intrinsic": alpha + delta}
+    versions = {name: _bottleneck(step, "O_t", "O_t+1", match, bound, 2 * bound) for name, bound in bounds.items()}
+    return Check("gates", versions, alpha, epsilon, delta)
 
 
-def check_gates(motion: Motion, seen: View, seen_after: View) -> Check:
-    match = match_diagrams(seen.diagram, seen_after.diagram)
-    alpha, tolerance = max(seen.alpha, seen_after.alpha), motion.tolerance
-    diagrams = (("O_t", seen.diagram, seen.ids), ("O_t+1", seen_after.diagram, seen_after.ids))
-    return Check(
-        "gates",
-        paper=_bottleneck(match, diagrams, 2 * alpha + motion.epsilon, tolerance),
-        corrected=_bottleneck(match, diagrams, alpha + motion.epsilon, tolerance),
-        intrinsic=_bottleneck(match, diagrams, alpha + motion.distortion, tolerance),
-        alpha=alpha,
-        epsilon=motion.epsilon,
-        distortion=motion.distortion,
-    )
+def _unmatched(step: Step, place: str, bound: float, what: str) -> Verdict:
+    """The longest loop of S_t that must go without a counterpart in a place whose values differ by at most the bound."""
+    s, tolerance = step.diagram("S_t"), step.tolerance
+    one_sided = place == "O_t"
+    alone, loop = longest_unmatched(s, step.diagram(place), bound + tolerance, one_sided=one_sided, tolerance=tolerance)
+    long = int((s.lifetime > bound + tolerance).sum())
+    return compared(alone, bound, tolerance, long, step.witness("S_t", loop, what))
 
 
-def _bottleneck(match: Matching, diagrams: tuple[_Named, _Named], bound: float, tolerance: float) -> Verdict:
-    """The bottleneck distance against a bound, which speaks about bars longer than twice the bound."""
-    side = 0 if match.worst[0] >= 0 else 1
-    where, diagram, ids = diagrams[side]
-    witness = None
-    if match.worst[side] >= 0:
-        witness = _bar(diagram, where, match.worst[side], f"costs {match.cost:.6g}", ids)
-    long = sum(_longer(d, 2 * bound) for _, d, _ in diagrams)
-    return Verdict(match.cost, bound, match.cost <= bound + tolerance, True, long, witness)
-
-
-def _longer(diagram: Diagram, lifetime: float) -> int:
-    return int((diagram.lifetime > lifetime).sum())
-
-
-def _bar(diagram: Diagram, of: str, loop: int, what: str, ids: NDArray[np.int64] | None = None) -> Witness:
-    """A loop as a witness; `ids` are the vertices of the state that the diagram's are."""
-    a, b = diagram.killer_edge[loop].tolist() if ids is None else ids[diagram.killer_edge[loop]].tolist()
-    return Witness(of, loop, float(diagram.birth[loop]), float(diagram.death[loop]), (a, b), what)
+def _bottleneck(step: Step, first: str, second: str, match: Matching, bound: float, shortest: float) -> Verdict:
+    """The cost of an optimal matching of two places against a bound, which speaks about bars longer than `shortest`."""
+    long = sum(int((step.diagram(place).lifetime > shortest).sum()) for place in (first, second))
+    place, loop = (first, match.worst[0]) if match.worst[0] >= 0 else (second, match.worst[1])
+    return compared(match.cost, bound, step.tolerance, long, step.witness(place, loop, f"costs {match.cost:.6g}"))

@@ -12,19 +12,16 @@ where several loops die at about the same time only the distance to the nearest 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import cdist
 
 from .._validate import positive
-from ._diagrams import vertex_views
-from ._measures import Beta
-from ._verdict import Check, LoopCheck, Verdict, Witness
-from ._view import Motion, State, View, as_motion, as_view
-
-__all__ = ["corollary", "recovering_killers", "regularity_of_killers"]
+from ._measures import Beta, State
+from ._step import Step, observed_state, observed_step
+from ._verdict import Check, LoopCheck, Verdict, compared
 
 MORE_THAN_TWICE = 2.001  # alpha must exceed 2 epsilon in Assumption 2; a larger alpha than measured is still one
 
@@ -41,19 +38,8 @@ def recovering_killers(state: ArrayLike, observed: ArrayLike) -> Check:
 
     Parameters
     ----------
-    state : (n, d) array_like
-        S_t.
-    observed : (m,) array_like of int, or (m, d) array_like
-        O_t: vertex ids, or coordinates of vertices.
-
-    Returns
-    -------
-    Check
-
-    Raises
-    ------
-    TypeError, ValueError
-        When `state` is no point cloud or `observed` is not among its points.
+    state, observed : array_like
+        S_t, (n, d), and O_t: (m,) ids of its points or their (m, d) coordinates.
 
     Examples
     --------
@@ -62,24 +48,16 @@ def recovering_killers(state: ArrayLike, observed: ArrayLike) -> Check:
     >>> check.corrected.holds
     True
     """
-    return check_recovering_killers(as_view(state, observed))
+    return check_recovering_killers(observed_state(state, observed))
 
 
-def check_recovering_killers(view: View) -> Check:
-    s, alpha = view.state, view.alpha
-    everywhere, critical = s.beta_all(alpha, alpha, alpha), s.beta_critical(alpha, alpha, 0.0)
-    rows = []
-    for f in range(len(everywhere.value)):
-        partner = int(view.matching.partner[f])
-        seen = s.points[view.killer(partner)] if partner >= 0 else None
-        legs = (away(s.points[s.diagram.killer_edge[f]], seen),)
-        bounds = {"paper": float(everywhere.value[f]), "corrected": float(critical.value[f])}
-        rows.append(LoopCheck(f, float(s.diagram.lifetime[f]), sum(legs), legs, bounds))
-    verdict = _verdicts(rows, s, s.tolerance)
-    separated = _is_separated(s, alpha, 2 * alpha + everywhere.max)
-    return Check(
-        "recovering killers", verdict("paper", separated), verdict("corrected"), alpha=alpha, loops=tuple(rows)
-    )
+def check_recovering_killers(step: Step) -> Check:
+    s, alpha = step.before, step.alpha
+    everywhere = s.beta_all(alpha, alpha, alpha)
+    betas = {"paper": everywhere, "corrected": s.beta_critical(alpha, alpha, 0.0)}
+    rows = _loop_checks(step, ("S_t", "O_t"), [_bounds(f, betas) for f in range(len(everywhere.value))])
+    separated = s.separation(alpha) > 2 * alpha + everywhere.max
+    return Check("recovering killers", _verdicts(step, rows, betas, separated), alpha, loops=tuple(rows))
 
 
 def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.0) -> Check:
@@ -94,20 +72,11 @@ def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.
 
     Parameters
     ----------
-    before, after : (n, d) array_like
-        S_t and S_t+1: row i of both is the same point.
+    before, after : array_like
+        S_t and S_t+1, both (n, d): row i of both is the same point.
     alpha : float
         Of the observations, for the paper's Assumption 3; 2.001 epsilon when smaller, since Assumption 2 wants it above
         2 epsilon.
-
-    Returns
-    -------
-    Check
-
-    Raises
-    ------
-    TypeError, ValueError
-        When they are no point clouds, differ in shape, or `alpha` is negative.
 
     Examples
     --------
@@ -116,33 +85,22 @@ def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.
     >>> check.corrected.holds, round(check.corrected.statistic, 4)
     (True, 0.01)
     """
-    return check_regularity(as_motion(before, after), positive(alpha, "alpha"))
+    return check_regularity(observed_step(before, None, after, None), positive(alpha, "alpha"))
 
 
-def check_regularity(motion: Motion, alpha: float) -> Check:
-    s, after, epsilon = motion.before, motion.after, motion.epsilon
+def check_regularity(step: Step, alpha: float) -> Check:
+    s, epsilon, delta = step.before, step.epsilon, step.distortion
     alpha = max(alpha, MORE_THAN_TWICE * epsilon)
-    everywhere = s.beta_all(alpha, alpha, alpha)
-    critical = s.beta_critical(2 * epsilon, 0.0, epsilon)
-    intrinsic = s.beta_critical(2 * motion.distortion, 0.0, motion.distortion)
-    rows = []
-    for f in range(max(len(beta.value) for beta in (everywhere, critical, intrinsic))):
-        partner = int(motion.matching.partner[f])
-        later = after.points[after.diagram.killer_edge[partner]] if partner >= 0 else None
-        legs = (away(s.points[s.diagram.killer_edge[f]], later),)
-        bounds = _bounds(f, {"paper": everywhere, "corrected": critical, "intrinsic": intrinsic}, 1, epsilon)
-        rows.append(LoopCheck(f, float(s.diagram.lifetime[f]), sum(legs), legs, bounds))
-    verdict = _verdicts(rows, s, motion.tolerance)
-    return Check(
-        "regularity of killers",
-        verdict("paper", _is_separated(s, alpha, 2 * alpha + everywhere.max + epsilon)),
-        verdict("corrected"),
-        verdict("intrinsic"),
-        alpha,
-        epsilon,
-        motion.distortion,
-        tuple(rows),
-    )
+    betas = {
+        "paper": s.beta_all(alpha, alpha, alpha),
+        "corrected": s.beta_critical(2 * epsilon, 0.0, epsilon),
+        "intrinsic": s.beta_critical(2 * delta, 0.0, delta),
+    }
+    n_loops = max(len(beta.value) for beta in betas.values())
+    rows = _loop_checks(step, ("S_t", "S_t+1"), [_bounds(f, betas, plus=epsilon) for f in range(n_loops)])
+    separated = s.separation(alpha) > 2 * alpha + betas["paper"].max + epsilon
+    verdicts = _verdicts(step, rows, betas, separated)
+    return Check("regularity of killers", verdicts, alpha, epsilon, delta, tuple(rows))
 
 
 def corollary(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, observed_after: ArrayLike) -> Check:
@@ -158,20 +116,14 @@ def corollary(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, o
 
     Parameters
     ----------
-    before, after : (n, d) array_like
-        S_t and S_t+1: row i of both is the same point.
-    observed_before, observed_after : (m,) array_like of int, or (m, d) array_like
-        O_t and O_t+1: vertex ids, or coordinates of vertices. They need not be the same vertices.
+    before, observed_before, after, observed_after : array_like
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. They need not be the same
+        vertices.
 
     Returns
     -------
     Check
         A loop's three legs are from O_t to S_t, from there to S_t+1, and on to O_t+1.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When they are no point clouds, differ in shape, or what is observed is not in the state.
 
     Examples
     --------
@@ -181,112 +133,141 @@ def corollary(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, o
     >>> check.corrected.holds
     True
     """
-    motion = as_motion(before, after)
-    return check_corollary(motion, *vertex_views(motion, observed_before, observed_after))
+    return check_corollary(observed_step(before, observed_before, after, observed_after))
 
 
-def check_corollary(motion: Motion, seen: View, seen_after: View) -> Check:
-    s, epsilon, delta = motion.before, motion.epsilon, motion.distortion
-    alpha = max(seen.alpha, seen_after.alpha)
+def check_corollary(step: Step) -> Check:
+    s, alpha, epsilon, delta = step.before, step.alpha, step.epsilon, step.distortion
     larger = max(alpha, MORE_THAN_TWICE * epsilon)
-    everywhere = s.beta_all(larger, larger, larger)
-    beta = max(everywhere.max, motion.after.beta_all(larger, larger, larger).max)
-    wide = s.beta_all(alpha + 2 * epsilon, 2 * epsilon, alpha + 2 * epsilon)
-    critical = s.beta_critical(alpha + 2 * epsilon, alpha, epsilon)
-    intrinsic = s.beta_critical(alpha + 2 * delta, alpha, delta)
-    rows = []
-    for f in range(int((s.diagram.lifetime > alpha).sum())):
-        bounds = _bounds(
-            f, {"corrected": critical, "intrinsic": intrinsic, "2 beta + epsilon, all edges": wide}, 2, epsilon
-        )
-        image = int(motion.matching.partner[f])
-        if f < len(everywhere.value) and image >= 0 and motion.after.diagram.lifetime[image] > larger:
-            bounds["paper"] = 2 * larger + beta + epsilon
-            bounds["3 beta + epsilon, all edges"] = 3 * beta + epsilon
-        legs = _chain(motion, seen, seen_after, f)
-        if np.isinf(legs[-1]) and "corrected" not in bounds and "intrinsic" not in bounds:
-            continue  # it is not seen at t + 1, and is too short-lived to have to be
-        rows.append(LoopCheck(f, float(s.diagram.lifetime[f]), _total(motion, seen, seen_after, f), legs, bounds))
-    verdict = _verdicts(rows, s, motion.tolerance)
-    separated = _is_separated(s, larger, 2 * larger + beta + epsilon)
-    return Check(
-        "corollary",
-        verdict("paper", separated),
-        verdict("corrected"),
-        verdict("intrinsic"),
-        alpha,
-        epsilon,
-        delta,
-        tuple(rows),
-        {name: verdict(name) for name in ("3 beta + epsilon, all edges", "2 beta + epsilon, all edges")},
-    )
+    beta = max(state.beta_all(larger, larger, larger).max for state in (s, step.after))
+    betas = {
+        "corrected": s.beta_critical(alpha + 2 * epsilon, alpha, epsilon),
+        "intrinsic": s.beta_critical(alpha + 2 * delta, alpha, delta),
+        "2 beta + epsilon, all edges": s.beta_all(alpha + 2 * epsilon, 2 * epsilon, alpha + 2 * epsilon),
+    }
+    of_the_paper = {"paper": 2 * larger + beta + epsilon, "3 beta + epsilon, all edges": 3 * beta + epsilon}
+    lifetimes, images = s.diagram.lifetime, np.append(step.after.diagram.lifetime, 0.0)[step.matching.partner]
+    bounds = [_bounds(f, betas, times=2, plus=epsilon) for f in range(int((lifetimes > alpha).sum()))]
+    for f in np.flatnonzero(np.minimum(lifetimes, images) > larger):
+        bounds[f] |= of_the_paper
+    rows = _loop_checks(step, ("O_t", "S_t", "S_t+1", "O_t+1"), bounds)
+    # A loop that is not seen at t + 1, and is too short-lived to have to be, says nothing.
+    rows = [row for row in rows if np.isfinite(row.legs[-1]) or {"corrected", "intrinsic"} & set(row.bounds)]
+    separated = s.separation(larger) > 2 * larger + beta + epsilon
+    names = ("paper", "corrected", "intrinsic", "3 beta + epsilon, all edges", "2 beta + epsilon, all edges")
+    return Check("corollary", _verdicts(step, rows, names, separated), alpha, epsilon, delta, tuple(rows))
 
 
-def observed_ids(
-    motion: Motion, seen: View, seen_after: View, f: int
-) -> tuple[NDArray[np.int64] | None, NDArray[np.int64] | None]:
-    """Vertex ids of the killer of loop f of S_t as it is seen at t, and at t + 1; None where it is not seen."""
-    now, image = int(seen.matching.partner[f]), int(motion.matching.partner[f])
-    later = int(seen_after.matching.partner[image]) if image >= 0 else -1
-    return seen.killer(now) if now >= 0 else None, seen_after.killer(later) if later >= 0 else None
+def _bounds(f: int, betas: dict[str, Beta], *, times: int = 1, plus: float = 0.0) -> dict[str, float]:
+    """times * beta + plus of every version that speaks about loop f."""
+    return {name: times * float(b.value[f]) + plus for name, b in betas.items() if f < len(b.value)}
 
 
-def observed_killers(
-    motion: Motion, seen: View, seen_after: View, f: int
-) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
-    """The same by coordinates."""
-    now, later = observed_ids(motion, seen, seen_after, f)
-    before, after = motion.before.points, motion.after.points
-    return None if now is None else before[now], None if later is None else after[later]
+def _loop_checks(step: Step, places: Sequence[str], bounds: Sequence[dict[str, float]]) -> list[LoopCheck]:
+    """How far the killers of the longest-lived loops of S_t lie apart from place to place, and in the first and the last."""
+    n = len(bounds)
+    legs = np.array([np.diagonal(step.apart(*pair, n)) for pair in pairwise(places)]).T.tolist()
+    ends = np.diagonal(step.apart(places[0], places[-1], n)).tolist()
+    lifetimes = step.before.diagram.lifetime.tolist()
+    return [LoopCheck(f, lifetimes[f], ends[f], tuple(legs[f]), bounds[f]) for f in range(n)]
 
 
-def _chain(motion: Motion, seen: View, seen_after: View, f: int) -> tuple[float, float, float]:
-    """How far killers lie apart from O_t to S_t, on to S_t+1, and on to O_t+1."""
-    now, later = observed_killers(motion, seen, seen_after, f)
-    image = int(motion.matching.partner[f])
-    mine = motion.before.points[motion.before.diagram.killer_edge[f]]
-    moved = motion.after.points[motion.after.diagram.killer_edge[image]] if image >= 0 else None
-    return away(now, mine), away(mine, moved), away(moved, later)
+def _verdicts(step: Step, rows: Sequence[LoopCheck], versions: Iterable[str], separated: bool) -> dict[str, Verdict]:
+    """Every version at the loop where it is tightest; that loops are separated is a hypothesis of the paper's alone."""
+    return {version: _verdict(step, rows, version, separated or version != "paper") for version in versions}
 
 
-def _total(motion: Motion, seen: View, seen_after: View, f: int) -> float:
-    return away(*observed_killers(motion, seen, seen_after, f))
+def _verdict(step: Step, rows: Sequence[LoopCheck], version: str, hypotheses: bool) -> Verdict:
+    spoken = [row for row in rows if version in row.bounds]
+    if not spoken:
+        return Verdict(0.0, 0.0, True, hypotheses)
+    worst = max(spoken, key=lambda row: row.statistic - row.bounds[version])
+    witness = step.witness("S_t", worst.loop, "killers this far apart")
+    return compared(worst.statistic, worst.bounds[version], step.tolerance, len(spoken), witness, hypotheses)
 
 
-def away(a: NDArray[np.float64] | None, b: NDArray[np.float64] | None) -> float:
-    """Hausdorff distance of two edges, inf when there is none."""
-    if a is None or b is None:
-        return float("inf")
-    d = cdist(a, b)
-    return float(max(d.min(axis=0).max(), d.min(axis=1).max()))
+def converse(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, observed_after: ArrayLike) -> Check:
+    """Check that observed killers which are close belong to the same loop: what tracking needs, the corollary's converse.
+
+    The paper concludes it from killers in S_t that are more than 2 alpha + beta + epsilon apart, which its Assumption 3 rules
+    out where loops die within alpha of each other. Even where they do not, each observed killer may be beta off.
+
+    Corrected: let every critical edge in the window of some loop with a lifetime above alpha + 2 epsilon lie within beta of the
+    *nearest* killer of such a loop, and let these killers be more than 4 beta + 2 epsilon apart. Then each observed killer has
+    its place, the killer in S_t within beta of it (beta + epsilon at t + 1), and two observed killers of t and t + 1 are within
+    2 beta + epsilon if and only if they have the same place. The statistic is that reach, the bound the least distance
+    between killers of different places. Proof: both are critical, as in the corollary; apply the triangle inequality through
+    their places. Intrinsic: the `distortion` in place of epsilon, but not where it says how far edges move.
+
+    Parameters
+    ----------
+    before, observed_before, after, observed_after : array_like
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. They need not be the same
+        vertices.
+
+    Returns
+    -------
+    Check
+        Empty where there are not two loops that live long enough.
+
+    Examples
+    --------
+    >>> angle = 2 * np.pi * np.arange(20) / 20
+    >>> circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    >>> both = np.vstack([circle, circle + [20, 0]])
+    >>> check = converse(both, np.arange(40), both, np.arange(40))
+    >>> check.paper.applies, check.corrected.applies, check.corrected.holds
+    (False, True, True)
+    """
+    return check_converse(observed_step(before, observed_before, after, observed_after))
 
 
-def _bounds(f: int, betas: dict[str, Beta], times: int, epsilon: float) -> dict[str, float]:
-    """times * beta + epsilon of every version that speaks about loop f."""
-    return {name: times * float(b.value[f]) + epsilon for name, b in betas.items() if f < len(b.value)}
+def check_converse(step: Step) -> Check:
+    alpha, epsilon, delta = step.alpha, step.epsilon, step.distortion
+    versions = {
+        "paper": _by_loop(step, max(alpha, MORE_THAN_TWICE * epsilon)),
+        "corrected": _by_nearest_killer(step, alpha, epsilon),
+        "intrinsic": _by_nearest_killer(step, alpha, delta),
+    }
+    return Check("converse", versions, alpha, epsilon, delta)
 
 
-def _is_separated(state: State, min_lifetime: float, distance: float) -> bool:
-    return state.separation(min_lifetime) > distance
+def _by_loop(step: Step, alpha: float) -> Verdict:
+    """The paper's: killers of different loops are farther apart than the corollary's bound."""
+    s = step.before
+    n_loops = int((s.diagram.lifetime > alpha).sum())
+    if n_loops < 2:
+        return Verdict(0.0, np.inf, True)
+    beta = max(state.beta_all(alpha, alpha, alpha).max for state in (s, step.after))
+    reach = 2 * alpha + beta + step.epsilon
+    distance = step.apart("O_t", "O_t+1", n_loops)
+    np.fill_diagonal(distance, np.inf)
+    least, loop = float(distance.min()), int(distance.min(axis=1).argmin())
+    witness = step.witness("S_t", loop, "the killer of another loop is as near")
+    return Verdict(reach, least, least > reach - step.tolerance, s.separation(alpha) > reach, n_loops, witness)
 
 
-def _verdicts(rows: list[LoopCheck], state: State, tolerance: float) -> Callable[..., Verdict]:
-    """A function that gives the verdict of a version: at the loop where it is tightest."""
+def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
+    """Observed killers with the same nearest killer in S_t are within reach, those with different ones are not."""
+    s, min_lifetime = step.before, alpha + 2 * change
+    n_loops = int((s.diagram.lifetime > min_lifetime).sum())
+    if n_loops < 2:
+        return Verdict(0.0, np.inf, True)
+    reach = 2 * s.beta_critical(min_lifetime, alpha, change, nearest=True).max + step.epsilon
+    edges = [step.killers(place, n_loops) for place in ("O_t", "O_t+1")]
+    if np.min(edges) < 0:  # against the theorem
+        return Verdict(reach, 0.0, False, True, n_loops, step.witness("S_t", 0, "a loop is not seen"))
+    same = np.equal.outer(*(_nearest_loops(s, of_a_time, n_loops) for of_a_time in edges))
+    distance = step.apart("O_t", "O_t+1", n_loops)
+    least, most = float(distance[~same].min(initial=np.inf)), float(distance[same].max(initial=0.0))
+    holds = least > reach - step.tolerance and most <= reach + step.tolerance
+    loop = int(np.where(same, np.inf, distance).min(axis=1).argmin())
+    what = f"killers of one place up to {most:.6g} apart, of different ones down to {least:.6g}"
+    separated = s.separation(min_lifetime) > 2 * reach
+    return Verdict(reach, least, holds, separated, n_loops, step.witness("S_t", loop, what))
 
-    def verdict(name: str, hypotheses: bool = True) -> Verdict:
-        mine = [row for row in rows if name in row.bounds]
-        if not mine:
-            return Verdict(0.0, 0.0, True, hypotheses)
-        worst = max(mine, key=lambda row: row.statistic - row.bounds[name])
-        bound = worst.bounds[name]
-        holds = worst.statistic <= bound + tolerance
-        return Verdict(
-            worst.statistic, bound, holds, hypotheses, len(mine), witness(state, worst.loop, "killers this far apart")
-        )
 
-    return verdict
-
-
-def witness(state: State, loop: int, what: str) -> Witness:
-    a, b = state.diagram.killer_edge[loop].tolist()
-    return Witness("S_t", loop, float(state.diagram.birth[loop]), float(state.diagram.death[loop]), (a, b), what)
+def _nearest_loops(s: State, edges: NDArray[np.int64], n_loops: int) -> NDArray[np.int64]:
+    """For each edge of S_t the loop whose killer is nearest."""
+    killers = s.diagram.killer_edge[:n_loops]
+    return np.argmin([s.edge_distances(edges, killer) for killer in killers], axis=0)

@@ -10,6 +10,7 @@ Source: Edelsbrunner and Harer 2010, chapter VIII (bottleneck distance); Mendels
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +20,6 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from ..rips import Diagram
-
-__all__ = ["Matching", "longest_unmatched", "match_diagrams"]
 
 Array = NDArray[np.float64]
 
@@ -57,6 +56,7 @@ def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, 
     first, second : Diagram
         Of S and of O when `one_sided`.
     one_sided : bool
+        Whether `second` is of a subset.
     tolerance : float
         How far below zero rounding may push a shift that is zero.
 
@@ -80,16 +80,7 @@ def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, 
     """
     pair, alone, others_alone = _costs(first, second, one_sided, tolerance)
     limits = np.unique(np.concatenate([pair[np.isfinite(pair)], alone, others_alone, [0.0]]))
-    # No bar does better than its best pair or being alone: the bisection starts there, and mostly ends there.
-    least = max(_best(pair, alone), _best(pair.T, others_alone))
-    low, high = int(np.searchsorted(limits, least)), len(limits) - 1
-    middle = low
-    while low < high:
-        if _is_enough(pair, alone, others_alone, limits[middle]):
-            high = middle
-        else:
-            low = middle + 1
-        middle = (low + high) // 2
+    low = bisect_left(limits, True, key=lambda c: _is_enough(pair, alone, others_alone, c))
     cost = float(limits[low])
     partner = _cheapest(pair, alone, others_alone, cost)
     return Matching(partner, cost, _worst(pair, alone, others_alone, partner))
@@ -102,21 +93,11 @@ def longest_unmatched(
 
     Partners may be shifted by at most `shift`, with no shift below -tolerance when `one_sided`. (0.0, -1) when all can be
     matched. No matching does better: the sets of bars that can be matched together are those of a matroid.
-
-    Raises
-    ------
-    ValueError
-        When a bar does not die.
     """
     pair, _, _ = _costs(first, second, one_sided, tolerance)
-    low, high = 0, len(first)  # as many of the longest bars can be matched
-    while low < high:
-        middle = (low + high + 1) // 2
-        if _saturates(pair[:middle] <= shift):
-            low = middle
-        else:
-            high = middle - 1
-    return (0.0, -1) if low == len(first) else (float(first.lifetime[low]), low)
+    longest = range(1, len(first) + 1)
+    matched = bisect_left(longest, True, key=lambda count: not _saturates(pair[:count] <= shift))
+    return (0.0, -1) if matched == len(first) else (float(first.lifetime[matched]), matched)
 
 
 def _costs(first: Diagram, second: Diagram, one_sided: bool, tolerance: float) -> tuple[Array, Array, Array]:
@@ -133,11 +114,6 @@ def _costs(first: Diagram, second: Diagram, one_sided: bool, tolerance: float) -
     return pair, first.lifetime, second.lifetime
 
 
-def _best(pair: Array, alone: Array) -> float:
-    """The least that the worst-off row must pay, whatever the others do."""
-    return float(np.minimum(alone, pair.min(axis=1, initial=np.inf)).max(initial=0.0))
-
-
 def _is_enough(pair: Array, alone: Array, others_alone: Array, c: float) -> bool:
     allowed = pair <= c
     return _saturates(allowed[alone > c]) and _saturates(allowed.T[others_alone > c])
@@ -145,10 +121,8 @@ def _is_enough(pair: Array, alone: Array, others_alone: Array, c: float) -> bool
 
 def _saturates(allowed: NDArray[np.bool_]) -> bool:
     """Whether all rows can be matched."""
-    if len(allowed) == 0:
-        return True
-    if not allowed.any(axis=1).all():
-        return False
+    if len(allowed) == 0 or not allowed.any(axis=1).all():
+        return len(allowed) == 0
     return bool((maximum_bipartite_matching(csr_matrix(allowed), perm_type="column") >= 0).all())
 
 
@@ -161,24 +135,21 @@ def _cheapest(pair: Array, alone: Array, others_alone: Array, c: float) -> NDArr
     most = 1.0 + 2.0 * (float(alone.sum()) + float(others_alone.sum()))
     saved = (alone + most * (alone > c))[:, None] + (others_alone + most * (others_alone > c))[None, :]
     saved = np.maximum(np.where(pair <= c, saved - np.where(pair <= c, pair, 0.0), 0.0), 0.0)
-    rows, columns = np.flatnonzero(saved.any(axis=1)), np.flatnonzero(saved.any(axis=0))
-    saved = saved[np.ix_(rows, columns)]
     i, j = linear_sum_assignment(saved, maximize=True)
-    kept = saved[i, j] > 0
-    partner[rows[i[kept]]] = columns[j[kept]]
+    partner[i], worth = j, saved[i, j] > 0
+    partner[i[~worth]] = -1
     return partner
 
 
 def _worst(pair: Array, alone: Array, others_alone: Array, partner: NDArray[np.int64]) -> tuple[int, int]:
     """The most costly pair or bar left alone; (-1, -1) when both diagrams are empty."""
     matched = np.flatnonzero(partner >= 0)
-    here = alone.copy()
-    here[matched] = pair[matched, partner[matched]]
-    there = others_alone.copy()
-    there[partner[matched]] = 0.0
-    if max(here.max(initial=0.0), there.max(initial=0.0)) == 0.0:
+    costs, others = alone.copy(), others_alone.copy()
+    costs[matched], others[partner[matched]] = pair[matched, partner[matched]], 0.0
+    most, most_of_others = costs.max(initial=0.0), others.max(initial=0.0)
+    if most == most_of_others == 0.0:
         return (-1, -1)
-    if here.max(initial=0.0) >= there.max(initial=0.0):
-        i = int(np.argmax(here))
-        return (i, int(partner[i]))
-    return (-1, int(np.argmax(there)))
+    if most < most_of_others:
+        return (-1, int(np.argmax(others)))
+    i = int(np.argmax(costs))
+    return (i, int(partner[i]))

@@ -1,11 +1,13 @@
-"""What the lemmas assume, measured: how far points move, how far from a killer its rivals lie, how far apart loops are.
+"""A state with its observation, and what the lemmas assume of it: alpha, how far from a killer its rivals lie, how far apart
+loops are.
 
-Source: Antonova et al. 2021, Assumptions 2 and 3. Taught in chapters 4 and 5. (Assumption 1's alpha is `covering_radius`.)
+Source: Antonova et al. 2021, Assumptions 1 and 3. Taught in chapters 3 and 5.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,18 +15,9 @@ from scipy.spatial.distance import cdist
 
 from .._validate import as_points, positive
 from ..rips import Diagram, rips_persistence
+from ..sampling import covering_radius
 from ._critical import first_critical
-
-__all__ = [
-    "Beta",
-    "beta_all",
-    "beta_critical",
-    "distortion",
-    "edge_distances",
-    "farthest_edges",
-    "feature_separation",
-    "max_displacement",
-]
+from ._matching import Matching, match_diagrams
 
 Array = NDArray[np.float64]
 ROUNDING = 1e-12  # relative to the longest edge; windows are wider by it
@@ -52,64 +45,84 @@ class Beta:
         return float(self.value.max(initial=0.0))
 
 
-def max_displacement(before: ArrayLike, after: ArrayLike) -> float:
-    """Return the largest distance that a point moves: the paper's epsilon, in the unit of the points.
+@dataclass(frozen=True, eq=False)
+class State:
+    """All points of the scene at one time, S, and the vertices of it that are observed, O."""
 
-    Parameters
-    ----------
-    before, after : (n, d) array_like
-        Row i of both is the same point.
+    points: Array
+    ids: NDArray[np.int64]
+    known_diagram: Diagram | None = None
 
-    Raises
-    ------
-    TypeError, ValueError
-        When they are no point clouds or differ in shape.
+    @cached_property
+    def diagram(self) -> Diagram:
+        return rips_persistence(self.points) if self.known_diagram is None else self.known_diagram
 
-    Examples
-    --------
-    >>> max_displacement([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.5], [1.0, 0.0]])
-    0.5
-    """
-    a, b = same_points(before, after)
-    return float(np.linalg.norm(b - a, axis=1).max(initial=0.0))
+    @cached_property
+    def observed_diagram(self) -> Diagram:
+        return rips_persistence(self.points[self.ids])
 
+    @cached_property
+    def alpha(self) -> float:
+        return covering_radius(self.points, self.points[self.ids])
 
-def distortion(before: ArrayLike, after: ArrayLike) -> float:
-    """Return half the largest change of a distance between two points: what a motion does to the filtration.
+    @cached_property
+    def matching(self) -> Matching:
+        """Of the loops of S to those of O, one-sided."""
+        return match_diagrams(self.diagram, self.observed_diagram, one_sided=True, tolerance=self.tolerance)
 
-    Never above `max_displacement`, and zero for a rigid motion, however fast. Wherever a statement needs epsilon for a change
-    of filtration values this number does instead; only where it says how far an edge moves must epsilon stay.
+    @cached_property
+    def tolerance(self) -> float:
+        """What rounding may do to a comparison: 1e-9 of the size of the cloud."""
+        return 1e-9 * float(np.ptp(self.points, axis=0).max(initial=0.0))
 
-    Parameters
-    ----------
-    before, after : (n, d) array_like
-        Row i of both is the same point.
+    @cached_property
+    def distances(self) -> Array:
+        return np.asarray(cdist(self.points, self.points))
 
-    Raises
-    ------
-    TypeError, ValueError
-        When they are no point clouds or differ in shape.
+    def separation(self, min_lifetime: float) -> float:
+        """As `feature_separation`."""
+        killers = self.diagram.killer_edge[self.diagram.lifetime > min_lifetime]
+        pairs = (self.edge_distances(killers[:i], killers[i]).min() for i in range(1, len(killers)))
+        return float(min(pairs, default=np.inf))
 
-    Notes
-    -----
-    The correspondence between before and after has twice this distortion in the sense of Gromov and Hausdorff; that it bounds
-    the bottleneck distance of Rips diagrams is the theorem of Chazal, de Silva and Oudot 2014.
+    def edge_distances(self, edges: NDArray[np.int64], edge: NDArray[np.int64]) -> Array:
+        """(m,) Hausdorff distances from each of (m, 2) edges to one."""
+        d = self.distances[edges[:, :, None], edge]  # (m, 2, 2)
+        return np.asarray(np.maximum(d.min(axis=2).max(axis=1), d.min(axis=1).max(axis=1)))
 
-    Examples
-    --------
-    >>> distortion([[0.0], [1.0]], [[5.0], [6.5]])
-    0.25
-    """
-    a, b = same_points(before, after)
-    return float(np.abs(cdist(b, b) - cdist(a, a)).max(initial=0.0)) / 2
+    def beta_all(self, min_lifetime: float, below: float, above: float) -> Beta:
+        """Rivals among all edges of half length in [death - below, death + above]."""
+        return self._farthest_edges(min_lifetime, below, above, None, False)
 
+    def beta_critical(self, min_lifetime: float, alpha: float, epsilon: float, *, nearest: bool = False) -> Beta:
+        """Rivals among critical edges, as `beta_critical`."""
+        return self._farthest_edges(min_lifetime, 2 * epsilon, alpha + 2 * epsilon, (alpha, epsilon), nearest)
 
-def same_points(before: ArrayLike, after: ArrayLike) -> tuple[Array, Array]:
-    """Both clouds, or ValueError when row i of both cannot be the same point."""
-    a, b = as_points(before, "before"), as_points(after, "after")
-    if a.shape != b.shape:
-        raise ValueError(f"before has shape {a.shape}, after {b.shape}; row i of both must be the same point")
-    return a, b
+    def _farthest_edges(
+        self, min_lifetime: float, below: float, above: float, critical: tuple[float, float] | None, nearest: bool
+    ) -> Beta:
+        """The edges, or the critical ones, of half length in [death - below, death + above] farthest from the killers.
+
+        The distance is to the loop's own killer, or to the nearest killer of all loops that are measured.
+        """
+        n_loops = int((self.diagram.lifetime > min_lifetime).sum())
+        killers = self.diagram.killer_edge[:n_loops]
+        value, edge = np.zeros(n_loops), killers.copy()
+        if n_loops == 0:
+            return Beta(value, edge)
+        rounding = ROUNDING * float(self.distances.max())
+        pairs = np.column_stack(np.triu_indices(len(self.distances), 1))
+        half = self.distances[pairs[:, 0], pairs[:, 1]] / 2
+        for i, death in enumerate(self.diagram.death[:n_loops]):
+            rivals = pairs[(half >= death - below - rounding) & (half <= death + above + rounding)]
+            measured = killers if nearest else killers[i : i + 1]
+            away = np.min([self.edge_distances(rivals, killer) for killer in measured], axis=0)
+            order = np.argsort(-away, kind="stable")  # farthest first
+            place = 0 if critical is None else first_critical(self.distances, rivals[order], *critical)
+            # The killer is a rival of itself, but a lune may hold together by rounding alone.
+            if place >= 0 and len(rivals):
+                value[i], edge[i] = away[order[place]], rivals[order[place]]
+        return Beta(value, edge)
 
 
 def beta_all(
@@ -126,15 +139,11 @@ def beta_all(
     points : (n, d) array_like
         The dense state S_t.
     alpha : float
+        How far from the death, in the unit of the points.
     min_lifetime : float, optional
         `alpha` when not given, as in the paper.
     diagram : Diagram, optional
         Of `points`, when it is known.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When `points` is no point cloud or a number is negative.
 
     Examples
     --------
@@ -142,10 +151,9 @@ def beta_all(
     >>> beta_all(square, 0.1).value  # the other diagonal
     array([1.])
     """
-    array, alpha = as_points(points), positive(alpha, "alpha")
-    diagram = rips_persistence(array) if diagram is None else diagram
+    alpha = positive(alpha, "alpha")
     shortest = alpha if min_lifetime is None else positive(min_lifetime, "min_lifetime")
-    return farthest_edges(cdist(array, array), diagram, shortest, (alpha, alpha))
+    return _dense(points, diagram).beta_all(shortest, alpha, alpha)
 
 
 def beta_critical(
@@ -185,11 +193,6 @@ def beta_critical(
     Beta
         Never above what all edges in the same window give.
 
-    Raises
-    ------
-    TypeError, ValueError
-        When `points` is no point cloud or a number is negative.
-
     Notes
     -----
     The paper quantifies over all edges. This version is ours. Cost: rivals are tested from the farthest inwards, each with a
@@ -201,70 +204,20 @@ def beta_critical(
     >>> beta_critical(square, 0.1).value
     array([1.])
     """
-    array, alpha, epsilon = as_points(points), positive(alpha, "alpha"), positive(epsilon, "epsilon")
-    diagram = rips_persistence(array) if diagram is None else diagram
+    alpha, epsilon = positive(alpha, "alpha"), positive(epsilon, "epsilon")
     shortest = alpha + 2 * epsilon if min_lifetime is None else positive(min_lifetime, "min_lifetime")
-    window = (2 * epsilon, alpha + 2 * epsilon)
-    return farthest_edges(cdist(array, array), diagram, shortest, window, critical=(alpha, epsilon), nearest=nearest)
+    return _dense(points, diagram).beta_critical(shortest, alpha, epsilon, nearest=nearest)
 
 
-def farthest_edges(
-    distances: Array,
-    diagram: Diagram,
-    min_lifetime: float,
-    window: tuple[float, float],
-    *,
-    critical: tuple[float, float] | None = None,
-    nearest: bool = False,
-) -> Beta:
-    """The edges, or the critical ones, farthest from the killers, of half length in [death - window[0], death + window[1]].
-
-    The distance is to the loop's own killer, or to the nearest killer of all loops that are measured.
-    """
-    n_loops = int((diagram.lifetime > min_lifetime).sum())
-    rounding = ROUNDING * float(distances.max(initial=0.0))
-    first, second = np.triu_indices(len(distances), 1) if n_loops else (np.empty(0, np.int64),) * 2
-    half = distances[first, second] / 2
-    value, edge = np.zeros(n_loops), np.zeros((n_loops, 2), dtype=np.int64)
-    for i in range(n_loops):
-        death, killer = diagram.death[i], diagram.killer_edge[i]
-        near = np.flatnonzero((half >= death - window[0] - rounding) & (half <= death + window[1] + rounding))
-        rivals = np.column_stack([first[near], second[near]])
-        killers = diagram.killer_edge[:n_loops] if nearest else [killer]
-        away = np.min([edge_distances(distances, rivals, other) for other in killers], axis=0)
-        farthest_first = np.argsort(-away, kind="stable")
-        place = 0
-        if critical is not None:
-            place = first_critical(distances, rivals[farthest_first], *critical)
-        # The killer is a rival of itself, but a lune may hold together by rounding alone.
-        if place < 0 or len(rivals) == 0:
-            edge[i] = killer
-        else:
-            value[i], edge[i] = away[farthest_first[place]], rivals[farthest_first[place]]
-    return Beta(value, edge)
-
-
-def edge_distances(distances: Array, edges: NDArray[np.int64], edge: NDArray[np.int64]) -> Array:
-    """(m,) Hausdorff distances from each of (m, 2) edges to one, all edges of the cloud that `distances` (n, n) is of."""
-    d = distances[edges[:, :, None], edge]  # (m, 2, 2)
-    return np.asarray(np.maximum(d.min(axis=2).max(axis=1), d.min(axis=1).max(axis=1)))
-
-
-def feature_separation(points: ArrayLike, min_lifetime: float = 0.0, *, diagram: Diagram | None = None) -> float:
+def feature_separation(points: ArrayLike, min_lifetime: float = 0.0) -> float:
     """Return the least Hausdorff distance between the killer edges of two loops: inf when there are fewer than two.
 
     Parameters
     ----------
     points : (n, d) array_like
+        The dense state S_t.
     min_lifetime : float
         Only loops with a lifetime above it.
-    diagram : Diagram, optional
-        Of `points`, when it is known.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When `points` is no point cloud or `min_lifetime` is negative.
 
     Examples
     --------
@@ -272,14 +225,9 @@ def feature_separation(points: ArrayLike, min_lifetime: float = 0.0, *, diagram:
     >>> feature_separation(np.vstack([square, square + [5, 0]]), min_lifetime=0.1)
     5.0
     """
-    array, shortest = as_points(points), positive(min_lifetime, "min_lifetime")
-    diagram = rips_persistence(array) if diagram is None else diagram
-    killers = diagram.killer_edge[diagram.lifetime > shortest]
-    return min(
-        (
-            float(edge_distances(cdist(array, array[killer]), killers[:i], np.array([0, 1])).min())
-            for i, killer in enumerate(killers)
-            if i
-        ),
-        default=np.inf,
-    )
+    return _dense(points, None).separation(positive(min_lifetime, "min_lifetime"))
+
+
+def _dense(points: ArrayLike, diagram: Diagram | None) -> State:
+    array = as_points(points)
+    return State(array, np.arange(len(array)), diagram)

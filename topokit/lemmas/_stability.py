@@ -10,12 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._curves import curve_centroid
 from .._validate import as_points, positive
-from ..rips import rips_persistence
+from ..rips import Diagram, rips_persistence
 from ..sampling import hausdorff
 from ._matching import match_diagrams
-
-__all__ = ["Jump", "cycle_centroid", "killer_jumps"]
 
 Array = NDArray[np.float64]
 
@@ -65,11 +64,6 @@ def killer_jumps(before: ArrayLike, after: ArrayLike, min_lifetime: float = 0.0)
     list of Jump
         Longest lifetime first; loops that an optimal bottleneck matching leaves alone are not in it.
 
-    Raises
-    ------
-    TypeError, ValueError
-        When they are no point clouds.
-
     Examples
     --------
     A motion of 1e-9 and the other diagonal of the square is the killer; the triangle's barycentre jumps a third as far, the
@@ -80,30 +74,23 @@ def killer_jumps(before: ArrayLike, after: ArrayLike, min_lifetime: float = 0.0)
     >>> round(jump.edge, 3), round(jump.barycentre, 3), round(jump.cycle, 3)
     (1.414, 0.471, 0.0)
     """
-    a, b = as_points(before, "before"), as_points(after, "after")
-    first, second = rips_persistence(a), rips_persistence(b)
+    clouds = as_points(before, "before"), as_points(after, "after")
+    first, second = (rips_persistence(cloud) for cloud in clouds)
     partner = match_diagrams(first, second).partner
-    jumps = []
-    for i in np.flatnonzero((first.lifetime > positive(min_lifetime, "min_lifetime")) & (partner >= 0)).tolist():
-        j = int(partner[i])
-        thick, later = a[first.killer_triangles[i, 0]], b[second.killer_triangles[j, 0]]
-        jumps.append(
-            Jump(
-                loop=i,
-                image=j,
-                lifetime=float(first.lifetime[i]),
-                length=2 * float(first.death[i]),
-                edge=hausdorff(a[first.killer_edge[i]], b[second.killer_edge[j]]),
-                triangle=hausdorff(thick, later),
-                barycentre=float(np.linalg.norm(thick.mean(axis=0) - later.mean(axis=0))),
-                cycle=float(np.linalg.norm(cycle_centroid(a, first.cycle(i)) - cycle_centroid(b, second.cycle(j)))),
-            )
-        )
-    return jumps
+    kept = (first.lifetime > positive(min_lifetime, "min_lifetime")) & (partner >= 0)
+    return [_jump(*clouds, first, second, i, int(partner[i])) for i in np.flatnonzero(kept).tolist()]
 
 
-def cycle_centroid(points: Array, cycle: NDArray[np.int64]) -> Array:
-    """(d,) centroid of a closed polygon as a curve, so that crowded vertices do not weigh more."""
-    here, there = points[cycle], points[np.roll(cycle, -1)]
-    lengths = np.linalg.norm(there - here, axis=1)
-    return np.asarray(((here + there) / 2 * lengths[:, None]).sum(axis=0) / lengths.sum())
+def _jump(a: Array, b: Array, first: Diagram, second: Diagram, i: int, j: int) -> Jump:
+    thick, later = a[first.killer_triangles[i, 0]], b[second.killer_triangles[j, 0]]
+    centroids = curve_centroid(a[first.cycle(i)]), curve_centroid(b[second.cycle(j)])
+    return Jump(
+        loop=i,
+        image=j,
+        lifetime=float(first.lifetime[i]),
+        length=2 * float(first.death[i]),
+        edge=hausdorff(a[first.killer_edge[i]], b[second.killer_edge[j]]),
+        triangle=hausdorff(thick, later),
+        barycentre=float(np.linalg.norm(thick.mean(axis=0) - later.mean(axis=0))),
+        cycle=float(np.linalg.norm(centroids[0] - centroids[1])),
+    )

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from types import MappingProxyType
-
-__all__ = ["Check", "LoopCheck", "Verdict", "Witness"]
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -75,6 +72,20 @@ class Verdict:
         """The statement is refuted: what it assumes is so, and it does not hold."""
         return self.hypotheses and not self.holds
 
+    @property
+    def word(self) -> str:
+        """What became of it, for a reader."""
+        if not self.loops:
+            return "empty"
+        return "holds" if self.holds else "FAILS" if self.hypotheses else "fails (so do its hypotheses)"
+
+
+def compared(
+    statistic: float, bound: float, tolerance: float, loops: int, witness: Witness | None, hypotheses: bool = True
+) -> Verdict:
+    """Whether ``statistic <= bound``, up to rounding."""
+    return Verdict(statistic, bound, statistic <= bound + tolerance, hypotheses, loops, witness)
+
 
 @dataclass(frozen=True)
 class LoopCheck:
@@ -107,49 +118,42 @@ class Check:
     Attributes
     ----------
     statement : str
-    paper, corrected : Verdict
-    intrinsic : Verdict or None
-        The corrected version with the distortion of the motion in place of epsilon, where something moves: sharper, and still
-        true.
+        One of `STATEMENTS`.
+    versions : mapping of str to Verdict
+        All verdicts by name: "paper", "corrected", "intrinsic" where something moves, and other bounds for the same statistic.
     alpha, epsilon, distortion : float
         As measured; 0.0 where the statement has none.
     loops : tuple of LoopCheck
         For statements about killers, every loop they speak about.
-    further : mapping of str to Verdict
-        Other bounds for the same statistic.
     """
 
     statement: str
-    paper: Verdict
-    corrected: Verdict
-    intrinsic: Verdict | None = None
+    versions: Mapping[str, Verdict]
     alpha: float = 0.0
     epsilon: float = 0.0
     distortion: float = 0.0
     loops: tuple[LoopCheck, ...] = ()
-    further: Mapping[str, Verdict] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
-    def versions(self) -> dict[str, Verdict]:
-        """All verdicts by name."""
-        named = {"paper": self.paper, "corrected": self.corrected}
-        return named | ({"intrinsic": self.intrinsic} if self.intrinsic else {}) | dict(self.further)
+    def paper(self) -> Verdict:
+        """As the paper has it."""
+        return self.versions["paper"]
+
+    @property
+    def corrected(self) -> Verdict:
+        """As it is true."""
+        return self.versions["corrected"]
+
+    @property
+    def intrinsic(self) -> Verdict | None:
+        """The distortion of the motion in place of epsilon, where something moves: sharper, and still true."""
+        return self.versions.get("intrinsic")
 
     def __str__(self) -> str:
-        lines = [
-            f"{self.statement}: alpha {self.alpha:.4g}, epsilon {self.epsilon:.4g}, distortion {self.distortion:.4g}"
-        ]
+        constants = f"alpha {self.alpha:.4g}, epsilon {self.epsilon:.4g}, distortion {self.distortion:.4g}"
+        lines = [f"{self.statement}: {constants}"]
         for name, v in self.versions.items():
-            word = (
-                "empty"
-                if not v.loops
-                else "holds"
-                if v.holds
-                else "FAILS"
-                if v.hypotheses
-                else "fails (so do its hypotheses)"
-            )
-            lines.append(f"  {name}: {v.statistic:.4g} <= {v.bound:.4g} {word}, {v.loops} loops")
+            lines.append(f"  {name}: {v.statistic:.4g} <= {v.bound:.4g} {v.word}, {v.loops} loops")
             if v.witness and not v.holds:
                 lines.append(f"    {v.witness.what}: loop {v.witness.loop} of {v.witness.of}, edge {v.witness.edge}")
         return "\n".join(lines)

@@ -9,33 +9,66 @@ Source: Antonova et al. 2021, section 5. Taught in chapter 10.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from .config import TrainConfig, load_config
-    from .forecast import Forecast, PredictedLoop
-    from .predictor import Predictor
-    from .training import train
+    from ._augment import Spoiling
+    from ._base import PAST, Normalisation, PredictiveModel, Shape
+    from ._checkpoint import load_model, load_tensors
+    from ._config import TrainConfig, load_config
+    from ._forecast import Forecast, PredictedLoop
+    from ._losses import LossWeights, forecast_loss, match_slots
+    from ._mixture import loop_mixtures
+    from ._predictor import Predictor
+    from ._registry import MODELS, build
+    from ._states import States, past_states, target_states
+    from ._training import train
+    from ._windows import Windows, open_windows
 
-_WHERE = {
-    "Forecast": "forecast",
-    "PredictedLoop": "forecast",
-    "Predictor": "predictor",
-    "TrainConfig": "config",
-    "load_config": "config",
-    "train": "training",
-}
+__all__ = [
+    "MODELS",
+    "PAST",
+    "Forecast",
+    "LossWeights",
+    "Normalisation",
+    "PredictedLoop",
+    "PredictiveModel",
+    "Predictor",
+    "Shape",
+    "Spoiling",
+    "States",
+    "TrainConfig",
+    "Windows",
+    "build",
+    "forecast_loss",
+    "load_config",
+    "load_model",
+    "load_tensors",
+    "loop_mixtures",
+    "match_slots",
+    "open_windows",
+    "past_states",
+    "target_states",
+    "train",
+]
 
-__all__ = ["Forecast", "PredictedLoop", "Predictor", "TrainConfig", "load_config", "train"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _WHERE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    try:
-        return getattr(import_module(f".{_WHERE[name]}", __name__), name)
-    except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] in ("torch", "safetensors", "lightning_fabric", "lightning", "tqdm"):
-            raise ImportError(f"topokit.models needs {error.name}: pip install 'topokit[learn]'") from error
-        raise
+__getattr__ = attach(
+    __name__,
+    {
+        "_augment": "Spoiling",
+        "_base": "PAST Normalisation PredictiveModel Shape",
+        "_checkpoint": "load_model load_tensors",
+        "_config": "TrainConfig load_config",
+        "_forecast": "Forecast PredictedLoop",
+        "_losses": "LossWeights forecast_loss match_slots",
+        "_mixture": "loop_mixtures",
+        "_predictor": "Predictor",
+        "_registry": "MODELS build",
+        "_states": "States past_states target_states",
+        "_training": "train",
+        "_windows": "Windows open_windows",
+    },
+    extra="learn",
+)

@@ -6,21 +6,23 @@ Source: Antonova et al. 2021, section 6. Taught in chapters 0 and 7.
 from __future__ import annotations
 
 import importlib.util
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .camera import Camera, DepthNoise, cameras_around, observe
-from .config import SimulationConfig
-from .episode import simulate
-from .garments import WARDROBE, Garment
-from .paths import GripperPath, Via
-from .randomise import Randomisation
-from .recording import SimulationError
-from .targets import Hanger, Hook, Mannequin, Target
-from .tasks import TASKS, Task
-from .world import World
+from topokit._lazy import attach
+
+from ._camera import Camera, DepthNoise, cameras_around
+from ._episode import simulate
+from ._garments import WARDROBE, Garment
+from ._paths import GripperPath, Via
+from ._physics import SimulationConfig
+from ._process import SimulationError
+from ._randomise import Randomisation
+from ._targets import Hanger, Hook, Mannequin, Target
+from ._tasks import TASKS, Task, task_for
+from ._world import World, observe
 
 if TYPE_CHECKING:
-    from .env import HangEnv
+    from ._env import HangEnv
 
 __all__ = [
     "TASKS",
@@ -43,18 +45,12 @@ __all__ = [
     "cameras_around",
     "observe",
     "simulate",
+    "task_for",
 ]
 
 if importlib.util.find_spec("gymnasium"):  # so that gymnasium.make knows the environment once this package is imported
     from gymnasium import register
 
-    register("topokit/Hang-v0", "topokit.sim.env:HangEnv")
+    register("topokit/Hang-v0", "topokit.sim:HangEnv")
 
-
-def __getattr__(name: str) -> Any:
-    """Import `HangEnv` when it is used: only then is Gymnasium needed."""
-    if name == "HangEnv":
-        from .env import HangEnv
-
-        return HangEnv
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = attach(__name__, {"_env": "HangEnv"}, "sim")

@@ -5,72 +5,116 @@ What is safe is repaired and said in words; what would change the garment is ref
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from topokit._archive import FormatError
+from topokit._curves import side_lengths
+from topokit._validate import positive
 
 from ._read import read_mesh
-from ._surface import EdgeGraph, as_ids, border_cycles, close_loop, components, half_edges, wind
-
-__all__ = ["Cloth", "load_cloth"]
+from ._surface import EdgeGraph, as_ids, border_cycles, close_loop, components, half_edges, joined, wind
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
+_log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
 _METRES = (0.15, 2.5)  # largest extent of a garment in metres
 _UNITS = ((1.0, "metres"), (0.001, "millimetres"), (0.01, "centimetres"))
 
 
-@dataclass(frozen=True)
-class Cloth:
-    """The parts of a `Garment` read from a file, and what was done to them, in words."""
-
-    vertices: Array
-    faces: Ids
-    loops: tuple[Ids, ...]
-    grips: Ids
-    scale: float
-    repairs: tuple[str, ...]
-
-
-def load_cloth(
+def from_mesh(
     path: str | Path,
-    loops: Sequence[ArrayLike] | str,
-    grips: ArrayLike | None,
     *,
-    size: float | None,
-    scale: float | None,
-    up: str | None,
-    weld: float | None,
-    max_vertices: int,
-) -> Cloth:
-    """Read, repair and place a mesh; the options are those of `Garment.from_mesh`."""
+    loops: Sequence[ArrayLike] | Literal["borders"] = (),
+    grips: ArrayLike | None = None,
+    size: float | None = None,
+    scale: float | None = None,
+    up: Literal["y", "z"] | None = None,
+    weld: float | None = None,
+    name: str | None = None,
+    max_vertices: int = 3000,
+) -> tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float], tuple[str, ...]]:
+    """Return the garment of an OBJ, PLY or STL file as it comes; what had to be repaired is in `repairs` and logged.
+
+    Welded are vertices at one place (UV seams, STL corners). Dropped are vertices in no face, faces without three
+    different vertices, faces that lie on another one, and small separate components (what touches at a vertex only is
+    separate). Polygons are cut into triangles and faces turned to agree with their neighbours. Edges in more than two
+    faces are kept: cloth may be sewn so.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of all objects and groups of an OBJ file the garment is made.
+    loops : sequence of sequences of int, or "borders"
+        Vertex ids of the true loops as the file numbers them, counted from 0 (in an STL file, corner k of triangle i is
+        3 i + k). In order they need not name every vertex: gaps of up to four edges are closed along the mesh. Given
+        in no order, the cycle they lie around is found by persistence. With "borders", every border of the mesh,
+        the longest first; of m borders of a garment without handles m - 1 are independent.
+    grips : (2,) int, optional
+        Vertex ids as the file numbers them; two near the top when not given, to the left and to the right.
+    size : float, optional
+        Largest extent that the garment shall have, metres.
+    scale : float, optional
+        Metres in one unit of the file. When neither is given: metres if the garment's largest extent is then 0.15 to
+        2.5, else millimetres or centimetres if they make it so, else it is made 1 m.
+    up : {"y", "z"}, optional
+        The axis that points up; y is turned to z. When not given, y if the grips lie higher above the middle that way,
+        without grips if the garment is much longer along y; else z.
+    weld : float, optional
+        Distance within which vertices are one, in the file's units; 1e-5 of the diagonal or 0.01 of the usual edge, if
+        that is less, when not given.
+    name : str, optional
+        The file's name when not given.
+    max_vertices : int
+        More of them are refused.
+
+    Raises
+    ------
+    FileNotFoundError
+        When there is no such file.
+    ValueError, TypeError
+        When the file is empty, damaged or of another kind, the mesh has no faces, a vertex of a face is not finite,
+        there are separate components of similar size, a loop or a grip names a vertex that is not part of the garment,
+        or a loop cannot be closed; the message says which, where, and what to do.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from topokit.sim import Garment
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "flag.obj"
+    ...     _ = path.write_text("v 0 0 0\\nv 90 0 0\\nv 90 0 60\\nv 0 0 60\\nf 1 2 3 4\\n")
+    ...     flag = Garment.from_mesh(path, grips=[2, 3])
+    >>> flag.repairs
+    ('1 faces of four corners or more were cut into triangles', 'its largest extent, 90, was taken for centimetres: ...')
+    """
+    for key, value in (("size", size), ("scale", scale), ("weld", weld), ("max_vertices", max_vertices)):
+        if value is not None:
+            positive(value, key, zero=False)
+    if up not in (None, "y", "z"):
+        raise ValueError(f"up must be 'y' or 'z', not {up!r}")
+    borders = isinstance(loops, str)
+    if borders and loops != "borders":
+        raise ValueError(f"loops must be lists of vertex ids, or 'borders', not {loops!r}")
+    if size is not None and scale is not None:
+        raise ValueError("give size or scale, not both")
     vertices, polygons = read_mesh(path)
     said: list[str] = []
     try:
         given, held = _asked(loops, grips, len(vertices))
-        faces = _triangles(vertices, polygons, said)
-        _check_finite(vertices, faces)
-        vertex_of = _weld(vertices, _rounding(vertices, faces) if weld is None else weld, said)
-        faces = _clean(vertex_of[faces], said)
-        faces = _one_component(vertices, faces, said)
-        names, flat = np.unique(faces, return_inverse=True)
-        faces = flat.reshape(-1, 3)
-        _say_unused(len(np.unique(vertex_of)) - len(names), said)
+        faces, vertex_of, names = _repaired(vertices, polygons, weld, said)
         if len(names) > max_vertices:
             raise ValueError(
-                f"{len(names)} vertices after repair; more than {max_vertices:.0f} make a slow simulation. Decimate the mesh "
+                f"{len(names)} vertices after repair; more than {max_vertices} make a slow simulation. Decimate the mesh "
                 "(in Blender or MeshLab), or raise max_vertices"
             )
-        faces = _wound(faces, said)
         new = np.full(len(vertices), -1)
         new[names] = np.arange(len(names))
         carried = [_carry(loop, new[vertex_of], f"loops[{i}]") for i, loop in enumerate(given)]
@@ -79,12 +123,13 @@ def load_cloth(
             raise ValueError(f"grips {held} are one vertex after welding; give two that lie apart")
         placed, factor = _placed(vertices[names], ends, size, scale, up, said)
         _say_short(placed, faces, names, said)
-        cycles = _cycles(placed, faces, names, loops if isinstance(loops, str) else carried, said)
-        return Cloth(placed, faces, cycles, _grips(placed, names, said) if ends is None else ends, factor, tuple(said))
-    except FormatError:
-        raise
+        cycles = _borders(placed, faces, said) if borders else _closed(placed, faces, names, carried, said)
+        ends = _grips(placed, names, said) if ends is None else ends
     except (TypeError, ValueError) as error:
         raise (TypeError if isinstance(error, TypeError) else ValueError)(f"{path}: {error}") from error
+    for repair in said:
+        _log.warning("%s: %s", path, repair)
+    return Path(path).stem if name is None else name, placed, faces, cycles, ends, {"scale": factor}, tuple(said)
 
 
 def _asked(loops: Sequence[ArrayLike] | str, grips: ArrayLike | None, n_vertices: int) -> tuple[list[Ids], Ids | None]:
@@ -98,11 +143,33 @@ def _asked(loops: Sequence[ArrayLike] | str, grips: ArrayLike | None, n_vertices
     return given, held
 
 
-def _triangles(vertices: Array, polygons: Sequence[Sequence[int]], said: list[str]) -> Ids:
-    large = sum(len(polygon) > 3 for polygon in polygons)
-    if large:
-        said.append(f"{large} faces of four corners or more were cut into triangles")
-    return np.array([triangle for polygon in polygons for triangle in _ears(vertices, list(polygon))], dtype=np.int64)
+def _note(said: list[str], count: int, what: str) -> None:
+    """Say what was done to some vertices, faces or edges, if there were any."""
+    if count:
+        said.append(f"{count} {what}")
+
+
+def _repaired(
+    vertices: Array, polygons: Sequence[Sequence[int]], weld: float | None, said: list[str]
+) -> tuple[Ids, Ids, Ids]:
+    """Faces of the one component that is the cloth; for each vertex of the file the one it is now; those that are left."""
+    _note(said, sum(len(corners) > 3 for corners in polygons), "faces of four corners or more were cut into triangles")
+    faces = np.array([triangle for polygon in polygons for triangle in _ears(vertices, list(polygon))], dtype=np.int64)
+    lost = ~np.isfinite(vertices[faces]).all(axis=2)  # a vertex in no face may be anywhere, and is dropped later
+    if lost.any():
+        vertex = faces[lost][0]
+        raise ValueError(f"vertex {vertex} is at {vertices[vertex].tolist()}; every vertex of a face needs a place")
+    vertex_of = _weld(vertices, _rounding(vertices, faces) if weld is None else weld, said)
+    faces = _one_component(vertices, _clean(vertex_of[faces], said), said)
+    names, flat = np.unique(faces, return_inverse=True)
+    _note(said, len(np.unique(vertex_of)) - len(names), "vertices in none of the faces kept were dropped")
+    faces, turned, two_sided = wind(flat.reshape(-1, 3))
+    _note(said, turned, "faces were turned round to agree with their neighbours")
+    if not two_sided:
+        said.append("the surface has one side (as a Moebius strip has): its faces cannot all agree, and were left so")
+    many = int((np.unique(half_edges(faces), axis=0, return_counts=True)[1] > 2).sum())
+    _note(said, many, "edges in more than two faces, as where a strap is sewn on, were kept")
+    return faces, vertex_of, names
 
 
 def _ears(vertices: Array, polygon: list[int]) -> Iterable[list[int]]:
@@ -116,14 +183,6 @@ def _ears(vertices: Array, polygon: list[int]) -> Iterable[list[int]]:
         yield [polygon[corner - 1], polygon[corner], polygon[(corner + 1) % len(polygon)]]
         del polygon[corner]
     yield polygon
-
-
-def _check_finite(vertices: Array, faces: Ids) -> None:
-    """Refuse a face at a place that is no place; a vertex in no face may be anything, and is dropped later."""
-    lost = np.asarray(~np.isfinite(vertices).all(axis=1))
-    if lost[faces].any():
-        vertex = faces[lost[faces]][0]
-        raise ValueError(f"vertex {vertex} is at {vertices[vertex].tolist()}; every vertex of a face needs a place")
 
 
 def _rounding(vertices: Array, faces: Ids) -> float:
@@ -140,23 +199,18 @@ def _weld(vertices: Array, distance: float, said: list[str]) -> Ids:
     finite = at[np.isfinite(places).all(axis=1)]
     near = finite[cKDTree(vertices[finite]).query_pairs(distance, output_type="ndarray")]
     pairs = np.concatenate([near, np.column_stack([np.arange(len(vertices)), at[same.ravel()]])])
-    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(vertices),) * 2)
-    _, label = connected_components(graph, directed=False)
-    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
-    double = len(vertices) - len(first)
-    if double:
-        said.append(f"{double} vertices within {distance:.2g} of another one (in the file's units) were welded to it")
+    _, first, inverse = np.unique(joined(pairs, len(vertices)), return_index=True, return_inverse=True)
+    what = f"vertices within {distance:.2g} of another one (in the file's units) were welded to it"
+    _note(said, len(vertices) - len(first), what)
     return np.asarray(first[inverse.ravel()])
 
 
 def _clean(faces: Ids, said: list[str]) -> Ids:
     """Drop faces that name a vertex twice, and all but the first of faces on the same three vertices."""
     whole = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    if len(whole) < len(faces):
-        said.append(f"{len(faces) - len(whole)} faces without area, which named a vertex twice, were dropped")
+    _note(said, len(faces) - len(whole), "faces without area, which named a vertex twice, were dropped")
     _, first = np.unique(np.sort(whole, axis=1), axis=0, return_index=True)
-    if len(first) < len(whole):
-        said.append(f"{len(whole) - len(first)} faces that lay on another one were dropped")
+    _note(said, len(whole) - len(first), "faces that lay on another one were dropped")
     if not len(first):
         raise ValueError("no face with three different vertices is left")
     return whole[np.sort(first)]
@@ -166,41 +220,24 @@ def _one_component(vertices: Array, faces: Ids, said: list[str]) -> Ids:
     """Keep the largest component; refuse where that would take away much of the surface."""
     corners = vertices[faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    parts, which = np.unique(components(faces), return_inverse=True)
-    if len(parts) == 1:
+    which = components(faces)
+    parts = which.max() + 1
+    if parts == 1:
         return faces
-    share = np.bincount(which.ravel(), area + 1e-300) / (area + 1e-300).sum()
-    if share.max() < 0.6:
-        shares = ", ".join(f"{100 * part:.0f} %" for part in np.sort(share)[:-6:-1])
-        one, other = (np.unique(faces[which.ravel() == part]) for part in np.argsort(share)[:-3:-1])
+    share = np.bincount(which, area + 1e-300) / (area + 1e-300).sum()
+    largest = np.argsort(share)[::-1]
+    if share[largest[0]] < 0.6:
+        shares = ", ".join(f"{100 * part:.0f} %" for part in share[largest[:5]])
+        one, other = (np.unique(faces[which == part]) for part in largest[:2])
         gap = cKDTree(vertices[one]).query(vertices[other])[0].min()
         raise ValueError(
-            f"{len(parts)} components that no edge joins, of {shares} of the surface: none is the garment. Sew them together, "
+            f"{parts} components that no edge joins, of {shares} of the surface: none is the garment. Sew them together, "
             f"or save the one that you mean to a file of its own; a gap is closed by a larger weld (vertices of the two largest "
             f"come as near as {gap:.2g}, in the file's units)"
         )
-    said.append(
-        f"{len(parts) - 1} smaller components, {100 * (1 - share.max()):.1f} % of the surface, were dropped: "
-        "a cloth is one piece"
-    )
-    return faces[which.ravel() == np.argmax(share)]
-
-
-def _say_unused(unused: int, said: list[str]) -> None:
-    if unused:
-        said.append(f"{unused} vertices in none of the faces kept were dropped")
-
-
-def _wound(faces: Ids, said: list[str]) -> Ids:
-    faces, turned, two_sided = wind(faces)
-    if turned:
-        said.append(f"{turned} faces were turned round to agree with their neighbours")
-    if not two_sided:
-        said.append("the surface has one side (as a Moebius strip has): its faces cannot all agree, and were left so")
-    many = int((np.unique(half_edges(faces), axis=0, return_counts=True)[1] > 2).sum())
-    if many:
-        said.append(f"{many} edges in more than two faces, as where a strap is sewn on, were kept")
-    return faces
+    lost = f"{100 * (1 - share.max()):.1f} % of the surface"
+    said.append(f"{parts - 1} smaller components, {lost}, were dropped: a cloth is one piece")
+    return faces[which == np.argmax(share)]
 
 
 def _say_short(vertices: Array, faces: Ids, names: Ids, said: list[str]) -> None:
@@ -242,14 +279,11 @@ def _placed(
     elif scale is None:
         low, high = _METRES
         scale, unit = next(((f, unit) for f, unit in _UNITS if low <= f * largest <= high), (1 / largest, ""))
-        if not unit:
-            said.append(
-                f"its largest extent, {largest:.4g}, is a garment's in no unit: it was made 1 m; give size or scale"
-            )
-        elif unit != "metres":
-            said.append(
-                f"its largest extent, {largest:.4g}, was taken for {unit}: {scale * largest:.3g} m; give size or scale"
-            )
+        what = (
+            f"was taken for {unit}: {scale * largest:.3g} m" if unit else "is a garment's in no unit: it was made 1 m"
+        )
+        if unit != "metres":
+            said.append(f"its largest extent, {largest:.4g}, {what}; give size or scale")
     vertices = scale * vertices
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     if np.linalg.norm(middle) > 10 * scale * largest:  # single precision in the engine would blur it
@@ -258,14 +292,15 @@ def _placed(
     return vertices, float(scale)
 
 
-def _cycles(vertices: Array, faces: Ids, names: Ids, loops: str | Sequence[Ids], said: list[str]) -> tuple[Ids, ...]:
-    if isinstance(loops, str):
-        cycles = border_cycles(faces)
-        lengths = [np.linalg.norm(vertices[c] - vertices[np.roll(c, 1)], axis=1).sum() for c in cycles]
-        said.append(f"{len(cycles)} borders were taken for loops, the longest first")
-        return tuple(cycles[i] for i in np.argsort(-np.array(lengths), kind="stable"))
+def _borders(vertices: Array, faces: Ids, said: list[str]) -> tuple[Ids, ...]:
+    cycles = border_cycles(faces)
+    said.append(f"{len(cycles)} borders were taken for loops, the longest first")
+    return tuple(sorted(cycles, key=lambda cycle: -side_lengths(vertices[cycle]).sum()))
+
+
+def _closed(vertices: Array, faces: Ids, names: Ids, loops: Sequence[Ids], said: list[str]) -> tuple[Ids, ...]:
     graph = EdgeGraph(vertices, np.unique(half_edges(faces), axis=0))
-    closed = []
+    cycles = []
     for i, loop in enumerate(loops):
         try:
             cycle, how = close_loop(graph, loop.tolist(), names)
@@ -273,8 +308,8 @@ def _cycles(vertices: Array, faces: Ids, names: Ids, loops: str | Sequence[Ids],
             raise ValueError(f"loops[{i}] cannot be followed along the mesh: {error}") from error
         if how:
             said.append(f"loops[{i}]: {how}")
-        closed.append(cycle)
-    return tuple(closed)
+        cycles.append(cycle)
+    return tuple(cycles)
 
 
 def _grips(vertices: Array, names: Ids, said: list[str]) -> Ids:

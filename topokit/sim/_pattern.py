@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.sparse import coo_matrix, diags
-from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import cKDTree
 
-from ._surface import half_edges, wind
-
-__all__ = ["Arch", "Panel", "cut", "inflate", "sew"]
+from ._surface import half_edges, joined, strangers, wind
+from ._triangulate import arc_length, count_steps, points_at, triangulate
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -52,6 +50,10 @@ class Panel:
     def mirrored(self) -> Panel:
         """The panel on the other side of the plane y = 0."""
         return replace(self, vertices=self.vertices * [1, -1, 1])
+
+    def nearest(self, places: Array) -> Ids:
+        """The vertices nearest to places (k, 2) of the pattern."""
+        return np.asarray(cKDTree(self.vertices[:, [0, 2]]).query(places)[1], dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -89,11 +91,10 @@ class Arch:
     def points(self, share: Array, offset: float = 0.0) -> Array:
         """(k, 2) points at these shares of the arc length of the arch moved outwards by `offset`."""
         dense = self._dense(offset)
-        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
-        return np.column_stack([np.interp(share * length[-1], length, dense[:, i]) for i in range(2)])
+        return points_at(dense, share * arc_length(dense)[-1])
 
-    def strap(self, width: float, spacing: float, length: float) -> tuple[Array, Array, Array]:
-        """Outer border (181, 2), inner border (181, 2) and inner vertices (k, 2) of a strap along the arch."""
+    def strap(self, width: float, spacing: float, length: float) -> tuple[Array, list[Array], Array]:
+        """Outer border (181, 2), the opening below (its inner border and the way back) and inner vertices of a strap."""
         narrowest = min(self.half_span**2 / self.height, self.height**2 / self.half_span)  # radius of curvature
         if width / 2 >= narrowest:
             raise ValueError(
@@ -102,10 +103,31 @@ class Arch:
             )
         share = np.linspace(0, 1, 181)
         outer, inner = self.points(share, width / 2), self.points(share, -width / 2)
+        opening = [inner, *polyline(inner[-1], inner[0])]
         if width < 1.4 * spacing:  # too narrow for a row between its borders
-            return outer, inner, np.zeros((0, 2))
+            return outer, opening, np.zeros((0, 2))
         count = max(2, round(length / spacing))
-        return outer, inner, self.points((np.arange(count) + 0.5) / count)
+        return outer, opening, self.points((np.arange(count) + 0.5) / count)
+
+
+def polyline(*corners: Sequence[float] | Array) -> list[Array]:
+    """The straight lines between consecutive corners."""
+    return [np.array([a, b], dtype=np.float64) for a, b in itertools.pairwise(corners)]
+
+
+def mirror(line: Array) -> Array:
+    """The other side of x = 0, run through backwards."""
+    return (line * [-1, 1])[::-1]
+
+
+def chain(*ids: Ids) -> Ids:
+    """Ids along consecutive sides, each joint once."""
+    return np.concatenate([ids[0], *(side[1:] for side in ids[1:])])
+
+
+def ring(one: Ids, other: Ids) -> Ids:
+    """The cycle of two paths between the same ends."""
+    return np.concatenate([one[:-1], other[:0:-1]])
 
 
 def cut(
@@ -128,21 +150,45 @@ def cut(
     ValueError
         When the pattern is too narrow somewhere for this spacing.
     """
-    flat, faces, borders = _mesh_pattern(outline, holes, spacing, np.zeros((0, 2)) if fixed is None else fixed)
-    known = set(map(tuple, half_edges(faces).tolist()))
-    for border in borders:
-        for a, b in zip(border.tolist(), np.roll(border, -1).tolist(), strict=True):
-            if (min(a, b), max(a, b)) not in known:
-                x, z = flat[a]
-                raise ValueError(
-                    f"spacing {spacing} is too coarse for this pattern: its border is lost near x = {x:.3f}, z = {z:.3f} m; "
-                    "use a smaller spacing or a wider cut"
-                )
-    starts = np.cumsum([0, *(_count(line, spacing) for line in outline)])
+    flat, faces, borders = triangulate(outline, holes, spacing, np.zeros((0, 2)) if fixed is None else fixed)
+    edges = half_edges(faces)
+    lost = next((pair for border in borders for pair in strangers(border, edges)), None)
+    if lost is not None:
+        x, z = flat[lost[0]]
+        raise ValueError(
+            f"spacing {spacing} is too coarse for this pattern: its border is lost near x = {x:.3f}, z = {z:.3f} m; "
+            "use a smaller spacing or a wider cut"
+        )
+    starts = np.cumsum([0, *(count_steps(line, spacing) for line in outline)])
     around = np.append(borders[0], borders[0][:1])
     sides = tuple(around[a : b + 1] for a, b in itertools.pairwise(starts))
     vertices = np.column_stack([flat[:, 0], np.zeros(len(flat)), flat[:, 1]])
     return Panel(vertices, faces, sides, tuple(borders[1:]))
+
+
+@dataclass(frozen=True)
+class Band:
+    """A straight strip in x from 0 to its length and in z from minus its width to 0, and the ids along its borders."""
+
+    panel: Panel
+    low: Ids  # along z = -width, x growing
+    high: Ids  # along z = 0, x growing
+    start: Ids  # along x = 0, z growing
+    end: Ids
+
+    @classmethod
+    def cut(cls, lengths: Sequence[float], widths: Sequence[float], spacing: float) -> Band:
+        """Cut a band whose borders have joints after these lengths and widths."""
+        x, z = np.cumsum([0.0, *lengths]), np.cumsum([-sum(widths), *widths])
+        z[-1] = 0.0
+        corners = [(x0, z[0]) for x0 in x] + [(x[-1], z0) for z0 in z[1:]] + [(x0, 0) for x0 in x[-2::-1]]
+        outline = polyline(*corners, *((0, z0) for z0 in z[-2::-1]))
+        panel = cut(outline, [], spacing)
+        m, k = len(lengths), len(widths)
+        low, end, high, start = (
+            chain(*panel.sides[a:b]) for a, b in ((0, m), (m, m + k), (m + k, 2 * m + k), (2 * m + k, None))
+        )
+        return cls(panel, low, high[::-1], start[::-1], end)
 
 
 def inflate(panel: Panel, seams: Sequence[int], depth: float, top: float = np.inf) -> Panel:
@@ -189,8 +235,7 @@ def sew(panels: Sequence[Panel], seams: Sequence[tuple[int, Ids, int, Ids]]) -> 
     pairs = np.concatenate(
         [np.zeros((0, 2), np.int64)] + [np.column_stack([first[i] + a, first[j] + b]) for i, a, j, b in seams]
     )
-    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(first[-1],) * 2)
-    _, label = connected_components(graph, directed=False)
+    label = joined(pairs, first[-1])
     _, kept, new = np.unique(label, return_index=True, return_inverse=True)
     vertices = np.concatenate([panel.vertices for panel in panels])[kept]
     maps = [new[a:b] for a, b in itertools.pairwise(first)]
@@ -198,69 +243,3 @@ def sew(panels: Sequence[Panel], seams: Sequence[tuple[int, Ids, int, Ids]]) -> 
     wound = wind(faces)[0]
     first_turned = bool((wound[0] != faces[0]).any())  # the outside is where the first panel has it
     return vertices, wound[:, ::-1] if first_turned else wound, maps
-
-
-def _mesh_pattern(
-    outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Array, rounds: int = 12
-) -> tuple[Array, Ids, list[Ids]]:
-    """Triangulate a flat pattern; return its vertices (n, 2), faces (f, 3) and borders (ids of the outline and of each hole)."""
-    borders = [np.concatenate([_resample(line, spacing) for line in chain]) for chain in (outline, *holes)]
-    kept = np.concatenate([*borders, fixed])
-    lattice = _lattice(borders[0].min(axis=0), borders[0].max(axis=0), spacing)
-    lattice = lattice[_inside(lattice, borders) & (cKDTree(kept).query(lattice)[0] > 0.75 * spacing)]
-    points = np.concatenate([kept, lattice])
-    for _ in range(rounds):  # Laplacian relaxation of the lattice towards the border
-        faces = _triangulate(points, borders, spacing)
-        ends = np.concatenate([half_edges(faces), half_edges(faces)[:, ::-1]])
-        count = np.bincount(ends[:, 0], minlength=len(points))[:, None]
-        mean = np.column_stack([np.bincount(ends[:, 0], points[ends[:, 1], i], len(points)) for i in range(2)]) / count
-        points[len(kept) :] = mean[len(kept) :]
-    first = np.cumsum([0, *map(len, borders)])
-    ids = [np.arange(start, end) for start, end in itertools.pairwise(first)]
-    return points, _triangulate(points, borders, spacing), ids
-
-
-def _triangulate(points: Array, borders: Sequence[Array], spacing: float) -> Ids:
-    """Delaunay triangles inside the pattern, counter-clockwise, without the slivers along straight borders."""
-    faces = Delaunay(points).simplices.astype(np.int64)
-    a, b, c = points[faces].transpose(1, 0, 2)
-    area = ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
-    faces = np.where(area[:, None] < 0, faces[:, ::-1], faces)
-    return faces[(np.abs(area) > 1e-3 * spacing**2) & _inside((a + b + c) / 3, borders)]
-
-
-def _length(line: Array) -> Array:
-    """(k,) arc length of a polyline up to each of its points."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-
-
-def _count(line: Array, spacing: float) -> int:
-    return max(1, round(float(_length(line)[-1]) / spacing))
-
-
-def _resample(line: Array, spacing: float) -> Array:
-    """Points at equal arc lengths of about `spacing` along a polyline, without its last point."""
-    length, count = _length(line), _count(line, spacing)
-    at = length[-1] * np.arange(count) / count
-    return np.column_stack([np.interp(at, length, line[:, i]) for i in range(2)])
-
-
-def _lattice(low: Array, high: Array, spacing: float) -> Array:
-    """Triangular lattice over a box, symmetric in x about 0."""
-    row = spacing * np.sqrt(3) / 2
-    half = int(np.ceil(max(-low[0], high[0]) / spacing)) + 1
-    across = spacing * np.arange(-half, half + 1)
-    heights = np.arange(low[1] + row, high[1], row)
-    return np.array([(x + spacing / 2 * (i % 2), z) for i, z in enumerate(heights) for x in across]).reshape(-1, 2)
-
-
-def _inside(points: Array, borders: Sequence[Array]) -> NDArray[np.bool_]:
-    """Even-odd rule over all borders: inside the outline and in none of the holes."""
-    x, y = points[:, :1], points[:, 1:]
-    crossings = np.zeros(len(points), dtype=np.int64)
-    for border in borders:
-        (x0, y0), (x1, y1) = border.T, np.roll(border, -1, axis=0).T
-        spans = (y0 > y) != (y1 > y)
-        rise = np.where(y1 == y0, 1.0, y1 - y0)
-        crossings += (spans & (x < x0 + (y - y0) / rise * (x1 - x0))).sum(axis=1)
-    return crossings % 2 == 1

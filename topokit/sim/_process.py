@@ -1,155 +1,228 @@
-"""Run a simulation in a fresh process, which can be stopped.
+"""Jobs in fresh processes, which can be stopped.
 
-PyBullet can hang inside C (its loader does, on meshes that `Garment` refuses), can end the process, and repeats
-self-collision bit by bit in a fresh process only. What a run needs and what it gives travel as archives without pickle.
+Idea: PyBullet repeats self-collision bit by bit in a fresh process only, can end its process, and can hang inside C. Importing
+NumPy, PyBullet and Zarr takes about as long as a short simulation; a fork of a process that has imported them and done
+nothing else is as fresh and starts in milliseconds. That process, the forge, has one thread, so that forking is safe; it
+ends, and ends its fork, when the process that owns it goes away in whatever manner.
 """
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
+import json
 import math
 import os
 import queue
+import select
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
-from importlib.util import find_spec
+import traceback
+from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from topokit._archive import load_archive, save_archive
-
-from .camera import Camera, DepthNoise
-from .config import SimulationConfig
-from .garments import Garment
-from .recording import Recording, Report, Run, SimulationError, record
-
-__all__ = ["record_in_process"]
-
-_RUN, _RECORDING = "topokit-run", "topokit-recording"
-_CHILD = "import sys; from topokit.sim._process import work; work(*sys.argv[1:])"
-_FRAME = "topokit-frame"
-_ERRORS: dict[str, type[Exception]] = {"SimulationError": SimulationError, "ValueError": ValueError}
+_MAIN = (  # what lies in the working directory, '' on the path, is not imported
+    "import sys; sys.path[:] = filter(None, sys.path); from topokit.sim._process import serve; serve(*sys.argv[1:])"
+)
+_READY = "ready\n"
+_STARTS = 5
+_PATIENCE = 10  # times the limit of processor time
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+Answer = dict[str, Any]
 
 
-def record_in_process(run: Run, time_limit: float, report: Report | None = None) -> Recording:
-    """Simulate in a fresh process; it is stopped when loading, settling or a frame takes longer than `time_limit` seconds.
+class SimulationError(RuntimeError):
+    """A run that failed: cloth that exploded or was stretched too far, a simulator that crashed or does not get on."""
 
-    Raises
-    ------
-    SimulationError
-        As `record`, and when the process crashes or is stopped; the message says where it was.
-    ImportError
-        When PyBullet is not installed.
+
+class Forge:
+    """Runs jobs, one after another, each in a fresh process.
+
+    Parameters
+    ----------
+    function : str
+        "module:name" of a function that takes a job and gives an answer, both what JSON can hold.
+    needs : sequence of str
+        Modules to import beforehand that the function's own module does not import at once.
+    once : bool
+        For one job only, which needs no fork: the forge does it itself where there is none.
     """
-    if find_spec("pybullet") is None:
-        raise ImportError("topokit.sim needs PyBullet: pip install 'topokit[sim]'")
-    with tempfile.TemporaryDirectory() as folder:
-        question, answer, errors = (Path(folder) / name for name in ("run.npz", "recording.npz", "errors.txt"))
-        _save_run(question, run)
-        with errors.open("wb") as log:
-            process = subprocess.Popen(
-                [sys.executable, "-c", _CHILD, str(question), str(answer)],
-                stdin=subprocess.DEVNULL,
+
+    def __init__(self, function: str, needs: Sequence[str] = (), *, once: bool = False) -> None:
+        if not once and not hasattr(os, "fork"):
+            raise OSError("making a dataset needs a system whose processes can fork: Linux, macOS, or WSL on Windows")
+        self._arguments = [function, *needs]
+        self._process: subprocess.Popen[str] | None = None
+
+    def run(
+        self,
+        job: dict[str, Any],
+        time_limit: float,
+        *,
+        silence: float | None = None,
+        report: Callable[[int], None] | None = None,
+    ) -> Answer:
+        """Return {"answer": ...}, or {"error": name, "message": ..., "errno": ...}; a crash is an error "crash".
+
+        Parameters
+        ----------
+        job : dict
+        time_limit : float
+            Seconds of processor time: on a busy machine a job may take much longer.
+        silence : float, optional
+            Seconds without a sign of life after which it is stopped, also while the forge starts. When not given, ten times
+            `time_limit`, and the forge may take any time to start.
+        report : callable, optional
+            Called with the numbers that the function reports, by a second argument that it then gets.
+        """
+        call = {"job": job, "time_limit": time_limit, "reports": report is not None}
+        try:
+            process = self._started(math.inf if silence is None else silence)
+            silence = _PATIENCE * time_limit if silence is None else silence
+            with contextlib.suppress(BrokenPipeError):
+                print(json.dumps(call), file=process.stdin, flush=True)
+            while line := self._line(silence):
+                told: Answer = json.loads(line)
+                if "report" not in told:
+                    return told
+                if report is not None:
+                    report(told["report"])
+            message = self._last_words(process)
+        except queue.Empty:
+            message = f"stopped: no sign of life for {silence:g} s; PyBullet hangs, or the machine is very busy"
+        except BaseException:  # Ctrl-C, too
+            self.close()
+            raise
+        self.close()
+        return {"error": "crash", "message": message}
+
+    def close(self) -> None:
+        """End the forge, and what it runs."""
+        if self._process is None:
+            return
+        if os.name == "posix":
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)  # its fork, too
+        self._process.kill()
+        self._process.wait()
+        if self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.close()
+        self._errors.close()
+        self._process = None
+
+    def _started(self, silence: float) -> subprocess.Popen[str]:
+        """The forge; it is started once more when it was killed before it was ready, as where memory runs out."""
+        if self._process is not None and self._process.poll() is None:
+            return self._process
+        path = [*sys.path, str(Path(__file__).parents[2])]  # the packages we have
+        environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONPATH": os.pathsep.join(filter(None, path))}
+        for _ in range(_STARTS):
+            self.close()
+            self._errors = tempfile.TemporaryFile("a+", errors="replace")  # noqa: SIM115 (closed by close)
+            self._process = process = subprocess.Popen(
+                [sys.executable, "-c", _MAIN, *self._arguments],
+                stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=log,
+                stderr=self._errors,
                 text=True,
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},  # the packages we have
+                env=environment,
                 start_new_session=True,  # Ctrl-C reaches us alone, and we stop it
             )
-            stage = "loading the garment"
-            try:
-                for frame in _reports(process, time_limit):
-                    stage = "settling" if frame < 0 else f"in the steps after frame {frame}"
-                    if report is not None:
-                        report(frame)
-                code = process.wait()
-            except queue.Empty:
-                raise SimulationError(
-                    f"stopped while {stage}: no sign of life for time_limit = {time_limit:g} s. PyBullet hangs on meshes that "
-                    "it cannot use (Garment.from_mesh repairs or refuses them); or the machine is very busy"
-                ) from None
-            finally:
-                process.kill()
-                process.wait()
-        if code or not answer.exists():
-            said = errors.read_text(errors="replace").strip().splitlines()[-1:]
-            raise SimulationError(
-                f"the simulator ended while {stage}, {_why(code)}" + "".join(f": {line}" for line in said)
-            )
-        return _load_recording(answer)
+            self._lines: queue.Queue[str] = queue.Queue()
+            threading.Thread(target=_read, args=(process.stdout, self._lines), daemon=True).start()
+            while line := self._line(silence):
+                if line == _READY:
+                    return process
+            if process.wait() >= 0:  # it ended by itself, and would again
+                break
+        raise SimulationError(f"the process that starts simulations does not start: {self._last_words(process)}")
+
+    def _line(self, silence: float) -> str:
+        return self._lines.get(timeout=None if math.isinf(silence) else silence)
+
+    def _last_words(self, process: subprocess.Popen[str]) -> str:
+        self._errors.seek(0)
+        return _fate(process.wait(), self._errors.read())
 
 
-def _reports(process: subprocess.Popen[str], time_limit: float) -> Iterator[int]:
-    """Yield the frames that the process reports; raise queue.Empty when it is silent for too long."""
-    lines: queue.Queue[str | None] = queue.Queue()
-
-    def read(stream: IO[str]) -> None:
-        with stream:
-            for line in stream:
-                lines.put(line)
-        lines.put(None)
-
-    threading.Thread(target=read, args=(process.stdout,), daemon=True).start()
-    patience = None if math.isinf(time_limit) else time_limit
-    while (line := lines.get(timeout=patience)) is not None:
-        word, _, number = line.partition(" ")
-        if word == _FRAME:  # anything else is PyBullet's chatter
-            yield int(number)
+def _read(stream: IO[str], lines: queue.Queue[str]) -> None:
+    """Pass lines on, and at the end an empty one."""
+    with stream:
+        for line in stream:
+            lines.put(line)
+    lines.put("")
 
 
-def _why(code: int) -> str:
-    if code >= 0:
-        return f"exit code {code}"
-    with contextlib.suppress(ValueError):
+def _fate(code: int, errors: str) -> str:
+    """Say why a process ended."""
+    if code < 0:
         return f"{signal.Signals(-code).name}: a crash inside PyBullet, or out of memory"
-    return f"signal {-code}"
+    return f"exit code {code}" + "".join(f": {line}" for line in errors.strip().splitlines()[-1:])
 
 
-def work(question: str, answer: str) -> None:
-    """What the fresh process does: load the run, simulate, save the recording or the error."""
+def serve(function: str, *needs: str) -> None:
+    """What the forge does: read jobs from standard input, answer where standard output was."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # PyBullet writes there
+    for needed in needs:
+        import_module(needed)
+    module, _, name = function.partition(":")
+    work = getattr(import_module(module), name)
+    print(_READY, end="", file=answers, flush=True)
+    for line in iter(sys.stdin.buffer.readline, b""):
+        call = json.loads(line)
+        if not hasattr(os, "fork"):
+            return _perform(work, call, answers)
+        fate = _fork(work, call, answers)
+        if fate is not None:
+            print(json.dumps({"error": "crash", "message": fate}), file=answers, flush=True)
+    return None
 
-    def report(frame: int) -> None:
-        print(f"\n{_FRAME} {frame}", flush=True)  # a line of its own, whatever C has printed before
 
+def _fork(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> str | None:
+    """Do a job in a fork, and end it when our owner is gone; say how it ended when it gave no answer."""
+    alive, held = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(0)
+        _limit(call["time_limit"])
+        _perform(work, call, answers)
+        os._exit(0)
+    os.close(held)
+    ended, _, _ = select.select([0, alive], [], [])  # nobody sends a second job before the first is answered
+    if 0 in ended:
+        os.kill(child, signal.SIGKILL)
+    os.close(alive)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code == -signal.SIGXCPU:
+        return f"stopped after {call['time_limit']:g} s of processor time"
+    return _fate(code, os.pread(2, os.fstat(2).st_size, 0).decode(errors="replace")) if code else None
+
+
+def _limit(seconds: float) -> None:
+    """No file of the memory at a crash, and so much processor time."""
+    import resource  # there is none on Windows
+
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if math.isfinite(seconds):
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(seconds), math.ceil(seconds) + 1))
+
+
+def _perform(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> None:
+    """Do a job and answer."""
+
+    def tell(told: Answer) -> None:
+        print(json.dumps(told), file=answers, flush=True)
+
+    reports = [lambda number: tell({"report": number})] if call["reports"] else []
     try:
-        recording = record(_load_run(Path(question)), report)
-    except tuple(_ERRORS.values()) as error:
-        save_archive(answer, _RECORDING, {"error": type(error).__name__, "message": str(error)}, {})
-    else:
-        save_archive(answer, _RECORDING, {}, vars(recording))
-
-
-def _save_run(path: Path, run: Run) -> None:
-    arrays: dict[str, NDArray[Any]] = {"goals": run.goals}
-    arrays |= {name: getattr(run.garment, name) for name in ("vertices", "faces", "grips")}
-    arrays["rods"] = np.array([[*start, *end, radius] for start, end, radius in run.rods]).reshape(-1, 7)
-    text = {name: getattr(run, name) for name in ("release", "n_observed", "noise")}
-    text["config"] = dataclasses.asdict(run.config)
-    text["cameras"] = [dataclasses.asdict(camera) for camera in run.cameras]
-    save_archive(path, _RUN, text, arrays)
-
-
-def _load_run(path: Path) -> Run:
-    text, arrays = load_archive(path, _RUN)
-    garment = Garment("", arrays["vertices"], arrays["faces"], (), arrays["grips"])
-    cameras = []
-    for camera in text.pop("cameras"):
-        noise = camera.pop("noise")
-        cameras.append(Camera(**camera, noise=noise and DepthNoise(**noise)))
-    rods = [(rod[:3], rod[3:6], float(rod[6])) for rod in arrays["rods"]]
-    return Run(garment, rods, arrays["goals"], config=SimulationConfig(**text.pop("config")), cameras=cameras, **text)
-
-
-def _load_recording(path: Path) -> Recording:
-    text, arrays = load_archive(path, _RECORDING)
-    if "error" in text:
-        raise _ERRORS[text["error"]](text["message"])
-    return Recording(**arrays)
+        tell({"answer": work(call["job"], *reports)})
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        message = f"{error} ({os.path.basename(place.filename)}, line {place.lineno})"
+        tell({"error": type(error).__name__, "message": message, "errno": getattr(error, "errno", None)})

@@ -16,22 +16,11 @@ from numpy.typing import NDArray
 
 from topokit._archive import FormatError
 
-__all__ = ["read_mesh"]
-
 Array = NDArray[np.float64]
 Polygons = list[list[int]]
-_PLY_TYPES = {
-    "char": "i1",
-    "uchar": "u1",
-    "short": "i2",
-    "ushort": "u2",
-    "int": "i4",
-    "uint": "u4",
-    "float": "f4",
-    "double": "f8",
-}
-_PLY_TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
-_PLY_TYPES |= {"float32": "f4", "float64": "f8"}
+_PLY_CODES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
+_PLY_TYPES = dict(zip(("char", "uchar", "short", "ushort", "int", "uint", "float", "double"), _PLY_CODES, strict=True))
+_PLY_TYPES |= {np.dtype(code).name: code for code in _PLY_CODES}
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -131,11 +120,11 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
     orders = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
     if kind not in orders:
         raise FormatError(f"PLY format {kind!r}; expected one of {', '.join(orders)}")
-    values = _Text(body) if kind == "ascii" else _Binary(body.split(b"\n", 1)[-1], orders[kind])
+    take = _taker(body, orders[kind])
     vertices, polygons = np.zeros((0, 3)), []
     for name, count, properties in _ply_elements(words):
         try:
-            rows = [{key: _ply_value(values, types) for key, types in properties} for _ in range(count)]
+            rows = [{key: _ply_value(take, types) for key, types in properties} for _ in range(count)]
         except ValueError as error:
             raise FormatError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
         keys = {key for key, _ in properties}
@@ -170,35 +159,29 @@ def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, list[tuple[st
     return elements
 
 
-class _Text:
-    """The numbers of an ASCII body, in order."""
+def _taker(body: bytes, order: str) -> Callable[[str, int], Array]:
+    """A function that takes the next so many numbers of a body, which is binary of a byte order, or text."""
+    at, words = 0, body.split() if not order else []
+    binary = body.split(b"\n", 1)[-1]
 
-    def __init__(self, body: bytes) -> None:
-        self._words, self._at = body.split(), 0
-
-    def take(self, _: str, count: int) -> Array:
-        words = self._words[self._at : self._at + count]
-        self._at += count
-        if len(words) < count:
-            raise ValueError("the file ends too early")
-        return np.array(words, dtype=np.float64)
-
-
-class _Binary:
-    """The numbers of a binary body of a byte order, in order."""
-
-    def __init__(self, body: bytes, order: str) -> None:
-        self._body, self._order, self._at = body, order, 0
-
-    def take(self, kind: str, count: int) -> Array:
-        values = np.frombuffer(self._body, self._order + kind, count, self._at)
-        self._at += values.nbytes
+    def take(code: str, count: int) -> Array:
+        nonlocal at
+        if order:
+            values = np.frombuffer(binary, order + code, count, at)
+            at += values.nbytes
+        else:
+            values = np.array(words[at : at + count])
+            at += count
+            if len(values) < count:
+                raise ValueError("the file ends too early")
         return values.astype(np.float64)
 
+    return take
 
-def _ply_value(values: _Text | _Binary, types: list[str]) -> Array:
+
+def _ply_value(take: Callable[[str, int], Array], types: list[str]) -> Array:
     """The one number of a property, or the numbers of a list."""
-    count = 1 if len(types) == 1 else int(values.take(types[0], 1)[0])
+    count = 1 if len(types) == 1 else int(take(types[0], 1)[0])
     if count < 0:
         raise ValueError(f"a list of {count} numbers")
-    return values.take(types[-1], count)
+    return take(types[-1], count)

@@ -11,18 +11,6 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from topokit.rips import rips_persistence, tighten
 
-__all__ = [
-    "EdgeGraph",
-    "as_ids",
-    "border_cycles",
-    "check_loop",
-    "check_mesh",
-    "close_loop",
-    "components",
-    "half_edges",
-    "wind",
-]
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 _GAP = 4  # edges: as far as a hole in a loop is closed without asking
@@ -57,21 +45,31 @@ def wind(faces: Ids) -> tuple[Ids, int, bool]:
     agree = directed[one, 0] != directed[other, 0]
     f, g = one // 3, other // 3
     ends = np.concatenate([np.column_stack([f, g + n * ~agree]), np.column_stack([f + n, g + n * agree])])
-    graph = coo_matrix((np.ones(len(ends)), ends.T), shape=(2 * n, 2 * n))
-    label = connected_components(graph, directed=False)[1].reshape(2, n)
+    label = joined(ends, 2 * n).reshape(2, n)
     as_it_is = np.bincount(label[0], minlength=label.max() + 1)  # faces of each half that stay
-    turn = as_it_is[label[0]] < as_it_is[label[1]]
-    tied = (as_it_is[label[0]] == as_it_is[label[1]]) & (label[0] > label[1])
-    turn |= tied
+    one, other = as_it_is[label[0]], as_it_is[label[1]]
+    turn = (one < other) | ((one == other) & (label[0] > label[1]))
     return np.where(turn[:, None], faces[:, ::-1], faces), int(turn.sum()), not (label[0] == label[1]).any()
+
+
+def strangers(cycle: Ids, edges: Ids) -> list[tuple[int, int]]:
+    """The pairs of vertices that follow each other in a closed cycle and are not joined by an edge (E, 2)."""
+    known = set(map(tuple, edges.tolist()))
+    pairs = zip(cycle.tolist(), np.roll(cycle, -1).tolist(), strict=True)
+    return [(a, b) for a, b in pairs if (min(a, b), max(a, b)) not in known]
+
+
+def joined(pairs: Ids, n: int) -> Ids:
+    """(n,) the number of each vertex's component in the graph of these edges (E, 2)."""
+    graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def components(faces: Ids) -> Ids:
     """(F,) the number of each face's component. Faces are joined by an edge, not by a vertex that they touch at."""
-    _, edge = np.unique(half_edges(faces), axis=0, return_inverse=True)
+    edges, edge = np.unique(half_edges(faces), axis=0, return_inverse=True)
     ends = np.column_stack([np.repeat(np.arange(len(faces)), 3), len(faces) + edge.ravel()])
-    graph = coo_matrix((np.ones(len(ends)), ends.T), shape=(int(ends.max()) + 1,) * 2)
-    return np.asarray(connected_components(graph, directed=False)[1][: len(faces)], dtype=np.int64)
+    return joined(ends, len(faces) + len(edges))[: len(faces)]
 
 
 def border_cycles(faces: Ids) -> list[Ids]:
@@ -101,11 +99,6 @@ class EdgeGraph:
     def __init__(self, vertices: Array, edges: Ids) -> None:
         length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
         self._graph = csr_matrix((length, edges.T), shape=(len(vertices),) * 2)
-        self._pairs = set(map(tuple, edges.tolist()))
-
-    def joined(self, a: int, b: int) -> bool:
-        """Whether an edge joins two vertices."""
-        return (min(a, b), max(a, b)) in self._pairs
 
     def distances(self, ids: Ids) -> Array:
         """(k, k) lengths of the shortest paths between vertices."""
@@ -113,14 +106,18 @@ class EdgeGraph:
         return np.asarray(np.minimum(one_way, one_way.T))  # there and back differ by rounding
 
     def path(self, start: int, end: int) -> list[int]:
-        """The shortest path along edges, both ends included; the mesh must be connected."""
-        if self.joined(start, end):
+        """The shortest path: a single edge where there is one."""
+        if self._graph[min(start, end), max(start, end)]:
             return [start, end]
         _, before = dijkstra(self._graph, directed=False, indices=start, return_predecessors=True)
         path = [end]
         while path[-1] != start:
             path.append(int(before[path[-1]]))
         return path[::-1]
+
+    def around(self, ids: Sequence[int]) -> list[list[int]]:
+        """The shortest paths between consecutive vertices, and from the last to the first."""
+        return [self.path(a, b) for a, b in zip(ids, [*ids[1:], ids[0]], strict=True)]
 
 
 def close_loop(graph: EdgeGraph, ids: Sequence[int], names: Ids) -> tuple[Ids, str]:
@@ -135,31 +132,28 @@ def close_loop(graph: EdgeGraph, ids: Sequence[int], names: Ids) -> tuple[Ids, s
     ValueError
         When a gap is wide, or the vertices do not surround anything.
     """
-    around = [a for a, b in zip(ids, [*ids[1:], ids[0]], strict=True) if a != b]
-    members = np.unique(around)
+    given = [a for a, b in zip(ids, [*ids[1:], ids[0]], strict=True) if a != b]
+    members = np.unique(given)
     if len(members) < 3:
         raise ValueError(f"it has {len(members)} different vertices; three at least make a loop")
-    paths = [graph.path(a, b) for a, b in zip(around, [*around[1:], around[0]], strict=True)]
-    gaps = [path for path in paths if len(path) > 2]
+    paths = graph.around(given)
+    gaps = sum(len(path) > 2 for path in paths)
     widest = max(paths, key=len)
     closed = _walk(paths)
-    if 2 * len(gaps) <= len(paths) and len(widest) <= _GAP + 1 and len(set(closed)) == len(closed):
-        return np.array(closed), f"{len(gaps)} gaps between its vertices were closed along the mesh" if gaps else ""
+    if 2 * gaps <= len(paths) and len(widest) <= _GAP + 1 and len(set(closed)) == len(closed):
+        return np.array(closed), f"{gaps} gaps between its vertices were closed along the mesh" if gaps else ""
     diagram = rips_persistence(graph.distances(members), metric="precomputed")
     if not len(diagram) or diagram.death[0] < 1.5 * diagram.birth[0]:
         raise ValueError(
             f"its vertices {names[widest[0]]} and {names[widest[-1]]} follow each other but are {len(widest) - 1} edges apart, "
             "and whatever their order its vertices surround nothing; give those between them"
         )
-    halfway = (
-        diagram.birth[0] + min(diagram.death[0], 2 * diagram.birth[0])
-    ) / 2  # a tighter cycle than the one at birth
-    tight = members[tighten(diagram, diagram.cycle(0), radius=halfway)].tolist()
-    closed = _without_detours(_walk([graph.path(a, b) for a, b in zip(tight, [*tight[1:], tight[0]], strict=True)]))
-    share = len(set(closed) & set(around))
+    end = min(diagram.death[0], 2 * diagram.birth[0])  # halfway there is a tighter cycle than the one at birth
+    tight = members[tighten(diagram, diagram.cycle(0), radius=(diagram.birth[0] + end) / 2)].tolist()
+    closed = max(simple_cycles(_walk(graph.around(tight))), key=len)
     return np.array(closed), (
         f"its {len(members)} vertices are in no order along the mesh; the cycle they lie around, {len(closed)} vertices, "
-        f"{share} of them its own, was found by persistence"
+        f"{len(set(closed) & set(given))} of them its own, was found by persistence"
     )
 
 
@@ -168,17 +162,17 @@ def _walk(paths: Sequence[Sequence[int]]) -> list[int]:
     return [vertex for path in paths for vertex in path[:-1]]
 
 
-def _without_detours(walk: list[int]) -> list[int]:
-    """Cut the shorter way off wherever a closed walk passes through a vertex twice."""
-    at = 0
-    while at < len(walk):
-        if walk[at] in walk[at + 1 :]:
-            again = walk.index(walk[at], at + 1)
-            inner, outer = walk[at:again], walk[:at] + walk[again:]
-            walk, at = (outer, 0) if len(outer) >= len(inner) else (inner, 0)
-        else:
-            at += 1
-    return walk
+def simple_cycles(walk: Sequence[int]) -> list[list[int]]:
+    """Cut a closed walk where it returns to a vertex; what goes there and back over a bridge falls away."""
+    parts: list[list[int]] = []
+    path: list[int] = []
+    for vertex in walk:
+        if vertex in path:
+            start = path.index(vertex)
+            parts.append(path[start:])
+            path = path[:start]
+        path.append(vertex)
+    return [part for part in [*parts, path] if len(part) > 2]
 
 
 def as_ids(values: object, name: str, n_vertices: int) -> Ids:
@@ -201,7 +195,7 @@ def check_mesh(vertices: Array, faces: Ids) -> None:
     if len(unused):
         raise ValueError(f"{len(unused)} vertices are in no face, the first is vertex {unused[0]}; remove them")
     edges = np.unique(half_edges(faces), axis=0)
-    parts = len(np.unique(components(faces)))
+    parts = components(faces).max() + 1
     if parts > 1:  # PyBullet never returns from loading one that hangs together by a vertex
         raise ValueError(f"the mesh has {parts} components that no edge joins; weld or keep one of them")
     length = np.linalg.norm(np.diff(vertices[edges], axis=1)[:, 0], axis=1)
@@ -215,9 +209,9 @@ def check_loop(loop: Ids, edges: Ids, name: str) -> None:
         raise ValueError(f"{name} must be a cycle of at least 3 vertex ids, not of shape {loop.shape}")
     if len(np.unique(loop)) != len(loop):
         raise ValueError(f"{name} passes through a vertex twice")
-    known = set(map(tuple, edges.tolist()))
-    for a, b in zip(loop.tolist(), np.roll(loop, -1).tolist(), strict=True):
-        if (min(a, b), max(a, b)) not in known:
-            raise ValueError(
-                f"{name} is not a closed cycle of the mesh: vertices {a} and {b} follow each other but share no edge"
-            )
+    apart = strangers(loop, edges)
+    if apart:
+        a, b = apart[0]
+        raise ValueError(
+            f"{name} is not a closed cycle of the mesh: vertices {a} and {b} follow each other but share no edge"
+        )

@@ -1,327 +1,296 @@
-"""The patterns of the garments: which pieces are cut, how they are placed in space and where they are sewn together.
+"""The patterns of the garments that are not bags: which pieces are cut, how they are placed in space and sewn together.
 
-Every function takes positive sizes in metres and returns the parts of a `Garment`: vertices, faces, loops and grips.
+Every function returns the fields of a `Garment`; its sizes are in metres, angles in degrees.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from ._pattern import Arch, Panel, cut, inflate, sew
+from topokit._validate import positive
+
+from ._pattern import Arch, Band, cut, inflate, mirror, polyline, ring, sew
 from ._surface import EdgeGraph, half_edges
-
-__all__ = ["Parts", "apron", "backpack", "bag", "mask", "sheet", "shirt", "vest"]
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
-Sizes = Mapping[str, float]
-Parts = tuple[Array, Ids, tuple[Ids, ...], Ids]
-_THIRDS = np.array([1 / 3, 2 / 3])
+Fields = tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float]]
+THIRDS = np.array([1 / 3, 2 / 3])
 
 
-def apron(s: Sizes, loops: int) -> Parts:
-    """A bib and a skirt in one piece with the neck strap; with two loops also a strap behind the waist, sewn to the sides."""
-    _demand(
-        s, s["bib_width"] <= s["body_width"], f"bib_width {s['bib_width']} must not exceed body_width {s['body_width']}"
+def check_sizes(given: Mapping[str, float | None], without: Sequence[str] = ()) -> dict[str, float]:
+    """The sizes among a function's arguments, each a positive number; an angle lies between 0 and 80 degrees."""
+    skip = {"loops", "handles", "holes", *without}
+    sizes = {
+        name: positive(value, name, zero=name.endswith("_angle"))  # type: ignore[arg-type]
+        for name, value in given.items()
+        if name not in skip
+    }
+    for name, value in sizes.items():
+        if name.endswith("_angle") and value > 80:
+            raise ValueError(f"{name} must be 0 to 80 degrees, not {value}")
+    return sizes
+
+
+def numbered(kind: str, number: int, name: str) -> str:
+    """The name of a garment with one loop, handle or hole, or with two."""
+    if number not in (1, 2):
+        raise ValueError(f"{name} must be 1 or 2, not {number!r}")
+    return kind if number == 1 else f"{kind}{number}"
+
+
+def demand(holds: bool, otherwise: str, spacing: float) -> None:
+    """Raise ValueError unless sizes fit each other."""
+    if not holds:
+        raise ValueError(f"{otherwise} (metres, at a spacing of {spacing})")
+
+
+def apron(
+    *,
+    loops: int = 1,
+    spacing: float = 0.03,
+    body_width: float = 0.56,
+    body_height: float = 0.46,
+    bib_width: float = 0.28,
+    bib_height: float = 0.30,
+    strap_length: float = 0.62,
+    strap_width: float = 0.052,
+    waist_strap_length: float = 0.90,
+    waist_strap_width: float = 0.06,
+) -> Fields:
+    """Return an apron with one loop, its neck strap, or with two.
+
+    It hangs in the plane y = 0 with the top of its bib at z = 0. The strap is three vertices wide at the default spacing
+    and runs from one top corner of the bib to the other; the true loop is the border of the neck opening. With `loops=2` a
+    second strap closes behind the waist (towards +y), and the second true loop runs along its upper border and across the
+    apron. The grips are on the neck strap, at a third of its length from either end.
+
+    Parameters
+    ----------
+    loops : int
+    spacing, body_width, body_height, bib_width, bib_height : float
+    strap_length, strap_width, waist_strap_length, waist_strap_width : float
+    """
+    sizes = check_sizes(locals(), without=("waist_strap_length", "waist_strap_width") if loops == 1 else ())
+    name = numbered("apron", loops, "loops")
+    demand(bib_width <= body_width, f"bib_width {bib_width} must not exceed body_width {body_width}", spacing)
+    demand(
+        bib_width >= 2 * strap_width + 3 * spacing,
+        f"bib_width {bib_width} leaves no opening between straps of strap_width {strap_width}",
+        spacing,
     )
-    _demand(
-        s,
-        s["bib_width"] >= 2 * s["strap_width"] + 3 * s["spacing"],
-        f"bib_width {s['bib_width']} leaves no opening between straps of strap_width {s['strap_width']}",
-    )
-    arch = Arch.of_length(s["bib_width"] - s["strap_width"], s["strap_length"])
-    outer, inner, middle = arch.strap(s["strap_width"], s["spacing"], s["strap_length"])
-    half_body, half_bib = s["body_width"] / 2, s["bib_width"] / 2
-    waist, hem = -s["bib_height"], -s["bib_height"] - s["body_height"]
+    arch = Arch.of_length(bib_width - strap_width, strap_length)
+    outer, opening, middle = arch.strap(strap_width, spacing, strap_length)
+    half_body, half_bib = body_width / 2, bib_width / 2
+    waist, hem = -bib_height, -bib_height - body_height
     # The armhole leaves the bib vertically and reaches the waist horizontally: a quarter of an ellipse.
     angle = np.pi / 2 * np.linspace(0, 1, 181)
     armhole = np.column_stack([half_body - (half_body - half_bib) * np.sin(angle), waist * np.cos(angle)])
-    side = _polyline((half_body, hem), (half_body, waist))
+    side = polyline((half_body, hem), (half_body, waist))
     if loops == 2:
-        _demand(
-            s,
-            s["waist_strap_width"] + s["spacing"] <= s["body_height"],
-            f"waist_strap_width {s['waist_strap_width']} leaves nothing of body_height {s['body_height']} below it",
+        demand(
+            waist_strap_width + spacing <= body_height,
+            f"waist_strap_width {waist_strap_width} leaves nothing of body_height {body_height} below it",
+            spacing,
         )
-        side = _polyline((half_body, hem), (half_body, waist - s["waist_strap_width"]), (half_body, waist))
-    left = [_mirror(line) for line in [armhole, *side[::-1]]]
-    outline = [*side, armhole, outer, *left, *_polyline((-half_body, hem), (half_body, hem))]
-    front = cut(outline, [[inner, *_polyline(inner[-1], inner[0])]], s["spacing"], middle)
-    grips = _nearest(front, arch.points(_THIRDS))
+        side = polyline((half_body, hem), (half_body, waist - waist_strap_width), (half_body, waist))
+    left = [mirror(line) for line in [armhole, *side[::-1]]]
+    outline = [*side, armhole, outer, *left, *polyline((-half_body, hem), (half_body, hem))]
+    front = cut(outline, [opening], spacing, middle)
+    grips = front.nearest(arch.points(THIRDS))
     if loops == 1:
-        return front.vertices, front.faces, front.holes, grips
-    length, around = (
-        s["waist_strap_length"],
-        Arch.of_length(s["body_width"], s["waist_strap_length"], "waist_strap_length"),
-    )
-    strap = _Band.cut([length], [s["waist_strap_width"]], s["spacing"])
-    cloth = strap.panel.placed(lambda v: np.column_stack([around.points(v[:, 0] / length), waist + v[:, 2]]))
+        return name, front.vertices, front.faces, front.holes, grips, sizes
+    around = Arch.of_length(body_width, waist_strap_length, "waist_strap_length")
+    strap = Band.cut([waist_strap_length], [waist_strap_width], spacing)
+    share = strap.panel.vertices[:, 0] / waist_strap_length
+    cloth = strap.panel.placed(lambda v: np.column_stack([around.points(share), waist + v[:, 2]]))
     ends = [(0, front.sides[1], 1, strap.start), (0, front.sides[5][::-1], 1, strap.end)]
     vertices, faces, (_, ids) = sew([front, cloth], ends)
     behind = ids[strap.high]  # from the right side to the left one
     across = EdgeGraph(vertices, half_edges(front.faces)).path(int(behind[-1]), int(behind[0]))
-    return vertices, faces, (front.holes[0], np.concatenate([behind[:-1], across[:-1]])), grips
+    return name, vertices, faces, (front.holes[0], np.concatenate([behind[:-1], across[:-1]])), grips, sizes
 
 
-def bag(s: Sizes, handles: int) -> Parts:
-    """Two panels joined at the sides and the bottom; one handle from side to side, or one on each panel."""
-    half, low, length, width = s["width"] / 2, -s["height"], s["handle_length"], s["handle_width"]
-    sides = _polyline((-half, 0), (-half, low), (half, low), (half, 0))
-    if handles == 2:
-        return _bag_of_two(s, sides)
-    _demand(s, width <= s["width"] - 2 * s["spacing"], f"handle_width {width} must be less than the width {s['width']}")
-    top = _polyline((half, 0), (half - width / 2, 0), (width / 2 - half, 0), (-half, 0))
-    panel = cut([*sides, *top], [], s["spacing"])
-    front = inflate(panel, (0, 1, 2), s["depth"] / 2)
-    arch = Arch.of_length(s["width"], length, "handle_length")
-    strap = _Band.cut([length], [width / 2, width / 2], s["spacing"])
-    grips = _nearest(strap.panel, np.column_stack([length * _THIRDS, [-width / 2] * 2]))
-    flat = strap.panel.vertices
-    over = arch.points(flat[:, 0] / length)
-    cloth = strap.panel.placed(lambda v: np.column_stack([over[:, 0], v[:, 2] + width / 2, over[:, 1]]))
-    half_end = len(strap.start) // 2
-    seams = [(0, panel.sides[i], 1, panel.sides[i]) for i in range(3)]
-    seams += [(0, panel.sides[3][::-1], 2, strap.start[: half_end + 1]), (1, panel.sides[3], 2, strap.start[half_end:])]
-    seams += [(0, panel.sides[5], 2, strap.end[: half_end + 1]), (1, panel.sides[5][::-1], 2, strap.end[half_end:])]
-    vertices, faces, (a, _, c) = sew([front, front.mirrored(), cloth], seams)
-    return vertices, faces, (_ring(c[strap.low], a[panel.sides[4]]),), c[grips]
+def shirt(
+    *,
+    spacing: float = 0.035,
+    width: float = 0.52,
+    length: float = 0.60,
+    depth: float = 0.16,
+    neck_width: float = 0.24,
+    neck_depth: float = 0.09,
+    sleeve_length: float = 0.16,
+    sleeve_width: float = 0.17,
+    sleeve_angle: float = 25.0,
+) -> Fields:
+    """Return a shirt with short sleeves, front towards -y, blown up to `depth`.
 
+    The loops are its four openings: neck, right sleeve (x > 0), left sleeve, hem. They make three classes: any three are
+    independent, the fourth is their sum. The sleeves fall by `sleeve_angle`. The grips are on the shoulders of the front.
 
-def _bag_of_two(s: Sizes, sides: list[Array]) -> Parts:
-    half, span, width = s["width"] / 2, s["handle_span"], s["handle_width"]
-    _demand(
-        s,
-        2 * s["spacing"] <= span - width and span + width <= s["width"] - 2 * s["spacing"],
-        f"handle_span {span} must leave an opening inside handles of handle_width {width} and fit the width {s['width']}",
-    )
-    arch = Arch.of_length(span, s["handle_length"], "handle_length")
-    outer, inner, middle = arch.strap(width, s["spacing"], s["handle_length"])
-    top = [*_polyline((half, 0), outer[0]), outer, *_polyline(outer[-1], (-half, 0))]
-    panel = cut([*sides, *top], [[inner, *_polyline(inner[-1], inner[0])]], s["spacing"], middle)
-    front = inflate(panel, (0, 1, 2), s["depth"] / 2, top=0.0)
-    seams = [(0, panel.sides[i], 1, panel.sides[i]) for i in range(3)]
-    vertices, faces, (a, b) = sew([front, front.mirrored()], seams)
-    held = _nearest(panel, arch.points(np.array([0.42, 0.58])))  # one on each handle, so that both stay up
-    return vertices, faces, (a[panel.holes[0]], b[panel.holes[0]]), np.array([a[held[0]], b[held[1]]])
-
-
-def backpack(s: Sizes) -> Parts:
-    """A back with a strap at each side, folded towards +y, and a box below it, open at its top."""
-    half, low, width = s["width"] / 2, -s["height"], s["strap_width"]
-    rim, depth, box = low + s["box_height"], s["depth"], s["box_height"]
-    span = -rim - 2 * width
-    _demand(
-        s,
-        span - width >= 2 * s["spacing"],
-        f"height {s['height']} leaves no opening for straps of strap_width {width} above a box_height of {box}",
-    )
-    arch = Arch.of_length(span, s["strap_length"])
-    turn = np.array([half, rim / 2])
-    outer, inner, middle = (
-        line[:, ::-1] * [1, -1] + turn for line in arch.strap(width, s["spacing"], s["strap_length"])
-    )
-    right = [*_polyline((half, low), (half, rim), outer[0]), outer, *_polyline(outer[-1], (half, 0))]
-    top, bottom = _polyline((half, 0), (-half, 0)), _polyline((-half, low), (half, low))
-    outline = [*right, *top, *(_mirror(line) for line in right[::-1]), *bottom]
-    hole = [inner, *_polyline(inner[-1], inner[0])]
-    back = cut(
-        outline, [hole, [_mirror(line) for line in hole]], s["spacing"], np.concatenate([middle, _mirror(middle)])
-    )
-    held = arch.points(np.array([0.6]))[:, ::-1] * [1, -1] + turn
-    grips = _nearest(back, np.concatenate([held * [-1, 1], held]))
-    back = back.placed(lambda v: _folded(v, half, np.radians(s["strap_angle"])))
-    edge = _chain(back.sides[0][::-1], back.sides[-1][::-1], back.sides[-2][::-1])
-    gusset = _Band.cut([box, s["width"], box], [depth], s["spacing"])
-    way = np.array([[half, rim], [half, low], [-half, low], [-half, rim]])
-    at = np.cumsum([0, box, s["width"], box])
-    sides = gusset.panel.placed(
-        lambda v: np.column_stack([np.interp(v[:, 0], at, way[:, 0]), v[:, 2], np.interp(v[:, 0], at, way[:, 1])])
-    )
-    front = cut(_polyline((-half, rim), (-half, low), (half, low), (half, rim), (-half, rim)), [], s["spacing"])
-    front_edge = _chain(*(front.sides[i] for i in range(3)))[::-1]
-    front = inflate(front, (0, 1, 2), depth / 4).placed(lambda v: v - [0, depth, 0])
-    seams = [(2, edge, 1, gusset.high), (0, front_edge, 1, gusset.low)]
-    vertices, faces, (*_, a) = sew([front, sides, back], seams)
-    return vertices, faces, (a[back.holes[1]], a[back.holes[0]]), a[grips]
-
-
-def shirt(s: Sizes) -> Parts:
-    """Front and back joined at the shoulders, along the sleeves and at the sides."""
-    half, neck, angle = s["width"] / 2, s["neck_width"] / 2, np.radians(s["sleeve_angle"])
+    Parameters
+    ----------
+    spacing, width, length, depth, neck_width, neck_depth, sleeve_length, sleeve_width, sleeve_angle : float
+    """
+    sizes = check_sizes(locals())
+    half, neck, angle = width / 2, neck_width / 2, np.radians(sleeve_angle)
     along, across = np.array([np.cos(angle), -np.sin(angle)]), np.array([-np.sin(angle), -np.cos(angle)])
-    _demand(s, neck + s["spacing"] <= half, f"neck_width {2 * neck} must be less than the width {2 * half}")
-    top = np.array([neck, 0]) + ((half - neck) / along[0] + s["sleeve_length"]) * along
-    low = top + s["sleeve_width"] * across
+    demand(neck + spacing <= half, f"neck_width {2 * neck} must be less than the width {2 * half}", spacing)
+    top = np.array([neck, 0]) + ((half - neck) / along[0] + sleeve_length) * along
+    low = top + sleeve_width * across
     underarm = low - (low[0] - half) / along[0] * along
-    _demand(
-        s,
-        low[0] - half >= s["spacing"] and -s["length"] + s["spacing"] <= underarm[1],
-        f"sleeve_length {s['sleeve_length']} is too short, or sleeve_width {s['sleeve_width']} too wide for the length "
-        f"{s['length']}, at a sleeve_angle of {s['sleeve_angle']} degrees",
+    demand(
+        low[0] - half >= spacing and -length + spacing <= underarm[1],
+        f"sleeve_length {sleeve_length} is too short, or sleeve_width {sleeve_width} too wide for the length "
+        f"{length}, at a sleeve_angle of {sleeve_angle} degrees",
+        spacing,
     )
-    right = _polyline((half, -s["length"]), (half, underarm[1]), low, top, (neck, 0))
-    return _tunic(s, right, (0, 1, 3), neck + 0.5 * (half - neck))
+    right = polyline((half, -length), (half, underarm[1]), low, top, (neck, 0))
+    return ("shirt", *_tunic(sizes, right, (0, 1, 3), neck + 0.5 * (half - neck)), sizes)
 
 
-def vest(s: Sizes) -> Parts:
-    """Front and back joined at the shoulders and the sides."""
-    half, neck, shoulder = s["width"] / 2, s["neck_width"] / 2, s["shoulder_width"]
-    tip = np.array([neck + shoulder, -0.25 * shoulder])
-    _demand(
-        s,
+def vest(
+    *,
+    spacing: float = 0.035,
+    width: float = 0.52,
+    length: float = 0.58,
+    depth: float = 0.16,
+    neck_width: float = 0.24,
+    neck_depth: float = 0.12,
+    shoulder_width: float = 0.08,
+    armhole_depth: float = 0.24,
+) -> Fields:
+    """Return a vest without sleeves, front towards -y, blown up to `depth`.
+
+    The loops are its four openings: neck, right armhole (x > 0), left armhole, hem. They make three classes: any three are
+    independent, the fourth is their sum. The grips are on the shoulders of the front.
+
+    Parameters
+    ----------
+    spacing, width, length, depth, neck_width, neck_depth, shoulder_width, armhole_depth : float
+    """
+    sizes = check_sizes(locals())
+    half, neck = width / 2, neck_width / 2
+    tip = np.array([neck + shoulder_width, -0.25 * shoulder_width])
+    demand(
         tip[0] <= half,
-        f"width {2 * half} is too narrow for two shoulders of shoulder_width {shoulder} beside the neck",
+        f"width {width} is too narrow for two shoulders of shoulder_width {shoulder_width} beside the neck",
+        spacing,
     )
-    _demand(
-        s,
-        s["armhole_depth"] + s["spacing"] <= s["length"] and -s["armhole_depth"] < tip[1] - 2 * s["spacing"],
-        f"armhole_depth {s['armhole_depth']} must be more than the shoulder's drop and less than the length {s['length']}",
+    demand(
+        armhole_depth + spacing <= length and -armhole_depth < tip[1] - 2 * spacing,
+        f"armhole_depth {armhole_depth} must be more than the shoulder's drop and less than the length {length}",
+        spacing,
     )
     bend = np.pi / 2 * np.linspace(0, 1, 181)
-    hole = np.column_stack(
-        [
-            half - (half - tip[0]) * np.sin(bend),
-            -s["armhole_depth"] + (tip[1] + s["armhole_depth"]) * (1 - np.cos(bend)),
-        ]
-    )
-    side, shoulder_line = _polyline((half, -s["length"]), hole[0]), _polyline(tip, (neck, 0))
-    return _tunic(s, [*side, hole, *shoulder_line], (0, 2), neck + shoulder / 2)
+    across, down = half - (half - tip[0]) * np.sin(bend), (tip[1] + armhole_depth) * (1 - np.cos(bend))
+    hole = np.column_stack([across, -armhole_depth + down])
+    right = [*polyline((half, -length), hole[0]), hole, *polyline(tip, (neck, 0))]
+    return ("vest", *_tunic(sizes, right, (0, 2), neck + shoulder_width / 2), sizes)
 
 
-def _tunic(s: Sizes, right: list[Array], seams: Sequence[int], grip: float) -> Parts:
+def _tunic(
+    sizes: Mapping[str, float], right: list[Array], seams: Sequence[int], grip: float
+) -> tuple[Array, Ids, tuple[Ids, ...], Ids]:
     """Front (towards -y) and back of the same right half, which runs from the hem to the neck, joined along its `seams`."""
-    neck, hem, k = s["neck_width"] / 2, s["length"], len(right)
+    neck, hem, half_width, k = sizes["neck_width"] / 2, sizes["length"], right[0][0, 0], len(right)
     angle = np.pi * np.linspace(0, 1, 181)
+    joined = [*seams, *(2 * k - i for i in seams)]
     panels = []
-    for dip, sign in ((s["neck_depth"], 1), (s["neck_depth"] / 3, -1)):
+    for dip in (sizes["neck_depth"], sizes["neck_depth"] / 3):
         collar = np.column_stack([neck * np.cos(angle), -dip * np.sin(angle)])
-        outline = [*right, collar, *(_mirror(line) for line in right[::-1])]
-        half_width = right[0][0, 0]
-        panel = cut([*outline, *_polyline((-half_width, -hem), (half_width, -hem))], [], s["spacing"])
-        joined = [*seams, *(2 * k - i for i in seams)]
-        panel = inflate(panel, joined, s["depth"] / 2)
-        panels.append(panel if sign > 0 else panel.mirrored())
-    front, back = panels
-    vertices, faces, (a, b) = sew(panels, [(0, front.sides[i], 1, back.sides[i]) for i in joined])
+        outline = [*right, collar, *(mirror(line) for line in right[::-1])]
+        panel = cut([*outline, *polyline((-half_width, -hem), (half_width, -hem))], [], sizes["spacing"])
+        panels.append(inflate(panel, joined, sizes["depth"] / 2))
+    front, back = panels[0], panels[1].mirrored()
+    vertices, faces, (a, b) = sew([front, back], [(0, front.sides[i], 1, back.sides[i]) for i in joined])
     open_sides = [k, *(i for i in range(2 * k + 1) if i not in joined and i not in (k, 2 * k + 1)), 2 * k + 1]
-    rims = tuple(_ring(a[front.sides[i]], b[back.sides[i]]) for i in open_sides)
+    rims = tuple(ring(a[front.sides[i]], b[back.sides[i]]) for i in open_sides)
     height = np.interp(grip, *right[-1][::-1].T)
-    grips = a[_nearest(front, np.array([[-grip, height], [grip, height]]))]
+    grips = a[front.nearest(np.array([[-grip, height], [grip, height]]))]
     return vertices, faces, rims, grips
 
 
-def mask(s: Sizes) -> Parts:
-    """A cupped sheet with a strap above and one below it: a face mask hung by one of its ear loops."""
-    half, low, width = s["width"] / 2, -s["height"], s["strap_width"]
-    _demand(
-        s,
-        s["strap_span"] - width >= 2 * s["spacing"] and s["strap_span"] + width + s["spacing"] <= s["width"],
-        f"strap_span {s['strap_span']} must leave an opening inside straps of strap_width {width} and fit the width {s['width']}",
+def mask(
+    *,
+    spacing: float = 0.016,
+    width: float = 0.18,
+    height: float = 0.20,
+    depth: float = 0.04,
+    bow: float = 0.02,
+    strap_length: float = 0.34,
+    strap_width: float = 0.03,
+    strap_span: float = 0.12,
+) -> Fields:
+    """Return a face mask with two ear loops, hung by one of them, the other one below.
+
+    The cloth is cupped by `depth` towards -y and its sides bow out by `bow`; `strap_span` lies between the middles of a
+    strap's ends. There are two classes; the true loops are the borders of the openings, the upper one first. The grips are
+    on the upper ear loop.
+
+    Parameters
+    ----------
+    spacing, width, height, depth, bow, strap_length, strap_width, strap_span : float
+    """
+    sizes = check_sizes(locals())
+    half, low = width / 2, -height
+    demand(
+        strap_span - strap_width >= 2 * spacing and strap_span + strap_width + spacing <= width,
+        f"strap_span {strap_span} must leave an opening inside straps of strap_width {strap_width} and fit the width {width}",
+        spacing,
     )
-    arch = Arch.of_length(s["strap_span"], s["strap_length"])
-    outer, inner, middle = arch.strap(width, s["spacing"], s["strap_length"])
-    side = np.column_stack([half + s["bow"] * np.sin(np.pi * np.linspace(0, 1, 91)), np.linspace(low, 0, 91)])
-    top = [side, *_polyline(side[-1], outer[0]), outer, *_polyline(outer[-1], (-half, 0))]
-    hole = [inner, *_polyline(inner[-1], inner[0])]
+    arch = Arch.of_length(strap_span, strap_length)
+    outer, hole, middle = arch.strap(strap_width, spacing, strap_length)
+    side = np.column_stack([half + bow * np.sin(np.pi * np.linspace(0, 1, 91)), np.linspace(low, 0, 91)])
+    top = [side, *polyline(side[-1], outer[0]), outer, *polyline(outer[-1], (-half, 0))]
 
     def turned(line: Array) -> Array:
         """Half a turn in the plane, which brings the upper half of the pattern to the lower one."""
         return np.array([0, low]) - line
 
-    outline = [*top, *map(turned, top)]
-    panel = cut(
-        outline, [hole, [turned(line) for line in hole]], s["spacing"], np.concatenate([middle, turned(middle)])
-    )
-    grips = _nearest(panel, arch.points(_THIRDS))
+    holes = [hole, [turned(line) for line in hole]]
+    panel = cut([*top, *map(turned, top)], holes, spacing, np.concatenate([middle, turned(middle)]))
     x, _, z = panel.vertices.T
     dome = np.clip(1 - (x / half) ** 2, 0, 1) * np.clip(1 - (2 * z / low - 1) ** 2, 0, 1)
-    return panel.vertices - s["depth"] * dome[:, None] * [0, 1, 0], panel.faces, panel.holes, grips
+    vertices = panel.vertices - depth * dome[:, None] * [0, 1, 0]
+    return "mask", vertices, panel.faces, panel.holes, panel.nearest(arch.points(THIRDS)), sizes
 
 
-def sheet(s: Sizes, holes: int) -> Parts:
-    """A rectangle with round holes below the middle of its upper edge."""
-    half, low, radius, drop = s["width"] / 2, -s["height"], s["hole_radius"], s["hole_drop"]
-    places = [0.0] if holes == 1 else [-s["hole_distance"] / 2, s["hole_distance"] / 2]
-    room = radius + s["spacing"]
-    _demand(s, radius >= 1.2 * s["spacing"], f"hole_radius {radius} is too small for a spacing of {s['spacing']}")
-    _demand(
-        s, room <= drop <= s["height"] - room, f"hole_drop {drop} puts a hole of hole_radius {radius} over the border"
-    )
-    _demand(
-        s, places[-1] + room <= half, f"width {s['width']} has no room for holes of hole_radius {radius} at {places}"
-    )
-    _demand(
-        s, holes == 1 or places[-1] >= room, f"hole_distance {2 * places[-1]} makes holes of hole_radius {radius} meet"
-    )
+def sheet(
+    *,
+    holes: int = 1,
+    spacing: float = 0.03,
+    width: float = 0.60,
+    height: float = 0.50,
+    hole_radius: float = 0.08,
+    hole_drop: float = 0.16,
+    hole_distance: float = 0.26,
+) -> Fields:
+    """Return a rectangle of cloth with one round hole, or two side by side.
+
+    The middles of the holes lie `hole_drop` below the upper edge, z = 0; the true loops are their borders, the left one
+    (x < 0) first. The grips are the upper corners.
+
+    Parameters
+    ----------
+    holes : int
+    spacing, width, height, hole_radius, hole_drop, hole_distance : float
+    """
+    sizes = check_sizes(locals(), without=("hole_distance",) if holes == 1 else ())
+    name = numbered("sheet", holes, "holes")
+    half, low, room = width / 2, -height, hole_radius + spacing
+    places = [0.0] if holes == 1 else [-hole_distance / 2, hole_distance / 2]
+    of = f"of hole_radius {hole_radius}"
+    demand(hole_radius >= 1.2 * spacing, f"hole_radius {hole_radius} is too small for the spacing", spacing)
+    demand(room <= hole_drop <= height - room, f"hole_drop {hole_drop} puts a hole {of} over the border", spacing)
+    demand(places[-1] + room <= half, f"width {width} has no room for holes {of} at {places}", spacing)
+    demand(holes == 1 or places[-1] >= room, f"hole_distance {2 * places[-1]} makes holes {of} meet", spacing)
     angle = np.linspace(0, 2 * np.pi, 361)
-    rings = [[np.column_stack([x + radius * np.cos(angle), -drop + radius * np.sin(angle)])] for x in places]
-    panel = cut(_polyline((-half, low), (half, low), (half, 0), (-half, 0), (-half, low)), rings, s["spacing"])
-    return panel.vertices, panel.faces, panel.holes, np.array([panel.sides[3][0], panel.sides[2][0]])
-
-
-@dataclass(frozen=True)
-class _Band:
-    """A straight strip in x from 0 to its length and in z from minus its width to 0, and the ids along its borders."""
-
-    panel: Panel
-    low: Ids  # along z = -width, x growing
-    high: Ids  # along z = 0, x growing
-    start: Ids  # along x = 0, z growing
-    end: Ids
-
-    @classmethod
-    def cut(cls, lengths: Sequence[float], widths: Sequence[float], spacing: float) -> _Band:
-        """Cut a band whose borders have joints after these lengths and widths."""
-        x, z = np.cumsum([0.0, *lengths]), np.cumsum([-sum(widths), *widths])
-        z[-1] = 0.0
-        corners = [(x0, z[0]) for x0 in x] + [(x[-1], z0) for z0 in z[1:]] + [(x0, 0) for x0 in x[-2::-1]]
-        outline = _polyline(*corners, *((0, z0) for z0 in z[-2::-1]))
-        panel = cut(outline, [], spacing)
-        m, k = len(lengths), len(widths)
-        low, end, high, start = (
-            _chain(*panel.sides[a:b]) for a, b in ((0, m), (m, m + k), (m + k, 2 * m + k), (2 * m + k, None))
-        )
-        return cls(panel, low, high[::-1], start[::-1], end)
-
-
-def _polyline(*corners: Sequence[float] | Array) -> list[Array]:
-    """The straight lines between consecutive corners."""
-    return [np.array([a, b], dtype=np.float64) for a, b in itertools.pairwise(corners)]
-
-
-def _mirror(line: Array) -> Array:
-    """The other side of x = 0, run through backwards."""
-    return (line * [-1, 1])[::-1]
-
-
-def _chain(*ids: Ids) -> Ids:
-    """Ids along consecutive sides, each joint once."""
-    return np.concatenate([ids[0], *(side[1:] for side in ids[1:])])
-
-
-def _ring(one: Ids, other: Ids) -> Ids:
-    """The cycle of two paths between the same ends."""
-    return np.concatenate([one[:-1], other[:0:-1]])
-
-
-def _nearest(panel: Panel, places: Array) -> Ids:
-    """Vertices of a panel nearest to places in its pattern."""
-    return np.asarray(cKDTree(panel.vertices[:, [0, 2]]).query(places)[1], dtype=np.int64)
-
-
-def _folded(vertices: Array, half: float, angle: float) -> Array:
-    """Turn what lies beyond x = +-half towards +y."""
-    beyond = np.maximum(np.abs(vertices[:, 0]) - half, 0)
-    x = np.sign(vertices[:, 0]) * (np.minimum(np.abs(vertices[:, 0]), half) + beyond * np.cos(angle))
-    return np.column_stack([x, vertices[:, 1] + beyond * np.sin(angle), vertices[:, 2]])
-
-
-def _demand(s: Sizes, holds: bool, otherwise: str) -> None:
-    if not holds:
-        raise ValueError(f"{otherwise} (metres, at a spacing of {s['spacing']})")
+    x, z = hole_radius * np.cos(angle), -hole_drop + hole_radius * np.sin(angle)
+    rings = [[np.column_stack([place + x, z])] for place in places]
+    panel = cut(polyline((-half, low), (half, low), (half, 0), (-half, 0), (-half, low)), rings, spacing)
+    grips = np.array([panel.sides[3][0], panel.sides[2][0]])
+    return name, panel.vertices, panel.faces, panel.holes, grips, sizes

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from topokit.view._palette import OKABE_ITO
 
-__all__ = ["STAGES", "DataFlow", "data_flow"]
-
 # name of the stage -> what leaves it, in the words of the chapters
 STAGES = {
     "cloth": "vertices",

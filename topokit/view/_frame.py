@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Framed", "framed_page"]
+from topokit.view._palette import OKABE_ITO
 
 
 @dataclass(frozen=True, repr=False)
@@ -25,7 +25,7 @@ class Framed:
     page : str
         The whole HTML page, its data and its script inside.
     height : int
-        Height of the frame around it in CSS pixels.
+        Height of the frame around it in CSS pixels; a narrow page stacks the parts and takes more.
     title : str
         What the frame is called for readers who hear the page.
     """
@@ -51,16 +51,25 @@ class Framed:
         return path
 
 
-def framed_page(name: str, data: dict[str, Any], *scripts: str) -> str:
-    """Put style, data and scripts into the page `name`.html: what the figures share, `scripts`, then `name`.js.
+def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: int, caption: str, title: str) -> Framed:
+    """The page `name`: its parts, `name`.html, in the frame that all share, and its script, `name`.js, after `scripts`.
 
     A `</` inside the JSON could end the script element: it is escaped.
     """
-    files = resources.files("topokit.view")
-    page, style, *code = (
-        files.joinpath(file).read_text(encoding="utf-8")
-        for file in (f"{name}.html", "frame.css", "frame.js", *scripts, f"{name}.js")
-    )
-    text = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
-    script = "(() => {\n" + "\n".join(code) + "})();"
-    return page.replace("__STYLE__", style).replace("__SCRIPT__", script).replace("__DATA__", text)
+    data = data | {"height": int(height), "title": caption, "palette": list(OKABE_ITO)}
+    code = "\n".join(_text(script) for script in ("frame.js", *scripts, f"{name}.js"))
+    parts = {
+        "NAME": name,
+        "STYLE": _text("frame.css"),
+        "PARTS": _text(f"{name}.html"),
+        "SCRIPT": f"(() => {{\n{code}}})();",
+        "DATA": json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),
+    }
+    page = _text("frame.html")
+    for part, text in parts.items():
+        page = page.replace(f"__{part}__", text)
+    return Framed(page, height, title)
+
+
+def _text(file: str) -> str:
+    return resources.files("topokit.view").joinpath(file).read_text(encoding="utf-8")

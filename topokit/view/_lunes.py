@@ -1,27 +1,27 @@
-"""The lune of an edge, drawn: which points are joined to both of its ends, in how many pieces, and what the edge fills.
+"""The lune of an edge, drawn: what it joins and fills when it arrives, and why it is critical or not.
 
-Taught in chapter 2.
+Taught in chapters 2 and 5.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points
-from topokit.view._palette import OKABE_ITO
-from topokit.view._plots import _axes
+from topokit._validate import positive
+from topokit.view._palette import OKABE_ITO, new_axes
+from topokit.view._planar import planar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_lune"]
-
-_FAINT = "0.72"
-_COMPONENTS = OKABE_ITO[1:]  # the first colour is the edge's own
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+_EDGE, *_COMPONENTS = OKABE_ITO
+_BLOCKED, _PATH = OKABE_ITO[3], OKABE_ITO[2]
 
 
 def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) -> Axes:
@@ -33,19 +33,11 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
     Parameters
     ----------
     points : (n, 2) array_like
+        The cloud.
     edge : (2,) sequence of int
         Its two ends.
     ax : matplotlib Axes, optional
         A new figure's when not given.
-
-    Returns
-    -------
-    Axes
-
-    Raises
-    ------
-    ValueError
-        When `points` do not lie in the plane, or `edge` is not a pair of two of them.
 
     Examples
     --------
@@ -53,34 +45,98 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
     >>> view.plot_lune([[0, 0], [2, 0], [2, 2], [0, 2]], (0, 2)).get_title()
     '2 components'
     """
-    from matplotlib.collections import LineCollection
-
-    cloud = as_points(points)
-    if cloud.shape[1] != 2:
-        raise ValueError(f"points must lie in the plane, (n, 2), not of shape {cloud.shape}")
+    cloud = planar(points, "points")
     x, y = _ends(edge, len(cloud))
     joined = _joined_before(cloud, x, y)
     components = _components(np.flatnonzero(joined[x] & joined[y]), joined)
-    axes = _axes(ax)
-    axes.add_collection(LineCollection(list(_segments(cloud, joined)), colors=_FAINT, linewidths=0.7, zorder=1))
-    axes.fill(*_outline(cloud[x], cloud[y]).T, facecolor="0.5", alpha=0.14, edgecolor="0.4", linestyle="--", zorder=0)
-    axes.plot(*cloud.T, "o", color="0.45", markersize=3.5, zorder=3)
+    axes = new_axes(ax)
+    _draw_edges(axes, cloud, joined, colors="0.72", linewidths=0.7, zorder=1)
+    outline = _outline(cloud[x], cloud[y], float(np.hypot(*(cloud[y] - cloud[x]))))
+    axes.fill(*outline.T, facecolor="0.5", alpha=0.14, edgecolor="0.4", linestyle="--", zorder=0)
+    _draw_dots(axes, cloud, "0.45", 3.5, zorder=3)
     for i, vertices in enumerate(components):
-        colour = _COMPONENTS[i % len(_COMPONENTS)]
-        inside = np.zeros_like(joined)
-        inside[np.ix_(vertices, vertices)] = joined[np.ix_(vertices, vertices)]
-        axes.add_collection(LineCollection(list(_segments(cloud, inside)), colors=colour, linewidths=1.6, zorder=2))
-        axes.plot(*cloud[vertices].T, "o", color=colour, markersize=7, zorder=4)
+        part, colour = cloud[vertices], _COMPONENTS[i % len(_COMPONENTS)]
+        _draw_edges(axes, part, joined[np.ix_(vertices, vertices)], colors=colour, linewidths=1.6, zorder=2)
+        _draw_dots(axes, part, colour, 7, zorder=4)
         if len(components) > 1:
-            longer = np.linalg.norm(cloud[vertices, None] - cloud[[x, y]], axis=2).max(axis=1)
-            apex = vertices[int(np.argmin(longer))]
-            axes.fill(*cloud[[x, y, apex]].T, facecolor=OKABE_ITO[0], alpha=0.22, zorder=1)
-    axes.plot(*cloud[[x, y]].T, "o-", color=OKABE_ITO[0], linewidth=2.6, markersize=6, zorder=5)
+            longer = np.linalg.norm(part[:, None] - cloud[[x, y]], axis=2).max(axis=1)
+            triangle = np.vstack([cloud[[x, y]], part[np.argmin(longer)]])
+            axes.fill(*triangle.T, facecolor=_EDGE, alpha=0.22, zorder=1)
+    _draw_edge(axes, cloud[[x, y]])
     count = len(components)
-    axes.set_title("empty" if count == 0 else "connected" if count == 1 else f"{count} components")
+    return _bare(axes, "empty" if count == 0 else "connected" if count == 1 else f"{count} components")
+
+
+def plot_lens(
+    points: ArrayLike, edge: Sequence[int], alpha: float, epsilon: float = 0.0, ax: Axes | None = None
+) -> Axes:
+    """Draw whether an edge of a planar cloud is (alpha, epsilon)-critical, as `topokit.lemmas.beta_critical` says it.
+
+    The dashed lens holds the points that may be in the edge's lune, the shaded one those that surely are and so may carry
+    paths; these are joined where a step surely survives. Two points of the dashed lens are marked: of a critical edge two
+    that no path joins, of another one the two farthest apart, with a path between them.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        The cloud.
+    edge : (2,) sequence of int
+        Its two ends.
+    alpha, epsilon : float
+        Covering radius of the observations and largest displacement, in the unit of the points.
+    ax : matplotlib Axes, optional
+        A new figure's when not given.
+
+    Examples
+    --------
+    >>> from topokit import view
+    >>> view.plot_lens([[0, 0], [2, 0], [2, 2], [0, 2]], (0, 2), alpha=0.1).get_title()
+    'critical'
+    """
+    from scipy.spatial.distance import cdist
+
+    cloud, alpha, epsilon = planar(points, "points"), positive(alpha, "alpha"), positive(epsilon, "epsilon")
+    x, y = _ends(edge, len(cloud))
+    distances = cdist(cloud, cloud)
+    length = distances[x, y]
+    pair, path, inner = _witness(distances, x, y, alpha, epsilon)
+    critical = len(pair) > 0 and len(path) == 0
+    axes = new_axes(ax)
+    outer, sure = (_outline(cloud[x], cloud[y], length + slack) for slack in (4 * epsilon, -alpha - 4 * epsilon))
+    axes.fill(*outer.T, facecolor="none", edgecolor="0.4", linestyle="--")
+    axes.fill(*sure.T, facecolor="0.5", alpha=0.18)
+    steps = distances[np.ix_(inner, inner)] < length - 2 * alpha - 4 * epsilon
+    np.fill_diagonal(steps, False)
+    _draw_edges(axes, cloud[inner], steps, colors="0.75", linewidths=0.3, zorder=1)
+    _draw_dots(axes, cloud, "0.55", 2.5, zorder=2)
+    _draw_dots(axes, cloud[inner], "0.3", 3, zorder=2)
+    axes.plot(*cloud[path].T, "-", color=_PATH, linewidth=2.2, zorder=3)
+    _draw_edge(axes, cloud[[x, y]])
+    _draw_dots(axes, cloud[pair], _BLOCKED if critical else _PATH, 8, zorder=5)
+    return _bare(axes, "critical" if critical else "not critical")
+
+
+def _draw_dots(axes: Axes, places: Array, colour: str, size: float, zorder: float) -> None:
+    axes.plot(*places.T, "o", color=colour, markersize=size, zorder=zorder)
+
+
+def _draw_edges(axes: Axes, cloud: Array, joined: NDArray[np.bool_], **look: Any) -> None:
+    """The edges of a graph of places."""
+    from matplotlib.collections import LineCollection
+
+    axes.add_collection(LineCollection(list(cloud[np.argwhere(np.triu(joined))]), **look))
+
+
+def _bare(axes: Axes, title: str) -> Axes:
+    """One scale for both directions, and no frame."""
+    axes.set_title(title)
     axes.set_aspect("equal")
     axes.set_axis_off()
     return axes
+
+
+def _draw_edge(axes: Axes, ends: Array) -> None:
+    axes.plot(*ends.T, "o-", color=_EDGE, linewidth=2.6, markersize=6, zorder=4.5)
 
 
 def _ends(edge: Sequence[int], n: int) -> tuple[int, int]:
@@ -94,7 +150,7 @@ def _ends(edge: Sequence[int], n: int) -> tuple[int, int]:
     return x, y
 
 
-def _joined_before(cloud: NDArray[np.float64], x: int, y: int) -> NDArray[np.bool_]:
+def _joined_before(cloud: Array, x: int, y: int) -> NDArray[np.bool_]:
     """(n, n) whether two vertices are joined before {x, y}: by length, then smaller, then larger index."""
     squared = ((cloud[:, None] - cloud[None, :]) ** 2).sum(axis=2)
     index = np.arange(len(cloud))
@@ -105,32 +161,65 @@ def _joined_before(cloud: NDArray[np.float64], x: int, y: int) -> NDArray[np.boo
     return joined
 
 
-def _components(vertices: NDArray[np.int64], joined: NDArray[np.bool_]) -> list[list[int]]:
+def _components(vertices: Ids, joined: NDArray[np.bool_]) -> list[Ids]:
     """The connected components of a set of vertices, each in order, by their smallest vertex."""
-    left, components = set(vertices.tolist()), []
-    while left:
-        component = [min(left)]
-        left.discard(component[0])
-        for v in component:
-            reached = [w for w in left if joined[v, w]]
-            component += reached
-            left.difference_update(reached)
-        components.append(sorted(component))
-    return components
+    from scipy.sparse.csgraph import connected_components
+
+    count, label = connected_components(joined[np.ix_(vertices, vertices)], directed=False)
+    return [vertices[label == i] for i in range(count)]
 
 
-def _segments(cloud: NDArray[np.float64], joined: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """(m, 2, 2) the edges of a graph as pairs of places."""
-    segments: NDArray[np.float64] = cloud[np.argwhere(np.triu(joined))]
-    return segments
-
-
-def _outline(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(k, 2) the outline of all places that are nearer to a and to b than these are to each other."""
-    length, direction = np.hypot(*(b - a)), np.arctan2(*(b - a)[::-1])
-    arc = np.linspace(-np.pi / 3, np.pi / 3, 40)
+def _outline(a: Array, b: Array, radius: float) -> Array:
+    """(k, 2) the outline of all places within `radius` of both a and b; degenerate when it is below half their distance."""
+    ahead = np.arctan2(*(b - a)[::-1])
+    half = float(np.hypot(*(b - a))) / 2
+    arc = np.arccos(min(1.0, half / radius)) * np.linspace(-1, 1, 40) if radius > 0 else np.zeros(40)
     arcs = [
-        centre + length * np.column_stack([np.cos(way + arc), np.sin(way + arc)])
-        for centre, way in ((a, direction), (b, direction + np.pi))
+        centre + max(radius, half) * np.column_stack([np.cos(way + arc), np.sin(way + arc)])
+        for centre, way in ((a, ahead), (b, ahead + np.pi))
     ]
     return np.concatenate(arcs)
+
+
+def _witness(distances: Array, x: int, y: int, alpha: float, epsilon: float) -> tuple[Ids, Ids, Ids]:
+    """Two points of the lens, a path between them (empty when none may be), and the points that may carry paths.
+
+    The pair is one without a path if there is one, else the one farthest apart; of equals the first. No pair when no two
+    points of the lens are far enough apart.
+    """
+    length, farther = distances[x, y], np.maximum(distances[x], distances[y])
+    end_step = length - alpha - 4 * epsilon
+    lens = np.setdiff1d(np.flatnonzero(farther <= length + 4 * epsilon), (x, y))
+    inner = np.flatnonzero(farther < end_step)
+    none = np.empty(0, np.int64)
+    apart = distances[np.ix_(lens, lens)]
+    asked = np.triu(apart >= length - 4 * epsilon, 1)
+    if not asked.any():
+        return none, none, inner
+    steps = distances[np.ix_(inner, inner)] < end_step - alpha
+    ends = distances[np.ix_(lens, inner)] < end_step
+    reached = np.array([ends[:, part].any(axis=1) for part in _components(np.arange(len(inner)), steps)], dtype=int)
+    blocked = asked & (reached.T @ reached == 0) if len(inner) else asked
+    pair = lens[
+        list(np.unravel_index(np.argmax(np.where(blocked if blocked.any() else asked, apart, -1)), apart.shape))
+    ]
+    return pair, none if blocked.any() else _path(distances, pair, inner, end_step, end_step - alpha), inner
+
+
+def _path(distances: Array, pair: Ids, inner: Ids, end_step: float, step: float) -> Ids:
+    """The shortest path between two points through others, by steps below a limit, which is another at the ends."""
+    from scipy.sparse.csgraph import dijkstra
+
+    places, last = np.concatenate([inner, pair]), len(inner)
+    graph = distances[np.ix_(places, places)]
+    limit = np.full(graph.shape, step)
+    limit[last:], limit[:, last:] = end_step, end_step
+    limit[last:, last:] = 0.0
+    tiny = 1e-9 * float(graph.max())  # a step of no length is a step
+    graph = np.where(graph < limit, graph + tiny, 0.0)
+    np.fill_diagonal(graph, 0.0)
+    _, before = dijkstra(graph, indices=last, return_predecessors=True)
+    path = [last + 1]
+    while path[-1] != last:
+        path.append(int(before[path[-1]]))
+    return places[path[::-1]]

@@ -1,4 +1,4 @@
-"""One colour for one identity, in every picture.
+"""One colour for one identity, in every picture, and axes to draw it on.
 
 The six colours are those of Okabe and Ito that read on white and on near-black alike (their black and their yellow do
 not); they stay apart for the common kinds of colour blindness. A loop's colour depends on its identity and on nothing
@@ -8,13 +8,15 @@ else, so that loop 3 looks the same in the diagram, on the cloth, in the player 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from topokit.state import TopologicalState
 
-__all__ = ["OKABE_ITO", "appearances", "long_lived", "loop_colour"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 
@@ -51,3 +53,13 @@ def long_lived(states: Sequence[TopologicalState], share: float = 0.2) -> tuple[
             weight[loop.id] = weight.get(loop.id, 0.0) + loop.lifetime
     least = share * max(weight.values(), default=0.0)
     return tuple(sorted((i for i in weight if weight[i] >= least), key=lambda i: (-weight[i], i)))
+
+
+def new_axes(ax: Axes | None, **options: Any) -> Axes:
+    """`ax`, or the axes of a new pyplot figure."""
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    axes: Axes = plt.figure(layout="constrained").add_subplot(**options)
+    return axes

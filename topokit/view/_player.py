@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,51 +14,31 @@ from numpy.typing import NDArray
 
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
-from topokit.view._frame import Framed, framed_page
-from topokit.view._geometry import as_line, rod_radius, subdivide
-from topokit.view._palette import OKABE_ITO, long_lived
-
-__all__ = ["Player", "pack", "pack_coordinates", "player", "telling_frame", "unpack"]
-
-_TYPES = {"u1": np.uint8, "u2": np.uint16, "i4": np.int32, "f4": np.float32}
+from topokit.view._cloth import as_line, one_a_frame, rod_radius, subdivide
+from topokit.view._frame import Framed, framed
+from topokit.view._palette import long_lived
 
 
 def pack(array: NDArray[Any]) -> dict[str, Any]:
-    """Return an array as a JSON-ready dict: little-endian bytes in base64, in the smallest type the player reads."""
-    array = np.asarray(array)
-    if np.issubdtype(array.dtype, np.floating):
+    """An array as a JSON-ready dict: little-endian bytes in base64, in the smallest type the player reads."""
+    if array.dtype.kind == "f":
         kind = "f4"
-    elif array.dtype == bool or array.dtype == np.uint8:
+    elif array.dtype == bool:
         kind = "u1"
     else:
-        kind = "u2" if array.size == 0 or (array.min() >= 0 and array.max() < 2**16) else "i4"
-    values = np.ascontiguousarray(array, dtype=np.dtype(_TYPES[kind]).newbyteorder("<"))
+        kind = "u2" if array.min(initial=0) >= 0 and array.max(initial=0) < 2**16 else "i4"
+    values = np.ascontiguousarray(array, dtype=f"<{kind}")
     return {"type": kind, "shape": list(array.shape), "values": base64.b64encode(values.tobytes()).decode("ascii")}
 
 
 def pack_coordinates(points: NDArray[np.floating[Any]]) -> dict[str, Any]:
-    """Pack (..., 3) coordinates to 16 bits with one scale for the three axes; the error is at most half the scale."""
+    """(..., 3) coordinates packed to 16 bits with one scale for the three axes; the error is at most half the scale."""
     flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     low = flat.min(axis=0) if len(flat) else np.zeros(3)
     scale = float((flat.max(axis=0) - low).max()) / (2**16 - 1) if len(flat) else 0.0
     scale = scale or 1.0  # all points equal
     steps = np.rint((flat - low) / scale).astype(np.uint16).reshape(np.shape(points))
     return pack(steps) | {"scale": scale, "low": low.tolist()}
-
-
-def unpack(packed: dict[str, Any]) -> NDArray[Any]:
-    """Return the array that `pack` or the player's coordinates hold: what the script sees, for tests and for readers."""
-    kind = np.dtype(_TYPES[packed["type"]]).newbyteorder("<")
-    array = np.frombuffer(base64.b64decode(packed["values"]), dtype=kind).reshape(packed["shape"])
-    return array * packed["scale"] + packed["low"] if "scale" in packed else array
-
-
-@dataclass(frozen=True, repr=False)
-class Player(Framed):
-    """A figure that plays an episode and its loops; the last value of a notebook cell shows it.
-
-    Attributes are those of `Framed`.
-    """
 
 
 def player(
@@ -70,16 +49,17 @@ def player(
     start: int | None = None,
     view: tuple[float, float] = (-60.0, 15.0),
     show_truth: bool = False,
-) -> Player:
+) -> Framed:
     """Return an interactive figure of an episode: the cloth, its loops, their diagram and their lifetimes over time.
 
     Parameters
     ----------
     episode : Episode
+        Its cloth, its target and its grippers are drawn.
     states : sequence of TopologicalState
         One a frame, in order, as `topokit.track` returns them.
     height : int
-        Height of the frame in CSS pixels; a narrow page stacks the parts and takes more.
+        Height of the frame in CSS pixels.
     start : int, optional
         The frame shown before anyone touches the figure; the one where the weightiest loop lives longest by default.
     view : (2,) float
@@ -92,23 +72,19 @@ def player(
     ValueError
         When `states` has another length than the episode, or `start` is no frame of it.
     """
-    if len(states) != len(episode):
-        raise ValueError(f"states has {len(states)} frames where episode has {len(episode)}; track the same episode")
+    one_a_frame(episode, states)
     start = telling_frame(states) if start is None else start
     if not 0 <= start < len(episode):
         raise ValueError(f"start must be a frame from 0 to {len(episode) - 1}, not {start}")
     title = f"{episode.garment}, {episode.target}"
     data = _scene(episode) | {
-        "title": title,
         "start": int(start),
-        "height": int(height),
         "view": [float(view[0]), float(view[1])],
         "show_truth": bool(show_truth),
-        "palette": list(OKABE_ITO),
         "long": list(long_lived(states)),
     }
     data["arrays"] |= _tracks(states)
-    return Player(framed_page("player", data), height, f"Player: {title}")
+    return framed("player", (), data, height, title, f"Player: {title}")
 
 
 def telling_frame(states: Sequence[TopologicalState]) -> int:

@@ -3,7 +3,7 @@
 (() => {
   const [scene, diagram, strip] = [$("scene"), $("diagram"), $("strip")];
   const n = data.points.length, frame = framing(data.points, 0);
-  let points, seen, all, some, match, alpha, worst, spread, chosen = -1, box;
+  let points, seen, all, some, match, alpha, worst, spread, chosen = -1;
 
   // ---- what follows from the state ---------------------------------------------------------------------------
   const away = (i, j) => Math.hypot(points[i][0] - points[j][0], points[i][1] - points[j][1]);
@@ -52,23 +52,12 @@
   }
 
   // ---- drawing -----------------------------------------------------------------------------------------------
-  const life = (l) => l.death - l.birth, paint = (k) => data.palette[k % data.palette.length];
+  const life = (l) => l.death - l.birth;
   const promised = (l) => life(l) > alpha * (1 + 1e-9);
   const strong = (l) => promised(l) || life(l) >= 0.2 * life(all.loops[0]);
   function drawScene() {
-    const [g, w, h] = start(scene), { scale, to } = frame(w, h), S = points.map(to), blue = dark ? "#56b4e9" : "#0072b2";
-    if ($("balls").checked && alpha > 0) {
-      g.beginPath(); // one path, so that the union of the balls has one tint
-      for (const v of ids()) disc(g, S[v], scale * alpha);
-      g.fillStyle = fade(blue, dark ? 0.17 : 0.13);
-      g.fill();
-      for (const v of ids()) {
-        g.beginPath();
-        disc(g, S[v], scale * alpha);
-        [g.strokeStyle, g.lineWidth] = [fade(blue, 0.25), 1];
-        g.stroke();
-      }
-    }
+    const [g, w, h] = start(scene), { scale, to } = frame(w, h), S = points.map(to);
+    if ($("balls").checked && alpha > 0) balls(g, ids().map((v) => S[v]), scale * alpha, dark ? 0.17 : 0.13, 0.25);
     all.loops.forEach((loop, k) => strong(loop) && trace(g, loop.cycle.map((v) => S[v]), fade(paint(k), 0.75), 1.4, { close: true, dash: [3, 4] }));
     all.loops.forEach((loop, k) => {
       const there = some.loops[match.partner[k]];
@@ -118,8 +107,7 @@
     });
   }
   function drawStrip() {
-    const high = 1.05 * Math.max(spread.radius[0], alpha) || 1, [g, X, Y, inside] = axes(strip, n, high, "\u03b1 against the number of points", "points");
-    box = inside;
+    const high = 1.05 * Math.max(spread.radius[0], alpha) || 1, [g, X, Y] = axes(strip, n, high, "\u03b1 against the number of points", "points");
     all.loops.forEach((loop, k) => {
       if (life(loop) < 0.2 * life(all.loops[0])) return;
       g.strokeStyle = paint(k);
@@ -153,6 +141,7 @@
     const flags = seen.map((flag, i) => (i === v ? !flag : flag));
     if (flags.some((flag) => flag)) observe(flags); // nothing observed has no covering radius
   }
+  const choose = (v) => ((chosen = v), later());
   function place(v, where) {
     points[v] = where;
     change();
@@ -160,26 +149,19 @@
   draggable(scene, {
     points: () => points,
     frame,
-    press: (v) => ((chosen = v), later()),
+    press: choose,
     move: place,
     tap: toggle,
   });
-  scene.onkeydown = (e) => {
-    const choose = (v) => () => ((chosen = v), later());
-    const move = (dx, dy) => () => {
-      if (chosen < 0) return;
-      const { to, back } = frame(scene.clientWidth, scene.clientHeight), [x, y] = to(points[chosen]);
-      place(chosen, back(x + dx, y + dy));
-    };
-    const act = { n: choose((chosen + 1) % n), p: choose((Math.max(chosen, 0) + n - 1) % n), Escape: reset, Enter: () => chosen >= 0 && toggle(chosen),
-      ArrowLeft: move(-4, 0), ArrowRight: move(4, 0), ArrowUp: move(0, -4), ArrowDown: move(0, 4) }[e.key];
-    if (act) (e.preventDefault(), act());
-  };
-  strip.onpointerdown = strip.onpointermove = (e) => {
-    if (!e.buttons) return;
-    strip.setPointerCapture(e.pointerId);
-    first(clamp(Math.round(((e.offsetX - box.x) / box.w) * n), 1, n));
-  };
+  walk(scene, {
+    count: () => n,
+    chosen: () => chosen,
+    choose,
+    move: (v, dx, dy) => place(v, beside(scene, frame, points[v], dx, dy)),
+    Escape: reset,
+    Enter: () => chosen >= 0 && toggle(chosen),
+  });
+  scrub(strip, (share) => first(clamp(Math.round(share * n), 1, n)));
   $("count").max = n;
   $("count").oninput = (e) => first(+e.target.value);
   $("dice").onclick = () => {
@@ -187,7 +169,7 @@
     observe(points.map((_, v) => drawn.includes(v)));
   };
   $("balls").onchange = later;
-  $("reset").onclick = reset;
+  onReset(reset);
 
   // ---- start -------------------------------------------------------------------------------------------------
   reset();

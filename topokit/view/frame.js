@@ -14,6 +14,8 @@ function theme() {
   document.documentElement.classList.toggle("dark", dark);
 }
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
+const blue = () => (dark ? "#56b4e9" : "#0072b2");
+const paint = (k) => data.palette[k % data.palette.length];
 const fade = (hex, alpha) => hex + Math.round(alpha * 255).toString(16).padStart(2, "0");
 
 // ---- drawing -------------------------------------------------------------------------------------------------
@@ -40,7 +42,7 @@ function ticks(high) {
   return Array.from({ length: Math.floor(high / step + 1e-9) + 1 }, (_, k) => +(k * step).toPrecision(6));
 }
 function axes(canvas, highX, highY, title, unitX, marks = ticks(highY), marksX = ticks(highX)) {
-  const [g, w, h] = start(canvas), box = { x: 44, y: 28, w: w - 58, h: h - 64 };
+  const [g, w, h] = start(canvas), box = (canvas.box = { x: 44, y: 28, w: w - 58, h: h - 64 });
   const X = (v) => box.x + (v / highX) * box.w, Y = (v) => box.y + box.h - (v / highY) * box.h;
   g.fillStyle = css("--soft");
   g.strokeStyle = css("--line");
@@ -69,6 +71,7 @@ function lazily(draw) { // at most one drawing a frame of the screen
     queued = true;
   };
 }
+const svg = (path) => `<svg viewBox="0 0 10 10" aria-hidden="true">${path}</svg>`;
 function playback(at, go, end, seconds) { // the button plays at() from where it is, or from 0, to end() by calling go
   let playing = false, runs = 0;
   const play = (on = !playing) => {
@@ -84,9 +87,32 @@ function playback(at, go, end, seconds) { // the button plays at() from where it
     };
     if (on) requestAnimationFrame(step);
   };
+  $("play").innerHTML = svg('<path id="icon"/>');
   $("play").onclick = () => play();
   play(false);
   return play;
+}
+
+// ---- hands ---------------------------------------------------------------------------------------------------
+function clamp(value, low, high) {
+  return Math.max(low, Math.min(high, value));
+}
+function keys(canvas, actions) { // actions() is what every key does now
+  canvas.onkeydown = (e) => {
+    const act = actions()[e.key];
+    if (act) (e.preventDefault(), act());
+  };
+}
+function scrub(canvas, go) { // go to a share of a chart's width
+  canvas.onpointerdown = canvas.onpointermove = (e) => {
+    if (!e.buttons) return;
+    canvas.setPointerCapture(e.pointerId);
+    go((e.offsetX - canvas.box.x) / canvas.box.w);
+  };
+}
+function onReset(reset) {
+  $("reset").innerHTML = svg('<path d="M5 1.2a3.9 3.9 0 1 1-3.8 4.9l1.3-.3A2.6 2.6 0 1 0 5 2.5v1.6L1.7 1.9 5-.4z"/>');
+  $("reset").onclick = reset;
 }
 
 // ---- the page around -----------------------------------------------------------------------------------------

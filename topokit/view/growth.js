@@ -2,9 +2,9 @@
 // Idea: the state is the points and one radius. A moved point computes all loops anew, a new radius only draws.
 (() => {
   const [scene, diagram, strip] = [$("scene"), $("diagram"), $("strip")];
-  const home = data.points, low = [0, 1].map((k) => Math.min(...home.map((p) => p[k])));
-  const size = [0, 1].map((k) => Math.max(...home.map((p) => p[k])) - low[k]), extent = Math.max(...size) || 1;
-  let points, complex, end, radius, chosen = -1, held = false;
+  const home = data.points, widths = [0, 1].map((k) => Math.max(...home.map((p) => p[k])) - Math.min(...home.map((p) => p[k])));
+  const frame = framing(home, 0.06 * (Math.max(...widths) || 1));
+  let points, complex, end, radius, chosen = -1;
 
   // ---- loops -------------------------------------------------------------------------------------------------
   // A loop keeps its colour while its birth edge or its killer edge stays the same: dragging does not reshuffle.
@@ -26,16 +26,10 @@
     const last = complex.loops.reduce((m, l) => Math.max(m, l.death), 0);
     end = data.end || 1.15 * (last || complex.cone) || 1;
   }
-  const paint = (loop) => data.palette[loop.colour % data.palette.length];
   const born = () => complex.loops.filter((l) => l.birth <= radius).reverse();
   const just = (value) => radius >= value && radius < value + 0.035 * end; // a flash, in radii
 
   // ---- the complex -------------------------------------------------------------------------------------------
-  function view(w, h) {
-    const scale = Math.min((w - 56) / (size[0] || extent), (h - 76) / (size[1] || extent)) * 0.94;
-    const x = w / 2 - scale * (low[0] + size[0] / 2), y = h / 2 + 8 + scale * (low[1] + size[1] / 2);
-    return { scale, to: (p) => [x + scale * p[0], y - scale * p[1]], back: (u, v) => [(u - x) / scale, (y - v) / scale] };
-  }
   function triangles(visit) { // all of the complex at this radius, each once
     const n = points.length, after = points.map(() => []), joined = new Uint8Array(n * n);
     let edges = 0, count = 0;
@@ -52,17 +46,8 @@
   }
   let counts = [0, 0];
   function drawScene() {
-    const [g, w, h] = start(scene), { scale, to } = view(w, h), S = points.map(to);
-    const path = (ids, close) => {
-      ids.forEach((v, k) => (k ? g.lineTo(...S[v]) : g.moveTo(...S[v])));
-      if (close) g.closePath();
-    };
-    const stroke = (ids, style, width, close) => {
-      [g.strokeStyle, g.lineWidth] = [style, width];
-      g.beginPath();
-      path(ids, close);
-      g.stroke();
-    };
+    const [g, w, h] = start(scene), { scale, to } = frame(w, h), S = points.map(to);
+    const stroke = (ids, style, width, close = false) => trace(g, ids.map((v) => S[v]), style, width, { close });
     // One path for many triangles, all turned the same way so that none cuts a hole into another; not one for all,
     // since a browser takes time for what overlaps.
     let turned = 0;
@@ -70,59 +55,38 @@
     g.beginPath();
     counts = triangles((i, j, k) => {
       const left = (S[j][0] - S[i][0]) * (S[k][1] - S[i][1]) > (S[j][1] - S[i][1]) * (S[k][0] - S[i][0]);
-      path(left ? [i, j, k] : [i, k, j], true);
+      (left ? [i, j, k] : [i, k, j]).forEach((v, n) => (n ? g.lineTo(...S[v]) : g.moveTo(...S[v])));
+      g.closePath();
       if (++turned % 50) return;
       g.fill();
       g.beginPath();
     });
     g.fill();
-    if ($("balls").checked) { // above the triangles: where they miss a place inside one, it shows
-      g.beginPath(); // one path, so that the union of the balls has one tint
-      for (const [x, y] of S) (g.moveTo(x + scale * radius, y), g.arc(x, y, scale * radius, 0, 7));
-      g.fillStyle = fade(dark ? "#56b4e9" : "#0072b2", dark ? 0.17 : 0.13);
-      g.fill();
-      g.strokeStyle = fade(dark ? "#56b4e9" : "#0072b2", 0.3);
-      g.lineWidth = 1;
-      for (const [x, y] of S) {
-        g.beginPath();
-        g.arc(x, y, scale * radius, 0, 7);
-        g.stroke();
-      }
-    }
+    if ($("balls").checked) balls(g, S, scale * radius, dark ? 0.17 : 0.13, 0.3); // above the triangles: where they miss a place inside one, it shows
     g.strokeStyle = fade(dark ? "#9fadbc" : "#5d6b7a", 0.75);
     g.lineWidth = 1;
     g.beginPath();
-    for (const e of complex.edges) if (e.value <= radius) path([e.i, e.j]);
+    for (const e of complex.edges) if (e.value <= radius) (g.moveTo(...S[e.i]), g.lineTo(...S[e.j]));
     g.stroke();
     for (const loop of born()) {
-      const colour = paint(loop), weight = loop.strong ? 1 : 0.6;
+      const ink = paint(loop.colour), weight = loop.strong ? 1 : 0.6;
       if (radius < loop.death) {
         const [first] = loop.cycle, cycle = loop.cycle;
         if (loop.strong) stroke(cycle, css("--panel"), 6, true);
-        stroke(cycle, colour, 3 * weight, true);
-        stroke([first, cycle[cycle.length - 1]], colour, just(loop.birth) ? 8 : 5.5 * weight);
+        stroke(cycle, ink, 3 * weight, true);
+        stroke([first, cycle[cycle.length - 1]], ink, just(loop.birth) ? 8 : 5.5 * weight);
       } else {
-        const flash = just(loop.death);
-        for (const ids of loop.triangles) {
-          g.fillStyle = fade(colour, flash ? 0.8 : loop.strong ? 0.42 : 0.2);
-          g.beginPath();
-          path(ids, true);
-          g.fill();
-          stroke(ids, fade(colour, loop.strong ? 0.9 : 0.4), flash ? 2 : 1.2 * weight, true);
-        }
+        const flash = just(loop.death), tint = fade(ink, flash ? 0.8 : loop.strong ? 0.42 : 0.2);
+        for (const ids of loop.triangles)
+          trace(g, ids.map((v) => S[v]), fade(ink, loop.strong ? 0.9 : 0.4), flash ? 2 : 1.2 * weight, { close: true, fill: tint });
         stroke(loop.killerEdge, css("--panel"), flash ? 9 : 7 * weight);
-        stroke(loop.killerEdge, colour, flash ? 6 : 4 * weight);
+        stroke(loop.killerEdge, ink, flash ? 6 : 4 * weight);
       }
     }
-    S.forEach(([x, y], v) => {
-      g.beginPath();
-      g.arc(x, y, 4, 0, 7);
-      g.fillStyle = css("--ink");
-      g.fill();
-      [g.strokeStyle, g.lineWidth] = v === chosen ? [css("--accent"), 2.5] : [css("--panel"), 1];
-      g.beginPath();
-      g.arc(x, y, v === chosen ? 8 : 4.5, 0, 7);
-      g.stroke();
+    S.forEach((p, v) => {
+      dot(g, p, 4, css("--ink"));
+      if (v === chosen) dot(g, p, 8, null, css("--accent"), 2.5);
+      else dot(g, p, 4.5, null, css("--panel"));
     });
   }
 
@@ -139,27 +103,23 @@
     for (const loop of born()) {
       const dead = radius >= loop.death, flash = dead && just(loop.death), x = X(loop.birth), y = Y(dead ? loop.death : radius);
       if (loop.death > end && dead) continue;
-      [g.strokeStyle, g.lineWidth] = [fade(paint(loop), 0.45), 1.5];
+      [g.strokeStyle, g.lineWidth] = [fade(paint(loop.colour), 0.45), 1.5];
       if (!dead) line(g, x, Y(loop.birth), x, y);
-      g.beginPath();
-      g.arc(x, y, (loop.strong ? 5.5 : 3.5) + (flash ? 2.5 : 0), 0, 7);
-      g.fillStyle = dead ? paint(loop) : css("--panel");
-      g.fill();
-      [g.strokeStyle, g.lineWidth] = dead ? [css("--panel"), 1] : [paint(loop), 2];
-      g.stroke();
+      const size = (loop.strong ? 5.5 : 3.5) + (flash ? 2.5 : 0), [ink, ground] = [paint(loop.colour), css("--panel")];
+      if (dead) dot(g, [x, y], size, ink, ground, 1);
+      else dot(g, [x, y], size, ground, ink, 2);
     }
   }
   function drawStrip() {
     const [g, X, , box] = axes(strip, end, 1, "bars: from birth to death", "r", []);
     const rows = [...complex.loops].sort((a, b) => a.birth - b.birth), step = Math.min(16, box.h / (rows.length || 1));
-    strip.box = box;
     [g.strokeStyle, g.lineWidth] = [css("--line"), 1];
     line(g, box.x, box.y + box.h, box.x + box.w, box.y + box.h);
     g.lineCap = "butt";
     rows.forEach((loop, k) => {
       if (loop.birth > radius) return;
       const y = box.y + (k + 0.5) * step;
-      [g.strokeStyle, g.lineWidth] = [fade(paint(loop), loop.strong ? 1 : 0.55), Math.max(1.5, Math.min(8, 0.6 * step))];
+      [g.strokeStyle, g.lineWidth] = [fade(paint(loop.colour), loop.strong ? 1 : 0.55), Math.max(1.5, Math.min(8, 0.6 * step))];
       line(g, X(loop.birth), y, Math.max(X(Math.min(radius, loop.death, end)), X(loop.birth) + 2), y);
     });
     [g.strokeStyle, g.lineWidth] = [css("--ink"), 1.5];
@@ -187,7 +147,7 @@
   }
   const later = lazily(draw);
   const go = (r) => {
-    radius = Math.max(0, Math.min(end, r));
+    radius = clamp(r, 0, end);
     later();
   };
   const play = playback(() => radius, go, () => end, 10);
@@ -197,28 +157,15 @@
     go(Math.min(...complex.loops.flatMap((l) => [l.birth, l.death]).filter((v) => v > radius), end));
   };
   $("balls").onchange = later;
-  strip.onpointerdown = strip.onpointermove = (e) => {
-    if (!e.buttons) return;
-    strip.setPointerCapture(e.pointerId);
-    play(false);
-    go(((e.offsetX - strip.box.x) / strip.box.w) * end);
-  };
+  scrub(strip, (share) => (play(false), go(share * end)));
 
   // ---- points ------------------------------------------------------------------------------------------------
-  const here = () => view(scene.clientWidth, scene.clientHeight);
-  function near(x, y, reach) {
-    const { to } = here(), away = points.map((p) => Math.hypot(to(p)[0] - x, to(p)[1] - y));
-    const best = away.indexOf(Math.min(...away));
-    return away[best] < reach ? best : -1;
-  }
-  function place(v, x, y) { // inside the picture, where it can be found again
-    const inside = (value, high) => Math.max(8, Math.min(high - 8, value));
-    points[v] = here().back(inside(x, scene.clientWidth), inside(y, scene.clientHeight));
+  function place(v, where) {
+    points[v] = where;
     compute();
     later();
   }
   function drop() {
-    held = false;
     fitEnd();
     go(radius);
   }
@@ -228,37 +175,19 @@
     compute();
     drop();
   }
-  scene.addEventListener("touchstart", (e) => { // a finger on a point drags it, a finger beside one scrolls the page
-    const { left, top } = scene.getBoundingClientRect(), { clientX, clientY } = e.touches[0];
-    if (near(clientX - left, clientY - top, 24) >= 0) e.preventDefault();
-  }, { passive: false });
-  scene.onpointerdown = (e) => {
-    chosen = near(e.offsetX, e.offsetY, e.pointerType === "mouse" ? 14 : 24);
-    held = chosen >= 0;
-    if (held) scene.setPointerCapture(e.pointerId);
-    later();
-  };
-  scene.onpointermove = (e) => {
-    if (held) place(chosen, e.offsetX, e.offsetY);
-    else scene.style.cursor = near(e.offsetX, e.offsetY, 14) >= 0 ? "grab" : "";
-  };
-  scene.onpointerup = scene.onpointercancel = () => held && drop();
-  scene.onkeydown = (e) => {
-    const n = points.length, move = (dx, dy) => () => {
-      if (chosen < 0) return;
-      const [x, y] = here().to(points[chosen]);
-      place(chosen, x + dx, y + dy);
-      drop();
-    };
-    const choose = (v) => () => ((chosen = v), later());
-    const act = { n: choose((chosen + 1) % n), p: choose((Math.max(chosen, 0) + n - 1) % n), Escape: reset, " ": () => play(),
-      ArrowLeft: move(-4, 0), ArrowRight: move(4, 0), ArrowUp: move(0, -4), ArrowDown: move(0, 4) }[e.key];
-    if (act) (e.preventDefault(), act());
-  };
-  $("reset").onclick = reset;
+  const choose = (v) => ((chosen = v), later());
+  draggable(scene, { points: () => points, frame, press: choose, miss: () => choose(-1), move: place, release: drop });
+  walk(scene, {
+    count: () => points.length,
+    chosen: () => chosen,
+    choose,
+    move: (v, dx, dy) => (place(v, beside(scene, frame, points[v], dx, dy)), drop()),
+    Escape: reset,
+    " ": () => play(),
+  });
+  onReset(reset);
 
   // ---- start -------------------------------------------------------------------------------------------------
-  $("balls").checked = data.balls;
   radius = 0;
   reset();
   const [longest] = complex.loops;

@@ -44,17 +44,9 @@
   }
 
   // ---- drawing -----------------------------------------------------------------------------------------------
-  const paint = (k) => data.palette[k % data.palette.length];
   function drawScene() {
-    const [g, w, h] = start(scene), { scale, to } = frame(w, h), H = home.map(to), S = points.map(to), blue = dark ? "#56b4e9" : "#0072b2";
-    g.fillStyle = fade(blue, dark ? 0.17 : 0.12);
-    for (const p of H) {
-      g.beginPath();
-      disc(g, p, scale * epsilon);
-      g.fill();
-      [g.strokeStyle, g.lineWidth] = [fade(blue, 0.45), 1];
-      g.stroke();
-    }
+    const [g, w, h] = start(scene), { scale, to } = frame(w, h), H = home.map(to), S = points.map(to);
+    for (const p of H) dot(g, p, scale * epsilon, fade(blue(), dark ? 0.17 : 0.12), fade(blue(), 0.45));
     before.loops.forEach((loop) => trace(g, loop.cycle.map((v) => H[v]), fade(css("--soft"), 0.6), 1.2, { close: true, dash: [4, 4] }));
     before.loops.forEach((loop, k) => {
       const there = after.loops[match.partner[k]];
@@ -129,7 +121,7 @@
   draggable(scene, {
     points: () => points,
     frame,
-    beside: true,
+    all: true,
     press: (v) => {
       still();
       grabbed = points.map((p) => [...p]);
@@ -144,19 +136,19 @@
       compute();
     },
   });
-  scene.onkeydown = (e) => {
-    const n = home.length, choose = (v) => () => ((chosen = v), later()), reach = 0.1 * epsilon;
-    const move = (dx, dy) => () => chosen >= 0 && place(chosen, [points[chosen][0] + dx * reach, points[chosen][1] + dy * reach]);
-    const act = { n: choose((chosen + 1) % n), p: choose((Math.max(chosen, 0) + n - 1) % n), Escape: reset,
-      ArrowLeft: move(-1, 0), ArrowRight: move(1, 0), ArrowUp: move(0, 1), ArrowDown: move(0, -1) }[e.key];
-    if (act) (e.preventDefault(), still(), act());
-  };
+  walk(scene, {
+    count: () => home.length,
+    chosen: () => chosen,
+    choose: (v) => (still(), (chosen = v), later()),
+    move: (v, dx, dy) => (still(), place(v, [points[v][0] + 0.1 * epsilon * dx, points[v][1] - 0.1 * epsilon * dy])),
+    Escape: () => (still(), reset()),
+  });
   $("epsilon").oninput = (e) => {
     epsilon = Math.max(1, +e.target.value) * most / 200;
     points = points.map((p, v) => leashed(v, p));
     compute();
   };
-  $("reset").onclick = () => (still(), reset());
+  onReset(() => (still(), reset()));
   const play = data.after ? playback(() => way, along, () => 1, 3) : null;
   if (!play) $("play").remove();
 

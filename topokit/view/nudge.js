@@ -2,7 +2,7 @@
 // Idea: all positions of the slider are computed at once, so that the charts show what the reader is about to meet.
 (() => {
   const [scene, moves, sizes] = [$("scene"), $("moves"), $("sizes")], STEPS = 120, DRAGGED = 12;
-  const NAMES = ["killer edge", "barycentre of the thick triangle", "centroid of the cycle"], paint = (k) => data.palette[dark && k === 1 ? 5 : k]; // its blue is too dark on black
+  const NAMES = ["killer edge", "barycentre of the thick triangle", "centroid of the cycle"], colour = (k) => paint(dark && k === 1 ? 5 : k); // its blue is too dark on black
   let home, points, frame, vertex, step, rows;
 
   // ---- what the slider does ------------------------------------------------------------------------------------
@@ -32,12 +32,12 @@
   function drawScene() {
     const [g, w, h] = start(scene), { to } = frame(w, h), S = cloud(step).map(to), { at } = now();
     if (at) {
-      at.triangles.forEach((t, k) => trace(g, t.map(to), null, 0, { close: true, fill: fade(paint(k ? 0 : 1), k ? 0.16 : 0.28) }));
-      trace(g, at.cycle.map(to), paint(2), 2, { close: true });
-      trace(g, at.edge.map(to), paint(0), 5);
+      at.triangles.forEach((t, k) => trace(g, t.map(to), null, 0, { close: true, fill: fade(colour(k ? 0 : 1), k ? 0.16 : 0.28) }));
+      trace(g, at.cycle.map(to), colour(2), 2, { close: true });
+      trace(g, at.edge.map(to), colour(0), 5);
       const [x, y] = to(at.centroid);
-      trace(g, [[x + 11, y], [x, y + 11], [x - 11, y], [x, y - 11]], css("--panel"), 1.5, { close: true, fill: paint(2) });
-      dot(g, to(at.thick), 6, paint(1), css("--panel"), 1.5);
+      trace(g, [[x + 11, y], [x, y + 11], [x - 11, y], [x, y - 11]], css("--panel"), 1.5, { close: true, fill: colour(2) });
+      dot(g, to(at.thick), 6, colour(1), css("--panel"), 1.5);
     }
     const ahead = nudged(points, vertex, along(), 1)[vertex];
     arrows(g, S[vertex], [ahead[0] - points[vertex][0], points[vertex][1] - ahead[1]]);
@@ -53,10 +53,10 @@
       g.fillText(text, X((k * STEPS) / 2), box.y + box.h + 12);
     });
     g.textAlign = "left";
-    lines.forEach(({ name, colour, value }, k) => {
-      trace(g, rows.filter((row) => row.at).map((row) => [X(row.k), Y(value(row))]), colour, 2.5);
-      if (now().at) dot(g, [X(now().k), Y(value(now()))], 5, colour);
-      g.fillStyle = colour;
+    lines.forEach(({ name, ink, value }, k) => {
+      trace(g, rows.filter((row) => row.at).map((row) => [X(row.k), Y(value(row))]), ink, 2.5);
+      if (now().at) dot(g, [X(now().k), Y(value(now()))], 5, ink);
+      g.fillStyle = ink;
       g.fillText(name, box.x + 10, box.y + 9 + 17 * k);
     });
     [g.strokeStyle, g.lineWidth] = [css("--ink"), 1.2];
@@ -67,8 +67,8 @@
     const there = rows.filter((row) => row.at), large = Math.max(...there.map((row) => row.at.death), 1e-12), { at, moved: by } = now();
     // Three names stand above the lines; and no scale so small that a billionth looks like a leap.
     const high = Math.max(1.6 * Math.max(...there.flatMap((row) => row.moved), 0), 0.3 * large);
-    chart(moves, "how far from where it was at the left end", high, NAMES.map((name, k) => ({ name, colour: paint(k), value: (row) => row.moved[k] })));
-    chart(sizes, "size: death above, birth below", 1.3 * large, ["death", "birth"].map((key) => ({ name: "", colour: css("--soft"), value: (row) => row.at[key] })));
+    chart(moves, "how far from where it was at the left end", high, NAMES.map((name, k) => ({ name, ink: colour(k), value: (row) => row.moved[k] })));
+    chart(sizes, "size: death above, birth below", 1.3 * large, ["death", "birth"].map((key) => ({ name: "", ink: css("--soft"), value: (row) => row.at[key] })));
     const text = `point ${vertex} nudged by ${signed(shift(step))}: ` + (at ? `killer edge ${at.ids.join("\u2013")}, moved ${by[0].toFixed(3)} \u00b7 `
       + `barycentre moved ${by[1].toFixed(3)} \u00b7 centroid moved ${by[2].toFixed(3)} \u00b7 born ${at.birth.toFixed(3)}, dies ${at.death.toFixed(3)}` : "no loop");
     $("status").textContent = text;
@@ -97,7 +97,7 @@
   }
   function reset() {
     points = home.map((p) => [...p]);
-    vertex = Math.min(data.vertex, home.length - 1);
+    vertex = 0;
     go(0);
     sweep();
   }
@@ -114,17 +114,15 @@
     tap: () => sweep(),
     release: () => sweep(),
   });
-  scene.onkeydown = (e) => {
-    const n = points.length, next = (v) => () => ((vertex = v), sweep());
-    const move = (dx, dy) => () => {
-      const { to, back } = frame(scene.clientWidth, scene.clientHeight), [x, y] = to(points[vertex]);
-      put(back(clamp(x + dx, 8, scene.clientWidth - 8), clamp(y + dy, 8, scene.clientHeight - 8)));
-    };
-    const act = { n: next((vertex + 1) % n), p: next((vertex + n - 1) % n), Escape: reset, " ": () => play(),
-      ArrowLeft: move(-4, 0), ArrowRight: move(4, 0), ArrowUp: move(0, -4), ArrowDown: move(0, 4) }[e.key];
-    if (act) (e.preventDefault(), act());
-  };
-  $("reset").onclick = reset;
+  walk(scene, {
+    count: () => points.length,
+    chosen: () => vertex,
+    choose: (v) => ((vertex = v), sweep()),
+    move: (v, dx, dy) => put(beside(scene, frame, points[v], dx, dy)),
+    Escape: reset,
+    " ": () => play(),
+  });
+  onReset(reset);
   $("shape").onchange = () => choose($("shape").value);
 
   // ---- start ---------------------------------------------------------------------------------------------------
@@ -132,7 +130,6 @@
   options("reach", data.reaches, data.reaches.map((r) => (r < 1e-3 ? r.toExponential(0) : r)));
   options("shape", names, names);
   $("shape").hidden = names.length < 2;
-  $("way").value = data.direction;
   choose(names[0]);
   watch(later, () => {});
 })();

@@ -31,11 +31,29 @@ function nearest(points, to, x, y, reach) { // the point under the pointer, -1 f
   const away = points.map((p) => Math.hypot(to(p)[0] - x, to(p)[1] - y)), best = away.indexOf(Math.min(...away));
   return away[best] < reach ? best : -1;
 }
-function clamp(value, low, high) {
-  return Math.max(low, Math.min(high, value));
+function balls(g, places, radius, tint, rim) { // one path, so that the union of the balls has one tint
+  g.beginPath();
+  for (const p of places) disc(g, p, radius);
+  g.fillStyle = fade(blue(), tint);
+  g.fill();
+  for (const p of places) dot(g, p, radius, null, fade(blue(), rim));
 }
-function draggable(canvas, { points, frame, press = () => {}, move, tap = () => {}, release = () => {}, beside = false }) {
-  // press(v), move(v, where, by), then release(v), or tap(v) when nothing moved; v is -1 beside all points, if `beside`
+function inside(canvas, x, y) { // where a point can be found again
+  return [clamp(x, 8, canvas.clientWidth - 8), clamp(y, 8, canvas.clientHeight - 8)];
+}
+function walk(canvas, { count, chosen, choose, move, ...others }) { // n and p choose a point, the arrows move it
+  keys(canvas, () => {
+    const n = count(), v = chosen(), by = (dx, dy) => () => v >= 0 && move(v, dx, dy);
+    return { n: () => choose((v + 1) % n), p: () => choose((Math.max(v, 0) + n - 1) % n),
+      ArrowLeft: by(-1, 0), ArrowRight: by(1, 0), ArrowUp: by(0, -1), ArrowDown: by(0, 1), ...others };
+  });
+}
+function beside(canvas, frame, point, dx, dy) { // a place 4 pixels from a point
+  const { to, back } = frame(canvas.clientWidth, canvas.clientHeight), [x, y] = to(point);
+  return back(...inside(canvas, x + 4 * dx, y + 4 * dy));
+}
+function draggable(canvas, { points, frame, press = () => {}, move, tap = () => {}, release = () => {}, miss = () => {}, all = false }) {
+  // press(v), move(v, where, by), then release(v), or tap(v) when nothing moved; beside all points v is -1 if `all`, else miss()
   const here = () => frame(canvas.clientWidth, canvas.clientHeight);
   const find = (x, y, type) => nearest(points(), here().to, x, y, type === "mouse" ? 14 : 24);
   let held = null;
@@ -45,20 +63,19 @@ function draggable(canvas, { points, frame, press = () => {}, move, tap = () => 
   }, { passive: false });
   canvas.onpointerdown = (e) => {
     const v = find(e.offsetX, e.offsetY, e.pointerType);
-    held = v >= 0 || (beside && e.pointerType === "mouse") ? { v, x: e.offsetX, y: e.offsetY, moved: false } : null;
-    if (!held) return;
+    held = v >= 0 || (all && e.pointerType === "mouse") ? { v, x: e.offsetX, y: e.offsetY, moved: false } : null;
+    if (!held) return miss();
     canvas.setPointerCapture(e.pointerId);
     press(v);
   };
   canvas.onpointermove = (e) => {
     if (!held) {
-      canvas.style.cursor = find(e.offsetX, e.offsetY, "mouse") >= 0 ? "grab" : beside ? "move" : "";
+      canvas.style.cursor = find(e.offsetX, e.offsetY, "mouse") >= 0 ? "grab" : all ? "move" : "";
       return;
     }
     if (!held.moved && Math.hypot(e.offsetX - held.x, e.offsetY - held.y) < 4) return; // a trembling click
     held.moved = true;
-    const { back } = here(), x = clamp(e.offsetX, 8, canvas.clientWidth - 8), y = clamp(e.offsetY, 8, canvas.clientHeight - 8);
-    const [a, b] = [back(held.x, held.y), back(x, y)];
+    const { back } = here(), [a, b] = [back(held.x, held.y), back(...inside(canvas, e.offsetX, e.offsetY))];
     move(held.v, b, [b[0] - a[0], b[1] - a[1]]);
   };
   canvas.onpointerup = canvas.onpointercancel = () => {

@@ -20,7 +20,7 @@
     for (let i = a.first[t]; i < a.first[t + 1]; i++) list.push(i);
     return list;
   };
-  const colour = (i) => data.palette[a.id[i] % data.palette.length];
+  const colour = (i) => paint(a.id[i]);
   const main = (i) => data.long.includes(a.id[i]);
 
   // ---- the cloth ---------------------------------------------------------------------------------------------
@@ -123,16 +123,16 @@
       }
     });
     for (const i of loopsOf(frame).reverse()) {
-      const corner = (n) => place(a.killer, 24 * i + 3 * n), strong = main(i), paint = colour(i);
+      const corner = (n) => place(a.killer, 24 * i + 3 * n), strong = main(i), ink = colour(i);
       for (const n of [5, 2]) {
         path([corner(n), corner(n + 1), corner(n + 2)], true);
-        g.fillStyle = fade(paint, strong ? 0.42 : 0.13);
-        g.strokeStyle = fade(paint, strong ? 0.95 : 0.35);
+        g.fillStyle = fade(ink, strong ? 0.42 : 0.13);
+        g.strokeStyle = fade(ink, strong ? 0.95 : 0.35);
         g.lineWidth = strong ? 1.4 : 0.8;
         g.fill();
         g.stroke();
       }
-      for (const [style, width] of strong ? [[css("--panel"), 6], [paint, 3.4]] : [[fade(paint, 0.45), 1.8]]) {
+      for (const [style, width] of strong ? [[css("--panel"), 6], [ink, 3.4]] : [[fade(ink, 0.45), 1.8]]) {
         g.strokeStyle = style;
         g.lineWidth = width;
         path([corner(0), corner(1)]);
@@ -145,10 +145,10 @@
       tag(g, "loop " + a.id[i], Math.min(x, w - 58), y, colour(i));
     }
   }
-  function tag(g, text, x, y, paint) {
+  function tag(g, text, x, y, ink) {
     const width = g.measureText(text).width;
     g.fillStyle = css("--ground");
-    g.strokeStyle = paint;
+    g.strokeStyle = ink;
     g.lineWidth = 1.5;
     g.beginPath();
     g.rect(x - 4, y - 9, width + 8, 18);
@@ -205,7 +205,6 @@
   function drawStrip() {
     const [g, X, Y, box] = axes(strip, seconds, tall, "lifetime of every loop (" + data.unit + ")", "time (s)");
     const at = (t) => X(t * data.dt), released = a.held.indexOf(0);
-    strip.box = box;
     if (released > 0) {
       g.strokeStyle = g.fillStyle = css("--soft");
       line(g, at(released), box.y, at(released), box.y + box.h, [2, 3]);
@@ -213,7 +212,7 @@
     }
     for (const id of ids) {
       const strong = data.long.includes(id);
-      g.strokeStyle = g.fillStyle = fade(data.palette[id % data.palette.length], strong ? 1 : 0.4);
+      g.strokeStyle = g.fillStyle = fade(paint(id), strong ? 1 : 0.4);
       g.lineWidth = strong ? 2.2 : 1.2;
       g.beginPath();
       for (let t = 0, on = false; t < frames; t++) {
@@ -251,35 +250,28 @@
   }
   const later = lazily(draw);
   const go = (t) => {
-    frame = Math.max(0, Math.min(frames - 1, Math.round(t)));
+    frame = clamp(Math.round(t), 0, frames - 1);
     later();
   };
   // a run shorter than 8 s is shown slowed to 8 s
   const play = playback(() => frame, go, () => frames - 1, Math.max(seconds, 8));
   $("time").oninput = (e) => (play(false), go(+e.target.value));
   $("truth").onchange = later;
-  strip.onpointerdown = strip.onpointermove = (e) => {
-    if (!e.buttons) return;
-    strip.setPointerCapture(e.pointerId);
-    play(false);
-    go(((e.offsetX - strip.box.x) / strip.box.w) * (frames - 1));
-  };
+  scrub(strip, (share) => (play(false), go(share * (frames - 1))));
 
   // ---- camera ------------------------------------------------------------------------------------------------
   const turn = (dx, dy) => {
     cam.az -= dx;
-    cam.el = Math.max(-1.5, Math.min(1.5, cam.el + dy));
+    cam.el = clamp(cam.el + dy, -1.5, 1.5);
     later();
   };
-  const zoom = (by) => ((cam.zoom = Math.max(0.4, Math.min(8, cam.zoom * by))), later());
+  const zoom = (by) => ((cam.zoom = clamp(cam.zoom * by, 0.4, 8)), later());
   scene.onpointerdown = (e) => scene.setPointerCapture(e.pointerId);
   scene.onpointermove = (e) => e.buttons && turn(e.movementX / 120, e.movementY / 120);
   scene.ondblclick = () => (Object.assign(cam, home), later());
-  scene.onkeydown = (e) => {
-    const act = { ArrowLeft: () => turn(0.1, 0), ArrowRight: () => turn(-0.1, 0), ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1),
-      "+": () => zoom(1.15), "=": () => zoom(1.15), "-": () => zoom(0.87), " ": () => play() }[e.key];
-    if (act) (e.preventDefault(), act());
-  };
+  const act = { ArrowLeft: () => turn(0.1, 0), ArrowRight: () => turn(-0.1, 0), ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1),
+    "+": () => zoom(1.15), "=": () => zoom(1.15), "-": () => zoom(0.87), " ": () => play() };
+  keys(scene, () => act);
   scene.addEventListener("wheel", (e) => { // only once the picture was clicked: a reader who scrolls by is left in peace
     if (document.activeElement !== scene) return;
     e.preventDefault();

@@ -1,0 +1,273 @@
+"""Read a dataset: episodes, labels, splits, and a smaller dataset of some of its episodes.
+
+Taught in chapter 8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topokit._archive import atomic_file
+from topokit.io import Episode
+from topokit.state import TopologicalState
+
+from ._group import Group, cloud_of, decode, open_episodes
+from ._layout import episode_of, skeleton
+from ._recipe import DatasetConfig
+from ._records import Record, index_bytes, record_path
+from ._states import states_of
+
+Ids = NDArray[np.int64]
+_PARTS = {"train": 0.8, "validation": 0.1, "test": 0.1}
+_FIRST_AND_LAST = {"train": -1, "test": 1}  # of a split; what is between them has the order of the alphabet
+
+
+class Dataset:
+    """A dataset that `generate` made, in a folder or at any URL that fsspec reads.
+
+    Episodes keep their number whatever became of their neighbours: ``dataset[7]`` is `make_episode(config, seed, 7)`, to
+    within 0.05 mm. `episodes` are the numbers of those that are whole; iterating gives them in that order.
+
+    Parameters
+    ----------
+    url : str or path
+        ``runs/data``, ``s3://bucket/data``, ``zip://::data.zip``, ``memory://data`` and so on.
+
+    Attributes
+    ----------
+    seed : int
+    episodes : (n,) int64
+        Numbers of the whole ones.
+
+    Raises
+    ------
+    FileNotFoundError, FormatError
+        When there is no dataset, or it is damaged; `topokit check` says where.
+    """
+
+    def __init__(self, url: str | Path) -> None:
+        self.group = open_episodes(url)
+        self.seed: int = self.group.manifest["seed"]
+        self.episodes: Ids = self.group.whole
+        self._labels: dict[str, Group] = {}
+
+    @cached_property
+    def config(self) -> DatasetConfig:
+        """What the episodes were drawn from."""
+        return DatasetConfig.from_json(self.group.manifest["config"])
+
+    @cached_property
+    def records(self) -> tuple[Record, ...]:
+        """One for every episode that was tried, in order; those that are not ok say why."""
+        return tuple(self.group.records[i] for i in sorted(self.group.records))
+
+    @property
+    def failures(self) -> tuple[Record, ...]:
+        """The records of the episodes that were rejected or failed, each with its reason."""
+        return tuple(record for record in self.records if record.status != "ok")
+
+    @cached_property
+    def garments(self) -> tuple[str, ...]:
+        """All garments that the configuration can draw, in alphabetical order."""
+        return tuple(sorted({task.rpartition("-")[0] for task in self.group.manifest["config"]["tasks"]}))
+
+    def __len__(self) -> int:
+        return len(self.episodes)
+
+    def __repr__(self) -> str:
+        whole, of = len(self), len(self.group.numbers)
+        return f"Dataset({self.group.url!r}, {whole} of {of} episodes, {len(self.failures)} rejected or failed)"
+
+    def __getitem__(self, episode: int) -> Episode:
+        """Return an episode by its number.
+
+        Raises
+        ------
+        KeyError
+            When there is none of that number, or it is not whole; the message says why.
+        """
+        document = self.group.document(self._known(episode))
+        return episode_of(decode(self.group, document), document, self.group.manifest)
+
+    def __iter__(self) -> Iterator[Episode]:
+        return (self[int(i)] for i in self.episodes)
+
+    def _known(self, episode: int) -> int:
+        record = self.group.records.get(int(episode))
+        if record is None:
+            raise KeyError(f"{self.group.url} has no episode {episode}")
+        if record.status != "ok":
+            raise KeyError(f"episode {episode} was {record.status}: {record.reason}")
+        return int(episode)
+
+    def document(self, episode: int) -> dict[str, Any]:
+        """Return the full record of an episode: its physics, what was drawn, and the checksums of its objects."""
+        return self.group.document(int(episode))
+
+    def arrays(self, episode: int, *names: str) -> dict[str, NDArray[Any]]:
+        """Return arrays of an episode as they are stored: coordinates in units of 0.1 mm.
+
+        Parameters
+        ----------
+        episode : int
+        *names : str
+            Of the arrays, all when none is named.
+        """
+        return decode(self.group, self.group.document(self._known(episode)), names)
+
+    def checksum(self) -> str:
+        """Return one SHA-256 of what the dataset is and of all its episodes: the same however it was made."""
+        return self.group.checksum()
+
+    def labels(self, name: str) -> Group:
+        """Return a set of labels: its `records`, its `manifest` with the options of the tracker, and its arrays.
+
+        Raises
+        ------
+        FileNotFoundError
+            When there is none of that name.
+        """
+        if name not in self._labels:
+            if self.group.read(f"labels/{name}/zarr.json") is None:
+                known = ", ".join(self.group.names("labels")) or "none: topokit label makes them"
+                raise FileNotFoundError(f"{self.group.url} has no labels {name!r}; it has {known}")
+            self._labels[name] = Group(self.group.url, f"labels/{name}")
+        return self._labels[name]
+
+    def labelled(self, name: str) -> Ids:
+        """(n,) the numbers of the episodes that have labels of that name."""
+        return np.intersect1d(self.episodes, self.labels(name).whole)
+
+    def states(self, episode: int, name: str) -> list[TopologicalState]:
+        """Return the tracked states of an episode, one a frame, from its labels.
+
+        Lengths are rounded to single precision; the parameters of a state count the loops that had no slot (`dropped`).
+
+        Parameters
+        ----------
+        episode : int
+        name : str
+            Of the labels.
+
+        Raises
+        ------
+        KeyError, FileNotFoundError
+            When there is no such episode, or no such labels of it.
+        """
+        labels, document = self.labels(name), self.group.document(self._known(episode))
+        cloud = cloud_of(self.group, document, labels.manifest["observation"], labels.manifest["n_points"])
+        times = np.arange(len(cloud)) * document["dt"]
+        return states_of(decode(labels, labels.document(int(episode))), cloud, times)
+
+    def split(
+        self,
+        by: str = "episode",
+        shares: Mapping[str, float] = _PARTS,
+        *,
+        seed: int = 0,
+        held_out: Sequence[str] = (),
+    ) -> dict[str, Ids]:
+        """Divide the episodes into parts, never within an episode: neighbouring frames are nearly the same.
+
+        Parts are cut in one order, however `shares` names them, as a JSON object keeps none: "train" is the first and "test"
+        the last, and others come between them in the order of the alphabet.
+
+        Parameters
+        ----------
+        by : {"episode", "garment"}
+            Whether a part shares garments with another one. By episode each is drawn on its own: the shares are met about,
+            and no episode changes its part when the dataset grows. By garment whole garments are dealt out, at least one
+            to every part.
+        shares : mapping of str to float
+            Parts and their shares.
+        seed : int
+        held_out : sequence of str
+            By garment: exactly these make the last part, for example ``["apron", "apron2"]``, which are alike.
+
+        Returns
+        -------
+        dict of str to (n,) int64
+            Numbers of episodes, ascending.
+
+        Raises
+        ------
+        ValueError
+            When there is no such way to split, a share is not positive, or garments are unknown or too few.
+        """
+        names = sorted(shares, key=lambda name: (_FIRST_AND_LAST.get(name, 0), name))
+        weights = np.array([shares[name] for name in names], dtype=np.float64)
+        if len(names) < 2 or not (weights > 0).all() or not np.isfinite(weights).all():
+            raise ValueError(f"shares must give two parts or more a positive share each, not {dict(shares)}")
+        if by == "garment":
+            owner = self._owners(weights, seed, held_out)
+            part = np.array([owner[self.group.records[int(i)].garment] for i in self.episodes], dtype=np.int64)
+        elif by != "episode":
+            raise ValueError(f"by must be 'episode' or 'garment', not {by!r}")
+        elif held_out:
+            raise ValueError("held_out names garments: split by garment")
+        else:
+            # Not the stream (seed, i) that episode i was made from: its first draw is the task.
+            keys = [np.random.SeedSequence(seed, spawn_key=(int(i), 1)) for i in self.episodes]
+            draws = [np.random.default_rng(key).random() for key in keys]
+            part = np.searchsorted(np.cumsum(weights / weights.sum())[:-1], draws, side="right")
+        return {name: self.episodes[part == k] for k, name in enumerate(names)}
+
+    def _owners(self, weights: NDArray[np.float64], seed: int, held_out: Sequence[str]) -> dict[str, int]:
+        """Return which part each garment goes to."""
+        unknown = sorted(set(held_out) - set(self.garments))
+        if unknown:
+            raise ValueError(f"held_out: no garment {', '.join(unknown)}; there are {', '.join(self.garments)}")
+        rest = [g for g in np.random.default_rng(seed).permutation(self.garments).tolist() if g not in held_out]
+        parts = len(weights) - bool(held_out)
+        if len(rest) < parts:
+            raise ValueError(f"{len(rest)} garments cannot be dealt out to {parts} parts")
+        shares = (weights / weights.sum())[:parts]
+        free = len(rest) - parts  # beyond the one that every part gets
+        ends = np.rint(np.cumsum(shares / shares.sum()) * free).astype(int) + np.arange(1, parts + 1)
+        owner = {garment: int(np.searchsorted(ends, place, side="right")) for place, garment in enumerate(rest)}
+        return {**owner, **dict.fromkeys(held_out, len(weights) - 1)}
+
+    def cut(self, episodes: Iterable[int], out: str | Path) -> Dataset:
+        """Write a dataset of some of the episodes, with their labels; they keep their numbers and checksums.
+
+        Parameters
+        ----------
+        episodes : iterable of int
+        out : path
+            A folder that is empty or not there yet.
+
+        Raises
+        ------
+        ValueError
+            When there is no episode to write, or the folder is not empty.
+        """
+        folder, numbers = Path(out), sorted({self._known(i) for i in episodes})
+        if not numbers:
+            raise ValueError("a cut needs one episode at least")
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise ValueError(f"{folder} is not an empty folder")
+        _copy(self.group, folder, numbers)
+        for name in self.group.names("labels"):
+            _copy(self.labels(name), folder / "labels" / name, numbers)
+        return Dataset(folder)
+
+
+def _copy(group: Group, folder: Path, numbers: list[int]) -> None:
+    """Write a group with some of its episodes."""
+    there = [i for i in numbers if i in group.records]
+    paths = [path for i in there for path in (*group.document(i)["objects"], record_path(i))]
+    paths += [f"{name}/zarr.json" for name in group.names("") if group.read(f"{name}/zarr.json")]
+    index = index_bytes(group.records[i] for i in there)
+    made = {"index.json": index, **skeleton([], {**group.manifest, "numbers": numbers})}
+    for path, content in chain(((path, group.read(path)) for path in paths), made.items()):
+        if content is None:
+            raise FileNotFoundError(f"{group.where(path)}: there is no such file; topokit check says what is wrong")
+        with atomic_file(folder / path) as handle:
+            handle.write(content)

@@ -1,0 +1,174 @@
+"""What a dataset is made of: a declared, versioned configuration, and an episode as a pure function of it, a seed and a number.
+
+Source: Antonova et al. 2021, section 6 (garments, paths and physics are randomised). Taught in chapter 8.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import field
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from topokit._config import Count, NotNegative, Positive, checked, from_mapping
+from topokit.io import Episode
+from topokit.sim import TASKS, DepthNoise, Garment, Randomisation, SimulationConfig, cameras_around, simulate
+
+
+class Draw(NamedTuple):
+    """What an episode is before it is simulated: its task and its own seed, of 63 bits."""
+
+    task: str
+    seed: int
+
+
+@checked
+class DatasetConfig:
+    """What is drawn for the episodes of a dataset, and how they are simulated and observed.
+
+    Attributes
+    ----------
+    version : 1
+        Of the meaning of these numbers and of the order of the draws; saved with them.
+    tasks : mapping of str to float
+        Names in `topokit.sim.TASKS` (a garment and a target) with the weights at which they are drawn.
+    simulation : SimulationConfig
+        Its `frames` is the length of every episode; None records each path to its end, at least 76 frames.
+    randomisation : Randomisation or None
+        Ranges of physics, size and cameras; None varies the path alone.
+    sizes : mapping of str to mapping of str to float
+        Sizes of a garment, by its name, that differ from the default ones, for example ``{"sheet": {"spacing": 0.05}}``.
+    n_observed : int
+        Points of an observation; all vertices of a garment that has fewer, when all sides are seen.
+    cameras : int
+        Depth cameras around the target. 0: farthest-point samples of the vertices, all sides seen.
+    camera_distance : float
+        Metres from the cameras to the seat of the target.
+    depth_noise : bool
+        Whether the cameras have the noise of a depth sensor.
+
+    Raises
+    ------
+    ValueError
+        When a task or a garment is not known, or a value is not what it must be; the message names it.
+
+    Examples
+    --------
+    >>> config = DatasetConfig(tasks={"apron-hook": 1, "tote-hook": 3})
+    >>> DatasetConfig.from_json(config.to_json()) == config
+    True
+    >>> config.draw(0, 5) == config.draw(0, 5) != config.draw(0, 6)
+    True
+    """
+
+    version: Literal[1] = 1
+    tasks: Annotated[Mapping[str, Positive], Field(min_length=1)] = field(
+        default_factory=lambda: dict.fromkeys(TASKS, 1.0)
+    )
+    simulation: SimulationConfig = field(default_factory=SimulationConfig)
+    randomisation: Randomisation | None = field(default_factory=Randomisation)
+    sizes: Mapping[str, Mapping[str, NotNegative]] = field(default_factory=dict)
+    n_observed: Count = 512
+    cameras: Annotated[int, Field(ge=0)] = 0
+    camera_distance: Positive = 2.2
+    depth_noise: bool = False
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.tasks if name not in TASKS]
+        if unknown:
+            raise ValueError(f"tasks: there is no {', '.join(map(repr, unknown))}; there are {', '.join(TASKS)}")
+        garments = sorted({name.rpartition("-")[0] for name in self.tasks})
+        for name in self.sizes:
+            if name not in garments:
+                raise ValueError(f"sizes: no task has a garment {name!r}; the tasks have {', '.join(garments)}")
+        if self.depth_noise and not self.cameras:
+            raise ValueError("depth_noise is of cameras, and cameras is 0")
+        # Sorted: what is drawn must not depend on the order in which tasks were named.
+        object.__setattr__(self, "tasks", dict(sorted(self.tasks.items())))
+        object.__setattr__(self, "sizes", {name: dict(sorted(sizes.items())) for name, sizes in self.sizes.items()})
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain numbers, lists and dictionaries; `from_json` gives the same configuration back."""
+        values = dataclasses.asdict(self)
+        if self.randomisation is not None:
+            values["randomisation"] = {"version": Randomisation.version, **values["randomisation"]}
+        plain: dict[str, Any] = json.loads(json.dumps(values))  # tuples become lists
+        return plain
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> DatasetConfig:
+        """Return the configuration of what `to_json` gave; what is left out has its default.
+
+        Raises
+        ------
+        ValueError
+            When a name is not known, the version is another one, or a value is not what it must be.
+        """
+        parts = dict(values)
+        if parts.get("randomisation"):
+            ranges = parts["randomisation"] = dict(parts["randomisation"])
+            if ranges.pop("version", Randomisation.version) != Randomisation.version:
+                raise ValueError(f"randomisation is of another version; this topokit has {Randomisation.version}")
+        return from_mapping(cls, parts, "the configuration")
+
+    def draw(self, seed: int, index: int) -> Draw:
+        """Return task and seed of an episode.
+
+        Parameters
+        ----------
+        seed : int
+            Of the dataset.
+        index : int
+            Number of the episode, from 0.
+        """
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
+        names, weights = list(self.tasks), np.cumsum(list(self.tasks.values()))
+        place = min(int(np.searchsorted(weights, rng.random() * weights[-1], side="right")), len(names) - 1)
+        return Draw(names[place], int(rng.integers(2**63)))
+
+    def garment(self, task: str) -> Garment:
+        """Return the garment of a task, of its size in this configuration.
+
+        Raises
+        ------
+        ValueError
+            When the garment has no such size.
+        """
+        name = task.rpartition("-")[0]
+        try:
+            return TASKS[task].garment(**self.sizes.get(name, {}))
+        except TypeError as error:
+            raise ValueError(f"sizes[{name!r}]: {error}") from error
+
+
+def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: float | None = 60.0) -> Episode:
+    """Simulate episode `index` of the dataset of that configuration and seed: a pure function of the three.
+
+    Parameters
+    ----------
+    config : DatasetConfig
+    seed : int
+        Of the dataset.
+    index : int
+        Number of the episode, from 0.
+    time_limit : float, optional
+        As in `topokit.sim.simulate`: None simulates in this process, which must then be a fresh one for the same bytes.
+    """
+    task, episode_seed = config.draw(seed, index)
+    garment, target = config.garment(task), TASKS[task].target
+    cameras, noise = config.cameras, DepthNoise() if config.depth_noise else None
+    return simulate(
+        garment,
+        target,
+        task=task,
+        seed=episode_seed,
+        config=config.simulation,
+        randomisation=config.randomisation,
+        cameras=cameras_around(target.seat, cameras, distance=config.camera_distance, noise=noise) if cameras else (),
+        n_observed=config.n_observed if cameras else min(config.n_observed, len(garment.vertices)),
+        time_limit=time_limit,
+    )

@@ -1,0 +1,320 @@
+"""Windows for training: 16 clouds of the past, 60 planned actions, and the states that they led to.
+
+Source: Antonova et al. 2021, section 5 (h = 16, k = 60). Taught in chapter 8.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from topokit.io import HISTORY, HORIZON
+from topokit.seqph import RECOMMENDED, track
+
+from ._dataset import Dataset
+from ._group import decode
+from ._layout import METRE, pack, unpack
+from ._states import ABSENT, SIMPLICES, arrays_of
+
+__all__ = ["WindowDataset"]
+
+Array = NDArray[np.float32]
+_UNIT = np.float32(1 / METRE)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracked:
+    """Labels of an episode: integers, in units of 0.1 mm, beside values in metres."""
+
+    ids: NDArray[np.int32]  # (T, S'), -1 where there is no loop
+    triangles: NDArray[np.int16]  # (T, S', 6, 3, 3)
+    values: Array  # (T, S', 6)
+    numbers: Array  # (T, S', 3): birth, death, step
+
+    @classmethod
+    def of(cls, found: Mapping[str, NDArray[Any]], cloud: NDArray[np.int16]) -> _Tracked:
+        """From stored arrays, and the cloud that was tracked."""
+        triangles, values = _triangles(found["simplices"], found["values"], cloud)
+        return cls(found["id"], triangles, values, np.nan_to_num(found["values"][..., :3], nan=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Episode:
+    """An episode as windows are cut from it: integers, in units of 0.1 mm."""
+
+    clouds: NDArray[np.int16]  # (T, P, 3)
+    grippers: NDArray[np.int16]  # (T, 2, 3)
+    actions: NDArray[np.int16]
+    held: NDArray[np.bool_]  # (T,)
+    tracked: _Tracked
+    seen: _Tracked | None = None
+
+    @property
+    def nbytes(self) -> int:
+        own, *tracked = (vars(part) for part in (self, self.tracked, self.seen) if part is not None)
+        return sum(part.nbytes for parts in (own, *tracked) for part in parts.values() if isinstance(part, np.ndarray))
+
+
+class _Memory:
+    """Decoded episodes, the one that was used last at the end: at most so many bytes, and one at least.
+
+    Copies of a `WindowDataset` share it. Processes that are spawned decode for themselves: it travels empty.
+    """
+
+    def __init__(self, most: float) -> None:
+        self.most, self.nbytes = most, 0
+        self.episodes: OrderedDict[int, _Episode] = OrderedDict()
+
+    def __reduce__(self) -> tuple[type[_Memory], tuple[float]]:
+        return _Memory, (self.most,)
+
+    def get(self, number: int, decode_episode: Callable[[int], _Episode]) -> _Episode:
+        """Return an episode, decoded now if need be; the ones that were not used for longest make room for it."""
+        if number not in self.episodes:
+            self.episodes[number] = decode_episode(number)
+            self.nbytes += self.episodes[number].nbytes
+        self.episodes.move_to_end(number)
+        while self.nbytes > self.most and len(self.episodes) > 1:
+            self.nbytes -= self.episodes.popitem(last=False)[1].nbytes
+        return self.episodes[number]
+
+
+class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
+    """All windows of some episodes, in the order of episodes and frames; a `torch.utils.data.Dataset`.
+
+    An item is a dict of tensors: what was seen and planned up to frame t, and the states that followed. With h frames of
+    history, k of horizon, P points and S slots, lengths in metres:
+
+    =================  =================  ==================================================================================
+    ``clouds``         (h, P, 3)          observations of the frames t-h+1..t
+    ``grippers``       (h, 2, 3)          where the grippers were then
+    ``held``           (h,) bool          whether they held the garment
+    ``actions``        (k, 2, 3)          where they shall be at t+1..t+k
+    ``actions_held``   (k,) bool          whether they shall hold it
+    ``triangles``      (k, S, 6, 3, 3)    the two killer triangles, thick first, then four neighbours; one that is absent
+                                          repeats the thick killer triangle
+    ``values``         (k, S, 6)          their filtration values, 0 where absent
+    ``birth, death``   (k, S)
+    ``step``           (k, S)             Hausdorff distance to the previous appearance, 0 where new
+    ``present``        (k, S) bool        where it is False, all of the above are 0
+    ``past_...``       (h, S, ...)        the same six for the history
+    ``seen_...``       (h, S, ...)        and those of `seen_labels`, if any; their slots have identities of their own
+    ``episode``        int64              number of the episode
+    ``frame``          int64              t
+    ``garment``        int64              place in `Dataset.garments`
+    =================  =================  ==================================================================================
+
+    A slot is one identity through the whole window. First come the loops that are alive in the history, the longest lifetime
+    on average over its frames first (0 where absent), then those that appear later, in their order. More than S have no slot.
+
+    Parameters
+    ----------
+    dataset : Dataset, path or URL
+    episodes : iterable of int, optional
+        One part of `Dataset.split`, so that no episode is in two parts; all labelled ones when not given.
+    labels : str
+        Which set of labels.
+    seen_labels : str, optional
+        A second set, for what a tracker sees of the history with fewer points (`topokit label --observation observed`).
+    history, horizon : int
+        h and k.
+    n_points : int
+        P: a farthest-point sample of the observation; one that has fewer points is repeated.
+    slots : int
+        S.
+    stride : int
+        Frames from one window of an episode to the next.
+    memory : float
+        Bytes of decoded episodes that a process keeps; the one that was not used for longest goes first.
+    observe : callable, optional
+        What is seen of an episode instead of its clouds: from its number and its clouds, (T, P, 3) float64, to clouds
+        (T, P', 3), in metres. All states, past and future, are then those that seqPH tracks on these, from the first frame
+        on, as labels are made (`topokit.seqph.RECOMMENDED`); `labels` only say which episodes there are.
+
+    Raises
+    ------
+    ValueError
+        When an episode has no labels of that name, or no window fits into any.
+    FileNotFoundError
+        When there are no labels of that name.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset | str | Path,
+        episodes: Iterable[int] | None = None,
+        *,
+        labels: str = "full",
+        seen_labels: str | None = None,
+        history: int = HISTORY,
+        horizon: int = HORIZON,
+        n_points: int = 128,
+        slots: int = 4,
+        stride: int = 1,
+        memory: float = 4e9,
+        observe: Callable[[int, NDArray[np.float64]], NDArray[np.float64]] | None = None,
+    ) -> None:
+        sizes = {"history": history, "horizon": horizon, "n_points": n_points, "slots": slots, "stride": stride}
+        for name, value in sizes.items():
+            if type(value) is not int or value < 1:
+                raise ValueError(f"{name} must be a whole number, at least 1, not {value!r}")
+        self.dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
+        self.labels, self.seen_labels, self.history, self.horizon = labels, seen_labels, history, horizon
+        self.n_points, self.slots, self.stride = n_points, slots, stride
+        self.observe, self._memory = observe, _Memory(memory)
+        self.episodes = self.dataset.labelled(labels) if episodes is None else np.unique([*map(int, episodes)])
+        self._check_labelled()
+        lengths = [self.dataset.group.records[int(i)].frames for i in self.episodes]
+        frames = [np.arange(history - 1, length - horizon, stride) for length in lengths]
+        counts = [len(span) for span in frames]
+        if not any(counts):
+            raise ValueError(f"no episode has the {history + horizon} frames of a window (of {len(lengths)} episodes)")
+        self.index = np.column_stack([np.repeat(self.episodes, counts), np.concatenate(frames)])
+
+    def _check_labelled(self) -> None:
+        for name in [self.labels] if self.seen_labels is None else [self.labels, self.seen_labels]:
+            missing = np.setdiff1d(self.episodes, self.dataset.labelled(name))
+            if len(missing):
+                raise ValueError(
+                    f"{len(missing)} episodes have no labels {name!r}, the first is {missing[0]}: topokit label makes them"
+                )
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def __repr__(self) -> str:
+        return f"WindowDataset({len(self)} windows of {len(self.episodes)} episodes, labels {self.labels!r})"
+
+    def __getitem__(self, i: int) -> dict[str, torch.Tensor]:
+        """Return window `i` as a dict of tensors."""
+        number, frame = (int(value) for value in self.index[i])
+        episode = self._memory.get(number, self._decode)
+        past = slice(frame - self.history + 1, frame + 1)
+        future = slice(frame + 1, frame + self.horizon + 1)
+        parts: dict[str, Any] = {
+            "clouds": episode.clouds[past] * _UNIT,
+            "grippers": episode.grippers[past] * _UNIT,
+            "held": episode.held[past].copy(),
+            "actions": episode.actions[future] * _UNIT,
+            "actions_held": episode.held[future].copy(),
+            **self._states(episode, past, future),
+            "episode": np.int64(number),
+            "frame": np.int64(frame),
+            "garment": np.int64(self.dataset.garments.index(self.dataset.group.records[number].garment)),
+        }
+        return {name: torch.as_tensor(part) for name, part in parts.items()}
+
+    def true_loops(self, i: int) -> tuple[Array, ...]:
+        """Return the vertices of every true loop in the frames t+1..t+k of window `i`, (k, L, 3) metres each."""
+        number, frame = (int(value) for value in self.index[i])
+        document = self.dataset.document(number)
+        stored = decode(self.dataset.group, document, ("points", "loops"))
+        points = unpack(stored["points"][frame + 1 : frame + self.horizon + 1])
+        return tuple(points[:, row[:n]] for row, n in zip(stored["loops"], document["loops"], strict=True))
+
+    def load(self) -> WindowDataset:
+        """Decode the episodes now, as many as `memory` lets; processes forked later share them."""
+        for number in self.episodes.tolist():
+            if self._memory.nbytes >= self._memory.most:
+                break
+            self._memory.get(number, self._decode)
+        return self
+
+    def select(self, rows: ArrayLike) -> WindowDataset:
+        """Return the windows of these rows of `index` alone, in their order; decoded episodes are shared."""
+        chosen = copy.copy(self)
+        chosen.index = self.index[np.asarray(rows, dtype=np.int64)]
+        chosen.episodes = np.unique(chosen.index[:, 0])
+        return chosen
+
+    def _states(self, episode: _Episode, past: slice, future: slice) -> dict[str, Any]:
+        """The labels of the two spans, by identity, and what else was seen of the first."""
+        order = self._identities(episode.tracked, past, future)
+        parts = _by_identity(episode.tracked, order, slice(past.start, future.stop))
+        h = past.stop - past.start
+        seen = {}
+        if episode.seen is not None:
+            seen = _by_identity(episode.seen, self._identities(episode.seen, past, slice(0, 0)), past)
+        return {
+            **{name: part[h:] for name, part in parts.items()},
+            **{f"past_{name}": part[:h] for name, part in parts.items()},
+            **{f"seen_{name}": part for name, part in seen.items()},
+        }
+
+    def _identities(self, tracked: _Tracked, past: slice, future: slice) -> NDArray[np.int64]:
+        """(S,) who has which slot; -2 for nobody."""
+        ids, numbers = tracked.ids[past], tracked.numbers[past]
+        alive = ids >= 0
+        known, where = np.unique(ids[alive], return_inverse=True)
+        total = np.bincount(where, (numbers[..., 1] - numbers[..., 0])[alive], len(known))
+        later, first = np.unique(tracked.ids[future], return_index=True)  # in order of frames, then of lifetime
+        later = later[np.argsort(first)]
+        order = [known[np.argsort(-total, kind="stable")], later[(later >= 0) & ~np.isin(later, known)]]
+        return np.concatenate([*order, np.full(self.slots, -2)])[: self.slots]
+
+    def _decode(self, number: int) -> _Episode:
+        group = self.dataset.group
+        stored = decode(group, group.document(number), ("points", "observed", "actions", "grippers", "held"))
+        points, seen = stored["points"], stored["observed"]
+        if seen.ndim == 2:
+            seen = points[np.arange(len(points))[:, None], seen]
+        told = None if self.seen_labels is None else self._labelled(self.seen_labels, number, points, seen)
+        if self.observe is None:
+            tracked = self._labelled(self.labels, number, points, seen)
+        else:
+            seen = pack("clouds", self.observe(number, unpack(seen[:, : self.n_points]).astype(np.float64)))
+            tracked = self._tracked(seen)
+        return _Episode(
+            seen[:, np.arange(self.n_points) % seen.shape[1]],
+            stored["grippers"],
+            stored["actions"],
+            stored["held"].astype(bool),
+            tracked,
+            told,
+        )
+
+    def _labelled(self, name: str, number: int, points: NDArray[np.int16], seen: NDArray[np.int16]) -> _Tracked:
+        """The labels of a name, in the coordinates of the cloud that they are of."""
+        labels = self.dataset.labels(name)
+        cloud = points if labels.manifest["observation"] == "full" else seen[:, : labels.manifest["n_points"]]
+        return _Tracked.of(decode(labels, labels.document(number), ("id", "simplices", "values")), cloud)
+
+    def _tracked(self, cloud: NDArray[np.int16]) -> _Tracked:
+        """The states that a cloud shows, as `label` would store them."""
+        slots = self.dataset.labels(self.labels).manifest["slots"]
+        return _Tracked.of(arrays_of(track(unpack(cloud), n_jobs=1, **RECOMMENDED), slots), cloud)
+
+
+def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> dict[str, NDArray[Any]]:
+    """The states of some frames in slots; zeros where a loop is not there."""
+    ids = tracked.ids[span]  # (T, S')
+    match = ids[:, None, :] == order[None, :, None]  # (T, S, S')
+    present, place = match.any(axis=2), match.argmax(axis=2)
+    row = np.arange(len(ids))[:, None]
+    numbers = np.where(present[..., None], tracked.numbers[span][row, place], 0)
+    return {
+        "triangles": tracked.triangles[span][row, place] * (_UNIT * present[..., None, None, None]),
+        "values": np.where(present[..., None], tracked.values[span][row, place], 0),
+        "present": present,
+        **{name: numbers[..., i] for i, name in enumerate(("birth", "death", "step"))},
+    }
+
+
+def _triangles(simplices: NDArray[Any], numbers: Array, cloud: NDArray[np.int16]) -> tuple[NDArray[np.int16], Array]:
+    """(T, S, 6, 3, 3) triangles and (T, S, 6) filtration values of labels: killers, then neighbours."""
+    frames, slots = simplices.shape[:2]
+    killers = simplices[..., SIMPLICES["killer_triangles"]].reshape(frames, slots, 2, 3)
+    neighbours = simplices[..., SIMPLICES["neighbours"]].reshape(frames, slots, 4, 3)
+    absent = neighbours[..., :1] == ABSENT
+    ids = np.concatenate([killers, np.where(absent, killers[:, :, :1], neighbours)], axis=2)  # (T, S, 6, 3)
+    there = np.where(absent[..., 0], 0, numbers[..., 3:7])
+    values = np.concatenate([numbers[..., [1, 1]], there], axis=2)
+    return cloud[np.arange(frames)[:, None, None, None], ids], values

@@ -1,0 +1,269 @@
+"""How good forecasts are, sample by sample: a window of an episode, at some of the steps ahead.
+
+A forecast names some loops; the simulator knows where the true ones are, and persistence on the full cloud which of them are
+there (`topokit.evaluate.true_loops`). With L of them the first k = min(L, 2) forecast loops count, longest lifetime
+first, as in the paper; which is compared with which true loop is chosen in their favour.
+
+A true loop is marked by one curve of its class, and others are as true: around a tie that hangs before a skirt the curve may go
+straight across the skirt, or along behind the tie. So its hull is that of the marked curve and of the edge of the full cloud
+that ends its class. For most loops that edge spans the curve, and the hull is that of the curve alone.
+
+Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 11.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from topokit._matching import assign
+from topokit.models import States, loop_mixtures, match_slots
+
+from ._localisation import nearest_in_hull
+from ._tracking import extent
+
+Array = NDArray[np.float64]
+MOST = 2
+"""True loops that a sample asks for, at most: the paper's objects have one or two."""
+OFFSET = 0.25
+"""In the plane: how far beside the hull's plane still counts, as a share of the loop's radius."""
+POINTS, DRAWN = 16, 100  # of an opening, and of a mixture, for likelihood and coverage
+_PLACES = ("outside", "outside_marked", "outside_anyway", "in_plane", "in_opening", "distance")
+_SLOTS = ("there", "absent", "changed", "same")
+COLUMNS = (*_PLACES, "kept", "nll", "cover50", "cover90", *_SLOTS, *(f"{name}_right" for name in _SLOTS))
+"""What `measure_forecasts` says of every sample and step."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrueCurves:
+    """The true loops of a window at K steps.
+
+    Attributes
+    ----------
+    curves : tuple of (K, L, 3) float64
+        Their vertices, metres.
+    closing : tuple of (K, 2, 3) float64, optional
+        The ends of the edges of the full cloud that end their classes, metres.
+    present : tuple of (K,) bool, optional
+        Whether they are there; all of them when not given.
+    """
+
+    curves: tuple[Array, ...]
+    closing: tuple[Array, ...] = ()
+    present: tuple[NDArray[np.bool_], ...] = ()
+
+    def there(self, k: int) -> list[int]:
+        """The loops that are there."""
+        return [loop for loop in range(len(self.curves)) if not self.present or self.present[loop][k]]
+
+    def hull(self, loop: int, k: int) -> Array:
+        """(n, 3) points whose convex hull counts as the loop's."""
+        curve = self.curves[loop][k]
+        return np.concatenate([curve, self.closing[loop][k]]) if self.closing else curve
+
+    @cached_property
+    def extents(self) -> tuple[Array, Array]:
+        """(K, loops, 3) centroids of the curves, by length, and (K, loops) largest distances from them."""
+        found = [[extent(frame) for frame in curve] for curve in self.curves]
+        centres, radii = (np.array([[one[part] for one in loop] for loop in found]) for part in (0, 1))
+        return centres.swapaxes(0, 1), radii.T
+
+    @cached_property
+    def planes(self) -> tuple[tuple[Array, Array], ...]:
+        """Of each loop the means of its vertices (K, 3) and the axes of their scatter (K, 3, 3), the normal last."""
+        means = [curve.mean(axis=1) for curve in self.curves]
+        pairs = zip(self.curves, means, strict=True)
+        axes = [np.linalg.svd(curve - mean[:, None], full_matrices=False)[2] for curve, mean in pairs]
+        return tuple(zip(means, axes, strict=True))
+
+    def beside(self, loop: int, k: int, point: Array) -> float:
+        """At most 1 when the point lies in a curve's outline, seen along the normal, and near enough to its plane."""
+        mean, axes = (part[k] for part in self.planes[loop])
+        off = abs(float((point - mean) @ axes[2])) / (OFFSET * self.extents[1][k, loop])
+        if off > 1 or nearest_in_hull((self.curves[loop][k] - point) @ axes[:2].T) >= 1e-9:
+            return float("inf")
+        return float(off)
+
+
+def measure_forecasts(
+    states: States,
+    target: States,
+    past: States,
+    truth: Sequence[TrueCurves],
+    steps: Sequence[int],
+    fine: Sequence[int],
+    rng: np.random.Generator,
+) -> dict[str, Array]:
+    """Measure forecasts `states` of B windows at K `steps` ahead, as (B, K) columns; nan where there is nothing to measure.
+
+    `target` and `past` are what the tracker saw at all steps, and at the last frame before them. Likelihood and coverage are
+    dear: they are taken at the `fine` steps.
+
+    ``outside``, ``outside_anyway``: the farthest of the k means from its hull, metres; inf when fewer than k are forecast. The
+    second ranks by lifetime times presence and lets none be absent. ``outside_marked``: the same as the first for hulls of the
+    marked curves alone, and loops that are not there asked for, too. ``in_plane``: whether all k means lie in the marked
+    curve's outline, seen along its normal, and beside its plane by `OFFSET` radii at most. ``in_opening``: whether all are
+    nearer to the centres of the curves than the curves' farthest vertices, as chapter 6 asks of tracks. ``distance``: of the k
+    means from these centres, metres. ``nll``, ``cover50``, ``cover90``: of `POINTS` points of the openings under the k
+    mixtures, nats, and the share of them in the smallest region that has 50 or 90 % of the mass. ``kept``: of the true loops
+    found at the first step and still there, how many are found by the same slot. Then counts of slots: those that the tracker
+    sees there and those that are absent, those that changed since the last frame seen and those that did not; each with how
+    many the forecast has right.
+    """
+    at = torch.tensor([step - 1 for step in steps])
+    some = states[:, at]
+    numbers = some.mean, some.death - some.birth, some.presence.double().sigmoid()
+    parts = [part.double().numpy() for part in numbers]
+    columns = {name: np.full((len(truth), len(steps)), np.nan) for name in COLUMNS}
+    pairs = []
+    for i, curves in enumerate(truth):
+        samples = [_Sample(curves, k, *(part[i, k] for part in parts)) for k in range(len(steps))]
+        for k, sample in enumerate(samples):
+            for name, value in {**sample.places(), "kept": sample.kept(samples[0])}.items():
+                columns[name][i, k] = value
+            if steps[k] in fine:
+                pairs += [(i, k, slot, loop) for slot, loop in sample.pairs]
+    _measure_mixtures(some, truth, pairs, columns, rng)
+    _count_slots(states, target, past, at, columns)
+    return columns
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """A window at one of its steps: true loops, and S forecast ones."""
+
+    truth: TrueCurves
+    k: int
+    means: Array  # (S, 3)
+    lifetimes: Array  # (S,)
+    presence: Array  # (S,)
+
+    @cached_property
+    def loops(self) -> list[int]:
+        """The true loops that are there."""
+        return self.truth.there(self.k)
+
+    @cached_property
+    def asked(self) -> int:
+        """How many of them count."""
+        return min(len(self.loops), MOST)
+
+    @cached_property
+    def away(self) -> Array:
+        """(S, loops) how far the means are from the centres of the true loops."""
+        return np.linalg.norm(self.means[:, None] - self.truth.extents[0][self.k], axis=2)
+
+    @cached_property
+    def found(self) -> dict[int, int]:
+        """The slot of each true loop in whose opening one is."""
+        radii, slots = self.truth.extents[1][self.k], (self.presence > 0.5)[:, None]
+        near = (self.away <= radii) & slots & np.isin(np.arange(len(radii)), self.loops)
+        return {loop: slot for slot, loop in assign(self.away, near)}
+
+    @cached_property
+    def pairs(self) -> list[tuple[int, int]]:
+        """The slots that count, and the true loops that they are compared with; none when there are too few."""
+        chosen = self.longest(self.asked)
+        if len(chosen) < self.asked:
+            return []
+        orders = itertools.permutations(self.loops, len(chosen))
+        best = min(orders, key=lambda order: float(self.away[chosen, list(order)].sum()))
+        return list(zip(chosen, best, strict=True))
+
+    def longest(self, count: int) -> list[int]:
+        """The slots that count: of those that are more likely there than not the longest-lived."""
+        ranked = np.argsort(-self.lifetimes, kind="stable")
+        return ranked[self.presence[ranked] > 0.5][:count].tolist()
+
+    def longest_anyway(self, count: int) -> list[int]:
+        """The same, whether they are said to be there or not."""
+        ranked = np.argsort(-self.lifetimes * self.presence, kind="stable")
+        return ranked[self.lifetimes[ranked] > 0][:count].tolist()
+
+    def kept(self, first: _Sample) -> float:
+        """The share of the true loops found at the first step and still there that are found by the same slot."""
+        still = [loop for loop in first.found if loop in self.loops]
+        return float(np.mean([self.found.get(loop) == first.found[loop] for loop in still])) if still else np.nan
+
+    def places(self) -> dict[str, float]:
+        """The columns of places; only the marked curves are asked for where no true loop is there."""
+        truth, k, asked, loops = self.truth, self.k, self.asked, self.loops
+        marked, everything = [curve[k] for curve in truth.curves], min(len(truth.curves), MOST)
+        values = {"outside_marked": self.outside(self.longest(everything), marked, everything)}
+        if not asked:
+            return values
+        hulls, chosen = [truth.hull(loop, k) for loop in loops], self.longest(asked)
+        values["outside"] = self.outside(chosen, hulls, asked)
+        values["outside_anyway"] = self.outside(self.longest_anyway(asked), hulls, asked)
+        flat = [[truth.beside(loop, k, self.means[slot]) for loop in loops] for slot in chosen]
+        values["in_plane"] = _least_worst(flat, asked) <= 1
+        share = (self.away / truth.extents[1][k])[chosen][:, loops]
+        values["in_opening"] = _least_worst(share.tolist(), asked) <= 1
+        if self.pairs:
+            values["distance"] = float(np.mean([self.away[pair] for pair in self.pairs]))
+        return values
+
+    def outside(self, slots: Sequence[int], hulls: Sequence[Array], asked: int) -> float:
+        """How far the means of slots are from hulls, one each."""
+        return _least_worst([[nearest_in_hull(hull - self.means[slot]) for hull in hulls] for slot in slots], asked)
+
+
+def _least_worst(table: Sequence[Sequence[float]], asked: int) -> float:
+    """The worst pair of the assignment whose worst pair is best: below a threshold iff all can be below it, one each."""
+    if len(table) < asked:
+        return float("inf")
+    orders = itertools.permutations(range(len(table[0])), asked)
+    return min(max(row[loop] for row, loop in zip(table, order, strict=True)) for order in orders)
+
+
+def opening_points(curve: Array, n: int, rng: np.random.Generator) -> Array:
+    """(n, 3) points of the opening that a closed curve (L, 3) bounds, uniformly: of the fan of triangles about its middle."""
+    middle = np.broadcast_to(curve.mean(axis=0), curve.shape)
+    fan = np.stack([middle, curve, np.roll(curve, -1, axis=0)], axis=1)  # (L, 3, 3)
+    area = np.linalg.norm(np.cross(fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0]), axis=1) + 1e-15
+    share = rng.dirichlet(np.ones(3), n)
+    return np.asarray((share[:, :, None] * fan[rng.choice(len(fan), n, p=area / area.sum())]).sum(axis=1))
+
+
+def _measure_mixtures(
+    states: States,
+    truth: Sequence[TrueCurves],
+    pairs: Sequence[tuple[int, int, int, int]],
+    columns: Mapping[str, Array],
+    rng: np.random.Generator,
+) -> None:
+    """Fill in likelihood and coverage at the pairs of forecast and true loops."""
+    if not pairs:
+        return
+    i, k, slot, _ = np.array(pairs).T
+    mixtures: Any = loop_mixtures(states.triangles[i, k, slot].double(), states.values[i, k, slot].double())
+    points = np.array([opening_points(truth[i].curves[loop][k], POINTS, rng) for i, k, _, loop in pairs])
+    density = mixtures.log_prob(torch.from_numpy(points).transpose(0, 1))  # (POINTS, pairs)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(rng.integers(2**62)))
+        own = mixtures.log_prob(mixtures.sample((DRAWN,)))  # (DRAWN, pairs)
+    above = (own[:, None] > density[None]).double().mean(dim=0)  # the credible region that just reaches each point
+    parts = {"nll": -density, "cover50": (above <= 0.5).double(), "cover90": (above <= 0.9).double()}
+    for name, part in parts.items():
+        total, count = np.zeros_like(columns[name]), np.zeros_like(columns[name])
+        np.add.at(total, (i, k), part.mean(dim=0).numpy())
+        np.add.at(count, (i, k), 1)
+        columns[name][count > 0] = total[count > 0] / count[count > 0]
+
+
+def _count_slots(states: States, target: States, past: States, at: Tensor, columns: Mapping[str, Array]) -> None:
+    """Fill in the counts of slots. Slots have no order: the one that suits the forecast best over all steps is taken."""
+    order = match_slots(states, target)
+    now, before = target.slots(order)[:, at].presence > 0, past.slots(order).presence > 0  # (B, K, S), (B, 1, S)
+    right, changed = (states[:, at].presence > 0) == now, now != before
+    for name, which in zip(_SLOTS, (now, ~now, changed, ~changed), strict=True):
+        columns[name][:] = which.sum(dim=-1).numpy()
+        columns[f"{name}_right"][:] = (which & right).sum(dim=-1).numpy()

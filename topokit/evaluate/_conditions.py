@@ -1,0 +1,263 @@
+"""A condition made ready: which windows, what is seen of them, where their true loops are, and who forecasts."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from topokit.data import Dataset, WindowDataset, spoil
+from topokit.models import MODELS, Normalisation, PredictiveModel, States, build, load_model, target_states
+
+from ._accuracy import TrueCurves
+from ._config import UNTRAINED, Clouds, Condition, EvaluationConfig
+from ._results import digest, library_digest
+from ._tracking import true_loops
+
+
+@dataclass(frozen=True, eq=False)
+class Forecaster:
+    """A model under one training seed; of seqPH there is no model, it looks at the future."""
+
+    model: PredictiveModel | None
+    about: Mapping[str, Any] = field(default_factory=dict)  # its checkpoint, if any
+
+    def __call__(self, window: Mapping[str, Tensor]) -> States:
+        """The states that it forecasts, all steps."""
+        if self.model is None:
+            return target_states(window)
+        states, _ = self.model(window)
+        return states.float()
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedCondition:
+    """A condition whose files were found good.
+
+    Attributes
+    ----------
+    clean : WindowDataset
+        The windows; their labels are the truth about presence.
+    observed : WindowDataset
+        The same as the forecasters see them; `clean` itself when nothing is spoilt.
+    forecasters : dict of str to list of Forecaster
+        By what the results call them, one a training seed.
+    entries : dict
+        What the results say about the condition.
+    """
+
+    clean: WindowDataset
+    observed: WindowDataset
+    forecasters: Mapping[str, Sequence[Forecaster]]
+    entries: Mapping[str, Any]
+
+
+def garments_of(windows: WindowDataset) -> NDArray[np.str_]:
+    """(n,) the garment of each window."""
+    records = windows.dataset.group.records
+    return np.array([records[number].garment for number in windows.index[:, 0].tolist()])
+
+
+def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Path) -> PreparedCondition:
+    """Open dataset and checkpoints of a condition, check that they fit each other, choose the windows."""
+    dataset = Dataset(folder / (condition.dataset or config.dataset))
+    shape, labels = config.shape, condition.labels or config.labels
+    options: dict[str, Any] = {"history": shape.history, "horizon": shape.horizon, "labels": labels}
+    options |= {"n_points": shape.points, "slots": shape.slots}
+    windows = WindowDataset(dataset, _tested(condition, dataset, labels), **options)
+    rows = spread_windows(windows, condition.windows)
+    clean = observed = windows.select(rows)
+    if condition.clouds is not None:
+        observe = spoilt_observer(condition.clouds, config.seed)
+        observed = WindowDataset(dataset, windows.episodes, observe=observe, **options).select(rows)
+    forecasters = _forecasters(config, condition, folder, clean)
+    return PreparedCondition(clean, observed, forecasters, _entries(config, condition, clean, forecasters))
+
+
+def _forecasters(
+    config: EvaluationConfig, condition: Condition, folder: Path, windows: WindowDataset
+) -> dict[str, list[Forecaster]]:
+    """By what the results call them, one a training seed."""
+    ours = {config.ours: "ours"}
+    forecasters = {}
+    for name in UNTRAINED:
+        model = None if name == "seqph" else build(name, config.shape, Normalisation()).eval()
+        forecasters[ours.get(name, name)] = [Forecaster(model)]
+    for name, paths in (config.models if condition.models is None else condition.models).items():
+        found = [_load(config, name, folder / path, path) for path in paths]
+        if len({one.about["sha256"] for one in found}) < len(found):
+            where = f"condition {condition.name!r}"
+            raise ValueError(f"{where}: {name} lists the same weights twice; each checkpoint is to be of another seed")
+        for one in found:
+            _check_unseen(one.about, windows, condition)
+        forecasters[ours.get(name, name)] = found
+    return forecasters
+
+
+def _entries(
+    config: EvaluationConfig,
+    condition: Condition,
+    windows: WindowDataset,
+    forecasters: Mapping[str, Sequence[Forecaster]],
+) -> dict[str, Any]:
+    """What the results say about a condition, and from what it is made: when that is the same, so are the results."""
+    dataset, labels = windows.dataset, windows.dataset.labels(windows.labels)
+    counts = zip(*np.unique(garments_of(windows), return_counts=True), strict=True)
+    spoilt = condition.clouds is not None
+    entries = {
+        "dataset": {"sha256": dataset.checksum(), "seed": dataset.seed, "episodes": len(dataset)},
+        "labels": {
+            "name": windows.labels,
+            "observation": labels.manifest["observation"],
+            "sha256": labels.checksum(),
+        },
+        "condition": {key: value for key, value in asdict(condition).items() if key not in ("models", "dataset")},
+        "states_of_seqph_hold_carry_ridge": "tracked on the spoilt clouds" if spoilt else "the labels",
+        "windows": len(windows),
+        "episodes": len(windows.episodes),
+        "windows_by_garment": {str(garment): int(count) for garment, count in counts},
+        "checkpoints": {
+            name: [dict(one.about) for one in found] for name, found in forecasters.items() if found[0].about
+        },
+    }
+    settings = {name: asdict(config)[name] for name in ("ours", "shape", "samples", "seed", "tolerance")}
+    return {"made_from": digest([entries, settings, library_digest()]), **entries}
+
+
+# -- windows ----------------------------------------------------------------------------------------------------------------
+
+
+def _tested(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.int64]:
+    """The labelled episodes of a condition: of its part of the split, and its garments."""
+    where, labelled = f"condition {condition.name!r}", dataset.labelled(labels)
+    try:
+        parts = dataset.split(**condition.split) | {"all": dataset.episodes}
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{where}: split {condition.split}: {error}") from error
+    if condition.part not in parts:
+        raise ValueError(f"{where}: the split has no part {condition.part!r}; it has {', '.join(parts)}")
+    garments = condition.garments or dataset.garments
+    unknown = sorted(set(garments) - set(dataset.garments))
+    if unknown:
+        raise ValueError(f"{where}: no garment {unknown[0]!r} in the dataset; it has {', '.join(dataset.garments)}")
+    part = parts[condition.part].tolist()
+    chosen = [number for number in part if dataset.group.records[number].garment in garments]
+    known = np.intersect1d(chosen, labelled)
+    if not len(known):
+        raise ValueError(
+            f"{where}: no episode to test on: the part {condition.part!r} has {len(part)} episodes, "
+            f"{len(chosen)} of them of these garments, and none of those has labels {labels!r}"
+        )
+    if len(known) < len(chosen):
+        missing = f"{len(chosen) - len(known)} of {len(chosen)}"
+        warnings.warn(f"{where}: {missing} episodes have no labels {labels!r} and are left out", stacklevel=2)
+    return known
+
+
+def spread_windows(windows: WindowDataset, most: int) -> NDArray[np.int64]:
+    """At most so many windows of each garment, spread evenly over its episodes and their frames; rows of `index`."""
+    garments, chosen = garments_of(windows), []
+    for name in np.unique(garments):
+        rows = np.flatnonzero(garments == name)
+        chosen.append(rows[np.unique(np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int))])
+    return np.sort(np.concatenate(chosen))
+
+
+def spoilt_observer(how: Clouds, seed: int) -> Callable[[int, NDArray[np.float64]], NDArray[np.float64]]:
+    """What `WindowDataset` observes: spoilt clouds, so that baselines that start from tracked states see what networks see."""
+
+    def observe(number: int, clouds: NDArray[np.float64]) -> NDArray[np.float64]:
+        rng = np.random.default_rng((seed, number))
+        spoilt = spoil(clouds, rng, noise=how.noise, outliers=how.outliers, keep=how.keep)
+        return spoilt[:, : max(1, round(how.keep * clouds.shape[1]))]  # the others repeat these
+
+    return observe
+
+
+def true_curves(windows: WindowDataset, rows: Sequence[int], steps: Sequence[int]) -> list[TrueCurves]:
+    """The true loops of windows at some steps: which are there, and where."""
+    found = []
+    for number, frame in windows.index[np.asarray(rows)].tolist():
+        whole, at = _true_curves(windows.dataset.group.url, number), frame + np.array(steps)
+        parts = (whole.curves, whole.closing, whole.present)
+        found.append(TrueCurves(*(tuple(part[at] for part in each) for each in parts)))
+    return found
+
+
+@cache  # conditions share their episodes; a few hundred, half a second and a megabyte each
+def _true_curves(url: str, number: int) -> TrueCurves:
+    """The true loops of an episode, at all its frames."""
+    episode = Dataset(url)[number]
+    points, loops = episode.points.astype(np.float64), episode.loops
+    frames, row = true_loops(points, loops), np.arange(len(points))[:, None]
+    killers = np.array([frame.killers for frame in frames])  # (T, loops, 2)
+    return TrueCurves(
+        tuple(points[:, loop] for loop in loops),
+        tuple(points[row, killers[:, loop]] for loop in range(len(loops))),
+        tuple(np.array([frame.present for frame in frames]).T),
+    )
+
+
+# -- checkpoints ------------------------------------------------------------------------------------------------------------
+
+
+def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> Forecaster:
+    """Read a checkpoint and hold it against the evaluation."""
+    model, description = load_model(path)
+    if name in MODELS and description["model"] != name:
+        raise ValueError(f"{path}: a checkpoint of {description['model']!r}, listed under {name!r}")
+    if model.shape != config.shape:
+        has, wanted = (
+            ", ".join(f"{size} {value}" for size, value in asdict(shape).items())
+            for shape in (model.shape, config.shape)
+        )
+        raise ValueError(f"{path}: trained on windows of another shape: {has}; the evaluation has {wanted}")
+    trained = description.get("config", {})
+    about: dict[str, Any] = {
+        "checkpoint": shown,
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "model": description["model"],
+        "seed": trained.get("seed"),
+        "split": trained.get("split", {}),
+        "trained_on": description.get("dataset", ""),
+        **{key: description[key] for key in ("steps", "validation_loss") if key in description},
+    }
+    return Forecaster(model, about)
+
+
+def _check_unseen(about: Mapping[str, Any], windows: WindowDataset, condition: Condition) -> None:
+    """Refuse a checkpoint that was trained, or stopped, on episodes that it is to be tested on."""
+    where, dataset = f"condition {condition.name!r}: {about['checkpoint']}", windows.dataset
+    same = about["trained_on"] == dataset.checksum()
+    if condition.shares_no_episode and not same:
+        return
+    try:
+        parts = dataset.split(**about["split"])
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{where} was trained on another dataset, whose split {about['split']} cannot be made here ({error}); if it "
+            'shares no episode with this one, say so: "shares_no_episode": true'
+        ) from error
+    both = np.intersect1d(windows.episodes, np.concatenate([parts["train"], parts["validation"]]))
+    if len(both):
+        whose = "this dataset" if same else f"a dataset with checksum {about['trained_on'][:12] or 'unknown'}"
+        raise ValueError(
+            f"{where} was trained on {whose} with the split {about['split']}, and {len(both)} of the "
+            f"{len(windows.episodes)} episodes to test on were in its training or validation part, the first is {both[0]}: "
+            "test on the part it did not see"
+            + ("" if same else ', or say that no episode is shared, if so: "shares_no_episode": true')
+        )
+    if not same:
+        warnings.warn(
+            f"{where} was trained on a dataset with another checksum. None of the tested episodes was in its training part "
+            "if the two number their episodes alike, as a dataset and its cut do; that was not checked",
+            stacklevel=2,
+        )

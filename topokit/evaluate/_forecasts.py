@@ -1,0 +1,168 @@
+"""Evaluate predictors on held-out windows: every number of chapter 11, from a dataset and checkpoints.
+
+One file of results, written again after each condition; a run that was stopped goes on with the conditions that are missing.
+
+Source: the figure is that of Antonova et al. 2021, section 6. Taught in chapter 11.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.data import default_collate
+from tqdm import tqdm
+
+import topokit
+from topokit.data import Dataset
+from topokit.models import past_states, target_states
+
+from ._accuracy import COLUMNS, measure_forecasts
+from ._conditions import PreparedCondition, garments_of, prepare_condition, true_curves
+from ._config import Condition, EvaluationConfig
+from ._failures import Model, far_astray, save_clips
+from ._results import KIND, read_results, write_results
+from ._summary import Samples, horizons_of, steps_of, summarise
+
+BATCH = 64
+
+
+def evaluate_forecasts(
+    config: EvaluationConfig,
+    folder: str | Path = ".",
+    out: str | Path | None = None,
+    *,
+    progress: bool = False,
+    command: str = "",
+    clips: str | Path | None = None,
+) -> dict[str, Any]:
+    """Evaluate all models under all conditions.
+
+    Parameters
+    ----------
+    config : EvaluationConfig
+    folder : path
+        What the paths of `config` are relative to.
+    out : path, optional
+        File for the results. Conditions that are in it already, made from the same files by the same code, are not made again;
+        the file is replaced in one piece after each condition.
+    progress : bool
+        Say on stderr what is done, with a bar on a terminal.
+    command : str
+        What made the file, for its readers.
+    clips : path, optional
+        Folder for the frames of the failures that the results list, of the condition with most garments.
+
+    Returns
+    -------
+    dict
+        What is in the file.
+
+    Raises
+    ------
+    FileNotFoundError, FormatError
+        When a dataset, its labels, or a checkpoint is missing or damaged.
+    ValueError
+        When a checkpoint was trained on windows of another shape, or on episodes that it would be tested on; or a condition
+        has no window.
+    """
+    folder, results = Path(folder), _empty(config, command)
+    done = read_results(out)["conditions"] if out is not None and Path(out).is_file() else {}
+    tables = results["conditions"]
+    for condition in config.conditions:
+        prepared = prepare_condition(config, condition, folder)
+        known = done.get(condition.name)
+        if known is None or known["made_from"] != prepared.entries["made_from"]:
+            known = _table(config, condition, prepared, progress)
+        elif progress:
+            print(f"{condition.name}: in the file already", file=sys.stderr)
+        tables[condition.name] = known
+        results["hull_accuracy"] = tables[config.conditions[0].name]["hull_accuracy"]
+        results["complete"] = len(tables) == len(config.conditions)
+        if out is not None:
+            write_results(out, results)
+    if clips is not None:
+        chosen = max(config.conditions, key=lambda condition: len(tables[condition.name]["failures"]))
+        dataset = Dataset(folder / (chosen.dataset or config.dataset))
+        save_clips(tables[chosen.name]["failures"], dataset, Path(clips))
+    return results
+
+
+def _table(
+    config: EvaluationConfig, condition: Condition, prepared: PreparedCondition, progress: bool
+) -> dict[str, Any]:
+    """All that the results say of a condition."""
+    samples = _measured(config, condition, prepared, progress)
+    table = summarise(samples, config, condition is config.conditions[0])
+    first = {name: found[0] for name, found in prepared.forecasters.items()}
+    models: dict[str, Model] = {name: first[name] for name in ("ours", "pointnet", "carry", "seqph") if name in first}
+    failures = []
+    if "ours" in models and prepared.observed is prepared.clean:  # no dataset holds spoilt clouds
+        failures = far_astray(prepared.clean, samples, models, config.tolerance)
+    return {**prepared.entries, **table, "failures": failures}
+
+
+def _measured(config: EvaluationConfig, condition: Condition, prepared: PreparedCondition, progress: bool) -> Samples:
+    """Forecast all windows with all models, and measure."""
+    steps, fine = steps_of(config.shape.horizon), horizons_of(config.shape.horizon)
+    clean, observed = prepared.clean, prepared.observed
+    parts: dict[str, list[list[dict[str, Any]]]] = {
+        name: [[] for _ in found] for name, found in prepared.forecasters.items()
+    }
+    total = len(clean) * sum(map(len, parts.values()))
+    if progress:
+        print(f"{condition.name}: {len(clean)} windows, {total} forecasts", file=sys.stderr)
+    bar = tqdm(total=total, unit="forecast", desc=condition.name, disable=None if progress else True, leave=False)
+    with bar, torch.inference_mode():
+        for number, start in enumerate(range(0, len(clean), BATCH)):
+            rows = range(start, min(start + BATCH, len(clean)))
+            labelled, window = (default_collate([windows[i] for i in rows]) for windows in (clean, observed))
+            truth = true_curves(clean, rows, steps)
+            target, past = target_states(labelled), past_states(labelled)[:, -1:]
+            for name, found in prepared.forecasters.items():
+                for forecaster, part in zip(found, parts[name], strict=True):
+                    rng = np.random.default_rng((config.seed, number))  # the same points of the openings for all
+                    part.append(measure_forecasts(forecaster(window), target, past, truth, steps, fine, rng))
+                    bar.update(len(rows))
+    columns = {
+        name: {
+            column: np.stack([np.concatenate([some[column] for some in part]) for part in seeds]) for column in COLUMNS
+        }
+        for name, seeds in parts.items()
+    }
+    return Samples(columns, clean.index[:, 0], garments_of(clean), steps, fine)
+
+
+def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
+    """The file before its first condition."""
+    return {
+        "kind": KIND,
+        "version": 1,
+        "complete": False,
+        "ours": config.ours,
+        "measure": (
+            "hull_accuracy: share of windows in which the mean of the longest-lived forecast mixture is in the convex hull of "
+            "the true loop's vertices and of the edge that ends its class in the full cloud, or within "
+            f"{100 * config.tolerance:g} cm of it; where two loops or more are there, the first two in two hulls. Intervals: "
+            "95 %, bootstrap over the episodes of each garment, and over seeds. n: windows (of each seed) with a true loop there"
+        ),
+        "commands": [*config.commands, *([command] if command else [])],
+        "seed": config.seed,
+        "bootstrap_samples": config.samples,
+        "tolerance": config.tolerance,
+        "horizons": [*map(str, horizons_of(config.shape.horizon)), "mean"],
+        "made_with": {
+            "topokit": topokit.__version__,
+            "torch": torch.__version__,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+            "hardware": f"{platform.machine()}, {os.cpu_count()} CPU cores, {torch.get_num_threads()} used",
+        },
+        "hull_accuracy": {},
+        "conditions": {},
+    }

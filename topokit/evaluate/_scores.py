@@ -1,0 +1,255 @@
+"""The measures of multi-object tracking: MOTA, IDF1, HOTA, switches and fragments, for objects of any kind.
+
+Idea: per frame, the names of the objects that are there, the names a tracker gave, and how similar each pair is. All counts
+can be added over sequences; the measures follow from the counts.
+
+Source: Bernardin and Stiefelhagen 2008 (MOTA, switches), Ristani et al. 2016 (IDF1), Luiten et al. 2021 (HOTA); as in
+TrackEval, to which the tests hold every number. Taught in chapter 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+Kind = Literal["match", "switch", "fragment", "miss", "false positive"]
+LEVELS = np.arange(0.05, 0.99, 0.05)
+"""(19,) the similarities over which HOTA is averaged."""
+THRESHOLD = 0.5
+"""Least similarity of a match for the other measures."""
+_SLACK = float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True, eq=False)
+class Overlap:
+    """What there is to be matched in one frame.
+
+    Attributes
+    ----------
+    objects : (m,) int64
+    ids : (k,) int64
+        Of the tracker.
+    similarity : (m, k) float64
+        From 0 to 1.
+    """
+
+    objects: Ids
+    ids: Ids
+    similarity: Array
+
+
+@dataclass(frozen=True)
+class Event:
+    """What became of an object or of a detection at a frame.
+
+    Attributes
+    ----------
+    frame : int
+        Position in the sequence.
+    kind : str
+        "match"; "switch", a match with another identity than the last one; "miss"; "false positive"; and, beside a match,
+        "fragment" when the object had been lost in between.
+    loop : int
+        The object; -1 for a false positive.
+    id : int
+        The identity; -1 for a miss.
+    """
+
+    frame: int
+    kind: Kind
+    loop: int
+    id: int
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingScore:
+    """Counts of a sequence, or of several added up, and the measures that follow from them.
+
+    Attributes
+    ----------
+    objects, detections : int
+        True and tracked loops, summed over the frames.
+    matches, switches, fragments : int
+        Objects that were found; found under another identity than the last time; found again after a loss.
+    id_matches : int
+        Matches that are left when every object is given one identity for good, and every identity one object.
+    level_matches, level_association : (19,) float64
+        At each of HOTA's levels: matches, and the sum over them of the share ``|both|`` / ``|either|`` that the frames of object
+        and identity have in common.
+    """
+
+    objects: int
+    detections: int
+    matches: int
+    switches: int
+    fragments: int
+    id_matches: int
+    level_matches: Array
+    level_association: Array
+
+    def __add__(self, other: TrackingScore) -> TrackingScore:
+        return TrackingScore(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    @property
+    def misses(self) -> int:
+        """Objects that were not found."""
+        return self.objects - self.matches
+
+    @property
+    def false_positives(self) -> int:
+        """Detections that are no object."""
+        return self.detections - self.matches
+
+    @property
+    def mota(self) -> float:
+        """Accuracy: 1 - (misses + false positives + switches) / objects; can be negative."""
+        return 1 - _share(self.misses + self.false_positives + self.switches, self.objects)
+
+    @property
+    def idf1(self) -> float:
+        """Share of detections and objects under the right identity, for good."""
+        return _share(2 * self.id_matches, self.objects + self.detections)
+
+    @property
+    def deta(self) -> float:
+        """Detection accuracy, the mean over the levels of matches / (matches + misses + false positives)."""
+        return float(self._detection.mean())
+
+    @property
+    def assa(self) -> float:
+        """Association accuracy, the mean over the levels of how well the identities of the matches fit."""
+        return float(self._association.mean())
+
+    @property
+    def hota(self) -> float:
+        """Higher-order accuracy: the mean over the levels of the geometric mean of detection and association."""
+        return float(np.sqrt(self._detection * self._association).mean())
+
+    @property
+    def _detection(self) -> Array:
+        return self.level_matches / np.maximum(self.objects + self.detections - self.level_matches, 1)
+
+    @property
+    def _association(self) -> Array:
+        return self.level_association / np.maximum(self.level_matches, 1)
+
+
+def score(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> TrackingScore:
+    """Score a sequence; scores of several sequences can be added.
+
+    Parameters
+    ----------
+    overlaps : sequence of Overlap
+    threshold : float
+        Least similarity of a match for MOTA, IDF1, switches and fragments. HOTA is averaged over nineteen.
+
+    Examples
+    --------
+    Two frames; the object is found in both, under two identities.
+
+    >>> one = np.ones((1, 1))
+    >>> s = score([Overlap(np.array([0]), np.array([5]), one), Overlap(np.array([0]), np.array([6]), one)])
+    >>> s.switches, s.mota, s.idf1, round(s.hota, 3)
+    (1, 0.5, 0.5, 0.707)
+    """
+    overlaps, shape = _numbered(overlaps)
+    kinds = [event.kind for event in events(overlaps, threshold)]
+    together = np.zeros(shape)
+    for overlap in overlaps:
+        together[np.ix_(overlap.objects, overlap.ids)] += overlap.similarity >= threshold - _SLACK
+    return TrackingScore(
+        sum(len(overlap.objects) for overlap in overlaps),
+        sum(len(overlap.ids) for overlap in overlaps),
+        kinds.count("match") + kinds.count("switch"),
+        kinds.count("switch"),
+        kinds.count("fragment"),
+        int(sum(together[pair] for pair in greatest(together))),
+        *_higher_order(overlaps, shape),
+    )
+
+
+def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterator[Event]:
+    """Yield what became of every object and detection.
+
+    A match of the frame before is kept while it holds; the rest is matched for the greatest similarity.
+
+    Parameters
+    ----------
+    overlaps : sequence of Overlap
+    threshold : float
+        Least similarity of a match.
+    """
+    last: dict[int, int] = {}  # of each object: the identity of its last match
+    current: dict[int, int] = {}  # the matches of the last frame with anything in it
+    for frame, overlap in enumerate(overlaps):
+        objects, ids = overlap.objects.tolist(), overlap.ids.tolist()
+        if not objects or not ids:
+            yield from (Event(frame, "miss", loop, -1) for loop in objects)
+            yield from (Event(frame, "false positive", -1, i) for i in ids)
+            continue
+        kept = np.array([[current.get(loop) == i for i in ids] for loop in objects])
+        gain = np.where(overlap.similarity >= threshold - _SLACK, overlap.similarity + 1000 * kept, 0)
+        matched = {objects[i]: ids[j] for i, j in greatest(gain)}
+        for loop in objects:
+            if loop not in matched:
+                yield Event(frame, "miss", loop, -1)
+                continue
+            kind: Kind = "match" if last.get(loop, matched[loop]) == matched[loop] else "switch"
+            yield Event(frame, kind, loop, matched[loop])
+            if loop in last and loop not in current:
+                yield Event(frame, "fragment", loop, matched[loop])
+        yield from (Event(frame, "false positive", -1, i) for i in ids if i not in matched.values())
+        last |= matched
+        current = matched
+
+
+def _higher_order(overlaps: Sequence[Overlap], shape: tuple[int, int]) -> tuple[Array, Array]:
+    """Matches, and their summed association, at each of HOTA's levels."""
+    potential, seen, shown = np.zeros(shape), np.zeros((shape[0], 1)), np.zeros((1, shape[1]))
+    for overlap in overlaps:
+        table = overlap.similarity
+        union = table.sum(axis=0) + table.sum(axis=1, keepdims=True) - table
+        potential[np.ix_(overlap.objects, overlap.ids)] += np.divide(
+            table, union, out=np.zeros(table.shape), where=union > 0
+        )
+        seen[overlap.objects] += 1
+        shown[0, overlap.ids] += 1
+    alignment = potential / (seen + shown - potential)
+    both = np.zeros((len(LEVELS), *shape))
+    for overlap in overlaps:
+        if not overlap.similarity.size:
+            continue
+        for i, j in greatest(alignment[np.ix_(overlap.objects, overlap.ids)] * overlap.similarity):
+            both[overlap.similarity[i, j] >= LEVELS - _SLACK, overlap.objects[i], overlap.ids[j]] += 1
+    association = both / np.maximum(seen + shown - both, 1)
+    return both.sum(axis=(1, 2)), (both * association).sum(axis=(1, 2))
+
+
+def greatest(gain: Array) -> list[tuple[int, int]]:
+    """The assignment of greatest total gain, pairs without any left out."""
+    from scipy.optimize import linear_sum_assignment
+
+    rows, columns = linear_sum_assignment(gain, maximize=True)
+    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if gain[i, j] > 0]
+
+
+def _numbered(overlaps: Sequence[Overlap]) -> tuple[list[Overlap], tuple[int, int]]:
+    """The same with objects and identities numbered from 0, and how many there are of each."""
+    nobody = [np.empty(0, np.int64)]
+    objects = np.unique(np.concatenate(nobody + [o.objects for o in overlaps]))
+    ids = np.unique(np.concatenate(nobody + [o.ids for o in overlaps]))
+    numbered = [
+        Overlap(np.searchsorted(objects, o.objects), np.searchsorted(ids, o.ids), np.asarray(o.similarity, np.float64))
+        for o in overlaps
+    ]
+    return numbered, (len(objects), len(ids))
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else float("nan")

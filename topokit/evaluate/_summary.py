@@ -1,0 +1,197 @@
+"""From samples to tables: every measure of every model at every horizon, with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._bootstrap import Bootstrap, Estimate, mean_of
+from ._config import EvaluationConfig
+
+Array = NDArray[np.float64]
+_ORDER = ("seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours")
+_PLACES = {name: place for place, name in enumerate(_ORDER)}
+TOLERANCES = (0.0, 0.01, 0.02, 0.03, 0.05, 0.1)
+MEASURES = {
+    "hull_accuracy": "share of windows in which the mean of the mixture is in the hull",
+    "in_plane": "share of windows in which it is in the outline of the true loop, and near its plane",
+    "in_opening": "share of windows in which it is nearer to the centre of the true loop than that loop's farthest vertex",
+    "distance_cm": "mean distance from the centre of the true loop, cm",
+    "distance_median_cm": "median of that",
+    "nll": "mean negative log-likelihood of points of the true opening, nats",
+    "nll_median": "median of that over the windows",
+    "cover50": "share of points of the opening in the region of 50 %",
+    "cover90": "share of points of the opening in the region of 90 %",
+    "identity": "true loops found at t+1 that are found by the same slot",
+    "presence": "balanced accuracy: is the slot's loop there for the tracker?",
+    "presence_changed": "the same accuracy, of loops that have come or gone since t",
+    "presence_same": "the same accuracy, of the others",
+}
+"""Of a table, and what they mean."""
+OF_GARMENTS = ("hull_accuracy", "in_plane", "in_opening", "distance_cm")
+"""Those that are shown of every garment, too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """All measurements of a condition.
+
+    Attributes
+    ----------
+    columns : dict of dict of (seeds, n, K) float64
+        Model, then a name of `COLUMNS`.
+    episode : (n,) int
+    garment : (n,) str
+    steps, horizons : tuple of int
+        The K steps, and those of the tables.
+    """
+
+    columns: Mapping[str, Mapping[str, Array]]
+    episode: NDArray[np.int64]
+    garment: NDArray[np.str_]
+    steps: tuple[int, ...]
+    horizons: tuple[int, ...]
+
+    def of(self, garment: str) -> Samples:
+        """Those of a garment."""
+        rows = self.garment == garment
+        some = {model: {name: part[:, rows] for name, part in table.items()} for model, table in self.columns.items()}
+        return Samples(some, self.episode[rows], self.garment[rows], self.steps, self.horizons)
+
+
+def horizons_of(horizon: int) -> tuple[int, ...]:
+    """The steps of the tables: the paper's 1, 15, 30, 60, as far as the forecast goes."""
+    return tuple(step for step in (1, 15, 30, 60) if step <= horizon)
+
+
+def steps_of(horizon: int) -> tuple[int, ...]:
+    """The steps of the curves: every fifth, and the first."""
+    return tuple(sorted({1, *range(5, horizon + 1, 5), *horizons_of(horizon)}))
+
+
+def summarise(samples: Samples, config: EvaluationConfig, thorough: bool) -> dict[str, Any]:
+    """All tables of a condition; `thorough` adds the treatments of nearly flat hulls."""
+    table = _Table(samples, config)
+    answer: dict[str, Any] = {name: table.at_horizons(name) for name in MEASURES}
+    answer |= {f"gain_of_{model}": table.gains(model) for model in ("ours", "pointnet", "mlp")}
+    answer["outcomes"] = table.outcomes()
+    answer["by_seed"] = table.by_seed()
+    answer["curves"] = {name: table.curve(name) for name in ("hull_accuracy", "distance_cm", "identity", "presence")}
+    if thorough:
+        answer["hull_treatments"] = table.treatments()
+    garments = sorted(set(samples.garment.tolist()))
+    if len(garments) > 1:
+        answer["by_garment"] = {}
+        for garment in garments:
+            mine = _Table(samples.of(garment), config)
+            parts = {name: mine.at_horizons(name) for name in OF_GARMENTS}
+            counts = {"windows": len(mine.samples.episode), "episodes": len(mine.bootstrap.names)}
+            answer["by_garment"][garment] = {**counts, **parts, "outcomes": mine.outcomes()}
+            if thorough:
+                answer["by_garment"][garment]["hull_treatments"] = mine.treatments()
+    return answer
+
+
+class _Table:
+    """Estimates of a condition's samples."""
+
+    def __init__(self, samples: Samples, config: EvaluationConfig) -> None:
+        self.samples, self.tolerance = samples, config.tolerance
+        self.bootstrap = Bootstrap(samples.episode, config.samples, config.seed, strata=samples.garment)
+        self.models = sorted(samples.columns, key=lambda name: (_PLACES.get(name, len(_PLACES)), name))
+
+    def hits(self, model: str, tolerance: float | None = None, column: str = "outside") -> Array:
+        """(seeds, n, K) whether the means are in their hulls; nan where no true loop is there."""
+        near, outside = self.tolerance if tolerance is None else tolerance, self.samples.columns[model][column]
+        return np.where(np.isnan(outside), np.nan, outside <= max(near, 1e-9))
+
+    def estimate(self, model: str, name: str, k: int) -> Estimate:
+        """A measure at the k-th step."""
+        columns, number = self.samples.columns[model], self.models.index(model)
+        if name.startswith("presence"):
+            kinds = ("there", "absent") if name == "presence" else (name.removeprefix("presence_"),)
+            pairs = [(columns[f"{kind}_right"][..., k], columns[kind][..., k]) for kind in kinds]
+            return mean_of([self.bootstrap.ratio(*pair, number) for pair in pairs])
+        if name == "hull_accuracy":
+            return self.mean(self.hits(model)[..., k], model)
+        column = name.removesuffix("_cm").removesuffix("_median")
+        values = columns[{"identity": "kept"}.get(column, column)][..., k] * (100 if name.endswith("_cm") else 1)
+        return self.bootstrap.median(values, number) if "median" in name else self.mean(values, model)
+
+    def mean(self, values: Array, model: str) -> Estimate:
+        """Of (seeds, n) values, without those that are nan."""
+        there = np.isfinite(values)
+        return self.bootstrap.ratio(np.where(there, values, 0), there, self.models.index(model))
+
+    def row(self, at: Callable[[int], Estimate]) -> dict[str, Estimate]:
+        """What is estimated at the horizons, and the mean over them."""
+        each = {str(step): at(self.samples.steps.index(step)) for step in self.samples.horizons}
+        return each | {"mean": mean_of(list(each.values()))}
+
+    def rows(self, estimate: Callable[[str, int], Estimate]) -> dict[str, dict[str, Estimate]]:
+        """Model, then horizon."""
+        return {model: self.row(partial(estimate, model)) for model in self.models}
+
+    def at_horizons(self, name: str) -> dict[str, Any]:
+        """A measure."""
+        return _plain(self.rows(lambda model, k: self.estimate(model, name, k)))
+
+    def curve(self, name: str) -> dict[str, Any]:
+        """Model, then every step."""
+        steps = {str(step): k for k, step in enumerate(self.samples.steps)}
+        return _plain({m: {step: self.estimate(m, name, k) for step, k in steps.items()} for m in self.models})
+
+    def gains(self, of: str) -> dict[str, Any]:
+        """What the hull accuracy of a model is above that of the others, on the same draws of episodes."""
+        if of not in self.models:
+            return {}
+        rows = self.rows(lambda model, k: self.estimate(model, "hull_accuracy", k))
+        mine = rows.pop(of)
+        return _plain({model: {key: mine[key] - row[key] for key in row} for model, row in rows.items()})
+
+    def outcomes(self) -> dict[str, Any]:
+        """Shares of windows: in the hull, beside it by 10 cm at most, farther, or too few loops forecast."""
+        places = {str(step): self.samples.steps.index(step) for step in self.samples.horizons}
+        return {model: {step: self.shares(model, k) for step, k in places.items()} for model in self.models}
+
+    def shares(self, model: str, k: int) -> dict[str, float]:
+        """The outcomes at the k-th step."""
+        outside = self.samples.columns[model]["outside"][..., k]
+        outside = outside[~np.isnan(outside)]
+        hit, near, silent = outside <= max(self.tolerance, 1e-9), outside <= 0.1, np.isinf(outside)
+        parts = {"hit": hit, "near": near & ~hit, "far": ~near & ~hit & ~silent, "silent": silent}
+        return {name: round(float(part.mean()), 4) for name, part in parts.items()}
+
+    def by_seed(self) -> dict[str, Any]:
+        """Hull accuracy of every training seed on its own, for models that have several."""
+        answer = {}
+        for model, hits in {model: self.hits(model) for model in self.models}.items():
+            if len(hits) > 1:
+                each = np.nanmean(hits, axis=1)[:, [self.samples.steps.index(step) for step in self.samples.horizons]]
+                columns = dict(zip(map(str, self.samples.horizons), each.T.round(4).tolist(), strict=True))
+                answer[model] = columns | {"mean": each.mean(axis=1).round(4).tolist()}
+        return answer
+
+    def treatments(self) -> dict[str, Any]:
+        """Hull accuracy when a nearly flat hull is treated otherwise, or presence is not asked for."""
+        ways: dict[str, Callable[[str], Array]] = {}
+        for marked, column in {"": "outside", "marked curve alone, ": "outside_marked"}.items():
+            for near in TOLERANCES:
+                ways[f"{marked}within {100 * near:g} cm"] = partial(self.hits, tolerance=near, column=column)
+        ways["in the plane"] = lambda model: self.samples.columns[model]["in_plane"]
+        ways["in the opening"] = lambda model: self.samples.columns[model]["in_opening"]
+        ways["presence not asked for"] = partial(self.hits, column="outside_anyway")
+        return {name: _plain(self.rows(partial(self.treated, way))) for name, way in ways.items()}
+
+    def treated(self, way: Callable[[str], Array], model: str, k: int) -> Estimate:
+        """Hull accuracy at the k-th step when `way` says what is a hit."""
+        return self.mean(way(model)[..., k], model)
+
+
+def _plain(rows: Mapping[str, Mapping[str, Estimate]]) -> dict[str, Any]:
+    return {model: {key: one.as_dict() for key, one in row.items()} for model, row in rows.items()}

@@ -1,0 +1,210 @@
+"""Two states in succession with what is observed of them, what the statements are about, and how far points move.
+
+Source: Antonova et al. 2021, Assumption 2. Taught in chapter 4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from .._matching import hausdorff_table
+from .._validate import as_points
+from ..rips import Diagram
+from ._matching import Matching, match_diagrams
+from ._measures import State
+from ._verdict import Witness
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+STORED = 1e-4  # how far a coordinate may be from its vertex: episodes are stored with 16 bits
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A state and the same points a moment later; the places of its loops are "S_t", "O_t", "S_t+1" and "O_t+1"."""
+
+    before: State
+    after: State
+
+    @cached_property
+    def epsilon(self) -> float:
+        return max_displacement(self.before.points, self.after.points)
+
+    @cached_property
+    def distortion(self) -> float:
+        return distortion(self.before.points, self.after.points)
+
+    @cached_property
+    def matching(self) -> Matching:
+        return match_diagrams(self.before.diagram, self.after.diagram)
+
+    @property
+    def alpha(self) -> float:
+        return max(self.before.alpha, self.after.alpha)
+
+    @property
+    def tolerance(self) -> float:
+        return max(self.before.tolerance, self.after.tolerance)
+
+    def state(self, place: str) -> State:
+        return self.after if place.endswith("+1") else self.before
+
+    def diagram(self, place: str) -> Diagram:
+        return self.state(place).diagram if place.startswith("S") else self.state(place).observed_diagram
+
+    def killer_edges(self, place: str) -> Ids:
+        """(k, 2) vertex ids, in the state, of the killer edges of this place."""
+        edges = self.diagram(place).killer_edge
+        return edges if place.startswith("S") else self.state(place).ids[edges]
+
+    def killers(self, place: str, n_loops: int) -> Ids:
+        """(n, 2) vertex ids of the killer edges that the longest-lived loops of S_t have in a place, -1 for none."""
+        loops = np.arange(n_loops)
+        if place.endswith("+1"):
+            loops = np.append(self.matching.partner, -1)[loops]
+        if place.startswith("O"):
+            loops = np.append(self.state(place).matching.partner, -1)[loops]
+        return np.vstack([self.killer_edges(place), [[-1, -1]]])[loops]
+
+    def apart(self, place: str, other: str, n_loops: int) -> Array:
+        """(n, n) Hausdorff distances of the killers that the longest-lived loops of S_t have in two places; inf for none."""
+        ends = (self._coordinates(end, self.killers(end, n_loops)) for end in (place, other))
+        return np.nan_to_num(hausdorff_table(*ends), nan=np.inf)
+
+    def _coordinates(self, place: str, ids: Ids) -> Array:
+        points = self.state(place).points
+        return np.vstack([points, np.full(points.shape[1], np.nan)])[ids]
+
+    def witness(self, place: str, loop: int, what: str) -> Witness | None:
+        """A loop of a place as a witness, None for the loop -1."""
+        if loop < 0:
+            return None
+        diagram, (a, b) = self.diagram(place), self.killer_edges(place)[loop].tolist()
+        return Witness(place, loop, float(diagram.birth[loop]), float(diagram.death[loop]), (a, b), what)
+
+
+def observed_state(state: ArrayLike, observed: ArrayLike) -> Step:
+    """A state with what is observed of it, checked, as a step in which nothing moves."""
+    points = as_points(state, "state")
+    if len(points) == 0:
+        raise ValueError("state has no points")
+    still = State(points, vertex_ids(points, observed))
+    return Step(still, still)
+
+
+def observed_step(
+    before: ArrayLike, observed_before: ArrayLike | None, after: ArrayLike, observed_after: ArrayLike | None
+) -> Step:
+    """Two states with what is observed of them, checked; all vertices are where that is None."""
+    clouds = _same_points(before, after)
+    observations = {"observed_before": observed_before, "observed_after": observed_after}
+    states = [
+        State(cloud, np.arange(len(cloud)) if observed is None else vertex_ids(cloud, observed, name))
+        for cloud, (name, observed) in zip(clouds, observations.items(), strict=True)
+    ]
+    return Step(*states)
+
+
+def max_displacement(before: ArrayLike, after: ArrayLike) -> float:
+    """Return the largest distance that a point moves: the paper's epsilon, in the unit of the points.
+
+    Parameters
+    ----------
+    before, after : (n, d) array_like
+        Row i of both is the same point.
+
+    Examples
+    --------
+    >>> max_displacement([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.5], [1.0, 0.0]])
+    0.5
+    """
+    a, b = _same_points(before, after)
+    return float(np.linalg.norm(b - a, axis=1).max(initial=0.0))
+
+
+def distortion(before: ArrayLike, after: ArrayLike) -> float:
+    """Return half the largest change of a distance between two points: what a motion does to the filtration.
+
+    Never above `max_displacement`, and zero for a rigid motion, however fast. Wherever a statement needs epsilon for a change
+    of filtration values this number does instead; only where it says how far an edge moves must epsilon stay.
+
+    Parameters
+    ----------
+    before, after : (n, d) array_like
+        Row i of both is the same point.
+
+    Notes
+    -----
+    The correspondence between before and after has twice this distortion in the sense of Gromov and Hausdorff; that it bounds
+    the bottleneck distance of Rips diagrams is the theorem of Chazal, de Silva and Oudot 2014.
+
+    Examples
+    --------
+    >>> distortion([[0.0], [1.0]], [[5.0], [6.5]])
+    0.25
+    """
+    a, b = _same_points(before, after)
+    return float(np.abs(cdist(b, b) - cdist(a, a)).max(initial=0.0)) / 2
+
+
+def _same_points(before: ArrayLike, after: ArrayLike) -> tuple[Array, Array]:
+    """Both clouds, or ValueError when row i of both cannot be the same point."""
+    a, b = as_points(before, "before"), as_points(after, "after")
+    if a.shape != b.shape:
+        raise ValueError(f"before has shape {a.shape}, after {b.shape}; row i of both must be the same point")
+    return a, b
+
+
+def vertex_ids(points: ArrayLike, observed: ArrayLike, name: str = "observed") -> Ids:
+    """Return which vertices of a state are observed, each once, ascending.
+
+    Parameters
+    ----------
+    points : (n, d) array_like
+        The dense state.
+    observed : (m,) array_like of int, or (m, d) array_like
+        Vertex ids, or coordinates of vertices.
+    name : str
+        What messages call it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        When nothing is observed, an id is out of range, or an observed point is no vertex: the statements are about subsets
+        of the state.
+
+    Examples
+    --------
+    >>> vertex_ids([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]], [[2.0, 0.0], [0.0, 0.0]])
+    array([0, 2])
+    """
+    state, ids = as_points(points), np.asarray(observed)
+    if ids.size == 0:
+        raise ValueError(f"{name} is empty; a state without a single observed point has no covering radius")
+    if ids.ndim != 1:
+        return np.unique(_nearest_vertices(state, as_points(observed, name), name)).astype(np.int64)
+    if not np.issubdtype(ids.dtype, np.integer):
+        raise TypeError(f"{name} must be vertex ids (integers) or an (m, d) array of points, not {ids.dtype}")
+    outside = ids[(ids < 0) | (ids >= len(state))]
+    if len(outside):
+        raise ValueError(f"{name} names vertex {outside[0]}; the state has {len(state)}, numbered from 0")
+    return np.unique(ids).astype(np.int64)
+
+
+def _nearest_vertices(state: Array, cloud: Array, name: str) -> Ids:
+    if cloud.shape[1] != state.shape[1]:
+        raise ValueError(f"{name} has {cloud.shape[1]} dimensions, the state {state.shape[1]}")
+    distance, nearest = cKDTree(state).query(cloud)
+    if distance.max() > STORED:
+        far = int(np.argmax(distance))
+        raise ValueError(
+            f"{name} must be vertices of the state: point {far} is {distance[far]:.3g} from the nearest one; "
+            "what cameras see is on the surface between vertices, take a subsample of the vertices instead"
+        )
+    return np.asarray(nearest)

@@ -1,0 +1,156 @@
+"""What all predictors have in common: their shapes, their units and the three parts of a forward pass."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from topokit._config import Count, checked
+from topokit.io import HISTORY, HORIZON
+
+from ._states import States
+
+PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "step", "present"))
+
+Context = dict[str, Tensor]
+
+
+@checked
+class Shape:
+    """Sizes of a window.
+
+    Attributes
+    ----------
+    history, horizon : int
+        Frames that are seen and forecast.
+    points : int
+        Of a cloud.
+    slots : int
+        Loops that are forecast at most.
+    """
+
+    history: Count = HISTORY
+    horizon: Count = HORIZON
+    points: Count = 128
+    slots: Count = 4
+
+
+@checked
+class Normalisation:
+    """Where coordinates and filtration values lie in the training split; models see (x - origin) / scale.
+
+    Attributes
+    ----------
+    origin : (3,) float
+        Mean of the clouds, metres.
+    scale : float
+        Root mean square distance from it along an axis, metres.
+    value : float
+        Mean death of the loops, metres.
+    """
+
+    origin: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    scale: float = 0.2
+    value: float = 0.05
+
+
+class PredictiveModel(nn.Module, ABC):
+    """From a window (the dict of tensors of `topokit.data.WindowDataset`, a leading axis of B) to its states.
+
+    Three parts: `encode_frames` looks at single frames, so that a frame of a stream is encoded once; `gather` puts a history of
+    them together, so that all plans share it; `decode` reads a plan of actions and gives the states of all steps.
+
+    Parameters
+    ----------
+    shape : Shape
+    normalisation : Normalisation
+    """
+
+    learns = True  # by gradient descent
+    inputs: tuple[str, ...] = ("clouds",)  # what is read of each frame of a window's history
+    tracked = False  # whether `gather` is given what a tracker saw, too: `PAST`, and `past_grippers`, of all frames
+    plans_at_once = 250  # of many: so that weights are read seldom, and what lies between layers stays in the cache
+
+    def __init__(self, shape: Shape, normalisation: Normalisation) -> None:
+        super().__init__()
+        self.shape, self.normalisation = shape, normalisation
+        self.frames = list(range(shape.history))  # how many frames back is looked, the newest first
+        self.register_buffer("origin", torch.tensor(normalisation.origin), persistent=False)
+        self.origin: Tensor
+
+    def encode_frames(self, frames: Context) -> Context:
+        """What is kept of N frames, each alone; the `inputs` of a window with a leading axis of N."""
+        return frames
+
+    @abstractmethod
+    def gather(self, kept: Context) -> Context:
+        """What the forecast needs of the frames that `encode_frames` kept, (B, F, ...), in the order of `self.frames`.
+
+        If `tracked`, with the tracked states, (B, history, ...), the newest first.
+        """
+
+    @abstractmethod
+    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
+        """Forecast the states of all steps.
+
+        Parameters
+        ----------
+        context : dict of Tensor
+            Of `gather`, for B windows.
+        actions : (C, horizon, 2, 3)
+            Planned targets of the grippers, metres. C is B, or any number when B is 1: one history under C plans.
+        held : (C, horizon) bool
+        """
+
+    def present_states(self, context: Context) -> States | None:
+        """Return the present state as the model estimates it on its way, (B, 1, slots); None when it does not.
+
+        More steps than one are more estimates of the same state.
+        """
+        return None
+
+    def encode(self, window: Mapping[str, Tensor]) -> Context:
+        """Everything that does not depend on the plan."""
+        look = [self.shape.history - 1 - back for back in self.frames]
+        frames = {name: window[name][:, look] for name in self.inputs}
+        sizes = next(iter(frames.values())).shape[:2]
+        kept = self.encode_frames({name: part.flatten(0, 1) for name, part in frames.items()})
+        kept = {name: part.unflatten(0, sizes) for name, part in kept.items()}
+        if self.tracked:
+            kept |= {name: window[name].flip(1) for name in PAST} | {"past_grippers": window["grippers"].flip(1)}
+        return self.gather(kept)
+
+    def forward(self, window: Mapping[str, Tensor]) -> tuple[States, States | None]:
+        """The forecast, and the present state when the model estimates it."""
+        context = self.encode(window)
+        return self.decode(context, window["actions"], window["actions_held"]), self.present_states(context)
+
+    def normalise(self, points: Tensor) -> Tensor:
+        """Coordinates in metres to about the unit cube."""
+        return (points - self.origin) / self.normalisation.scale
+
+    def _states(self, numbers: Tensor, about: Tensor) -> States:
+        """The last layer of a network (..., NUMBERS) as states; corners are `scale` times the first 24, about a place (..., 3).
+
+        Birth, lifetime, step and neighbour values are positive whatever the network says: `value` times
+        (x + sqrt(x^2 + 1)) / 2, which is half a softplus' cost.
+        """
+        corners, raw = numbers[..., :24].unflatten(-1, (8, 3)), numbers[..., 24:31]
+        positive = self.normalisation.value / 2 * (raw + (raw.square() + 1).sqrt())
+        return States(
+            corners=torch.add(about[..., None, :], corners, alpha=self.normalisation.scale),
+            neighbour_values=positive[..., :4],
+            birth=positive[..., 4],
+            death=positive[..., 4] + positive[..., 5],
+            step=positive[..., 6],
+            presence=numbers[..., 31],
+        )
+
+
+def maximum(codes: Tensor) -> Tensor:
+    """(N, width) maximum over the points of codes (N, P, width), as a pooling: its gradient is far quicker than that of amax."""
+    return functional.adaptive_max_pool1d(codes.transpose(1, 2), 1)[..., 0]

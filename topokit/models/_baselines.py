@@ -1,0 +1,182 @@
+"""Predictors without a network, which any network must beat: hold, carry, ridge. They start from the last tracked states.
+
+Source: Hoerl and Kennard 1970 (ridge regression). Taught in chapter 10.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from topokit.state import TopologicalState
+
+from ._base import PAST, Context, Normalisation, PredictiveModel, Shape
+from ._states import NUMBERS, States, past_states, target_states
+
+
+class Hold(PredictiveModel):
+    """Every loop stays as it was at its last appearance in the history; it is there if it was there at the last frame."""
+
+    learns = False
+    inputs = ("grippers",)
+    tracked = True
+
+    def gather(self, kept: Context) -> Context:
+        """The last appearance of each slot."""
+        return last_appearance(kept) | {"grippers": kept["grippers"][:, 0]}
+
+    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
+        moved = self._moved(context, actions, held)  # (C, K, slots or 1, 3)
+        parts = {}
+        for name in ("corners", "neighbour_values", "birth", "death", "presence"):
+            part = context[name][:, None]
+            parts[name] = part.expand(len(actions), actions.shape[1], *part.shape[2:])
+        return States(
+            corners=parts.pop("corners") + moved[..., None, :],
+            step=moved.diff(dim=1, prepend=torch.zeros_like(moved[:, :1])).norm(dim=-1).expand_as(parts["birth"]),
+            **parts,
+        )
+
+    def _moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
+        """How far each loop has gone by each step."""
+        return torch.zeros_like(actions[:, :, :1])
+
+
+class Carry(Hold):
+    """Every loop goes with the middle between the grippers for as long as they hold, and is then at rest."""
+
+    def _moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
+        """Since its last appearance with the grippers as they went, from the present on as planned."""
+        start = context["grippers"].expand(len(actions), -1, -1)
+        steps = torch.cat([start[:, None], actions], dim=1).diff(dim=1).mean(dim=2)  # (C, K, 3)
+        ahead = (steps * held[..., None].to(steps)).cumsum(dim=1)
+        since = (context["grippers"][:, None] - context["grippers_then"]).mean(dim=2)  # (B, slots, 3)
+        return ahead[:, :, None] + since[:, None]
+
+
+class Ridge(Hold):
+    """Linear regression with a penalty, from the last states and the plan to the states of all steps, one system for all slots.
+
+    The corners' change since the last appearance, the values and the presence are regressed on the last state of the slot, the
+    grippers and the plan, all relative to the middle between the grippers. A loop that is not there has no say in its place.
+    Values are cut off at zero.
+
+    Parameters
+    ----------
+    penalty : float
+        On the squared coefficients, for inputs of about unit size; the constant has none.
+    """
+
+    def __init__(self, shape: Shape, normalisation: Normalisation, penalty: float = 100.0) -> None:
+        super().__init__(shape, normalisation)
+        if not penalty > 0:
+            raise ValueError(f"penalty must be more than zero, not {penalty!r}")
+        self.penalty = penalty
+        inputs = 1 + 24 + 4 + 4 + 9 + 7 * shape.horizon + shape.slots
+        self.coefficients = nn.Parameter(torch.zeros(inputs, shape.horizon * NUMBERS), requires_grad=False)
+
+    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
+        kept = {name: part.expand(len(actions), *part.shape[1:]) for name, part in context.items()}
+        numbers = (self._inputs(kept, actions, held) @ self.coefficients).unflatten(-1, (self.shape.horizon, NUMBERS))
+        numbers = numbers.transpose(1, 2)  # (C, K, slots, NUMBERS)
+        values = self.normalisation.value * numbers[..., 24:31].clamp_min(0)
+        return States(
+            corners=kept["corners"][:, None] + self.normalisation.scale * numbers[..., :24].unflatten(-1, (8, 3)),
+            neighbour_values=values[..., :4],
+            birth=values[..., 4],
+            death=values[..., 4] + values[..., 5],
+            step=values[..., 6],
+            presence=12 * (numbers[..., 31] - 0.5),
+        )
+
+    def fit(self, batches: Iterable[Mapping[str, Tensor]]) -> None:
+        """Solve the normal equations, summed over batches of windows: one system for places, one for the rest."""
+        size = len(self.coefficients)
+        gram, there_gram = torch.zeros(2, size, size, dtype=torch.float64)
+        moments = torch.zeros(size, self.shape.horizon, NUMBERS, dtype=torch.float64)
+        for window in batches:
+            kept, target = self.encode(window), target_states(window)
+            x = self._inputs(kept, window["actions"], window["actions_held"]).double()  # (B, slots, inputs)
+            scale, value = self.normalisation.scale, self.normalisation.value
+            values = torch.stack([target.birth, target.death - target.birth, target.step], dim=-1)
+            places = ((target.corners - kept["corners"][:, None]) / scale).flatten(3)
+            there = (target.presence > 0)[..., None]
+            whole = (there.all(dim=1) & kept["known"][..., None]).double()  # slots seen and there at every step
+            rest = torch.cat([target.neighbour_values / value, values / value, there.to(values)], dim=-1)
+            known = x * whole
+            gram += torch.einsum("bsi,bsj->ij", x, x)
+            there_gram += torch.einsum("bsi,bsj->ij", known, known)
+            moments[..., :24] += torch.einsum("bsi,bksn->ikn", known, places.double())
+            moments[..., 24:] += torch.einsum("bsi,bksn->ikn", x, rest.double())
+        penalty = self.penalty * torch.eye(size, dtype=torch.float64)
+        penalty[0, 0] = 1e-6
+        for which, matrix in ((slice(0, 24), there_gram), (slice(24, NUMBERS), gram)):
+            moments[..., which] = torch.linalg.solve(matrix + penalty, moments[..., which].flatten(1)).unflatten(
+                1, (self.shape.horizon, -1)
+            )
+        self.coefficients.data = moments.flatten(1).to(self.coefficients)
+
+    def _inputs(self, kept: Context, actions: Tensor, held: Tensor) -> Tensor:
+        """(C, slots, inputs): a constant, the slot's last state, the grippers, the plan, which slot it is."""
+        scale, value, slots = self.normalisation.scale, self.normalisation.value, self.shape.slots
+        middle = kept["grippers"].mean(dim=1)  # (C, 3)
+        state = ((kept["corners"] - middle[:, None, None]) / scale).flatten(2)
+        values = torch.stack([kept["birth"], kept["death"]], dim=-1) / value
+        flags = torch.stack([kept["known"].to(values), (kept["presence"] > 0).to(values)], dim=-1)
+        grippers = torch.cat([(kept["grippers"] - middle[:, None]).flatten(1) / scale, self.normalise(middle)], dim=1)
+        plan = torch.cat([(actions - kept["grippers"][:, None]).flatten(1) / scale, held.to(values)], dim=1)
+        each = torch.cat([torch.ones_like(plan[:, :1]), grippers, plan], dim=1)[:, None].expand(-1, slots, -1)
+        name = torch.eye(slots).to(plan).expand(len(plan), -1, -1)
+        return torch.cat([each, state, kept["neighbour_values"] / value, values, flags, name], dim=-1)
+
+
+def last_appearance(kept: Context) -> Context:
+    """Each slot as it was last tracked: `corners`, values, present `presence`, whether `known`, and the `grippers_then`.
+
+    Of a slot that was never tracked, corners are the middle between the grippers, the rest zeros.
+    """
+    present = kept["past_present"]  # (B, h, slots), the newest frame first
+    last = present.int().argmax(dim=1)  # (B, slots); 0 of one that was never tracked
+    batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])
+    loops = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
+    known = present.any(dim=1)
+    middle = kept["past_grippers"][:, 0].mean(dim=1)[:, None, None]
+    return {
+        "corners": torch.where(known[..., None, None], loops.corners, middle),
+        "neighbour_values": loops.neighbour_values,
+        "birth": loops.birth,
+        "death": loops.death,
+        "presence": torch.where(present[:, 0], 6.0, -6.0),
+        "known": known,
+        "grippers_then": kept["past_grippers"][batch, last],  # (B, slots, 2, 3)
+    }
+
+
+def past_window(states: Sequence[TopologicalState], slots: int) -> dict[str, Tensor]:
+    """The `past_` fields of a window (1, h, ...) from tracked states: slots by mean lifetime over the history, longest first."""
+    total: defaultdict[int, float] = defaultdict(float)
+    for loop in (loop for state in states for loop in state.loops):
+        total[loop.id] += loop.lifetime
+    longest = sorted(total, key=total.__getitem__, reverse=True)[:slots]
+    slot_of = {identity: slot for slot, identity in enumerate(longest)}
+    size = len(states), slots
+    past = {
+        "triangles": np.zeros((*size, 6, 3, 3), np.float32),
+        "values": np.zeros((*size, 6), np.float32),
+        **{name: np.zeros(size, np.float32) for name in ("birth", "death", "step")},
+        "present": np.zeros(size, bool),
+    }
+    for frame, state in enumerate(states):
+        for loop in (loop for loop in state.loops if loop.id in slot_of):
+            place, n = (frame, slot_of[loop.id]), 2 + len(loop.neighbours)
+            past["triangles"][place] = loop.killer_triangles[0]  # stands for neighbours that are absent
+            past["triangles"][place][:n] = np.concatenate([loop.killer_triangles, loop.neighbours])
+            past["values"][place][:n] = np.concatenate([loop.killer_values, loop.neighbour_values])
+            for name in ("birth", "death", "step"):
+                past[name][place] = np.nan_to_num(getattr(loop, name))
+            past["present"][place] = True
+    return {f"past_{name}": torch.from_numpy(part)[None] for name, part in past.items()}

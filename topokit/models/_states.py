@@ -1,0 +1,138 @@
+"""Predicted states as tensors: every loop as eight corners and a few numbers.
+
+Idea: the two killer triangles share the killer edge, and a neighbour shares an edge with one of them. So six triangles have
+eight corners: the ends x, y of the killer edge, the apexes z1 (thick), z2, and an apex a neighbour. Predicting corners keeps
+triangles that share an edge together and is half the size.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  # x y z1, x y z2, then the neighbours
+_OTHER_WAY = ([1, 0, 2, 3, 5, 4, 7, 6], [1, 0, 3, 2])  # corners and neighbours when x and y change places
+NUMBERS = 32  # of a loop: 8 corners, 4 neighbour values, birth, lifetime, step, presence
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """States of B sequences, K steps, S slots. Metres; a slot without a loop holds zeros or what the model thinks.
+
+    Attributes
+    ----------
+    corners : (B, K, S, 8, 3)
+        x, y, z1, z2 and the neighbours' apexes, in the order of `TRIANGLES`.
+    neighbour_values : (B, K, S, 4)
+        Filtration values; 0 where there is no neighbour. Those of the killer triangles are `death`.
+    birth, death, step : (B, K, S)
+    presence : (B, K, S)
+        Logit of the loop being there.
+    """
+
+    corners: Tensor
+    neighbour_values: Tensor
+    birth: Tensor
+    death: Tensor
+    step: Tensor
+    presence: Tensor
+
+    @property
+    def triangles(self) -> Tensor:
+        """(B, K, S, 6, 3, 3) the killer triangles, thick first, and the neighbours."""
+        return self.corners[..., torch.tensor(TRIANGLES, device=self.corners.device), :]
+
+    @property
+    def values(self) -> Tensor:
+        """(B, K, S, 6) filtration values of the triangles."""
+        return torch.cat([self.death[..., None], self.death[..., None], self.neighbour_values], dim=-1)
+
+    @property
+    def mean(self) -> Tensor:
+        """(B, K, S, 3) mean of the mixture; a loop's `centre` is another place, the middle of its killer triangles alone."""
+        weights = self.values / self.values.sum(dim=-1, keepdim=True).clamp_min(1e-9)
+        shares = functional.one_hot(torch.tensor(TRIANGLES), 8).sum(dim=1).to(weights) / 3  # of corners in barycentres
+        return ((weights @ shares)[..., None, :] @ self.corners)[..., 0, :]
+
+    def reversed(self) -> States:
+        """The same loops with the ends of their killer edges the other way round."""
+        corners, neighbours = _OTHER_WAY
+        return self.replace(
+            corners=self.corners[..., corners, :], neighbour_values=self.neighbour_values[..., neighbours]
+        )
+
+    def replace(self, **parts: Tensor) -> States:
+        """A copy with other parts."""
+        return dataclasses.replace(self, **parts)
+
+    def float(self) -> States:
+        """All parts in 32 bits."""
+        return self._each(Tensor.float)
+
+    def __getitem__(self, index: Any) -> States:
+        """Index all parts alike, along the leading dimensions."""
+        return self._each(lambda part: part[index])
+
+    def slots(self, order: Tensor) -> States:
+        """The slots in another order (B, S) for every sequence."""
+
+        def gather(part: Tensor) -> Tensor:
+            index = order.reshape(order.shape[0], 1, -1, *(1,) * (part.dim() - 3))
+            return part.gather(2, index.expand_as(part))
+
+        return self._each(gather)
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> States:
+        return States(*(change(part) for part in vars(self).values()))
+
+
+def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+    """Corners (..., 8, 3) and neighbour values (..., 4) of labels: triangles (..., 6, 3, 3) and values (..., 6).
+
+    A killer triangle is stored as x, y, apex, a neighbour as the outer edge it stands on and its apex (`Diagram.neighbours`);
+    labels list the neighbours without gaps, so the edge says which it is. The apex of an absent one is that edge's middle.
+    """
+    x, y = triangles[..., 0, 0, :], triangles[..., 0, 1, :]
+    corners = torch.stack([x, y, triangles[..., 0, 2, :], triangles[..., 1, 2, :]], dim=-2)
+    edges = torch.tensor([triangle[:2] for triangle in TRIANGLES[2:]], device=triangles.device)
+    outer = corners[..., edges, :]  # (..., 4 edges, 2, 3)
+    found = triangles[..., 2:, :, :]  # (..., 4 neighbours, 3, 3)
+    gap = (found[..., :, None, :2, :] - outer[..., None, :, :, :]).abs().sum(dim=(-1, -2))  # (..., neighbour, edge)
+    present = values[..., 2:] > 0
+    stands = functional.one_hot(gap.argmin(dim=-1), 4).to(triangles) * present[..., None].to(triangles)
+    neighbour_values = (stands * values[..., 2:, None]).sum(dim=-2)
+    apexes = stands.transpose(-1, -2) @ found[..., 2, :]
+    apexes = torch.where((neighbour_values > 0)[..., None], apexes, outer.mean(dim=-2))
+    return torch.cat([corners, apexes], dim=-2), neighbour_values
+
+
+def cheapest_order(cost: Tensor) -> Tensor:
+    """(B, S) which of S each of S shall have, for costs (B, S, S) of each having each: all orders are tried."""
+    slots = cost.shape[-1]
+    orders = torch.tensor(list(itertools.permutations(range(slots))), device=cost.device)  # (S!, S)
+    totals = cost[:, torch.arange(slots, device=cost.device), orders].sum(dim=-1)  # (B, S!)
+    return orders[totals.argmin(dim=-1)]
+
+
+def target_states(window: Mapping[str, Tensor]) -> States:
+    """What should be predicted for a batch of windows."""
+    return _states(window, "")
+
+
+def past_states(window: Mapping[str, Tensor]) -> States:
+    """What the tracker saw in the history of a batch of windows."""
+    return _states(window, "past_")
+
+
+def _states(window: Mapping[str, Tensor], prefix: str) -> States:
+    corners, neighbour_values = corners_of(window[f"{prefix}triangles"], window[f"{prefix}values"])
+    birth, death, step = (window[f"{prefix}{name}"] for name in ("birth", "death", "step"))
+    presence = torch.where(window[f"{prefix}present"], 20.0, -20.0)
+    return States(corners, neighbour_values, birth, death, torch.nan_to_num(step), presence)

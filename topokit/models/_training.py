@@ -1,0 +1,305 @@
+"""Training: seeded, resumed from its last checkpoint after a kill, stopped early on episodes held back.
+
+The order of windows is a function of seed and epoch alone, and everything else that matters is in `last.safetensors`: a
+training that was killed and started again ends, on a CPU, with the same weights as one left alone.
+
+Source: Antonova et al. 2021, section 5 (supervised, from the tracker's labels). Taught in chapter 10.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Subset
+from tqdm import tqdm
+
+from topokit._archive import FormatError
+from topokit._config import from_mapping
+
+from ._augment import mirrored, spoilt
+from ._base import Normalisation
+from ._baselines import Ridge
+from ._checkpoint import describe, load_tensors, save_tensors
+from ._config import TrainConfig
+from ._losses import forecast_loss
+from ._registry import build
+from ._windows import Windows, epoch_order, length, normalisation_of, spread
+
+LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
+_FREE = ("workers", "minutes_between_checkpoints", "out", "dataset", "accelerator")  # may change on the way
+
+
+def train(
+    config: TrainConfig, windows: Windows, *, progress: bool = False, stop_after: int | None = None
+) -> dict[str, Any]:
+    """Train a model, or go on with a training that was stopped; checkpoints and the log go to `config.out`.
+
+    Parameters
+    ----------
+    config : TrainConfig
+    windows : Windows
+    progress : bool
+        Show a bar on stderr.
+    stop_after : int, optional
+        Stop after so many steps of this run, as if killed after the checkpoint there (for tests).
+
+    Returns
+    -------
+    dict
+        The checkpoint with the smallest validation loss, that loss, epochs, steps, seconds, windows a second.
+
+    Raises
+    ------
+    ValueError
+        When there are fewer windows than a batch holds, the output directory holds a training of another configuration or
+        other data, or the loss is no number any more.
+    FormatError
+        When the checkpoint to go on from is damaged.
+    """
+    counts = length(windows.train), length(windows.validation)
+    if counts[0] < config.batch or not counts[1]:
+        raise ValueError(
+            f"{counts[0]} windows to train on and {counts[1]} to validate with; a batch has {config.batch}, and one is "
+            "needed to validate: add episodes or make the batch smaller"
+        )
+    Path(config.out).mkdir(parents=True, exist_ok=True)
+    return _Training(config, windows, progress).run(stop_after)
+
+
+@dataclass
+class Progress:
+    """Where a training stands: `epoch` is running, `batch` of its batches are done, `log` has a row for each one before."""
+
+    epoch: int = 0
+    batch: int = 0
+    step: int = 0
+    best: float = math.inf
+    best_epoch: int = -1
+    seconds: float = 0.0
+    finished: bool = False
+    sums: dict[str, float] = field(default_factory=dict)
+    log: list[dict[str, Any]] = field(default_factory=list)
+
+
+class _Training:
+    def __init__(self, config: TrainConfig, windows: Windows, show: bool) -> None:
+        self.config, self.windows, self.show, self.out = config, windows, show, Path(config.out)
+        self.fabric, self.progress = _fabric(config), Progress()
+        saved = load_tensors(self.out / LAST) if (self.out / LAST).exists() else None
+        if saved is None:
+            normalisation = normalisation_of(windows.train)
+        else:
+            self._check_same(saved[0])
+            normalisation = from_mapping(Normalisation, saved[0]["normalisation"], "normalisation")
+        torch.manual_seed(config.seed)
+        self.model = build(config.model, config.shape, normalisation, config.options)
+        if self.model.learns:
+            optimizer = torch.optim.AdamW(
+                self.model.parameters(), config.learning_rate, weight_decay=config.weight_decay
+            )
+            _, self.optimizer = self.fabric.setup(self.model, optimizer)
+        if saved is not None:
+            self._restore(*saved)
+        n = length(windows.train)
+        self.steps_per_epoch = min(config.windows_per_epoch or n, n) // config.batch
+
+    def run(self, stop_after: int | None) -> dict[str, Any]:
+        """Train, and return what `train` returns."""
+        if not self.progress.finished:
+            if self.model.learns:
+                self._descend(self.progress.step + stop_after if stop_after else None)
+            else:
+                self._solve()
+        return self._summary()
+
+    def _solve(self) -> None:
+        """A model without gradient descent: fit what is to be fitted, and validate once."""
+        if isinstance(self.model, Ridge):
+            self.model.fit(self._batches())
+        self._validate()
+        self.progress.finished = True
+        self._save(LAST)
+
+    def _descend(self, stop: int | None) -> None:
+        """Epochs until the end, early or not, or until a step."""
+        progress, config = self.progress, self.config
+        while progress.epoch < config.epochs and progress.epoch - progress.best_epoch <= config.patience:
+            saved = began = time.monotonic()
+            self.model.train()
+            for window in self._batches():
+                self._step(window)
+                ended = time.monotonic()
+                progress.seconds, began = progress.seconds + ended - began, ended
+                if progress.step == stop or ended - saved > 60 * config.minutes_between_checkpoints:
+                    self._save(LAST)
+                    saved = ended
+                if progress.step == stop:
+                    return
+            self._validate()
+            self._save(LAST)
+        progress.finished = True
+        self._save(LAST)
+
+    def _step(self, window: Mapping[str, Tensor]) -> None:
+        progress, config = self.progress, self.config
+        share = learning_rate_share(progress.step, config.epochs * self.steps_per_epoch)
+        for group in self.optimizer.param_groups:
+            group["lr"] = config.learning_rate * share
+        seed = config.seed * 1_000_003 + progress.step
+        generator = torch.Generator().manual_seed(seed)
+        window = mirrored(window, torch.rand(len(window["actions"]), generator=generator) < 0.5)
+        loss, parts = self._loss(window, spoilt(window, config.spoil, generator), seed)
+        if not torch.isfinite(loss):
+            raise ValueError(f"step {progress.step}: the loss is {loss.item()}; lower learning_rate, or check the data")
+        self.optimizer.zero_grad()
+        self.fabric.backward(loss)
+        self.fabric.clip_gradients(self.model, self.optimizer, max_norm=config.clip)
+        self.optimizer.step()
+        _add(progress.sums, parts)
+        progress.step += 1
+        progress.batch += 1
+
+    def _loss(
+        self, window: Mapping[str, Tensor], shown: Mapping[str, Tensor], seed: int
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Of a batch, as it is shown to the model: in 32 bits whatever the model computes in. The seed draws steps."""
+        with self.fabric.autocast():
+            predicted, present = self.model(shown)
+        present = None if present is None else present.float()
+        generator = torch.Generator().manual_seed(seed)
+        return forecast_loss(predicted.float(), window, self.config.loss, present=present, generator=generator)
+
+    @torch.no_grad()
+    def _validate(self) -> None:
+        """End an epoch: mean losses over the windows held back, a row of the log, the best weights so far."""
+        self.model.eval()
+        chosen = spread(length(self.windows.validation), self.config.validation_windows)
+        sums: dict[str, float] = {}
+        for number, window in enumerate(self._loader(Subset(self.windows.validation, chosen))):
+            _, parts = self._loss(window, window, number)
+            _add(sums, parts, len(window["actions"]))
+        losses, progress = {name: value / len(chosen) for name, value in sums.items()}, self.progress
+        row = {"epoch": progress.epoch, "step": progress.step, "seconds": round(progress.seconds, 1)}
+        row |= {f"train_{name}": value / max(progress.batch, 1) for name, value in progress.sums.items()}
+        progress.log.append(row | {f"validation_{name}": value for name, value in losses.items()})
+        self._write_log()
+        if losses["loss"] < progress.best:
+            progress.best, progress.best_epoch = losses["loss"], progress.epoch
+            self._save(BEST)
+        progress.epoch, progress.batch, progress.sums = progress.epoch + 1, 0, {}
+
+    def _summary(self) -> dict[str, Any]:
+        progress = self.progress
+        speed = progress.step * self.config.batch / progress.seconds if progress.seconds else None
+        return {
+            "checkpoint": str(self.out / BEST),
+            "model": self.config.model,
+            "parameters": sum(part.numel() for part in self.model.parameters()),
+            "finished": progress.finished,
+            "validation_loss": progress.best,
+            "best_epoch": progress.best_epoch,
+            "epochs": progress.epoch,
+            "steps": progress.step,
+            "seconds": round(progress.seconds, 1),
+            "windows_per_second": speed and round(speed, 1),
+        }
+
+    def _batches(self) -> Any:
+        """What is left of the epoch's batches, under a bar."""
+        progress, config = self.progress, self.config
+        order = epoch_order(length(self.windows.train), config.windows_per_epoch, config.seed, progress.epoch)
+        left = Subset(self.windows.train, order[progress.batch * config.batch :])
+        return tqdm(
+            self._loader(left, drop_last=True),
+            f"epoch {progress.epoch + 1}",
+            total=self.steps_per_epoch,
+            initial=progress.batch,
+            unit="batch",
+            leave=False,
+            disable=not self.show,
+        )
+
+    def _loader(self, data: Any, drop_last: bool = False) -> Any:
+        loader = DataLoader(data, self.config.batch, num_workers=self.config.workers, drop_last=drop_last)
+        return self.fabric.setup_dataloaders(loader, move_to_device=self.model.learns)
+
+    def _save(self, name: str) -> None:
+        progress = self.progress
+        weights = {f"model.{key}": part for key, part in self.model.state_dict().items()}
+        more: dict[str, Any] = {"config": asdict(self.config), "dataset": self.windows.checksum}
+        if name == BEST:
+            more |= {"validation_loss": progress.best, "epoch": progress.best_epoch, "steps": progress.step}
+            weights = {key: part.half() for key, part in weights.items()}  # half the size
+        else:
+            more["progress"] = asdict(progress)
+            for index, entries in self.optimizer.state_dict()["state"].items() if self.model.learns else ():
+                weights |= {f"optimizer.{index}.{key}": torch.as_tensor(part) for key, part in entries.items()}
+        save_tensors(self.out / name, weights, describe(self.model, self.config.model, self.config.options, **more))
+
+    def _write_log(self) -> None:
+        with (self.out / LOG).open("w", newline="") as handle:
+            writer = csv.DictWriter(handle, self.progress.log[0])
+            writer.writeheader()
+            writer.writerows(self.progress.log)
+
+    def _restore(self, document: dict[str, Any], tensors: dict[str, Tensor]) -> None:
+        parts: dict[str, dict[str, Tensor]] = {"model": {}, "optimizer": {}}
+        try:
+            for key, part in tensors.items():
+                kind, name = key.split(".", 1)
+                parts[kind][name] = part
+            self.model.load_state_dict(parts["model"])
+            if self.model.learns:
+                whole = self.optimizer.state_dict()
+                for key, part in parts["optimizer"].items():
+                    index, name = key.split(".")
+                    whole["state"].setdefault(int(index), {})[name] = part
+                self.optimizer.load_state_dict(whole)
+            self.progress = Progress(**document["progress"])
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise FormatError(f"{self.out / LAST}: not the checkpoint of a training: {error}") from error
+
+    def _check_same(self, document: dict[str, Any]) -> None:
+        """Whether a training may go on: with this configuration, as JSON has it, and on this dataset."""
+        known = asdict(TrainConfig(self.config.model)) | document.get("config", {})  # an older one may lack entries
+        for name, wanted in json.loads(json.dumps(asdict(self.config))).items():
+            if name not in _FREE and known[name] != wanted:
+                raise ValueError(
+                    f"{self.out}: holds a training with {name} = {known[name]!r}, the configuration says {wanted!r}; "
+                    "choose another `out`, or remove that one"
+                )
+        if document.get("dataset") != self.windows.checksum:
+            raise ValueError(
+                f"{self.out}: holds a training on another dataset (its checksum differs); choose another `out`"
+            )
+
+
+def learning_rate_share(step: int, steps: int) -> float:
+    """Of the largest learning rate: up along a line over 2 % of the steps, down along a cosine to 1 %."""
+    warm = max(1, steps // 50)
+    if step < warm:
+        return (step + 1) / warm
+    return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1.0, (step - warm) / max(1, steps - warm))))
+
+
+def _add(sums: dict[str, float], parts: Mapping[str, Tensor], weight: int = 1) -> None:
+    for name, part in parts.items():
+        sums[name] = sums.get(name, 0.0) + weight * float(part)
+
+
+def _fabric(config: TrainConfig) -> Any:
+    try:
+        Fabric = import_module("lightning_fabric").Fabric
+    except ModuleNotFoundError:  # conda-forge has it as a part of `lightning`
+        Fabric = import_module("lightning.fabric").Fabric
+    return Fabric(accelerator=config.accelerator, devices=1, precision=config.precision)

@@ -1,0 +1,215 @@
+"""Depth cameras: what they see of the cloth, as points in metres.
+
+A camera draws the whole scene, so that the target and the cloth itself hide what is behind them; only the cloth's pixels
+become points. Without noise a point lies on the cloth exactly.
+
+Source: Hartley and Zisserman 2004, chapter 6 (the pinhole camera); Nguyen, Izadi and Lovell 2012, *Modeling Kinect sensor
+noise for improved 3D reconstruction and tracking* (the noise). Taught in chapter 7.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BeforeValidator, Field
+
+from topokit._config import Count, NotNegative, Positive, checked
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def _as_tuple(place: Any) -> Any:
+    return tuple(np.asarray(place).tolist()) if isinstance(place, (np.ndarray, list)) else place
+
+
+Place = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
+
+
+@checked
+class DepthNoise:
+    """The errors of a structured-light depth sensor, after Nguyen, Izadi and Lovell 2012.
+
+    Parameters
+    ----------
+    axial : float
+        Standard deviation of the depth at `best` metres, in metres.
+    axial_growth : float
+        The deviation at depth z is `axial + axial_growth * (z - best)**2`; 1/m.
+    best : float
+        Depth of least noise, metres.
+    lateral : float
+        Standard deviation, in pixels, of the place at which a pixel reads the scene: outlines become ragged.
+    dropout : float
+        Share of pixels that are lost, each by itself; below 1.
+    """
+
+    axial: NotNegative = 0.0012
+    axial_growth: NotNegative = 0.0019
+    best: NotNegative = 0.4
+    lateral: NotNegative = 0.8
+    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
+
+    def apply(self, depth: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Mask]:
+        """Return a noisy copy of a depth image and of the cloth's mask.
+
+        Parameters
+        ----------
+        depth : (h, w) float64
+            Metres.
+        mask : (h, w) bool
+        rng : numpy.random.Generator
+        """
+        rows, columns = np.indices(depth.shape)
+        shift = np.rint(self.lateral * rng.standard_normal((2, *depth.shape))).astype(np.int64)
+        rows = np.clip(rows + shift[0], 0, depth.shape[0] - 1)
+        columns = np.clip(columns + shift[1], 0, depth.shape[1] - 1)
+        depth, mask = depth[rows, columns], mask[rows, columns] & (rng.random(mask.shape) >= self.dropout)
+        deviation = self.axial + self.axial_growth * (np.where(mask, depth, self.best) - self.best) ** 2
+        return depth + deviation * rng.standard_normal(depth.shape), mask
+
+
+@checked
+class Camera:
+    """A pinhole depth camera. Metres, degrees, pixels.
+
+    Parameters
+    ----------
+    eye, target : (3,) float
+        Where it is, and the place in the middle of its picture.
+    up : (3,) float
+        The direction that points up in the picture.
+    fov : float
+        Vertical angle of view, degrees.
+    width, height : int
+        Of the picture, pixels.
+    near, far : float
+        Nothing nearer or farther than this is seen.
+    noise : DepthNoise, optional
+        Added by `observe`; none when not given.
+
+    Raises
+    ------
+    ValueError
+        When a number is out of its range, or the camera looks along `up`; the message says which.
+
+    Examples
+    --------
+    >>> camera = Camera(eye=(0, -2, 1), target=(0, 0, 1), width=3, height=3)
+    >>> depth = np.full((3, 3), np.inf)
+    >>> depth[2, 0] = 2.0
+    >>> camera.unproject(depth, np.isfinite(depth)).round(3) + 0.0
+    array([[-0.933,  0.   ,  0.067]])
+    """
+
+    eye: Place = (0.0, -1.6, 1.2)
+    target: Place = (0.0, 0.0, 1.0)
+    up: Place = (0.0, 0.0, 1.0)
+    fov: Annotated[float, Field(gt=0, lt=180)] = 50.0
+    width: Count = 128
+    height: Count = 128
+    near: Positive = 0.1
+    far: Positive = 6.0
+    noise: DepthNoise | None = None
+
+    def __post_init__(self) -> None:
+        if self.near >= self.far:
+            raise ValueError(f"near ({self.near} m) must be less than far ({self.far} m)")
+        forward = np.subtract(self.target, self.eye)
+        scale = float(np.linalg.norm(forward) * np.linalg.norm(self.up))
+        if np.linalg.norm(np.cross(forward, self.up)) <= 1e-9 * scale:
+            raise ValueError(
+                f"the camera at {self.eye} must look at another place than itself, and not along up {self.up}"
+            )
+
+    @property
+    def axes(self) -> Array:
+        """(3, 3) unit vectors to the right, up and forward in the picture."""
+        forward = np.subtract(self.target, self.eye)
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, self.up)
+        right /= np.linalg.norm(right)
+        return np.array([right, np.cross(right, forward), forward])
+
+    @property
+    def matrices(self) -> tuple[list[float], list[float]]:
+        """OpenGL's view and projection matrices, column by column: what PyBullet's renderer takes."""
+        axes = self.axes * [[1], [1], [-1]]  # OpenGL looks along -z
+        view = np.eye(4)
+        view[:3, :3], view[:3, 3] = axes, -axes @ self.eye
+        scale = 1 / np.tan(np.radians(self.fov) / 2)
+        reach = self.near - self.far
+        projection = np.diag([scale * self.height / self.width, scale, (self.near + self.far) / reach, 0.0])
+        projection[2, 3], projection[3, 2] = 2 * self.near * self.far / reach, -1.0
+        return view.T.ravel().tolist(), projection.T.ravel().tolist()
+
+    def depths(self, buffer: ArrayLike) -> Array:
+        """Turn a depth buffer, 0 at `near` and 1 at `far`, into (h, w) metres along the view; inf where nothing is."""
+        values = np.asarray(buffer, dtype=np.float64).reshape(self.height, self.width)
+        metres = self.near * self.far / (self.far - (self.far - self.near) * values)
+        return np.where(values < 1 - 1e-6, metres, np.inf)
+
+    def unproject(self, depth: ArrayLike, mask: ArrayLike) -> Array:
+        """Return the points (n, 3) in metres that the pixels of `mask` see, row by row.
+
+        Parameters
+        ----------
+        depth : (h, w) array_like
+            Metres along the direction of view, not along the ray.
+        mask : (h, w) array_like of bool
+
+        Raises
+        ------
+        ValueError
+            When a shape is not the camera's, or a pixel of the mask has no depth.
+        """
+        metres, chosen = np.asarray(depth, dtype=np.float64), np.asarray(mask, dtype=bool)
+        for name, image in (("depth", metres), ("mask", chosen)):
+            if image.shape != (self.height, self.width):
+                raise ValueError(f"{name} must be of shape {(self.height, self.width)}, not {image.shape}")
+        rows, columns = np.nonzero(chosen)
+        z = metres[rows, columns]
+        if not np.isfinite(z).all():
+            bad = int(np.argmin(np.isfinite(z)))
+            raise ValueError(f"pixel ({rows[bad]}, {columns[bad]}) of the mask sees nothing: its depth is {z[bad]}")
+        # PyBullet's TinyRenderer samples a pixel at its left edge and its lower edge, not at its middle.
+        half = np.tan(np.radians(self.fov) / 2)
+        x = (2 * columns / self.width - 1) * half * self.width / self.height
+        y = (1 - 2 * (rows + 1) / self.height) * half
+        return np.asarray(self.eye + (np.column_stack([x, y, np.ones(len(x))]) * z[:, None]) @ self.axes)
+
+
+def cameras_around(
+    place: ArrayLike = (0.0, 0.1, 1.0),
+    n: int = 3,
+    *,
+    distance: float = 1.6,
+    elevation: float = 20.0,
+    noise: DepthNoise | None = None,
+) -> tuple[Camera, ...]:
+    """Return `n` cameras evenly around a place, the first in front of it (towards -y), all looking at it.
+
+    Parameters
+    ----------
+    place : (3,) array_like
+    n : int
+    distance : float
+        From the place, metres.
+    elevation : float
+        Of the cameras over the horizon, degrees.
+    noise : DepthNoise, optional
+        Of every camera.
+
+    Examples
+    --------
+    >>> [camera.eye[0] > 0 for camera in cameras_around(n=3)[1:]]
+    [True, False]
+    """
+    middle = np.asarray(place, dtype=np.float64)
+    turn = 2 * np.pi * np.arange(n) / n - np.pi / 2
+    tilt = np.radians(elevation)
+    around = np.column_stack([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.full(n, np.sin(tilt))])
+    x, y, z = middle.tolist()
+    return tuple(Camera(tuple(eye), (x, y, z), noise=noise) for eye in (middle + distance * around).tolist())

@@ -1,0 +1,282 @@
+"""Hanging garments as a reinforcement-learning environment, with Gymnasium's interface.
+
+    >>> import gymnasium, topokit.sim
+    >>> env = gymnasium.make("topokit/Hang-v0", task="apron-hook", reward="topological")
+
+Source: Towers et al. 2024, *Gymnasium: a standard interface for reinforcement learning environments*; Ng, Harada and Russell
+1999, *Policy invariance under reward transformations* (shaping by differences of a potential). Taught in chapter 7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from topokit._validate import positive
+from topokit.rips import rips_persistence
+from topokit.sampling import farthest_point_sample
+
+from ._camera import Camera
+from ._episode import AT_REST
+from ._garments import Garment
+from ._physics import SimulationConfig
+from ._process import SimulationError
+from ._recording import StretchCheck
+from ._surface import simple_cycles
+from ._targets import Target
+from ._tasks import Task, task_named
+from ._world import World, observe
+
+Array = NDArray[np.float64]
+Observation = dict[str, Any]
+REWARDS = ("sparse", "dense", "topological", "topological-observed")
+_ROOM = 4.0  # metres: nothing that is observed is farther from the origin along an axis
+_LEASH = 0.2  # metres by which a goal may lead its gripper along an axis: taut cloth holds a gripper back
+_REST_AFTER = 0.5  # s after the release: cloth that is not held by the target is fast by then
+
+
+class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """Carry a garment to its target with two grippers, hang it there, let go.
+
+    **Observation**, a dict of float32 arrays in metres (and `held`):
+
+    - `points` (n_points, 3): farthest-point samples of the garment's vertices, or of what the cameras see of it;
+    - `grippers` (2, 3): where the grippers are;
+    - `target` (K, 3): the target's centre line;
+    - `held`: 1 until the release, then 0.
+
+    **Action**, seven numbers from -1 to 1: the displacements of the first and of the second gripper's goal (x, y, z each) as
+    shares of what `max_speed` allows in a step; the garment is let go, for good, when the last is above 0.5.
+
+    **Reward**: 1 at success, and by `reward`
+
+    - `"sparse"`: nothing else;
+    - `"dense"`: the metres by which the task's loop came nearer to the target's seat in this step;
+    - `"topological"`: also the change of the share of the task's loops that are around the target, by linking number; loops
+      and centres are those of the true loops;
+    - `"topological-observed"`: the same for the longest-lived loops of the observed points, as many as the garment has, each
+      taken as its tight cycle: nothing is used that a robot would not have.
+
+    What the last three add are differences of a potential: going back and forth earns nothing.
+
+    An episode **terminates** when the garment has been free for half a second and is at rest, with success if the task's
+    loops are on the target (else it was dropped), and when it is torn: stretched beyond `config.max_stretch`. It is
+    **truncated** after `max_steps`. `info` holds `success`, `dropped`, `torn`, and the `linked` share and the `distance` of
+    the potential.
+
+    Parameters
+    ----------
+    task : str or Task
+        A name in `TASKS`, or a task.
+    garment, target : optional
+        Those of the task when not given.
+    reward : str
+    n_points : int
+        At most the garment's vertices.
+    cameras : sequence of Camera
+        What the observer has; without any it sees the vertices on all sides.
+    config : SimulationConfig, optional
+        Without self-collision when not given: with it, a seed repeats to a micrometre but not bit by bit.
+    max_speed : float
+        Of the grippers' goals along each axis, m/s.
+    max_steps : int
+        A step takes `config.frame_time` seconds.
+    render_mode : str, optional
+        `"rgb_array"`: `render()` gives a picture (360, 480, 3) uint8.
+
+    Raises
+    ------
+    ValueError
+        When the task, the reward or the render mode is not known, or there are fewer vertices than `n_points`.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 28}  # noqa: RUF012
+
+    def __init__(
+        self,
+        task: str | Task = "apron-hook",
+        *,
+        garment: Garment | None = None,
+        target: Target | None = None,
+        reward: str = "sparse",
+        n_points: int = 256,
+        cameras: Sequence[Camera] = (),
+        config: SimulationConfig | None = None,
+        max_speed: float = 1.2,
+        max_steps: int = 200,
+        render_mode: str | None = None,
+    ) -> None:
+        if reward not in REWARDS:
+            raise ValueError(f"reward must be one of {', '.join(REWARDS)}, not {reward!r}")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
+        self.task = task_named(task) if isinstance(task, str) else task
+        self.garment, self.target = garment or self.task.garment(), target or self.task.target
+        self.config = config or SimulationConfig(self_collision=False)
+        if not 1 <= n_points <= len(self.garment.vertices):
+            raise ValueError(
+                f"n_points must be 1 to {len(self.garment.vertices)}, the garment's vertices, not {n_points}"
+            )
+        self.reward, self.n_points, self.cameras, self.render_mode = reward, n_points, tuple(cameras), render_mode
+        self.max_step = positive(max_speed, "max_speed", zero=False) * self.config.frame_time
+        self.max_steps = int(positive(max_steps, "max_steps", zero=False))
+        self._check = StretchCheck(self.garment, self.config)
+        self._world: World | None = None
+        self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
+        sizes = {"points": n_points, "grippers": 2, "target": len(self.target.centre_line)}
+        places = {name: spaces.Box(-_ROOM, _ROOM, (size, 3), np.float32) for name, size in sizes.items()}
+        self.observation_space = spaces.Dict({**places, "held": spaces.Discrete(2)})
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Hang the garment between the grippers, at the start of a path.
+
+        Parameters
+        ----------
+        seed : int, optional
+            That the path is drawn with; the generator goes on when not given.
+        options : dict, optional
+            None are known.
+        """
+        super().reset(seed=seed)
+        self.close()
+        self._path = self.task.plan(self.garment, self.target, self.np_random)
+        self._goal = self._path.at(0.0)
+        offset = self._goal.mean(axis=0) - self.garment.vertices[self.garment.grips].mean(axis=0)
+        self._world = World(self.garment, offset, self.config)
+        self._world.add_rods(self.target.rods)
+        for _ in range(round(self.config.settle / self.config.dt)):
+            self._world.step(self._goal)
+        self._steps, self._released = 0, -1
+        self._points = self._world.vertices()
+        return self._observe(), self._info()
+
+    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Move the goals of the grippers, and let go if told to; simulate one frame.
+
+        Raises
+        ------
+        ValueError
+            When the action is not seven finite numbers.
+        """
+        self._running()
+        move = np.clip(np.asarray(action, dtype=np.float64), -1, 1)
+        if move.shape != (7,) or not np.isfinite(move).all():
+            raise ValueError(f"an action is seven finite numbers, not {action!r}")
+        points, linked, distance = self._points, self._linked, self._distance
+        self._advance(self.max_step * move[:6].reshape(2, 3), release=move[6] > 0.5)
+        torn = self._is_torn()
+        if torn:
+            self._points = points  # the last that made sense
+        observation = self._observe()
+        speed = float(np.linalg.norm(self._points - points, axis=1).mean()) / self.config.frame_time
+        free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
+        rests = not torn and free and speed < AT_REST
+        hangs = rests and self.task.hangs(self._points, self.garment.loops, self.target)
+        reward = float(hangs)
+        if self.reward != "sparse":
+            reward += distance - self._distance
+        if self.reward.startswith("topological"):
+            reward += self._linked - linked
+        ends = rests or torn
+        info = self._info(success=hangs, dropped=rests and not hangs, torn=torn)
+        return observation, reward, ends, not ends and self._steps >= self.max_steps, info
+
+    def _advance(self, move: Array, release: bool) -> None:
+        """Simulate a frame in which the goals move by (2, 3) metres."""
+        world = self._running()
+        if self._released < 0 and release:
+            world.release()
+            self._released = self._steps
+        before, here = self._goal, world.grippers()
+        self._goal = np.clip(before + move, here - _LEASH, here + _LEASH)
+        for share in np.arange(1, self.config.steps_per_frame + 1) / self.config.steps_per_frame:
+            world.step(before + share * (self._goal - before))
+        self._steps += 1
+        self._points = world.vertices()
+
+    def scripted_action(self) -> NDArray[np.float32]:
+        """Return the next action of the scripted path of this episode: a demonstration that usually succeeds."""
+        self._running()
+        time = (self._steps + 1) * self.config.frame_time
+        move = (self._path.at(min(time, self._path.release)) - self._goal) / self.max_step
+        let_go = 1.0 if time >= self._path.release else -1.0
+        return np.append(np.clip(move, -1, 1), let_go).astype(np.float32)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture of the scene (360, 480, 3), the cloth in blue; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        x, y, z = self.target.seat.tolist()
+        camera = Camera((x - 0.9, y - 1.9, z + 0.2), (x, y - 0.2, z - 0.2), width=480, height=360)
+        return _shaded(self._running(), camera)
+
+    def close(self) -> None:
+        """End the simulation; `reset` starts another."""
+        if self._world is not None:
+            self._world.close()
+            self._world = None
+
+    def _running(self) -> World:
+        if self._world is None:
+            raise gymnasium.error.ResetNeeded("reset the environment first: it has not begun, or was closed")
+        return self._world
+
+    def _observe(self) -> Observation:
+        """Look at the scene, and take note of how far the task has come."""
+        world = self._running()
+        if self.cameras:
+            points = observe(world, self.cameras, self.n_points, self.np_random)
+        else:
+            points = self._points[farthest_point_sample(self._points, self.n_points)[0]]
+        self._linked, self._distance = self._progress(points)
+        places = {"points": points, "grippers": world.grippers(), "target": self.target.centre_line}
+        clipped = {name: np.clip(place, -_ROOM, _ROOM).astype(np.float32) for name, place in places.items()}
+        return {**clipped, "held": int(self._released < 0)}
+
+    def _progress(self, observed: Array) -> tuple[float, float]:
+        """Share of the task's loops that are around the target, and their distance from its seat."""
+        if self.reward == "topological-observed":
+            cloud = np.unique(observed, axis=0)  # cameras that see little repeat points
+            diagram = rips_persistence(cloud)
+            n = min(len(self.garment.loops), len(diagram))
+            curves = [[cloud[part] for part in simple_cycles(diagram.cycle(i).tolist())] for i in range(n)]
+        else:
+            curves = [[self._points[self.garment.loops[i]]] for i in self.task.loops]
+        if not curves:
+            return 0.0, float(np.linalg.norm(observed.mean(axis=0) - self.target.seat))
+        on = [any(self.target.holds(part) for part in parts) for parts in curves]
+        gaps = [float(np.linalg.norm(np.concatenate(parts).mean(axis=0) - self.target.seat)) for parts in curves]
+        if self.task.every:
+            return sum(on) / len(self.task.loops), float(np.mean(gaps))
+        return float(any(on)), min(gaps)
+
+    def _is_torn(self) -> bool:
+        try:
+            self._check(self._points, f"step {self._steps}")
+        except SimulationError:
+            return True
+        return False
+
+    def _info(self, *, success: bool = False, dropped: bool = False, torn: bool = False) -> dict[str, Any]:
+        outcome = {"success": success, "dropped": dropped, "torn": torn}
+        return {**outcome, "linked": self._linked, "distance": self._distance}
+
+
+def _shaded(world: World, camera: Camera) -> NDArray[np.uint8]:
+    """A picture from the depth image: surfaces are lighter the more they face the camera; the cloth is blue."""
+    depth, cloth = world.image(camera)
+    seen = np.isfinite(depth)
+    places = np.full((*depth.shape, 3), np.nan)
+    places[seen] = camera.unproject(depth, seen)
+    normal = np.cross(np.gradient(places, axis=1), np.gradient(places, axis=0))
+    facing = np.abs(normal @ camera.axes[2]) / np.linalg.norm(normal, axis=-1)
+    light = 0.35 + 0.65 * np.nan_to_num(facing, nan=0.3)[..., None]
+    colour = np.where(cloth[..., None], [60, 150, 215], [190, 190, 190])
+    return np.where(seen[..., None], light * colour, 255).astype(np.uint8)

@@ -1,0 +1,167 @@
+"""Record an episode: two grippers carry a garment to a target, hang it there and let go.
+
+Source: Antonova et al. 2021, section 6 (two anchors, a PD controller, randomised paths). Taught in chapters 0 and 7.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import platform
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topokit._validate import positive
+from topokit.io import FEWEST_FRAMES, Episode
+from topokit.sampling import farthest_point_sample
+
+from ._camera import Camera
+from ._garments import Garment
+from ._physics import SimulationConfig
+from ._randomise import Randomisation, generator
+from ._recording import Recording, Run, record, record_afresh
+from ._targets import Hook, Target
+from ._tasks import Task, task_for, task_named
+
+AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
+
+
+def simulate(
+    garment: Garment | None = None,
+    target: Target | None = None,
+    *,
+    task: str | Task | None = None,
+    seed: int = 0,
+    config: SimulationConfig | None = None,
+    randomisation: Randomisation | None = None,
+    cameras: Sequence[Camera] = (),
+    n_observed: int | None = None,
+    time_limit: float | None = 60.0,
+    progress: bool = False,
+) -> Episode:
+    """Record one episode: a garment hung between two grippers, carried to a target, let go there.
+
+    Parameters
+    ----------
+    garment, target : optional
+        Those of the task when not given. With neither a task nor these, an apron is hung on a hook.
+    task : str or Task, optional
+        A name in `TASKS` or a task; when not given, the one of that garment and target (`task_for`).
+    seed : int
+        Of everything random: path, physics, cameras and their noise each have a generator of their own.
+    config : SimulationConfig, optional
+    randomisation : Randomisation, optional
+        Ranges from which this episode draws its physics, size and cameras; nothing varies but the path when not given.
+    cameras : sequence of Camera, optional
+        What the observer has. Without any it sees all sides: farthest-point samples of the vertices.
+    n_observed : int, optional
+        Points of the observation in each frame; at most the garment's vertices, unless cameras see more. 500 when not
+        given, or all vertices of a garment that has fewer.
+    time_limit : float, optional
+        The simulation runs in a fresh process, which is stopped when loading, settling or a frame takes longer than so
+        many seconds; then the same call gives the same bytes anywhere in a program. None: in this process, without a
+        limit, for those who keep processes themselves; repeatable bit by bit only as the first simulation of a process.
+    progress : bool
+        Write the share done to stderr.
+
+    Returns
+    -------
+    Episode
+        With `success` when, after release, the loops of the task are on the target and the garment is at rest there.
+
+    Raises
+    ------
+    SimulationError
+        When the cloth explodes or is over-stretched (the message names frame, edge and stretch), when the simulator
+        crashes, or when it is stopped.
+    ValueError
+        When `n_observed` exceeds the number of vertices, `task` is not known, or no camera sees any cloth in some frame.
+    """
+    if task is None:
+        task = task_for(garment or Garment.apron(), target or Hook())
+    elif isinstance(task, str):
+        task = task_named(task)
+    garment, target, config = garment or task.garment(), target or task.target, config or SimulationConfig()
+    drawn: dict[str, Any] | None = None
+    if randomisation is not None:
+        config, garment, cameras, numbers = randomisation.draw(seed, config, garment, cameras)
+        drawn = {**randomisation.describe(), "drawn": numbers}
+    if n_observed is None:
+        n_observed = 500 if cameras else min(500, len(garment.vertices))
+    if n_observed < 1 or (n_observed > len(garment.vertices) and not cameras):
+        raise ValueError(f"n_observed must be 1 to {len(garment.vertices)}, the garment's vertices, not {n_observed}")
+    path = task.plan(garment, target, generator(seed, "path"))
+    frames = config.frames or max(FEWEST_FRAMES, math.ceil(path.end / config.frame_time))
+    config = dataclasses.replace(config, frames=frames)
+    goals = path.at(np.arange(frames * config.steps_per_frame) * config.dt)
+    noise = int(generator(seed, "noise").integers(2**63))
+    run = Run(garment, target.rods, goals, round(path.release / config.dt), config, tuple(cameras), n_observed, noise)
+    report = functools.partial(_show, frames) if progress else None
+    if time_limit is None:
+        recording = record(run, report)
+    else:
+        recording = record_afresh(run, positive(time_limit, "time_limit", zero=False, infinite=True), report)
+    return _episode(run, recording, task, target, seed, drawn)
+
+
+def _episode(
+    run: Run, recording: Recording, task: Task, target: Target, seed: int, randomisation: dict[str, Any] | None
+) -> Episode:
+    """What was recorded, with its truth and its parameters."""
+    garment, config, points = run.garment, run.config, recording.points
+    held = np.arange(len(points)) * config.steps_per_frame < run.release
+    hangs = not held[-1] and _at_rest(points, config) and task.hangs(points[-1], garment.loops, target)
+    physics = {
+        "config": dataclasses.asdict(config),
+        "elastic_stiffness": config.elastic_stiffness(len(garment.vertices)),
+        "garment": dict(garment.parameters),
+        "target": {**dataclasses.asdict(target), "position": [0.0, target.distance, 0.0]},
+        "randomisation": randomisation,
+        "stretch": dict(zip(("p99", "worst"), recording.stretch.max(axis=0).tolist(), strict=True)),
+    }
+    views = [dataclasses.asdict(camera) for camera in run.cameras]
+    samples = [frame[farthest_point_sample(frame, run.n_observed)[0]] for frame in points if not views]
+    return Episode(
+        points=points,
+        observed=recording.observed if views else np.array(samples),
+        actions=run.goals[:: config.steps_per_frame].astype(np.float32),
+        grippers=recording.grippers,
+        held=held,
+        faces=garment.faces.astype(np.int32),
+        loops=tuple(loop.astype(np.int32) for loop in garment.loops),
+        centre_line=target.centre_line.astype(np.float32),
+        garment=garment.name,
+        target=target.name,
+        task=task.name,
+        success=bool(hangs),
+        seed=seed,
+        dt=config.frame_time,
+        observation={"kind": "cameras" if views else "vertices", "cameras": views},
+        physics=physics,
+        provenance={**{name: _version(name) for name in ("topokit", "pybullet")}, "machine": platform.machine()},
+    )
+
+
+def _at_rest(points: NDArray[np.float32], config: SimulationConfig) -> bool:
+    """A loop that flies past the arm links it too, hence the rest."""
+    if len(points) < 2:
+        return False
+    return float(np.linalg.norm(points[-1] - points[-2], axis=1).mean()) / config.frame_time < AT_REST
+
+
+def _show(frames: int, frame: int) -> None:
+    end = "\n" if frame + 1 == frames else ""
+    print(f"\rsimulating: frame {frame + 1} of {frames}", end=end, file=sys.stderr, flush=True)
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:  # run from a source tree that is not installed
+        return "0+unknown"

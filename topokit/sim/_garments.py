@@ -1,0 +1,140 @@
+"""Garments: triangle meshes that know their true loops and where to be held.
+
+A garment is cut from flat patterns and sewn together. Triangles are near-equilateral, so that a mass-spring cloth behaves
+alike in every direction, and the border of an opening keeps its order: it is the true loop.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ParamSpec
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topokit._validate import as_points
+
+from . import _bags, _mesh, _wardrobe
+from ._surface import as_ids, check_loop, check_mesh, half_edges
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+Sizes = ParamSpec("Sizes")
+_log = logging.getLogger(__name__)
+
+
+def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]:
+    """A function that makes a garment of what a pattern returns, its fields in their order."""
+
+    @functools.wraps(pattern)
+    def garment(*arguments: Sizes.args, **sizes: Sizes.kwargs) -> Garment:
+        return Garment(*pattern(*arguments, **sizes))
+
+    signature = inspect.signature(pattern).replace(return_annotation="Garment")
+    garment.__signature__ = signature  # type: ignore[attr-defined]
+    return garment
+
+
+@dataclass(frozen=True, eq=False)
+class Garment:
+    """A triangle mesh with its true loops and the two vertices by which grippers hold it.
+
+    Everything that makes a physics engine fail or hang is refused here: vertices in no face, several components, edges
+    without length, faces that name a vertex twice. An edge may be in three faces, as where a strap is sewn on.
+
+    Attributes
+    ----------
+    name : str
+    vertices : (N, 3) float64
+        Rest positions in metres, z up; rest lengths of the springs are taken from them.
+    faces : (F, 3) int64
+        Vertex ids, counted from 0.
+    loops : tuple of (L,) int64
+        The true loops: each a closed cycle of vertex ids along edges of the mesh (the last joins the first).
+    grips : (2,) int64
+        The two vertices that the grippers hold.
+    parameters : mapping of str to float
+        The sizes it was made from, kept with every episode.
+    repairs : tuple of str
+        What `from_mesh` did to the mesh of a file, in words.
+
+    Raises
+    ------
+    ValueError
+        When the mesh, a loop or a grip is not as described; the message names the vertex, edge or face.
+
+    Examples
+    --------
+    >>> apron = Garment.apron()
+    >>> len(apron.loops), len(apron.vertices) >= 520
+    (1, True)
+    """
+
+    name: str
+    vertices: Array
+    faces: Ids
+    loops: tuple[Ids, ...]
+    grips: Ids
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    repairs: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        vertices = as_points(self.vertices, "vertices", copy=True)
+        if vertices.shape[1] != 3:
+            raise ValueError(f"vertices must be an (N, 3) array, not of shape {vertices.shape}")
+        faces = as_ids(self.faces, "faces", len(vertices))
+        if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
+            raise ValueError(
+                f"faces must be an (F, 3) array of vertex ids with at least one row, not of shape {faces.shape}"
+            )
+        grips = as_ids(self.grips, "grips", len(vertices))
+        if grips.shape != (2,) or grips[0] == grips[1]:
+            raise ValueError(f"grips must be two different vertex ids, not {grips.tolist()}")
+        loops = tuple(as_ids(loop, f"loops[{i}]", len(vertices)) for i, loop in enumerate(self.loops))
+        for array in (vertices, faces, grips, *loops):
+            array.setflags(write=False)
+        values = {"vertices": vertices, "faces": faces, "grips": grips, "loops": loops}
+        for key, value in {**values, "parameters": dict(self.parameters)}.items():
+            object.__setattr__(self, key, value)
+        check_mesh(vertices, faces)
+        for i, loop in enumerate(loops):
+            check_loop(loop, self.edges, f"loops[{i}]")
+
+    @property
+    def edges(self) -> Ids:
+        """(E, 2) every edge once, smaller id first, in lexicographic order."""
+        return np.unique(half_edges(self.faces), axis=0)
+
+    @property
+    def edge_lengths(self) -> Array:
+        """(E,) rest lengths in metres, in the order of `edges`."""
+        ends = self.vertices[self.edges]
+        return np.asarray(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+
+    apron = staticmethod(_sewn(_wardrobe.apron))
+    tote = staticmethod(_sewn(_bags.tote))
+    backpack = staticmethod(_sewn(_bags.backpack))
+    shirt = staticmethod(_sewn(_wardrobe.shirt))
+    vest = staticmethod(_sewn(_wardrobe.vest))
+    mask = staticmethod(_sewn(_wardrobe.mask))
+    sheet = staticmethod(_sewn(_wardrobe.sheet))
+    from_mesh = staticmethod(_sewn(_mesh.from_mesh))
+
+
+WARDROBE: Mapping[str, Callable[[], Garment]] = {
+    "apron": Garment.apron,
+    "apron2": functools.partial(Garment.apron, loops=2),
+    "tote": Garment.tote,
+    "tote2": functools.partial(Garment.tote, handles=2),
+    "backpack": Garment.backpack,
+    "shirt": Garment.shirt,
+    "vest": Garment.vest,
+    "mask": Garment.mask,
+    "sheet": Garment.sheet,
+    "sheet2": functools.partial(Garment.sheet, holes=2),
+}
+"""Every garment by the name that episodes record, as a function that makes it at its default sizes."""

@@ -1,0 +1,284 @@
+"""What a garment is hung on: collision shapes, and the centre line that decides whether it hangs there.
+
+Every target stands on the floor z = 0 at y = `distance` and faces the grippers, which come from smaller y. Its centre line
+starts at the floor and is closed far away (`topokit.linking.close_far`), so that the linking number of a garment's loop with
+it is defined: not 0 for a loop on the target, 0 for one that slipped off, lies against it or was never on.
+"""
+
+from __future__ import annotations
+
+import itertools
+from abc import ABC, abstractmethod
+from dataclasses import field
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from topokit._config import Positive, checked
+from topokit._validate import as_points
+from topokit.linking import close_far, linking_number
+
+Array = NDArray[np.float64]
+Rod = tuple[Array, Array, float]  # a capsule: start, end, radius
+_SHOULDER = 0.3  # radius of the shoulders as a share of the depth of the chest
+
+
+@checked
+class Target(ABC):
+    """What `simulate` asks of a target. Subclass it, as a frozen dataclass, to hang garments on something else.
+
+    Parameters
+    ----------
+    distance : float
+        y of its pole or axis, metres.
+    """
+
+    distance: float = field(default=0.3, kw_only=True)
+
+    name: ClassVar[str]
+
+    @property
+    @abstractmethod
+    def centre_line(self) -> Array:
+        """(K, 3) an open polyline from the floor to the tip, in metres."""
+
+    @property
+    @abstractmethod
+    def rods(self) -> list[Rod]:
+        """Its shape: capsules as (start, end, radius)."""
+
+    @property
+    @abstractmethod
+    def seat(self) -> Array:
+        """(3,) the middle of where a strap should come to rest."""
+
+    @property
+    @abstractmethod
+    def lowest(self) -> float:
+        """The z below which a loop does not hang any more, though it may still be around the target: it slid down."""
+
+    def holds(self, loop: ArrayLike) -> bool:
+        """Whether a closed curve (L, 3) winds around the target: its linking number with the closed centre line is not 0."""
+        return linking_number(loop, close_far(self.centre_line)) != 0
+
+
+@checked
+class Hook(Target):
+    """A pole with an arm towards the grippers and an upturned tip. Metres, z up; the arm points along -y.
+
+    A loop around the arm links the centre line, and so does one around the tip or the pole: it is not off yet.
+
+    Parameters
+    ----------
+    height, reach, tip : float
+        Of the arm's axis above the floor; from the pole to the tip; of the tip over the arm's axis.
+    radius : float
+        Of all three rods. Cloth tunnels through thin rods; 0.02 and more is reliable.
+    distance : float
+        y of the pole.
+    """
+
+    height: Positive = 1.2
+    reach: Positive = 0.2
+    tip: Positive = 0.06
+    radius: Positive = 0.02
+
+    name = "hook"
+
+    @property
+    def centre_line(self) -> Array:
+        """(4, 3) foot of the pole, pole and arm, arm and tip, end of the tip."""
+        pole, near, top = self.distance, self.distance - self.reach, self.height + self.tip
+        return _upright((pole, 0), (pole, self.height), (near, self.height), (near, top))
+
+    @property
+    def seat(self) -> Array:
+        """(3,) the middle of the arm's axis."""
+        return np.array([0, self.distance - self.reach / 2, self.height])
+
+    @property
+    def rods(self) -> list[Rod]:
+        """Pole, arm and tip."""
+        return _tube(self.centre_line, self.radius)
+
+    @property
+    def lowest(self) -> float:
+        """The arm's axis."""
+        return self.height
+
+
+@checked
+class Hanger(Target):
+    """A clothes hanger on a rail, seen as in a wardrobe: the rail runs along x, one arm of the hanger points at the grippers.
+
+    Two arms slope down from the stem, each with an upturned end. A strap hangs when it is around an arm; around the stem it
+    is around both. The rail stands on two posts.
+
+    Parameters
+    ----------
+    height, width, drop : float
+        Of the place above the floor where the arms' axes meet under the stem; from the end of one arm to that of the other;
+        how much lower than their meeting the arms end, less than half the width.
+    tip, stem : float
+        Of the upturned ends over the arms' axes there; from the meeting of the arms up to the rail.
+    radius, span : float
+        Of hanger and rail, as a hook's; between the posts, which stand left and right of the hanger.
+    distance : float
+        y of rail and stem.
+    """
+
+    height: Positive = 1.3
+    width: Positive = 0.44
+    drop: Positive = 0.06
+    tip: Positive = 0.04
+    stem: Positive = 0.22
+    radius: Positive = 0.02
+    span: Positive = 1.4
+
+    name = "hanger"
+
+    def __post_init__(self) -> None:
+        if self.drop >= self.width / 2:
+            raise ValueError(f"drop {self.drop} makes the arms steeper than 45 degrees: width is {self.width}")
+
+    @property
+    def centre_line(self) -> Array:
+        """(6, 3) foot of a post, its top, the rail over the hanger, the meeting of the arms, the end of the near arm, its tip."""
+        return self._line(-1)
+
+    @property
+    def seat(self) -> Array:
+        """(3,) the middle of the near arm's axis."""
+        return np.array([0, self.distance - self.width / 4, self.height - self.drop / 2])
+
+    @property
+    def rods(self) -> list[Rod]:
+        """One post, the rail's half, the stem and the near arm; then the far arm and the rest of the rail."""
+        far, rest = self._line(1)[3:], self._line(1)[2::-1] * [-1, 1, 1]
+        return [rod for line in (self.centre_line, far, rest) for rod in _tube(line, self.radius)]
+
+    @property
+    def lowest(self) -> float:
+        """The ends of the arms."""
+        return self.height - self.drop
+
+    def holds(self, loop: ArrayLike) -> bool:
+        """Whether a closed curve (L, 3) winds around either arm."""
+        return any(linking_number(loop, close_far(self._line(side))) != 0 for side in (-1, 1))
+
+    def _line(self, side: int) -> Array:
+        """From the foot of a post to the tip of the near (-1) or the far arm (1)."""
+        pole, top, end = self.distance, self.height + self.stem, self.distance + side * self.width / 2
+        post = _upright((pole, 0), (pole, top)) + [self.span / 2, 0, 0]
+        arm = _upright((pole, top), (pole, self.height), (end, self.lowest), (end, self.lowest + self.tip))
+        return np.concatenate([post, arm])
+
+
+@checked
+class Mannequin(Target):
+    """A tailor's dummy on a stand: torso, shoulders without arms, neck and head, of an adult's proportions.
+
+    Its centre line is the axis from the floor through the head. A loop hangs when it is around the axis and lower than the
+    middle of the head (a neck hole that lies on the crown like a wreath is around the axis too), or when it is around a
+    shoulder, as a backpack's straps are.
+
+    Parameters
+    ----------
+    height, head_radius, head_height : float
+        Of the top of the head above the floor; half the breadth of the head, and its height.
+    neck_radius, neck_length : float
+        The length is that between head and shoulders.
+    shoulder_width, depth, torso_length : float
+        From the end of one shoulder to that of the other; of the chest, front to back; from the shoulders' top to the hips.
+    distance : float
+        y of the axis.
+    """
+
+    height: Positive = 1.6
+    head_radius: Positive = 0.08
+    head_height: Positive = 0.22
+    neck_radius: Positive = 0.055
+    neck_length: Positive = 0.07
+    shoulder_width: Positive = 0.42
+    depth: Positive = 0.16
+    torso_length: Positive = 0.5
+
+    name = "mannequin"
+
+    def __post_init__(self) -> None:
+        for name, part in (("head_height", "head_radius"), ("shoulder_width", "depth"), ("torso_length", "depth")):
+            value, least = getattr(self, name), 2 * getattr(self, part)
+            if value < least:
+                raise ValueError(f"{name} {value} must be at least twice {part}, {least}")
+        if self.neck_radius >= self.head_radius:
+            raise ValueError(f"neck_radius {self.neck_radius} must be less than head_radius {self.head_radius}")
+        if self.lowest <= 0:
+            raise ValueError(f"height {self.height} puts the hips below the floor")
+
+    @property
+    def shoulder_height(self) -> float:
+        """Top of the shoulders beside the neck."""
+        return self.height - self.head_height - self.neck_length
+
+    @property
+    def head_centre(self) -> Array:
+        """(3,) the middle of the head."""
+        return np.array([0, self.distance, self.height - self.head_height / 2])
+
+    @property
+    def shoulder(self) -> Array:
+        """(3,) the middle of the right shoulder's end (x > 0)."""
+        radius = _SHOULDER * self.depth
+        return np.array([self.shoulder_width / 2 - radius, self.distance, self.shoulder_height - radius - 0.035])
+
+    @property
+    def centre_line(self) -> Array:
+        """(4, 3) foot, hips, shoulders, top of the head."""
+        return _upright(*((self.distance, z) for z in (0, self.lowest, self.shoulder_height, self.height)))
+
+    @property
+    def seat(self) -> Array:
+        """(3,) the axis at the top of the shoulders, where a neck strap lies."""
+        return np.array([0, self.distance, self.shoulder_height])
+
+    @property
+    def lowest(self) -> float:
+        """The hips."""
+        return self.shoulder_height - self.torso_length
+
+    @property
+    def rods(self) -> list[Rod]:
+        """Head, neck, stand and spine; on either side a shoulder and a flank."""
+        foot, hips, neck, top = self.centre_line
+        ball, low = np.array([0, 0, self.head_radius]), neck - [0, 0, _SHOULDER * self.depth]
+        radius = self.depth / 2
+        chest, hip = neck - [0, 0, 1.4 * radius], hips + [0, 0, radius]
+        aside = np.array([self.shoulder_width / 2 - radius - 0.02, 0, 0])
+        head = (top - [0, 0, self.head_height] + ball, top - ball, self.head_radius)
+        rods = [head, (low, top - ball, self.neck_radius), (foot, hips, 0.02), (chest, hip, radius)]
+        for side in (1, -1):
+            rods.append((low, self.shoulder * [side, 1, 1], _SHOULDER * self.depth))
+            rods.append((chest + side * aside, hip + 0.75 * side * aside, radius))
+        return rods
+
+    def holds(self, loop: ArrayLike) -> bool:
+        """Whether a closed curve (L, 3) is around the axis and below the middle of the head, or around a shoulder."""
+        curve = as_points(loop, "loop")
+        if curve[:, 2].mean() < self.head_centre[2] and super().holds(curve):
+            return True
+        return any(linking_number(curve, self._closed_shoulder(side)) != 0 for side in (-1, 1))
+
+    def _closed_shoulder(self, side: int) -> Array:
+        """From the floor up the axis and out through a shoulder, closed far away."""
+        foot, end = self.centre_line[0], self.shoulder * [side, 1, 1]
+        return close_far([foot, end * [0, 1, 1], end], end=(side, 0, 0))
+
+
+def _upright(*places: tuple[float, float]) -> Array:
+    """(k, 3) places (y, z) in the plane x = 0."""
+    return np.array([[0.0, y, z] for y, z in places])
+
+
+def _tube(line: Array, radius: float) -> list[Rod]:
+    return [(start, end, radius) for start, end in itertools.pairwise(line)]

@@ -1,0 +1,246 @@
+"""One PyBullet world: a cloth, two grippers that hold it, rods to hang it on, a floor."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import math
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topokit.sampling import farthest_point_sample
+
+from ._camera import Camera
+from ._garments import Garment
+from ._physics import SimulationConfig
+
+Array = NDArray[np.float64]
+_GRAVITY = 9.8  # m/s^2
+
+
+def _pybullet() -> ModuleType:
+    try:
+        with _silent():
+            import pybullet
+    except ImportError as error:
+        raise ImportError("topokit.sim needs PyBullet: pip install 'topokit[sim]'") from error
+    return pybullet
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Send file descriptors 1 and 2 to nowhere: PyBullet's C++ side prints its build and its arguments there."""
+    flush_c = ctypes.CDLL(None).fflush if os.name == "posix" else (lambda _: None)  # C keeps a buffer of its own
+    sys.stdout.flush()
+    sys.stderr.flush()
+    saved = [os.dup(1), os.dup(2)]
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+            os.dup2(nowhere.fileno(), 2)
+            yield
+    finally:
+        flush_c(None)
+        for descriptor, copy in zip((1, 2), saved, strict=True):
+            os.dup2(copy, descriptor)
+            os.close(copy)
+
+
+class World:
+    """A PyBullet client with a garment in it; use it in a `with` block, which always disconnects.
+
+    Parameters
+    ----------
+    garment : Garment
+    offset : (3,) float
+        Added to the garment's rest positions, metres.
+    config : SimulationConfig
+    """
+
+    def __init__(self, garment: Garment, offset: Array, config: SimulationConfig) -> None:
+        self._p = _pybullet()
+        self._config = config
+        self._goals: list[list[float]] | None = None
+        with _silent():
+            self._client = self._p.connect(self._p.DIRECT)
+        try:
+            self._bullet("resetSimulation", self._p.RESET_USE_DEFORMABLE_WORLD)
+            self._bullet("setGravity", 0, 0, -_GRAVITY)
+            self._bullet("setPhysicsEngineParameter", fixedTimeStep=config.dt)
+            self._cloth = self._load(garment, offset)
+            # Bodies without a shape: a kinematic or a fixed anchor body can make the cloth explode, these do not.
+            self._grippers = [
+                self._bullet("createMultiBody", config.gripper_mass, -1, -1, basePosition=place)
+                for place in (garment.vertices[garment.grips] + offset).tolist()
+            ]
+            ends = zip(garment.grips.tolist(), self._grippers, strict=True)
+            self._anchors = [self._bullet("createSoftBodyAnchor", self._cloth, *pair, -1) for pair in ends]
+            # A thick slab with its top at z = 0: cloth would rest 10 cm above PyBullet's endless plane.
+            slab = self._bullet("createCollisionShape", self._p.GEOM_BOX, halfExtents=[4, 4, 0.5])
+            self._add_fixed(slab, basePosition=[0, 0, -0.5])
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> World:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Disconnect. PyBullet ends the process when about a thousand clients are left open."""
+        if self._client >= 0:
+            self._p.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+    def add_rods(self, rods: Sequence[tuple[Array, Array, float]]) -> None:
+        """Add fixed capsules, each (start, end, radius)."""
+        for start, end, radius in rods:
+            axis, middle = end - start, (start + end) / 2
+            length = float(np.linalg.norm(axis))
+            shape = self._bullet("createCollisionShape", self._p.GEOM_CAPSULE, radius=radius, height=length)
+            self._add_fixed(shape, basePosition=middle.tolist(), baseOrientation=_turn_z_to(axis / length))
+
+    def _add_fixed(self, shape: int, **place: list[float]) -> None:
+        body = self._bullet("createMultiBody", 0, shape, -1, **place)
+        self._bullet("changeDynamics", body, -1, lateralFriction=self._config.friction)
+
+    def step(self, targets: Array | None) -> None:
+        """Advance one step of `dt`, drawing the grippers to `targets` (2, 3); None when they have let go."""
+        if targets is not None:
+            goals: list[list[float]] = targets.tolist()
+            for body, goal, before in zip(self._grippers, goals, self._goals or goals, strict=True):
+                self._draw(body, goal, before)
+            self._goals = goals
+        self._p.stepSimulation(self._client)
+
+    def release(self) -> None:
+        """Let go of the garment; the grippers stay, without a shape that could touch it."""
+        for anchor in self._anchors:
+            self._bullet("removeConstraint", anchor)
+        self._anchors = []
+
+    def vertices(self) -> Array:
+        """(N, 3) positions in the order of the garment's vertices."""
+        _, points = self._bullet("getMeshData", self._cloth, -1, flags=self._p.MESH_DATA_SIMULATION_MESH)
+        return np.array(points)
+
+    def grippers(self) -> Array:
+        """(2, 3) positions of the grippers."""
+        return np.array([self._bullet("getBasePositionAndOrientation", body)[0] for body in self._grippers])
+
+    def image(self, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
+        """Return what a camera sees: depth (h, w) in metres, inf where nothing is, and the mask (h, w) of the cloth.
+
+        The first step must have been taken: before it the renderer draws the cloth in a wrong place.
+        """
+        size, options = (camera.width, camera.height), {"renderer": self._p.ER_TINY_RENDERER, "shadow": 0}
+        _, _, _, buffer, bodies = self._bullet("getCameraImage", *size, *camera.matrices, **options)
+        depth = camera.depths(buffer)
+        return depth, (np.reshape(bodies, depth.shape) == self._cloth) & np.isfinite(depth)
+
+    def _bullet(self, function: str, *arguments: Any, **options: Any) -> Any:
+        return getattr(self._p, function)(*arguments, **options, physicsClientId=self._client)
+
+    def _load(self, garment: Garment, offset: Array) -> int:
+        """Load the garment through a temporary OBJ file, the only way PyBullet takes a mesh."""
+        lengths, stiffness = garment.edge_lengths, self._config.elastic_stiffness(len(garment.vertices))
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "cloth.obj"
+            rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in garment.vertices.tolist()]
+            rows += [f"f {a} {b} {c}" for a, b, c in (garment.faces + 1).tolist()]
+            path.write_text("\n".join(rows) + "\n")
+            cloth: int = self._bullet(
+                "loadSoftBody",
+                str(path),
+                basePosition=offset.tolist(),
+                mass=self._config.mass,
+                useMassSpring=1,
+                useBendingSprings=1,
+                useNeoHookean=0,
+                springElasticStiffness=stiffness,
+                springBendingStiffness=self._config.bending * stiffness,
+                springDampingStiffness=self._config.damping,
+                springDampingAllDirections=1,
+                frictionCoeff=self._config.friction,
+                useFaceContact=1,
+                useSelfCollision=int(self._config.self_collision),
+                collisionMargin=self._config.margin * float(lengths.min()),
+            )
+        return cloth
+
+    def _draw(self, body: int, goal: list[float], before: list[float]) -> None:
+        """Push a gripper towards its goal, which was at `before` a step ago.
+
+        In plain floats, written out: with arrays the controller costs as much as a twentieth of the physics.
+        """
+        config, client = self._config, self._client
+        kp, kd, dt, most = config.kp, config.kd, config.dt, config.max_force
+        place, _ = self._p.getBasePositionAndOrientation(body, client)
+        (u, v, w), _ = self._p.getBaseVelocity(body, client)
+        carried = config.mass / 2 if self._anchors else 0.0  # fed forward: the error alone would let it sag
+        x = kp * (goal[0] - place[0]) + kd * ((goal[0] - before[0]) / dt - u)
+        y = kp * (goal[1] - place[1]) + kd * ((goal[1] - before[1]) / dt - v)
+        z = kp * (goal[2] - place[2]) + kd * ((goal[2] - before[2]) / dt - w)
+        z += _GRAVITY * (config.gripper_mass + carried)
+        size = math.sqrt(x * x + y * y + z * z)
+        if size > most:
+            x, y, z = (most / size * part for part in (x, y, z))
+        self._p.applyExternalForce(body, -1, (x, y, z), place, self._p.WORLD_FRAME, client)
+
+
+def observe(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
+    """Return `n` points (n, 3) of the cloth seen by the cameras together: a farthest-point sample of all their pixels.
+
+    When they see fewer than `n` points, those seen are repeated in order until there are `n`: a network keeps its input
+    size, and `topokit.track` counts points at one place once.
+
+    Parameters
+    ----------
+    world : World
+    cameras : sequence of Camera
+        One at least.
+    n : int
+    rng : numpy.random.Generator
+        Used by cameras with noise only.
+
+    Raises
+    ------
+    ValueError
+        When there is no camera, `n` is not positive, or no camera sees any cloth.
+    """
+    if not cameras:
+        raise ValueError("observe needs one camera at least")
+    if n < 1:
+        raise ValueError(f"n must be 1 or more, not {n}")
+    views = []
+    for camera in cameras:
+        depth, mask = world.image(camera)
+        if camera.noise is not None:
+            depth, mask = camera.noise.apply(depth, mask, rng)
+        views.append(camera.unproject(depth, mask))
+    points = np.concatenate(views)
+    if not len(points):
+        places = ", ".join(str(camera.eye) for camera in cameras)
+        raise ValueError(f"no cloth is in view of the cameras at {places}; move them or widen their fov")
+    chosen = farthest_point_sample(points, min(n, len(points)))[0]
+    return np.asarray(points[np.resize(chosen, n)])
+
+
+def _turn_z_to(axis: Array) -> list[float]:
+    """Quaternion (x, y, z, w) that turns the z axis into the unit vector `axis`."""
+    if axis[2] < -0.999999:
+        return [1.0, 0.0, 0.0, 0.0]
+    x, y, z = np.cross([0, 0, 1], axis)
+    quaternion = np.array([x, y, z, 1 + axis[2]])
+    turned: list[float] = (quaternion / np.linalg.norm(quaternion)).tolist()
+    return turned

@@ -1,0 +1,176 @@
+"""Figures of planar clouds that the reader changes: a growing complex, an observed scene, a small motion, a nudge.
+
+Idea: a page gets the points and little else. `rips.js` computes their loops, by the same lunes as `topokit.rips`, and `match.js`
+matches diagrams as `topokit.lemmas` does, in a few milliseconds; so the reader can drag a point and see what changes. Tests hold
+their answers to topokit's. Taught in chapters 1 to 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from topokit._validate import as_points, positive
+from topokit.view._frame import Framed, framed
+
+MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
+MOST_NUDGED = 24  # the script computes 121 clouds at every change
+REACHES = (0.05, 1e-3, 1e-6, 1e-9)
+
+
+def growth(
+    points: ArrayLike,
+    *,
+    height: int = 500,
+    start: float | None = None,
+    max_radius: float | None = None,
+    title: str = "drag a point",
+) -> Framed:
+    """Return an interactive figure of the Rips complex of a planar cloud as the radius grows, and of its loops.
+
+    Beside the complex stand its diagram, where a loop is a circle while it lives and a dot once it is dead, and its bars.
+    The tightest cycle of a living loop, its killer edge and its killer triangles have one colour. Points can be dragged;
+    the page then computes their loops anew.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        At most 60 points. Radii, births and deaths are in their unit, and half the length of an edge.
+    height : int
+        Height of the frame in CSS pixels.
+    start : float, optional
+        The radius shown before anyone touches the figure; in the middle of the longest life by default.
+    max_radius : float, optional
+        Where the slider ends; a little after the last death by default.
+    title : str
+        The caption in the corner of the figure.
+
+    Raises
+    ------
+    ValueError
+        When `start` lies beyond `max_radius`.
+
+    Examples
+    --------
+    >>> growth([[0, 0], [4, 0], [4, 3], [0, 3]], start=2)
+    Framed('Rips complex of 4 points', ... kB)
+    """
+    cloud = planar(points, "points", MOST_POINTS)
+    first = None if start is None else positive(start, "start")
+    last = None if max_radius is None else positive(max_radius, "max_radius", zero=False)
+    if first is not None and last is not None and first > last:
+        raise ValueError(f"start must be at most max_radius, {last}, not {first}")
+    data = {"points": cloud.tolist(), "start": first, "end": last}
+    return framed("growth", ("rips.js", "planar.js"), data, height, title, f"Rips complex of {len(cloud)} points")
+
+
+def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a point to hide or show it") -> Framed:
+    """Return an interactive figure of a planar scene of which some points are observed.
+
+    Balls of the covering radius alpha stand around the observed points. In the diagram every loop of the scene that lives
+    longer than alpha has a square of side alpha, in which it must be seen. The third part shows alpha against the number of
+    points for farthest-point samples, with the lifetimes of the long-lived loops as dashed lines. The reader hides points,
+    draws others, drags them.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        The scene S, at most 60 points. Radii, births and deaths are in their unit.
+    observed : (m,) array_like of int
+        Which of them are observed at first, O.
+    title : str
+        The caption in the corner of the figure.
+
+    Examples
+    --------
+    >>> coverage([[0, 0], [4, 0], [4, 3], [0, 3]], [0, 1, 2])
+    Framed('3 of 4 points observed', ... kB)
+    """
+    from topokit.lemmas import vertex_ids  # with numba, which no other picture needs
+
+    cloud = planar(points, "points", MOST_POINTS)
+    ids = vertex_ids(cloud, observed)
+    data = {"points": cloud.tolist(), "observed": ids.tolist()}
+    scripts = ("rips.js", "match.js", "planar.js")
+    return framed("coverage", scripts, data, 500, title, f"{len(ids)} of {len(cloud)} points observed")
+
+
+def motion(points: ArrayLike, epsilon: float, after: ArrayLike | None = None) -> Framed:
+    """Return an interactive figure of a planar cloud whose points can be dragged, each within `epsilon` of where it was.
+
+    Dragging beside all points moves them together. The diagram shows every loop before, with the square of side 2 epsilon
+    around it, and after; the dashed lines are lifetimes of epsilon and of 2 epsilon.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        At most 60 points, where they are before the motion.
+    epsilon : float
+        Radius of the discs at first; the reader can change it up to its double.
+    after : (n, 2) array_like, optional
+        Where the play button takes them, as far as the discs allow; without it there is no such button.
+
+    Raises
+    ------
+    ValueError
+        When `after` is another number of points.
+
+    Examples
+    --------
+    >>> motion([[0, 0], [4, 0], [4, 3], [0, 3]], 0.3)
+    Framed('4 points, each within 0.3 of its place', ... kB)
+    """
+    cloud, radius = planar(points, "points", MOST_POINTS), positive(epsilon, "epsilon", zero=False)
+    target = None if after is None else planar(after, "after", MOST_POINTS)
+    if target is not None and target.shape != cloud.shape:
+        raise ValueError(f"after must have a row for each of the {len(cloud)} points, not {len(target)}")
+    data = {"points": cloud.tolist(), "after": None if target is None else target.tolist(), "epsilon": radius}
+    title, scripts = f"{len(cloud)} points, each within {radius:g} of its place", ("rips.js", "match.js", "planar.js")
+    return framed("motion", scripts, data, 440, "drag the points within their discs", title)
+
+
+def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> Framed:
+    """Return an interactive figure of how far three places of the longest-lived loop move when one point does.
+
+    The places are the killer edge (compared by Hausdorff distance), the barycentre of the thick killer triangle, and the
+    centroid of the representative cycle, by length. A slider moves the point by at most a twentieth, a thousandth, a millionth
+    or a billionth of a unit; charts beside the picture show the moves, and birth and death, over its whole range. Any point
+    can be chosen and dragged; the page then computes everything anew.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like, or mapping of str to (n, 2) array_like
+        At most 24 points, about a unit in size; or several such clouds by name, of which the reader chooses.
+
+    Raises
+    ------
+    ValueError
+        When there is no cloud.
+
+    Examples
+    --------
+    >>> nudge([[0, 0], [4, 0], [4, 3], [0, 3]])
+    Framed('Loop of 4 points, nudged', ... kB)
+    """
+    given = points if isinstance(points, Mapping) else {"points": points}
+    clouds = {str(name): planar(cloud, str(name), MOST_NUDGED) for name, cloud in given.items()}
+    if not clouds:
+        raise ValueError("points names no cloud; give at least one")
+    data = {"shapes": {name: cloud.tolist() for name, cloud in clouds.items()}, "reaches": list(REACHES)}
+    many = " or ".join(str(len(cloud)) for cloud in clouds.values())
+    title, scripts = f"Loop of {many} points, nudged", ("rips.js", "planar.js", "places.js")
+    return framed("nudge", scripts, data, 480, "nudge a point, or drag one", title)
+
+
+def planar(points: ArrayLike, name: str, most: int | None = None) -> NDArray[np.float64]:
+    """A cloud of the plane with 1 to `most` points, every digit kept, since ties must stay ties; or ValueError."""
+    cloud = as_points(points, name)
+    if cloud.shape[1] != 2:
+        raise ValueError(
+            f"{name} must lie in the plane, not in {cloud.shape[1]} dimensions; choose two, as {name}[:, :2]"
+        )
+    if most and not 1 <= len(cloud) <= most:
+        raise ValueError(f"{name} must be 1 to {most} points, not {len(cloud)}; see topokit.farthest_point_sample")
+    return cloud
