@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._validate import as_points
 
-__all__ = ["MEMORY", "Cloud", "pairs", "squares"]
-
 MEMORY = 4 << 30  # bytes that the tables for one cloud may take
 _PATIENCE = 3.0  # seconds of compiling before it is said
 _ready: set[tuple[int, ...]] = set()

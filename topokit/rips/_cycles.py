@@ -27,8 +27,6 @@ from ._cloud import Cloud
 from ._edges import edge_length
 from ._paths import Time, lune_vertex, neighbours, shortest_paths
 
-__all__ = ["Homology", "sides"]
-
 SEARCH_LIMIT = 20_000  # pairs (vertex, class) looked at before a search gives up
 Edge = tuple[int, int]
 

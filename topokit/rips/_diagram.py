@@ -16,8 +16,6 @@ from ._cloud import Cloud, pairs
 if TYPE_CHECKING:
     from ._cycles import Homology
 
-__all__ = ["Diagram", "tighten"]
-
 
 @dataclass(frozen=True, eq=False)
 class Diagram:

@@ -13,8 +13,6 @@ from typing import Any
 import numba
 from numba.core.caching import IndexDataCacheFile
 
-__all__ = ["njit", "source_digest"]
-
 
 def source_digest(folder: Path) -> str:
     """A digest of the names and the bytes of all kernel files of a folder: those that use `njit`."""

@@ -14,8 +14,6 @@ from ._edges import edge_length
 from ._jit import njit
 from ._tree import between_boxes, centre, nearby_point, nearest_in_box
 
-__all__ = ["last_empty_lune"]
-
 
 @njit()
 def last_empty_lune(data, axes, tree, shortest):

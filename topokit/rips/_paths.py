@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from ._edges import edge_length, precedes
 from ._jit import njit
 
-__all__ = ["Time", "lune_vertex", "neighbours", "shortest_paths"]
-
 Time = tuple[float, int, int]  # what `edge_length` says of an edge, and its ends
 _Array = NDArray[np.float64]
 _Axes = tuple[int, ...]
