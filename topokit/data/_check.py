@@ -15,28 +15,19 @@ import numpy as np
 from topokit._archive import FormatError
 from topokit.io import check_episode
 
-from ._group import Group, cloud_of, decode, open_episodes
-from ._layout import Field, episode_fields, episode_of, room, skeleton
+from ._group import Group, Record, cloud_of, decode, open_episodes, parse, read_index, record_path
+from ._layout import Field, episode_fields, episode_of, label_fields, room, skeleton, states_of
 from ._recipe import DatasetConfig
-from ._records import Record, parse, read_index, record_path
-from ._states import label_fields, states_of
 
 Records = dict[int, Record]
 Content = Callable[[dict[str, Any]], str | None]  # what is wrong with an episode whose objects are whole
 
 
 class Problem(NamedTuple):
-    """What is wrong with a dataset.
+    """What is wrong with a dataset."""
 
-    Attributes
-    ----------
-    where : str
-        A path in the dataset.
-    what : str
-    """
-
-    where: str
-    what: str
+    where: str  #: a path in the dataset
+    what: str  #: what is wrong there
 
     def __str__(self) -> str:
         return f"{self.where}: {self.what}"

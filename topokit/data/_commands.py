@@ -31,7 +31,7 @@ def add(commands: Any) -> None:
     option("--out", type=Path, required=True, metavar="DIR", help="where to make it, or to go on with it")
     option("--episodes", type=int, required=True, metavar="N", help="how many; more than last time adds some")
     option("--seed", type=int, default=0, help="of the dataset (default 0)")
-    option("--config", type=Path, metavar="JSON", help="a DatasetConfig; what it leaves out has its default")
+    option("--config", type=Path, metavar="FILE", help="JSON or TOML of a DatasetConfig; what it leaves out has its default")
     seconds = "stop an episode after so many seconds of processor time (default 600)"
     option("--time-limit", type=float, default=600.0, metavar="S", help=seconds)
     option("--retry-failed", action="store_true", help="try failed episodes again")
@@ -48,12 +48,11 @@ def add(commands: Any) -> None:
 
 
 def _generate(options: argparse.Namespace) -> int:
+    from topokit._config import load
+
     from . import DatasetConfig, generate_dataset
 
-    try:
-        config = DatasetConfig.from_json(json.loads(options.config.read_text()) if options.config else {})
-    except ValueError as error:
-        raise ValueError(f"--config {options.config}: {error}") from error
+    config = load(DatasetConfig, options.config) if options.config else DatasetConfig()
     limits = {"time_limit": options.time_limit, "retry_failed": options.retry_failed}
     return _report(options, generate_dataset, config, options.out, options.episodes, options.seed, **limits)
 

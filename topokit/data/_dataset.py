@@ -18,11 +18,9 @@ from topokit._archive import atomic_file
 from topokit.io import Episode
 from topokit.state import TopologicalState
 
-from ._group import Group, cloud_of, decode, open_episodes
-from ._layout import episode_of, skeleton
+from ._group import Group, Record, cloud_of, decode, index_bytes, open_episodes, record_path
+from ._layout import episode_of, skeleton, states_of
 from ._recipe import DatasetConfig
-from ._records import Record, index_bytes, record_path
-from ._states import states_of
 
 Ids = NDArray[np.int64]
 _PARTS = {"train": 0.8, "validation": 0.1, "test": 0.1}

@@ -22,11 +22,10 @@ from topokit.io import Episode
 from topokit.sim import SimulationError
 from topokit.sim._process import Forge
 
-from ._group import Group, compact, locked, prepare, refuse_another, versions_of
+from ._group import Group, commit, compact, locked, prepare, record_path, refuse_another, versions_of
 from ._layout import encode, episode_arrays, episode_fields, room
 from ._parallel import Cluster, Job, run_jobs
 from ._recipe import DatasetConfig, make_episode
-from ._records import commit, record_path
 
 _TRIES = 3
 _SIMULATE = "topokit.data._generate:simulate_and_commit"

@@ -19,11 +19,9 @@ import numpy as np
 from topokit.seqph import RECOMMENDED, SeqPH, track
 
 from ._generate import make_missing, manifest_here
-from ._group import Group, cloud_of, locked, open_episodes, prepare, versions_of
-from ._layout import encode
+from ._group import Group, cloud_of, commit, locked, open_episodes, prepare, record_path, versions_of
+from ._layout import arrays_of, encode, label_fields
 from ._parallel import Cluster
-from ._records import commit, record_path
-from ._states import arrays_of, label_fields
 
 OBSERVATIONS = ("full", "observed", "camera")
 _PACKAGES = ("numpy", "scipy", "numba", "zarr", "numcodecs")

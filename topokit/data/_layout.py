@@ -15,14 +15,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from topokit.io import FEWEST_FRAMES, HISTORY, Episode
+from topokit.rips import rips_persistence
 from topokit.sim import TASKS
 from topokit.sim._randomise import generator
+from topokit.state import Loop, TopologicalState
 
 from ._recipe import DatasetConfig
 
@@ -30,6 +33,17 @@ METRE = 10_000  # units of a stored coordinate in a metre
 _METRES = ("points", "actions", "grippers", "centre_line")
 _RECORDED = ("garment", "target", "task", "success", "seed", "dt", "observation", "physics")
 _COORDINATES = {"units": "m", "scale_factor": 1 / METRE, "add_offset": 0.0}
+
+
+SIMPLICES = {
+    "birth_edge": slice(0, 2),
+    "killer_edge": slice(2, 4),
+    "killer_triangles": slice(4, 10),
+    "neighbours": slice(10, 22),
+}
+VALUES = ("birth", "death", "step", "neighbour_0", "neighbour_1", "neighbour_2", "neighbour_3")
+PARAMETERS = ("alpha", "beta", "epsilon", "dropped")
+ABSENT = 65535
 
 
 @dataclass(frozen=True)
@@ -128,6 +142,92 @@ def pack(name: str, values: NDArray[Any]) -> NDArray[np.int16]:
 def unpack(values: NDArray[Any]) -> NDArray[np.float32]:
     """Return metres."""
     return np.asarray(values / METRE, dtype=np.float32)
+
+
+def label_fields(frames: int, slots: int) -> tuple[Field, ...]:
+    """Return the arrays of a set of labels."""
+    axes = ("frame", "slot", "column")
+    identity = {"units": "1", "description": "identity; -1: no loop"}
+    simplices = {
+        "units": "1",
+        "columns": {name: [part.start, part.stop] for name, part in SIMPLICES.items()},
+        "description": f"ids into the cloud that was tracked; {ABSENT}: no neighbour",
+    }
+    values = {"units": "m", "columns": VALUES}
+    parameters = {"units": "m, dropped: 1", "columns": PARAMETERS}
+    return (
+        Field("id", (frames, slots), "int32", axes[:2], identity, -1),
+        Field("simplices", (frames, slots, 22), "uint16", axes, simplices),
+        Field("values", (frames, slots, len(VALUES)), "float32", axes, values),
+        Field("parameters", (frames, len(PARAMETERS)), "float32", ("frame", "column"), parameters),
+    )
+
+
+def arrays_of(states: list[TopologicalState], slots: int) -> dict[str, NDArray[Any]]:
+    """Return states as the arrays of labels; loops beyond `slots` in a frame, the shortest-lived ones, are dropped."""
+    arrays = {f.name: np.full(f.shape, f.fill, dtype=f.dtype) for f in label_fields(len(states), slots)}
+    for frame, state in enumerate(states):
+        given = [state.parameters[name] for name in PARAMETERS[:3]]
+        arrays["parameters"][frame] = *given, max(0, len(state) - slots)
+        for slot, loop in enumerate(state.loops[:slots]):
+            neighbours = np.full((4, 3), ABSENT)
+            neighbours[: len(loop.neighbour_ids)] = loop.neighbour_ids
+            parts = (loop.birth_edge, loop.killer_edge, loop.killer_triangle_ids, neighbours)
+            numbers = [loop.birth, loop.death, loop.step, *loop.neighbour_values]
+            arrays["id"][frame, slot] = loop.id
+            arrays["simplices"][frame, slot] = np.concatenate([np.ravel(part) for part in parts])
+            arrays["values"][frame, slot, : len(numbers)] = numbers
+    return arrays
+
+
+def states_of(
+    stored: Mapping[str, NDArray[Any]], cloud: NDArray[np.float32], times: NDArray[np.float64]
+) -> list[TopologicalState]:
+    """Return the tracked states that labels hold, in the coordinates of the cloud that was tracked."""
+    states = []
+    for frame, (points, time) in enumerate(zip(cloud.astype(np.float64), times, strict=True)):
+        loops = tuple(
+            _loop({name: array[frame, slot] for name, array in stored.items() if name != "parameters"}, points)
+            for slot in np.flatnonzero(stored["id"][frame] >= 0)
+        )
+        parameters = dict(zip(PARAMETERS, stored["parameters"][frame].tolist(), strict=True))
+        states.append(TopologicalState(frame, float(time), loops, parameters))
+    return states
+
+
+def _loop(stored: Mapping[str, NDArray[Any]], points: NDArray[np.float64]) -> Loop:
+    ids = {name: stored["simplices"][part].astype(np.int64) for name, part in SIMPLICES.items()}
+    born, edge, killers = ids["birth_edge"], ids["killer_edge"], ids["killer_triangles"].reshape(2, 3)
+    neighbours = ids["neighbours"].reshape(4, 3)
+    neighbours = neighbours[neighbours[:, 0] != ABSENT]
+    birth, death, step, *neighbour_values = stored["values"].tolist()
+    return Loop(
+        id=int(stored["id"]),
+        birth=birth,
+        death=death,
+        birth_edge=born,
+        killer_edge=edge,
+        killer_triangle_ids=killers,
+        neighbour_ids=neighbours,
+        killer_edge_points=points[edge],
+        killer_triangles=points[killers],
+        neighbours=points[neighbours],
+        killer_values=np.array([death, death]),
+        neighbour_values=np.array(neighbour_values[: len(neighbours)]),
+        step=step,
+        _curve=partial(_curve, points, born, edge),
+    )
+
+
+def _curve(
+    points: NDArray[np.float64], birth_edge: NDArray[np.int64], killer_edge: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The cycle of a stored loop, as vertex ids and as points, found again in the cloud that was tracked."""
+    diagram = rips_persistence(points)
+    edges = np.column_stack([diagram.birth_edge, diagram.killer_edge])
+    row = np.flatnonzero((edges == [*birth_edge, *killer_edge]).all(axis=1))[0]
+    ids = diagram.cycle(int(row))
+    return ids, points[ids]
 
 
 def skeleton(fields: Iterable[Field], manifest: Mapping[str, Any]) -> dict[str, bytes]:

@@ -21,8 +21,7 @@ from topokit.seqph import RECOMMENDED, track
 
 from ._dataset import Dataset
 from ._group import decode
-from ._layout import METRE, pack, unpack
-from ._states import ABSENT, SIMPLICES, arrays_of
+from ._layout import ABSENT, METRE, SIMPLICES, arrays_of, pack, unpack
 
 __all__ = ["WindowDataset"]
 
