@@ -127,7 +127,7 @@ def test_loops_without_a_slot_are_counted(made):
     assert most > 2
     stored = arrays_of(states, 2)
     assert [int(n) for n in stored["parameters"][:, 3]] == [max(0, len(state) - 2) for state in states]
-    found = states_of(stored, episode.points, episode.times)
+    found = states_of(stored, episode.points, episode.dt)
     assert [loop.id for loop in found[0].loops] == [loop.id for loop in states[0].loops[:2]]  # the longest-lived ones
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from topokit._archive import FormatError
 from topokit.io import check_episode
 
-from ._group import Group, Record, cloud_of, decode, open_episodes, parse, read_index, record_path
+from ._group import Group, Record, decode, open_episodes, parse, read_index, record_path, tracked_cloud
 from ._layout import Field, episode_fields, episode_of, label_fields, room, skeleton, states_of
 from ._recipe import DatasetConfig
 
@@ -45,11 +45,6 @@ def check_dataset(url: str | Path, *, progress: bool = False) -> list[Problem]:
     url : str or path
     progress : bool
         Show a bar on stderr.
-
-    Raises
-    ------
-    FileNotFoundError, FormatError
-        When there is no dataset there at all.
     """
     group, records = open_episodes(url, records=False), Records()
     problems = [*_episode_problems(group, records, progress)]
@@ -94,9 +89,8 @@ def _label_problems(group: Group, prefix: str, episodes: Records, progress: bool
             return "is of another episode than the one that is there now: remove the record, and label again"
         if document["status"] != "ok":
             return None
-        cloud = cloud_of(group, group.document(index), manifest["observation"], manifest["n_points"])
-        times = np.arange(len(cloud), dtype=np.float64)
-        states = states_of(decode(labels, document), cloud, times)  # an error when a frame or a point is not there
+        cloud = tracked_cloud(group, group.document(index), manifest)
+        states = states_of(decode(labels, document), cloud, 1.0)  # an error when a frame or a point is not there
         fine = all(-np.inf < loop.birth < loop.death for state in states for loop in state.loops)
         return None if fine else "has a loop that dies before it is born"
 

@@ -31,7 +31,12 @@ def add(commands: Any) -> None:
     option("--out", type=Path, required=True, metavar="DIR", help="where to make it, or to go on with it")
     option("--episodes", type=int, required=True, metavar="N", help="how many; more than last time adds some")
     option("--seed", type=int, default=0, help="of the dataset (default 0)")
-    option("--config", type=Path, metavar="FILE", help="JSON or TOML of a DatasetConfig; what it leaves out has its default")
+    option(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="JSON or TOML of a DatasetConfig; what it leaves out has its default",
+    )
     seconds = "stop an episode after so many seconds of processor time (default 600)"
     option("--time-limit", type=float, default=600.0, metavar="S", help=seconds)
     option("--retry-failed", action="store_true", help="try failed episodes again")

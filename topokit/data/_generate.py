@@ -74,23 +74,14 @@ def generate_dataset(
     progress : bool
         Show a bar with the time left on stderr.
 
-    Returns
-    -------
-    Group
-        Open it with `Dataset` to read episodes.
-
     Raises
     ------
     ValueError
         When the folder was begun with another configuration, seed or version; the message names what differs.
     ImportError
         When PyBullet is not there.
-    OSError
-        When the disk is full, or another command is writing there.
-    ConnectionError
-        When the scheduler cannot be reached or goes away.
-    KeyboardInterrupt
-        On Ctrl-C. In these three cases the same call goes on where it stopped.
+    OSError, ConnectionError, KeyboardInterrupt
+        When the disk is full, another command writes there, or on Ctrl-C: the same call goes on where it stopped.
     """
     folder = Path(out)
     if find_spec("pybullet") is None:
@@ -181,7 +172,7 @@ def _forget_failed(folder: Path) -> None:
 
 
 def manifest_here(folder: Path, packages: Sequence[str]) -> dict[str, Any]:
-    """Return what a group says it is, to a worker that shall write to it with the same versions: else bytes might differ."""
+    """What a group says it is, to a worker that shall write to it: with the same versions, else bytes might differ."""
     manifest = Group(folder, records=False).manifest
     refuse_another(manifest["versions"], versions_of(*packages), str(folder), "versions")
     return manifest

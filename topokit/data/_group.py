@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from topokit import __version__
 from topokit._archive import FormatError, atomic_file
 
-from ._layout import Field, observed, skeleton, unpack
+from ._layout import Field, cloud_of, skeleton, unpack
 
 STATUSES = ("ok", "rejected", "failed")
 
@@ -50,12 +50,10 @@ _COLUMNS = tuple(f.name for f in fields(Record))
 
 
 def canonical(document: Mapping[str, Any]) -> bytes:
-    """Return a document as the bytes that are stored and checksummed."""
     return (json.dumps(document, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def record_path(index: int) -> str:
-    """Return where the record of an episode lies in its group."""
     return f"records/{index:08d}.json"
 
 
@@ -69,12 +67,11 @@ def commit(folder: Path, document: Mapping[str, Any], objects: Iterable[tuple[st
         for path, content in objects:
             stack.enter_context(atomic_file(folder / path)).write(content)
             sums[path] = hashlib.sha256(content).hexdigest()
-    with atomic_file(folder / record_path(document["episode"])) as handle:
-        handle.write(canonical({**document, "objects": sums}))
+    replace(folder / record_path(document["episode"]), canonical({**document, "objects": sums}))
 
 
 def parse(content: bytes, where: str) -> tuple[Record, dict[str, Any]]:
-    """Return the short and the full form of a record."""
+    """The short and the full form of a record."""
     try:
         document = json.loads(content)
         known = {name: document[name] for name in _COLUMNS if name in document}
@@ -84,8 +81,9 @@ def parse(content: bytes, where: str) -> tuple[Record, dict[str, Any]]:
         if not isinstance(document["objects"], dict):
             raise ValueError("its objects have no names")
     except (ValueError, KeyError, TypeError) as error:
-        message = f"{where}: not a whole record ({error}); remove it and give the same command again"
-        raise FormatError(message) from error
+        raise FormatError(
+            f"{where}: not a whole record ({error}); remove it and give the same command again"
+        ) from error
     return record, document
 
 
@@ -102,19 +100,11 @@ def read_index(content: bytes, where: str) -> dict[int, Record]:
         rows = zip(*(document[name] for name in _COLUMNS), strict=True)
         return {row[0]: Record(*row) for row in rows}
     except (ValueError, KeyError, TypeError) as error:
-        message = f"{where}: a damaged index ({error}); remove it, it is made again from the records"
-        raise FormatError(message) from error
+        raise FormatError(f"{where}: a damaged index ({error}); remove it, it is made again") from error
 
 
 class Group:
-    """Records and arrays of a group, read only.
-
-    Attributes
-    ----------
-    manifest : dict
-        What the group is.
-    records : dict of int to Record
-    """
+    """Records and arrays of a group, read only."""
 
     def __init__(self, url: str | Path, prefix: str = "", *, records: bool = True) -> None:
         import fsspec
@@ -126,7 +116,7 @@ class Group:
         if content is None:
             raise FileNotFoundError(f"{self.where()}: there is no dataset (no zarr.json)")
         try:
-            self.manifest: dict[str, Any] = json.loads(content)["attributes"]["topokit"]
+            self.manifest: dict[str, Any] = json.loads(content)["attributes"]["topokit"]  #: what the group is
             number = self.manifest["version"]
         except (ValueError, KeyError, TypeError) as error:
             raise FormatError(f"{self.where('zarr.json')}: not the group of a topokit dataset ({error})") from error
@@ -135,7 +125,6 @@ class Group:
         self.records = self._read_records() if records else {}
 
     def where(self, path: str = "") -> str:
-        """Return a path as messages name it."""
         return _join(self.url, self.prefix, path)
 
     @property
@@ -220,26 +209,13 @@ def decode(group: Group, document: Mapping[str, Any], names: tuple[str, ...] = (
     return {name: np.asarray(group.array(name)[(index, *map(slice, shapes[name]))]) for name in names or shapes}
 
 
-def cloud_of(
-    group: Group, document: Mapping[str, Any], observation: str, n_points: int | None = None
-) -> NDArray[np.float32]:
-    """(T, n, 3) what an observer sees: all vertices ("full"), or the observation that was recorded ("observed").
-
-    Of an observation of vertices the first `n_points` are a farthest-point sample of that many.
-    """
-    stored = decode(group, document, ("points", "observed"))
-    points = unpack(stored["points"])
-    return points if observation == "full" else observed(points, stored["observed"][:, :n_points])
+def tracked_cloud(group: Group, document: Mapping[str, Any], labels: Mapping[str, Any]) -> NDArray[np.float32]:
+    """(T, n, 3) the cloud of an episode that labels of that manifest are of, in metres."""
+    return unpack(cloud_of(decode(group, document, ("points", "observed")), labels))
 
 
 def prepare(folder: Path, manifest: Mapping[str, Any], fields: Iterable[Field]) -> None:
-    """Make a group, or open it to go on: only its number of episodes may have grown.
-
-    Raises
-    ------
-    ValueError
-        When the folder holds something else, or what differs; the message names the field.
-    """
+    """Make a group, or open it to go on: only its number of episodes may have grown."""
     if (folder / "zarr.json").exists():
         old, episodes = Group(folder, records=False).manifest, manifest["episodes"]
         refuse_another(old, manifest, str(folder))
@@ -247,14 +223,12 @@ def prepare(folder: Path, manifest: Mapping[str, Any], fields: Iterable[Field]) 
             raise ValueError(f"{folder} has been given {old['episodes']} episodes; it cannot shrink to {episodes}")
     elif any(path.name != ".lock" for path in folder.iterdir()):
         raise ValueError(f"{folder} holds other files and is no dataset: name a new folder, or an empty one")
-    for path, content in skeleton(
-        fields, manifest
-    ).items():  # also to go on: the last command may have been killed here
-        _replace(folder / path, content)
+    for path, content in skeleton(fields, manifest).items():  # also to go on: it may have been killed here
+        replace(folder / path, content)
     (folder / "records").mkdir(exist_ok=True)
 
 
-def _replace(path: Path, content: bytes) -> None:
+def replace(path: Path, content: bytes) -> None:
     if not path.exists() or path.read_bytes() != content:
         with atomic_file(path) as handle:
             handle.write(content)
@@ -275,7 +249,7 @@ def refuse_another(old: Any, new: Any, where: str, name: str = "") -> None:
 def compact(folder: Path) -> Group:
     """Bring the index up to the records that are there."""
     group = Group(folder)
-    _replace(folder / "index.json", index_bytes(group.records.values()))
+    replace(folder / "index.json", index_bytes(group.records.values()))
     return group
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from topokit.seqph import RECOMMENDED, SeqPH, track
 
 from ._generate import make_missing, manifest_here
-from ._group import Group, cloud_of, commit, locked, open_episodes, prepare, record_path, versions_of
+from ._group import Group, commit, locked, open_episodes, prepare, record_path, tracked_cloud, versions_of
 from ._layout import arrays_of, encode, label_fields
 from ._parallel import Cluster
 
@@ -62,9 +62,6 @@ def label_dataset(
     Raises
     ------
     ValueError
-        When there is no such observation, or labels of that name were begun with other options.
-    OSError, ConnectionError, KeyboardInterrupt
-        As in `generate_dataset`.
     """
     folder = Path(dataset)
     group = open_episodes(folder)
@@ -79,21 +76,23 @@ def label_dataset(
         return make_missing(target, group.whole.tolist(), job, partial(_identity, group), cluster, progress)
 
 
-def _manifest(
-    group: Group, observation: str, n_points: int | None, slots: int, options: Mapping[str, Any]
-) -> dict[str, Any]:
-    """What the group of the labels says it is."""
+def _check_request(group: Group, observation: str, n_points: int | None, slots: int) -> None:
     cameras = group.manifest["config"]["cameras"]
     if observation not in OBSERVATIONS:
         raise ValueError(f"observation must be one of {', '.join(OBSERVATIONS)}, not {observation!r}")
     if observation == "camera" and not cameras:
-        raise ValueError(
-            f"{group.url} was made without cameras: set `cameras` in its configuration, or label `observed`"
-        )
+        raise ValueError(f"{group.url} was made without cameras: label `observed`")
     if n_points is not None and (observation != "observed" or cameras or n_points < 4):
         raise ValueError(f"n_points = {n_points}: a number of points, at least 4, of an observation of vertices")
     if slots < 1:
         raise ValueError(f"slots must be at least 1, not {slots}")
+
+
+def _manifest(
+    group: Group, observation: str, n_points: int | None, slots: int, options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """What the group of the labels says it is."""
+    _check_request(group, observation, n_points, slots)
     return {
         "format": "topokit-labels",
         "version": 1,
@@ -121,7 +120,7 @@ def _label_episode(folder: str, name: str, index: int) -> dict[str, Any]:
     start, target, group = time.monotonic(), Path(folder, "labels", name), Group(folder, records=False)
     manifest, episode = manifest_here(target, _PACKAGES), group.document(index)
     try:
-        cloud = cloud_of(group, episode, manifest["observation"], manifest["n_points"])
+        cloud = tracked_cloud(group, episode, manifest)
         states = track(cloud, times=np.arange(len(cloud)) * episode["dt"], n_jobs=1, **manifest["options"])
     except ValueError as error:
         commit(target, {**_identity(group, index), "status": "failed", "reason": str(error)})

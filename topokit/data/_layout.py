@@ -33,8 +33,6 @@ METRE = 10_000  # units of a stored coordinate in a metre
 _METRES = ("points", "actions", "grippers", "centre_line")
 _RECORDED = ("garment", "target", "task", "success", "seed", "dt", "observation", "physics")
 _COORDINATES = {"units": "m", "scale_factor": 1 / METRE, "add_offset": 0.0}
-
-
 SIMPLICES = {
     "birth_edge": slice(0, 2),
     "killer_edge": slice(2, 4),
@@ -84,13 +82,7 @@ def episode_fields(size: Mapping[str, int]) -> tuple[Field, ...]:
 
 
 def episode_arrays(episode: Episode) -> dict[str, NDArray[Any]]:
-    """Return what the arrays hold of an episode, each in its own extent.
-
-    Raises
-    ------
-    ValueError
-        When a coordinate is farther than 3.27 m from the origin.
-    """
+    """Return what the arrays hold of an episode, each in its own extent."""
     longest = max((len(loop) for loop in episode.loops), default=0)
     loops = np.full((len(episode.loops), longest), -1, dtype=np.int16)
     for row, loop in zip(loops, episode.loops, strict=True):
@@ -107,7 +99,7 @@ def episode_of(stored: Mapping[str, NDArray[Any]], document: Mapping[str, Any], 
     metres: dict[str, Any] = {name: unpack(stored[name]) for name in _METRES}
     return Episode(
         **metres,
-        observed=observed(metres["points"], stored["observed"]),
+        observed=unpack(observed(stored)),
         held=stored["held"].astype(np.bool_),
         faces=stored["faces"].astype(np.int32),
         loops=tuple(row[:n].astype(np.int32) for row, n in zip(stored["loops"], document["loops"], strict=True)),
@@ -116,9 +108,15 @@ def episode_of(stored: Mapping[str, NDArray[Any]], document: Mapping[str, Any], 
     )
 
 
-def observed(points: NDArray[np.float32], stored: NDArray[Any]) -> NDArray[np.float32]:
+def observed(stored: Mapping[str, NDArray[Any]]) -> NDArray[np.int16]:
     """(T, M, 3) an observation from what is stored of it: places, or which of the points they are."""
-    return unpack(stored) if stored.ndim == 3 else points[np.arange(len(points))[:, None], stored]
+    points, seen = stored["points"], stored["observed"]
+    return seen if seen.ndim == 3 else points[np.arange(len(points))[:, None], seen]
+
+
+def cloud_of(stored: Mapping[str, NDArray[Any]], labels: Mapping[str, Any]) -> NDArray[np.int16]:
+    """(T, n, 3) what labels of that manifest are of: all vertices, or the first points of what was observed."""
+    return stored["points"] if labels["observation"] == "full" else observed(stored)[:, : labels["n_points"]]
 
 
 def vertex_ids(points: NDArray[np.float32], observed: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -131,7 +129,6 @@ def vertex_ids(points: NDArray[np.float32], observed: NDArray[np.float32]) -> ND
 
 
 def pack(name: str, values: NDArray[Any]) -> NDArray[np.int16]:
-    """Return coordinates as integers, in units of 0.1 mm."""
     scaled = np.rint(np.asarray(values, dtype=np.float64) * METRE)
     if scaled.size and np.abs(scaled).max() > np.iinfo(np.int16).max:
         far = np.abs(scaled).max() / METRE
@@ -140,7 +137,6 @@ def pack(name: str, values: NDArray[Any]) -> NDArray[np.int16]:
 
 
 def unpack(values: NDArray[Any]) -> NDArray[np.float32]:
-    """Return metres."""
     return np.asarray(values / METRE, dtype=np.float32)
 
 
@@ -180,29 +176,25 @@ def arrays_of(states: list[TopologicalState], slots: int) -> dict[str, NDArray[A
     return arrays
 
 
-def states_of(
-    stored: Mapping[str, NDArray[Any]], cloud: NDArray[np.float32], times: NDArray[np.float64]
-) -> list[TopologicalState]:
+def states_of(stored: Mapping[str, NDArray[Any]], cloud: NDArray[np.float32], dt: float) -> list[TopologicalState]:
     """Return the tracked states that labels hold, in the coordinates of the cloud that was tracked."""
     states = []
-    for frame, (points, time) in enumerate(zip(cloud.astype(np.float64), times, strict=True)):
-        loops = tuple(
-            _loop({name: array[frame, slot] for name, array in stored.items() if name != "parameters"}, points)
-            for slot in np.flatnonzero(stored["id"][frame] >= 0)
-        )
+    for frame, points in enumerate(cloud.astype(np.float64)):
+        slots = np.flatnonzero(stored["id"][frame] >= 0)
+        loops = tuple(_loop(stored, (frame, slot), points) for slot in slots)
         parameters = dict(zip(PARAMETERS, stored["parameters"][frame].tolist(), strict=True))
-        states.append(TopologicalState(frame, float(time), loops, parameters))
+        states.append(TopologicalState(frame, frame * dt, loops, parameters))
     return states
 
 
-def _loop(stored: Mapping[str, NDArray[Any]], points: NDArray[np.float64]) -> Loop:
-    ids = {name: stored["simplices"][part].astype(np.int64) for name, part in SIMPLICES.items()}
+def _loop(stored: Mapping[str, NDArray[Any]], where: tuple[int, int], points: NDArray[np.float64]) -> Loop:
+    ids = {name: stored["simplices"][where][part].astype(np.int64) for name, part in SIMPLICES.items()}
     born, edge, killers = ids["birth_edge"], ids["killer_edge"], ids["killer_triangles"].reshape(2, 3)
     neighbours = ids["neighbours"].reshape(4, 3)
     neighbours = neighbours[neighbours[:, 0] != ABSENT]
-    birth, death, step, *neighbour_values = stored["values"].tolist()
+    birth, death, step, *neighbour_values = stored["values"][where].tolist()
     return Loop(
-        id=int(stored["id"]),
+        id=int(stored["id"][where]),
         birth=birth,
         death=death,
         birth_edge=born,

@@ -36,13 +36,7 @@ class _ShortOfWorkersError(Exception):
 
 
 def run_jobs(job: Job, items: Sequence[int], cluster: Cluster) -> Generator[tuple[int, Any]]:
-    """Yield (item, what `job` of it returned, or the exception that it raised) as they are done.
-
-    Raises
-    ------
-    ConnectionError
-        When the scheduler cannot be reached or goes away, or workers do not start.
-    """
+    """Yield (item, what `job` of it returned, or the exception that it raised) as they are done."""
     left, starts = dict.fromkeys(items), 0
     while left and starts < _STARTS:
         starts += 1
