@@ -48,12 +48,12 @@ class Dataset:
 
     @cached_property
     def records(self) -> tuple[Record, ...]:
-        """One for every episode that was tried, in order; those that are not ok say why."""
+        """One for every episode that was tried, in order."""
         return tuple(self.group.records[i] for i in sorted(self.group.records))
 
     @property
     def failures(self) -> tuple[Record, ...]:
-        """The records of the episodes that were rejected or failed, each with its reason."""
+        """Those that were rejected or failed, each with its `reason`."""
         return tuple(record for record in self.records if record.status != "ok")
 
     @cached_property
@@ -98,6 +98,7 @@ class Dataset:
         Raises
         ------
         FileNotFoundError
+            When there are none of that name.
         """
         if name not in self._labels:
             if self.group.read(f"labels/{name}/zarr.json") is None:
@@ -135,15 +136,13 @@ class Dataset:
     ) -> dict[str, Ids]:
         """Divide the episodes into parts, never within an episode: neighbouring frames are nearly the same.
 
-        Parts are cut in one order, however `shares` names them, as a JSON object keeps none: "train" is the first and "test"
-        the last, and others come between them in the order of the alphabet.
+        Parts are cut in one order, however `shares` names them: "train" first, "test" last, others between them by name.
 
         Parameters
         ----------
         by : {"episode", "garment"}
-            Whether a part shares garments with another one. By episode each is drawn on its own: the shares are met about,
-            and no episode changes its part when the dataset grows. By garment whole garments are dealt out, at least one
-            to every part.
+            By episode each is drawn on its own: the shares are met about, and no episode changes its part when the dataset
+            grows. By garment whole garments are dealt out, at least one to every part.
         shares : mapping of str to float
             Parts and their shares.
         seed : int
@@ -158,6 +157,7 @@ class Dataset:
         Raises
         ------
         ValueError
+            When there is no such way to split, a share is not positive, or garments are unknown or too few.
         """
         names = sorted(shares, key=lambda name: (_FIRST_AND_LAST.get(name, 0), name))
         weights = np.array([shares[name] for name in names], dtype=np.float64)
@@ -204,6 +204,7 @@ class Dataset:
         Raises
         ------
         ValueError
+            When there is no episode to write, or the folder is not empty.
         """
         folder, numbers = Path(out), sorted({self._known(i) for i in episodes})
         if not numbers:

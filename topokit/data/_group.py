@@ -25,8 +25,6 @@ from topokit._archive import FormatError, atomic_file
 
 from ._layout import Field, cloud_of, skeleton, unpack
 
-STATUSES = ("ok", "rejected", "failed")
-
 
 @dataclass(frozen=True)
 class Record:
@@ -76,7 +74,7 @@ def parse(content: bytes, where: str) -> tuple[Record, dict[str, Any]]:
         document = json.loads(content)
         known = {name: document[name] for name in _COLUMNS if name in document}
         record = Record(**{**known, "sha256": hashlib.sha256(content).hexdigest()})
-        if record.status not in STATUSES or record.episode != int(Path(where).stem):
+        if record.status not in ("ok", "rejected", "failed") or record.episode != int(Path(where).stem):
             raise ValueError(f"it says episode {record.episode}, status {record.status!r}")
         if not isinstance(document["objects"], dict):
             raise ValueError("its objects have no names")
@@ -88,13 +86,12 @@ def parse(content: bytes, where: str) -> tuple[Record, dict[str, Any]]:
 
 
 def index_bytes(records: Iterable[Record]) -> bytes:
-    """Return the index file of records: columns, so that 23,000 of them are read at once."""
+    """The index file of records: columns, so that 23,000 of them are read at once."""
     ordered = sorted(records, key=lambda record: record.episode)
     return canonical({"version": 1, **{name: [getattr(r, name) for r in ordered] for name in _COLUMNS}})
 
 
 def read_index(content: bytes, where: str) -> dict[int, Record]:
-    """Return the records of an index file."""
     try:
         document = json.loads(content)
         rows = zip(*(document[name] for name in _COLUMNS), strict=True)
@@ -106,7 +103,7 @@ def read_index(content: bytes, where: str) -> dict[int, Record]:
 class Group:
     """Records and arrays of a group, read only."""
 
-    def __init__(self, url: str | Path, prefix: str = "", *, records: bool = True) -> None:
+    def __init__(self, url: str | Path, prefix: str = "") -> None:
         import fsspec
 
         self.url, self.prefix = str(url), prefix
@@ -122,7 +119,6 @@ class Group:
             raise FormatError(f"{self.where('zarr.json')}: not the group of a topokit dataset ({error})") from error
         if number != 1:
             raise FormatError(f"{self.where()}: of version {number}; this topokit reads version 1")
-        self.records = self._read_records() if records else {}
 
     def where(self, path: str = "") -> str:
         return _join(self.url, self.prefix, path)
@@ -131,6 +127,19 @@ class Group:
     def numbers(self) -> list[int]:
         """The episodes that it is to have."""
         return list(self.manifest.get("numbers") or range(self.manifest["episodes"]))
+
+    @cached_property
+    def records(self) -> dict[int, Record]:
+        """Of the episodes that were tried, in short."""
+        content = self.read("index.json")
+        records = {} if content is None else read_index(content, self.where("index.json"))
+        if len(records) < len(self.numbers):  # only then can there be records that the index does not know
+            numbers = {int(name[:8]) for name in self.names("records") if name[:8].isdigit()}
+            for number in sorted(numbers - records.keys()):
+                path = record_path(number)
+                if (content := self.read(path)) is not None:  # it may just have been removed, to be made again
+                    records[number], _ = parse(content, path)
+        return records
 
     @cached_property
     def whole(self) -> NDArray[np.int64]:
@@ -146,11 +155,9 @@ class Group:
 
     def read(self, path: str) -> bytes | None:
         """Return the content of a file, None when there is none."""
-        try:
-            content: bytes = self._fs.cat_file(_join(self._root, self.prefix, path))
-        except (FileNotFoundError, NotADirectoryError, KeyError):
-            return None
-        return content
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError, KeyError):
+            return bytes(self._fs.cat_file(_join(self._root, self.prefix, path)))
+        return None
 
     def names(self, folder: str) -> list[str]:
         """Return the names of the files in place in a folder; none when there is no such folder."""
@@ -178,26 +185,14 @@ class Group:
             self._arrays[name] = zarr.open_array(Path(path) if local else self._fs.get_mapper(path), mode="r")
         return self._arrays[name]
 
-    def _read_records(self) -> dict[int, Record]:
-        content = self.read("index.json")
-        records = {} if content is None else read_index(content, self.where("index.json"))
-        if len(records) < len(self.numbers):  # only then can there be records that the index does not know
-            numbers = {int(name[:8]) for name in self.names("records") if name[:8].isdigit()}
-            for path in map(record_path, sorted(numbers - records.keys())):
-                content = self.read(path)
-                if content is not None:
-                    record, _ = parse(content, path)
-                    records[record.episode] = record
-        return records
-
 
 def _join(*parts: str) -> str:
     return "/".join(part.rstrip("/") for part in parts if part)
 
 
-def open_episodes(url: str | Path, *, records: bool = True) -> Group:
+def open_episodes(url: str | Path) -> Group:
     """Return the group of the episodes of a dataset."""
-    group = Group(url, records=records)
+    group = Group(url)
     if group.manifest.get("format") != "topokit-dataset":
         raise FormatError(f"{url}: labels, not the dataset that they are of; open the folder that holds `labels`")
     return group
@@ -217,7 +212,7 @@ def tracked_cloud(group: Group, document: Mapping[str, Any], labels: Mapping[str
 def prepare(folder: Path, manifest: Mapping[str, Any], fields: Iterable[Field]) -> None:
     """Make a group, or open it to go on: only its number of episodes may have grown."""
     if (folder / "zarr.json").exists():
-        old, episodes = Group(folder, records=False).manifest, manifest["episodes"]
+        old, episodes = Group(folder).manifest, manifest["episodes"]
         refuse_another(old, manifest, str(folder))
         if episodes < old["episodes"]:
             raise ValueError(f"{folder} has been given {old['episodes']} episodes; it cannot shrink to {episodes}")

@@ -180,7 +180,7 @@ def states_of(stored: Mapping[str, NDArray[Any]], cloud: NDArray[np.float32], dt
     """Return the tracked states that labels hold, in the coordinates of the cloud that was tracked."""
     states = []
     for frame, points in enumerate(cloud.astype(np.float64)):
-        slots = np.flatnonzero(stored["id"][frame] >= 0)
+        slots = np.flatnonzero(stored["id"][frame] >= 0).tolist()
         loops = tuple(_loop(stored, (frame, slot), points) for slot in slots)
         parameters = dict(zip(PARAMETERS, stored["parameters"][frame].tolist(), strict=True))
         states.append(TopologicalState(frame, frame * dt, loops, parameters))

@@ -100,7 +100,6 @@ def _local_cluster(count: int, dashboard: str | None) -> Iterator[Any]:
     settings = {
         "distributed.scheduler.allowed-failures": _LOST_WORKERS,
         "distributed.comm.timeouts.connect": "60s",
-        "distributed.worker.memory.terminate": False,
         "distributed.worker.profile.enabled": bool(dashboard),  # it would take 3 % of a core
         "distributed.admin.low-level-log-length": 100,
     }

@@ -1,4 +1,4 @@
-"""Windows for training: 16 clouds of the past, 60 planned actions, and the states that they led to.
+"""Windows for training: 16 clouds of the past, 60 planned actions, the states that they led to; and worse clouds.
 
 Source: Antonova et al. 2021, section 5 (h = 16, k = 60). Taught in chapter 8.
 """
@@ -25,6 +25,7 @@ from ._layout import ABSENT, METRE, SIMPLICES, arrays_of, cloud_of, observed, pa
 
 Array = NDArray[np.float32]
 _UNIT = np.float32(1 / METRE)
+_MARGIN = 0.1  # metres around a cloud's box in which outliers lie
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +260,9 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
             tracked = self._labelled(self.labels, number, stored)
         else:
             clouds = pack("clouds", self.observe(number, unpack(clouds[:, : self.n_points]).astype(np.float64)))
-            tracked = self._tracked(clouds)
+            slots = self.dataset.labels(self.labels).manifest["slots"]
+            states = track(unpack(clouds), n_jobs=1, **RECOMMENDED)
+            tracked = _Tracked.of(arrays_of(states, slots), clouds)
         seen = None if self.seen_labels is None else self._labelled(self.seen_labels, number, stored)
         clouds = clouds[:, np.arange(self.n_points) % clouds.shape[1]]
         return _Episode(clouds, stored["grippers"], stored["actions"], stored["held"].astype(bool), tracked, seen)
@@ -269,11 +272,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         labels = self.dataset.labels(name)
         found = decode(labels, labels.document(number), ("id", "simplices", "values"))
         return _Tracked.of(found, cloud_of(stored, labels.manifest))
-
-    def _tracked(self, cloud: NDArray[np.int16]) -> _Tracked:
-        """The states that a cloud shows, as `label` would store them."""
-        slots = self.dataset.labels(self.labels).manifest["slots"]
-        return _Tracked.of(arrays_of(track(unpack(cloud), n_jobs=1, **RECOMMENDED), slots), cloud)
 
 
 def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> dict[str, NDArray[Any]]:
@@ -289,3 +287,39 @@ def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> di
         "present": present,
         **{name: numbers[..., i] for i, name in enumerate(("birth", "death", "step"))},
     }
+
+
+def spoil(
+    clouds: NDArray[np.floating],
+    rng: np.random.Generator,
+    *,
+    noise: ArrayLike = 0.0,
+    outliers: ArrayLike = 0.0,
+    keep: ArrayLike = 1.0,
+) -> NDArray[np.float64]:
+    """Return clouds with points missing, noise and outliers, every cloud for itself.
+
+    Parameters
+    ----------
+    clouds : (..., P, 3) array
+    rng : numpy.random.Generator
+    noise : float or array that broadcasts to the leading axes of `clouds`
+        Standard deviation of each coordinate, metres.
+    outliers : float or such an array
+        Share of the points that are anywhere in the cloud's box, which is grown by 10 cm on each side.
+    keep : float or such an array
+        Share of the points that are kept, at least one. They come first, in the order in which they were; repeats of them, in
+        their order, stand for the others.
+    """
+    clouds = np.asarray(clouds, dtype=np.float64)
+    noise, outliers, keep = (
+        np.broadcast_to(amount, clouds.shape[:-2])[..., None] for amount in (noise, outliers, keep)
+    )
+    places = np.broadcast_to(np.arange(clouds.shape[-2]), clouds.shape[:-1])
+    left = np.maximum(np.round(keep * clouds.shape[-2]), 1).astype(np.int64)
+    order = np.argsort(rng.permuted(places, axis=-1) >= left, axis=-1, kind="stable")  # kept ones first, as they were
+    kept = np.take_along_axis(order, places % left, axis=-1)
+    spoilt = np.take_along_axis(clouds, kept[..., None], axis=-2) + noise[..., None] * rng.standard_normal(clouds.shape)
+    low, high = clouds.min(axis=-2, keepdims=True) - _MARGIN, clouds.max(axis=-2, keepdims=True) + _MARGIN
+    wild = rng.permuted(places, axis=-1) < np.round(outliers * clouds.shape[-2])
+    return np.where(wild[..., None], rng.uniform(low, high, clouds.shape), spoilt)
