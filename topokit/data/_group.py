@@ -191,7 +191,6 @@ def _join(*parts: str) -> str:
 
 
 def open_episodes(url: str | Path) -> Group:
-    """Return the group of the episodes of a dataset."""
     group = Group(url)
     if group.manifest.get("format") != "topokit-dataset":
         raise FormatError(f"{url}: labels, not the dataset that they are of; open the folder that holds `labels`")

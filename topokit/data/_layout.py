@@ -207,18 +207,15 @@ def _loop(stored: Mapping[str, NDArray[Any]], where: tuple[int, int], points: ND
         killer_values=np.array([death, death]),
         neighbour_values=np.array(neighbour_values[: len(neighbours)]),
         step=step,
-        _curve=partial(_curve, points, born, edge),
+        _curve=partial(_curve, points, [*born.tolist(), *edge.tolist()]),
     )
 
 
-def _curve(
-    points: NDArray[np.float64], birth_edge: NDArray[np.int64], killer_edge: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The cycle of a stored loop, as vertex ids and as points, found again in the cloud that was tracked."""
+def _curve(points: NDArray[np.float64], edges: list[int]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The cycle of a stored loop, by ids and by places: the loop of the tracked cloud with those birth and killer edges."""
     diagram = rips_persistence(points)
-    edges = np.column_stack([diagram.birth_edge, diagram.killer_edge])
-    row = np.flatnonzero((edges == [*birth_edge, *killer_edge]).all(axis=1))[0]
-    ids = diagram.cycle(int(row))
+    pairs = np.column_stack([diagram.birth_edge, diagram.killer_edge])
+    ids = diagram.cycle(pairs.tolist().index(edges))
     return ids, points[ids]
 
 

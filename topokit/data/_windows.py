@@ -71,7 +71,7 @@ class _Episode:
 class _Memory:
     """Decoded episodes, the one that was used last at the end: at most so many bytes, and one at least.
 
-    Copies of a `WindowDataset` share it. Processes that are spawned decode for themselves: it travels empty.
+    Copies of a `WindowDataset` share it. It travels empty to processes that are spawned.
     """
 
     def __init__(self, most: float) -> None:
