@@ -61,7 +61,7 @@ class Loop:
         Raises
         ------
         LookupError
-            When the loop was put together from labels, which hold no cycle.
+            When it was read from a file of states of 0.1.0, or put together by hand: it knows no cloud to find its cycle in.
         """
         return self._closed_curve[0]
 
