@@ -30,27 +30,13 @@ Place = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
 
 @checked
 class DepthNoise:
-    """The errors of a structured-light depth sensor, after Nguyen, Izadi and Lovell 2012.
+    """The errors of a structured-light depth sensor, after Nguyen, Izadi and Lovell 2012."""
 
-    Parameters
-    ----------
-    axial : float
-        Standard deviation of the depth at `best` metres, in metres.
-    axial_growth : float
-        The deviation at depth z is `axial + axial_growth * (z - best)**2`; 1/m.
-    best : float
-        Depth of least noise, metres.
-    lateral : float
-        Standard deviation, in pixels, of the place at which a pixel reads the scene: outlines become ragged.
-    dropout : float
-        Share of pixels that are lost, each by itself; below 1.
-    """
-
-    axial: NotNegative = 0.0012
-    axial_growth: NotNegative = 0.0019
-    best: NotNegative = 0.4
-    lateral: NotNegative = 0.8
-    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    axial: NotNegative = 0.0012  #: standard deviation of the depth at `best` metres, in metres
+    axial_growth: NotNegative = 0.0019  #: the deviation at depth z is `axial + axial_growth * (z - best)**2`; 1/m
+    best: NotNegative = 0.4  #: depth of least noise, metres
+    lateral: NotNegative = 0.8  #: standard deviation, in pixels, of the place a pixel reads: outlines become ragged
+    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of pixels that are lost, each by itself
 
     def apply(self, depth: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Mask]:
         """Return a noisy copy of a depth image and of the cloth's mask.
@@ -73,46 +59,17 @@ class DepthNoise:
 
 @checked
 class Camera:
-    """A pinhole depth camera. Metres, degrees, pixels.
+    """A pinhole depth camera. Metres, degrees, pixels."""
 
-    Parameters
-    ----------
-    eye, target : (3,) float
-        Where it is, and the place in the middle of its picture.
-    up : (3,) float
-        The direction that points up in the picture.
-    fov : float
-        Vertical angle of view, degrees.
-    width, height : int
-        Of the picture, pixels.
-    near, far : float
-        Nothing nearer or farther than this is seen.
-    noise : DepthNoise, optional
-        Added by `observe`; none when not given.
-
-    Raises
-    ------
-    ValueError
-        When a number is out of its range, or the camera looks along `up`; the message says which.
-
-    Examples
-    --------
-    >>> camera = Camera(eye=(0, -2, 1), target=(0, 0, 1), width=3, height=3)
-    >>> depth = np.full((3, 3), np.inf)
-    >>> depth[2, 0] = 2.0
-    >>> camera.unproject(depth, np.isfinite(depth)).round(3) + 0.0
-    array([[-0.933,  0.   ,  0.067]])
-    """
-
-    eye: Place = (0.0, -1.6, 1.2)
-    target: Place = (0.0, 0.0, 1.0)
-    up: Place = (0.0, 0.0, 1.0)
-    fov: Annotated[float, Field(gt=0, lt=180)] = 50.0
-    width: Count = 128
-    height: Count = 128
-    near: Positive = 0.1
-    far: Positive = 6.0
-    noise: DepthNoise | None = None
+    eye: Place = (0.0, -1.6, 1.2)  #: (3,) where it is
+    target: Place = (0.0, 0.0, 1.0)  #: (3,) the place in the middle of its picture
+    up: Place = (0.0, 0.0, 1.0)  #: (3,) the direction that points up in the picture, not along the view
+    fov: Annotated[float, Field(gt=0, lt=180)] = 50.0  #: vertical angle of view, degrees
+    width: Count = 128  #: of the picture, pixels
+    height: Count = 128  #: of the picture, pixels
+    near: Positive = 0.1  #: nothing nearer is seen
+    far: Positive = 6.0  #: nothing farther is seen
+    noise: DepthNoise | None = None  #: added by `observe`; none when not given
 
     def __post_init__(self) -> None:
         if self.near >= self.far:
@@ -120,9 +77,7 @@ class Camera:
         forward = np.subtract(self.target, self.eye)
         scale = float(np.linalg.norm(forward) * np.linalg.norm(self.up))
         if np.linalg.norm(np.cross(forward, self.up)) <= 1e-9 * scale:
-            raise ValueError(
-                f"the camera at {self.eye} must look at another place than itself, and not along up {self.up}"
-            )
+            raise ValueError(f"the camera at {self.eye} must look at another place, and not along up {self.up}")
 
     @property
     def axes(self) -> Array:
@@ -201,11 +156,6 @@ def cameras_around(
         Of the cameras over the horizon, degrees.
     noise : DepthNoise, optional
         Of every camera.
-
-    Examples
-    --------
-    >>> [camera.eye[0] > 0 for camera in cameras_around(n=3)[1:]]
-    [True, False]
     """
     middle = np.asarray(place, dtype=np.float64)
     turn = 2 * np.pi * np.arange(n) / n - np.pi / 2

@@ -22,15 +22,13 @@ from topokit.rips import rips_persistence
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
-from ._episode import AT_REST
+from ._episode import AT_REST, StretchCheck
 from ._garments import Garment
-from ._physics import SimulationConfig
 from ._process import SimulationError
-from ._recording import StretchCheck
 from ._surface import simple_cycles
 from ._targets import Target
 from ._tasks import Task, task_named
-from ._world import World, observe
+from ._world import SimulationConfig, World, observe
 
 Array = NDArray[np.float64]
 Observation = dict[str, Any]
@@ -88,11 +86,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         A step takes `config.frame_time` seconds.
     render_mode : str, optional
         `"rgb_array"`: `render()` gives a picture (360, 480, 3) uint8.
-
-    Raises
-    ------
-    ValueError
-        When the task, the reward or the render mode is not known, or there are fewer vertices than `n_points`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 28}  # noqa: RUF012
@@ -120,7 +113,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.config = config or SimulationConfig(self_collision=False)
         if not 1 <= n_points <= len(self.garment.vertices):
             raise ValueError(
-                f"n_points must be 1 to {len(self.garment.vertices)}, the garment's vertices, not {n_points}"
+                f"n_points must be 1 to the garment's {len(self.garment.vertices)} vertices, not {n_points}"
             )
         self.reward, self.n_points, self.cameras, self.render_mode = reward, n_points, tuple(cameras), render_mode
         self.max_step = positive(max_speed, "max_speed", zero=False) * self.config.frame_time

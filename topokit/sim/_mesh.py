@@ -76,24 +76,8 @@ def from_mesh(
 
     Raises
     ------
-    FileNotFoundError
-        When there is no such file.
     ValueError, TypeError
-        When the file is empty, damaged or of another kind, the mesh has no faces, a vertex of a face is not finite,
-        there are separate components of similar size, a loop or a grip names a vertex that is not part of the garment,
-        or a loop cannot be closed; the message says which, where, and what to do.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> from tempfile import TemporaryDirectory
-    >>> from topokit.sim import Garment
-    >>> with TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "flag.obj"
-    ...     _ = path.write_text("v 0 0 0\\nv 90 0 0\\nv 90 0 60\\nv 0 0 60\\nf 1 2 3 4\\n")
-    ...     flag = Garment.from_mesh(path, grips=[2, 3])
-    >>> flag.repairs
-    ('1 faces of four corners or more were cut into triangles', 'its largest extent, 90, was taken for centimetres: ...')
+        When an option, a loop or a grip cannot be meant; the message says which, where, and what to do.
     """
     for key, value in (("size", size), ("scale", scale), ("weld", weld), ("max_vertices", max_vertices)):
         if value is not None:

@@ -4,8 +4,7 @@ Idea: people's reaching movements minimise the integral of squared jerk. Through
 ends, the minimiser is the quintic spline of four continuous derivatives; between two rests it is
 start + (10 s^3 - 15 s^4 + 6 s^5) (end - start) with s the share of the time.
 
-Source: Flash and Hogan 1985, *The coordination of arm movements*; Antonova et al. 2021, section 6 (randomised trajectories of
-two anchors). Taught in chapter 7.
+Source: Flash and Hogan 1985, *The coordination of arm movements*; Antonova et al. 2021, section 6. Taught in chapter 7.
 """
 
 from __future__ import annotations
@@ -24,57 +23,24 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Via:
-    """A place on a path.
+    """A place on a path. At the first and the last one the grippers stand still anyway."""
 
-    Parameters
-    ----------
-    time : float
-        Seconds since the first frame.
-    place : (3,) array_like
-        Of the middle between the grippers, metres.
-    opening : float
-        Distance between the grippers as a multiple of the one at the start.
-    rest : bool
-        Whether the grippers stand still there; the first and the last place of a path are rests anyway.
-    """
-
-    time: float
-    place: ArrayLike
-    opening: float = 1.0
-    rest: bool = False
+    time: float  #: seconds since the first frame
+    place: ArrayLike  #: (3,) of the middle between the grippers, metres
+    opening: float = 1.0  #: distance between the grippers as a multiple of the one at the start
+    rest: bool = False  #: whether the grippers stand still there
 
 
 @dataclass(frozen=True, eq=False)
 class GripperPath:
-    """The path of two grippers, and when they let go.
+    """The path of two grippers, and when they let go."""
 
-    Parameters
-    ----------
-    vias : sequence of Via
-        Two at least, in the order of time. Before the first and after the last the grippers stand still.
-    spread : (2, 3) float64
-        The grippers relative to their middle, at an opening of 1.
-    release : float
-        Seconds; when they let go.
-    end : float
-        Seconds; how long an episode lasts that gives the garment time to come to rest.
-
-    Raises
-    ------
-    ValueError
-        When there are fewer than two places, times do not increase, an opening is not positive, or a number is not finite.
-
-    Examples
-    --------
-    >>> path = GripperPath([Via(0, [0, 0, 1]), Via(2, [0, 0.4, 1])], np.array([[-0.1, 0, 0], [0.1, 0, 0]]), 2.1, 3.0)
-    >>> path.at(1.0).tolist()
-    [[-0.1, 0.2, 1.0], [0.1, 0.2, 1.0]]
-    """
-
-    vias: Sequence[Via]
-    spread: Array
-    release: float
-    end: float
+    vias: Sequence[
+        Via
+    ]  #: two at least, in the order of time; before the first and after the last the grippers stand still
+    spread: Array  #: (2, 3) the grippers relative to their middle, at an opening of 1
+    release: float  #: seconds; when they let go
+    end: float  #: seconds; how long an episode lasts that gives the garment time to come to rest
 
     def __post_init__(self) -> None:
         if len(self.vias) < 2:
@@ -89,9 +55,7 @@ class GripperPath:
         if spread.shape != (2, 3) or not np.isfinite(spread).all():
             raise ValueError(f"spread must be a finite (2, 3) array, not of shape {spread.shape}")
         if not self.end >= self.release >= 0:
-            raise ValueError(
-                f"the end ({self.end} s) must come after the release ({self.release} s), and that not before 0"
-            )
+            raise ValueError(f"the release ({self.release} s) must lie between 0 and the end ({self.end} s)")
 
     def at(self, time: ArrayLike) -> Array:
         """(..., 2, 3) where the two grippers should be at these times (...)."""

@@ -40,16 +40,9 @@ class SimulationError(RuntimeError):
 
 
 class Forge:
-    """Runs jobs, one after another, each in a fresh process.
+    """Runs jobs, one after another, each in a fresh process, by "module:name" of a function from JSON to JSON.
 
-    Parameters
-    ----------
-    function : str
-        "module:name" of a function that takes a job and gives an answer, both what JSON can hold.
-    needs : sequence of str
-        Modules to import beforehand that the function's own module does not import at once.
-    once : bool
-        For one job only, which needs no fork: the forge does it itself where there is none.
+    `needs` are modules to import beforehand; `once` is for one job only, which needs no fork.
     """
 
     def __init__(self, function: str, needs: Sequence[str] = (), *, once: bool = False) -> None:
@@ -68,16 +61,9 @@ class Forge:
     ) -> Answer:
         """Return {"answer": ...}, or {"error": name, "message": ..., "errno": ...}; a crash is an error "crash".
 
-        Parameters
-        ----------
-        job : dict
-        time_limit : float
-            Seconds of processor time: on a busy machine a job may take much longer.
-        silence : float, optional
-            Seconds without a sign of life after which it is stopped, also while the forge starts. When not given, ten times
-            `time_limit`, and the forge may take any time to start.
-        report : callable, optional
-            Called with the numbers that the function reports, by a second argument that it then gets.
+        A job is stopped after `time_limit` seconds of processor time, and after `silence` seconds without a sign of life
+        (when not given, ten times `time_limit`, and the forge may take any time to start). The numbers that the function
+        reports, by a second argument that it then gets, go to `report`.
         """
         call = {"job": job, "time_limit": time_limit, "reports": report is not None}
         try:

@@ -28,13 +28,6 @@ def read_mesh(path: str | Path) -> tuple[Array, Polygons]:
     """Return vertices (n, 3) in the file's units and the polygons as lists of vertex ids counted from 0.
 
     An STL file has no vertex ids: corner k of triangle i is vertex 3 i + k.
-
-    Raises
-    ------
-    FileNotFoundError
-        When there is no such file.
-    FormatError
-        When the file is not a whole OBJ, PLY or STL file with faces; the message says what is wrong and where.
     """
     path = Path(path)
     if not path.is_file():

@@ -26,15 +26,7 @@ def wind(faces: Ids) -> tuple[Ids, int, bool]:
 
     Idea: every face stands twice in a graph, as it is and turned round; a face as it is joins its neighbour as it is when
     the two agree, and turned round when not. Of the two halves of the graph the one that turns fewer faces is taken. A
-    surface with one side has one half.
-
-    Returns
-    -------
-    faces : (F, 3) int64
-    turned : int
-        How many were turned round.
-    two_sided : bool
-        Whether that made all neighbours agree.
+    surface with one side has one half. Returned are the faces, how many were turned, and whether all neighbours agree now.
     """
     n = len(faces)
     directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
@@ -123,14 +115,9 @@ class EdgeGraph:
 def close_loop(graph: EdgeGraph, ids: Sequence[int], names: Ids) -> tuple[Ids, str]:
     """Make a simple closed cycle along edges of the vertices of a loop, in order or not; say in words what it took.
 
-    In order, gaps of a few edges are closed by shortest paths. Without order (most neighbours far apart), or where the order
-    runs into itself, the cycle is the one around the longest-lived loop of these vertices, with distances along the mesh:
-    persistence again. `names` are what messages call the vertices.
-
-    Raises
-    ------
-    ValueError
-        When a gap is wide, or the vertices do not surround anything.
+    Idea: in order, gaps of a few edges are closed by shortest paths. Without order (most neighbours far apart), or where the
+    order runs into itself, the cycle is the one around the longest-lived loop of these vertices, with distances along the
+    mesh: persistence again. `names` are what messages call the vertices.
     """
     given = [a for a, b in zip(ids, [*ids[1:], ids[0]], strict=True) if a != b]
     members = np.unique(given)

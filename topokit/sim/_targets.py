@@ -26,15 +26,9 @@ _SHOULDER = 0.3  # radius of the shoulders as a share of the depth of the chest
 
 @checked
 class Target(ABC):
-    """What `simulate` asks of a target. Subclass it, as a frozen dataclass, to hang garments on something else.
+    """What `simulate` asks of a target. Subclass it, as a frozen dataclass, to hang garments on something else."""
 
-    Parameters
-    ----------
-    distance : float
-        y of its pole or axis, metres.
-    """
-
-    distance: float = field(default=0.3, kw_only=True)
+    distance: float = field(default=0.3, kw_only=True)  #: y of its pole or axis, metres
 
     name: ClassVar[str]
 
@@ -68,21 +62,12 @@ class Hook(Target):
     """A pole with an arm towards the grippers and an upturned tip. Metres, z up; the arm points along -y.
 
     A loop around the arm links the centre line, and so does one around the tip or the pole: it is not off yet.
-
-    Parameters
-    ----------
-    height, reach, tip : float
-        Of the arm's axis above the floor; from the pole to the tip; of the tip over the arm's axis.
-    radius : float
-        Of all three rods. Cloth tunnels through thin rods; 0.02 and more is reliable.
-    distance : float
-        y of the pole.
     """
 
-    height: Positive = 1.2
-    reach: Positive = 0.2
-    tip: Positive = 0.06
-    radius: Positive = 0.02
+    height: Positive = 1.2  #: of the arm's axis above the floor
+    reach: Positive = 0.2  #: from the pole to the tip
+    tip: Positive = 0.06  #: of the tip over the arm's axis
+    radius: Positive = 0.02  #: of all three rods; cloth tunnels through rods thinner than this
 
     name = "hook"
 
@@ -114,27 +99,15 @@ class Hanger(Target):
 
     Two arms slope down from the stem, each with an upturned end. A strap hangs when it is around an arm; around the stem it
     is around both. The rail stands on two posts.
-
-    Parameters
-    ----------
-    height, width, drop : float
-        Of the place above the floor where the arms' axes meet under the stem; from the end of one arm to that of the other;
-        how much lower than their meeting the arms end, less than half the width.
-    tip, stem : float
-        Of the upturned ends over the arms' axes there; from the meeting of the arms up to the rail.
-    radius, span : float
-        Of hanger and rail, as a hook's; between the posts, which stand left and right of the hanger.
-    distance : float
-        y of rail and stem.
     """
 
-    height: Positive = 1.3
-    width: Positive = 0.44
-    drop: Positive = 0.06
-    tip: Positive = 0.04
-    stem: Positive = 0.22
-    radius: Positive = 0.02
-    span: Positive = 1.4
+    height: Positive = 1.3  #: of the place above the floor where the arms' axes meet under the stem
+    width: Positive = 0.44  #: from the end of one arm to that of the other
+    drop: Positive = 0.06  #: how much lower than their meeting the arms end, less than half the width
+    tip: Positive = 0.04  #: of the upturned ends over the arms' axes there
+    stem: Positive = 0.22  #: from the meeting of the arms up to the rail
+    radius: Positive = 0.02  #: of hanger and rail, as a hook's
+    span: Positive = 1.4  #: between the posts, which stand left and right of the hanger
 
     name = "hanger"
 
@@ -182,27 +155,16 @@ class Mannequin(Target):
     Its centre line is the axis from the floor through the head. A loop hangs when it is around the axis and lower than the
     middle of the head (a neck hole that lies on the crown like a wreath is around the axis too), or when it is around a
     shoulder, as a backpack's straps are.
-
-    Parameters
-    ----------
-    height, head_radius, head_height : float
-        Of the top of the head above the floor; half the breadth of the head, and its height.
-    neck_radius, neck_length : float
-        The length is that between head and shoulders.
-    shoulder_width, depth, torso_length : float
-        From the end of one shoulder to that of the other; of the chest, front to back; from the shoulders' top to the hips.
-    distance : float
-        y of the axis.
     """
 
-    height: Positive = 1.6
-    head_radius: Positive = 0.08
-    head_height: Positive = 0.22
-    neck_radius: Positive = 0.055
-    neck_length: Positive = 0.07
-    shoulder_width: Positive = 0.42
-    depth: Positive = 0.16
-    torso_length: Positive = 0.5
+    height: Positive = 1.6  #: of the top of the head above the floor
+    head_radius: Positive = 0.08  #: half the breadth of the head
+    head_height: Positive = 0.22  #: from the chin to the top
+    neck_radius: Positive = 0.055  #: less than the head's
+    neck_length: Positive = 0.07  #: between head and shoulders
+    shoulder_width: Positive = 0.42  #: from the end of one shoulder to that of the other
+    depth: Positive = 0.16  #: of the chest, front to back
+    torso_length: Positive = 0.5  #: from the shoulders' top to the hips
 
     name = "mannequin"
 

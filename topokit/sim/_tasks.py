@@ -1,7 +1,6 @@
 """Tasks: which garment goes to which target, on which scripted path, and when it hangs there.
 
-Source: Antonova et al. 2021, section 6 (aprons, bags, shirts, vests and backpacks; hook, hanger and mannequin). Taught in
-chapter 7.
+Source: Antonova et al. 2021, section 6. Taught in chapter 7.
 """
 
 from __future__ import annotations
@@ -25,35 +24,16 @@ Planner = Callable[[Garment, Target, np.random.Generator], GripperPath]
 
 @dataclass(frozen=True)
 class Task:
-    """A garment to be hung on a target.
+    """A garment to be hung on a target."""
 
-    Parameters
-    ----------
-    name : str
-    garment : callable
-        Makes the garment, without arguments.
-    target : Target
-    plan : callable
-        (garment, target, generator) -> GripperPath; all the randomness of the path comes from the generator.
-    loops : tuple of int
-        Numbers of the true loops that must be on the target: one of them at least, or each where `every`.
-    every : bool
-
-    Examples
-    --------
-    >>> task = TASKS["apron-hook"]
-    >>> apron = task.garment()
-    >>> path = task.plan(apron, task.target, np.random.default_rng(0))
-    >>> path.at(0.0).shape, task.hangs(apron.vertices, apron.loops)
-    ((2, 3), False)
-    """
-
-    name: str
-    garment: Callable[[], Garment]
-    target: Target
-    plan: Planner
-    loops: tuple[int, ...] = (0,)
-    every: bool = False
+    name: str  #: garment, hyphen, target
+    garment: Callable[[], Garment]  #: makes the garment
+    target: Target  #: what it is hung on
+    plan: Planner  #: draws the path; all its randomness comes from the generator
+    loops: tuple[int, ...] = (
+        0,
+    )  #: numbers of the true loops that must be on the target: one of them, or each where `every`
+    every: bool = False  #: whether it takes each of them
 
     def hangs(self, points: ArrayLike, loops: Sequence[ArrayLike], target: Target | None = None) -> bool:
         """Whether the loops that must be are on the target, and the garment has not slid down around it.
@@ -79,8 +59,7 @@ def hang_by_strap(
 ) -> GripperPath:
     """Carry the first true loop over the upturned tip of a hook or a hanger, so that the arm comes into it, and lower it.
 
-    An `opening` above 1 draws the grippers apart on the way: straps at either side of a bag then turn to face the arm.
-    `rest` is the time in seconds between release and end: a bag that hangs by one strap swings for longer.
+    An `opening` above 1 turns straps at either side of a bag to face the arm; `rest` seconds lie between release and end.
     """
     aside, below = _opening(garment, opening)
     tip, seat, radius = target.centre_line[-1], target.seat, target.rods[0][2]
@@ -189,9 +168,8 @@ def _tasks() -> dict[str, Task]:
             plan = sideways if garment == "backpack" else hang_by_strap
             loops: tuple[int, ...] = (0, 1) if garment in ("tote2", "backpack") else (0,)
             name = f"{garment}-{target.name}"
-            tasks[name] = Task(
-                name, WARDROBE[garment], target, plan, loops, every=garment != "backpack"
-            )  # by either strap
+            every = garment != "backpack"  # which hangs by either strap
+            tasks[name] = Task(name, WARDROBE[garment], target, plan, loops, every)
     bodies: dict[str, tuple[Planner, tuple[int, ...]]] = {
         "apron": (pull_over_head, (0,)),
         "apron2": (pull_over_head, (0,)),
@@ -217,10 +195,7 @@ def task_named(name: str) -> Task:
 
 
 def task_for(garment: Garment, target: Target) -> Task:
-    """Return the task of a garment and a target.
-
-    That of `TASKS` when there is one by that name; else to get any of the garment's loops on the target, by the path that
-    suits a strap.
+    """Return the task of `TASKS` for a garment and a target, or else to get any of its loops there, as a strap goes.
 
     Parameters
     ----------
