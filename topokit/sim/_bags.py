@@ -43,7 +43,7 @@ def tote(
     sides = polyline((-half, 0), (-half, -height), (half, -height), (half, 0))
     if handles == 2:
         return _tote_of_two(sizes, sides)
-    demand(handle_width <= width - 2 * spacing, f"handle_width {handle_width} must be less than width {width}", spacing)
+    demand(handle_width <= width - 2 * spacing, f"handle_width {handle_width} must be less than width {width}")
     top = polyline((half, 0), (half - handle_width / 2, 0), (handle_width / 2 - half, 0), (-half, 0))
     panel = cut([*sides, *top], [], spacing)
     front = inflate(panel, (0, 1, 2), depth / 2)
@@ -66,7 +66,6 @@ def _tote_of_two(sizes: dict[str, float], sides: list[Array]) -> Fields:
     demand(
         2 * spacing <= span - width and span + width <= 2 * half - 2 * spacing,
         f"handle_span {span} must leave an opening inside handles of handle_width {width} and fit the width {2 * half}",
-        spacing,
     )
     arch = Arch.of_length(span, sizes["handle_length"], "handle_length")
     outer, opening, middle = arch.strap(width, spacing, sizes["handle_length"])
@@ -108,7 +107,6 @@ def backpack(
     demand(
         span - strap_width >= 2 * spacing,
         f"height {height} leaves no opening for straps of strap_width {strap_width} above a box_height of {box_height}",
-        spacing,
     )
     arch = Arch.of_length(span, strap_length)
 

@@ -1,7 +1,6 @@
 """Depth cameras: what they see of the cloth, as points in metres.
 
-A camera draws the whole scene, so that the target and the cloth itself hide what is behind them; only the cloth's pixels
-become points. Without noise a point lies on the cloth exactly.
+A camera draws the whole scene, so that what is in front hides what is behind; only the cloth's pixels become points.
 
 Source: Hartley and Zisserman 2004, chapter 6 (the pinhole camera); Nguyen, Izadi and Lovell 2012, *Modeling Kinect sensor
 noise for improved 3D reconstruction and tracking* (the noise). Taught in chapter 7.
@@ -77,7 +76,9 @@ class Camera:
         forward = np.subtract(self.target, self.eye)
         scale = float(np.linalg.norm(forward) * np.linalg.norm(self.up))
         if np.linalg.norm(np.cross(forward, self.up)) <= 1e-9 * scale:
-            raise ValueError(f"the camera at {self.eye} must look at another place, and not along up {self.up}")
+            raise ValueError(
+                f"the camera at {self.eye} must look at another place than itself, and not along up {self.up}"
+            )
 
     @property
     def axes(self) -> Array:

@@ -4,7 +4,7 @@
     >>> env = gymnasium.make("topokit/Hang-v0", task="apron-hook", reward="topological")
 
 Source: Towers et al. 2024, *Gymnasium: a standard interface for reinforcement learning environments*; Ng, Harada and Russell
-1999, *Policy invariance under reward transformations* (shaping by differences of a potential). Taught in chapter 7.
+1999, *Policy invariance under reward transformations*. Taught in chapter 7.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ Observation = dict[str, Any]
 REWARDS = ("sparse", "dense", "topological", "topological-observed")
 _ROOM = 4.0  # metres: nothing that is observed is farther from the origin along an axis
 _LEASH = 0.2  # metres by which a goal may lead its gripper along an axis: taut cloth holds a gripper back
+_OUTCOME = {"success": False, "dropped": False, "torn": False}
 _REST_AFTER = 0.5  # s after the release: cloth that is not held by the target is fast by then
 
 
@@ -51,16 +52,13 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     **Action**, seven numbers from -1 to 1: the displacements of the first and of the second gripper's goal (x, y, z each) as
     shares of what `max_speed` allows in a step; the garment is let go, for good, when the last is above 0.5.
 
-    **Reward**: 1 at success, and by `reward`
+    **Reward**: 1 at success, and by `reward` differences of a potential, so that going back and forth earns nothing:
 
     - `"sparse"`: nothing else;
     - `"dense"`: the metres by which the task's loop came nearer to the target's seat in this step;
-    - `"topological"`: also the change of the share of the task's loops that are around the target, by linking number; loops
-      and centres are those of the true loops;
+    - `"topological"`: also the change of the share of the task's loops that are around the target, by linking number;
     - `"topological-observed"`: the same for the longest-lived loops of the observed points, as many as the garment has, each
       taken as its tight cycle: nothing is used that a robot would not have.
-
-    What the last three add are differences of a potential: going back and forth earns nothing.
 
     An episode **terminates** when the garment has been free for half a second and is at rest, with success if the task's
     loops are on the target (else it was dropped), and when it is torn: stretched beyond `config.max_stretch`. It is
@@ -257,9 +255,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             return True
         return False
 
-    def _info(self, *, success: bool = False, dropped: bool = False, torn: bool = False) -> dict[str, Any]:
-        outcome = {"success": success, "dropped": dropped, "torn": torn}
-        return {**outcome, "linked": self._linked, "distance": self._distance}
+    def _info(self, **outcome: bool) -> dict[str, Any]:
+        return {**_OUTCOME, **outcome, "linked": self._linked, "distance": self._distance}
 
 
 def _shaded(world: World, camera: Camera) -> NDArray[np.uint8]:

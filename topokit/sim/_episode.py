@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import topokit
 from topokit._validate import positive
 from topokit.io import FEWEST_FRAMES, Episode
 from topokit.sampling import farthest_point_sample
@@ -151,7 +152,11 @@ def _episode(
         dt=config.frame_time,
         observation={"kind": "cameras" if views else "vertices", "cameras": views},
         physics=physics,
-        provenance={**{name: _version(name) for name in ("topokit", "pybullet")}, "machine": platform.machine()},
+        provenance={
+            "topokit": topokit.__version__,
+            "pybullet": metadata.version("pybullet"),
+            "machine": platform.machine(),
+        },
     )
 
 
@@ -165,13 +170,6 @@ def _at_rest(points: NDArray[np.float32], config: SimulationConfig) -> bool:
 def _show(frames: int, frame: int) -> None:
     end = "\n" if frame + 1 == frames else ""
     print(f"\rsimulating: frame {frame + 1} of {frames}", end=end, file=sys.stderr, flush=True)
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:  # run from a source tree that is not installed
-        return "0+unknown"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -46,13 +46,9 @@ class Garment:
     name: str  #: that episodes record
     vertices: Array  #: (N, 3) float64, rest positions in metres, z up; rest lengths of the springs are taken from them
     faces: Ids  #: (F, 3) int64 vertex ids, counted from 0
-    loops: tuple[
-        Ids, ...
-    ]  #: the true loops (L,) int64: closed cycles of vertex ids along edges (the last joins the first)
+    loops: tuple[Ids, ...]  #: true loops (L,) int64: closed cycles of vertex ids along edges (the last joins the first)
     grips: Ids  #: (2,) int64 the vertices that the grippers hold
-    parameters: Mapping[str, float] = field(
-        default_factory=dict
-    )  #: the sizes it was made from, kept with every episode
+    parameters: Mapping[str, float] = field(default_factory=dict)  #: the sizes it was made from
     repairs: tuple[str, ...] = ()  #: what `from_mesh` did to the mesh of a file, in words
 
     def __post_init__(self) -> None:

@@ -84,8 +84,7 @@ def from_mesh(
             positive(value, key, zero=False)
     if up not in (None, "y", "z"):
         raise ValueError(f"up must be 'y' or 'z', not {up!r}")
-    borders = isinstance(loops, str)
-    if borders and loops != "borders":
+    if isinstance(loops, str) and loops != "borders":
         raise ValueError(f"loops must be lists of vertex ids, or 'borders', not {loops!r}")
     if size is not None and scale is not None:
         raise ValueError("give size or scale, not both")
@@ -96,18 +95,16 @@ def from_mesh(
         faces, vertex_of, names = _repaired(vertices, polygons, weld, said)
         if len(names) > max_vertices:
             raise ValueError(
-                f"{len(names)} vertices after repair; more than {max_vertices} make a slow simulation. Decimate the mesh "
-                "(in Blender or MeshLab), or raise max_vertices"
+                f"{len(names)} vertices after repair; more than {max_vertices}: decimate it or raise max_vertices"
             )
         new = np.full(len(vertices), -1)
         new[names] = np.arange(len(names))
         carried = [_carry(loop, new[vertex_of], f"loops[{i}]") for i, loop in enumerate(given)]
         ends = None if held is None else _carry(held, new[vertex_of], "grips")
-        if ends is not None and ends[0] == ends[1]:
-            raise ValueError(f"grips {held} are one vertex after welding; give two that lie apart")
-        placed, factor = _placed(vertices[names], ends, size, scale, up, said)
+        turned = _upright(vertices[names], ends, up, said)
+        placed, factor = _scaled(turned, size, scale, said)
         _say_short(placed, faces, names, said)
-        cycles = _borders(placed, faces, said) if borders else _closed(placed, faces, names, carried, said)
+        cycles = _borders(placed, faces, said) if loops == "borders" else _closed(placed, faces, names, carried, said)
         ends = _grips(placed, names, said) if ends is None else ends
     except (TypeError, ValueError) as error:
         raise (TypeError if isinstance(error, TypeError) else ValueError)(f"{path}: {error}") from error
@@ -117,7 +114,6 @@ def from_mesh(
 
 
 def _asked(loops: Sequence[ArrayLike] | str, grips: ArrayLike | None, n_vertices: int) -> tuple[list[Ids], Ids | None]:
-    """The ids of loops and grips, when they are ids of the file."""
     given = [] if isinstance(loops, str) else [as_ids(loop, f"loops[{i}]", n_vertices) for i, loop in enumerate(loops)]
     if any(loop.ndim != 1 for loop in given):
         raise ValueError("loops must be a list of lists of vertex ids; one loop is a list of one list")
@@ -215,9 +211,8 @@ def _one_component(vertices: Array, faces: Ids, said: list[str]) -> Ids:
         one, other = (np.unique(faces[which == part]) for part in largest[:2])
         gap = cKDTree(vertices[one]).query(vertices[other])[0].min()
         raise ValueError(
-            f"{parts} components that no edge joins, of {shares} of the surface: none is the garment. Sew them together, "
-            f"or save the one that you mean to a file of its own; a gap is closed by a larger weld (vertices of the two largest "
-            f"come as near as {gap:.2g}, in the file's units)"
+            f"{parts} components that no edge joins, of {shares} of the surface; keep one of them, or join them by a weld of "
+            f"more than {gap:.2g} (what parts the two largest, in the file's units)"
         )
     lost = f"{100 * (1 - share.max()):.1f} % of the surface"
     said.append(f"{parts - 1} smaller components, {lost}, were dropped: a cloth is one piece")
@@ -231,43 +226,44 @@ def _say_short(vertices: Array, faces: Ids, names: Ids, said: list[str]) -> None
     if length.min() < 0.05 * np.median(length):
         a, b = names[edges[np.argmin(length)]]
         said.append(
-            f"vertices {a} and {b} are only {length.min():.2g} m apart, and so thin is the cloth to collisions (the median edge "
-            f"has {np.median(length):.2g} m); a larger weld distance joins them"
+            f"vertices {a} and {b} are {length.min():.2g} m apart, so thin is the cloth to collisions; weld them"
         )
 
 
 def _carry(ids: Ids, new: Ids, name: str) -> Ids:
     lost = new[ids] < 0
     if lost.any():
-        raise ValueError(
-            f"{name} names vertex {ids[np.argmax(lost)]}, which is in no face of the garment's component; it cannot be kept"
-        )
+        raise ValueError(f"{name} names vertex {ids[np.argmax(lost)]}, which is in no face of the garment's component")
+    if name == "grips" and new[ids[0]] == new[ids[1]]:
+        raise ValueError(f"grips {ids} are one vertex after welding; give two that lie apart")
     return new[ids]
 
 
-def _placed(
-    vertices: Array, grips: Ids | None, size: float | None, scale: float | None, up: str | None, said: list[str]
-) -> tuple[Array, float]:
-    """Vertices in metres, z up."""
-    extent = np.ptp(vertices, axis=0)
-    if up is None:  # grips are above the middle; without them, a garment hangs and does not lie
-        above = extent / 2 if grips is None else vertices[grips].mean(axis=0) - (vertices.min(axis=0) + extent / 2)
+def _upright(vertices: Array, grips: Ids | None, up: str | None, said: list[str]) -> Array:
+    """Vertices with z up. Grips are above the middle; without them, a garment hangs and does not lie."""
+    if up is None:
+        half = np.ptp(vertices, axis=0) / 2
+        above = half if grips is None else vertices[grips].mean(axis=0) - (vertices.min(axis=0) + half)
         up = "y" if above[1] > (1.7 if grips is None else 1.0) * abs(above[2]) else "z"
         if up == "y":
             said.append("its y axis was taken for up and turned to z; give up='z' if it is not")
-    if up == "y":
-        vertices = vertices[:, [0, 2, 1]] * [1, -1, 1]
-    largest = float(extent.max())
+    return vertices[:, [0, 2, 1]] * [1, -1, 1] if up == "y" else vertices
+
+
+def _scaled(vertices: Array, size: float | None, scale: float | None, said: list[str]) -> tuple[Array, float]:
+    """Vertices in metres, near the origin."""
+    largest = float(np.ptp(vertices, axis=0).max())
     if size is not None:
         scale = size / largest
     elif scale is None:
         low, high = _METRES
-        scale, unit = next(((f, unit) for f, unit in _UNITS if low <= f * largest <= high), (1 / largest, ""))
-        what = (
-            f"was taken for {unit}: {scale * largest:.3g} m" if unit else "is a garment's in no unit: it was made 1 m"
+        scale, unit = next(
+            ((f, unit) for f, unit in _UNITS if low <= f * largest <= high), (1 / largest, "a unit of its own")
         )
         if unit != "metres":
-            said.append(f"its largest extent, {largest:.4g}, {what}; give size or scale")
+            said.append(
+                f"its largest extent, {largest:.4g}, was taken for {unit}: {scale * largest:.3g} m; give size or scale"
+            )
     vertices = scale * vertices
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     if np.linalg.norm(middle) > 10 * scale * largest:  # single precision in the engine would blur it

@@ -35,9 +35,7 @@ class Via:
 class GripperPath:
     """The path of two grippers, and when they let go."""
 
-    vias: Sequence[
-        Via
-    ]  #: two at least, in the order of time; before the first and after the last the grippers stand still
+    vias: Sequence[Via]  #: two at least, in the order of time; before and after them the grippers stand still
     spread: Array  #: (2, 3) the grippers relative to their middle, at an opening of 1
     release: float  #: seconds; when they let go
     end: float  #: seconds; how long an episode lasts that gives the garment time to come to rest

@@ -1,9 +1,8 @@
 """Jobs in fresh processes, which can be stopped.
 
-Idea: PyBullet repeats self-collision bit by bit in a fresh process only, can end its process, and can hang inside C. Importing
-NumPy, PyBullet and Zarr takes about as long as a short simulation; a fork of a process that has imported them and done
-nothing else is as fresh and starts in milliseconds. That process, the forge, has one thread, so that forking is safe; it
-ends, and ends its fork, when the process that owns it goes away in whatever manner.
+Idea: PyBullet repeats self-collision bit by bit in a fresh process only, can end its process, and can hang inside C. A fork
+of a process that has imported NumPy, PyBullet and Zarr and done nothing else is as fresh and starts in milliseconds. That
+process, the forge, has one thread, so that forking is safe; it ends, and ends its fork, when its owner goes away.
 """
 
 from __future__ import annotations

@@ -75,14 +75,10 @@ def border_cycles(faces: Ids) -> list[Ids]:
     for start in rest:
         walk = [start]
         while rest[walk[-1]]:
-            step = rest[walk[-1]].pop()
-            rest[step].remove(walk[-1])
-            if step in walk:  # a cycle is closed; what led up to it goes on
-                at = walk.index(step)
-                cycles.append(np.array(walk[at:], dtype=np.int64))
-                walk = walk[:at]
-            walk.append(step)
-    return cycles
+            walk.append(rest[walk[-1]].pop())
+            rest[walk[-1]].remove(walk[-2])
+        cycles += _split(walk)[0]
+    return [np.array(cycle, dtype=np.int64) for cycle in cycles]
 
 
 class EdgeGraph:
@@ -133,7 +129,7 @@ def close_loop(graph: EdgeGraph, ids: Sequence[int], names: Ids) -> tuple[Ids, s
     if not len(diagram) or diagram.death[0] < 1.5 * diagram.birth[0]:
         raise ValueError(
             f"its vertices {names[widest[0]]} and {names[widest[-1]]} follow each other but are {len(widest) - 1} edges apart, "
-            "and whatever their order its vertices surround nothing; give those between them"
+            "and in no order do they surround anything; give those between them"
         )
     end = min(diagram.death[0], 2 * diagram.birth[0])  # halfway there is a tighter cycle than the one at birth
     tight = members[tighten(diagram, diagram.cycle(0), radius=(diagram.birth[0] + end) / 2)].tolist()
@@ -151,6 +147,12 @@ def _walk(paths: Sequence[Sequence[int]]) -> list[int]:
 
 def simple_cycles(walk: Sequence[int]) -> list[list[int]]:
     """Cut a closed walk where it returns to a vertex; what goes there and back over a bridge falls away."""
+    parts, path = _split(walk)
+    return [part for part in [*parts, path] if len(part) > 2]
+
+
+def _split(walk: Sequence[int]) -> tuple[list[list[int]], list[int]]:
+    """The simple cycles that a walk closes, in their order, and the path that is left."""
     parts: list[list[int]] = []
     path: list[int] = []
     for vertex in walk:
@@ -159,11 +161,11 @@ def simple_cycles(walk: Sequence[int]) -> list[list[int]]:
             parts.append(path[start:])
             path = path[:start]
         path.append(vertex)
-    return [part for part in [*parts, path] if len(part) > 2]
+    return parts, path
 
 
 def as_ids(values: object, name: str, n_vertices: int) -> Ids:
-    """Return vertex ids as int64, or raise TypeError or ValueError that names the first that is none."""
+    """Vertex ids as int64; a TypeError or ValueError names the first that is none."""
     ids = np.asarray(values)
     if not np.issubdtype(ids.dtype, np.integer):
         raise TypeError(f"{name} must hold whole numbers (vertex ids), not {ids.dtype}")

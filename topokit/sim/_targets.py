@@ -79,17 +79,14 @@ class Hook(Target):
 
     @property
     def seat(self) -> Array:
-        """(3,) the middle of the arm's axis."""
         return np.array([0, self.distance - self.reach / 2, self.height])
 
     @property
     def rods(self) -> list[Rod]:
-        """Pole, arm and tip."""
         return _tube(self.centre_line, self.radius)
 
     @property
     def lowest(self) -> float:
-        """The arm's axis."""
         return self.height
 
 
@@ -122,7 +119,6 @@ class Hanger(Target):
 
     @property
     def seat(self) -> Array:
-        """(3,) the middle of the near arm's axis."""
         return np.array([0, self.distance - self.width / 4, self.height - self.drop / 2])
 
     @property
@@ -133,7 +129,6 @@ class Hanger(Target):
 
     @property
     def lowest(self) -> float:
-        """The ends of the arms."""
         return self.height - self.drop
 
     def holds(self, loop: ArrayLike) -> bool:
@@ -206,12 +201,10 @@ class Mannequin(Target):
 
     @property
     def lowest(self) -> float:
-        """The hips."""
         return self.shoulder_height - self.torso_length
 
     @property
     def rods(self) -> list[Rod]:
-        """Head, neck, stand and spine; on either side a shoulder and a flank."""
         foot, hips, neck, top = self.centre_line
         ball, low = np.array([0, 0, self.head_radius]), neck - [0, 0, _SHOULDER * self.depth]
         radius = self.depth / 2

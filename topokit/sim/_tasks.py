@@ -30,10 +30,8 @@ class Task:
     garment: Callable[[], Garment]  #: makes the garment
     target: Target  #: what it is hung on
     plan: Planner  #: draws the path; all its randomness comes from the generator
-    loops: tuple[int, ...] = (
-        0,
-    )  #: numbers of the true loops that must be on the target: one of them, or each where `every`
-    every: bool = False  #: whether it takes each of them
+    loops: tuple[int, ...] = (0,)  #: numbers of the true loops of which one at least must be on the target
+    every: bool = False  #: whether each of them must be
 
     def hangs(self, points: ArrayLike, loops: Sequence[ArrayLike], target: Target | None = None) -> bool:
         """Whether the loops that must be are on the target, and the garment has not slid down around it.
@@ -57,7 +55,7 @@ class Task:
 def hang_by_strap(
     garment: Garment, target: Target, rng: np.random.Generator, *, opening: float = 1.0, rest: float = 1.05
 ) -> GripperPath:
-    """Carry the first true loop over the upturned tip of a hook or a hanger, so that the arm comes into it, and lower it.
+    """Carry the first true loop over the upturned tip of a hook or a hanger, and lower it onto the arm.
 
     An `opening` above 1 turns straps at either side of a bag to face the arm; `rest` seconds lie between release and end.
     """

@@ -42,10 +42,10 @@ def numbered(kind: str, number: int, name: str) -> str:
     return kind if number == 1 else f"{kind}{number}"
 
 
-def demand(holds: bool, otherwise: str, spacing: float) -> None:
+def demand(holds: bool, otherwise: str) -> None:
     """Raise ValueError unless sizes fit each other."""
     if not holds:
-        raise ValueError(f"{otherwise} (metres, at a spacing of {spacing})")
+        raise ValueError(f"{otherwise} (metres)")
 
 
 def apron(
@@ -76,11 +76,10 @@ def apron(
     """
     sizes = check_sizes(locals(), without=("waist_strap_length", "waist_strap_width") if loops == 1 else ())
     name = numbered("apron", loops, "loops")
-    demand(bib_width <= body_width, f"bib_width {bib_width} must not exceed body_width {body_width}", spacing)
+    demand(bib_width <= body_width, f"bib_width {bib_width} must not exceed body_width {body_width}")
     demand(
         bib_width >= 2 * strap_width + 3 * spacing,
-        f"bib_width {bib_width} leaves no opening between straps of strap_width {strap_width}",
-        spacing,
+        f"bib_width {bib_width} is too narrow for straps of strap_width {strap_width}",
     )
     arch = Arch.of_length(bib_width - strap_width, strap_length)
     outer, opening, middle = arch.strap(strap_width, spacing, strap_length)
@@ -93,8 +92,7 @@ def apron(
     if loops == 2:
         demand(
             waist_strap_width + spacing <= body_height,
-            f"waist_strap_width {waist_strap_width} leaves nothing of body_height {body_height} below it",
-            spacing,
+            f"waist_strap_width {waist_strap_width} is too wide for body_height {body_height}",
         )
         side = polyline((half_body, hem), (half_body, waist - waist_strap_width), (half_body, waist))
     left = [mirror(line) for line in [armhole, *side[::-1]]]
@@ -138,15 +136,13 @@ def shirt(
     sizes = check_sizes(locals())
     half, neck, angle = width / 2, neck_width / 2, np.radians(sleeve_angle)
     along, across = np.array([np.cos(angle), -np.sin(angle)]), np.array([-np.sin(angle), -np.cos(angle)])
-    demand(neck + spacing <= half, f"neck_width {2 * neck} must be less than the width {2 * half}", spacing)
+    demand(neck + spacing <= half, f"neck_width {2 * neck} must be less than the width {2 * half}")
     top = np.array([neck, 0]) + ((half - neck) / along[0] + sleeve_length) * along
     low = top + sleeve_width * across
     underarm = low - (low[0] - half) / along[0] * along
     demand(
         low[0] - half >= spacing and -length + spacing <= underarm[1],
-        f"sleeve_length {sleeve_length} is too short, or sleeve_width {sleeve_width} too wide for the length "
-        f"{length}, at a sleeve_angle of {sleeve_angle} degrees",
-        spacing,
+        f"sleeve_length {sleeve_length} is too short or sleeve_width {sleeve_width} too wide for length {length}, so turned",
     )
     right = polyline((half, -length), (half, underarm[1]), low, top, (neck, 0))
     return ("shirt", *_tunic(sizes, right, (0, 1, 3), neck + 0.5 * (half - neck)), sizes)
@@ -175,15 +171,10 @@ def vest(
     sizes = check_sizes(locals())
     half, neck = width / 2, neck_width / 2
     tip = np.array([neck + shoulder_width, -0.25 * shoulder_width])
-    demand(
-        tip[0] <= half,
-        f"width {width} is too narrow for two shoulders of shoulder_width {shoulder_width} beside the neck",
-        spacing,
-    )
+    demand(tip[0] <= half, f"width {width} is too narrow for the neck and two times shoulder_width {shoulder_width}")
     demand(
         armhole_depth + spacing <= length and -armhole_depth < tip[1] - 2 * spacing,
-        f"armhole_depth {armhole_depth} must be more than the shoulder's drop and less than the length {length}",
-        spacing,
+        f"armhole_depth {armhole_depth} must lie between the shoulder's drop and length {length}",
     )
     bend = np.pi / 2 * np.linspace(0, 1, 181)
     across, down = half - (half - tip[0]) * np.sin(bend), (tip[1] + armhole_depth) * (1 - np.cos(bend))
@@ -240,7 +231,6 @@ def mask(
     demand(
         strap_span - strap_width >= 2 * spacing and strap_span + strap_width + spacing <= width,
         f"strap_span {strap_span} must leave an opening inside straps of strap_width {strap_width} and fit the width {width}",
-        spacing,
     )
     arch = Arch.of_length(strap_span, strap_length)
     outer, hole, middle = arch.strap(strap_width, spacing, strap_length)
@@ -284,10 +274,10 @@ def sheet(
     half, low, room = width / 2, -height, hole_radius + spacing
     places = [0.0] if holes == 1 else [-hole_distance / 2, hole_distance / 2]
     of = f"of hole_radius {hole_radius}"
-    demand(hole_radius >= 1.2 * spacing, f"hole_radius {hole_radius} is too small for the spacing", spacing)
-    demand(room <= hole_drop <= height - room, f"hole_drop {hole_drop} puts a hole {of} over the border", spacing)
-    demand(places[-1] + room <= half, f"width {width} has no room for holes {of} at {places}", spacing)
-    demand(holes == 1 or places[-1] >= room, f"hole_distance {2 * places[-1]} makes holes {of} meet", spacing)
+    demand(hole_radius >= 1.2 * spacing, f"hole_radius {hole_radius} is too small for the spacing")
+    demand(room <= hole_drop <= height - room, f"hole_drop {hole_drop} puts a hole {of} over the border")
+    demand(places[-1] + room <= half, f"width {width} has no room for holes {of} at {places}")
+    demand(holes == 1 or places[-1] >= room, f"hole_distance {2 * places[-1]} makes holes {of} meet")
     angle = np.linspace(0, 2 * np.pi, 361)
     x, z = hole_radius * np.cos(angle), -hole_drop + hole_radius * np.sin(angle)
     rings = [[np.column_stack([place + x, z])] for place in places]

@@ -1,4 +1,4 @@
-"""One PyBullet world, a cloth, two grippers that hold it, rods to hang it on, a floor, and its numbers, recorded with episodes."""
+"""One PyBullet world: a cloth, two grippers that hold it, rods to hang it on, a floor; and its numbers, recorded with episodes."""
 
 from __future__ import annotations
 
