@@ -16,7 +16,8 @@ from pydantic import BeforeValidator, Field
 
 from topokit._config import Count, NotNegative, Positive, checked
 
-Array = NDArray[np.float64]
+from ._surface import Array
+
 Mask = NDArray[np.bool_]
 
 
@@ -37,16 +38,8 @@ class DepthNoise:
     lateral: NotNegative = 0.8  #: standard deviation, in pixels, of the place a pixel reads: outlines become ragged
     dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of pixels that are lost, each by itself
 
-    def apply(self, depth: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Mask]:
-        """Return a noisy copy of a depth image and of the cloth's mask.
-
-        Parameters
-        ----------
-        depth : (h, w) float64
-            Metres.
-        mask : (h, w) bool
-        rng : numpy.random.Generator
-        """
+    def _spoil(self, depth: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Mask]:
+        """A noisy copy of a depth image (h, w) in metres and of the cloth's mask (h, w)."""
         rows, columns = np.indices(depth.shape)
         shift = np.rint(self.lateral * rng.standard_normal((2, *depth.shape))).astype(np.int64)
         rows = np.clip(rows + shift[0], 0, depth.shape[0] - 1)
@@ -76,9 +69,7 @@ class Camera:
         forward = np.subtract(self.target, self.eye)
         scale = float(np.linalg.norm(forward) * np.linalg.norm(self.up))
         if np.linalg.norm(np.cross(forward, self.up)) <= 1e-9 * scale:
-            raise ValueError(
-                f"the camera at {self.eye} must look at another place than itself, and not along up {self.up}"
-            )
+            raise ValueError(f"the camera at {self.eye} must look at another place than itself, not along up {self.up}")
 
     @property
     def axes(self) -> Array:
@@ -125,16 +116,17 @@ class Camera:
         for name, image in (("depth", metres), ("mask", chosen)):
             if image.shape != (self.height, self.width):
                 raise ValueError(f"{name} must be of shape {(self.height, self.width)}, not {image.shape}")
-        rows, columns = np.nonzero(chosen)
-        z = metres[rows, columns]
-        if not np.isfinite(z).all():
-            bad = int(np.argmin(np.isfinite(z)))
-            raise ValueError(f"pixel ({rows[bad]}, {columns[bad]}) of the mask sees nothing: its depth is {z[bad]}")
+        rows, columns = np.nonzero(chosen & np.isfinite(metres))
+        if len(rows) < chosen.sum():
+            row, column = np.argwhere(chosen & ~np.isfinite(metres))[0]
+            raise ValueError(f"pixel ({row}, {column}) of the mask sees nothing: its depth is {metres[row, column]}")
         # PyBullet's TinyRenderer samples a pixel at its left edge and its lower edge, not at its middle.
         half = np.tan(np.radians(self.fov) / 2)
         x = (2 * columns / self.width - 1) * half * self.width / self.height
         y = (1 - 2 * (rows + 1) / self.height) * half
-        return np.asarray(self.eye + (np.column_stack([x, y, np.ones(len(x))]) * z[:, None]) @ self.axes)
+        return np.asarray(
+            self.eye + (np.column_stack([x, y, np.ones(len(x))]) * metres[rows, columns][:, None]) @ self.axes
+        )
 
 
 def cameras_around(

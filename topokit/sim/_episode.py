@@ -30,11 +30,11 @@ from ._camera import Camera
 from ._garments import Garment
 from ._process import Forge, SimulationError
 from ._randomise import Randomisation, generator
+from ._surface import Array
 from ._targets import Hook, Rod, Target
 from ._tasks import Task, task_for, task_named
 from ._world import SimulationConfig, World, observe
 
-Array = NDArray[np.float64]
 Report = Callable[[int], None]
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
@@ -70,12 +70,12 @@ def simulate(
     cameras : sequence of Camera, optional
         What the observer has. Without any it sees all sides: farthest-point samples of the vertices.
     n_observed : int, optional
-        Points of the observation in each frame; at most the garment's vertices, unless cameras see more. 500 when not
-        given, or all vertices of a garment that has fewer.
+        Points of the observation in each frame: 500, or all vertices of a garment that has fewer, when not given. Without
+        cameras it may not exceed them.
     time_limit : float, optional
         The simulation runs in a fresh process, which is stopped when loading, settling or a frame takes longer than so
         many seconds; then the same call gives the same bytes anywhere in a program. None: in this process, without a
-        limit, for those who keep processes themselves; repeatable bit by bit only as the first simulation of a process.
+        limit, repeatable bit by bit only as the first simulation of a process.
     progress : bool
         Write the share done to stderr.
 
@@ -273,13 +273,8 @@ class StretchCheck:
         stretch = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / self._rest
         most, worst = float(np.percentile(stretch, 99)), int(np.argmax(stretch))
         edge = f"{self._edges[worst].tolist()}, {stretch[worst]:.2f} times its length"
-        if most > self._config.max_stretch:
-            raise SimulationError(
-                f"{where}: one edge in a hundred is stretched beyond {most:.2f} times its length "
-                f"(max_stretch is {self._config.max_stretch:g}), most of all {edge}"
-            )
-        if stretch[worst] > self._config.max_edge_stretch:
-            raise SimulationError(
-                f"{where}: one edge is over-stretched (max_edge_stretch is {self._config.max_edge_stretch:g}): {edge}"
-            )
+        for name, value in (("max_stretch", most), ("max_edge_stretch", stretch[worst])):
+            limit = getattr(self._config, name)
+            if value > limit:
+                raise SimulationError(f"{where}: stretched {value:.2f} times ({name} is {limit:g}), most {edge}")
         return most, float(stretch[worst])

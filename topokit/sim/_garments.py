@@ -12,15 +12,12 @@ from dataclasses import dataclass, field
 from typing import Any, ParamSpec
 
 import numpy as np
-from numpy.typing import NDArray
 
 from topokit._validate import as_points
 
 from . import _bags, _mesh, _wardrobe
-from ._surface import as_ids, check_loop, check_mesh, half_edges
+from ._surface import Array, Ids, as_ids, check_loop, check_mesh, half_edges
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 Sizes = ParamSpec("Sizes")
 
 
@@ -57,9 +54,7 @@ class Garment:
             raise ValueError(f"vertices must be an (N, 3) array, not of shape {vertices.shape}")
         faces = as_ids(self.faces, "faces", len(vertices))
         if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-            raise ValueError(
-                f"faces must be an (F, 3) array of vertex ids with at least one row, not of shape {faces.shape}"
-            )
+            raise ValueError(f"faces must be vertex ids (F, 3), one row at least, not of shape {faces.shape}")
         grips = as_ids(self.grips, "grips", len(vertices))
         if grips.shape != (2,) or grips[0] == grips[1]:
             raise ValueError(f"grips must be two different vertex ids, not {grips.tolist()}")

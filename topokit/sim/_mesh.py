@@ -11,17 +11,15 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from topokit._curves import side_lengths
 from topokit._validate import positive
 
 from ._read import read_mesh
-from ._surface import EdgeGraph, as_ids, border_cycles, close_loop, components, half_edges, joined, wind
+from ._surface import Array, EdgeGraph, Ids, as_ids, border_cycles, close_loop, components, half_edges, joined, wind
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
 _METRES = (0.15, 2.5)  # largest extent of a garment in metres
@@ -37,7 +35,6 @@ def from_mesh(
     scale: float | None = None,
     up: Literal["y", "z"] | None = None,
     weld: float | None = None,
-    name: str | None = None,
     max_vertices: int = 3000,
 ) -> tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float], tuple[str, ...]]:
     """Return the garment of an OBJ, PLY or STL file as it comes; what had to be repaired is in `repairs` and logged.
@@ -53,24 +50,21 @@ def from_mesh(
         Of all objects and groups of an OBJ file the garment is made.
     loops : sequence of sequences of int, or "borders"
         Vertex ids of the true loops as the file numbers them, counted from 0 (in an STL file, corner k of triangle i is
-        3 i + k). In order they need not name every vertex: gaps of up to four edges are closed along the mesh. Given
-        in no order, the cycle they lie around is found by persistence. With "borders", every border of the mesh,
-        the longest first; of m borders of a garment without handles m - 1 are independent.
+        3 i + k). Gaps of up to four edges are closed along the mesh; given in no order, the cycle they lie around is found
+        by persistence. With "borders", every border of the mesh, the longest first.
     grips : (2,) int, optional
         Vertex ids as the file numbers them; two near the top when not given, to the left and to the right.
     size : float, optional
         Largest extent that the garment shall have, metres.
     scale : float, optional
-        Metres in one unit of the file. When neither is given: metres if the garment's largest extent is then 0.15 to
-        2.5, else millimetres or centimetres if they make it so, else it is made 1 m.
+        Metres in one unit of the file. When neither is given: metres, millimetres or centimetres, the first that make
+        the largest extent 0.15 to 2.5 m; else it is made 1 m.
     up : {"y", "z"}, optional
         The axis that points up; y is turned to z. When not given, y if the grips lie higher above the middle that way,
         without grips if the garment is much longer along y; else z.
     weld : float, optional
         Distance within which vertices are one, in the file's units; 1e-5 of the diagonal or 0.01 of the usual edge, if
         that is less, when not given.
-    name : str, optional
-        The file's name when not given.
     max_vertices : int
         More of them are refused.
 
@@ -94,9 +88,7 @@ def from_mesh(
         given, held = _asked(loops, grips, len(vertices))
         faces, vertex_of, names = _repaired(vertices, polygons, weld, said)
         if len(names) > max_vertices:
-            raise ValueError(
-                f"{len(names)} vertices after repair; more than {max_vertices}: decimate it or raise max_vertices"
-            )
+            raise ValueError(f"{len(names)} vertices after repair; more than {max_vertices}; decimate the mesh")
         new = np.full(len(vertices), -1)
         new[names] = np.arange(len(names))
         carried = [_carry(loop, new[vertex_of], f"loops[{i}]") for i, loop in enumerate(given)]
@@ -110,7 +102,7 @@ def from_mesh(
         raise (TypeError if isinstance(error, TypeError) else ValueError)(f"{path}: {error}") from error
     for repair in said:
         _log.warning("%s: %s", path, repair)
-    return Path(path).stem if name is None else name, placed, faces, cycles, ends, {"scale": factor}, tuple(said)
+    return Path(path).stem, placed, faces, cycles, ends, {"scale": factor}, tuple(said)
 
 
 def _asked(loops: Sequence[ArrayLike] | str, grips: ArrayLike | None, n_vertices: int) -> tuple[list[Ids], Ids | None]:
@@ -211,8 +203,7 @@ def _one_component(vertices: Array, faces: Ids, said: list[str]) -> Ids:
         one, other = (np.unique(faces[which == part]) for part in largest[:2])
         gap = cKDTree(vertices[one]).query(vertices[other])[0].min()
         raise ValueError(
-            f"{parts} components that no edge joins, of {shares} of the surface; keep one of them, or join them by a weld of "
-            f"more than {gap:.2g} (what parts the two largest, in the file's units)"
+            f"{parts} components that no edge joins, of {shares} of the surface: keep one, or weld more than {gap:.2g}"
         )
     lost = f"{100 * (1 - share.max()):.1f} % of the surface"
     said.append(f"{parts - 1} smaller components, {lost}, were dropped: a cloth is one piece")
@@ -226,7 +217,7 @@ def _say_short(vertices: Array, faces: Ids, names: Ids, said: list[str]) -> None
     if length.min() < 0.05 * np.median(length):
         a, b = names[edges[np.argmin(length)]]
         said.append(
-            f"vertices {a} and {b} are {length.min():.2g} m apart, so thin is the cloth to collisions; weld them"
+            f"vertices {a} and {b} are only {length.min():.2g} m apart, so thin is the cloth to collisions; weld them"
         )
 
 
@@ -257,9 +248,7 @@ def _scaled(vertices: Array, size: float | None, scale: float | None, said: list
         scale = size / largest
     elif scale is None:
         low, high = _METRES
-        scale, unit = next(
-            ((f, unit) for f, unit in _UNITS if low <= f * largest <= high), (1 / largest, "a unit of its own")
-        )
+        scale, unit = next(((f, unit) for f, unit in _UNITS if low <= f * largest <= high), (1 / largest, "no unit"))
         if unit != "metres":
             said.append(
                 f"its largest extent, {largest:.4g}, was taken for {unit}: {scale * largest:.3g} m; give size or scale"

@@ -17,10 +17,7 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay, cKDTree
 
-from ._surface import half_edges, joined, strangers, wind
-
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
+from ._surface import Array, Ids, half_edges, joined, strangers, wind
 
 
 @dataclass(frozen=True)
@@ -87,8 +84,7 @@ class Arch:
         narrowest = min(self.half_span**2 / self.height, self.height**2 / self.half_span)  # radius of curvature
         if width / 2 >= narrowest:
             raise ValueError(
-                f"a strap of width {width} is too wide to bend over a span of {2 * self.half_span:.3f} at a length of {length}; "
-                f"its width must be less than {2 * narrowest:.3f}"
+                f"a strap so long ({length}) and bent must be less wide than {2 * narrowest:.3f}, not {width}"
             )
         share = np.linspace(0, 1, 181)
         outer, inner = self.points(share, width / 2), self.points(share, -width / 2)
@@ -131,10 +127,7 @@ def cut(
     lost = next((pair for border in borders for pair in strangers(border, edges)), None)
     if lost is not None:
         x, z = flat[lost[0]]
-        raise ValueError(
-            f"spacing {spacing} is too coarse for this pattern: its border is lost near x = {x:.3f}, z = {z:.3f} m; "
-            "use a smaller spacing or a wider cut"
-        )
+        raise ValueError(f"spacing {spacing} is too coarse: the border is lost near x = {x:.3f}, z = {z:.3f} m")
     starts = np.cumsum([0, *(count_steps(line, spacing) for line in outline)])
     around = np.append(borders[0], borders[0][:1])
     sides = tuple(around[a : b + 1] for a, b in itertools.pairwise(starts))

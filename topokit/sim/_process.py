@@ -171,11 +171,15 @@ def serve(function: str, *needs: str) -> None:
 
 def _fork(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> str | None:
     """Do a job in a fork, and end it when our owner is gone; say how it ended when it gave no answer."""
+    import resource  # there is none on Windows
+
     alive, held = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(0)
-        _limit(call["time_limit"])
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # no file of the memory at a crash
+        if math.isfinite(call["time_limit"]):
+            resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(call["time_limit"]), math.ceil(call["time_limit"]) + 1))
         _perform(work, call, answers)
         os._exit(0)
     os.close(held)
@@ -187,15 +191,6 @@ def _fork(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> s
     if code == -signal.SIGXCPU:
         return f"stopped after {call['time_limit']:g} s of processor time"
     return _fate(code, os.pread(2, os.fstat(2).st_size, 0).decode(errors="replace")) if code else None
-
-
-def _limit(seconds: float) -> None:
-    """No file of the memory at a crash, and so much processor time."""
-    import resource  # there is none on Windows
-
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    if math.isfinite(seconds):
-        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(seconds), math.ceil(seconds) + 1))
 
 
 def _perform(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> None:

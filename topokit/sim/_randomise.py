@@ -36,17 +36,12 @@ NotNegativeRange = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_or
 
 def generator(seed: int, purpose: str) -> np.random.Generator:
     """Return the random generator of an episode for one purpose; the purposes are independent of each other."""
-    if purpose not in PURPOSES:
-        raise ValueError(f"purpose must be one of {', '.join(PURPOSES)}, not {purpose!r}")
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(PURPOSES.index(purpose),)))
 
 
 @checked
 class Randomisation:
-    """Ranges (low, high) from which every episode draws its own physics, size and cameras. None leaves a number as it is.
-
-    The first five are those of `SimulationConfig`, in its units.
-    """
+    """Ranges (low, high) from which every episode draws its physics, size and cameras; None leaves a number as it is."""
 
     stiffness: PositiveRange | None = (0.6, 1.0)  #: (2,)
     bending: PositiveRange | None = (0.0001, 0.003)  #: (2,) drawn on a logarithmic scale

@@ -13,14 +13,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from topokit._archive import FormatError
 
-from ._surface import as_ids
+from ._surface import Array, as_ids
 
-Array = NDArray[np.float64]
 Polygons = list[list[int]]
+Properties = list[tuple[str, list[str]]]  # names, and one type or the two of a list
 _PLY_CODES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 _PLY_TYPES = dict(zip(("char", "uchar", "short", "ushort", "int", "uint", "float", "double"), _PLY_CODES, strict=True))
 _PLY_TYPES |= {np.dtype(code).name: code for code in _PLY_CODES}
@@ -70,9 +69,7 @@ def _obj(data: bytes) -> tuple[Array, Polygons]:
             what = "three coordinates" if words[0] == "v" else "vertex numbers"
             raise ValueError(f"line {number} should hold {what}: {line.strip()[:60]!r}") from error
         if len(corners) < 3 or 0 in corners:
-            raise ValueError(
-                f"line {number} is no face of three corners or more, numbered from 1: {line.strip()[:60]!r}"
-            )
+            raise ValueError(f"line {number} is no face of three corners, numbered from 1: {line.strip()[:60]!r}")
         polygons.append([corner - 1 if corner > 0 else len(vertices) + corner for corner in corners])
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons
 
@@ -91,7 +88,7 @@ def _stl(data: bytes) -> tuple[Array, Polygons]:
         corners = np.array(rows, dtype=np.float64).reshape(-1, 3)
     else:
         raise ValueError(
-            f"neither ASCII STL nor whole binary STL: {len(data)} bytes, and its header counts {count} triangles"
+            f"neither ASCII STL nor whole binary STL: {len(data)} bytes, its header counts {count} triangles"
         )
     return corners.astype(np.float64), np.arange(len(corners)).reshape(-1, 3).tolist()
 
@@ -121,9 +118,9 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
     return vertices, [polygon.astype(np.int64).tolist() for polygon in lists]
 
 
-def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, list[tuple[str, list[str]]]]]:
+def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
     """Name, number of rows and properties of each element; a property is its name and its types, two for a list."""
-    elements: list[tuple[str, int, list[tuple[str, list[str]]]]] = []
+    elements: list[tuple[str, int, Properties]] = []
     line: list[str] = []
     try:
         for line in header:
@@ -137,9 +134,7 @@ def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, list[tuple[st
     return elements
 
 
-def _ply_rows(
-    take: Callable[..., Array], name: str, count: int, properties: list[tuple[str, list[str]]]
-) -> list[dict[str, Array]]:
+def _ply_rows(take: Callable[..., Array], name: str, count: int, properties: Properties) -> list[dict[str, Array]]:
     try:
         return [{key: take(*types) for key, types in properties} for _ in range(count)]
     except ValueError as error:

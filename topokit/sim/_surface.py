@@ -128,8 +128,7 @@ def close_loop(graph: EdgeGraph, ids: Sequence[int], names: Ids) -> tuple[Ids, s
     diagram = rips_persistence(graph.distances(members), metric="precomputed")
     if not len(diagram) or diagram.death[0] < 1.5 * diagram.birth[0]:
         raise ValueError(
-            f"its vertices {names[widest[0]]} and {names[widest[-1]]} follow each other but are {len(widest) - 1} edges apart, "
-            "and in no order do they surround anything; give those between them"
+            f"its vertices {names[widest[0]]} and {names[widest[-1]]} follow each other but are {len(widest) - 1} edges apart"
         )
     end = min(diagram.death[0], 2 * diagram.birth[0])  # halfway there is a tighter cycle than the one at birth
     tight = members[tighten(diagram, diagram.cycle(0), radius=(diagram.birth[0] + end) / 2)].tolist()
@@ -201,6 +200,4 @@ def check_loop(loop: Ids, edges: Ids, name: str) -> None:
     apart = strangers(loop, edges)
     if apart:
         a, b = apart[0]
-        raise ValueError(
-            f"{name} is not a closed cycle of the mesh: vertices {a} and {b} follow each other but share no edge"
-        )
+        raise ValueError(f"{name} is not a closed cycle of the mesh: no edge joins vertices {a} and {b}")

@@ -13,13 +13,14 @@ from dataclasses import field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from topokit._config import Positive, checked
 from topokit._validate import as_points
 from topokit.linking import close_far, linking_number
 
-Array = NDArray[np.float64]
+from ._surface import Array
+
 Rod = tuple[Array, Array, float]  # a capsule: start, end, radius
 _SHOULDER = 0.3  # radius of the shoulders as a share of the depth of the chest
 

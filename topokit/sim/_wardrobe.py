@@ -8,15 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from topokit._validate import positive
 
 from ._pattern import Arch, Band, cut, inflate, mirror, polyline, ring, sew
-from ._surface import EdgeGraph, half_edges
+from ._surface import Array, EdgeGraph, Ids, half_edges
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 Fields = tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float]]
 THIRDS = np.array([1 / 3, 2 / 3])
 
@@ -63,10 +60,9 @@ def apron(
 ) -> Fields:
     """Return an apron with one loop, its neck strap, or with two.
 
-    It hangs in the plane y = 0 with the top of its bib at z = 0. The strap is three vertices wide at the default spacing
-    and runs from one top corner of the bib to the other; the true loop is the border of the neck opening. With `loops=2` a
-    second strap closes behind the waist (towards +y), and the second true loop runs along its upper border and across the
-    apron. The grips are on the neck strap, at a third of its length from either end.
+    It hangs in the plane y = 0 with the top of its bib at z = 0. The true loop is the border of the neck opening. With
+    `loops=2` a second strap closes behind the waist (towards +y), and the second true loop runs along its upper border and
+    across the apron. The grips are on the neck strap, at a third of its length from either end.
 
     Parameters
     ----------
@@ -77,10 +73,8 @@ def apron(
     sizes = check_sizes(locals(), without=("waist_strap_length", "waist_strap_width") if loops == 1 else ())
     name = numbered("apron", loops, "loops")
     demand(bib_width <= body_width, f"bib_width {bib_width} must not exceed body_width {body_width}")
-    demand(
-        bib_width >= 2 * strap_width + 3 * spacing,
-        f"bib_width {bib_width} is too narrow for straps of strap_width {strap_width}",
-    )
+    opens = bib_width >= 2 * strap_width + 3 * spacing
+    demand(opens, f"bib_width {bib_width} is too narrow for straps of strap_width {strap_width}")
     arch = Arch.of_length(bib_width - strap_width, strap_length)
     outer, opening, middle = arch.strap(strap_width, spacing, strap_length)
     half_body, half_bib = body_width / 2, bib_width / 2
@@ -90,10 +84,8 @@ def apron(
     armhole = np.column_stack([half_body - (half_body - half_bib) * np.sin(angle), waist * np.cos(angle)])
     side = polyline((half_body, hem), (half_body, waist))
     if loops == 2:
-        demand(
-            waist_strap_width + spacing <= body_height,
-            f"waist_strap_width {waist_strap_width} is too wide for body_height {body_height}",
-        )
+        fits = waist_strap_width + spacing <= body_height
+        demand(fits, f"waist_strap_width {waist_strap_width} is too wide for body_height {body_height}")
         side = polyline((half_body, hem), (half_body, waist - waist_strap_width), (half_body, waist))
     left = [mirror(line) for line in [armhole, *side[::-1]]]
     outline = [*side, armhole, outer, *left, *polyline((-half_body, hem), (half_body, hem))]
@@ -140,10 +132,8 @@ def shirt(
     top = np.array([neck, 0]) + ((half - neck) / along[0] + sleeve_length) * along
     low = top + sleeve_width * across
     underarm = low - (low[0] - half) / along[0] * along
-    demand(
-        low[0] - half >= spacing and -length + spacing <= underarm[1],
-        f"sleeve_length {sleeve_length} is too short or sleeve_width {sleeve_width} too wide for length {length}, so turned",
-    )
+    fits = low[0] - half >= spacing and -length + spacing <= underarm[1]
+    demand(fits, f"sleeve_length {sleeve_length} is too short or sleeve_width {sleeve_width} too wide")
     right = polyline((half, -length), (half, underarm[1]), low, top, (neck, 0))
     return ("shirt", *_tunic(sizes, right, (0, 1, 3), neck + 0.5 * (half - neck)), sizes)
 
@@ -172,10 +162,8 @@ def vest(
     half, neck = width / 2, neck_width / 2
     tip = np.array([neck + shoulder_width, -0.25 * shoulder_width])
     demand(tip[0] <= half, f"width {width} is too narrow for the neck and two times shoulder_width {shoulder_width}")
-    demand(
-        armhole_depth + spacing <= length and -armhole_depth < tip[1] - 2 * spacing,
-        f"armhole_depth {armhole_depth} must lie between the shoulder's drop and length {length}",
-    )
+    fits = armhole_depth + spacing <= length and -armhole_depth < tip[1] - 2 * spacing
+    demand(fits, f"armhole_depth {armhole_depth} must lie between the shoulder's drop and length {length}")
     bend = np.pi / 2 * np.linspace(0, 1, 181)
     across, down = half - (half - tip[0]) * np.sin(bend), (tip[1] + armhole_depth) * (1 - np.cos(bend))
     hole = np.column_stack([across, -armhole_depth + down])
@@ -228,10 +216,8 @@ def mask(
     """
     sizes = check_sizes(locals())
     half, low = width / 2, -height
-    demand(
-        strap_span - strap_width >= 2 * spacing and strap_span + strap_width + spacing <= width,
-        f"strap_span {strap_span} must leave an opening inside straps of strap_width {strap_width} and fit the width {width}",
-    )
+    fits = strap_span - strap_width >= 2 * spacing and strap_span + strap_width + spacing <= width
+    demand(fits, f"strap_span {strap_span} must leave room for straps of strap_width {strap_width} in width {width}")
     arch = Arch.of_length(strap_span, strap_length)
     outer, hole, middle = arch.strap(strap_width, spacing, strap_length)
     side = np.column_stack([half + bow * np.sin(np.pi * np.linspace(0, 1, 91)), np.linspace(low, 0, 91)])

@@ -1,4 +1,4 @@
-"""One PyBullet world: a cloth, two grippers that hold it, rods to hang it on, a floor; and its numbers, recorded with episodes."""
+"""One PyBullet world: a cloth, two grippers that hold it, rods to hang it on, a floor; and its numbers."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
 from ._garments import Garment
+from ._surface import Array
 
-Array = NDArray[np.float64]
 _GRAVITY = 9.8  # m/s^2
 Stretch = Annotated[float, Field(gt=1)]
 
@@ -96,7 +96,7 @@ def _silent() -> Iterator[None]:
             os.close(copy)
 
 
-class World:
+class World(contextlib.AbstractContextManager["World"]):
     """A PyBullet client with a garment in it; use it in a `with` block, which always disconnects.
 
     Parameters
@@ -131,9 +131,6 @@ class World:
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> World:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -268,7 +265,7 @@ def observe(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Gene
     for camera in cameras:
         depth, mask = world.image(camera)
         if camera.noise is not None:
-            depth, mask = camera.noise.apply(depth, mask, rng)
+            depth, mask = camera.noise._spoil(depth, mask, rng)
         views.append(camera.unproject(depth, mask))
     points = np.concatenate(views)
     if not len(points):
