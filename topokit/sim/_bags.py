@@ -133,7 +133,6 @@ def backpack(
 
 
 def _folded(vertices: Array, half: float, angle: float) -> Array:
-    """Turn what lies beyond x = +-half towards +y."""
     beyond = np.maximum(np.abs(vertices[:, 0]) - half, 0)
     x = np.sign(vertices[:, 0]) * (np.minimum(np.abs(vertices[:, 0]), half) + beyond * np.cos(angle))
     return np.column_stack([x, vertices[:, 1] + beyond * np.sin(angle), vertices[:, 2]])

@@ -57,8 +57,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     - `"sparse"`: nothing else;
     - `"dense"`: the metres by which the task's loop came nearer to the target's seat in this step;
     - `"topological"`: also the change of the share of the task's loops that are around the target, by linking number;
-    - `"topological-observed"`: the same for the longest-lived loops of the observed points, as many as the garment has, each
-      taken as its tight cycle: nothing is used that a robot would not have.
+    - `"topological-observed"`: the same for the longest-lived loops of the observed points, as many as the garment has.
 
     An episode **terminates** when the garment has been free for half a second and is at rest, with success if the task's
     loops are on the target (else it was dropped), and when it is torn: stretched too far. It is **truncated** after
@@ -174,7 +173,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return observation, reward, ends, not ends and self._steps >= self.max_steps, info
 
     def _advance(self, move: Array, release: bool) -> None:
-        """Simulate a frame in which the goals move by (2, 3) metres."""
         world = self._running()
         if self._released < 0 and release:
             world.release()

@@ -1,6 +1,6 @@
 """Record an episode: two grippers carry a garment to a target, hang it there and let go.
 
-Source: Antonova et al. 2021, section 6 (two anchors, a PD controller, randomised paths). Taught in chapters 0 and 7.
+Source: Antonova et al. 2021, section 6. Taught in chapters 0 and 7.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import topokit
 from topokit._validate import positive
 from topokit.io import FEWEST_FRAMES, Episode
 from topokit.sampling import farthest_point_sample
@@ -66,16 +65,15 @@ def simulate(
         Of everything random: path, physics, cameras and their noise each have a generator of their own.
     config : SimulationConfig, optional
     randomisation : Randomisation, optional
-        Ranges from which this episode draws its physics, size and cameras; nothing varies but the path when not given.
+        Without it nothing varies but the path.
     cameras : sequence of Camera, optional
         What the observer has. Without any it sees all sides: farthest-point samples of the vertices.
     n_observed : int, optional
         Points of the observation in each frame: 500, or all vertices of a garment that has fewer, when not given. Without
         cameras it may not exceed them.
     time_limit : float, optional
-        The simulation runs in a fresh process, which is stopped when loading, settling or a frame takes longer than so
-        many seconds; then the same call gives the same bytes anywhere in a program. None: in this process, without a
-        limit, repeatable bit by bit only as the first simulation of a process.
+        Seconds for loading, settling and each frame in a fresh process; the same call then gives the same bytes anywhere
+        in a program. None: in this process, repeatable bit by bit only as its first simulation.
     progress : bool
         Write the share done to stderr.
 
@@ -121,7 +119,6 @@ def simulate(
 def _episode(
     run: Run, recording: Recording, task: Task, target: Target, seed: int, randomisation: dict[str, Any] | None
 ) -> Episode:
-    """What was recorded, with its truth and its parameters."""
     garment, config, points = run.garment, run.config, recording.points
     held = np.arange(len(points)) * config.steps_per_frame < run.release
     hangs = not held[-1] and _at_rest(points, config) and task.hangs(points[-1], garment.loops, target)
@@ -152,11 +149,7 @@ def _episode(
         dt=config.frame_time,
         observation={"kind": "cameras" if views else "vertices", "cameras": views},
         physics=physics,
-        provenance={
-            "topokit": topokit.__version__,
-            "pybullet": metadata.version("pybullet"),
-            "machine": platform.machine(),
-        },
+        provenance={**{name: _version(name) for name in ("topokit", "pybullet")}, "machine": platform.machine()},
     )
 
 
@@ -165,6 +158,13 @@ def _at_rest(points: NDArray[np.float32], config: SimulationConfig) -> bool:
     if len(points) < 2:
         return False
     return float(np.linalg.norm(points[-1] - points[-2], axis=1).mean()) / config.frame_time < AT_REST
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:  # run from a source tree that is not installed
+        return "0+unknown"
 
 
 def _show(frames: int, frame: int) -> None:
@@ -188,8 +188,6 @@ class Run:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recording:
-    """The frames of a run."""
-
     points: NDArray[np.float32]  # (T, N, 3)
     grippers: NDArray[np.float32]  # (T, 2, 3)
     observed: NDArray[np.float32]  # (T, M, 3), and M is 0 without cameras

@@ -1,7 +1,4 @@
-"""Make a cloth of a mesh as it comes: welded, in one piece, in metres, with the ids of its file carried along.
-
-What is safe is repaired and said in words; what would change the garment is refused.
-"""
+"""Make a cloth of a mesh as it comes: what is safe is repaired and said in words, what would change it is refused."""
 
 from __future__ import annotations
 
@@ -39,10 +36,8 @@ def from_mesh(
 ) -> tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float], tuple[str, ...]]:
     """Return the garment of an OBJ, PLY or STL file as it comes; what had to be repaired is in `repairs` and logged.
 
-    Welded are vertices at one place (UV seams, STL corners). Dropped are vertices in no face, faces without three
-    different vertices, faces that lie on another one, and small separate components (what touches at a vertex only is
-    separate). Polygons are cut into triangles and faces turned to agree with their neighbours. Edges in more than two
-    faces are kept: cloth may be sewn so.
+    Vertices at one place are welded; vertices in no face, faces without three different vertices or on another one, and
+    small components are dropped; polygons are cut into triangles, and faces turned to agree with their neighbours.
 
     Parameters
     ----------
@@ -60,11 +55,9 @@ def from_mesh(
         Metres in one unit of the file. When neither is given: metres, millimetres or centimetres, the first that make
         the largest extent 0.15 to 2.5 m; else it is made 1 m.
     up : {"y", "z"}, optional
-        The axis that points up; y is turned to z. When not given, y if the grips lie higher above the middle that way,
-        without grips if the garment is much longer along y; else z.
+        The axis that points up; when not given, the one along which the grips lie higher, or the garment is longer.
     weld : float, optional
-        Distance within which vertices are one, in the file's units; 1e-5 of the diagonal or 0.01 of the usual edge, if
-        that is less, when not given.
+        Distance within which vertices are one, in the file's units; what rounding leaves when not given.
     max_vertices : int
         More of them are refused.
 
@@ -98,8 +91,8 @@ def from_mesh(
         _say_short(placed, faces, names, said)
         cycles = _borders(placed, faces, said) if loops == "borders" else _closed(placed, faces, names, carried, said)
         ends = _grips(placed, names, said) if ends is None else ends
-    except (TypeError, ValueError) as error:
-        raise (TypeError if isinstance(error, TypeError) else ValueError)(f"{path}: {error}") from error
+    except ValueError as error:
+        raise type(error)(f"{path}: {error}") from error
     for repair in said:
         _log.warning("%s: %s", path, repair)
     return Path(path).stem, placed, faces, cycles, ends, {"scale": factor}, tuple(said)
@@ -116,7 +109,6 @@ def _asked(loops: Sequence[ArrayLike] | str, grips: ArrayLike | None, n_vertices
 
 
 def _note(said: list[str], count: int, what: str) -> None:
-    """Say what was done to some vertices, faces or edges, if there were any."""
     if count:
         said.append(f"{count} {what}")
 
@@ -178,7 +170,6 @@ def _weld(vertices: Array, distance: float, said: list[str]) -> Ids:
 
 
 def _clean(faces: Ids, said: list[str]) -> Ids:
-    """Drop faces that name a vertex twice, and all but the first of faces on the same three vertices."""
     whole = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     _note(said, len(faces) - len(whole), "faces without area, which named a vertex twice, were dropped")
     _, first = np.unique(np.sort(whole, axis=1), axis=0, return_index=True)
@@ -189,7 +180,6 @@ def _clean(faces: Ids, said: list[str]) -> Ids:
 
 
 def _one_component(vertices: Array, faces: Ids, said: list[str]) -> Ids:
-    """Keep the largest component; refuse where that would take away much of the surface."""
     corners = vertices[faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     which = components(faces)
@@ -242,7 +232,6 @@ def _upright(vertices: Array, grips: Ids | None, up: str | None, said: list[str]
 
 
 def _scaled(vertices: Array, size: float | None, scale: float | None, said: list[str]) -> tuple[Array, float]:
-    """Vertices in metres, near the origin."""
     largest = float(np.ptp(vertices, axis=0).max())
     if size is not None:
         scale = size / largest

@@ -34,7 +34,6 @@ class Panel:
         return replace(self, vertices=place(self.vertices))
 
     def mirrored(self) -> Panel:
-        """The panel on the other side of the plane y = 0."""
         return replace(self, vertices=self.vertices * [1, -1, 1])
 
     def nearest(self, places: Array) -> Ids:
@@ -96,7 +95,6 @@ class Arch:
 
 
 def polyline(*corners: Sequence[float] | Array) -> list[Array]:
-    """The straight lines between consecutive corners."""
     return [np.array([a, b], dtype=np.float64) for a, b in itertools.pairwise(corners)]
 
 
@@ -244,7 +242,6 @@ def _faces(points: Array, borders: Sequence[Array], spacing: float) -> Ids:
 
 
 def arc_length(line: Array) -> Array:
-    """(k,) arc length of a polyline (k, 2) up to each of its points."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
 
 
@@ -255,7 +252,6 @@ def points_at(line: Array, at: Array) -> Array:
 
 
 def count_steps(line: Array, spacing: float) -> int:
-    """How many edges a polyline is cut into."""
     return max(1, round(float(arc_length(line)[-1]) / spacing))
 
 
@@ -266,7 +262,6 @@ def _resample(line: Array, spacing: float) -> Array:
 
 
 def _lattice(low: Array, high: Array, spacing: float) -> Array:
-    """Triangular lattice over a box, symmetric in x about 0."""
     row = spacing * np.sqrt(3) / 2
     half = int(np.ceil(max(-low[0], high[0]) / spacing)) + 1
     across = spacing * np.arange(-half, half + 1)

@@ -136,7 +136,6 @@ class Forge:
 
 
 def _read(stream: IO[str], lines: queue.Queue[str]) -> None:
-    """Pass lines on, and at the end an empty one."""
     with stream:
         for line in stream:
             lines.put(line)
@@ -144,7 +143,6 @@ def _read(stream: IO[str], lines: queue.Queue[str]) -> None:
 
 
 def _fate(code: int, errors: str) -> str:
-    """Say why a process ended."""
     if code < 0:
         return f"{signal.Signals(-code).name}: a crash inside PyBullet, or out of memory"
     return f"exit code {code}" + "".join(f": {line}" for line in errors.strip().splitlines()[-1:])
@@ -194,8 +192,6 @@ def _fork(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> s
 
 
 def _perform(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> None:
-    """Do a job and answer."""
-
     def tell(told: Answer) -> None:
         print(json.dumps(told), file=answers, flush=True)
 

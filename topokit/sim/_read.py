@@ -1,8 +1,7 @@
 """Read the vertices and the polygons of an OBJ, PLY or STL file, numbered as the file numbers them.
 
-General readers (trimesh, for one) split, merge and drop vertices to suit textures and materials, and then an id of a loop
-means nothing; some read no quads beside triangles, or take half a file for a whole one. Here everything but places and
-polygons is passed over, and what is not whole is refused.
+General readers (trimesh, for one) split, merge and drop vertices, and then an id of a loop means nothing; or they take half
+a file for a whole one. Here everything but places and polygons is passed over, and what is not whole is refused.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from topokit._validate import WrongKindError
 from topokit.rips import rips_persistence, tighten
 
 Array = NDArray[np.float64]
@@ -104,7 +105,6 @@ class EdgeGraph:
         return path[::-1]
 
     def around(self, ids: Sequence[int]) -> list[list[int]]:
-        """The shortest paths between consecutive vertices, and from the last to the first."""
         return [self.path(a, b) for a, b in zip(ids, [*ids[1:], ids[0]], strict=True)]
 
 
@@ -140,7 +140,6 @@ def close_loop(graph: EdgeGraph, ids: Sequence[int], names: Ids) -> tuple[Ids, s
 
 
 def _walk(paths: Sequence[Sequence[int]]) -> list[int]:
-    """Paths end to end, each joint once."""
     return [vertex for path in paths for vertex in path[:-1]]
 
 
@@ -167,7 +166,7 @@ def as_ids(values: object, name: str, n_vertices: int) -> Ids:
     """Vertex ids as int64; a TypeError or ValueError names the first that is none."""
     ids = np.asarray(values)
     if not np.issubdtype(ids.dtype, np.integer):
-        raise TypeError(f"{name} must hold whole numbers (vertex ids), not {ids.dtype}")
+        raise WrongKindError(f"{name} must hold whole numbers (vertex ids), not {ids.dtype}")
     if ids.size and (ids.min() < 0 or ids.max() >= n_vertices):
         bad = int(ids.min()) if ids.min() < 0 else int(ids.max())
         raise ValueError(f"{name} names vertex {bad}; there are {n_vertices}, numbered from 0")
@@ -175,7 +174,6 @@ def as_ids(values: object, name: str, n_vertices: int) -> Ids:
 
 
 def check_mesh(vertices: Array, faces: Ids) -> None:
-    """Raise ValueError unless the faces make one component that uses every vertex."""
     repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     if repeats.any():
         raise ValueError(f"faces[{np.argmax(repeats)}] names a vertex twice: {faces[np.argmax(repeats)].tolist()}")
@@ -192,7 +190,6 @@ def check_mesh(vertices: Array, faces: Ids) -> None:
 
 
 def check_loop(loop: Ids, edges: Ids, name: str) -> None:
-    """Raise ValueError unless `loop` is a simple closed cycle along edges."""
     if loop.ndim != 1 or len(loop) < 3:
         raise ValueError(f"{name} must be a cycle of at least 3 vertex ids, not of shape {loop.shape}")
     if len(np.unique(loop)) != len(loop):

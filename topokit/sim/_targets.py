@@ -55,7 +55,7 @@ class Target(ABC):
 
     def holds(self, loop: ArrayLike) -> bool:
         """Whether a closed curve (L, 3) winds around the target: its linking number with the closed centre line is not 0."""
-        return linking_number(loop, close_far(self.centre_line)) != 0
+        return _linked(loop, close_far(self.centre_line))
 
 
 @checked
@@ -134,7 +134,7 @@ class Hanger(Target):
 
     def holds(self, loop: ArrayLike) -> bool:
         """Whether a closed curve (L, 3) winds around either arm."""
-        return any(linking_number(loop, close_far(self._line(side))) != 0 for side in (-1, 1))
+        return _linked(loop, *(close_far(self._line(side)) for side in (-1, 1)))
 
     def _line(self, side: int) -> Array:
         """From the foot of a post to the tip of the near (-1) or the far arm (1)."""
@@ -223,16 +223,18 @@ class Mannequin(Target):
         curve = as_points(loop, "loop")
         if curve[:, 2].mean() < self.head_centre[2] and super().holds(curve):
             return True
-        return any(linking_number(curve, self._closed_shoulder(side)) != 0 for side in (-1, 1))
+        ends = {side: self.shoulder * [side, 1, 1] for side in (-1, 1)}  # out through the shoulders
+        foot = self.centre_line[0]
+        return _linked(
+            curve, *(close_far([foot, end * [0, 1, 1], end], end=(side, 0, 0)) for side, end in ends.items())
+        )
 
-    def _closed_shoulder(self, side: int) -> Array:
-        """From the floor up the axis and out through a shoulder, closed far away."""
-        foot, end = self.centre_line[0], self.shoulder * [side, 1, 1]
-        return close_far([foot, end * [0, 1, 1], end], end=(side, 0, 0))
+
+def _linked(loop: ArrayLike, *lines: Array) -> bool:
+    return any(linking_number(loop, line) != 0 for line in lines)
 
 
 def _upright(*places: tuple[float, float]) -> Array:
-    """(k, 3) places (y, z) in the plane x = 0."""
     return np.array([[0.0, y, z] for y, z in places])
 
 

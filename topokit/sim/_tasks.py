@@ -136,10 +136,7 @@ class Task:
 def hang_by_strap(
     garment: Garment, target: Target, rng: np.random.Generator, *, opening: float = 1.0, rest: float = 1.05
 ) -> GripperPath:
-    """Carry the first true loop over the upturned tip of a hook or a hanger, and lower it onto the arm.
-
-    An `opening` above 1 turns straps at either side of a bag to face the arm; `rest` seconds lie between release and end.
-    """
+    """Carry the first true loop over the upturned tip, and lower it; an `opening` above 1 turns straps to face the arm."""
     aside, below = _opening(garment, opening)
     tip, seat, radius = target.centre_line[-1], target.seat, target.rods[0][2]
     over = np.array([-aside, seat[1], tip[2] + radius + 0.04 + below])
@@ -205,7 +202,6 @@ def _mannequin(target: Target) -> Mannequin:
 
 
 def _spread(garment: Garment) -> Array:
-    """(2, 3) the grips about their middle."""
     grips = garment.vertices[garment.grips]
     return np.asarray(grips - grips.mean(axis=0))
 
@@ -263,7 +259,6 @@ TASKS: Mapping[str, Task] = {task.name: task for task in _tasks()}
 
 
 def task_named(name: str) -> Task:
-    """Return the task of that name, or raise ValueError that lists the names."""
     if name not in TASKS:
         raise ValueError(f"there is no task {name!r}; there are {', '.join(TASKS)}")
     return TASKS[name]

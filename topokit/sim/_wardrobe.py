@@ -11,7 +11,7 @@ import numpy as np
 
 from topokit._validate import positive
 
-from ._pattern import Arch, Band, cut, inflate, mirror, polyline, ring, sew
+from ._pattern import Arch, Band, Panel, cut, inflate, mirror, polyline, ring, sew
 from ._surface import Array, EdgeGraph, Ids, half_edges
 
 Fields = tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float]]
@@ -33,14 +33,12 @@ def check_sizes(given: Mapping[str, float | None], without: Sequence[str] = ()) 
 
 
 def numbered(kind: str, number: int, name: str) -> str:
-    """The name of a garment with one loop, handle or hole, or with two."""
     if number not in (1, 2):
         raise ValueError(f"{name} must be 1 or 2, not {number!r}")
     return kind if number == 1 else f"{kind}{number}"
 
 
 def demand(holds: bool, otherwise: str) -> None:
-    """Raise ValueError unless sizes fit each other."""
     if not holds:
         raise ValueError(f"{otherwise} (metres)")
 
@@ -93,15 +91,22 @@ def apron(
     grips = front.nearest(arch.points(THIRDS))
     if loops == 1:
         return name, front.vertices, front.faces, front.holes, grips, sizes
-    around = Arch.of_length(body_width, waist_strap_length, "waist_strap_length")
-    strap = Band.cut([waist_strap_length], [waist_strap_width], spacing)
-    share = strap.panel.vertices[:, 0] / waist_strap_length
+    vertices, faces, behind = _with_waist_strap(front, sizes)
+    return name, vertices, faces, (front.holes[0], behind), grips, sizes
+
+
+def _with_waist_strap(front: Panel, sizes: Mapping[str, float]) -> tuple[Array, Ids, Ids]:
+    """Vertices and faces of an apron with a strap behind, and the loop along the strap and across the apron."""
+    length, waist = sizes["waist_strap_length"], -sizes["bib_height"]
+    around = Arch.of_length(sizes["body_width"], length, "waist_strap_length")
+    strap = Band.cut([length], [sizes["waist_strap_width"]], sizes["spacing"])
+    share = strap.panel.vertices[:, 0] / length
     cloth = strap.panel.placed(lambda v: np.column_stack([around.points(share), waist + v[:, 2]]))
     ends = [(0, front.sides[1], 1, strap.start), (0, front.sides[5][::-1], 1, strap.end)]
     vertices, faces, (_, ids) = sew([front, cloth], ends)
     behind = ids[strap.high]  # from the right side to the left one
     across = EdgeGraph(vertices, half_edges(front.faces)).path(int(behind[-1]), int(behind[0]))
-    return name, vertices, faces, (front.holes[0], np.concatenate([behind[:-1], across[:-1]])), grips, sizes
+    return vertices, faces, np.concatenate([behind[:-1], across[:-1]])
 
 
 def shirt(
