@@ -233,6 +233,14 @@ def test_probe_survives_a_segfault(monkeypatch):
     assert "apt-get install libegl1" in reason
 
 
+def test_probe_does_not_run_what_lies_in_the_working_directory(tmp_path, monkeypatch):
+    (tmp_path / "pyvista.py").write_text("open('executed', 'w').close(); raise SystemExit(1)")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(_render, "find_spec", lambda name: name)
+    _render.pyvista_works.__wrapped__()
+    assert not (tmp_path / "executed").exists()
+
+
 def test_render_with_pyvista_shows_the_loop(episode, states):
     works, reason = view.pyvista_works()
     if not works:

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 _PROBE = """
+import sys
+sys.path[:] = filter(None, sys.path)  # what lies in the working directory is not imported
 import pyvista
 plotter = pyvista.Plotter(off_screen=True, window_size=(32, 32))
 plotter.add_mesh(pyvista.Sphere(), color="black")
