@@ -14,9 +14,9 @@ from scipy.spatial.distance import cdist, directed_hausdorff
 from topokit import hausdorff, lemmas, rips_persistence
 from topokit.io import load_episode
 from topokit.lemmas import COUNTEREXAMPLES, STATEMENTS, Verdict
-from topokit.lemmas._critical import is_critical
 from topokit.lemmas._diagrams import _rank_inequality
 from topokit.lemmas._matching import longest_unmatched, match_diagrams
+from topokit.lemmas._measures import is_critical
 from topokit.lemmas._step import observed_state
 
 from conftest import DATA

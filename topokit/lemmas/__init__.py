@@ -17,15 +17,13 @@ Source: Antonova et al. 2021, section 4. Taught in chapters 3 to 5.
 
 from __future__ import annotations
 
-from ._counterexamples import COUNTEREXAMPLES, Counterexample
 from ._diagrams import feature_approximation, gates, observability, temporal_persistence
 from ._killers import converse, corollary, recovering_killers, regularity_of_killers
-from ._matching import match_diagrams
+from ._matching import killer_jumps, match_diagrams
 from ._measures import beta_all, beta_critical, feature_separation
-from ._stability import killer_jumps
 from ._step import distortion, max_displacement, vertex_ids
 from ._verdict import Check, LoopCheck, Verdict, Witness
-from ._verify import STATEMENTS, StepCheck, verify_episode, verify_step
+from ._verify import COUNTEREXAMPLES, STATEMENTS, Counterexample, StepCheck, verify_episode, verify_step
 
 __all__ = [
     "COUNTEREXAMPLES",

@@ -40,13 +40,6 @@ def recovering_killers(state: ArrayLike, observed: ArrayLike) -> Check:
     ----------
     state, observed : array_like
         S_t, (n, d), and O_t: (m,) ids of its points or their (m, d) coordinates.
-
-    Examples
-    --------
-    >>> angle = 2 * np.pi * np.arange(40) / 40
-    >>> check = recovering_killers(np.column_stack([np.cos(angle), np.sin(angle)]), np.arange(0, 40, 2))
-    >>> check.corrected.holds
-    True
     """
     return check_recovering_killers(observed_state(state, observed))
 
@@ -77,13 +70,6 @@ def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.
     alpha : float
         Of the observations, for the paper's Assumption 3; 2.001 epsilon when smaller, since Assumption 2 wants it above
         2 epsilon.
-
-    Examples
-    --------
-    >>> square = np.array([[0, 0], [1, 0], [1, 1], [0, 1.001]])
-    >>> check = regularity_of_killers(square, square + [0.01, 0])
-    >>> check.corrected.holds, round(check.corrected.statistic, 4)
-    (True, 0.01)
     """
     return check_regularity(observed_step(before, None, after, None), positive(alpha, "alpha"))
 
@@ -124,14 +110,6 @@ def corollary(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, o
     -------
     Check
         A loop's three legs are from O_t to S_t, from there to S_t+1, and on to O_t+1.
-
-    Examples
-    --------
-    >>> angle = 2 * np.pi * np.arange(40) / 40
-    >>> circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    >>> check = corollary(circle, np.arange(0, 40, 2), circle + [0.001, 0], np.arange(1, 40, 2))
-    >>> check.corrected.holds
-    True
     """
     return check_corollary(observed_step(before, observed_before, after, observed_after))
 
@@ -209,15 +187,6 @@ def converse(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, ob
     -------
     Check
         Empty where there are not two loops that live long enough.
-
-    Examples
-    --------
-    >>> angle = 2 * np.pi * np.arange(20) / 20
-    >>> circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    >>> both = np.vstack([circle, circle + [20, 0]])
-    >>> check = converse(both, np.arange(40), both, np.arange(40))
-    >>> check.paper.applies, check.corrected.applies, check.corrected.holds
-    (False, True, True)
     """
     return check_converse(observed_step(before, observed_before, after, observed_after))
 

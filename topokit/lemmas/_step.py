@@ -118,11 +118,6 @@ def max_displacement(before: ArrayLike, after: ArrayLike) -> float:
     ----------
     before, after : (n, d) array_like
         Row i of both is the same point.
-
-    Examples
-    --------
-    >>> max_displacement([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.5], [1.0, 0.0]])
-    0.5
     """
     a, b = _same_points(before, after)
     return float(np.linalg.norm(b - a, axis=1).max(initial=0.0))
@@ -143,11 +138,6 @@ def distortion(before: ArrayLike, after: ArrayLike) -> float:
     -----
     The correspondence between before and after has twice this distortion in the sense of Gromov and Hausdorff; that it bounds
     the bottleneck distance of Rips diagrams is the theorem of Chazal, de Silva and Oudot 2014.
-
-    Examples
-    --------
-    >>> distortion([[0.0], [1.0]], [[5.0], [6.5]])
-    0.25
     """
     a, b = _same_points(before, after)
     return float(np.abs(cdist(b, b) - cdist(a, a)).max(initial=0.0)) / 2
@@ -178,11 +168,6 @@ def vertex_ids(points: ArrayLike, observed: ArrayLike, name: str = "observed") -
     TypeError, ValueError
         When nothing is observed, an id is out of range, or an observed point is no vertex: the statements are about subsets
         of the state.
-
-    Examples
-    --------
-    >>> vertex_ids([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]], [[2.0, 0.0], [0.0, 0.0]])
-    array([0, 2])
     """
     state, ids = as_points(points), np.asarray(observed)
     if ids.size == 0:
