@@ -9,7 +9,6 @@
 
 One function a statement; each takes the state S (all points, row i the same point at both times) and what is observed of it
 (ids of its points, or their coordinates), measures the constants and the two sides of the inequality, and returns a `Check`.
-A TypeError or ValueError says which of them is no point cloud, differs in shape, or is observed without being in the state.
 Throughout, corresponding loops are those that an optimal bottleneck matching pairs.
 
 Source: Antonova et al. 2021, section 4. Taught in chapters 3 to 5.

@@ -86,8 +86,7 @@ def _rank_inequality(step: Step, alpha: float) -> Verdict:
 
 def _alive(diagram: Diagram, start: Array, end: Array) -> NDArray[np.bool_]:
     """(n, k) which bars contain which of k intervals."""
-    alive: NDArray[np.bool_] = (diagram.birth[:, None] <= start) & (diagram.death[:, None] >= end)
-    return alive
+    return np.asarray((diagram.birth[:, None] <= start) & (diagram.death[:, None] >= end))
 
 
 def observability(state: ArrayLike, observed: ArrayLike) -> Check:
@@ -157,8 +156,7 @@ def gates(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, obser
     Parameters
     ----------
     before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. They need not be the same
-        vertices.
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates.
     """
     return check_gates(observed_step(before, observed_before, after, observed_after))
 

@@ -52,14 +52,6 @@ def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, 
         Whether `second` is of a subset.
     tolerance : float
         How far below zero rounding may push a shift that is zero.
-
-    Examples
-    --------
-    >>> from topokit import rips_persistence
-    >>> square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    >>> match = match_diagrams(rips_persistence(square), rips_persistence(1.1 * square))
-    >>> match.partner, round(match.cost, 4)
-    (array([0]), 0.0707)
     """
     pair, alone, others_alone = _costs(first, second, one_sided, tolerance)
     limits = np.unique(np.concatenate([pair[np.isfinite(pair)], alone, others_alone, [0.0]]))
@@ -72,10 +64,9 @@ def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, 
 def longest_unmatched(
     first: Diagram, second: Diagram, shift: float, *, one_sided: bool = False, tolerance: float = 0.0
 ) -> tuple[float, int]:
-    """Lifetime and index of the longest bar of `first` that cannot be matched along with all longer ones.
+    """Lifetime and index of the longest bar of `first` that cannot be matched along with all longer ones; (0.0, -1) for none.
 
-    Partners may be shifted by at most `shift`, with no shift below -tolerance when `one_sided`. (0.0, -1) when all can be
-    matched. No matching does better: the sets of bars that can be matched together are those of a matroid.
+    No matching does better: the sets of bars that can be matched together are those of a matroid.
     """
     pair, _, _ = _costs(first, second, one_sided, tolerance)
     longest = range(1, len(first) + 1)
@@ -127,15 +118,12 @@ def _cheapest(pair: Array, alone: Array, others_alone: Array, c: float) -> NDArr
 def _worst(pair: Array, alone: Array, others_alone: Array, partner: NDArray[np.int64]) -> tuple[int, int]:
     """The most costly pair or bar left alone; (-1, -1) when both diagrams are empty."""
     matched = np.flatnonzero(partner >= 0)
-    costs, others = alone.copy(), others_alone.copy()
-    costs[matched], others[partner[matched]] = pair[matched, partner[matched]], 0.0
-    most, most_of_others = costs.max(initial=0.0), others.max(initial=0.0)
-    if most == most_of_others == 0.0:
+    costs = np.concatenate([alone, others_alone])
+    costs[matched], costs[len(alone) + partner[matched]] = pair[matched, partner[matched]], 0.0
+    if costs.max(initial=0.0) == 0.0:
         return (-1, -1)
-    if most < most_of_others:
-        return (-1, int(np.argmax(others)))
     i = int(np.argmax(costs))
-    return (i, int(partner[i]))
+    return (i, int(partner[i])) if i < len(alone) else (-1, i - len(alone))
 
 
 @dataclass(frozen=True)
@@ -143,8 +131,6 @@ class Jump:
     """How far the places of one loop lie apart in two clouds, in the unit of the points."""
 
     loop: int  #: index in the first diagram
-    image: int  #: index in the second
-    lifetime: float  #: in the first
     length: float  #: of the killer edge in the first, twice the death: what the distances are large or small against
     edge: float  #: Hausdorff distance of the killer edges' end points
     triangle: float  #: Hausdorff distance of the thick killer triangles' vertices
@@ -153,7 +139,7 @@ class Jump:
 
 
 def killer_jumps(before: ArrayLike, after: ArrayLike, min_lifetime: float = 0.0) -> list[Jump]:
-    """Measure how stable the places of loops are between two clouds.
+    """Measure how stable the places of the loops are that an optimal matching of two clouds pairs, longest lifetime first.
 
     Parameters
     ----------
@@ -162,10 +148,6 @@ def killer_jumps(before: ArrayLike, after: ArrayLike, min_lifetime: float = 0.0)
     min_lifetime : float
         Only loops of `before` with a lifetime above it.
 
-    Returns
-    -------
-    list of Jump
-        Longest lifetime first; loops that an optimal bottleneck matching leaves alone are not in it.
     """
     clouds = as_points(before, "before"), as_points(after, "after")
     first, second = (rips_persistence(cloud) for cloud in clouds)
@@ -179,8 +161,6 @@ def _jump(a: Array, b: Array, first: Diagram, second: Diagram, i: int, j: int) -
     centroids = curve_centroid(a[first.cycle(i)]), curve_centroid(b[second.cycle(j)])
     return Jump(
         loop=i,
-        image=j,
-        lifetime=float(first.lifetime[i]),
         length=2 * float(first.death[i]),
         edge=hausdorff(a[first.killer_edge[i]], b[second.killer_edge[j]]),
         triangle=hausdorff(thick, later),

@@ -76,7 +76,6 @@ class State:
         return np.asarray(cdist(self.points, self.points))
 
     def separation(self, min_lifetime: float) -> float:
-        """As `feature_separation`."""
         killers = self.diagram.killer_edge[self.diagram.lifetime > min_lifetime]
         pairs = (self.edge_distances(killers[:i], killers[i]).min() for i in range(1, len(killers)))
         return float(min(pairs, default=np.inf))
@@ -97,10 +96,7 @@ class State:
     def _farthest_edges(
         self, min_lifetime: float, below: float, above: float, critical: tuple[float, float] | None, nearest: bool
     ) -> Beta:
-        """The edges, or the critical ones, of half length in [death - below, death + above] farthest from the killers.
-
-        The distance is to the loop's own killer, or to the nearest killer of all loops that are measured.
-        """
+        """The edges, or the critical ones, of half length in [death - below, death + above] farthest from the killers."""
         n_loops = int((self.diagram.lifetime > min_lifetime).sum())
         killers = self.diagram.killer_edge[:n_loops]
         value, edge = np.zeros(n_loops), killers.copy()
@@ -113,11 +109,12 @@ class State:
             rivals = pairs[(half >= death - below - rounding) & (half <= death + above + rounding)]
             measured = killers if nearest else killers[i : i + 1]
             away = np.min([self.edge_distances(rivals, killer) for killer in measured], axis=0)
-            order = np.argsort(-away, kind="stable")  # farthest first
-            place = 0 if critical is None else first_critical(self.distances, rivals[order], *critical)
-            # The killer is a rival of itself, but a lune may hold together by rounding alone.
-            if place >= 0 and len(rivals):
-                value[i], edge[i] = away[order[place]], rivals[order[place]]
+            for j in np.argsort(-away, kind="stable"):  # farthest first
+                x, y = rivals[j].tolist()
+                # The killer is a rival of itself, but a lune may hold together by rounding alone.
+                if critical is None or is_critical(self.distances, x, y, *critical):
+                    value[i], edge[i] = away[j], rivals[j]
+                    break
         return Beta(value, edge)
 
 
@@ -129,24 +126,17 @@ def is_critical(distances: Array, x: int, y: int, alpha: float, epsilon: float) 
     step = (length - 2 * alpha - 4 * epsilon) * (1 - ROUNDING)
     outer = (length + 4 * epsilon) * (1 + ROUNDING)
     apart = (length - 4 * epsilon) * (1 - ROUNDING)
-    n = len(distances)
-    lens, carriers = np.empty(n, np.int64), np.empty(n, np.int64)
-    n_lens, n_carriers = 0, 0
-    for z in range(n):
-        farther = max(distances[z, x], distances[z, y])
-        if z != x and z != y and farther <= outer:
-            lens[n_lens] = z
-            n_lens += 1
-        if farther < inner:
-            carriers[n_carriers] = z
-            n_carriers += 1
-    component, n_components = _components(distances, carriers[:n_carriers], step)
-    reached = np.zeros((n_lens, n_components), dtype=np.bool_)
-    for i in range(n_lens):
-        for j in range(n_carriers):
+    farther = np.maximum(distances[x], distances[y])
+    in_lens = farther <= outer
+    in_lens[x] = in_lens[y] = False
+    lens, carriers = np.flatnonzero(in_lens), np.flatnonzero(farther < inner)
+    component, n_components = _components(distances, carriers, step)
+    reached = np.zeros((len(lens), n_components), dtype=np.bool_)
+    for i in range(len(lens)):
+        for j in range(len(carriers)):
             if distances[lens[i], carriers[j]] < inner:
                 reached[i, component[j]] = True
-    for i in range(n_lens):
+    for i in range(len(lens)):
         for j in range(i):
             if distances[lens[i], lens[j]] >= apart and not (reached[i] & reached[j]).any():
                 return True
@@ -172,15 +162,6 @@ def _components(distances: Array, vertices: Ids, step: float) -> tuple[Ids, int]
                     top += 1
         n_components += 1
     return component, n_components
-
-
-@njit(cache=True)
-def first_critical(distances: Array, edges: Ids, alpha: float, epsilon: float) -> int:
-    """Place of the first critical edge in a (m, 2) list, -1 when there is none."""
-    for i in range(len(edges)):
-        if is_critical(distances, edges[i, 0], edges[i, 1], alpha, epsilon):
-            return i
-    return -1
 
 
 def beta_all(
@@ -217,7 +198,7 @@ def beta_critical(
     min_lifetime: float | None = None,
     diagram: Diagram | None = None,
 ) -> Beta:
-    """Measure the beta of Assumption 3', over critical edges only.
+    """Measure the beta of Assumption 3', over critical edges only: ours, where the paper quantifies over all edges.
 
     An edge e = {x, y} of length L is (alpha, epsilon)-critical in S when there are two points a, b of S other than x and y,
     both within L + 4 epsilon of x and of y, at least L - 4 epsilon apart, that no path in S joins through points nearer than
@@ -233,23 +214,12 @@ def beta_critical(
     alpha, epsilon : float
         Covering radius of the observations and largest displacement, in the unit of the points.
     nearest : bool
-        Measure from a critical edge to the nearest killer of all loops, not to this loop's: where several loops die at about
-        the same time each one's killer is a critical edge in the window of the others.
+        Measure to the nearest killer of all loops, not to this loop's: where several loops die at about the same time each
+        one's killer is a critical edge in the window of the others.
     min_lifetime : float, optional
         Loops with a lifetime above it are measured; ``alpha + 2 * epsilon`` when not given: what the corollary needs.
     diagram : Diagram, optional
         Of `points`, when it is known.
-
-    Notes
-    -----
-    The paper quantifies over all edges. This version is ours. Cost: rivals are tested from the farthest inwards, each with a
-    number of operations that is quadratic in the points of its lens; of the order of 0.1 s a loop for 550 points.
-
-    Examples
-    --------
-    >>> square = [[0, 0], [1, 0], [1, 1], [0, 1]]
-    >>> beta_critical(square, 0.1).value
-    array([1.])
     """
     alpha, epsilon = positive(alpha, "alpha"), positive(epsilon, "epsilon")
     shortest = alpha + 2 * epsilon if min_lifetime is None else positive(min_lifetime, "min_lifetime")

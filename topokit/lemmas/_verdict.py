@@ -31,11 +31,6 @@ class Verdict:
     witness: Witness | None = None  #: the loop where it is tightest, if any
 
     @property
-    def margin(self) -> float:
-        """bound - statistic: negative when it fails."""
-        return self.bound - self.statistic
-
-    @property
     def applies(self) -> bool:
         """The hypotheses hold and there is a loop to speak about."""
         return self.hypotheses and self.loops > 0

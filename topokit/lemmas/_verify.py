@@ -49,9 +49,7 @@ class StepCheck:
     death: float  #: of the same loop
     beta_all: float  #: the largest beta over all edges, of loops with a lifetime above the frame's alpha
     beta_critical: float  #: over (alpha, epsilon)-critical edges, of loops with a lifetime above alpha + 2 epsilon
-    beta_intrinsic: (
-        float  #: over (alpha, distortion)-critical edges, of loops with a lifetime above alpha + 2 distortion
-    )
+    beta_intrinsic: float  #: the same as `beta_critical` with the distortion in place of epsilon
     checks: dict[str, Check]  #: by statement, in the order of `STATEMENTS`
 
 
@@ -63,8 +61,7 @@ def verify_step(
     Parameters
     ----------
     before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. They need not be the same
-        vertices.
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates.
     """
     return _checks(observed_step(before, observed_before, after, observed_after))
 
@@ -104,14 +101,6 @@ def verify_episode(
     TypeError, ValueError
         When the frames do not fit each other, or what is observed is not among the vertices (cameras see the surface between
         them); the message names the frame.
-
-    Examples
-    --------
-    >>> angle = 2 * np.pi * np.arange(24) / 24
-    >>> circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    >>> steps = verify_episode([circle, 1.01 * circle, 1.02 * circle], np.arange(0, 24, 2))
-    >>> [step.checks["corollary"].corrected.holds for step in steps]
-    [True, True]
     """
     if not isinstance(stride, (int, np.integer)) or stride < 1:
         raise ValueError(f"stride must be a whole number of frames, 1 or more, not {stride!r}")
@@ -178,12 +167,11 @@ class Counterexample:
 
 
 def _counterexample(entry: dict[str, Any]) -> Counterexample:
-    before = np.array(entry["before"])
-    after = np.array(entry.get("after", before))
-    seen = [np.delete(np.arange(len(before)), entry.get(key, ())) for key in ("unseen", "unseen_after")]
-    for array in (before, after, *seen):
+    before, after = (np.array(entry.get(when, entry["before"])) for when in ("before", "after"))
+    seen, seen_after = (np.delete(np.arange(len(before)), entry.get(key, ())) for key in ("unseen", "unseen_after"))
+    for array in (before, after, seen, seen_after):
         array.setflags(write=False)
-    return Counterexample(entry["statement"], entry["story"], before, after, *seen, entry["refutes"])
+    return Counterexample(entry["statement"], entry["story"], before, after, seen, seen_after, entry["refutes"])
 
 
 _FILE = resources.files(__package__).joinpath("counterexamples.json")
