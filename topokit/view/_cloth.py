@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,65 +21,34 @@ Array = NDArray[np.float64]
 CLOTH, ROD, INK = "#E8E2D4", "#5B6B7C", "#1C2733"
 
 
+@dataclass(eq=False)
 class Scene:
-    """A cloth with its loops and its target, and the eye that sees them.
+    """A cloth with its loops and its target, and the eye that sees them."""
 
-    Parameters
-    ----------
-    points : (N, 3) array_like
-        Metres, z up.
-    faces : (F, 3) array_like of int
-        The points alone are drawn when there are none.
-    loops : iterable of Loop
-        Killer triangles in the colour of the identity, translucent, and the killer edge as a thick line.
-    true_loops : sequence of (L,) array_like of int
-        Closed cycles of vertex ids, drawn as dark lines.
-    centre_line : (K, 3) array_like, optional
-        The target's, drawn as a rod of radius `thickness`; not drawn where there are `rods`.
-    rods : iterable of (start, end, radius)
-        The target's capsules (`Target.rods`), metres.
-    thickness : float
-        Radius of the rod around `centre_line`.
-    view : (2,) float
-        Azimuth and elevation of the eye in degrees.
-    zoom : float
-        Above one comes nearer than the fit around everything.
-    focus : (3,) array_like, optional
-        The point in the middle of the picture; the middle of everything when not given.
+    points: Any  #: (N, 3) array_like, metres, z up
+    faces: Any = ()  #: (F, 3) array_like of int; the points alone are drawn when there are none
+    _: KW_ONLY
+    loops: Sequence[
+        Loop
+    ] = ()  #: killer triangles in the colour of the identity, translucent, the killer edge as a thick line
+    true_loops: Sequence[ArrayLike] = ()  #: closed cycles of vertex ids, (L,) each, drawn as dark lines
+    centre_line: Any = None  #: (K, 3) array_like, the target's, drawn as a rod; not drawn where there are `rods`
+    rods: Sequence[tuple[ArrayLike, ArrayLike, float]] = ()  #: start, end, radius of the target's capsules, in metres
+    thickness: float = 0.01  #: radius of the rod around `centre_line`
+    view: tuple[float, float] = (-60.0, 15.0)  #: azimuth and elevation of the eye in degrees
+    zoom: float = 1.0  #: above one comes nearer than the fit around everything
+    focus: Any = None  #: (3,) array_like, the middle of the picture; the middle of everything when not given
 
-    Raises
-    ------
-    ValueError
-        When `points` do not lie in space.
-    """
-
-    def __init__(
-        self,
-        points: ArrayLike,
-        faces: ArrayLike = (),
-        *,
-        loops: Iterable[Loop] = (),
-        true_loops: Sequence[ArrayLike] = (),
-        centre_line: ArrayLike | None = None,
-        rods: Iterable[tuple[ArrayLike, ArrayLike, float]] = (),
-        thickness: float = 0.01,
-        view: tuple[float, float] = (-60.0, 15.0),
-        zoom: float = 1.0,
-        focus: ArrayLike | None = None,
-    ) -> None:
-        self.points = as_points(points)
+    def __post_init__(self) -> None:
+        self.points = as_points(self.points)
         if self.points.shape[1] != 3:
             raise ValueError(f"points must lie in space, (N, 3), not of shape {self.points.shape}")
-        self.faces = _as_faces(faces, len(self.points))
-        self.loops = list(loops)
-        cycles = (np.asarray(ids, dtype=np.int64) for ids in true_loops)
-        self.true_loops = [self.points[np.append(ids, ids[:1])] for ids in cycles]
-        line = as_line(centre_line, "centre_line")
-        capsules = [(as_line(np.array([start, end]), "rods"), float(radius)) for start, end, radius in rods]
-        self.rods = capsules or [(line, thickness)] * (len(line) > 1)
+        self.faces = _as_faces(self.faces, len(self.points))
+        self.cycles = [self.points[np.append(ids, np.asarray(ids)[:1])] for ids in self.true_loops]
+        line = as_line(self.centre_line, "centre_line")
+        capsules = [(as_line(np.array(ends), "rods"), radius) for *ends, radius in self.rods]
+        self.capsules = capsules or [(line, self.thickness)] * (len(line) > 1)
         self.everything = np.concatenate([self.points, line, *(rod for rod, _ in capsules)])
-        self.view, self.zoom = view, zoom
-        self.focus = None if focus is None else np.asarray(focus, dtype=np.float64)
 
 
 def _as_faces(faces: ArrayLike, n_points: int) -> NDArray[np.int64]:
@@ -120,9 +90,7 @@ def direction(azimuth: float, elevation: float) -> Array:
 
 
 def plot_cloth(points: ArrayLike, faces: ArrayLike = (), *, ax: Axes | None = None, **scene: Any) -> Axes:
-    """Draw a cloth in space with the killer triangles of its loops, by Matplotlib alone: it works on every machine.
-
-    `render_cloth` draws the same with PyVista, and better.
+    """Draw a cloth in space with the killer triangles of its loops, by Matplotlib alone; `render_cloth` draws it better.
 
     Parameters
     ----------
@@ -155,16 +123,15 @@ def draw_cloth(axes: Any, scene: Scene) -> None:
 
     axes.set_autoscale_on(False)  # `_fit` sets the limits
     axes.computed_zorder = False
-    # Cloth and rods are one collection, because Matplotlib sorts by depth only inside a collection; all triangles, because
-    # it would pad faces of several lengths with whatever is in memory, and now and then fail on what it finds there.
+    # Matplotlib sorts by depth only inside a collection; it would pad faces of several lengths with what is in memory.
     polygons = np.concatenate(
-        [scene.points[scene.faces], *(tube(subdivide(line, 40), radius) for line, radius in scene.rods)]
+        [scene.points[scene.faces], *(tube(subdivide(line, 40), radius) for line, radius in scene.capsules)]
     )
     colours = _shaded(polygons, len(scene.faces), scene.view)
     axes.add_collection3d(Poly3DCollection(polygons, facecolors=colours, edgecolors=colours, linewidths=0.8, zorder=1))
     if not len(scene.faces):
         axes.scatter(*scene.points.T, s=4, color=ROD, zorder=1)
-    for cycle in scene.true_loops:
+    for cycle in scene.cycles:
         axes.plot(*cycle.T, color=INK, linewidth=1.6, zorder=2)
     for loop in scene.loops:
         colour = loop_colour(loop.id)
@@ -206,11 +173,7 @@ def subdivide(line: Array, pieces: int = 60) -> Array:
 
 
 def tube(line: Array, radius: float, sides: int = 8) -> Array:
-    """(m, 3, 3) the triangles of a tube around a polyline of two points or more.
-
-    Idea: carry one normal along the line, at each point made perpendicular to the direction there, so that the tube
-    does not twist.
-    """
+    """(m, 3, 3) the triangles of a tube around a polyline; one normal is carried along it, so that the tube does not twist."""
     along = np.gradient(line, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     normal = np.eye(3)[np.argmin(np.abs(along[0]))]

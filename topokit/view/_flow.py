@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from topokit.view._palette import OKABE_ITO
 
@@ -21,31 +21,21 @@ _WIDTH, _HEIGHT, _GAP = 92, 46, 24
 
 @dataclass(frozen=True)
 class DataFlow:
-    """The picture as SVG text; a notebook shows it, in the colours of the page around it."""
+    """The picture; a notebook shows it, in the colours of the page around it."""
 
-    svg: str
+    svg: str = field(repr=False)  #: as SVG text
 
     def _repr_html_(self) -> str:
         return f'<div class="topokit-flow">{self.svg}</div>'
-
-    def __repr__(self) -> str:
-        return "DataFlow(" + " -> ".join(STAGES) + ")"
 
 
 def data_flow(*lit: str) -> DataFlow:
     """Return the picture of the stages from cloth to plan, with the stages named in `lit` filled.
 
-    Text and lines take the colour of the page (`currentColor`), so that it reads in light and in dark.
-
     Raises
     ------
     ValueError
         When a name is no stage.
-
-    Examples
-    --------
-    >>> data_flow("loops", "tracks")
-    DataFlow(cloth -> cloud -> loops -> tracks -> mixture -> model -> plan)
     """
     unknown = [name for name in lit if name not in STAGES]
     if unknown:

@@ -18,21 +18,11 @@ from topokit.view._palette import OKABE_ITO
 
 @dataclass(frozen=True, repr=False)
 class Framed:
-    """A moving figure; the last value of a notebook cell shows it.
+    """A moving figure; the last value of a notebook cell shows it."""
 
-    Attributes
-    ----------
-    page : str
-        The whole HTML page, its data and its script inside.
-    height : int
-        Height of the frame around it in CSS pixels; a narrow page stacks the parts and takes more.
-    title : str
-        What the frame is called for readers who hear the page.
-    """
-
-    page: str
-    height: int
-    title: str
+    page: str  #: the whole HTML page, its data and its script inside
+    height: int  #: of the frame in CSS pixels; a narrow page stacks the parts and takes more
+    title: str  #: what the frame is called for readers who hear the page
 
     def _repr_html_(self) -> str:
         source = html.escape(self.page, quote=True)
@@ -52,10 +42,7 @@ class Framed:
 
 
 def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: int, caption: str, title: str) -> Framed:
-    """The page `name`: its parts, `name`.html, in the frame that all share, and its script, `name`.js, after `scripts`.
-
-    A `</` inside the JSON could end the script element: it is escaped.
-    """
+    """The page `name`: its parts, `name`.html, in the frame that all share, and its script, `name`.js, after `scripts`."""
     data = data | {"height": int(height), "title": caption, "palette": list(OKABE_ITO)}
     code = "\n".join(_text(script) for script in ("frame.js", *scripts, f"{name}.js"))
     parts = {
@@ -63,7 +50,7 @@ def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: in
         "STYLE": _text("frame.css"),
         "PARTS": _text(f"{name}.html"),
         "SCRIPT": f"(() => {{\n{code}}})();",
-        "DATA": json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),
+        "DATA": json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),  # it could end the script element
     }
     page = _text("frame.html")
     for part, text in parts.items():

@@ -38,12 +38,6 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
         Its two ends.
     ax : matplotlib Axes, optional
         A new figure's when not given.
-
-    Examples
-    --------
-    >>> from topokit import view
-    >>> view.plot_lune([[0, 0], [2, 0], [2, 2], [0, 2]], (0, 2)).get_title()
-    '2 components'
     """
     cloud = planar(points, "points")
     x, y = _ends(edge, len(cloud))
@@ -86,12 +80,6 @@ def plot_lens(
         Covering radius of the observations and largest displacement, in the unit of the points.
     ax : matplotlib Axes, optional
         A new figure's when not given.
-
-    Examples
-    --------
-    >>> from topokit import view
-    >>> view.plot_lens([[0, 0], [2, 0], [2, 2], [0, 2]], (0, 2), alpha=0.1).get_title()
-    'critical'
     """
     from scipy.spatial.distance import cdist
 

@@ -1,12 +1,12 @@
 """One colour for one identity, in every picture, and axes to draw it on.
 
-The six colours are those of Okabe and Ito that read on white and on near-black alike (their black and their yellow do
-not); they stay apart for the common kinds of colour blindness. A loop's colour depends on its identity and on nothing
-else, so that loop 3 looks the same in the diagram, on the cloth, in the player and in the next chapter.
+The six colours are those of Okabe and Ito that read on white and on near-black alike; they stay apart for the common kinds
+of colour blindness. Loop 3 looks the same in the diagram, on the cloth, in the player and in the next chapter.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -22,35 +22,25 @@ OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 
 
 def loop_colour(loop_id: int) -> str:
-    """Return the colour of an identity as `#RRGGBB`; identities six apart share one.
-
-    Examples
-    --------
-    >>> loop_colour(0), loop_colour(6)
-    ('#D55E00', '#D55E00')
-    """
+    """Return the colour of an identity as `#RRGGBB`; identities six apart share one."""
     return OKABE_ITO[int(loop_id) % len(OKABE_ITO)]
 
 
 def appearances(states: Sequence[TopologicalState]) -> dict[int, NDArray[np.int64]]:
     """Return for every identity the positions in `states` at which it is there, identities in order of first appearance."""
-    seen: dict[int, list[int]] = {}
+    places: defaultdict[int, list[int]] = defaultdict(list)
     for position, state in enumerate(states):
         for loop in state.loops:
-            seen.setdefault(loop.id, []).append(position)
-    return {loop_id: np.array(positions, dtype=np.int64) for loop_id, positions in seen.items()}
+            places[loop.id].append(position)
+    return {loop_id: np.array(positions, dtype=np.int64) for loop_id, positions in places.items()}
 
 
 def long_lived(states: Sequence[TopologicalState], share: float = 0.2) -> tuple[int, ...]:
-    """Return the identities worth a name in a picture, the weightiest first; the rest are drawn faintly.
-
-    An identity weighs the sum of its lifetimes over the states, so that a short-lived loop and a faint one both weigh
-    little; those of at least `share` of the greatest weight are returned.
-    """
-    weight: dict[int, float] = {}
+    """Identities worth a name in a picture, the weightiest first; each weighs the sum of its lifetimes over the states."""
+    weight: defaultdict[int, float] = defaultdict(float)
     for state in states:
         for loop in state.loops:
-            weight[loop.id] = weight.get(loop.id, 0.0) + loop.lifetime
+            weight[loop.id] += loop.lifetime
     least = share * max(weight.values(), default=0.0)
     return tuple(sorted((i for i in weight if weight[i] >= least), key=lambda i: (-weight[i], i)))
 

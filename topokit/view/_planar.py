@@ -51,11 +51,6 @@ def growth(
     ------
     ValueError
         When `start` lies beyond `max_radius`.
-
-    Examples
-    --------
-    >>> growth([[0, 0], [4, 0], [4, 3], [0, 3]], start=2)
-    Framed('Rips complex of 4 points', ... kB)
     """
     cloud = planar(points, "points", MOST_POINTS)
     first = None if start is None else positive(start, "start")
@@ -82,11 +77,6 @@ def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a po
         Which of them are observed at first, O.
     title : str
         The caption in the corner of the figure.
-
-    Examples
-    --------
-    >>> coverage([[0, 0], [4, 0], [4, 3], [0, 3]], [0, 1, 2])
-    Framed('3 of 4 points observed', ... kB)
     """
     from topokit.lemmas import vertex_ids  # with numba, which no other picture needs
 
@@ -116,11 +106,6 @@ def motion(points: ArrayLike, epsilon: float, after: ArrayLike | None = None) ->
     ------
     ValueError
         When `after` is another number of points.
-
-    Examples
-    --------
-    >>> motion([[0, 0], [4, 0], [4, 3], [0, 3]], 0.3)
-    Framed('4 points, each within 0.3 of its place', ... kB)
     """
     cloud, radius = planar(points, "points", MOST_POINTS), positive(epsilon, "epsilon", zero=False)
     target = None if after is None else planar(after, "after", MOST_POINTS)
@@ -148,11 +133,6 @@ def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> Framed:
     ------
     ValueError
         When there is no cloud.
-
-    Examples
-    --------
-    >>> nudge([[0, 0], [4, 0], [4, 3], [0, 3]])
-    Framed('Loop of 4 points, nudged', ... kB)
     """
     given = points if isinstance(points, Mapping) else {"points": points}
     clouds = {str(name): planar(cloud, str(name), MOST_NUDGED) for name, cloud in given.items()}

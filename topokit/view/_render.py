@@ -12,7 +12,7 @@ import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,40 +38,26 @@ plotter = pyvista.Plotter(off_screen=True, window_size=(32, 32))
 plotter.add_mesh(pyvista.Sphere(), color="black")
 assert plotter.screenshot(None, return_img=True).min() < 128
 """
-_PACKAGES = "apt-get install libegl1 libgl1-mesa-dri"
 _STEEL, _GLOSS = "#7F91A5", {"specular": 0.5, "specular_power": 22}
-_LAMPS = (
-    (-45, 40, "#FFF6E5", 0.85),
-    (55, 10, "#E6F0FF", 0.35),
-    (170, 30, "white", 0.25),
-)  # turned, lifted from the eye
+# turned and lifted from the eye in degrees, colour, strength
+_LAMPS = ((-45, 40, "#FFF6E5", 0.85), (55, 10, "#E6F0FF", 0.35), (170, 30, "white", 0.25))
 
 
 @functools.cache
 def pyvista_works() -> tuple[bool, str]:
-    """Return whether PyVista can draw on this machine, and what to do when it cannot. Found out once a process.
-
-    Examples
-    --------
-    >>> works, reason = pyvista_works()
-    >>> isinstance(works, bool) and bool(reason)
-    True
-    """
+    """Return whether PyVista can draw on this machine, and what to do when it cannot. Found out once a process."""
     if find_spec("pyvista") is None:
         return False, "PyVista is not installed: pip install 'topokit[view]'"
+    command = [sys.executable, "-c", _PROBE]
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", _PROBE], env=os.environ | _window(), capture_output=True, text=True, timeout=180
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return False, f"PyVista did not answer ({type(error).__name__}); on Debian or Ubuntu: {_PACKAGES}"
-    if done.returncode:
-        return False, f"PyVista cannot draw without the system's OpenGL; on Debian or Ubuntu: {_PACKAGES}"
+        subprocess.run(command, env=os.environ | _window(), capture_output=True, timeout=180, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return False, "PyVista cannot draw without OpenGL; on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri"
     return True, "PyVista draws"
 
 
 def render_cloth(points: ArrayLike, faces: ArrayLike, *, size: tuple[int, int] = (900, 700), **scene: Any) -> Image:
-    """Return a shaded picture of a cloth with the killer triangles of its loops.
+    """Return a shaded picture of a cloth with the killer triangles of its loops, as an RGB image of Pillow.
 
     Where PyVista cannot draw the picture is `plot_cloth`'s, and one line on stderr says what to install.
 
@@ -85,11 +71,6 @@ def render_cloth(points: ArrayLike, faces: ArrayLike, *, size: tuple[int, int] =
         Width and height in pixels.
     **scene
         What else is drawn, and from where: the other parameters of `Scene`.
-
-    Returns
-    -------
-    PIL.Image.Image
-        RGB, of the size asked for; a notebook shows it, `numpy.asarray` gives its pixels.
     """
     from PIL import Image
 
@@ -131,6 +112,8 @@ def save_animation(
     ValueError
         When `path` does not end in .gif, `every` is not a positive whole number, or the states are not one a frame.
     """
+    from PIL.Image import Quantize
+
     path = Path(path)
     if path.suffix.lower() != ".gif":
         raise ValueError(f"{path}: an animation ends in .gif")
@@ -138,32 +121,19 @@ def save_animation(
         raise ValueError(f"every must be a whole number of frames, 1 or more, not {every}")
     if states:
         one_a_frame(episode, states)
-    pictures = [
-        _quantized(render_cloth(points, episode.faces, size=size, **picture))
-        for points, picture in _moments(episode, states, int(every), scene)
-    ]
+    corners = np.concatenate([episode.points.reshape(-1, 3), episode.centre_line])
+    scene = {"focus": (corners.min(axis=0) + corners.max(axis=0)) / 2} | scene  # the camera stands still
+    scene |= {"true_loops": episode.loops, "centre_line": episode.centre_line}
+    pictures = []
+    for frame in range(0, len(episode), int(every)):
+        loops = states[frame].loops if states else ()
+        picture = render_cloth(episode.points[frame], episode.faces, size=size, loops=loops, **scene)
+        pictures.append(picture.quantize(160, Quantize.FASTOCTREE))  # a median cut loses small patches of colour
     pause = max(20, round(1000 * episode.dt * every))  # milliseconds; browsers slow down what is faster
     options: dict[str, Any] = {"save_all": True, "duration": pause, "loop": 0, "optimize": True}
     with atomic_file(path) as file:
         pictures[0].save(file, format="GIF", append_images=pictures[1:], **options)
     return path
-
-
-def _moments(
-    episode: Episode, states: Sequence[TopologicalState], every: int, scene: dict[str, Any]
-) -> Iterator[tuple[Array, dict[str, Any]]]:
-    """The cloth in every frame that is drawn, and what is drawn with it, by a camera that stands still."""
-    corners = np.concatenate([episode.points.reshape(-1, 3), episode.centre_line])
-    fixed = {"focus": (corners.min(axis=0) + corners.max(axis=0)) / 2, "rods": list(scene.pop("rods", ()))} | scene
-    fixed |= {"true_loops": episode.loops, "centre_line": episode.centre_line}
-    for frame in range(0, len(episode), every):
-        yield episode.points[frame], fixed | {"loops": states[frame].loops if states else ()}
-
-
-def _quantized(picture: Image) -> Image:
-    from PIL.Image import Quantize
-
-    return picture.quantize(160, Quantize.FASTOCTREE)  # a median cut loses small patches of colour
 
 
 @functools.cache
@@ -205,9 +175,9 @@ def _by_pyvista(scene: Scene, size: tuple[int, int]) -> NDArray[np.uint8]:
     plotter.set_background("#DCE3EA", top="#FFFFFF")
     extent = float(np.ptp(scene.points, axis=0).max(initial=0.0)) or 1.0
     _add_cloth(plotter, scene)
-    for line, radius in scene.rods:
+    for line, radius in scene.capsules:
         _add_rod(plotter, line, radius)
-    for cycle in scene.true_loops:
+    for cycle in scene.cycles:
         _add_tube(plotter, cycle, 0.0035 * extent, INK)
     for loop in scene.loops:
         _add_loop(plotter, loop, extent, direction(*scene.view))
