@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 import topokit as tk
 from topokit import view
 from topokit.io import Episode
-from topokit.view import _cloth, _player, _render
-from topokit.view._cloth import tube
+from topokit.view import _player, _plots, _render
 from topokit.view._palette import OKABE_ITO, long_lived
+from topokit.view._plots import tube
 
 from pages import NETWORK, page_data
 
@@ -222,7 +222,7 @@ def test_plot_cloth_without_faces_draws_the_points_alone(episode):
     axes.figure.canvas.draw()
     drawn = [len(part.get_offsets()) for part in axes.collections if len(part.get_offsets()) > 1]
     assert drawn == [len(episode.points[0])]
-    assert _cloth._shaded(np.zeros((0, 3, 3)), 0, (-60, 15)).shape == (0, 3)
+    assert _plots._shaded(np.zeros((0, 3, 3)), 0, (-60, 15)).shape == (0, 3)
     plt.close(axes.figure)
 
 

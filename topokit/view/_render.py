@@ -15,19 +15,19 @@ import warnings
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
+from PIL import Image
 
 from topokit._archive import atomic_file
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
-from topokit.view._cloth import INK, ROD, Scene, direction, draw_cloth, one_a_frame
 from topokit.view._palette import loop_colour
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
+from topokit.view._plots import INK, ROD, Scene, direction, draw_cloth, one_a_frame
 
 Array = NDArray[np.float64]
 _PROBE = """
@@ -38,6 +38,9 @@ plotter = pyvista.Plotter(off_screen=True, window_size=(32, 32))
 plotter.add_mesh(pyvista.Sphere(), color="black")
 assert plotter.screenshot(None, return_img=True).min() < 128
 """
+# In this environment VTK opens no window: EGL on Linux without a display.
+_NO_SCREEN = sys.platform.startswith("linux") and not os.environ.get("DISPLAY")
+_WINDOW = {"VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"} if _NO_SCREEN else {}
 _STEEL, _GLOSS = "#7F91A5", {"specular": 0.5, "specular_power": 22}
 # turned and lifted from the eye in degrees, colour, strength
 _LAMPS = ((-45, 40, "#FFF6E5", 0.85), (55, 10, "#E6F0FF", 0.35), (170, 30, "white", 0.25))
@@ -50,30 +53,28 @@ def pyvista_works() -> tuple[bool, str]:
         return False, "PyVista is not installed: pip install 'topokit[view]'"
     command = [sys.executable, "-c", _PROBE]
     try:
-        subprocess.run(command, env=os.environ | _window(), capture_output=True, timeout=180, check=True)
+        subprocess.run(command, env=os.environ | _WINDOW, capture_output=True, timeout=180, check=True)
     except (OSError, subprocess.SubprocessError):
         return False, "PyVista cannot draw without OpenGL; on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri"
     return True, "PyVista draws"
 
 
-def render_cloth(points: ArrayLike, faces: ArrayLike, *, size: tuple[int, int] = (900, 700), **scene: Any) -> Image:
+def render_cloth(
+    points: ArrayLike, faces: ArrayLike, *, size: tuple[int, int] = (900, 700), **scene: Any
+) -> Image.Image:
     """Return a shaded picture of a cloth with the killer triangles of its loops, as an RGB image of Pillow.
 
     Where PyVista cannot draw the picture is `plot_cloth`'s, and one line on stderr says what to install.
 
     Parameters
     ----------
-    points : (N, 3) array_like
-        Metres, z up.
-    faces : (F, 3) array_like of int
-        The points alone are drawn when there are none.
+    points, faces : (N, 3) and (F, 3) array_like
+        As of `Scene`.
     size : (2,) int
         Width and height in pixels.
     **scene
         What else is drawn, and from where: the other parameters of `Scene`.
     """
-    from PIL import Image
-
     checked = Scene(points, faces, **scene)
     works, reason = pyvista_works()
     if not works:
@@ -112,8 +113,6 @@ def save_animation(
     ValueError
         When `path` does not end in .gif, `every` is not a positive whole number, or the states are not one a frame.
     """
-    from PIL.Image import Quantize
-
     path = Path(path)
     if path.suffix.lower() != ".gif":
         raise ValueError(f"{path}: an animation ends in .gif")
@@ -128,7 +127,7 @@ def save_animation(
     for frame in range(0, len(episode), int(every)):
         loops = states[frame].loops if states else ()
         picture = render_cloth(episode.points[frame], episode.faces, size=size, loops=loops, **scene)
-        pictures.append(picture.quantize(160, Quantize.FASTOCTREE))  # a median cut loses small patches of colour
+        pictures.append(picture.quantize(160, Image.Quantize.FASTOCTREE))  # a median cut loses small patches of colour
     pause = max(20, round(1000 * episode.dt * every))  # milliseconds; browsers slow down what is faster
     options: dict[str, Any] = {"save_all": True, "duration": pause, "loop": 0, "optimize": True}
     with atomic_file(path) as file:
@@ -141,17 +140,7 @@ def _tell(reason: str) -> None:
     print(f"topokit.view: a plainer picture by Matplotlib. {reason}", file=sys.stderr)
 
 
-def _window() -> dict[str, str]:
-    """The environment in which VTK opens no window: EGL on Linux without a display."""
-    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        return {"VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"}
-    return {}
-
-
 def _by_matplotlib(scene: Scene, size: tuple[int, int]) -> NDArray[np.uint8]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100)
     canvas: Any = FigureCanvasAgg(figure)
     draw_cloth(figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d"), scene)
@@ -169,14 +158,17 @@ def _pyvista() -> Any:
 
 
 def _by_pyvista(scene: Scene, size: tuple[int, int]) -> NDArray[np.uint8]:
-    os.environ.update(_window())
+    os.environ.update(_WINDOW)
     pyvista = _pyvista()
     plotter = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="none")
     plotter.set_background("#DCE3EA", top="#FFFFFF")
     extent = float(np.ptp(scene.points, axis=0).max(initial=0.0)) or 1.0
     _add_cloth(plotter, scene)
     for line, radius in scene.capsules:
-        _add_rod(plotter, line, radius)
+        _add_tube(plotter, line, radius, _STEEL, **_GLOSS)
+        for end in line[[0, -1]]:
+            ball = pyvista.Sphere(radius=radius, center=end, theta_resolution=24, phi_resolution=24)
+            plotter.add_mesh(ball, color=_STEEL, smooth_shading=True, ambient=0.35, **_GLOSS)
     for cycle in scene.cycles:
         _add_tube(plotter, cycle, 0.0035 * extent, INK)
     for loop in scene.loops:
@@ -219,14 +211,6 @@ def _add_tube(plotter: Any, line: Array, radius: float, colour: str, **look: flo
     wall = _pyvista().lines_from_points(line).tube(radius=radius, n_sides=20, capping=True)
     wall = wall.compute_normals(auto_orient_normals=True, split_vertices=True, feature_angle=60)
     plotter.add_mesh(wall, color=colour, smooth_shading=True, ambient=0.35, **look)
-
-
-def _add_rod(plotter: Any, line: Array, radius: float) -> None:
-    """A tube with round ends."""
-    _add_tube(plotter, line, radius, _STEEL, **_GLOSS)
-    for end in line[[0, -1]]:
-        ball = _pyvista().Sphere(radius=radius, center=end, theta_resolution=24, phi_resolution=24)
-        plotter.add_mesh(ball, color=_STEEL, smooth_shading=True, ambient=0.35, **_GLOSS)
 
 
 def _add_loop(plotter: Any, loop: Loop, extent: float, eye: Array) -> None:

@@ -1,23 +1,136 @@
-"""Figures of planar clouds that the reader changes: a growing complex, an observed scene, a small motion, a nudge.
+"""Figures of the browser: the data-flow picture, and planar clouds that the reader changes, on pages without a kernel.
 
-Idea: a page gets the points and little else. `rips.js` computes their loops, by the same lunes as `topokit.rips`, and `match.js`
-matches diagrams as `topokit.lemmas` does, in a few milliseconds; so the reader can drag a point and see what changes. Tests hold
-their answers to topokit's. Taught in chapters 1 to 5.
+Idea: the data are packed once beside scripts without dependencies, and the page is handed to the browser as the `srcdoc` of an
+iframe. So it works the same in Jupyter, on a built page and as a file, and asks nothing of the network. `rips.js` computes loops
+by the same lunes as `topokit.rips`, and `match.js` matches diagrams as `topokit.lemmas` does, in a few milliseconds, so that
+points can be dragged. Tests hold their answers to topokit's. Taught in chapters 1 to 5.
 """
 
 from __future__ import annotations
 
+import html
+import json
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import as_points, positive
-from topokit.view._frame import Framed, framed
+from topokit.view._palette import OKABE_ITO
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
 REACHES = (0.05, 1e-3, 1e-6, 1e-9)
+
+
+@dataclass(frozen=True, repr=False)
+class Framed:
+    """A moving figure; the last value of a notebook cell shows it."""
+
+    page: str  #: the whole HTML page, its data and its script inside
+    height: int  #: of the frame in CSS pixels; a narrow page stacks the parts and takes more
+    title: str  #: what the frame is called for readers who hear the page
+
+    def _repr_html_(self) -> str:
+        source = html.escape(self.page, quote=True)
+        return (
+            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" '
+            f'style="width:100%;height:{self.height}px;border:0;display:block"></iframe>'
+        )
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.title!r}, {len(self.page) / 1000:.0f} kB)"
+
+    def save(self, path: str | Path) -> Path:
+        """Write the figure as one HTML file that opens in any browser, and return its path."""
+        path = Path(path)
+        path.write_text(self.page, encoding="utf-8")
+        return path
+
+
+def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: int, caption: str, title: str) -> Framed:
+    """The page `name`: its parts, `name`.html, in the frame that all share, and its script, `name`.js, after `scripts`."""
+    data = data | {"height": int(height), "title": caption, "palette": list(OKABE_ITO)}
+    code = "\n".join(_text(script) for script in ("frame.js", *scripts, f"{name}.js"))
+    parts = {
+        "NAME": name,
+        "STYLE": _text("frame.css"),
+        "PARTS": _text(f"{name}.html"),
+        "SCRIPT": f"(() => {{\n{code}}})();",
+        "DATA": json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),  # it could end the script element
+    }
+    page = _text("frame.html")
+    for part, text in parts.items():
+        page = page.replace(f"__{part}__", text)
+    return Framed(page, height, title)
+
+
+def _text(file: str) -> str:
+    return resources.files("topokit.view").joinpath(file).read_text(encoding="utf-8")
+
+
+# name of the stage -> what leaves it, in the words of the chapters
+STAGES = {
+    "cloth": "vertices",
+    "cloud": "points",
+    "loops": "birth, death, killers",
+    "tracks": "identities",
+    "mixture": "where",
+    "model": "what comes next",
+    "plan": "what to do",
+}
+_WIDTH, _HEIGHT, _GAP = 92, 46, 24
+
+
+@dataclass(frozen=True)
+class DataFlow:
+    """The picture; a notebook shows it, in the colours of the page around it."""
+
+    svg: str = field(repr=False)  #: as SVG text
+
+    def _repr_html_(self) -> str:
+        return f'<div class="topokit-flow">{self.svg}</div>'
+
+
+def data_flow(*lit: str) -> DataFlow:
+    """Return the picture of the stages from cloth to plan, with the stages named in `lit` filled.
+
+    Raises
+    ------
+    ValueError
+        When a name is no stage.
+    """
+    unknown = [name for name in lit if name not in STAGES]
+    if unknown:
+        raise ValueError(f"no stage {unknown[0]!r}; there are {', '.join(STAGES)}")
+    parts = [_stage(column, name, name in lit) for column, name in enumerate(STAGES)]
+    width = len(STAGES) * (_WIDTH + _GAP) - _GAP + 4
+    label = f"From cloth to plan in seven stages; this chapter is about {', '.join(lit) or 'none of them'}."
+    return DataFlow(
+        f'<svg viewBox="0 0 {width} {_HEIGHT + 30}" role="img" aria-label="{label}" '
+        'style="width:100%;max-width:820px;height:auto;display:block" font-family="system-ui,sans-serif" '
+        f'fill="currentColor" text-anchor="middle">{"".join(parts)}</svg>'
+    )
+
+
+def _stage(column: int, name: str, lit: bool) -> str:
+    """One box with its name, what leaves it beneath, and the arrow that leads to it."""
+    x, middle = 2 + column * (_WIDTH + _GAP), 2 + _HEIGHT / 2
+    fill = (
+        f'fill="{OKABE_ITO[1]}" stroke="{OKABE_ITO[1]}"' if lit else 'fill="none" stroke="currentColor" opacity="0.55"'
+    )
+    ink = 'fill="#ffffff" font-weight="600"' if lit else 'opacity="0.75"'
+    arrow = f"M{x - _GAP + 3} {middle}H{x - 7}m-5 -4l5 4l-5 4"
+    return (
+        (f'<path d="{arrow}" fill="none" stroke="currentColor" opacity="0.6"/>' if column else "")
+        + f'<rect x="{x}" y="2" width="{_WIDTH}" height="{_HEIGHT}" rx="7" {fill}/>'
+        + f'<text x="{x + _WIDTH / 2}" y="{middle + 5}" font-size="15" {ink}>{name}</text>'
+        + f'<text x="{x + _WIDTH / 2}" y="{_HEIGHT + 20}" font-size="11" opacity="0.8">{STAGES[name]}</text>'
+    )
 
 
 def growth(
