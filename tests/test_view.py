@@ -15,8 +15,7 @@ import topokit as tk
 from topokit import view
 from topokit.io import Episode
 from topokit.view import _player, _plots, _render
-from topokit.view._palette import OKABE_ITO, long_lived
-from topokit.view._plots import tube
+from topokit.view._plots import OKABE_ITO, long_lived, tube
 
 from pages import NETWORK, page_data
 

@@ -12,9 +12,8 @@ if find_spec("matplotlib") is None:
 
 from ._lunes import plot_lens, plot_lune
 from ._pages import coverage, data_flow, growth, motion, nudge
-from ._palette import appearances, loop_colour
 from ._player import player
-from ._plots import Scene, plot_cloth, plot_diagram, plot_tracks, track_figure
+from ._plots import Scene, appearances, loop_colour, plot_cloth, plot_diagram, plot_tracks, track_figure
 from ._render import pyvista_works, render_cloth, save_animation
 from ._report import model_label, plot_accuracy, plot_by_horizon, plot_conditions, plot_treatments
 

@@ -17,7 +17,7 @@ from scipy.spatial.distance import cdist
 
 from topokit._validate import positive
 from topokit.view._pages import planar
-from topokit.view._palette import OKABE_ITO, new_axes
+from topokit.view._plots import OKABE_ITO, new_axes
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -56,9 +56,9 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
             longer = np.linalg.norm(part[:, None] - cloud[[x, y]], axis=2).max(axis=1)
             triangle = np.vstack([cloud[[x, y]], part[np.argmin(longer)]])
             axes.fill(*triangle.T, facecolor=_EDGE, alpha=0.22, zorder=1)
-    _draw_edge(axes, cloud[[x, y]])
     count = len(components)
-    return _bare(axes, "empty" if count == 0 else "connected" if count == 1 else f"{count} components")
+    title = "empty" if count == 0 else "connected" if count == 1 else f"{count} components"
+    return _finished(axes, cloud[[x, y]], title)
 
 
 def plot_lens(
@@ -96,9 +96,8 @@ def plot_lens(
     _draw_dots(axes, cloud, "0.55", 2.5, zorder=2)
     _draw_dots(axes, cloud[inner], "0.3", 3, zorder=2)
     axes.plot(*cloud[path].T, "-", color=_PATH, linewidth=2.2, zorder=3)
-    _draw_edge(axes, cloud[[x, y]])
     _draw_dots(axes, cloud[pair], _BLOCKED if critical else _PATH, 8, zorder=5)
-    return _bare(axes, "critical" if critical else "not critical")
+    return _finished(axes, cloud[[x, y]], "critical" if critical else "not critical")
 
 
 def _draw_dots(axes: Axes, places: Array, colour: str, size: float, zorder: float) -> None:
@@ -109,14 +108,12 @@ def _draw_edges(axes: Axes, cloud: Array, joined: NDArray[np.bool_], **look: Any
     axes.add_collection(LineCollection(list(cloud[np.argwhere(np.triu(joined))]), **look))
 
 
-def _bare(axes: Axes, title: str) -> Axes:
+def _finished(axes: Axes, ends: Array, title: str) -> Axes:
+    """With the edge itself, above what is below 4.5."""
+    axes.plot(*ends.T, "o-", color=_EDGE, linewidth=2.6, markersize=6, zorder=4.5)
     axes.set(title=title, aspect="equal")
     axes.set_axis_off()
     return axes
-
-
-def _draw_edge(axes: Axes, ends: Array) -> None:
-    axes.plot(*ends.T, "o-", color=_EDGE, linewidth=2.6, markersize=6, zorder=4.5)
 
 
 def _ends(edge: Sequence[int], n: int) -> tuple[int, int]:

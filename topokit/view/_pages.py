@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import as_points, positive
-from topokit.view._palette import OKABE_ITO
+from topokit.lemmas import vertex_ids
+from topokit.view._plots import OKABE_ITO
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
@@ -104,9 +105,8 @@ def data_flow(*lit: str) -> DataFlow:
     ValueError
         When a name is no stage.
     """
-    unknown = [name for name in lit if name not in STAGES]
-    if unknown:
-        raise ValueError(f"no stage {unknown[0]!r}; there are {', '.join(STAGES)}")
+    for name in set(lit) - set(STAGES):
+        raise ValueError(f"no stage {name!r}; there are {', '.join(STAGES)}")
     parts = [_stage(column, name, name in lit) for column, name in enumerate(STAGES)]
     width = len(STAGES) * (_WIDTH + _GAP) - _GAP + 4
     label = f"From cloth to plan in seven stages; this chapter is about {', '.join(lit) or 'none of them'}."
@@ -118,11 +118,9 @@ def data_flow(*lit: str) -> DataFlow:
 
 
 def _stage(column: int, name: str, lit: bool) -> str:
-    """One box with its name, what leaves it beneath, and the arrow that leads to it."""
     x, middle = 2 + column * (_WIDTH + _GAP), 2 + _HEIGHT / 2
-    fill = (
-        f'fill="{OKABE_ITO[1]}" stroke="{OKABE_ITO[1]}"' if lit else 'fill="none" stroke="currentColor" opacity="0.55"'
-    )
+    blue = OKABE_ITO[1]
+    fill = f'fill="{blue}" stroke="{blue}"' if lit else 'fill="none" stroke="currentColor" opacity="0.55"'
     ink = 'fill="#ffffff" font-weight="600"' if lit else 'opacity="0.75"'
     arrow = f"M{x - _GAP + 3} {middle}H{x - 7}m-5 -4l5 4l-5 4"
     return (
@@ -144,8 +142,7 @@ def growth(
     """Return an interactive figure of the Rips complex of a planar cloud as the radius grows, and of its loops.
 
     Beside the complex stand its diagram, where a loop is a circle while it lives and a dot once it is dead, and its bars.
-    The tightest cycle of a living loop, its killer edge and its killer triangles have one colour. Points can be dragged;
-    the page then computes their loops anew.
+    The tightest cycle of a living loop, its killer edge and its killer triangles have one colour. Points can be dragged.
 
     Parameters
     ----------
@@ -179,8 +176,7 @@ def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a po
 
     Balls of the covering radius alpha stand around the observed points. In the diagram every loop of the scene that lives
     longer than alpha has a square of side alpha, in which it must be seen. The third part shows alpha against the number of
-    points for farthest-point samples, with the lifetimes of the long-lived loops as dashed lines. The reader hides points,
-    draws others, drags them.
+    points for farthest-point samples. The reader hides points, draws others, drags them.
 
     Parameters
     ----------
@@ -191,8 +187,6 @@ def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a po
     title : str
         The caption in the corner of the figure.
     """
-    from topokit.lemmas import vertex_ids  # with numba, which no other picture needs
-
     cloud = planar(points, "points", MOST_POINTS)
     ids = vertex_ids(cloud, observed)
     data = {"points": cloud.tolist(), "observed": ids.tolist()}
@@ -233,9 +227,8 @@ def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> Framed:
     """Return an interactive figure of how far three places of the longest-lived loop move when one point does.
 
     The places are the killer edge (compared by Hausdorff distance), the barycentre of the thick killer triangle, and the
-    centroid of the representative cycle, by length. A slider moves the point by at most a twentieth, a thousandth, a millionth
-    or a billionth of a unit; charts beside the picture show the moves, and birth and death, over its whole range. Any point
-    can be chosen and dragged; the page then computes everything anew.
+    centroid of the representative cycle, by length. A slider moves the point by at most a twentieth to a billionth of a unit;
+    charts show the moves, and birth and death, over its whole range. Any point can be chosen and dragged.
 
     Parameters
     ----------
@@ -261,9 +254,7 @@ def planar(points: ArrayLike, name: str, most: int | None = None) -> NDArray[np.
     """A cloud of the plane with 1 to `most` points, every digit kept, since ties must stay ties; or ValueError."""
     cloud = as_points(points, name)
     if cloud.shape[1] != 2:
-        raise ValueError(
-            f"{name} must lie in the plane, not in {cloud.shape[1]} dimensions; choose two, as {name}[:, :2]"
-        )
+        raise ValueError(f"{name} must lie in the plane, not in {cloud.shape[1]} dimensions; choose two of them")
     if most and not 1 <= len(cloud) <= most:
         raise ValueError(f"{name} must be 1 to {most} points, not {len(cloud)}; see topokit.farthest_point_sample")
     return cloud

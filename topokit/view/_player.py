@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
 from topokit.view._pages import Framed, framed
-from topokit.view._palette import long_lived
-from topokit.view._plots import as_line, one_a_frame, rod_radius, subdivide
+from topokit.view._plots import as_line, long_lived, one_a_frame, rod_radius, subdivide
 
 
 def pack(array: NDArray[Any]) -> dict[str, Any]:

@@ -1,10 +1,13 @@
-"""Matplotlib pictures: a cloth with its loops, the diagram of a frame, lifetimes over time, and all of them side by side.
+"""One colour for one identity, and Matplotlib pictures: a cloth with its loops, the diagram of a frame, lifetimes over time.
 
-What a picture of a cloth shows is checked once, by `Scene`, for this module and for `_render`. Taught in chapter 0.
+The six colours are those of Okabe and Ito that read on white and on near-black alike; they stay apart for the common kinds
+of colour blindness. Loop 3 looks the same in the diagram, on the cloth, in the player and in the next chapter. What a picture
+of a cloth shows is checked once, by `Scene`, for this module and for `_render`. Taught in chapter 0.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
@@ -21,10 +24,44 @@ from topokit._validate import as_points
 from topokit.io import Episode
 from topokit.rips import Diagram
 from topokit.state import Loop, TopologicalState
-from topokit.view._palette import long_lived, loop_colour, new_axes
 
 Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 CLOTH, ROD, INK = "#E8E2D4", "#5B6B7C", "#1C2733"
+
+
+def loop_colour(loop_id: int) -> str:
+    """Return the colour of an identity as `#RRGGBB`; identities six apart share one."""
+    return OKABE_ITO[int(loop_id) % len(OKABE_ITO)]
+
+
+def appearances(states: Sequence[TopologicalState]) -> dict[int, Ids]:
+    """Return for every identity the positions in `states` at which it is there, identities in order of first appearance."""
+    places: defaultdict[int, list[int]] = defaultdict(list)
+    for position, state in enumerate(states):
+        for loop in state.loops:
+            places[loop.id].append(position)
+    return {loop_id: np.array(positions, dtype=np.int64) for loop_id, positions in places.items()}
+
+
+def long_lived(states: Sequence[TopologicalState]) -> tuple[int, ...]:
+    """Identities worth a name in a picture, the weightiest first; each weighs the sum of its lifetimes over the states."""
+    weight: defaultdict[int, float] = defaultdict(float)
+    for state in states:
+        for loop in state.loops:
+            weight[loop.id] += loop.lifetime
+    least = 0.2 * max(weight.values(), default=0.0)
+    return tuple(sorted((i for i in weight if weight[i] >= least), key=lambda i: (-weight[i], i)))
+
+
+def new_axes(ax: Axes | None, **options: Any) -> Axes:
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    axes: Axes = plt.figure(layout="constrained").add_subplot(**options)
+    return axes
 
 
 @dataclass(eq=False)
@@ -34,9 +71,7 @@ class Scene:
     points: Any  #: (N, 3) array_like, metres, z up
     faces: Any = ()  #: (F, 3) array_like of int; the points alone are drawn when there are none
     _: KW_ONLY
-    loops: Sequence[
-        Loop
-    ] = ()  #: killer triangles in the colour of the identity, translucent, the killer edge as a thick line
+    loops: Sequence[Loop] = ()  #: their killer triangles and edges are drawn in the colour of the identity
     true_loops: Sequence[ArrayLike] = ()  #: closed cycles of vertex ids, (L,) each, drawn as dark lines
     centre_line: Any = None  #: (K, 3) array_like, the target's, drawn as a rod; not drawn where there are `rods`
     rods: Sequence[tuple[ArrayLike, ArrayLike, float]] = ()  #: start, end, radius of the target's capsules, in metres
@@ -57,10 +92,8 @@ class Scene:
         self.everything = np.concatenate([self.points, line, *(rod for rod, _ in capsules)])
 
 
-def _as_faces(faces: ArrayLike, n_points: int) -> NDArray[np.int64]:
-    array = np.asarray(faces, dtype=np.int64)
-    if array.size == 0:
-        return np.zeros((0, 3), dtype=np.int64)
+def _as_faces(faces: ArrayLike, n_points: int) -> Ids:
+    array = np.asarray(faces, dtype=np.int64) if np.size(faces) else np.zeros((0, 3), np.int64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"faces must be an (F, 3) array of vertex ids, not of shape {array.shape}")
     outside = array[(array < 0) | (array >= n_points)]
@@ -123,9 +156,8 @@ def draw_cloth(axes: Any, scene: Scene) -> None:
     axes.set_autoscale_on(False)  # `_fit` sets the limits
     axes.computed_zorder = False
     # Matplotlib sorts by depth only inside a collection; it would pad faces of several lengths with what is in memory.
-    polygons = np.concatenate(
-        [scene.points[scene.faces], *(tube(subdivide(line, 40), radius) for line, radius in scene.capsules)]
-    )
+    tubes = [tube(subdivide(line, 40), radius) for line, radius in scene.capsules]
+    polygons = np.concatenate([scene.points[scene.faces], *tubes])
     colours = _shaded(polygons, len(scene.faces), scene.view)
     axes.add_collection3d(Poly3DCollection(polygons, facecolors=colours, edgecolors=colours, linewidths=0.8, zorder=1))
     if not len(scene.faces):
@@ -193,8 +225,7 @@ def _shaded(polygons: Array, n_cloth: int, view: tuple[float, float]) -> Array:
     lamp = direction(view[0] - np.degrees(0.6), min(view[1] + np.degrees(0.6), np.degrees(1.4)))
     normals = np.cross(polygons[:, 1] - polygons[:, 0], polygons[:, 2] - polygons[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
-    shaded: Array = base * (0.45 + 0.55 * np.abs(normals @ lamp))[:, None]
-    return shaded
+    return np.asarray(base * (0.45 + 0.55 * np.abs(normals @ lamp))[:, None])
 
 
 def plot_diagram(diagram: Diagram | TopologicalState, ax: Axes | None = None, *, alpha: float | None = None) -> Axes:
@@ -277,8 +308,7 @@ def _draw_track(axes: Axes, times: Array, values: Array, loop_id: int, *, bold: 
 def track_figure(episode: Episode, states: Sequence[TopologicalState]) -> Figure:
     """Return one picture of a tracked episode: the cloth at four moments, lifetimes over time, the diagram of a frame.
 
-    This is what `topokit track --plot` saves. The figure belongs to no window: a notebook shows it when it is the value
-    of a cell, and nothing has to be closed.
+    This is what `topokit track --plot` saves. The figure belongs to no window, and nothing has to be closed.
 
     Parameters
     ----------

@@ -7,7 +7,6 @@ process of its own.
 from __future__ import annotations
 
 import functools
-import importlib
 import os
 import subprocess
 import sys
@@ -26,8 +25,7 @@ from PIL import Image
 from topokit._archive import atomic_file
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
-from topokit.view._palette import loop_colour
-from topokit.view._plots import INK, ROD, Scene, direction, draw_cloth, one_a_frame
+from topokit.view._plots import INK, ROD, Scene, direction, draw_cloth, loop_colour, one_a_frame
 
 Array = NDArray[np.float64]
 _PROBE = """
@@ -154,7 +152,8 @@ def _pyvista() -> Any:
     with warnings.catch_warnings():
         # Notebooks without ipywidgets would show it, and no picture has a progress bar.
         warnings.filterwarnings("ignore", "IProgress not found")
-        return importlib.import_module("pyvista")
+        import pyvista
+    return pyvista
 
 
 def _by_pyvista(scene: Scene, size: tuple[int, int]) -> NDArray[np.uint8]:
