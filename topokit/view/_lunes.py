@@ -109,7 +109,6 @@ def _draw_edges(axes: Axes, cloud: Array, joined: NDArray[np.bool_], **look: Any
 
 
 def _finished(axes: Axes, ends: Array, title: str) -> Axes:
-    """With the edge itself, above what is below 4.5."""
     axes.plot(*ends.T, "o-", color=_EDGE, linewidth=2.6, markersize=6, zorder=4.5)
     axes.set(title=title, aspect="equal")
     axes.set_axis_off()

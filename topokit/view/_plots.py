@@ -308,8 +308,6 @@ def _draw_track(axes: Axes, times: Array, values: Array, loop_id: int, *, bold: 
 def track_figure(episode: Episode, states: Sequence[TopologicalState]) -> Figure:
     """Return one picture of a tracked episode: the cloth at four moments, lifetimes over time, the diagram of a frame.
 
-    This is what `topokit track --plot` saves. The figure belongs to no window, and nothing has to be closed.
-
     Parameters
     ----------
     episode : Episode
