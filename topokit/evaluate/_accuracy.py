@@ -27,8 +27,7 @@ from torch import Tensor
 from topokit._matching import assign
 from topokit.models import States, loop_mixtures, match_slots
 
-from ._localisation import nearest_in_hull
-from ._tracking import extent
+from ._tracking import extent, nearest_in_hull
 
 Array = NDArray[np.float64]
 MOST = 2
@@ -44,21 +43,13 @@ COLUMNS = (*_PLACES, "kept", "nll", "cover50", "cover90", *_SLOTS, *(f"{name}_ri
 
 @dataclass(frozen=True, eq=False)
 class TrueCurves:
-    """The true loops of a window at K steps.
+    """The true loops of a window at K steps."""
 
-    Attributes
-    ----------
-    curves : tuple of (K, L, 3) float64
-        Their vertices, metres.
-    closing : tuple of (K, 2, 3) float64, optional
-        The ends of the edges of the full cloud that end their classes, metres.
-    present : tuple of (K,) bool, optional
-        Whether they are there; all of them when not given.
-    """
-
-    curves: tuple[Array, ...]
-    closing: tuple[Array, ...] = ()
-    present: tuple[NDArray[np.bool_], ...] = ()
+    curves: tuple[Array, ...]  #: of each loop the vertices (K, L, 3), metres
+    closing: tuple[
+        Array, ...
+    ] = ()  #: of each the ends (K, 2, 3) of the edges of the full cloud that end its class, if known
+    present: tuple[NDArray[np.bool_], ...] = ()  #: (K,) whether it is there; all are when not given
 
     def there(self, k: int) -> list[int]:
         """The loops that are there."""

@@ -20,21 +20,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A statistic and what the bootstrap made of it.
+    """A statistic and what the bootstrap made of it."""
 
-    Attributes
-    ----------
-    value : float
-        On all samples; nan when there is none.
-    draws : (D,) float64
-        On each draw.
-    n : int
-        Samples that it is of.
-    """
-
-    value: float
-    draws: Array
-    n: int
+    value: float  #: on all samples; nan when there is none
+    draws: Array  #: (D,) on each draw
+    n: int  #: samples that it is of
 
     def __sub__(self, other: Estimate) -> Estimate:
         """The gain over another one on the same draws."""
@@ -73,14 +63,6 @@ class Bootstrap:
     strata : (n,) array_like, optional
         Which garment, say. How many there are of each was decided and not drawn, so it is the same in all draws: episodes are
         drawn among those of the same stratum.
-
-    Examples
-    --------
-    Two episodes of two samples each: one is all right, the other all wrong.
-
-    >>> one = Bootstrap([0, 0, 7, 7], draws=200).ratio([[1, 1, 0, 0]], [[1, 1, 1, 1]])
-    >>> one.value, one.interval()
-    (0.5, (0.0, 1.0))
     """
 
     def __init__(

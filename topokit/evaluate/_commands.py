@@ -73,13 +73,13 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 def _show(options: argparse.Namespace, results: dict[str, Any]) -> None:
-    from ._report import hull_table
+    from ._results import table_of
 
     if options.json:
         print(json.dumps({"results": str(options.out), "hull_accuracy": results["hull_accuracy"]}))
         return
     for name, condition in results["conditions"].items():
-        print(f"\n{name}\n\n{hull_table(condition, results['horizons'])}")
+        print(f"\n{name}\n\n{table_of(condition['hull_accuracy'], results['horizons'])}")
     print(f"results: {options.out}")
 
 

@@ -40,24 +40,12 @@ class Forecaster:
 
 @dataclass(frozen=True, eq=False)
 class PreparedCondition:
-    """A condition whose files were found good.
+    """A condition whose files were found good."""
 
-    Attributes
-    ----------
-    clean : WindowDataset
-        The windows; their labels are the truth about presence.
-    observed : WindowDataset
-        The same as the forecasters see them; `clean` itself when nothing is spoilt.
-    forecasters : dict of str to list of Forecaster
-        By what the results call them, one a training seed.
-    entries : dict
-        What the results say about the condition.
-    """
-
-    clean: WindowDataset
-    observed: WindowDataset
-    forecasters: Mapping[str, Sequence[Forecaster]]
-    entries: Mapping[str, Any]
+    clean: WindowDataset  #: the windows; their labels are the truth about presence
+    observed: WindowDataset  #: the same as the forecasters see them; `clean` itself when nothing is spoilt
+    forecasters: Mapping[str, Sequence[Forecaster]]  #: by what the results call them, one a training seed
+    entries: Mapping[str, Any]  #: what the results say about the condition
 
 
 def garments_of(windows: WindowDataset) -> NDArray[np.str_]:

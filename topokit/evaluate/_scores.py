@@ -28,70 +28,41 @@ _SLACK = float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class Overlap:
-    """What there is to be matched in one frame.
+    """What there is to be matched in one frame."""
 
-    Attributes
-    ----------
-    objects : (m,) int64
-    ids : (k,) int64
-        Of the tracker.
-    similarity : (m, k) float64
-        From 0 to 1.
-    """
-
-    objects: Ids
-    ids: Ids
-    similarity: Array
+    objects: Ids  #: (m,) the objects that are there
+    ids: Ids  #: (k,) the identities that the tracker gave
+    similarity: Array  #: (m, k) from 0 to 1
 
 
 @dataclass(frozen=True)
 class Event:
     """What became of an object or of a detection at a frame.
 
-    Attributes
-    ----------
-    frame : int
-        Position in the sequence.
-    kind : str
-        "match"; "switch", a match with another identity than the last one; "miss"; "false positive"; and, beside a match,
-        "fragment" when the object had been lost in between.
-    loop : int
-        The object; -1 for a false positive.
-    id : int
-        The identity; -1 for a miss.
+    A "match" with another identity than the last one is a "switch"; beside it stands a "fragment" when the object had been lost
+    in between.
     """
 
-    frame: int
-    kind: Kind
-    loop: int
-    id: int
+    frame: int  #: position in the sequence
+    kind: Kind  #: one of the five
+    loop: int  #: the object; -1 for a false positive
+    id: int  #: the identity; -1 for a miss
 
 
 @dataclass(frozen=True, eq=False)
 class TrackingScore:
-    """Counts of a sequence, or of several added up, and the measures that follow from them.
+    """Counts of a sequence, or of several added up, and the measures that follow from them."""
 
-    Attributes
-    ----------
-    objects, detections : int
-        True and tracked loops, summed over the frames.
-    matches, switches, fragments : int
-        Objects that were found; found under another identity than the last time; found again after a loss.
-    id_matches : int
-        Matches that are left when every object is given one identity for good, and every identity one object.
-    level_matches, level_association : (19,) float64
-        At each of HOTA's levels: matches, and the sum over them of the share ``|both|`` / ``|either|`` that the frames of object
-        and identity have in common.
-    """
-
-    objects: int
-    detections: int
-    matches: int
-    switches: int
-    fragments: int
-    id_matches: int
-    level_matches: Array
-    level_association: Array
+    objects: int  #: true loops, summed over the frames
+    detections: int  #: tracked loops, summed over the frames
+    matches: int  #: objects that were found
+    switches: int  #: objects found under another identity than the last time
+    fragments: int  #: objects found again after a loss
+    id_matches: int  #: matches left when every object is given one identity for good, and every identity one object
+    level_matches: Array  #: (19,) matches at each of HOTA's levels
+    level_association: (
+        Array  #: (19,) their sums of the shares ``|both|`` / ``|either|`` of frames of object and identity
+    )
 
     def __add__(self, other: TrackingScore) -> TrackingScore:
         return TrackingScore(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
@@ -148,15 +119,6 @@ def score(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Tracking
     overlaps : sequence of Overlap
     threshold : float
         Least similarity of a match for MOTA, IDF1, switches and fragments. HOTA is averaged over nineteen.
-
-    Examples
-    --------
-    Two frames; the object is found in both, under two identities.
-
-    >>> one = np.ones((1, 1))
-    >>> s = score([Overlap(np.array([0]), np.array([5]), one), Overlap(np.array([0]), np.array([6]), one)])
-    >>> s.switches, s.mota, s.idf1, round(s.hota, 3)
-    (1, 0.5, 0.5, 0.707)
     """
     overlaps, shape = _numbered(overlaps)
     kinds = [event.kind for event in events(overlaps, threshold)]

@@ -12,50 +12,25 @@ from numpy.typing import NDArray
 
 from ._bootstrap import Bootstrap, Estimate, mean_of
 from ._config import EvaluationConfig
+from ._results import MEASURES
 
 Array = NDArray[np.float64]
 _ORDER = ("seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours")
 _PLACES = {name: place for place, name in enumerate(_ORDER)}
 TOLERANCES = (0.0, 0.01, 0.02, 0.03, 0.05, 0.1)
-MEASURES = {
-    "hull_accuracy": "share of windows in which the mean of the mixture is in the hull",
-    "in_plane": "share of windows in which it is in the outline of the true loop, and near its plane",
-    "in_opening": "share of windows in which it is nearer to the centre of the true loop than that loop's farthest vertex",
-    "distance_cm": "mean distance from the centre of the true loop, cm",
-    "distance_median_cm": "median of that",
-    "nll": "mean negative log-likelihood of points of the true opening, nats",
-    "nll_median": "median of that over the windows",
-    "cover50": "share of points of the opening in the region of 50 %",
-    "cover90": "share of points of the opening in the region of 90 %",
-    "identity": "true loops found at t+1 that are found by the same slot",
-    "presence": "balanced accuracy: is the slot's loop there for the tracker?",
-    "presence_changed": "the same accuracy, of loops that have come or gone since t",
-    "presence_same": "the same accuracy, of the others",
-}
-"""Of a table, and what they mean."""
 OF_GARMENTS = ("hull_accuracy", "in_plane", "in_opening", "distance_cm")
 """Those that are shown of every garment, too."""
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """All measurements of a condition.
+    """All measurements of a condition."""
 
-    Attributes
-    ----------
-    columns : dict of dict of (seeds, n, K) float64
-        Model, then a name of `COLUMNS`.
-    episode : (n,) int
-    garment : (n,) str
-    steps, horizons : tuple of int
-        The K steps, and those of the tables.
-    """
-
-    columns: Mapping[str, Mapping[str, Array]]
-    episode: NDArray[np.int64]
-    garment: NDArray[np.str_]
-    steps: tuple[int, ...]
-    horizons: tuple[int, ...]
+    columns: Mapping[str, Mapping[str, Array]]  #: model, then a name of `COLUMNS`: (seeds, n, K)
+    episode: NDArray[np.int64]  #: (n,)
+    garment: NDArray[np.str_]  #: (n,)
+    steps: tuple[int, ...]  #: the K steps
+    horizons: tuple[int, ...]  #: those of the tables
 
     def of(self, garment: str) -> Samples:
         """Those of a garment."""
