@@ -434,7 +434,7 @@ def test_baselines_are_tracked_on_what_the_networks_see(dataset):
 @pytest.mark.parametrize(
     ("module", "old", "new"),
     [
-        ("evaluate/_tracking.py", "if scale == 0.0:", "if scale <= 0.0:"),  # in nearest_in_hull
+        ("evaluate/_tracking.py", "if scale == 0.0:", "if scale <= 0.0:"),  # in distance_to_hull
         ("seqph.py", "options: ", None),
         ("seqph.py", "next_id += before is None", "next_id += 1"),
         ("_matching.py", "2 * alpha + epsilon", "3 * alpha + epsilon"),

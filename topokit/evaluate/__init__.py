@@ -10,16 +10,18 @@ from typing import TYPE_CHECKING
 
 from topokit._lazy import attach
 
-from ._baselines import by_diagram, by_midpoint, track_vines
 from ._scores import Event, Overlap, TrackingScore, events, score
 from ._tracking import (
     TrackSummary,
     TrueLoops,
+    by_diagram,
     by_killer,
+    by_midpoint,
     by_place,
     compare,
     distance_to_hull,
     summarise_tracks,
+    track_vines,
     true_loops,
 )
 

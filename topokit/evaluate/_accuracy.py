@@ -27,18 +27,25 @@ from torch import Tensor
 from topokit._matching import assign
 from topokit.models import States, loop_mixtures, match_slots
 
-from ._tracking import extent, nearest_in_hull
+from ._tracking import distance_to_hull, extent
 
 Array = NDArray[np.float64]
-MOST = 2
-"""True loops that a sample asks for, at most: the paper's objects have one or two."""
-OFFSET = 0.25
-"""In the plane: how far beside the hull's plane still counts, as a share of the loop's radius."""
+MOST = 2  # true loops that a sample asks for, at most: the paper's objects have one or two
+OFFSET = 0.25  # how far beside the plane of a loop still counts as in it, as a share of its radius
 POINTS, DRAWN = 16, 100  # of an opening, and of a mixture, for likelihood and coverage
-_PLACES = ("outside", "outside_marked", "outside_anyway", "in_plane", "in_opening", "distance")
-_SLOTS = ("there", "absent", "changed", "same")
-COLUMNS = (*_PLACES, "kept", "nll", "cover50", "cover90", *_SLOTS, *(f"{name}_right" for name in _SLOTS))
-"""What `measure_forecasts` says of every sample and step."""
+_SLOTS = ("there", "absent", "changed", "same")  # for the tracker: at that step, and against the last frame seen
+COLUMNS = (
+    "outside",  # of the farthest of the k means from its hull, metres; inf when fewer than k are forecast
+    "outside_marked",  # the same for hulls of the marked curves alone, of loops that are not there, too
+    "outside_anyway",  # the same as the first by lifetime times presence, none said to be absent
+    "in_plane",  # whether all k are in the curve's outline, seen along its normal, and near its plane
+    "in_opening",  # whether all are nearer to the centres than the curves' farthest vertices, as chapter 6 asks of tracks
+    "distance",  # of the k means from these centres, metres
+    "kept",  # of the true loops found at the first step and still there, the share that is found by the same slot
+    *("nll", "cover50", "cover90"),  # of points of the openings: nats, shares in the regions of 50 and 90 % of the mass
+    *_SLOTS,  # how many slots there are of the kind
+    *(f"{name}_right" for name in _SLOTS),  # how many of these the forecast has right
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +86,7 @@ class TrueCurves:
         """At most 1 when the point lies in a curve's outline, seen along the normal, and near enough to its plane."""
         mean, axes = (part[k] for part in self.planes[loop])
         off = abs(float((point - mean) @ axes[2])) / (OFFSET * self.extents[1][k, loop])
-        if off > 1 or nearest_in_hull((self.curves[loop][k] - point) @ axes[:2].T) >= 1e-9:
+        if off > 1 or distance_to_hull((0, 0), (self.curves[loop][k] - point) @ axes[:2].T) >= 1e-9:
             return float("inf")
         return float(off)
 
@@ -97,17 +104,6 @@ def measure_forecasts(
 
     `target` and `past` are what the tracker saw at all steps, and at the last frame before them. Likelihood and coverage are
     dear: they are taken at the `fine` steps.
-
-    ``outside``, ``outside_anyway``: the farthest of the k means from its hull, metres; inf when fewer than k are forecast. The
-    second ranks by lifetime times presence and lets none be absent. ``outside_marked``: the same as the first for hulls of the
-    marked curves alone, and loops that are not there asked for, too. ``in_plane``: whether all k means lie in the marked
-    curve's outline, seen along its normal, and beside its plane by `OFFSET` radii at most. ``in_opening``: whether all are
-    nearer to the centres of the curves than the curves' farthest vertices, as chapter 6 asks of tracks. ``distance``: of the k
-    means from these centres, metres. ``nll``, ``cover50``, ``cover90``: of `POINTS` points of the openings under the k
-    mixtures, nats, and the share of them in the smallest region that has 50 or 90 % of the mass. ``kept``: of the true loops
-    found at the first step and still there, how many are found by the same slot. Then counts of slots: those that the tracker
-    sees there and those that are absent, those that changed since the last frame seen and those that did not; each with how
-    many the forecast has right.
     """
     at = torch.tensor([step - 1 for step in steps])
     some = states[:, at]
@@ -204,7 +200,7 @@ class _Sample:
 
     def outside(self, slots: Sequence[int], hulls: Sequence[Array], asked: int) -> float:
         """How far the means of slots are from hulls, one each."""
-        return _least_worst([[nearest_in_hull(hull - self.means[slot]) for hull in hulls] for slot in slots], asked)
+        return _least_worst([[distance_to_hull(self.means[slot], hull) for hull in hulls] for slot in slots], asked)
 
 
 def _least_worst(table: Sequence[Sequence[float]], asked: int) -> float:

@@ -115,11 +115,11 @@ class Bootstrap:
         order = np.argsort(table[seed, sample], kind="stable")
         seed, sample = seed[order], sample[order]
         found = table[seed, sample]
-        often, draws = self._seeds(len(table), model), []
-        for weight, times in zip(self.weights, often, strict=True):
-            reached = np.cumsum(weight[self.bunch[sample]] * times[seed])
-            draws.append(found[np.searchsorted(reached, reached[-1] / 2)] if reached[-1] else np.nan)
-        return Estimate(float(np.median(found)), np.array(draws), round(len(found) / len(table)))
+        often = self._seeds(len(table), model)[:, seed]
+        reached = np.cumsum(self.weights[:, self.bunch[sample]] * often, axis=1)  # (D, found)
+        middle = (reached < reached[:, -1:] / 2).sum(axis=1)
+        draws = np.where(reached[:, -1] > 0, found[middle], np.nan)
+        return Estimate(float(np.median(found)), draws, round(len(found) / len(table)))
 
     def _by_bunch(self, table: Array) -> Array:
         """(S, E) sums over the samples of each episode."""

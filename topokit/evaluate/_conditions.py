@@ -82,8 +82,9 @@ def _forecasters(
     for name, paths in (config.models if condition.models is None else condition.models).items():
         found = [_load(config, name, folder / path, path) for path in paths]
         if len({one.about["sha256"] for one in found}) < len(found):
-            where = f"condition {condition.name!r}"
-            raise ValueError(f"{where}: {name} lists the same weights twice; each checkpoint is to be of another seed")
+            raise ValueError(
+                f"condition {condition.name!r}: {name} lists the same weights twice, not those of another seed"
+            )
         for one in found:
             _check_unseen(one.about, windows, condition)
         forecasters[ours.get(name, name)] = found
@@ -102,19 +103,13 @@ def _entries(
     spoilt = condition.clouds is not None
     entries = {
         "dataset": {"sha256": dataset.checksum(), "seed": dataset.seed, "episodes": len(dataset)},
-        "labels": {
-            "name": windows.labels,
-            "observation": labels.manifest["observation"],
-            "sha256": labels.checksum(),
-        },
+        "labels": {"name": windows.labels, "observation": labels.manifest["observation"], "sha256": labels.checksum()},
         "condition": {key: value for key, value in asdict(condition).items() if key not in ("models", "dataset")},
         "states_of_seqph_hold_carry_ridge": "tracked on the spoilt clouds" if spoilt else "the labels",
         "windows": len(windows),
         "episodes": len(windows.episodes),
         "windows_by_garment": {str(garment): int(count) for garment, count in counts},
-        "checkpoints": {
-            name: [dict(one.about) for one in found] for name, found in forecasters.items() if found[0].about
-        },
+        "checkpoints": {name: [one.about for one in found] for name, found in forecasters.items() if found[0].about},
     }
     settings = {name: asdict(config)[name] for name in ("ours", "shape", "samples", "seed", "tolerance")}
     return {"made_from": digest([entries, settings, library_digest()]), **entries}
@@ -136,17 +131,16 @@ def _tested(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.i
     unknown = sorted(set(garments) - set(dataset.garments))
     if unknown:
         raise ValueError(f"{where}: no garment {unknown[0]!r} in the dataset; it has {', '.join(dataset.garments)}")
-    part = parts[condition.part].tolist()
-    chosen = [number for number in part if dataset.group.records[number].garment in garments]
+    records = dataset.group.records
+    chosen = [number for number in parts[condition.part].tolist() if records[number].garment in garments]
     known = np.intersect1d(chosen, labelled)
     if not len(known):
         raise ValueError(
-            f"{where}: no episode to test on: the part {condition.part!r} has {len(part)} episodes, "
-            f"{len(chosen)} of them of these garments, and none of those has labels {labels!r}"
+            f"{where}: none of the {len(chosen)} chosen episodes of {condition.part!r} has labels {labels!r}"
         )
     if len(known) < len(chosen):
-        missing = f"{len(chosen) - len(known)} of {len(chosen)}"
-        warnings.warn(f"{where}: {missing} episodes have no labels {labels!r} and are left out", stacklevel=2)
+        missing = f"{len(chosen) - len(known)} of {len(chosen)} episodes have no labels {labels!r}"
+        warnings.warn(f"{where}: {missing} and are left out", stacklevel=2)
     return known
 
 
@@ -203,11 +197,8 @@ def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> Foreca
     if name in MODELS and description["model"] != name:
         raise ValueError(f"{path}: a checkpoint of {description['model']!r}, listed under {name!r}")
     if model.shape != config.shape:
-        has, wanted = (
-            ", ".join(f"{size} {value}" for size, value in asdict(shape).items())
-            for shape in (model.shape, config.shape)
-        )
-        raise ValueError(f"{path}: trained on windows of another shape: {has}; the evaluation has {wanted}")
+        has = ", ".join(f"{size} {value}" for size, value in asdict(model.shape).items())
+        raise ValueError(f"{path}: trained on windows of another shape: {has}; the evaluation has {config.shape}")
     trained = description.get("config", {})
     about: dict[str, Any] = {
         "checkpoint": shown,
@@ -227,21 +218,19 @@ def _check_unseen(about: Mapping[str, Any], windows: WindowDataset, condition: C
     same = about["trained_on"] == dataset.checksum()
     if condition.shares_no_episode and not same:
         return
+    word = 'if no episode is shared, say so: "shares_no_episode": true'
     try:
         parts = dataset.split(**about["split"])
     except (TypeError, ValueError) as error:
         raise ValueError(
-            f"{where} was trained on another dataset, whose split {about['split']} cannot be made here ({error}); if it "
-            'shares no episode with this one, say so: "shares_no_episode": true'
+            f"{where} was trained with the split {about['split']}, which cannot be made here ({error}); {word}"
         ) from error
     both = np.intersect1d(windows.episodes, np.concatenate([parts["train"], parts["validation"]]))
     if len(both):
         whose = "this dataset" if same else f"a dataset with checksum {about['trained_on'][:12] or 'unknown'}"
         raise ValueError(
-            f"{where} was trained on {whose} with the split {about['split']}, and {len(both)} of the "
-            f"{len(windows.episodes)} episodes to test on were in its training or validation part, the first is {both[0]}: "
-            "test on the part it did not see"
-            + ("" if same else ', or say that no episode is shared, if so: "shares_no_episode": true')
+            f"{where} was trained on {whose}, and {len(both)} episodes to test on, the first is {both[0]}, were in its training "
+            f"or validation part; test on the part it did not see{'' if same else f', or {word}'}"
         )
     if not same:
         warnings.warn(

@@ -1,35 +1,40 @@
 """Evaluate predictors on held-out windows: every number of chapter 11, from a dataset and checkpoints.
 
 One file of results, written again after each condition; a run that was stopped goes on with the conditions that are missing.
+The forecasts that went farthest astray are kept to be looked at: a table says how often, a picture why.
 
 Source: the figure is that of Antonova et al. 2021, section 6. Taught in chapter 11.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import platform
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 from torch.utils.data import default_collate
 from tqdm import tqdm
 
 import topokit
 from topokit.data import Dataset
-from topokit.models import past_states, target_states
+from topokit.io import save_episode
+from topokit.models import States, past_states, target_states
 
-from ._accuracy import COLUMNS, measure_forecasts
+from ._accuracy import COLUMNS, Array, measure_forecasts
 from ._conditions import PreparedCondition, garments_of, prepare_condition, true_curves
 from ._config import Condition, EvaluationConfig
-from ._failures import Model, far_astray, save_clips
 from ._results import KIND, read_results, write_results
 from ._summary import Samples, horizons_of, steps_of, summarise
 
 BATCH = 64
+MOST_FAILURES = 6
 
 
 def evaluate_forecasts(
@@ -41,7 +46,7 @@ def evaluate_forecasts(
     command: str = "",
     clips: str | Path | None = None,
 ) -> dict[str, Any]:
-    """Evaluate all models under all conditions.
+    """Evaluate all models under all conditions; return what is in the file.
 
     Parameters
     ----------
@@ -49,27 +54,13 @@ def evaluate_forecasts(
     folder : path
         What the paths of `config` are relative to.
     out : path, optional
-        File for the results. Conditions that are in it already, made from the same files by the same code, are not made again;
-        the file is replaced in one piece after each condition.
+        File for the results. Conditions that are in it already, made from the same files by the same code, are not made again.
     progress : bool
         Say on stderr what is done, with a bar on a terminal.
     command : str
         What made the file, for its readers.
     clips : path, optional
         Folder for the frames of the failures that the results list, of the condition with most garments.
-
-    Returns
-    -------
-    dict
-        What is in the file.
-
-    Raises
-    ------
-    FileNotFoundError, FormatError
-        When a dataset, its labels, or a checkpoint is missing or damaged.
-    ValueError
-        When a checkpoint was trained on windows of another shape, or on episodes that it would be tested on; or a condition
-        has no window.
     """
     folder, results = Path(folder), _empty(config, command)
     done = read_results(out)["conditions"] if out is not None and Path(out).is_file() else {}
@@ -89,7 +80,7 @@ def evaluate_forecasts(
     if clips is not None:
         chosen = max(config.conditions, key=lambda condition: len(tables[condition.name]["failures"]))
         dataset = Dataset(folder / (chosen.dataset or config.dataset))
-        save_clips(tables[chosen.name]["failures"], dataset, Path(clips))
+        _save_clips(tables[chosen.name]["failures"], dataset, Path(clips))
     return results
 
 
@@ -99,11 +90,8 @@ def _table(
     """All that the results say of a condition."""
     samples = _measured(config, condition, prepared, progress)
     table = summarise(samples, config, condition is config.conditions[0])
-    first = {name: found[0] for name, found in prepared.forecasters.items()}
-    models: dict[str, Model] = {name: first[name] for name in ("ours", "pointnet", "carry", "seqph") if name in first}
-    failures = []
-    if "ours" in models and prepared.observed is prepared.clean:  # no dataset holds spoilt clouds
-        failures = far_astray(prepared.clean, samples, models, config.tolerance)
+    spoilt = prepared.observed is not prepared.clean  # no dataset holds spoilt clouds
+    failures = [] if spoilt or "ours" not in samples.columns else _failures(prepared, samples, config.tolerance)
     return {**prepared.entries, **table, "failures": failures}
 
 
@@ -111,7 +99,7 @@ def _measured(config: EvaluationConfig, condition: Condition, prepared: Prepared
     """Forecast all windows with all models, and measure."""
     steps, fine = steps_of(config.shape.horizon), horizons_of(config.shape.horizon)
     clean, observed = prepared.clean, prepared.observed
-    parts: dict[str, list[list[dict[str, Any]]]] = {
+    parts: dict[str, list[list[dict[str, Array]]]] = {
         name: [[] for _ in found] for name, found in prepared.forecasters.items()
     }
     total = len(clean) * sum(map(len, parts.values()))
@@ -129,13 +117,13 @@ def _measured(config: EvaluationConfig, condition: Condition, prepared: Prepared
                     rng = np.random.default_rng((config.seed, number))  # the same points of the openings for all
                     part.append(measure_forecasts(forecaster(window), target, past, truth, steps, fine, rng))
                     bar.update(len(rows))
-    columns = {
-        name: {
-            column: np.stack([np.concatenate([some[column] for some in part]) for part in seeds]) for column in COLUMNS
-        }
-        for name, seeds in parts.items()
-    }
+    columns = {name: {column: _joined(seeds, column) for column in COLUMNS} for name, seeds in parts.items()}
     return Samples(columns, clean.index[:, 0], garments_of(clean), steps, fine)
+
+
+def _joined(seeds: Sequence[Sequence[Mapping[str, Array]]], column: str) -> Array:
+    """(seeds, n, K) a column of all batches."""
+    return np.stack([np.concatenate([some[column] for some in part]) for part in seeds])
 
 
 def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
@@ -166,3 +154,74 @@ def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
         "hull_accuracy": {},
         "conditions": {},
     }
+
+
+# -- failures ---------------------------------------------------------------------------------------------------------------
+
+
+def _failures(prepared: PreparedCondition, samples: Samples, tolerance: float) -> list[dict[str, Any]]:
+    """The worst samples, with what models said about the last step: loops by lifetime times presence, metres."""
+    chosen, step = _worst(samples, tolerance), samples.steps[-1]
+    if not chosen:
+        return []
+    window = default_collate([prepared.clean[row] for row in chosen])
+    names = [name for name in ("ours", "pointnet", "carry", "seqph") if name in prepared.forecasters]
+    with torch.inference_mode():
+        forecasts = {name: prepared.forecasters[name][0](window)[:, step - 1] for name in names}
+    return [
+        {
+            "episode": int(samples.episode[row]),
+            "frame": int(prepared.clean.index[row, 1]),
+            "step": step,
+            "garment": str(samples.garment[row]),
+            "outside_cm": {name: _cm(samples.columns[name]["outside_anyway"][0, row, -1]) for name in names},
+            "forecasts": {name: _loops(states[place]) for name, states in forecasts.items()},
+        }
+        for place, row in enumerate(chosen)
+    ]
+
+
+def _worst(samples: Samples, tolerance: float) -> list[int]:
+    """Of each garment the sample that our first seed puts farthest outside at the last step; the farthest first.
+
+    Loops that are said to be absent count, too: where nothing is forecast there would be nothing to be seen.
+    """
+    reach = samples.columns["ours"]["outside_anyway"][0, :, -1]
+    reach = np.where(np.isfinite(reach), reach, -1)
+    rows = [np.flatnonzero(samples.garment == garment) for garment in np.unique(samples.garment)]
+    farthest = [int(some[np.argmax(reach[some])]) for some in rows]
+    return sorted((row for row in farthest if reach[row] > tolerance), key=lambda row: -reach[row])[:MOST_FAILURES]
+
+
+def _loops(states: States) -> list[dict[str, Any]]:
+    """All loops of one window at one step (S, ...)."""
+    presence, lifetime = states.presence.sigmoid(), states.death - states.birth
+    return [
+        {
+            "slot": slot,
+            "presence": round(float(presence[slot]), 3),
+            "mean": _rounded(states.mean[slot]),
+            "triangles": _rounded(states.triangles[slot, :2]),
+        }
+        for slot in torch.argsort(-lifetime * presence).tolist()
+        if lifetime[slot] > 0
+    ]
+
+
+def _rounded(values: Tensor) -> Any:
+    return np.round(values.double().numpy(), 4).tolist()
+
+
+def _cm(metres: float) -> float | None:
+    return round(100 * float(metres), 1) if np.isfinite(metres) else None
+
+
+def _save_clips(failures: Sequence[Mapping[str, Any]], dataset: Dataset, folder: Path) -> None:
+    """Save the last frame that was seen and the frame that was forecast, as episodes of two frames."""
+    for number, failure in enumerate(failures):
+        episode, last = dataset[failure["episode"]], failure["frame"]
+        frames, names = [last, last + failure["step"]], ("points", "observed", "actions", "grippers", "held")
+        arrays = {name: getattr(episode, name)[frames] for name in names}
+        note = {key: value for key, value in failure.items() if key != "forecasts"}
+        clip = dataclasses.replace(episode, **arrays, dt=episode.dt * failure["step"], observation=note)
+        save_episode(folder / f"forecast_{number}.npz", clip)

@@ -60,9 +60,8 @@ class TrackingScore:
     fragments: int  #: objects found again after a loss
     id_matches: int  #: matches left when every object is given one identity for good, and every identity one object
     level_matches: Array  #: (19,) matches at each of HOTA's levels
-    level_association: (
-        Array  #: (19,) their sums of the shares ``|both|`` / ``|either|`` of frames of object and identity
-    )
+    #: (19,) the sum over these of the share ``|both|`` / ``|either|`` that the frames of object and identity have in common.
+    level_association: Array
 
     def __add__(self, other: TrackingScore) -> TrackingScore:
         return TrackingScore(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))

@@ -54,22 +54,21 @@ def summarise(samples: Samples, config: EvaluationConfig, thorough: bool) -> dic
     table = _Table(samples, config)
     answer: dict[str, Any] = {name: table.at_horizons(name) for name in MEASURES}
     answer |= {f"gain_of_{model}": table.gains(model) for model in ("ours", "pointnet", "mlp")}
-    answer["outcomes"] = table.outcomes()
-    answer["by_seed"] = table.by_seed()
+    answer |= {"outcomes": table.outcomes(), "by_seed": table.by_seed()}
     answer["curves"] = {name: table.curve(name) for name in ("hull_accuracy", "distance_cm", "identity", "presence")}
     if thorough:
         answer["hull_treatments"] = table.treatments()
     garments = sorted(set(samples.garment.tolist()))
     if len(garments) > 1:
-        answer["by_garment"] = {}
-        for garment in garments:
-            mine = _Table(samples.of(garment), config)
-            parts = {name: mine.at_horizons(name) for name in OF_GARMENTS}
-            counts = {"windows": len(mine.samples.episode), "episodes": len(mine.bootstrap.names)}
-            answer["by_garment"][garment] = {**counts, **parts, "outcomes": mine.outcomes()}
-            if thorough:
-                answer["by_garment"][garment]["hull_treatments"] = mine.treatments()
+        answer["by_garment"] = {name: _of_garment(samples.of(name), config, thorough) for name in garments}
     return answer
+
+
+def _of_garment(samples: Samples, config: EvaluationConfig, thorough: bool) -> dict[str, Any]:
+    table = _Table(samples, config)
+    answer: dict[str, Any] = {"windows": len(samples.episode), "episodes": len(table.bootstrap.names)}
+    answer |= {name: table.at_horizons(name) for name in OF_GARMENTS} | {"outcomes": table.outcomes()}
+    return answer | {"hull_treatments": table.treatments()} if thorough else answer
 
 
 class _Table:
@@ -79,13 +78,15 @@ class _Table:
         self.samples, self.tolerance = samples, config.tolerance
         self.bootstrap = Bootstrap(samples.episode, config.samples, config.seed, strata=samples.garment)
         self.models = sorted(samples.columns, key=lambda name: (_PLACES.get(name, len(_PLACES)), name))
+        self.steps = {str(step): k for k, step in enumerate(samples.steps)}
+        self.horizons = {str(step): self.steps[str(step)] for step in samples.horizons}
 
     def hits(self, model: str, tolerance: float | None = None, column: str = "outside") -> Array:
         """(seeds, n, K) whether the means are in their hulls; nan where no true loop is there."""
         near, outside = self.tolerance if tolerance is None else tolerance, self.samples.columns[model][column]
         return np.where(np.isnan(outside), np.nan, outside <= max(near, 1e-9))
 
-    def estimate(self, model: str, name: str, k: int) -> Estimate:
+    def estimate(self, name: str, model: str, k: int) -> Estimate:
         """A measure at the k-th step."""
         columns, number = self.samples.columns[model], self.models.index(model)
         if name.startswith("presence"):
@@ -93,46 +94,43 @@ class _Table:
             pairs = [(columns[f"{kind}_right"][..., k], columns[kind][..., k]) for kind in kinds]
             return mean_of([self.bootstrap.ratio(*pair, number) for pair in pairs])
         if name == "hull_accuracy":
-            return self.mean(self.hits(model)[..., k], model)
+            return self.mean(self.hits, model, k)
         column = name.removesuffix("_cm").removesuffix("_median")
-        values = columns[{"identity": "kept"}.get(column, column)][..., k] * (100 if name.endswith("_cm") else 1)
-        return self.bootstrap.median(values, number) if "median" in name else self.mean(values, model)
+        values = columns[{"identity": "kept"}.get(column, column)] * (100 if name.endswith("_cm") else 1)
+        return (
+            self.bootstrap.median(values[..., k], number) if "median" in name else self.mean(lambda _: values, model, k)
+        )
 
-    def mean(self, values: Array, model: str) -> Estimate:
-        """Of (seeds, n) values, without those that are nan."""
-        there = np.isfinite(values)
-        return self.bootstrap.ratio(np.where(there, values, 0), there, self.models.index(model))
-
-    def row(self, at: Callable[[int], Estimate]) -> dict[str, Estimate]:
-        """What is estimated at the horizons, and the mean over them."""
-        each = {str(step): at(self.samples.steps.index(step)) for step in self.samples.horizons}
-        return each | {"mean": mean_of(list(each.values()))}
+    def mean(self, values: Callable[[str], Array], model: str, k: int) -> Estimate:
+        """At the k-th step, of (seeds, n, K) values of a model, without those that are nan."""
+        column = values(model)[..., k]
+        there = np.isfinite(column)
+        return self.bootstrap.ratio(np.where(there, column, 0), there, self.models.index(model))
 
     def rows(self, estimate: Callable[[str, int], Estimate]) -> dict[str, dict[str, Estimate]]:
-        """Model, then horizon."""
-        return {model: self.row(partial(estimate, model)) for model in self.models}
+        """Model, then horizon, and the mean over these."""
+        rows = {model: {step: estimate(model, k) for step, k in self.horizons.items()} for model in self.models}
+        return {model: row | {"mean": mean_of(list(row.values()))} for model, row in rows.items()}
 
     def at_horizons(self, name: str) -> dict[str, Any]:
         """A measure."""
-        return _plain(self.rows(lambda model, k: self.estimate(model, name, k)))
+        return _plain(self.rows(partial(self.estimate, name)))
 
     def curve(self, name: str) -> dict[str, Any]:
         """Model, then every step."""
-        steps = {str(step): k for k, step in enumerate(self.samples.steps)}
-        return _plain({m: {step: self.estimate(m, name, k) for step, k in steps.items()} for m in self.models})
+        return _plain({m: {step: self.estimate(name, m, k) for step, k in self.steps.items()} for m in self.models})
 
     def gains(self, of: str) -> dict[str, Any]:
         """What the hull accuracy of a model is above that of the others, on the same draws of episodes."""
         if of not in self.models:
             return {}
-        rows = self.rows(lambda model, k: self.estimate(model, "hull_accuracy", k))
+        rows = self.rows(partial(self.mean, self.hits))
         mine = rows.pop(of)
         return _plain({model: {key: mine[key] - row[key] for key in row} for model, row in rows.items()})
 
     def outcomes(self) -> dict[str, Any]:
         """Shares of windows: in the hull, beside it by 10 cm at most, farther, or too few loops forecast."""
-        places = {str(step): self.samples.steps.index(step) for step in self.samples.horizons}
-        return {model: {step: self.shares(model, k) for step, k in places.items()} for model in self.models}
+        return {model: {step: self.shares(model, k) for step, k in self.horizons.items()} for model in self.models}
 
     def shares(self, model: str, k: int) -> dict[str, float]:
         """The outcomes at the k-th step."""
@@ -147,8 +145,8 @@ class _Table:
         answer = {}
         for model, hits in {model: self.hits(model) for model in self.models}.items():
             if len(hits) > 1:
-                each = np.nanmean(hits, axis=1)[:, [self.samples.steps.index(step) for step in self.samples.horizons]]
-                columns = dict(zip(map(str, self.samples.horizons), each.T.round(4).tolist(), strict=True))
+                each = np.nanmean(hits, axis=1)[:, list(self.horizons.values())]
+                columns = dict(zip(self.horizons, each.T.round(4).tolist(), strict=True))
                 answer[model] = columns | {"mean": each.mean(axis=1).round(4).tolist()}
         return answer
 
@@ -161,11 +159,7 @@ class _Table:
         ways["in the plane"] = lambda model: self.samples.columns[model]["in_plane"]
         ways["in the opening"] = lambda model: self.samples.columns[model]["in_opening"]
         ways["presence not asked for"] = partial(self.hits, column="outside_anyway")
-        return {name: _plain(self.rows(partial(self.treated, way))) for name, way in ways.items()}
-
-    def treated(self, way: Callable[[str], Array], model: str, k: int) -> Estimate:
-        """Hull accuracy at the k-th step when `way` says what is a hit."""
-        return self.mean(way(model)[..., k], model)
+        return {name: _plain(self.rows(partial(self.mean, way))) for name, way in ways.items()}
 
 
 def _plain(rows: Mapping[str, Mapping[str, Estimate]]) -> dict[str, Any]:

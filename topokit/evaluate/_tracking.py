@@ -12,18 +12,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._curves import curve_centroid, side_lengths
 from topokit._matching import assign
-from topokit._validate import as_points
+from topokit._validate import as_points, as_sequence
 from topokit.rips import rips_persistence
 from topokit.sampling import spacing
+from topokit.seqph import Candidates, SeqPH
 from topokit.state import TopologicalState
 
-from ._scores import THRESHOLD, Overlap
+from ._scores import THRESHOLD, Overlap, greatest
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -40,13 +42,9 @@ def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
     point : (d,) array_like
     points : (n, d) array_like
     """
-    return nearest_in_hull(as_points(points) - np.asarray(point, dtype=np.float64))
-
-
-def nearest_in_hull(offsets: Array) -> float:
-    """How near the convex hull of `offsets` (n, d) comes to the origin: `distance_to_hull` without its checks."""
     from scipy.optimize import nnls
 
+    offsets = as_points(points) - np.asarray(point, dtype=np.float64)
     scale = float(np.abs(offsets).max(initial=0.0))
     if scale == 0.0:
         return 0.0
@@ -66,12 +64,8 @@ class TrackSummary:
     frames: int  #: in how many frames it appears
     lifetime: float  #: mean lifetime, metres
     true_loop: int  #: which of the episode's loops it is nearest to, on the mean over its frames; -1 when there is none
-    distance: (
-        float  #: mean distance of the mean of the killer triangles to the centroid of that loop's vertices, metres
-    )
-    in_hull: (
-        float  #: share of its frames in which that mean is in the convex hull of the loop, or beside it by `tolerance`
-    )
+    distance: float  #: mean distance of the mean of its killer triangles from the mean of that loop's vertices, metres
+    in_hull: float  #: share of its frames in which that mean is in the loop's convex hull, or within `tolerance` of it
 
 
 def summarise_tracks(
@@ -236,3 +230,60 @@ def compare(
         objects = np.flatnonzero(true.present)
         overlaps.append(Overlap(objects, ids[kept], table[np.ix_(objects, kept)]))
     return overlaps
+
+
+# -- trackers to compare seqPH with: SeqPH(match=by_diagram) and so on, loops found and dropped in the same way -------------
+
+
+def by_diagram(loops: Candidates) -> list[tuple[int, int]]:
+    """Match by birth and death alone, as a distance between persistence diagrams does; places count for nothing.
+
+    A pair costs the larger of the changes of birth and death, a loop left alone half its lifetime, which is as far as it is
+    from the diagonal; the cheapest of all matchings is taken: the 1-Wasserstein distance under the maximum norm
+    (Cohen-Steiner, Edelsbrunner, Harer 2007).
+    """
+    alone = ((loops.death - loops.birth)[:, None] + (loops.known_death - loops.known_birth)) / 2
+    return greatest(np.maximum(alone - np.maximum(*loops.changes()), 0))
+
+
+def by_midpoint(loops: Candidates) -> list[tuple[int, int]]:
+    """Match by the midpoints of the killer edges alone, as one tracks points; births and deaths count for nothing.
+
+    A midpoint may go as far as seqPH's killer edge.
+    """
+    distance = np.linalg.norm(loops.places.mean(axis=1)[:, None] - loops.known_places.mean(axis=1), axis=2)
+    return assign(distance, distance < 2 * loops.alpha + loops.beta + loops.motion)
+
+
+def track_vines(sequence: ArrayLike | Sequence[ArrayLike], *, steps: int = 8, **options: Any) -> list[TopologicalState]:
+    """Follow the points of the diagram while every vertex moves straight from one frame to the next.
+
+    Idea: along that motion births and deaths are continuous, each a curve (a *vine*). Diagrams of `steps` clouds a frame,
+    matched by birth and death one after the other, follow the vines as long as they stay apart (Cohen-Steiner, Edelsbrunner,
+    Morozov 2006). It needs what a camera does not give: the same vertices in the same order in every frame.
+
+    Parameters
+    ----------
+    sequence : (T, n, d) array_like
+    steps : int
+        Diagrams from one frame to the next.
+    **options
+        Those of `topokit.SeqPH`.
+
+    Raises
+    ------
+    ValueError
+        When the frames differ in their number of points, or `steps` is not positive.
+    """
+    clouds = as_sequence(sequence)
+    if len({len(cloud) for cloud in clouds}) > 1:
+        raise ValueError("vines need the same vertices in every frame; the clouds differ in size")
+    if steps < 1:
+        raise ValueError(f"steps must be 1 or more, not {steps}")
+    tracker, states = SeqPH(match=by_diagram, **options), []
+    for number, cloud in enumerate(clouds):
+        before = clouds[max(number - 1, 0)]
+        for step in range(1, steps + 1) if number else [steps]:
+            state = tracker.update(before + (cloud - before) * (step / steps))
+        states.append(TopologicalState(number, float(number), state.loops, state.parameters))
+    return states
