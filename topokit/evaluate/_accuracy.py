@@ -53,13 +53,10 @@ class TrueCurves:
     """The true loops of a window at K steps."""
 
     curves: tuple[Array, ...]  #: of each loop the vertices (K, L, 3), metres
-    closing: tuple[
-        Array, ...
-    ] = ()  #: of each the ends (K, 2, 3) of the edges of the full cloud that end its class, if known
+    closing: tuple[Array, ...] = ()  #: of each the ends (K, 2, 3) of the edges of the full cloud that end its class
     present: tuple[NDArray[np.bool_], ...] = ()  #: (K,) whether it is there; all are when not given
 
     def there(self, k: int) -> list[int]:
-        """The loops that are there."""
         return [loop for loop in range(len(self.curves)) if not self.present or self.present[loop][k]]
 
     def hull(self, loop: int, k: int) -> Array:
@@ -74,21 +71,14 @@ class TrueCurves:
         centres, radii = (np.array([[one[part] for one in loop] for loop in found]) for part in (0, 1))
         return centres.swapaxes(0, 1), radii.T
 
-    @cached_property
-    def planes(self) -> tuple[tuple[Array, Array], ...]:
-        """Of each loop the means of its vertices (K, 3) and the axes of their scatter (K, 3, 3), the normal last."""
-        means = [curve.mean(axis=1) for curve in self.curves]
-        pairs = zip(self.curves, means, strict=True)
-        axes = [np.linalg.svd(curve - mean[:, None], full_matrices=False)[2] for curve, mean in pairs]
-        return tuple(zip(means, axes, strict=True))
-
     def beside(self, loop: int, k: int, point: Array) -> float:
         """At most 1 when the point lies in a curve's outline, seen along the normal, and near enough to its plane."""
-        mean, axes = (part[k] for part in self.planes[loop])
-        off = abs(float((point - mean) @ axes[2])) / (OFFSET * self.extents[1][k, loop])
-        if off > 1 or distance_to_hull((0, 0), (self.curves[loop][k] - point) @ axes[:2].T) >= 1e-9:
-            return float("inf")
-        return float(off)
+        offsets = self.curves[loop][k] - point
+        mean = offsets.mean(axis=0)
+        axes = np.linalg.svd(offsets - mean, full_matrices=False)[2]  # of the scatter of its vertices, the normal last
+        off = abs(float(mean @ axes[2])) / (OFFSET * self.extents[1][k, loop])
+        inside = off <= 1 and distance_to_hull((0, 0), offsets @ axes[:2].T) < 1e-9
+        return off if inside else float("inf")
 
 
 def measure_forecasts(
@@ -135,12 +125,10 @@ class _Sample:
 
     @cached_property
     def loops(self) -> list[int]:
-        """The true loops that are there."""
         return self.truth.there(self.k)
 
     @cached_property
     def asked(self) -> int:
-        """How many of them count."""
         return min(len(self.loops), MOST)
 
     @cached_property
@@ -171,7 +159,6 @@ class _Sample:
         return ranked[self.presence[ranked] > 0.5][:count].tolist()
 
     def longest_anyway(self, count: int) -> list[int]:
-        """The same, whether they are said to be there or not."""
         ranked = np.argsort(-self.lifetimes * self.presence, kind="stable")
         return ranked[self.lifetimes[ranked] > 0][:count].tolist()
 
@@ -199,7 +186,6 @@ class _Sample:
         return values
 
     def outside(self, slots: Sequence[int], hulls: Sequence[Array], asked: int) -> float:
-        """How far the means of slots are from hulls, one each."""
         return _least_worst([[distance_to_hull(self.means[slot], hull) for hull in hulls] for slot in slots], asked)
 
 

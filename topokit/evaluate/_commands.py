@@ -11,7 +11,6 @@ from typing import Any
 
 
 def add(commands: Any) -> None:
-    """Add the sub-parsers."""
     evaluate = commands.add_parser("evaluate", help="measure predictors on held-out episodes; goes on where it stopped")
     option = evaluate.add_argument
     option("evaluation", type=Path, metavar="EVALUATION", help="datasets, checkpoints and conditions (.json)")

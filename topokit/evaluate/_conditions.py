@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import cache
+from dataclasses import asdict, dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -22,20 +22,8 @@ from ._config import UNTRAINED, Clouds, Condition, EvaluationConfig
 from ._results import digest, library_digest
 from ._tracking import true_loops
 
-
-@dataclass(frozen=True, eq=False)
-class Forecaster:
-    """A model under one training seed; of seqPH there is no model, it looks at the future."""
-
-    model: PredictiveModel | None
-    about: Mapping[str, Any] = field(default_factory=dict)  # its checkpoint, if any
-
-    def __call__(self, window: Mapping[str, Tensor]) -> States:
-        """The states that it forecasts, all steps."""
-        if self.model is None:
-            return target_states(window)
-        states, _ = self.model(window)
-        return states.float()
+Forecaster = Callable[[Mapping[str, Tensor]], States]
+"""From a window to the states of all steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,56 +54,45 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
     if condition.clouds is not None:
         observe = spoilt_observer(condition.clouds, config.seed)
         observed = WindowDataset(dataset, windows.episodes, observe=observe, **options).select(rows)
-    forecasters = _forecasters(config, condition, folder, clean)
-    return PreparedCondition(clean, observed, forecasters, _entries(config, condition, clean, forecasters))
-
-
-def _forecasters(
-    config: EvaluationConfig, condition: Condition, folder: Path, windows: WindowDataset
-) -> dict[str, list[Forecaster]]:
-    """By what the results call them, one a training seed."""
-    ours = {config.ours: "ours"}
-    forecasters = {}
-    for name in UNTRAINED:
-        model = None if name == "seqph" else build(name, config.shape, Normalisation()).eval()
-        forecasters[ours.get(name, name)] = [Forecaster(model)]
+    shown = {config.ours: "ours"}
+    forecasters = {shown.get(name, name): [_untrained(name, config)] for name in UNTRAINED}
+    checkpoints = {}
     for name, paths in (config.models if condition.models is None else condition.models).items():
         found = [_load(config, name, folder / path, path) for path in paths]
-        if len({one.about["sha256"] for one in found}) < len(found):
-            raise ValueError(
-                f"condition {condition.name!r}: {name} lists the same weights twice, not those of another seed"
-            )
-        for one in found:
-            _check_unseen(one.about, windows, condition)
-        forecasters[ours.get(name, name)] = found
-    return forecasters
+        about = checkpoints[shown.get(name, name)] = [told for _, told in found]
+        _check_unseen(about, clean, condition)
+        forecasters[shown.get(name, name)] = [partial(_forecast, model) for model, _ in found]
+    return PreparedCondition(clean, observed, forecasters, _entries(config, condition, clean, checkpoints))
+
+
+def _untrained(name: str, config: EvaluationConfig) -> Forecaster:
+    """SeqPH looks at the future."""
+    return target_states if name == "seqph" else partial(_forecast, build(name, config.shape, Normalisation()).eval())
+
+
+def _forecast(model: PredictiveModel, window: Mapping[str, Tensor]) -> States:
+    states, _ = model(window)
+    return states.float()
 
 
 def _entries(
-    config: EvaluationConfig,
-    condition: Condition,
-    windows: WindowDataset,
-    forecasters: Mapping[str, Sequence[Forecaster]],
+    config: EvaluationConfig, condition: Condition, windows: WindowDataset, checkpoints: Mapping[str, Any]
 ) -> dict[str, Any]:
     """What the results say about a condition, and from what it is made: when that is the same, so are the results."""
     dataset, labels = windows.dataset, windows.dataset.labels(windows.labels)
     counts = zip(*np.unique(garments_of(windows), return_counts=True), strict=True)
-    spoilt = condition.clouds is not None
     entries = {
         "dataset": {"sha256": dataset.checksum(), "seed": dataset.seed, "episodes": len(dataset)},
         "labels": {"name": windows.labels, "observation": labels.manifest["observation"], "sha256": labels.checksum()},
         "condition": {key: value for key, value in asdict(condition).items() if key not in ("models", "dataset")},
-        "states_of_seqph_hold_carry_ridge": "tracked on the spoilt clouds" if spoilt else "the labels",
+        "states_of_seqph_hold_carry_ridge": "tracked on the spoilt clouds" if condition.clouds else "the labels",
         "windows": len(windows),
         "episodes": len(windows.episodes),
         "windows_by_garment": {str(garment): int(count) for garment, count in counts},
-        "checkpoints": {name: [one.about for one in found] for name, found in forecasters.items() if found[0].about},
+        "checkpoints": checkpoints,
     }
     settings = {name: asdict(config)[name] for name in ("ours", "shape", "samples", "seed", "tolerance")}
     return {"made_from": digest([entries, settings, library_digest()]), **entries}
-
-
-# -- windows ----------------------------------------------------------------------------------------------------------------
 
 
 def _tested(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.int64]:
@@ -158,8 +135,9 @@ def spoilt_observer(how: Clouds, seed: int) -> Callable[[int, NDArray[np.float64
 
     def observe(number: int, clouds: NDArray[np.float64]) -> NDArray[np.float64]:
         rng = np.random.default_rng((seed, number))
-        spoilt = spoil(clouds, rng, noise=how.noise, outliers=how.outliers, keep=how.keep)
-        return spoilt[:, : max(1, round(how.keep * clouds.shape[1]))]  # the others repeat these
+        return spoil(clouds, rng, **asdict(how))[
+            :, : max(1, round(how.keep * clouds.shape[1]))
+        ]  # the others repeat these
 
     return observe
 
@@ -188,10 +166,7 @@ def _true_curves(url: str, number: int) -> TrueCurves:
     )
 
 
-# -- checkpoints ------------------------------------------------------------------------------------------------------------
-
-
-def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> Forecaster:
+def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> tuple[PredictiveModel, dict[str, Any]]:
     """Read a checkpoint and hold it against the evaluation."""
     model, description = load_model(path)
     if name in MODELS and description["model"] != name:
@@ -200,7 +175,7 @@ def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> Foreca
         has = ", ".join(f"{size} {value}" for size, value in asdict(model.shape).items())
         raise ValueError(f"{path}: trained on windows of another shape: {has}; the evaluation has {config.shape}")
     trained = description.get("config", {})
-    about: dict[str, Any] = {
+    return model, {
         "checkpoint": shown,
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "model": description["model"],
@@ -209,32 +184,35 @@ def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> Foreca
         "trained_on": description.get("dataset", ""),
         **{key: description[key] for key in ("steps", "validation_loss") if key in description},
     }
-    return Forecaster(model, about)
 
 
-def _check_unseen(about: Mapping[str, Any], windows: WindowDataset, condition: Condition) -> None:
-    """Refuse a checkpoint that was trained, or stopped, on episodes that it is to be tested on."""
-    where, dataset = f"condition {condition.name!r}: {about['checkpoint']}", windows.dataset
-    same = about["trained_on"] == dataset.checksum()
-    if condition.shares_no_episode and not same:
-        return
-    word = 'if no episode is shared, say so: "shares_no_episode": true'
-    try:
-        parts = dataset.split(**about["split"])
-    except (TypeError, ValueError) as error:
+def _check_unseen(checkpoints: Sequence[Mapping[str, Any]], windows: WindowDataset, condition: Condition) -> None:
+    """Refuse checkpoints that were trained, or stopped, on episodes that they are to be tested on, or stand here twice."""
+    dataset, word = windows.dataset, 'if no episode is shared, say so: "shares_no_episode": true'
+    if len({about["sha256"] for about in checkpoints}) < len(checkpoints):
+        name = checkpoints[0]["model"]
         raise ValueError(
-            f"{where} was trained with the split {about['split']}, which cannot be made here ({error}); {word}"
-        ) from error
-    both = np.intersect1d(windows.episodes, np.concatenate([parts["train"], parts["validation"]]))
-    if len(both):
+            f"condition {condition.name!r}: {name} lists the same weights twice, not those of another seed"
+        )
+    for about in checkpoints:
+        where = f"condition {condition.name!r}: {about['checkpoint']}"
+        same = about["trained_on"] == dataset.checksum()
+        if condition.shares_no_episode and not same:
+            continue
+        try:
+            parts = dataset.split(**about["split"])
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{where} was trained with a split that cannot be made here ({error}); {word}") from error
+        both = np.intersect1d(windows.episodes, np.concatenate([parts["train"], parts["validation"]]))
         whose = "this dataset" if same else f"a dataset with checksum {about['trained_on'][:12] or 'unknown'}"
-        raise ValueError(
-            f"{where} was trained on {whose}, and {len(both)} episodes to test on, the first is {both[0]}, were in its training "
-            f"or validation part; test on the part it did not see{'' if same else f', or {word}'}"
-        )
-    if not same:
-        warnings.warn(
-            f"{where} was trained on a dataset with another checksum. None of the tested episodes was in its training part "
-            "if the two number their episodes alike, as a dataset and its cut do; that was not checked",
-            stacklevel=2,
-        )
+        if len(both):
+            raise ValueError(
+                f"{where} was trained on {whose}, and {len(both)} episodes to test on, the first is {both[0]}, were in its "
+                f"training or validation part; test on the part it did not see{'' if same else f', or {word}'}"
+            )
+        if not same:
+            warnings.warn(
+                f"{where} was trained on {whose}, another checksum. None of the tested episodes was in its training part if "
+                "the two number their episodes alike, as a dataset and its cut do; that was not checked",
+                stacklevel=2,
+            )

@@ -33,7 +33,6 @@ class Samples:
     horizons: tuple[int, ...]  #: those of the tables
 
     def of(self, garment: str) -> Samples:
-        """Those of a garment."""
         rows = self.garment == garment
         some = {model: {name: part[:, rows] for name, part in table.items()} for model, table in self.columns.items()}
         return Samples(some, self.episode[rows], self.garment[rows], self.steps, self.horizons)
@@ -72,8 +71,6 @@ def _of_garment(samples: Samples, config: EvaluationConfig, thorough: bool) -> d
 
 
 class _Table:
-    """Estimates of a condition's samples."""
-
     def __init__(self, samples: Samples, config: EvaluationConfig) -> None:
         self.samples, self.tolerance = samples, config.tolerance
         self.bootstrap = Bootstrap(samples.episode, config.samples, config.seed, strata=samples.garment)
@@ -87,7 +84,6 @@ class _Table:
         return np.where(np.isnan(outside), np.nan, outside <= max(near, 1e-9))
 
     def estimate(self, name: str, model: str, k: int) -> Estimate:
-        """A measure at the k-th step."""
         columns, number = self.samples.columns[model], self.models.index(model)
         if name.startswith("presence"):
             kinds = ("there", "absent") if name == "presence" else (name.removeprefix("presence_"),)
@@ -113,11 +109,9 @@ class _Table:
         return {model: row | {"mean": mean_of(list(row.values()))} for model, row in rows.items()}
 
     def at_horizons(self, name: str) -> dict[str, Any]:
-        """A measure."""
         return _plain(self.rows(partial(self.estimate, name)))
 
     def curve(self, name: str) -> dict[str, Any]:
-        """Model, then every step."""
         return _plain({m: {step: self.estimate(name, m, k) for step, k in self.steps.items()} for m in self.models})
 
     def gains(self, of: str) -> dict[str, Any]:
@@ -133,7 +127,6 @@ class _Table:
         return {model: {step: self.shares(model, k) for step, k in self.horizons.items()} for model in self.models}
 
     def shares(self, model: str, k: int) -> dict[str, float]:
-        """The outcomes at the k-th step."""
         outside = self.samples.columns[model]["outside"][..., k]
         outside = outside[~np.isnan(outside)]
         hit, near, silent = outside <= max(self.tolerance, 1e-9), outside <= 0.1, np.isinf(outside)
