@@ -26,10 +26,10 @@ from ._tracking import (
 )
 
 if TYPE_CHECKING:
-    from ._bootstrap import Bootstrap, Estimate
-    from ._config import Clouds, Condition, EvaluationConfig, load_evaluation
+    from ._conditions import Clouds, Condition, EvaluationConfig, load_evaluation
     from ._forecasts import evaluate_forecasts
     from ._results import library_digest, read_results, write_report
+    from ._summary import Bootstrap, Estimate
 
 __all__ = [
     "Bootstrap",
@@ -63,10 +63,10 @@ __all__ = [
 __getattr__ = attach(
     __name__,
     {
-        "_bootstrap": "Bootstrap Estimate",
-        "_config": "Clouds Condition EvaluationConfig load_evaluation",
+        "_conditions": "Clouds Condition EvaluationConfig load_evaluation",
         "_forecasts": "evaluate_forecasts",
         "_results": "library_digest read_results write_report",
+        "_summary": "Bootstrap Estimate",
     },
     extra="learn,data",
 )

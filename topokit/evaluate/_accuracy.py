@@ -4,9 +4,8 @@ A forecast names some loops; the simulator knows where the true ones are, and pe
 there (`topokit.evaluate.true_loops`). With L of them the first k = min(L, 2) forecast loops count, longest lifetime
 first, as in the paper; which is compared with which true loop is chosen in their favour.
 
-A true loop is marked by one curve of its class, and others are as true: around a tie that hangs before a skirt the curve may go
-straight across the skirt, or along behind the tie. So its hull is that of the marked curve and of the edge of the full cloud
-that ends its class. For most loops that edge spans the curve, and the hull is that of the curve alone.
+A true loop is marked by one curve of its class, and others are as true: before a skirt, it may go straight across the skirt or
+behind a tie. So its hull is that of the marked curve and of the edge of the full cloud that ends its class.
 
 Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 11.
 """
@@ -67,9 +66,10 @@ class TrueCurves:
     @cached_property
     def extents(self) -> tuple[Array, Array]:
         """(K, loops, 3) centroids of the curves, by length, and (K, loops) largest distances from them."""
-        found = [[extent(frame) for frame in curve] for curve in self.curves]
-        centres, radii = (np.array([[one[part] for one in loop] for loop in found]) for part in (0, 1))
-        return centres.swapaxes(0, 1), radii.T
+        found = [[extent(curve) for curve in loops] for loops in zip(*self.curves, strict=True)]
+        return np.array([[one[0] for one in frame] for frame in found]), np.array(
+            [[one[1] for one in frame] for frame in found]
+        )
 
     def beside(self, loop: int, k: int, point: Array) -> float:
         """At most 1 when the point lies in a curve's outline, seen along the normal, and near enough to its plane."""
@@ -155,12 +155,7 @@ class _Sample:
 
     def longest(self, count: int) -> list[int]:
         """The slots that count: of those that are more likely there than not the longest-lived."""
-        ranked = np.argsort(-self.lifetimes, kind="stable")
-        return ranked[self.presence[ranked] > 0.5][:count].tolist()
-
-    def longest_anyway(self, count: int) -> list[int]:
-        ranked = np.argsort(-self.lifetimes * self.presence, kind="stable")
-        return ranked[self.lifetimes[ranked] > 0][:count].tolist()
+        return _first(count, self.lifetimes, self.presence > 0.5)
 
     def kept(self, first: _Sample) -> float:
         """The share of the true loops found at the first step and still there that are found by the same slot."""
@@ -175,8 +170,9 @@ class _Sample:
         if not asked:
             return values
         hulls, chosen = [truth.hull(loop, k) for loop in loops], self.longest(asked)
+        anyway = _first(asked, self.lifetimes * self.presence, self.lifetimes > 0)
         values["outside"] = self.outside(chosen, hulls, asked)
-        values["outside_anyway"] = self.outside(self.longest_anyway(asked), hulls, asked)
+        values["outside_anyway"] = self.outside(anyway, hulls, asked)
         flat = [[truth.beside(loop, k, self.means[slot]) for loop in loops] for slot in chosen]
         values["in_plane"] = _least_worst(flat, asked) <= 1
         share = (self.away / truth.extents[1][k])[chosen][:, loops]
@@ -187,6 +183,11 @@ class _Sample:
 
     def outside(self, slots: Sequence[int], hulls: Sequence[Array], asked: int) -> float:
         return _least_worst([[distance_to_hull(self.means[slot], hull) for hull in hulls] for slot in slots], asked)
+
+
+def _first(count: int, rank: Array, which: NDArray[np.bool_]) -> list[int]:
+    ranked = np.argsort(-rank, kind="stable")
+    return ranked[which[ranked]][:count].tolist()
 
 
 def _least_worst(table: Sequence[Sequence[float]], asked: int) -> float:

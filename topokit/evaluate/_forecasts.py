@@ -28,8 +28,7 @@ from topokit.io import save_episode
 from topokit.models import States, past_states, target_states
 
 from ._accuracy import COLUMNS, Array, measure_forecasts
-from ._conditions import PreparedCondition, garments_of, prepare_condition, true_curves
-from ._config import Condition, EvaluationConfig
+from ._conditions import Condition, EvaluationConfig, PreparedCondition, garments_of, prepare_condition, true_curves
 from ._results import KIND, read_results, write_results
 from ._summary import Samples, horizons_of, steps_of, summarise
 
@@ -70,8 +69,6 @@ def evaluate_forecasts(
         known = done.get(condition.name)
         if known is None or known["made_from"] != prepared.entries["made_from"]:
             known = _table(config, condition, prepared, progress)
-        elif progress:
-            print(f"{condition.name}: in the file already", file=sys.stderr)
         tables[condition.name] = known
         results["hull_accuracy"] = tables[config.conditions[0].name]["hull_accuracy"]
         results["complete"] = len(tables) == len(config.conditions)
@@ -156,9 +153,6 @@ def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
     }
 
 
-# -- failures ---------------------------------------------------------------------------------------------------------------
-
-
 def _failures(prepared: PreparedCondition, samples: Samples, tolerance: float) -> list[dict[str, Any]]:
     """The worst samples, with what models said about the last step: loops by lifetime times presence, metres."""
     chosen, step = _worst(samples, tolerance), samples.steps[-1]
@@ -188,9 +182,9 @@ def _worst(samples: Samples, tolerance: float) -> list[int]:
     """
     reach = samples.columns["ours"]["outside_anyway"][0, :, -1]
     reach = np.where(np.isfinite(reach), reach, -1)
-    rows = [np.flatnonzero(samples.garment == garment) for garment in np.unique(samples.garment)]
-    farthest = [int(some[np.argmax(reach[some])]) for some in rows]
-    return sorted((row for row in farthest if reach[row] > tolerance), key=lambda row: -reach[row])[:MOST_FAILURES]
+    ranked = np.argsort(-reach, kind="stable")
+    _, first = np.unique(samples.garment[ranked], return_index=True)  # of each garment the farthest
+    return [row for row in ranked[np.sort(first)].tolist() if reach[row] > tolerance][:MOST_FAILURES]
 
 
 def _loops(states: States) -> list[dict[str, Any]]:

@@ -29,8 +29,7 @@ MEASURES = {
     "presence": "balanced accuracy: is the slot's loop there for the tracker?",
     "presence_changed": "the same accuracy, of loops that have come or gone since t",
     "presence_same": "the same accuracy, of the others",
-}
-"""Of a condition, and what they mean."""
+}  # of a condition, and what they mean
 _NO_SHARES = ("distance_cm", "distance_median_cm", "nll", "nll_median")
 
 
@@ -63,11 +62,8 @@ def write_results(path: str | Path, results: Mapping[str, Any]) -> None:
         handle.write(f"{text}\n".encode())
 
 
-# -- tables and figures, from the file and from nothing else ----------------------------------------------------------------
-
-
 def write_report(results: str | Path, out: str | Path) -> list[Path]:
-    """Write `tables.md` and the figures of a file of results, which it shows at its end, into a folder.
+    """Write `tables.md` and figures into a folder, from a file of results and from nothing else.
 
     Parameters
     ----------
@@ -144,9 +140,6 @@ def _cell(entry: Mapping[str, float | None] | None, share: bool) -> str:
     numbers = [entry[side] for side in ("mean", "low", "high")]
     value, low, high = ("-" if number is None else f"{scale * number:.{digits}f}" for number in numbers)
     return f"{value} [{low}, {high}]"
-
-
-# -- the code ---------------------------------------------------------------------------------------------------------------
 
 
 @cache

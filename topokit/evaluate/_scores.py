@@ -1,7 +1,6 @@
 """The measures of multi-object tracking: MOTA, IDF1, HOTA, switches and fragments, for objects of any kind.
 
-Idea: per frame, the names of the objects that are there, the names a tracker gave, and how similar each pair is. All counts
-can be added over sequences; the measures follow from the counts.
+Idea: the measures follow from counts, and counts of several sequences can be added.
 
 Source: Bernardin and Stiefelhagen 2008 (MOTA, switches), Ristani et al. 2016 (IDF1), Luiten et al. 2021 (HOTA); as in
 TrackEval, to which the tests hold every number. Taught in chapter 6.
@@ -19,10 +18,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 Kind = Literal["match", "switch", "fragment", "miss", "false positive"]
-LEVELS = np.arange(0.05, 0.99, 0.05)
-"""(19,) the similarities over which HOTA is averaged."""
-THRESHOLD = 0.5
-"""Least similarity of a match for the other measures."""
+LEVELS = np.arange(0.05, 0.99, 0.05)  # (19,) the similarities over which HOTA is averaged
+THRESHOLD = 0.5  # least similarity of a match for the other measures
 _SLACK = float(np.finfo(float).eps)
 
 
@@ -176,16 +173,12 @@ def _higher_order(overlaps: Sequence[Overlap], shape: tuple[int, int]) -> tuple[
     for overlap in overlaps:
         table = overlap.similarity
         union = table.sum(axis=0) + table.sum(axis=1, keepdims=True) - table
-        potential[np.ix_(overlap.objects, overlap.ids)] += np.divide(
-            table, union, out=np.zeros(table.shape), where=union > 0
-        )
+        potential[np.ix_(overlap.objects, overlap.ids)] += table / np.where(union > 0, union, 1)
         seen[overlap.objects] += 1
         shown[0, overlap.ids] += 1
     alignment = potential / (seen + shown - potential)
     both = np.zeros((len(LEVELS), *shape))
     for overlap in overlaps:
-        if not overlap.similarity.size:
-            continue
         for i, j in greatest(alignment[np.ix_(overlap.objects, overlap.ids)] * overlap.similarity):
             both[overlap.similarity[i, j] >= LEVELS - _SLACK, overlap.objects[i], overlap.ids[j]] += 1
     association = both / np.maximum(seen + shown - both, 1)

@@ -85,8 +85,7 @@ def summarise_tracks(
     loops : sequence of (L,) int arrays
         True loops as vertex ids into `points`.
     tolerance : float
-        How far outside the hull still counts as in it, metres. A loop that lies nearly flat has a hull without
-        thickness, and a mean over a band of cloth around it is then always a little off.
+        How far outside the hull still counts as in it, metres: that of a nearly flat loop has no thickness.
 
     Raises
     ------
@@ -232,11 +231,8 @@ def compare(
     return overlaps
 
 
-# -- trackers to compare seqPH with: SeqPH(match=by_diagram) and so on, loops found and dropped in the same way -------------
-
-
 def by_diagram(loops: Candidates) -> list[tuple[int, int]]:
-    """Match by birth and death alone, as a distance between persistence diagrams does; places count for nothing.
+    """Match by birth and death alone, as a distance between persistence diagrams does: ``SeqPH(match=by_diagram)``.
 
     A pair costs the larger of the changes of birth and death, a loop left alone half its lifetime, which is as far as it is
     from the diagonal; the cheapest of all matchings is taken: the 1-Wasserstein distance under the maximum norm
@@ -247,10 +243,7 @@ def by_diagram(loops: Candidates) -> list[tuple[int, int]]:
 
 
 def by_midpoint(loops: Candidates) -> list[tuple[int, int]]:
-    """Match by the midpoints of the killer edges alone, as one tracks points; births and deaths count for nothing.
-
-    A midpoint may go as far as seqPH's killer edge.
-    """
+    """Match by the midpoints of the killer edges alone, which may go as far as seqPH's killer edges."""
     distance = np.linalg.norm(loops.places.mean(axis=1)[:, None] - loops.known_places.mean(axis=1), axis=2)
     return assign(distance, distance < 2 * loops.alpha + loops.beta + loops.motion)
 
