@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -31,12 +30,8 @@ def add(commands: Any) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    if options.out.suffix != ".json":
-        raise ValueError(f"--out {options.out}: the name of results ends in .json")
     if options.threads < 1:
         raise ValueError(f"--threads {options.threads}: one at least")
-    if options.out.resolve() == options.evaluation.resolve():
-        raise ValueError(f"--out {options.out}: that is the evaluation itself")
     import torch
 
     from . import evaluate_forecasts, load_evaluation
@@ -48,10 +43,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     command += f" --clips {options.clips}" if options.clips else ""
     loud = not (options.quiet or options.json)
     try:
-        with warnings.catch_warnings():
-            warnings.showwarning = _show_warning
-            given = {"progress": loud, "command": command, "clips": options.clips}
-            results = evaluate_forecasts(config, folder, options.out, **given)
+        given = {"progress": loud, "command": command, "clips": options.clips}
+        results = evaluate_forecasts(config, folder, options.out, **given)
     except (KeyboardInterrupt, SystemError) as error:
         if not _interrupted(error):
             raise
@@ -64,10 +57,6 @@ def _evaluate(options: argparse.Namespace) -> int:
         print(f"\n{name}\n\n{table_of(condition['hull_accuracy'], results['horizons'])}")
     print(f"results: {options.out}")
     return 0
-
-
-def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"topokit evaluate: warning: {message}", file=sys.stderr)
 
 
 def _interrupted(error: BaseException | None) -> bool:

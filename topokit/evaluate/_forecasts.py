@@ -84,7 +84,6 @@ def evaluate_forecasts(
 def _table(
     config: EvaluationConfig, condition: Condition, prepared: PreparedCondition, progress: bool
 ) -> dict[str, Any]:
-    """All that the results say of a condition."""
     samples = _measured(config, condition, prepared, progress)
     table = summarise(samples, config, condition is config.conditions[0])
     spoilt = prepared.observed is not prepared.clean  # no dataset holds spoilt clouds
@@ -93,7 +92,6 @@ def _table(
 
 
 def _measured(config: EvaluationConfig, condition: Condition, prepared: PreparedCondition, progress: bool) -> Samples:
-    """Forecast all windows with all models, and measure."""
     steps, fine = steps_of(config.shape.horizon), horizons_of(config.shape.horizon)
     clean, observed = prepared.clean, prepared.observed
     parts: dict[str, list[list[dict[str, Array]]]] = {
@@ -124,7 +122,6 @@ def _joined(seeds: Sequence[Sequence[Mapping[str, Array]]], column: str) -> Arra
 
 
 def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
-    """The file before its first condition."""
     return {
         "kind": KIND,
         "version": 1,
