@@ -214,7 +214,6 @@ def _measure_mixtures(
     columns: Mapping[str, Array],
     rng: np.random.Generator,
 ) -> None:
-    """Fill in likelihood and coverage at the pairs of forecast and true loops."""
     if not pairs:
         return
     i, k, slot, _ = np.array(pairs).T

@@ -133,7 +133,10 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
     for name, paths in (config.models if condition.models is None else condition.models).items():
         found = [_load(config, name, folder / path, path) for path in paths]
         about = checkpoints[shown.get(name, name)] = [told for _, told in found]
-        _check_unseen(about, clean, condition)
+        if len({one["sha256"] for one in about}) < len(about):
+            raise ValueError(f"condition {condition.name!r}: {name} lists the same weights twice")
+        for one in about:
+            _check_unseen(one, clean, condition)
         forecasters[shown.get(name, name)] = [partial(_forecast, model) for model, _ in found]
     return PreparedCondition(clean, observed, forecasters, _entries(config, condition, clean, checkpoints))
 
@@ -185,9 +188,7 @@ def _tested(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.i
     chosen = [number for number in parts[condition.part].tolist() if records[number].garment in garments]
     known = np.intersect1d(chosen, labelled)
     if not len(known):
-        raise ValueError(
-            f"{where}: none of the {len(chosen)} chosen episodes of {condition.part!r} has labels {labels!r}"
-        )
+        raise ValueError(f"{where}: no episode of {condition.part!r} is of these garments and has labels {labels!r}")
     if len(known) < len(chosen):
         missing = f"{len(chosen) - len(known)} of {len(chosen)} episodes have no labels {labels!r}"
         warnings.warn(f"{where}: {missing} and are left out", stacklevel=2)
@@ -208,9 +209,8 @@ def spoilt_observer(how: Clouds, seed: int) -> Callable[[int, NDArray[np.float64
 
     def observe(number: int, clouds: NDArray[np.float64]) -> NDArray[np.float64]:
         rng = np.random.default_rng((seed, number))
-        return spoil(clouds, rng, **asdict(how))[
-            :, : max(1, round(how.keep * clouds.shape[1]))
-        ]  # the others repeat these
+        kept = max(1, round(how.keep * clouds.shape[1]))  # the others repeat these
+        return spoil(clouds, rng, **asdict(how))[:, :kept]
 
     return observe
 
@@ -227,7 +227,6 @@ def true_curves(windows: WindowDataset, rows: Sequence[int], steps: Sequence[int
 
 @cache  # conditions share their episodes; a few hundred, half a second and a megabyte each
 def _true_curves(url: str, number: int) -> TrueCurves:
-    """The true loops of an episode, at all its frames."""
     episode = Dataset(url)[number]
     points, loops = episode.points.astype(np.float64), episode.loops
     frames, row = true_loops(points, loops), np.arange(len(points))[:, None]
@@ -240,7 +239,6 @@ def _true_curves(url: str, number: int) -> TrueCurves:
 
 
 def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> tuple[PredictiveModel, dict[str, Any]]:
-    """Read a checkpoint and hold it against the evaluation."""
     model, description = load_model(path)
     if name in MODELS and description["model"] != name:
         raise ValueError(f"{path}: a checkpoint of {description['model']!r}, listed under {name!r}")
@@ -259,33 +257,26 @@ def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> tuple[
     }
 
 
-def _check_unseen(checkpoints: Sequence[Mapping[str, Any]], windows: WindowDataset, condition: Condition) -> None:
-    """Refuse checkpoints that were trained, or stopped, on episodes that they are to be tested on, or stand here twice."""
-    dataset, word = windows.dataset, 'if no episode is shared, say so: "shares_no_episode": true'
-    if len({about["sha256"] for about in checkpoints}) < len(checkpoints):
-        name = checkpoints[0]["model"]
-        raise ValueError(
-            f"condition {condition.name!r}: {name} lists the same weights twice, not those of another seed"
-        )
-    for about in checkpoints:
-        where = f"condition {condition.name!r}: {about['checkpoint']}"
-        same = about["trained_on"] == dataset.checksum()
-        if condition.shares_no_episode and not same:
-            continue
-        try:
-            parts = dataset.split(**about["split"])
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{where} was trained with a split that cannot be made here ({error}); {word}") from error
-        both = np.intersect1d(windows.episodes, np.concatenate([parts["train"], parts["validation"]]))
+def _check_unseen(about: Mapping[str, Any], windows: WindowDataset, condition: Condition) -> None:
+    """Refuse a checkpoint that was trained, or stopped, on episodes that it is to be tested on."""
+    where, dataset = f"condition {condition.name!r}: {about['checkpoint']}", windows.dataset
+    same, word = about["trained_on"] == dataset.checksum(), 'if no episode is shared, say so: "shares_no_episode": true'
+    if condition.shares_no_episode and not same:
+        return
+    try:
+        parts = dataset.split(**about["split"])
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{where} was trained with a split that cannot be made here ({error}); {word}") from error
+    both = np.intersect1d(windows.episodes, np.concatenate([parts["train"], parts["validation"]]))
+    if len(both):
         whose = "this dataset" if same else f"a dataset with checksum {about['trained_on'][:12] or 'unknown'}"
-        if len(both):
-            raise ValueError(
-                f"{where} was trained on {whose}, and {len(both)} episodes to test on, the first is {both[0]}, were in its "
-                f"training or validation part; test on the part it did not see{'' if same else f', or {word}'}"
-            )
-        if not same:
-            warnings.warn(
-                f"{where} was trained on {whose}, another checksum. None of the tested episodes was in its training part if "
-                "the two number their episodes alike, as a dataset and its cut do; that was not checked",
-                stacklevel=2,
-            )
+        raise ValueError(
+            f"{where} was trained on {whose}, and {len(both)} episodes to test on, the first is {both[0]}, were in its "
+            f"training or validation part; test on the part it did not see{'' if same else f', or {word}'}"
+        )
+    if not same:
+        warnings.warn(
+            f"{where} was trained on a dataset with another checksum. None of the tested episodes was in its training part "
+            "if the two number their episodes alike, as a dataset and its cut do; that was not checked",
+            stacklevel=2,
+        )

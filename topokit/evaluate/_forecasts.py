@@ -27,7 +27,7 @@ from topokit.data import Dataset
 from topokit.io import save_episode
 from topokit.models import States, past_states, target_states
 
-from ._accuracy import COLUMNS, Array, measure_forecasts
+from ._accuracy import COLUMNS, measure_forecasts
 from ._conditions import Condition, EvaluationConfig, PreparedCondition, garments_of, prepare_condition, true_curves
 from ._results import KIND, read_results, write_results
 from ._summary import Samples, horizons_of, steps_of, summarise
@@ -94,9 +94,7 @@ def _table(
 def _measured(config: EvaluationConfig, condition: Condition, prepared: PreparedCondition, progress: bool) -> Samples:
     steps, fine = steps_of(config.shape.horizon), horizons_of(config.shape.horizon)
     clean, observed = prepared.clean, prepared.observed
-    parts: dict[str, list[list[dict[str, Array]]]] = {
-        name: [[] for _ in found] for name, found in prepared.forecasters.items()
-    }
+    parts: dict[str, list[Any]] = {name: [[] for _ in found] for name, found in prepared.forecasters.items()}
     total = len(clean) * sum(map(len, parts.values()))
     if progress:
         print(f"{condition.name}: {len(clean)} windows, {total} forecasts", file=sys.stderr)
@@ -112,13 +110,13 @@ def _measured(config: EvaluationConfig, condition: Condition, prepared: Prepared
                     rng = np.random.default_rng((config.seed, number))  # the same points of the openings for all
                     part.append(measure_forecasts(forecaster(window), target, past, truth, steps, fine, rng))
                     bar.update(len(rows))
-    columns = {name: {column: _joined(seeds, column) for column in COLUMNS} for name, seeds in parts.items()}
+    columns = {
+        name: {
+            column: np.array([np.concatenate([some[column] for some in part]) for part in seeds]) for column in COLUMNS
+        }
+        for name, seeds in parts.items()
+    }
     return Samples(columns, clean.index[:, 0], garments_of(clean), steps, fine)
-
-
-def _joined(seeds: Sequence[Sequence[Mapping[str, Array]]], column: str) -> Array:
-    """(seeds, n, K) a column of all batches."""
-    return np.stack([np.concatenate([some[column] for some in part]) for part in seeds])
 
 
 def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
@@ -185,7 +183,6 @@ def _worst(samples: Samples, tolerance: float) -> list[int]:
 
 
 def _loops(states: States) -> list[dict[str, Any]]:
-    """All loops of one window at one step (S, ...)."""
     presence, lifetime = states.presence.sigmoid(), states.death - states.birth
     return [
         {

@@ -155,8 +155,6 @@ def library_digest(package: Path = Path(topokit.__file__).parent) -> str:
 
 
 class _WithoutWords(ast.NodeTransformer):
-    """Takes out every string that is a statement of its own."""
-
     def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
         words = isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
         return None if words else node

@@ -87,7 +87,6 @@ class Bootstrap:
         self.seed = seed
 
     def _seeds(self, count: int, model: int) -> Array:
-        """(D, count) how often each of the seeds of a model is drawn."""
         rng = np.random.default_rng((self.seed, 1 + model))
         return rng.multinomial(count, np.full(count, 1 / count), size=len(self.weights)).astype(np.float64)
 
@@ -202,9 +201,9 @@ class _Table:
             return self.mean(self.hits, model, k)
         column = name.removesuffix("_cm").removesuffix("_median")
         values = columns[{"identity": "kept"}.get(column, column)] * (100 if name.endswith("_cm") else 1)
-        return (
-            self.bootstrap.median(values[..., k], number) if "median" in name else self.mean(lambda _: values, model, k)
-        )
+        if "median" in name:
+            return self.bootstrap.median(values[..., k], number)
+        return self.mean(lambda _: values, model, k)
 
     def mean(self, values: Callable[[str], Array], model: str, k: int) -> Estimate:
         """At the k-th step, of (seeds, n, K) values of a model, without those that are nan."""

@@ -113,7 +113,6 @@ def summarise_tracks(
 def _nearest_loop(
     centres: Array, points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]], tolerance: float
 ) -> tuple[int, float, float]:
-    """Which true loop a track is nearest to, how far from it, and its share of frames in the hull."""
     away = [np.linalg.norm(points[:, loop].mean(axis=1) - centres, axis=1).mean() for loop in loops]
     nearest = int(np.argmin(away))
     hulls = points[:, loops[nearest]]
