@@ -9,7 +9,7 @@ import torch
 from topokit import LoopMixture
 from topokit.evaluate import Bootstrap, Estimate
 from topokit.evaluate._accuracy import COLUMNS, TrueCurves, measure_forecasts, opening_points
-from topokit.evaluate._bootstrap import mean_of
+from topokit.evaluate._summary import mean_of
 from topokit.models import Forecast, States
 
 HORIZON, SLOTS = 4, 3

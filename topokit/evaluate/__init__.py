@@ -10,17 +10,26 @@ from typing import TYPE_CHECKING
 
 from topokit._lazy import attach
 
-from ._baselines import by_diagram, by_midpoint, track_vines
-from ._localisation import TrackSummary, distance_to_hull, summarise_tracks
 from ._scores import Event, Overlap, TrackingScore, events, score
-from ._tracking import TrueLoops, by_killer, by_place, compare, true_loops
+from ._tracking import (
+    TrackSummary,
+    TrueLoops,
+    by_diagram,
+    by_killer,
+    by_midpoint,
+    by_place,
+    compare,
+    distance_to_hull,
+    summarise_tracks,
+    track_vines,
+    true_loops,
+)
 
 if TYPE_CHECKING:
-    from ._bootstrap import Bootstrap, Estimate
-    from ._config import Clouds, Condition, EvaluationConfig, load_evaluation
+    from ._conditions import Clouds, Condition, EvaluationConfig, load_evaluation
     from ._forecasts import evaluate_forecasts
-    from ._report import write_report
-    from ._results import library_digest, read_results
+    from ._results import library_digest, read_results, write_report
+    from ._summary import Bootstrap, Estimate
 
 __all__ = [
     "Bootstrap",
@@ -54,11 +63,10 @@ __all__ = [
 __getattr__ = attach(
     __name__,
     {
-        "_bootstrap": "Bootstrap Estimate",
-        "_config": "Clouds Condition EvaluationConfig load_evaluation",
+        "_conditions": "Clouds Condition EvaluationConfig load_evaluation",
         "_forecasts": "evaluate_forecasts",
-        "_report": "write_report",
-        "_results": "library_digest read_results",
+        "_results": "library_digest read_results write_report",
+        "_summary": "Bootstrap Estimate",
     },
     extra="learn,data",
 )

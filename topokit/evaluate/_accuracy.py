@@ -4,9 +4,8 @@ A forecast names some loops; the simulator knows where the true ones are, and pe
 there (`topokit.evaluate.true_loops`). With L of them the first k = min(L, 2) forecast loops count, longest lifetime
 first, as in the paper; which is compared with which true loop is chosen in their favour.
 
-A true loop is marked by one curve of its class, and others are as true: around a tie that hangs before a skirt the curve may go
-straight across the skirt, or along behind the tie. So its hull is that of the marked curve and of the edge of the full cloud
-that ends its class. For most loops that edge spans the curve, and the hull is that of the curve alone.
+A true loop is marked by one curve of its class, and others are as true: before a skirt, it may go straight across the skirt or
+behind a tie. So its hull is that of the marked curve and of the edge of the full cloud that ends its class.
 
 Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 11.
 """
@@ -27,41 +26,36 @@ from torch import Tensor
 from topokit._matching import assign
 from topokit.models import States, loop_mixtures, match_slots
 
-from ._localisation import nearest_in_hull
-from ._tracking import extent
+from ._tracking import distance_to_hull, extent
 
 Array = NDArray[np.float64]
-MOST = 2
-"""True loops that a sample asks for, at most: the paper's objects have one or two."""
-OFFSET = 0.25
-"""In the plane: how far beside the hull's plane still counts, as a share of the loop's radius."""
+MOST = 2  # true loops that a sample asks for, at most: the paper's objects have one or two
+OFFSET = 0.25  # how far beside the plane of a loop still counts as in it, as a share of its radius
 POINTS, DRAWN = 16, 100  # of an opening, and of a mixture, for likelihood and coverage
-_PLACES = ("outside", "outside_marked", "outside_anyway", "in_plane", "in_opening", "distance")
-_SLOTS = ("there", "absent", "changed", "same")
-COLUMNS = (*_PLACES, "kept", "nll", "cover50", "cover90", *_SLOTS, *(f"{name}_right" for name in _SLOTS))
-"""What `measure_forecasts` says of every sample and step."""
+_SLOTS = ("there", "absent", "changed", "same")  # for the tracker: at that step, and against the last frame seen
+COLUMNS = (
+    "outside",  # of the farthest of the k means from its hull, metres; inf when fewer than k are forecast
+    "outside_marked",  # the same for hulls of the marked curves alone, of loops that are not there, too
+    "outside_anyway",  # the same as the first by lifetime times presence, none said to be absent
+    "in_plane",  # whether all k are in the curve's outline, seen along its normal, and near its plane
+    "in_opening",  # whether all are nearer to the centres than the curves' farthest vertices, as chapter 6 asks of tracks
+    "distance",  # of the k means from these centres, metres
+    "kept",  # of the true loops found at the first step and still there, the share that is found by the same slot
+    *("nll", "cover50", "cover90"),  # of points of the openings: nats, shares in the regions of 50 and 90 % of the mass
+    *_SLOTS,  # how many slots there are of the kind
+    *(f"{name}_right" for name in _SLOTS),  # how many of these the forecast has right
+)
 
 
 @dataclass(frozen=True, eq=False)
 class TrueCurves:
-    """The true loops of a window at K steps.
+    """The true loops of a window at K steps."""
 
-    Attributes
-    ----------
-    curves : tuple of (K, L, 3) float64
-        Their vertices, metres.
-    closing : tuple of (K, 2, 3) float64, optional
-        The ends of the edges of the full cloud that end their classes, metres.
-    present : tuple of (K,) bool, optional
-        Whether they are there; all of them when not given.
-    """
-
-    curves: tuple[Array, ...]
-    closing: tuple[Array, ...] = ()
-    present: tuple[NDArray[np.bool_], ...] = ()
+    curves: tuple[Array, ...]  #: of each loop the vertices (K, L, 3), metres
+    closing: tuple[Array, ...] = ()  #: of each the ends (K, 2, 3) of the edges of the full cloud that end its class
+    present: tuple[NDArray[np.bool_], ...] = ()  #: (K,) whether it is there; all are when not given
 
     def there(self, k: int) -> list[int]:
-        """The loops that are there."""
         return [loop for loop in range(len(self.curves)) if not self.present or self.present[loop][k]]
 
     def hull(self, loop: int, k: int) -> Array:
@@ -72,25 +66,19 @@ class TrueCurves:
     @cached_property
     def extents(self) -> tuple[Array, Array]:
         """(K, loops, 3) centroids of the curves, by length, and (K, loops) largest distances from them."""
-        found = [[extent(frame) for frame in curve] for curve in self.curves]
-        centres, radii = (np.array([[one[part] for one in loop] for loop in found]) for part in (0, 1))
-        return centres.swapaxes(0, 1), radii.T
-
-    @cached_property
-    def planes(self) -> tuple[tuple[Array, Array], ...]:
-        """Of each loop the means of its vertices (K, 3) and the axes of their scatter (K, 3, 3), the normal last."""
-        means = [curve.mean(axis=1) for curve in self.curves]
-        pairs = zip(self.curves, means, strict=True)
-        axes = [np.linalg.svd(curve - mean[:, None], full_matrices=False)[2] for curve, mean in pairs]
-        return tuple(zip(means, axes, strict=True))
+        found = [[extent(curve) for curve in loops] for loops in zip(*self.curves, strict=True)]
+        return np.array([[one[0] for one in frame] for frame in found]), np.array(
+            [[one[1] for one in frame] for frame in found]
+        )
 
     def beside(self, loop: int, k: int, point: Array) -> float:
         """At most 1 when the point lies in a curve's outline, seen along the normal, and near enough to its plane."""
-        mean, axes = (part[k] for part in self.planes[loop])
-        off = abs(float((point - mean) @ axes[2])) / (OFFSET * self.extents[1][k, loop])
-        if off > 1 or nearest_in_hull((self.curves[loop][k] - point) @ axes[:2].T) >= 1e-9:
-            return float("inf")
-        return float(off)
+        offsets = self.curves[loop][k] - point
+        mean = offsets.mean(axis=0)
+        axes = np.linalg.svd(offsets - mean, full_matrices=False)[2]  # of the scatter of its vertices, the normal last
+        off = abs(float(mean @ axes[2])) / (OFFSET * self.extents[1][k, loop])
+        inside = off <= 1 and distance_to_hull((0, 0), offsets @ axes[:2].T) < 1e-9
+        return off if inside else float("inf")
 
 
 def measure_forecasts(
@@ -106,17 +94,6 @@ def measure_forecasts(
 
     `target` and `past` are what the tracker saw at all steps, and at the last frame before them. Likelihood and coverage are
     dear: they are taken at the `fine` steps.
-
-    ``outside``, ``outside_anyway``: the farthest of the k means from its hull, metres; inf when fewer than k are forecast. The
-    second ranks by lifetime times presence and lets none be absent. ``outside_marked``: the same as the first for hulls of the
-    marked curves alone, and loops that are not there asked for, too. ``in_plane``: whether all k means lie in the marked
-    curve's outline, seen along its normal, and beside its plane by `OFFSET` radii at most. ``in_opening``: whether all are
-    nearer to the centres of the curves than the curves' farthest vertices, as chapter 6 asks of tracks. ``distance``: of the k
-    means from these centres, metres. ``nll``, ``cover50``, ``cover90``: of `POINTS` points of the openings under the k
-    mixtures, nats, and the share of them in the smallest region that has 50 or 90 % of the mass. ``kept``: of the true loops
-    found at the first step and still there, how many are found by the same slot. Then counts of slots: those that the tracker
-    sees there and those that are absent, those that changed since the last frame seen and those that did not; each with how
-    many the forecast has right.
     """
     at = torch.tensor([step - 1 for step in steps])
     some = states[:, at]
@@ -148,12 +125,10 @@ class _Sample:
 
     @cached_property
     def loops(self) -> list[int]:
-        """The true loops that are there."""
         return self.truth.there(self.k)
 
     @cached_property
     def asked(self) -> int:
-        """How many of them count."""
         return min(len(self.loops), MOST)
 
     @cached_property
@@ -180,13 +155,7 @@ class _Sample:
 
     def longest(self, count: int) -> list[int]:
         """The slots that count: of those that are more likely there than not the longest-lived."""
-        ranked = np.argsort(-self.lifetimes, kind="stable")
-        return ranked[self.presence[ranked] > 0.5][:count].tolist()
-
-    def longest_anyway(self, count: int) -> list[int]:
-        """The same, whether they are said to be there or not."""
-        ranked = np.argsort(-self.lifetimes * self.presence, kind="stable")
-        return ranked[self.lifetimes[ranked] > 0][:count].tolist()
+        return _first(count, self.lifetimes, self.presence > 0.5)
 
     def kept(self, first: _Sample) -> float:
         """The share of the true loops found at the first step and still there that are found by the same slot."""
@@ -201,8 +170,9 @@ class _Sample:
         if not asked:
             return values
         hulls, chosen = [truth.hull(loop, k) for loop in loops], self.longest(asked)
+        anyway = _first(asked, self.lifetimes * self.presence, self.lifetimes > 0)
         values["outside"] = self.outside(chosen, hulls, asked)
-        values["outside_anyway"] = self.outside(self.longest_anyway(asked), hulls, asked)
+        values["outside_anyway"] = self.outside(anyway, hulls, asked)
         flat = [[truth.beside(loop, k, self.means[slot]) for loop in loops] for slot in chosen]
         values["in_plane"] = _least_worst(flat, asked) <= 1
         share = (self.away / truth.extents[1][k])[chosen][:, loops]
@@ -212,8 +182,12 @@ class _Sample:
         return values
 
     def outside(self, slots: Sequence[int], hulls: Sequence[Array], asked: int) -> float:
-        """How far the means of slots are from hulls, one each."""
-        return _least_worst([[nearest_in_hull(hull - self.means[slot]) for hull in hulls] for slot in slots], asked)
+        return _least_worst([[distance_to_hull(self.means[slot], hull) for hull in hulls] for slot in slots], asked)
+
+
+def _first(count: int, rank: Array, which: NDArray[np.bool_]) -> list[int]:
+    ranked = np.argsort(-rank, kind="stable")
+    return ranked[which[ranked]][:count].tolist()
 
 
 def _least_worst(table: Sequence[Sequence[float]], asked: int) -> float:
@@ -240,7 +214,6 @@ def _measure_mixtures(
     columns: Mapping[str, Array],
     rng: np.random.Generator,
 ) -> None:
-    """Fill in likelihood and coverage at the pairs of forecast and true loops."""
     if not pairs:
         return
     i, k, slot, _ = np.array(pairs).T

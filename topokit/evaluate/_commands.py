@@ -5,47 +5,37 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import warnings
 from pathlib import Path
 from typing import Any
 
 
 def add(commands: Any) -> None:
-    """Add the sub-parsers."""
     evaluate = commands.add_parser("evaluate", help="measure predictors on held-out episodes; goes on where it stopped")
-    evaluate.add_argument(
-        "evaluation", type=Path, metavar="EVALUATION", help="datasets, checkpoints and conditions (.json)"
-    )
-    evaluate.add_argument(
-        "--out", type=Path, required=True, metavar="RESULTS", help="where the results go, after each condition (.json)"
-    )
-    evaluate.add_argument(
-        "--clips", type=Path, metavar="DIR", help="also save the frames of a few failures, to be looked at (.npz)"
-    )
-    evaluate.add_argument("--threads", type=int, default=2, help="processor cores to use at most (default 2)")
-    evaluate.add_argument("--quiet", action="store_true", help="no progress")
-    evaluate.add_argument("--json", action="store_true", help="print hull_accuracy as JSON")
+    option = evaluate.add_argument
+    option("evaluation", type=Path, metavar="EVALUATION", help="datasets, checkpoints and conditions (.json)")
+    results = "where the results go, after each condition (.json)"
+    option("--out", type=Path, required=True, metavar="RESULTS", help=results)
+    option("--clips", type=Path, metavar="DIR", help="also save the frames of a few failures, to be looked at (.npz)")
+    option("--threads", type=int, default=2, help="processor cores to use at most (default 2)")
+    option("--quiet", action="store_true", help="no progress")
+    option("--json", action="store_true", help="print hull_accuracy as JSON")
     evaluate.set_defaults(run=_evaluate)
 
     report = commands.add_parser("report", help="make tables and figures of the results of an evaluation")
     report.add_argument("results", type=Path, metavar="RESULTS", help="what topokit evaluate wrote (.json)")
-    report.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the tables (.md) and figures (.svg)"
-    )
+    folder = "folder for the tables (.md) and figures (.svg)"
+    report.add_argument("--out", type=Path, required=True, metavar="DIR", help=folder)
     report.add_argument("--json", action="store_true", help="print the list of files as JSON")
     report.set_defaults(run=_report)
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    if options.out.suffix != ".json":
-        raise ValueError(f"--out {options.out}: the name of results ends in .json")
     if options.threads < 1:
         raise ValueError(f"--threads {options.threads}: one at least")
-    if options.out.resolve() == options.evaluation.resolve():
-        raise ValueError(f"--out {options.out}: that is the evaluation itself")
     import torch
 
     from . import evaluate_forecasts, load_evaluation
+    from ._results import table_of
 
     config, folder = load_evaluation(options.evaluation)
     torch.set_num_threads(min(options.threads, torch.get_num_threads()))
@@ -53,34 +43,20 @@ def _evaluate(options: argparse.Namespace) -> int:
     command += f" --clips {options.clips}" if options.clips else ""
     loud = not (options.quiet or options.json)
     try:
-        with warnings.catch_warnings():
-            warnings.showwarning = _show_warning
-            results = evaluate_forecasts(
-                config, folder, options.out, progress=loud, command=command, clips=options.clips
-            )
+        given = {"progress": loud, "command": command, "clips": options.clips}
+        results = evaluate_forecasts(config, folder, options.out, **given)
     except (KeyboardInterrupt, SystemError) as error:
         if not _interrupted(error):
             raise
-        where = f"conditions that were done are in {options.out}"
-        print(f"topokit evaluate: stopped; {where}, the same command goes on", file=sys.stderr)
+        print(f"topokit evaluate: stopped; {options.out} has what was done, the same command goes on", file=sys.stderr)
         return 130
-    _show(options, results)
-    return 0
-
-
-def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"topokit evaluate: warning: {message}", file=sys.stderr)
-
-
-def _show(options: argparse.Namespace, results: dict[str, Any]) -> None:
-    from ._report import hull_table
-
     if options.json:
         print(json.dumps({"results": str(options.out), "hull_accuracy": results["hull_accuracy"]}))
-        return
+        return 0
     for name, condition in results["conditions"].items():
-        print(f"\n{name}\n\n{hull_table(condition, results['horizons'])}")
+        print(f"\n{name}\n\n{table_of(condition['hull_accuracy'], results['horizons'])}")
     print(f"results: {options.out}")
+    return 0
 
 
 def _interrupted(error: BaseException | None) -> bool:

@@ -1,4 +1,7 @@
-"""A condition made ready: which windows, what is seen of them, where their true loops are, and who forecasts."""
+"""What `topokit evaluate` does, one JSON or TOML file, and each of its conditions made ready.
+
+That is: which windows, what is seen of them, where their true loops are, and who forecasts; checked before anything runs.
+"""
 
 from __future__ import annotations
 
@@ -6,58 +9,104 @@ import hashlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
 from torch import Tensor
 
+from topokit._config import Count, NotNegative, checked, load
 from topokit.data import Dataset, WindowDataset, spoil
-from topokit.models import MODELS, Normalisation, PredictiveModel, States, build, load_model, target_states
+from topokit.models import MODELS, Normalisation, PredictiveModel, Shape, States, build, load_model, target_states
 
 from ._accuracy import TrueCurves
-from ._config import UNTRAINED, Clouds, Condition, EvaluationConfig
 from ._results import digest, library_digest
 from ._tracking import true_loops
 
+Forecaster = Callable[[Mapping[str, Tensor]], States]  # from a window to the states of all steps
+UNTRAINED = ("seqph", "hold", "carry")  # need no checkpoint; the first sees the future
 
-@dataclass(frozen=True, eq=False)
-class Forecaster:
-    """A model under one training seed; of seqPH there is no model, it looks at the future."""
 
-    model: PredictiveModel | None
-    about: Mapping[str, Any] = field(default_factory=dict)  # its checkpoint, if any
+def _need_checkpoints(models: dict[str, list[str]]) -> dict[str, list[str]]:
+    for name in set(models) & set(UNTRAINED):
+        raise ValueError(f"{name} needs no checkpoint; leave it out")
+    return models
 
-    def __call__(self, window: Mapping[str, Tensor]) -> States:
-        """The states that it forecasts, all steps."""
-        if self.model is None:
-            return target_states(window)
-        states, _ = self.model(window)
-        return states.float()
+
+Paths = Annotated[list[str], Field(min_length=1)]
+Checkpoints = Annotated[dict[str, Paths], AfterValidator(_need_checkpoints)]
+
+
+@checked
+class Clouds:
+    """What is done to the clouds of a condition; the loops are then tracked anew on what is left."""
+
+    noise: NotNegative = 0.0  #: standard deviation of each coordinate, metres
+    #: Share of the points that are put anywhere in the cloud's box, which is grown by 10 cm on each side.
+    outliers: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    #: Share of the points that are kept, at random in every frame.
+    keep: Annotated[float, Field(gt=0, le=1)] = 1.0
+
+
+@checked
+class Condition:
+    """One table: which episodes, what is seen of them, and other checkpoints if need be."""
+
+    name: Annotated[str, Field(min_length=1)]  #: its key in the results
+    dataset: str = ""  #: when not that of the evaluation
+    labels: str = ""  #: when not those of the evaluation
+    split: dict[str, Any] = field(default_factory=dict)  #: of `Dataset.split`: by episode when empty
+    part: str = "test"  #: of the split; "all" for all episodes
+    garments: Annotated[list[str], Field(min_length=1)] | None = None  #: all when not given
+    windows: Count = 100  #: of each garment, at most, spread evenly over its episodes and their frames
+    #: Spoil the clouds, and track the loops on what is left. Without it seqPH, hold and carry have the labels' states.
+    clouds: Clouds | None = None
+    models: Checkpoints | None = None  #: when not those of the evaluation
+    #: The word of whoever wrote this that no checkpoint was trained on these episodes, where that cannot be checked: for a
+    #: dataset made with another seed or another configuration.
+    shares_no_episode: bool = False
+
+
+@checked
+class EvaluationConfig:
+    """What is evaluated; paths are relative to the configuration's file."""
+
+    dataset: str  #: directory of the dataset
+    #: Checkpoints of each model, one a training seed. A model goes by the name that it is trained under; `seqph`, `hold` and
+    #: `carry` need none and are always there.
+    models: Checkpoints
+    conditions: Annotated[list[Condition], Field(min_length=1)]  #: the first is the paper's figure
+    ours: str = "loopcast"  #: which of the models is ours; in the results it is called "ours"
+    labels: str = "full"  #: labels of the dataset
+    shape: Shape = field(default_factory=Shape)  #: of the windows; all checkpoints must have it
+    samples: Annotated[int, Field(ge=2)] = 1000  #: draws of the bootstrap
+    seed: Annotated[int, Field(ge=0)] = 0  #: of everything random
+    tolerance: NotNegative = 0.02  #: how far beside a hull still counts as in it, metres
+    commands: list[str] = field(default_factory=list)  #: how datasets and checkpoints were made; stands in the results
+
+    def __post_init__(self) -> None:
+        names = [one.name for one in self.conditions]
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise ValueError(f"two conditions are called {min(twice)!r}")
+
+
+def load_evaluation(path: str | Path) -> tuple[EvaluationConfig, Path]:
+    """Read a configuration and the folder that its paths are relative to."""
+    return load(EvaluationConfig, path), Path(path).parent
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedCondition:
-    """A condition whose files were found good.
+    """A condition whose files were found good."""
 
-    Attributes
-    ----------
-    clean : WindowDataset
-        The windows; their labels are the truth about presence.
-    observed : WindowDataset
-        The same as the forecasters see them; `clean` itself when nothing is spoilt.
-    forecasters : dict of str to list of Forecaster
-        By what the results call them, one a training seed.
-    entries : dict
-        What the results say about the condition.
-    """
-
-    clean: WindowDataset
-    observed: WindowDataset
-    forecasters: Mapping[str, Sequence[Forecaster]]
-    entries: Mapping[str, Any]
+    clean: WindowDataset  #: the windows; their labels are the truth about presence
+    observed: WindowDataset  #: the same as the forecasters see them; `clean` itself when nothing is spoilt
+    forecasters: Mapping[str, Sequence[Forecaster]]  #: by what the results call them, one a training seed
+    entries: Mapping[str, Any]  #: what the results say about the condition
 
 
 def garments_of(windows: WindowDataset) -> NDArray[np.str_]:
@@ -78,61 +127,48 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
     if condition.clouds is not None:
         observe = spoilt_observer(condition.clouds, config.seed)
         observed = WindowDataset(dataset, windows.episodes, observe=observe, **options).select(rows)
-    forecasters = _forecasters(config, condition, folder, clean)
-    return PreparedCondition(clean, observed, forecasters, _entries(config, condition, clean, forecasters))
-
-
-def _forecasters(
-    config: EvaluationConfig, condition: Condition, folder: Path, windows: WindowDataset
-) -> dict[str, list[Forecaster]]:
-    """By what the results call them, one a training seed."""
-    ours = {config.ours: "ours"}
-    forecasters = {}
-    for name in UNTRAINED:
-        model = None if name == "seqph" else build(name, config.shape, Normalisation()).eval()
-        forecasters[ours.get(name, name)] = [Forecaster(model)]
+    shown = {config.ours: "ours"}
+    forecasters = {shown.get(name, name): [_untrained(name, config)] for name in UNTRAINED}
+    checkpoints = {}
     for name, paths in (config.models if condition.models is None else condition.models).items():
         found = [_load(config, name, folder / path, path) for path in paths]
-        if len({one.about["sha256"] for one in found}) < len(found):
-            where = f"condition {condition.name!r}"
-            raise ValueError(f"{where}: {name} lists the same weights twice; each checkpoint is to be of another seed")
-        for one in found:
-            _check_unseen(one.about, windows, condition)
-        forecasters[ours.get(name, name)] = found
-    return forecasters
+        about = checkpoints[shown.get(name, name)] = [told for _, told in found]
+        if len({one["sha256"] for one in about}) < len(about):
+            raise ValueError(f"condition {condition.name!r}: {name} lists the same weights twice")
+        for one in about:
+            _check_unseen(one, clean, condition)
+        forecasters[shown.get(name, name)] = [partial(_forecast, model) for model, _ in found]
+    return PreparedCondition(clean, observed, forecasters, _entries(config, condition, clean, checkpoints))
+
+
+def _untrained(name: str, config: EvaluationConfig) -> Forecaster:
+    """SeqPH looks at the future."""
+    return target_states if name == "seqph" else partial(_forecast, build(name, config.shape, Normalisation()).eval())
+
+
+def _forecast(model: PredictiveModel, window: Mapping[str, Tensor]) -> States:
+    states, _ = model(window)
+    return states.float()
 
 
 def _entries(
-    config: EvaluationConfig,
-    condition: Condition,
-    windows: WindowDataset,
-    forecasters: Mapping[str, Sequence[Forecaster]],
+    config: EvaluationConfig, condition: Condition, windows: WindowDataset, checkpoints: Mapping[str, Any]
 ) -> dict[str, Any]:
     """What the results say about a condition, and from what it is made: when that is the same, so are the results."""
     dataset, labels = windows.dataset, windows.dataset.labels(windows.labels)
     counts = zip(*np.unique(garments_of(windows), return_counts=True), strict=True)
-    spoilt = condition.clouds is not None
     entries = {
         "dataset": {"sha256": dataset.checksum(), "seed": dataset.seed, "episodes": len(dataset)},
-        "labels": {
-            "name": windows.labels,
-            "observation": labels.manifest["observation"],
-            "sha256": labels.checksum(),
-        },
+        "labels": {"name": windows.labels, "observation": labels.manifest["observation"], "sha256": labels.checksum()},
         "condition": {key: value for key, value in asdict(condition).items() if key not in ("models", "dataset")},
-        "states_of_seqph_hold_carry_ridge": "tracked on the spoilt clouds" if spoilt else "the labels",
+        "states_of_seqph_hold_carry_ridge": "tracked on the spoilt clouds" if condition.clouds else "the labels",
         "windows": len(windows),
         "episodes": len(windows.episodes),
         "windows_by_garment": {str(garment): int(count) for garment, count in counts},
-        "checkpoints": {
-            name: [dict(one.about) for one in found] for name, found in forecasters.items() if found[0].about
-        },
+        "checkpoints": checkpoints,
     }
     settings = {name: asdict(config)[name] for name in ("ours", "shape", "samples", "seed", "tolerance")}
     return {"made_from": digest([entries, settings, library_digest()]), **entries}
-
-
-# -- windows ----------------------------------------------------------------------------------------------------------------
 
 
 def _tested(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.int64]:
@@ -148,17 +184,14 @@ def _tested(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.i
     unknown = sorted(set(garments) - set(dataset.garments))
     if unknown:
         raise ValueError(f"{where}: no garment {unknown[0]!r} in the dataset; it has {', '.join(dataset.garments)}")
-    part = parts[condition.part].tolist()
-    chosen = [number for number in part if dataset.group.records[number].garment in garments]
+    records = dataset.group.records
+    chosen = [number for number in parts[condition.part].tolist() if records[number].garment in garments]
     known = np.intersect1d(chosen, labelled)
     if not len(known):
-        raise ValueError(
-            f"{where}: no episode to test on: the part {condition.part!r} has {len(part)} episodes, "
-            f"{len(chosen)} of them of these garments, and none of those has labels {labels!r}"
-        )
+        raise ValueError(f"{where}: no episode of {condition.part!r} is of these garments and has labels {labels!r}")
     if len(known) < len(chosen):
-        missing = f"{len(chosen) - len(known)} of {len(chosen)}"
-        warnings.warn(f"{where}: {missing} episodes have no labels {labels!r} and are left out", stacklevel=2)
+        missing = f"{len(chosen) - len(known)} of {len(chosen)} episodes have no labels {labels!r}"
+        warnings.warn(f"{where}: {missing} and are left out", stacklevel=2)
     return known
 
 
@@ -176,8 +209,8 @@ def spoilt_observer(how: Clouds, seed: int) -> Callable[[int, NDArray[np.float64
 
     def observe(number: int, clouds: NDArray[np.float64]) -> NDArray[np.float64]:
         rng = np.random.default_rng((seed, number))
-        spoilt = spoil(clouds, rng, noise=how.noise, outliers=how.outliers, keep=how.keep)
-        return spoilt[:, : max(1, round(how.keep * clouds.shape[1]))]  # the others repeat these
+        kept = max(1, round(how.keep * clouds.shape[1]))  # the others repeat these
+        return spoil(clouds, rng, **asdict(how))[:, :kept]
 
     return observe
 
@@ -194,7 +227,6 @@ def true_curves(windows: WindowDataset, rows: Sequence[int], steps: Sequence[int
 
 @cache  # conditions share their episodes; a few hundred, half a second and a megabyte each
 def _true_curves(url: str, number: int) -> TrueCurves:
-    """The true loops of an episode, at all its frames."""
     episode = Dataset(url)[number]
     points, loops = episode.points.astype(np.float64), episode.loops
     frames, row = true_loops(points, loops), np.arange(len(points))[:, None]
@@ -206,22 +238,15 @@ def _true_curves(url: str, number: int) -> TrueCurves:
     )
 
 
-# -- checkpoints ------------------------------------------------------------------------------------------------------------
-
-
-def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> Forecaster:
-    """Read a checkpoint and hold it against the evaluation."""
+def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> tuple[PredictiveModel, dict[str, Any]]:
     model, description = load_model(path)
     if name in MODELS and description["model"] != name:
         raise ValueError(f"{path}: a checkpoint of {description['model']!r}, listed under {name!r}")
     if model.shape != config.shape:
-        has, wanted = (
-            ", ".join(f"{size} {value}" for size, value in asdict(shape).items())
-            for shape in (model.shape, config.shape)
-        )
-        raise ValueError(f"{path}: trained on windows of another shape: {has}; the evaluation has {wanted}")
+        has = ", ".join(f"{size} {value}" for size, value in asdict(model.shape).items())
+        raise ValueError(f"{path}: trained on windows of another shape: {has}; the evaluation has {config.shape}")
     trained = description.get("config", {})
-    about: dict[str, Any] = {
+    return model, {
         "checkpoint": shown,
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "model": description["model"],
@@ -230,30 +255,24 @@ def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> Foreca
         "trained_on": description.get("dataset", ""),
         **{key: description[key] for key in ("steps", "validation_loss") if key in description},
     }
-    return Forecaster(model, about)
 
 
 def _check_unseen(about: Mapping[str, Any], windows: WindowDataset, condition: Condition) -> None:
     """Refuse a checkpoint that was trained, or stopped, on episodes that it is to be tested on."""
     where, dataset = f"condition {condition.name!r}: {about['checkpoint']}", windows.dataset
-    same = about["trained_on"] == dataset.checksum()
+    same, word = about["trained_on"] == dataset.checksum(), 'if no episode is shared, say so: "shares_no_episode": true'
     if condition.shares_no_episode and not same:
         return
     try:
         parts = dataset.split(**about["split"])
     except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{where} was trained on another dataset, whose split {about['split']} cannot be made here ({error}); if it "
-            'shares no episode with this one, say so: "shares_no_episode": true'
-        ) from error
+        raise ValueError(f"{where} was trained with a split that cannot be made here ({error}); {word}") from error
     both = np.intersect1d(windows.episodes, np.concatenate([parts["train"], parts["validation"]]))
     if len(both):
         whose = "this dataset" if same else f"a dataset with checksum {about['trained_on'][:12] or 'unknown'}"
         raise ValueError(
-            f"{where} was trained on {whose} with the split {about['split']}, and {len(both)} of the "
-            f"{len(windows.episodes)} episodes to test on were in its training or validation part, the first is {both[0]}: "
-            "test on the part it did not see"
-            + ("" if same else ', or say that no episode is shared, if so: "shares_no_episode": true')
+            f"{where} was trained on {whose}, and {len(both)} episodes to test on, the first is {both[0]}, were in its "
+            f"training or validation part; test on the part it did not see{'' if same else f', or {word}'}"
         )
     if not same:
         warnings.warn(

@@ -1,35 +1,39 @@
 """Evaluate predictors on held-out windows: every number of chapter 11, from a dataset and checkpoints.
 
 One file of results, written again after each condition; a run that was stopped goes on with the conditions that are missing.
+The forecasts that went farthest astray are kept to be looked at: a table says how often, a picture why.
 
 Source: the figure is that of Antonova et al. 2021, section 6. Taught in chapter 11.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import platform
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 from torch.utils.data import default_collate
 from tqdm import tqdm
 
 import topokit
 from topokit.data import Dataset
-from topokit.models import past_states, target_states
+from topokit.io import save_episode
+from topokit.models import States, past_states, target_states
 
 from ._accuracy import COLUMNS, measure_forecasts
-from ._conditions import PreparedCondition, garments_of, prepare_condition, true_curves
-from ._config import Condition, EvaluationConfig
-from ._failures import Model, far_astray, save_clips
+from ._conditions import Condition, EvaluationConfig, PreparedCondition, garments_of, prepare_condition, true_curves
 from ._results import KIND, read_results, write_results
 from ._summary import Samples, horizons_of, steps_of, summarise
 
 BATCH = 64
+MOST_FAILURES = 6
 
 
 def evaluate_forecasts(
@@ -41,7 +45,7 @@ def evaluate_forecasts(
     command: str = "",
     clips: str | Path | None = None,
 ) -> dict[str, Any]:
-    """Evaluate all models under all conditions.
+    """Evaluate all models under all conditions; return what is in the file.
 
     Parameters
     ----------
@@ -49,27 +53,13 @@ def evaluate_forecasts(
     folder : path
         What the paths of `config` are relative to.
     out : path, optional
-        File for the results. Conditions that are in it already, made from the same files by the same code, are not made again;
-        the file is replaced in one piece after each condition.
+        File for the results. Conditions that are in it already, made from the same files by the same code, are not made again.
     progress : bool
         Say on stderr what is done, with a bar on a terminal.
     command : str
         What made the file, for its readers.
     clips : path, optional
         Folder for the frames of the failures that the results list, of the condition with most garments.
-
-    Returns
-    -------
-    dict
-        What is in the file.
-
-    Raises
-    ------
-    FileNotFoundError, FormatError
-        When a dataset, its labels, or a checkpoint is missing or damaged.
-    ValueError
-        When a checkpoint was trained on windows of another shape, or on episodes that it would be tested on; or a condition
-        has no window.
     """
     folder, results = Path(folder), _empty(config, command)
     done = read_results(out)["conditions"] if out is not None and Path(out).is_file() else {}
@@ -79,8 +69,6 @@ def evaluate_forecasts(
         known = done.get(condition.name)
         if known is None or known["made_from"] != prepared.entries["made_from"]:
             known = _table(config, condition, prepared, progress)
-        elif progress:
-            print(f"{condition.name}: in the file already", file=sys.stderr)
         tables[condition.name] = known
         results["hull_accuracy"] = tables[config.conditions[0].name]["hull_accuracy"]
         results["complete"] = len(tables) == len(config.conditions)
@@ -89,31 +77,24 @@ def evaluate_forecasts(
     if clips is not None:
         chosen = max(config.conditions, key=lambda condition: len(tables[condition.name]["failures"]))
         dataset = Dataset(folder / (chosen.dataset or config.dataset))
-        save_clips(tables[chosen.name]["failures"], dataset, Path(clips))
+        _save_clips(tables[chosen.name]["failures"], dataset, Path(clips))
     return results
 
 
 def _table(
     config: EvaluationConfig, condition: Condition, prepared: PreparedCondition, progress: bool
 ) -> dict[str, Any]:
-    """All that the results say of a condition."""
     samples = _measured(config, condition, prepared, progress)
     table = summarise(samples, config, condition is config.conditions[0])
-    first = {name: found[0] for name, found in prepared.forecasters.items()}
-    models: dict[str, Model] = {name: first[name] for name in ("ours", "pointnet", "carry", "seqph") if name in first}
-    failures = []
-    if "ours" in models and prepared.observed is prepared.clean:  # no dataset holds spoilt clouds
-        failures = far_astray(prepared.clean, samples, models, config.tolerance)
+    spoilt = prepared.observed is not prepared.clean  # no dataset holds spoilt clouds
+    failures = [] if spoilt or "ours" not in samples.columns else _failures(prepared, samples, config.tolerance)
     return {**prepared.entries, **table, "failures": failures}
 
 
 def _measured(config: EvaluationConfig, condition: Condition, prepared: PreparedCondition, progress: bool) -> Samples:
-    """Forecast all windows with all models, and measure."""
     steps, fine = steps_of(config.shape.horizon), horizons_of(config.shape.horizon)
     clean, observed = prepared.clean, prepared.observed
-    parts: dict[str, list[list[dict[str, Any]]]] = {
-        name: [[] for _ in found] for name, found in prepared.forecasters.items()
-    }
+    parts: dict[str, list[Any]] = {name: [[] for _ in found] for name, found in prepared.forecasters.items()}
     total = len(clean) * sum(map(len, parts.values()))
     if progress:
         print(f"{condition.name}: {len(clean)} windows, {total} forecasts", file=sys.stderr)
@@ -131,7 +112,7 @@ def _measured(config: EvaluationConfig, condition: Condition, prepared: Prepared
                     bar.update(len(rows))
     columns = {
         name: {
-            column: np.stack([np.concatenate([some[column] for some in part]) for part in seeds]) for column in COLUMNS
+            column: np.array([np.concatenate([some[column] for some in part]) for part in seeds]) for column in COLUMNS
         }
         for name, seeds in parts.items()
     }
@@ -139,7 +120,6 @@ def _measured(config: EvaluationConfig, condition: Condition, prepared: Prepared
 
 
 def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
-    """The file before its first condition."""
     return {
         "kind": KIND,
         "version": 1,
@@ -166,3 +146,70 @@ def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
         "hull_accuracy": {},
         "conditions": {},
     }
+
+
+def _failures(prepared: PreparedCondition, samples: Samples, tolerance: float) -> list[dict[str, Any]]:
+    """The worst samples, with what models said about the last step: loops by lifetime times presence, metres."""
+    chosen, step = _worst(samples, tolerance), samples.steps[-1]
+    if not chosen:
+        return []
+    window = default_collate([prepared.clean[row] for row in chosen])
+    names = [name for name in ("ours", "pointnet", "carry", "seqph") if name in prepared.forecasters]
+    with torch.inference_mode():
+        forecasts = {name: prepared.forecasters[name][0](window)[:, step - 1] for name in names}
+    return [
+        {
+            "episode": int(samples.episode[row]),
+            "frame": int(prepared.clean.index[row, 1]),
+            "step": step,
+            "garment": str(samples.garment[row]),
+            "outside_cm": {name: _cm(samples.columns[name]["outside_anyway"][0, row, -1]) for name in names},
+            "forecasts": {name: _loops(states[place]) for name, states in forecasts.items()},
+        }
+        for place, row in enumerate(chosen)
+    ]
+
+
+def _worst(samples: Samples, tolerance: float) -> list[int]:
+    """Of each garment the sample that our first seed puts farthest outside at the last step; the farthest first.
+
+    Loops that are said to be absent count, too: where nothing is forecast there would be nothing to be seen.
+    """
+    reach = samples.columns["ours"]["outside_anyway"][0, :, -1]
+    reach = np.where(np.isfinite(reach), reach, -1)
+    ranked = np.argsort(-reach, kind="stable")
+    _, first = np.unique(samples.garment[ranked], return_index=True)  # of each garment the farthest
+    return [row for row in ranked[np.sort(first)].tolist() if reach[row] > tolerance][:MOST_FAILURES]
+
+
+def _loops(states: States) -> list[dict[str, Any]]:
+    presence, lifetime = states.presence.sigmoid(), states.death - states.birth
+    return [
+        {
+            "slot": slot,
+            "presence": round(float(presence[slot]), 3),
+            "mean": _rounded(states.mean[slot]),
+            "triangles": _rounded(states.triangles[slot, :2]),
+        }
+        for slot in torch.argsort(-lifetime * presence).tolist()
+        if lifetime[slot] > 0
+    ]
+
+
+def _rounded(values: Tensor) -> Any:
+    return np.round(values.double().numpy(), 4).tolist()
+
+
+def _cm(metres: float) -> float | None:
+    return round(100 * float(metres), 1) if np.isfinite(metres) else None
+
+
+def _save_clips(failures: Sequence[Mapping[str, Any]], dataset: Dataset, folder: Path) -> None:
+    """Save the last frame that was seen and the frame that was forecast, as episodes of two frames."""
+    for number, failure in enumerate(failures):
+        episode, last = dataset[failure["episode"]], failure["frame"]
+        frames, names = [last, last + failure["step"]], ("points", "observed", "actions", "grippers", "held")
+        arrays = {name: getattr(episode, name)[frames] for name in names}
+        note = {key: value for key, value in failure.items() if key != "forecasts"}
+        clip = dataclasses.replace(episode, **arrays, dt=episode.dt * failure["step"], observation=note)
+        save_episode(folder / f"forecast_{number}.npz", clip)

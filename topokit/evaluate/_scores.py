@@ -1,7 +1,6 @@
 """The measures of multi-object tracking: MOTA, IDF1, HOTA, switches and fragments, for objects of any kind.
 
-Idea: per frame, the names of the objects that are there, the names a tracker gave, and how similar each pair is. All counts
-can be added over sequences; the measures follow from the counts.
+Idea: the measures follow from counts, and counts of several sequences can be added.
 
 Source: Bernardin and Stiefelhagen 2008 (MOTA, switches), Ristani et al. 2016 (IDF1), Luiten et al. 2021 (HOTA); as in
 TrackEval, to which the tests hold every number. Taught in chapter 6.
@@ -19,78 +18,46 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 Kind = Literal["match", "switch", "fragment", "miss", "false positive"]
-LEVELS = np.arange(0.05, 0.99, 0.05)
-"""(19,) the similarities over which HOTA is averaged."""
-THRESHOLD = 0.5
-"""Least similarity of a match for the other measures."""
+LEVELS = np.arange(0.05, 0.99, 0.05)  # (19,) the similarities over which HOTA is averaged
+THRESHOLD = 0.5  # least similarity of a match for the other measures
 _SLACK = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
 class Overlap:
-    """What there is to be matched in one frame.
+    """What there is to be matched in one frame."""
 
-    Attributes
-    ----------
-    objects : (m,) int64
-    ids : (k,) int64
-        Of the tracker.
-    similarity : (m, k) float64
-        From 0 to 1.
-    """
-
-    objects: Ids
-    ids: Ids
-    similarity: Array
+    objects: Ids  #: (m,) the objects that are there
+    ids: Ids  #: (k,) the identities that the tracker gave
+    similarity: Array  #: (m, k) from 0 to 1
 
 
 @dataclass(frozen=True)
 class Event:
     """What became of an object or of a detection at a frame.
 
-    Attributes
-    ----------
-    frame : int
-        Position in the sequence.
-    kind : str
-        "match"; "switch", a match with another identity than the last one; "miss"; "false positive"; and, beside a match,
-        "fragment" when the object had been lost in between.
-    loop : int
-        The object; -1 for a false positive.
-    id : int
-        The identity; -1 for a miss.
+    A "match" with another identity than the last one is a "switch"; beside it stands a "fragment" when the object had been lost
+    in between.
     """
 
-    frame: int
-    kind: Kind
-    loop: int
-    id: int
+    frame: int  #: position in the sequence
+    kind: Kind  #: one of the five
+    loop: int  #: the object; -1 for a false positive
+    id: int  #: the identity; -1 for a miss
 
 
 @dataclass(frozen=True, eq=False)
 class TrackingScore:
-    """Counts of a sequence, or of several added up, and the measures that follow from them.
+    """Counts of a sequence, or of several added up, and the measures that follow from them."""
 
-    Attributes
-    ----------
-    objects, detections : int
-        True and tracked loops, summed over the frames.
-    matches, switches, fragments : int
-        Objects that were found; found under another identity than the last time; found again after a loss.
-    id_matches : int
-        Matches that are left when every object is given one identity for good, and every identity one object.
-    level_matches, level_association : (19,) float64
-        At each of HOTA's levels: matches, and the sum over them of the share ``|both|`` / ``|either|`` that the frames of object
-        and identity have in common.
-    """
-
-    objects: int
-    detections: int
-    matches: int
-    switches: int
-    fragments: int
-    id_matches: int
-    level_matches: Array
+    objects: int  #: true loops, summed over the frames
+    detections: int  #: tracked loops, summed over the frames
+    matches: int  #: objects that were found
+    switches: int  #: objects found under another identity than the last time
+    fragments: int  #: objects found again after a loss
+    id_matches: int  #: matches left when every object is given one identity for good, and every identity one object
+    level_matches: Array  #: (19,) matches at each of HOTA's levels
+    #: (19,) the sum over these of the share ``|both|`` / ``|either|`` that the frames of object and identity have in common.
     level_association: Array
 
     def __add__(self, other: TrackingScore) -> TrackingScore:
@@ -148,15 +115,6 @@ def score(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Tracking
     overlaps : sequence of Overlap
     threshold : float
         Least similarity of a match for MOTA, IDF1, switches and fragments. HOTA is averaged over nineteen.
-
-    Examples
-    --------
-    Two frames; the object is found in both, under two identities.
-
-    >>> one = np.ones((1, 1))
-    >>> s = score([Overlap(np.array([0]), np.array([5]), one), Overlap(np.array([0]), np.array([6]), one)])
-    >>> s.switches, s.mota, s.idf1, round(s.hota, 3)
-    (1, 0.5, 0.5, 0.707)
     """
     overlaps, shape = _numbered(overlaps)
     kinds = [event.kind for event in events(overlaps, threshold)]
@@ -215,16 +173,12 @@ def _higher_order(overlaps: Sequence[Overlap], shape: tuple[int, int]) -> tuple[
     for overlap in overlaps:
         table = overlap.similarity
         union = table.sum(axis=0) + table.sum(axis=1, keepdims=True) - table
-        potential[np.ix_(overlap.objects, overlap.ids)] += np.divide(
-            table, union, out=np.zeros(table.shape), where=union > 0
-        )
+        potential[np.ix_(overlap.objects, overlap.ids)] += table / np.where(union > 0, union, 1)
         seen[overlap.objects] += 1
         shown[0, overlap.ids] += 1
     alignment = potential / (seen + shown - potential)
     both = np.zeros((len(LEVELS), *shape))
     for overlap in overlaps:
-        if not overlap.similarity.size:
-            continue
         for i, j in greatest(alignment[np.ix_(overlap.objects, overlap.ids)] * overlap.similarity):
             both[overlap.similarity[i, j] >= LEVELS - _SLACK, overlap.objects[i], overlap.ids[j]] += 1
     association = both / np.maximum(seen + shown - both, 1)

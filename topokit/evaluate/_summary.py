@@ -1,64 +1,146 @@
-"""From samples to tables: every measure of every model at every horizon, with its interval."""
+"""From samples to tables: means and medians with 95 % intervals, of every measure of every model at every horizon.
+
+Idea: windows of one episode are near copies of each other, so a hundred of them are not a hundred facts. The bootstrap draws
+whole episodes with replacement, within each garment, and seeds likewise; what a statistic does over a thousand such draws is
+its interval. All models get the same draws of episodes, so that differences between them are on the same episodes.
+
+Source: Efron and Tibshirani 1993; for samples in clusters, Davison and Hinkley 1997, section 3.8. Taught in chapter 11.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ._bootstrap import Bootstrap, Estimate, mean_of
-from ._config import EvaluationConfig
+from ._conditions import EvaluationConfig
+from ._results import MEASURES
 
 Array = NDArray[np.float64]
 _ORDER = ("seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours")
-_PLACES = {name: place for place, name in enumerate(_ORDER)}
 TOLERANCES = (0.0, 0.01, 0.02, 0.03, 0.05, 0.1)
-MEASURES = {
-    "hull_accuracy": "share of windows in which the mean of the mixture is in the hull",
-    "in_plane": "share of windows in which it is in the outline of the true loop, and near its plane",
-    "in_opening": "share of windows in which it is nearer to the centre of the true loop than that loop's farthest vertex",
-    "distance_cm": "mean distance from the centre of the true loop, cm",
-    "distance_median_cm": "median of that",
-    "nll": "mean negative log-likelihood of points of the true opening, nats",
-    "nll_median": "median of that over the windows",
-    "cover50": "share of points of the opening in the region of 50 %",
-    "cover90": "share of points of the opening in the region of 90 %",
-    "identity": "true loops found at t+1 that are found by the same slot",
-    "presence": "balanced accuracy: is the slot's loop there for the tracker?",
-    "presence_changed": "the same accuracy, of loops that have come or gone since t",
-    "presence_same": "the same accuracy, of the others",
-}
-"""Of a table, and what they mean."""
-OF_GARMENTS = ("hull_accuracy", "in_plane", "in_opening", "distance_cm")
-"""Those that are shown of every garment, too."""
+OF_GARMENTS = ("hull_accuracy", "in_plane", "in_opening", "distance_cm")  # those that are shown of every garment, too
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A statistic and what the bootstrap made of it."""
+
+    value: float  #: on all samples; nan when there is none
+    draws: Array  #: (D,) on each draw
+    n: int  #: samples that it is of
+
+    def __sub__(self, other: Estimate) -> Estimate:
+        """The gain over another one on the same draws."""
+        return Estimate(self.value - other.value, self.draws - other.draws, min(self.n, other.n))
+
+    def interval(self) -> tuple[float, float]:
+        """The middle 95 % of the draws."""
+        known = self.draws[np.isfinite(self.draws)]
+        low, high = np.quantile(known, [0.025, 0.975]) if len(known) else (np.nan, np.nan)
+        return float(low), float(high)
+
+    def as_dict(self) -> dict[str, float | int | None]:
+        """`mean`, `low`, `high`, `n`; None where there is nothing to say."""
+        numbers = dict(zip(("mean", "low", "high"), (self.value, *self.interval()), strict=True))
+        return {name: round(x, 4) if np.isfinite(x) else None for name, x in numbers.items()} | {"n": self.n}
+
+
+def mean_of(estimates: Sequence[Estimate]) -> Estimate:
+    """The mean of several statistics of the same samples, draw by draw."""
+    return Estimate(
+        float(np.mean([one.value for one in estimates])),
+        np.mean([one.draws for one in estimates], axis=0),
+        max(one.n for one in estimates),
+    )
+
+
+class Bootstrap:
+    """Draws of episodes, the same for all statistics, and of seeds, their own for each model.
+
+    Parameters
+    ----------
+    bunches : (n,) array_like of int
+        Which episode each sample is of.
+    draws : int
+    seed : int
+    strata : (n,) array_like, optional
+        Which garment, say. How many there are of each was decided and not drawn, so it is the same in all draws: episodes are
+        drawn among those of the same stratum.
+    """
+
+    def __init__(
+        self, bunches: ArrayLike, draws: int = 1000, seed: int = 0, *, strata: ArrayLike | None = None
+    ) -> None:
+        self.names, first, self.bunch = np.unique(np.asarray(bunches), return_index=True, return_inverse=True)
+        kind = np.zeros(len(first)) if strata is None else np.asarray(strata)[first]
+        self.weights, rng = np.zeros((draws, len(first))), np.random.default_rng(seed)  # (D, E)
+        for one in np.unique(kind):
+            mine = np.flatnonzero(kind == one)
+            drawn = rng.multinomial(len(mine), np.full(len(mine), 1 / len(mine)), size=draws)
+            size = np.bincount(self.bunch)[mine]  # episodes differ in length: hold the weight of the stratum, too
+            self.weights[:, mine] = drawn * (size.sum() / (drawn @ size))[:, None]
+        self.seed = seed
+
+    def _seeds(self, count: int, model: int) -> Array:
+        rng = np.random.default_rng((self.seed, 1 + model))
+        return rng.multinomial(count, np.full(count, 1 / count), size=len(self.weights)).astype(np.float64)
+
+    def ratio(self, top: ArrayLike, bottom: ArrayLike, model: int = 0) -> Estimate:
+        """Return the sum of `top` over that of `bottom`: a mean, where `bottom` says which samples count.
+
+        Parameters
+        ----------
+        top, bottom : (seeds, n) array_like
+        model : int
+            Any number that tells models apart, so that their seeds are drawn independently.
+        """
+        parts = np.asarray(top, dtype=np.float64), np.asarray(bottom, dtype=np.float64)
+        above, below = (np.array([np.bincount(self.bunch, row) for row in part]) for part in parts)  # (S, E)
+        often = self._seeds(len(above), model)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            draws = (often * (self.weights @ above.T)).sum(axis=1) / (often * (self.weights @ below.T)).sum(axis=1)
+            value = float(above.sum() / below.sum())
+        return Estimate(value, draws, round(float(below.sum()) / len(above)))
+
+    def median(self, values: ArrayLike, model: int = 0) -> Estimate:
+        """Return the median of what is not nan.
+
+        Parameters
+        ----------
+        values : (seeds, n) array_like
+        model : int
+            As in `ratio`.
+        """
+        table = np.asarray(values, dtype=np.float64)
+        seed, sample = np.nonzero(np.isfinite(table))
+        if not len(seed):
+            return Estimate(float("nan"), np.full(len(self.weights), np.nan), 0)
+        order = np.argsort(table[seed, sample], kind="stable")
+        seed, sample = seed[order], sample[order]
+        found = table[seed, sample]
+        often = self._seeds(len(table), model)[:, seed]
+        reached = np.cumsum(self.weights[:, self.bunch[sample]] * often, axis=1)  # (D, found)
+        middle = (reached < reached[:, -1:] / 2).sum(axis=1)
+        draws = np.where(reached[:, -1] > 0, found[middle], np.nan)
+        return Estimate(float(np.median(found)), draws, round(len(found) / len(table)))
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """All measurements of a condition.
+    """All measurements of a condition."""
 
-    Attributes
-    ----------
-    columns : dict of dict of (seeds, n, K) float64
-        Model, then a name of `COLUMNS`.
-    episode : (n,) int
-    garment : (n,) str
-    steps, horizons : tuple of int
-        The K steps, and those of the tables.
-    """
-
-    columns: Mapping[str, Mapping[str, Array]]
-    episode: NDArray[np.int64]
-    garment: NDArray[np.str_]
-    steps: tuple[int, ...]
-    horizons: tuple[int, ...]
+    columns: Mapping[str, Mapping[str, Array]]  #: model, then a name of `COLUMNS`: (seeds, n, K)
+    episode: NDArray[np.int64]  #: (n,)
+    garment: NDArray[np.str_]  #: (n,)
+    steps: tuple[int, ...]  #: the K steps
+    horizons: tuple[int, ...]  #: those of the tables
 
     def of(self, garment: str) -> Samples:
-        """Those of a garment."""
         rows = self.garment == garment
         some = {model: {name: part[:, rows] for name, part in table.items()} for model, table in self.columns.items()}
         return Samples(some, self.episode[rows], self.garment[rows], self.steps, self.horizons)
@@ -79,88 +161,80 @@ def summarise(samples: Samples, config: EvaluationConfig, thorough: bool) -> dic
     table = _Table(samples, config)
     answer: dict[str, Any] = {name: table.at_horizons(name) for name in MEASURES}
     answer |= {f"gain_of_{model}": table.gains(model) for model in ("ours", "pointnet", "mlp")}
-    answer["outcomes"] = table.outcomes()
-    answer["by_seed"] = table.by_seed()
+    answer |= {"outcomes": table.outcomes(), "by_seed": table.by_seed()}
     answer["curves"] = {name: table.curve(name) for name in ("hull_accuracy", "distance_cm", "identity", "presence")}
     if thorough:
         answer["hull_treatments"] = table.treatments()
     garments = sorted(set(samples.garment.tolist()))
     if len(garments) > 1:
-        answer["by_garment"] = {}
-        for garment in garments:
-            mine = _Table(samples.of(garment), config)
-            parts = {name: mine.at_horizons(name) for name in OF_GARMENTS}
-            counts = {"windows": len(mine.samples.episode), "episodes": len(mine.bootstrap.names)}
-            answer["by_garment"][garment] = {**counts, **parts, "outcomes": mine.outcomes()}
-            if thorough:
-                answer["by_garment"][garment]["hull_treatments"] = mine.treatments()
+        answer["by_garment"] = {name: _of_garment(samples.of(name), config, thorough) for name in garments}
     return answer
 
 
-class _Table:
-    """Estimates of a condition's samples."""
+def _of_garment(samples: Samples, config: EvaluationConfig, thorough: bool) -> dict[str, Any]:
+    table = _Table(samples, config)
+    answer: dict[str, Any] = {"windows": len(samples.episode), "episodes": len(table.bootstrap.names)}
+    answer |= {name: table.at_horizons(name) for name in OF_GARMENTS} | {"outcomes": table.outcomes()}
+    return answer | {"hull_treatments": table.treatments()} if thorough else answer
 
+
+class _Table:
     def __init__(self, samples: Samples, config: EvaluationConfig) -> None:
         self.samples, self.tolerance = samples, config.tolerance
         self.bootstrap = Bootstrap(samples.episode, config.samples, config.seed, strata=samples.garment)
-        self.models = sorted(samples.columns, key=lambda name: (_PLACES.get(name, len(_PLACES)), name))
+        self.models = sorted(samples.columns, key=lambda name: ([*_ORDER, name].index(name), name))
+        self.steps = {str(step): k for k, step in enumerate(samples.steps)}
+        self.horizons = {str(step): self.steps[str(step)] for step in samples.horizons}
 
     def hits(self, model: str, tolerance: float | None = None, column: str = "outside") -> Array:
         """(seeds, n, K) whether the means are in their hulls; nan where no true loop is there."""
         near, outside = self.tolerance if tolerance is None else tolerance, self.samples.columns[model][column]
         return np.where(np.isnan(outside), np.nan, outside <= max(near, 1e-9))
 
-    def estimate(self, model: str, name: str, k: int) -> Estimate:
-        """A measure at the k-th step."""
+    def estimate(self, name: str, model: str, k: int) -> Estimate:
         columns, number = self.samples.columns[model], self.models.index(model)
         if name.startswith("presence"):
             kinds = ("there", "absent") if name == "presence" else (name.removeprefix("presence_"),)
             pairs = [(columns[f"{kind}_right"][..., k], columns[kind][..., k]) for kind in kinds]
             return mean_of([self.bootstrap.ratio(*pair, number) for pair in pairs])
         if name == "hull_accuracy":
-            return self.mean(self.hits(model)[..., k], model)
+            return self.mean(self.hits, model, k)
         column = name.removesuffix("_cm").removesuffix("_median")
-        values = columns[{"identity": "kept"}.get(column, column)][..., k] * (100 if name.endswith("_cm") else 1)
-        return self.bootstrap.median(values, number) if "median" in name else self.mean(values, model)
+        values = columns[{"identity": "kept"}.get(column, column)] * (100 if name.endswith("_cm") else 1)
+        if "median" in name:
+            return self.bootstrap.median(values[..., k], number)
+        return self.mean(lambda _: values, model, k)
 
-    def mean(self, values: Array, model: str) -> Estimate:
-        """Of (seeds, n) values, without those that are nan."""
-        there = np.isfinite(values)
-        return self.bootstrap.ratio(np.where(there, values, 0), there, self.models.index(model))
-
-    def row(self, at: Callable[[int], Estimate]) -> dict[str, Estimate]:
-        """What is estimated at the horizons, and the mean over them."""
-        each = {str(step): at(self.samples.steps.index(step)) for step in self.samples.horizons}
-        return each | {"mean": mean_of(list(each.values()))}
+    def mean(self, values: Callable[[str], Array], model: str, k: int) -> Estimate:
+        """At the k-th step, of (seeds, n, K) values of a model, without those that are nan."""
+        column = values(model)[..., k]
+        there = np.isfinite(column)
+        return self.bootstrap.ratio(np.where(there, column, 0), there, self.models.index(model))
 
     def rows(self, estimate: Callable[[str, int], Estimate]) -> dict[str, dict[str, Estimate]]:
-        """Model, then horizon."""
-        return {model: self.row(partial(estimate, model)) for model in self.models}
+        """Model, then horizon, and the mean over these."""
+        rows = {model: {step: estimate(model, k) for step, k in self.horizons.items()} for model in self.models}
+        return {model: row | {"mean": mean_of(list(row.values()))} for model, row in rows.items()}
 
     def at_horizons(self, name: str) -> dict[str, Any]:
-        """A measure."""
-        return _plain(self.rows(lambda model, k: self.estimate(model, name, k)))
+        return _plain(self.rows(partial(self.estimate, name)))
 
     def curve(self, name: str) -> dict[str, Any]:
-        """Model, then every step."""
-        steps = {str(step): k for k, step in enumerate(self.samples.steps)}
-        return _plain({m: {step: self.estimate(m, name, k) for step, k in steps.items()} for m in self.models})
+        return _plain({m: {step: self.estimate(name, m, k) for step, k in self.steps.items()} for m in self.models})
 
     def gains(self, of: str) -> dict[str, Any]:
         """What the hull accuracy of a model is above that of the others, on the same draws of episodes."""
         if of not in self.models:
             return {}
-        rows = self.rows(lambda model, k: self.estimate(model, "hull_accuracy", k))
+        rows = self.rows(partial(self.mean, self.hits))
         mine = rows.pop(of)
         return _plain({model: {key: mine[key] - row[key] for key in row} for model, row in rows.items()})
 
     def outcomes(self) -> dict[str, Any]:
         """Shares of windows: in the hull, beside it by 10 cm at most, farther, or too few loops forecast."""
-        places = {str(step): self.samples.steps.index(step) for step in self.samples.horizons}
-        return {model: {step: self.shares(model, k) for step, k in places.items()} for model in self.models}
+        return {model: {step: self.shares(model, k) for step, k in self.horizons.items()} for model in self.models}
 
     def shares(self, model: str, k: int) -> dict[str, float]:
-        """The outcomes at the k-th step."""
         outside = self.samples.columns[model]["outside"][..., k]
         outside = outside[~np.isnan(outside)]
         hit, near, silent = outside <= max(self.tolerance, 1e-9), outside <= 0.1, np.isinf(outside)
@@ -172,8 +246,8 @@ class _Table:
         answer = {}
         for model, hits in {model: self.hits(model) for model in self.models}.items():
             if len(hits) > 1:
-                each = np.nanmean(hits, axis=1)[:, [self.samples.steps.index(step) for step in self.samples.horizons]]
-                columns = dict(zip(map(str, self.samples.horizons), each.T.round(4).tolist(), strict=True))
+                each = np.nanmean(hits, axis=1)[:, list(self.horizons.values())]
+                columns = dict(zip(self.horizons, each.T.round(4).tolist(), strict=True))
                 answer[model] = columns | {"mean": each.mean(axis=1).round(4).tolist()}
         return answer
 
@@ -186,11 +260,7 @@ class _Table:
         ways["in the plane"] = lambda model: self.samples.columns[model]["in_plane"]
         ways["in the opening"] = lambda model: self.samples.columns[model]["in_opening"]
         ways["presence not asked for"] = partial(self.hits, column="outside_anyway")
-        return {name: _plain(self.rows(partial(self.treated, way))) for name, way in ways.items()}
-
-    def treated(self, way: Callable[[str], Array], model: str, k: int) -> Estimate:
-        """Hull accuracy at the k-th step when `way` says what is a hit."""
-        return self.mean(way(model)[..., k], model)
+        return {name: _plain(self.rows(partial(self.mean, way))) for name, way in ways.items()}
 
 
 def _plain(rows: Mapping[str, Mapping[str, Estimate]]) -> dict[str, Any]:

@@ -1,54 +1,133 @@
-"""How well identities are kept: tracked loops against the true ones.
+"""How good tracked loops are: where they are, and how well their identities are kept, against the true loops of an episode.
 
 Idea: at every frame the true loops that are there are the objects, the tracked loops the detections, and nearness of their
 centres says which could be which. What is there is decided by topology, on the full cloud: a certain edge ends the class of
 a true loop (`Diagram.killers_of`), and the loop counts when it has lived for alpha or longer by then. A strap that lies flat
 does not count, nor does the hem of a shirt: it is the sum of the neck and the sleeves, and has no bar of its own.
 
-Taught in chapter 6.
+Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapters 0 and 6.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from topokit._curves import curve_centroid, side_lengths
 from topokit._matching import assign
-from topokit._validate import as_points
+from topokit._validate import as_points, as_sequence
 from topokit.rips import rips_persistence
 from topokit.sampling import spacing
+from topokit.seqph import Candidates, SeqPH
 from topokit.state import TopologicalState
 
-from ._scores import THRESHOLD, Overlap
+from ._scores import THRESHOLD, Overlap, greatest
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
 
+def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
+    """Return how far `point` is from the convex hull of `points`; zero inside, to rounding.
+
+    Flat hulls are no special case: this is the nearest point among all convex combinations, a non-negative least-squares
+    problem, not a search among facets.
+
+    Parameters
+    ----------
+    point : (d,) array_like
+    points : (n, d) array_like
+    """
+    from scipy.optimize import nnls
+
+    offsets = as_points(points) - np.asarray(point, dtype=np.float64)
+    scale = float(np.abs(offsets).max(initial=0.0))
+    if scale == 0.0:
+        return 0.0
+    # Minimise |offsets^T w| over w >= 0 with sum(w) = 1, the sum kept by a heavily weighted row.
+    system = np.vstack([offsets.T / scale, np.full((1, len(offsets)), 1e4)])
+    weights, _ = nnls(system, np.append(np.zeros(offsets.shape[1]), 1e4))
+    return float(np.linalg.norm(offsets.T @ (weights / weights.sum())))
+
+
+@dataclass(frozen=True)
+class TrackSummary:
+    """One identity over a whole sequence, against the true loop it is nearest to."""
+
+    id: int  #: the identity
+    first: int  #: frame of its first appearance
+    last: int  #: frame of its last appearance
+    frames: int  #: in how many frames it appears
+    lifetime: float  #: mean lifetime, metres
+    true_loop: int  #: which of the episode's loops it is nearest to, on the mean over its frames; -1 when there is none
+    distance: float  #: mean distance of the mean of its killer triangles from the mean of that loop's vertices, metres
+    in_hull: float  #: share of its frames in which that mean is in the loop's convex hull, or within `tolerance` of it
+
+
+def summarise_tracks(
+    states: Sequence[TopologicalState],
+    points: NDArray[np.floating] | None = None,
+    loops: Sequence[NDArray[np.integer]] = (),
+    *,
+    tolerance: float = 0.0,
+) -> list[TrackSummary]:
+    """Summarise every identity, the one seen in most frames first.
+
+    Parameters
+    ----------
+    states : sequence of TopologicalState
+    points : (T, N, 3) array, optional
+        Positions of the garment's vertices, a row a frame of `states`.
+    loops : sequence of (L,) int arrays
+        True loops as vertex ids into `points`.
+    tolerance : float
+        How far outside the hull still counts as in it, metres: that of a nearly flat loop has no thickness.
+
+    Raises
+    ------
+    ValueError
+        When `points` and `states` differ in their number of frames.
+    """
+    if loops and (points is None or len(points) != len(states)):
+        raise ValueError(f"points has {0 if points is None else len(points)} frames, states {len(states)}")
+    tracks: dict[int, list[int]] = {}
+    for row, state in enumerate(states):
+        for loop in state.loops:
+            tracks.setdefault(loop.id, []).append(row)
+    summaries = []
+    for identity, rows in tracks.items():
+        found = [states[row][identity] for row in rows]
+        where = -1, float("nan"), float("nan")
+        if loops and points is not None:
+            where = _nearest_loop(np.array([loop.centre for loop in found]), points[rows], loops, tolerance)
+        lifetime = float(np.mean([loop.lifetime for loop in found]))
+        first, last = states[rows[0]].frame, states[rows[-1]].frame
+        summaries.append(TrackSummary(identity, first, last, len(rows), lifetime, *where))
+    return sorted(summaries, key=lambda track: (-track.frames, -track.lifetime))
+
+
+def _nearest_loop(
+    centres: Array, points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]], tolerance: float
+) -> tuple[int, float, float]:
+    away = [np.linalg.norm(points[:, loop].mean(axis=1) - centres, axis=1).mean() for loop in loops]
+    nearest = int(np.argmin(away))
+    hulls = points[:, loops[nearest]]
+    outside = [distance_to_hull(centre, hull) for centre, hull in zip(centres, hulls, strict=True)]
+    return nearest, float(away[nearest]), float(np.mean(np.array(outside) <= max(tolerance, 1e-9)))
+
+
 @dataclass(frozen=True, eq=False)
 class TrueLoops:
-    """The true loops of one frame.
+    """The true loops of one frame."""
 
-    Attributes
-    ----------
-    centres : (L, 3) float64
-        Centroids of the closed curves, by length.
-    radii : (L,) float64
-        Largest distance of a curve from its centre.
-    killers : (L, 2) int64
-        The edge of the full cloud that ends each curve, by the elder rule among them.
-    present : (L,) bool
-        Whether that was at least alpha after the curve's own latest edge.
-    """
-
-    centres: Array
-    radii: Array
-    killers: Ids
-    present: NDArray[np.bool_]
+    centres: Array  #: (L, 3) centroids of the closed curves, by length
+    radii: Array  #: (L,) largest distance of a curve from its centre
+    killers: Ids  #: (L, 2) the edge of the full cloud that ends each curve, by the elder rule among them
+    present: NDArray[np.bool_]  #: (L,) whether that was at least alpha after the curve's own latest edge
 
 
 def true_loops(
@@ -120,7 +199,7 @@ def compare(
     truth: Sequence[TrueLoops],
     similarity: Callable[[TrueLoops, TopologicalState], Array] = by_place,
 ) -> list[Overlap]:
-    """Bring states and truth together, frame by frame.
+    """Bring states and truth together, one overlap a frame, for `score` and `events`.
 
     A detection that fits a true loop which is not there is set aside: it is neither a find nor a false positive.
 
@@ -131,11 +210,6 @@ def compare(
         Of the same frames.
     similarity : callable
         `by_place` or `by_killer`.
-
-    Returns
-    -------
-    list of Overlap
-        One a frame, for `score` and `events`.
 
     Raises
     ------
@@ -154,3 +228,54 @@ def compare(
         objects = np.flatnonzero(true.present)
         overlaps.append(Overlap(objects, ids[kept], table[np.ix_(objects, kept)]))
     return overlaps
+
+
+def by_diagram(loops: Candidates) -> list[tuple[int, int]]:
+    """Match by birth and death alone, as a distance between persistence diagrams does: ``SeqPH(match=by_diagram)``.
+
+    A pair costs the larger of the changes of birth and death, a loop left alone half its lifetime, which is as far as it is
+    from the diagonal; the cheapest of all matchings is taken: the 1-Wasserstein distance under the maximum norm
+    (Cohen-Steiner, Edelsbrunner, Harer 2007).
+    """
+    alone = ((loops.death - loops.birth)[:, None] + (loops.known_death - loops.known_birth)) / 2
+    return greatest(np.maximum(alone - np.maximum(*loops.changes()), 0))
+
+
+def by_midpoint(loops: Candidates) -> list[tuple[int, int]]:
+    """Match by the midpoints of the killer edges alone, which may go as far as seqPH's killer edges."""
+    distance = np.linalg.norm(loops.places.mean(axis=1)[:, None] - loops.known_places.mean(axis=1), axis=2)
+    return assign(distance, distance < 2 * loops.alpha + loops.beta + loops.motion)
+
+
+def track_vines(sequence: ArrayLike | Sequence[ArrayLike], *, steps: int = 8, **options: Any) -> list[TopologicalState]:
+    """Follow the points of the diagram while every vertex moves straight from one frame to the next.
+
+    Idea: along that motion births and deaths are continuous, each a curve (a *vine*). Diagrams of `steps` clouds a frame,
+    matched by birth and death one after the other, follow the vines as long as they stay apart (Cohen-Steiner, Edelsbrunner,
+    Morozov 2006). It needs what a camera does not give: the same vertices in the same order in every frame.
+
+    Parameters
+    ----------
+    sequence : (T, n, d) array_like
+    steps : int
+        Diagrams from one frame to the next.
+    **options
+        Those of `topokit.SeqPH`.
+
+    Raises
+    ------
+    ValueError
+        When the frames differ in their number of points, or `steps` is not positive.
+    """
+    clouds = as_sequence(sequence)
+    if len({len(cloud) for cloud in clouds}) > 1:
+        raise ValueError("vines need the same vertices in every frame; the clouds differ in size")
+    if steps < 1:
+        raise ValueError(f"steps must be 1 or more, not {steps}")
+    tracker, states = SeqPH(match=by_diagram, **options), []
+    for number, cloud in enumerate(clouds):
+        before = clouds[max(number - 1, 0)]
+        for step in range(1, steps + 1) if number else [steps]:
+            state = tracker.update(before + (cloud - before) * (step / steps))
+        states.append(TopologicalState(number, float(number), state.loops, state.parameters))
+    return states

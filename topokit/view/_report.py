@@ -9,8 +9,6 @@ from matplotlib.axes import Axes
 
 from ._plots import loop_colour
 
-__all__ = ["model_label", "plot_accuracy", "plot_by_horizon", "plot_conditions", "plot_treatments"]
-
 _LABELS = {"seqph": "seqPH", "mlp": "MLP", "pointnet": "PointNet"}
 _GREYS = {"seqph": "0.35", "hold": "0.75", "carry": "0.6"}
 _COLOURS = {"ours": 0, "mlp": 1, "pointnet": 2, "ridge": 5}  # those of the identities: the book has one palette
