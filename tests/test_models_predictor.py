@@ -372,7 +372,7 @@ def test_wrong_and_damaged_checkpoints_are_told_apart(tmp_path):
     with pytest.raises(FileNotFoundError, match="a folder"):
         Predictor.load(tmp_path)
     for content, says in (
-        (b"", "empty"),
+        (b"", "truncated or damaged"),
         (whole[:-100], "truncated or damaged"),
         (whole[:50], "truncated or damaged"),
         (b"\x80\x04." + bytes(100), "no checkpoint, or a truncated or damaged one"),

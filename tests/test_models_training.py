@@ -33,8 +33,8 @@ from topokit.models import (
     train,
 )
 from topokit.models._augment import mirrored, spoilt
-from topokit.models._paper import PointNet
-from topokit.models._windows import epoch_order
+from topokit.models._baselines import PointNet
+from topokit.models._config import epoch_order
 
 from windows import POINTS, SLOTS, RingWindows
 

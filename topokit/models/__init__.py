@@ -16,16 +16,12 @@ from topokit._lazy import attach
 if TYPE_CHECKING:
     from ._augment import Spoiling
     from ._base import PAST, Normalisation, PredictiveModel, Shape
-    from ._checkpoint import load_model, load_tensors
-    from ._config import TrainConfig, load_config
-    from ._forecast import Forecast, PredictedLoop
+    from ._checkpoint import MODELS, build, load_model, load_tensors
+    from ._config import TrainConfig, Windows, load_config, open_windows
     from ._losses import LossWeights, forecast_loss, match_slots
-    from ._mixture import loop_mixtures
-    from ._predictor import Predictor
-    from ._registry import MODELS, build
-    from ._states import States, past_states, target_states
+    from ._predictor import Forecast, PredictedLoop, Predictor
+    from ._states import States, loop_mixtures, past_states, target_states
     from ._training import train
-    from ._windows import Windows, open_windows
 
 __all__ = [
     "MODELS",
@@ -59,16 +55,12 @@ __getattr__ = attach(
     {
         "_augment": "Spoiling",
         "_base": "PAST Normalisation PredictiveModel Shape",
-        "_checkpoint": "load_model load_tensors",
-        "_config": "TrainConfig load_config",
-        "_forecast": "Forecast PredictedLoop",
+        "_checkpoint": "MODELS build load_model load_tensors",
+        "_config": "TrainConfig Windows load_config open_windows",
         "_losses": "LossWeights forecast_loss match_slots",
-        "_mixture": "loop_mixtures",
-        "_predictor": "Predictor",
-        "_registry": "MODELS build",
-        "_states": "States past_states target_states",
+        "_predictor": "Forecast PredictedLoop Predictor",
+        "_states": "States loop_mixtures past_states target_states",
         "_training": "train",
-        "_windows": "Windows open_windows",
     },
     extra="learn",
 )

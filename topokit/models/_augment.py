@@ -26,33 +26,15 @@ _Part = Annotated[float, Field(ge=0, lt=1)]
 
 @checked
 class Spoiling:
-    """How much worse a model sees the history in training than the labels' tracker did; nothing, when not said.
+    """How much worse a model sees the history in training than the labels' tracker did; nothing, when not said."""
 
-    Attributes
-    ----------
-    clouds : float
-        Share of windows whose clouds are spoilt, each by an amount of its own, up to the next three.
-    noise : float
-        Standard deviation on every coordinate, metres.
-    outliers : float
-        Share of points that are anywhere in the cloud's box and 10 cm around it.
-    drop : float
-        Share of points that are missing; others stand twice in their place.
-    seen : float
-        Share of windows whose tracked states are the `seen_` ones.
-    lost : float
-        Share of windows of which nothing is tracked.
-    false : float
-        Share of slots, taken or not, that hold a false loop: one of another window, in up to 60 % of the frames, each time
-        elsewhere by some 10 cm.
-    """
-
-    clouds: _Part = 0.0
-    noise: _Part = 0.0
-    outliers: _Part = 0.0
-    drop: _Part = 0.0
-    seen: _Part = 0.0
-    lost: _Part = 0.0
+    clouds: _Part = 0.0  #: share of windows whose clouds are spoilt, each by an amount of its own, up to the next three
+    noise: _Part = 0.0  #: standard deviation on every coordinate, metres
+    outliers: _Part = 0.0  #: share of points that are anywhere in the cloud's box and 10 cm around it
+    drop: _Part = 0.0  #: share of points that are missing; others stand twice in their place
+    seen: _Part = 0.0  #: share of windows whose tracked states are the `seen_` ones
+    lost: _Part = 0.0  #: share of windows of which nothing is tracked
+    #: Share of slots, taken or not, that hold a false loop: another window's, flickering, each time elsewhere by some 10 cm.
     false: _Part = 0.0
 
 

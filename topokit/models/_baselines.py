@@ -1,10 +1,12 @@
-"""Predictors without a network, which any network must beat: hold, carry, ridge. They start from the last tracked states.
+"""Predictors to beat: hold, carry and ridge, which start from the last tracked states, and the two networks of the paper.
 
-Source: Hoerl and Kennard 1970 (ridge regression). Taught in chapter 10.
+Source: Hoerl and Kennard 1970 (ridge regression); Antonova et al. 2021, section 5; Qi, Su, Mo, Guibas 2017, *PointNet* (a network
+shared by all points, then the maximum over them), without its transforms of the input. Taught in chapter 10.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -14,8 +16,10 @@ from torch import Tensor, nn
 
 from topokit.state import TopologicalState
 
-from ._base import PAST, Context, Normalisation, PredictiveModel, Shape
+from ._base import PAST, Context, Normalisation, PredictiveModel, Shape, maximum
 from ._states import NUMBERS, States, past_states, target_states
+
+HIDDEN = (512, 512, 256, 128)  # units of the paper's hidden layers
 
 
 class Hold(PredictiveModel):
@@ -59,16 +63,10 @@ class Carry(Hold):
 
 
 class Ridge(Hold):
-    """Linear regression with a penalty, from the last states and the plan to the states of all steps, one system for all slots.
+    """Linear regression with a `penalty` on squared coefficients, from the last states and the plan to those of all steps.
 
     The corners' change since the last appearance, the values and the presence are regressed on the last state of the slot, the
     grippers and the plan, all relative to the middle between the grippers. A loop that is not there has no say in its place.
-    Values are cut off at zero.
-
-    Parameters
-    ----------
-    penalty : float
-        On the squared coefficients, for inputs of about unit size; the constant has none.
     """
 
     def __init__(self, shape: Shape, normalisation: Normalisation, penalty: float = 100.0) -> None:
@@ -82,16 +80,11 @@ class Ridge(Hold):
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
         kept = {name: part.expand(len(actions), *part.shape[1:]) for name, part in context.items()}
         numbers = (self._inputs(kept, actions, held) @ self.coefficients).unflatten(-1, (self.shape.horizon, NUMBERS))
-        numbers = numbers.transpose(1, 2)  # (C, K, slots, NUMBERS)
-        values = self.normalisation.value * numbers[..., 24:31].clamp_min(0)
-        return States(
-            corners=kept["corners"][:, None] + self.normalisation.scale * numbers[..., :24].unflatten(-1, (8, 3)),
-            neighbour_values=values[..., :4],
-            birth=values[..., 4],
-            death=values[..., 4] + values[..., 5],
-            step=values[..., 6],
-            presence=12 * (numbers[..., 31] - 0.5),
-        )
+        states = self._states(numbers.transpose(1, 2), kept["corners"][:, None])
+        return states.replace(presence=12 * (states.presence - 0.5))
+
+    def _positive(self, raw: Tensor) -> Tensor:
+        return self.normalisation.value * raw.clamp_min(0)
 
     def fit(self, batches: Iterable[Mapping[str, Tensor]]) -> None:
         """Solve the normal equations, summed over batches of windows: one system for places, one for the rest."""
@@ -134,11 +127,67 @@ class Ridge(Hold):
         return torch.cat([each, state, kept["neighbour_values"] / value, values, flags, name], dim=-1)
 
 
-def last_appearance(kept: Context) -> Context:
-    """Each slot as it was last tracked: `corners`, values, present `presence`, whether `known`, and the `grippers_then`.
+class MLP(PredictiveModel):
+    """Fully connected network of `hidden` units, in the coordinates of the room.
 
-    Of a slot that was never tracked, corners are the middle between the grippers, the rest zeros.
+    Of each cloud the first `cloud_points` points are read: clouds come in farthest-point order.
     """
+
+    def __init__(
+        self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN, cloud_points: int = 32
+    ) -> None:
+        super().__init__(shape, normalisation)
+        self.cloud_points = min(cloud_points, shape.points)
+        self.history_layer = nn.Linear(shape.history * self._frame_size(), hidden[0])
+        self.action_layer = nn.Linear(7 * shape.horizon, hidden[0], bias=False)
+        last = nn.Linear(hidden[-1], shape.horizon * shape.slots * NUMBERS)
+        self.rest = nn.Sequential(nn.ReLU(), *_layers(hidden), last)
+
+    def _frame_size(self) -> int:
+        return 3 * self.cloud_points
+
+    def encode_frames(self, frames: Context) -> Context:
+        """The coordinates of some points."""
+        return {"frame": self.normalise(frames["clouds"][:, : self.cloud_points]).flatten(1)}
+
+    def gather(self, kept: Context) -> Context:
+        """The history's share of the first layer."""
+        return {"first": self.history_layer(kept["frame"].flatten(1))}
+
+    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
+        plan = torch.cat([self.normalise(actions).flatten(1), held.to(actions)], dim=1)
+        numbers = self.rest(context["first"] + self.action_layer(plan))
+        return self._states(numbers.unflatten(1, (self.shape.horizon, self.shape.slots, NUMBERS)), self.origin)
+
+
+class PointNet(MLP):
+    """PointNet a cloud, of `per_point` units, shared by all frames, in front of the fully connected network."""
+
+    def __init__(
+        self,
+        shape: Shape,
+        normalisation: Normalisation,
+        hidden: Sequence[int] = HIDDEN,
+        per_point: Sequence[int] = (64, 64, 96),
+    ) -> None:
+        self.code = per_point[-1]
+        super().__init__(shape, normalisation, hidden)
+        self.points = nn.Sequential(*_layers((3, *per_point)))
+
+    def _frame_size(self) -> int:
+        return self.code
+
+    def encode_frames(self, frames: Context) -> Context:
+        """The codes of the clouds."""
+        return {"frame": maximum(self.points(self.normalise(frames["clouds"])))}
+
+
+def _layers(widths: Sequence[int]) -> list[nn.Module]:
+    return [layer for n_in, n_out in itertools.pairwise(widths) for layer in (nn.Linear(n_in, n_out), nn.ReLU())]
+
+
+def last_appearance(kept: Context) -> Context:
+    """Each slot as it was last tracked, and the grippers then; one that never was has its corners between the grippers."""
     present = kept["past_present"]  # (B, h, slots), the newest frame first
     last = present.int().argmax(dim=1)  # (B, slots); 0 of one that was never tracked
     batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])

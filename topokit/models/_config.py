@@ -1,92 +1,54 @@
-"""The configuration of a training: one JSON or TOML file, checked before anything runs."""
+"""What is trained on what: one JSON or TOML file, checked before anything runs, and the windows of two splits that it names."""
 
 from __future__ import annotations
 
-from dataclasses import field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import torch
 from pydantic import Field
+from torch.utils.data import default_collate
 
 from topokit._config import Count, NotNegative, Positive, checked, load
 
 from ._augment import Spoiling
-from ._base import Shape
+from ._base import Normalisation, Shape
+from ._checkpoint import MODELS
 from ._losses import LossWeights
-from ._registry import MODELS
+from ._states import target_states
 
 Natural = Annotated[int, Field(ge=0)]
 
 
 @checked
 class TrainConfig:
-    """What `topokit train` does.
+    """What `topokit train` does. An entry that is unknown or refused is a ValueError that names it."""
 
-    Attributes
-    ----------
-    model : str
-        A name of `topokit.models.MODELS`.
-    dataset : str
-        Directory of a dataset, relative to the configuration's file.
-    out : str
-        Directory for checkpoints and logs, relative to the configuration's file.
-    options : dict
-        Of the model: its keyword arguments.
-    windows : dict
-        Of `topokit.data.WindowDataset`: which labels, which stride.
-    shape : Shape
-    loss : LossWeights
-    split : dict
-        Of `Dataset.split`: by episode when empty. "train" and "validation" are read, "test" is not touched.
-    seed : int
-        Of weights and of the order of windows.
-    batch, epochs : int
-    windows_per_epoch : int, optional
-        So many windows, drawn anew for each epoch; all of them when not given.
-    validation_windows : int
-        At most so many are looked at, the same ones every time.
-    learning_rate, weight_decay : float
-        Of AdamW; the rate rises over the first 2 % of steps and falls along a cosine to a hundredth.
-    clip : float
-        Largest norm of a gradient.
-    spoil : Spoiling
-        How much worse the history is seen than the labels' tracker saw it.
-    patience : int
-        Stop after so many epochs without a smaller validation loss.
-    minutes_between_checkpoints : float
-    workers : int
-        Processes that read windows beside the one that trains.
-    accelerator, precision : str
-        Of Lightning Fabric: "cpu", "cuda", "auto"; "32-true", "bf16-mixed", "16-mixed".
-
-    Raises
-    ------
-    ValueError
-        When a field is unknown, of another type or out of its range; the message names it.
-    """
-
-    model: str
-    dataset: str = ""
-    out: str = "run"
-    options: dict[str, Any] = field(default_factory=dict)
-    windows: dict[str, Any] = field(default_factory=dict)
-    shape: Shape = field(default_factory=Shape)
-    loss: LossWeights = field(default_factory=LossWeights)
-    split: dict[str, Any] = field(default_factory=dict)
-    seed: Natural = 0
-    batch: Count = 64
-    epochs: Count = 20
-    windows_per_epoch: Count | None = None
-    validation_windows: Count = 2000
-    learning_rate: Positive = 1e-3
-    weight_decay: NotNegative = 1e-4
-    clip: Positive = 1.0
-    spoil: Spoiling = field(default_factory=Spoiling)
-    patience: Count = 5
-    minutes_between_checkpoints: Positive = 5.0
-    workers: Natural = 0
-    accelerator: str = "cpu"
-    precision: str = "32-true"
+    model: str  #: a name of `topokit.models.MODELS`
+    dataset: str = ""  #: directory of a dataset, relative to the configuration's file
+    out: str = "run"  #: directory for checkpoints and logs, relative to the configuration's file
+    options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
+    windows: dict[str, Any] = field(
+        default_factory=dict
+    )  #: of `topokit.data.WindowDataset`: which labels, which stride
+    shape: Shape = field(default_factory=Shape)  #: sizes of a window
+    loss: LossWeights = field(default_factory=LossWeights)  #: what is minimised
+    split: dict[str, Any] = field(default_factory=dict)  #: of `Dataset.split`; its "train" and "validation" are read
+    seed: Natural = 0  #: of weights and of the order of windows
+    batch: Count = 64  #: windows a step
+    epochs: Count = 20  #: at most
+    windows_per_epoch: Count | None = None  #: so many, drawn anew for each epoch; all of them when not given
+    validation_windows: Count = 2000  #: at most so many are looked at, the same ones every time
+    learning_rate: Positive = 1e-3  #: of AdamW; rises over the first 2 % of steps, falls along a cosine to a hundredth
+    weight_decay: NotNegative = 1e-4  #: of AdamW
+    clip: Positive = 1.0  #: largest norm of a gradient
+    spoil: Spoiling = field(default_factory=Spoiling)  #: how much worse the history is seen than by the labels' tracker
+    patience: Count = 5  #: stop after so many epochs without a smaller validation loss
+    minutes_between_checkpoints: Positive = 5.0  #: within an epoch; one more at its end
+    workers: Natural = 0  #: processes that read windows beside the one that trains
+    accelerator: str = "cpu"  #: of Lightning Fabric: "cpu", "cuda", "auto"
+    precision: str = "32-true"  #: of Lightning Fabric: "32-true", "bf16-mixed", "16-mixed"
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:
@@ -96,14 +58,57 @@ class TrainConfig:
 
 
 def load_config(path: str | Path) -> TrainConfig:
-    """Read a configuration; paths in it are then relative to the working directory.
+    """Read a configuration; paths in it are then relative to the working directory."""
+    config, home = load(TrainConfig, path), Path(path).parent
+    return replace(config, dataset=config.dataset and str(home / config.dataset), out=str(home / config.out))
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """What is trained on: two splits without a common episode, each a torch data set that has a length."""
+
+    train: Any  #: windows, as of `topokit.data.WindowDataset`
+    validation: Any  #: windows that are held back
+    checksum: str = ""  #: of the dataset that they are from
+
+
+def open_windows(config: TrainConfig) -> Windows:
+    """The windows of a dataset that `topokit generate` made, split by episode or as `config.split` says.
 
     Raises
     ------
-    FileNotFoundError
-        When there is no such file.
     ValueError
-        When it is neither JSON nor TOML, or `TrainConfig` refuses it.
+        When the configuration names no dataset.
     """
-    config, home = load(TrainConfig, path), Path(path).parent
-    return replace(config, dataset=config.dataset and str(home / config.dataset), out=str(home / config.out))
+    from topokit.data import Dataset, WindowDataset
+
+    if not config.dataset:
+        raise ValueError("the configuration names no dataset")
+    episodes, sizes = Dataset(config.dataset), asdict(config.shape)
+    parts, points = episodes.split(**config.split), sizes.pop("points")
+    train, validation = (
+        WindowDataset(episodes, parts[name], n_points=points, **sizes, **config.windows)
+        for name in ("train", "validation")
+    )
+    return Windows(train, validation, episodes.checksum())
+
+
+def normalisation_of(data: Any, most: int = 200) -> Normalisation:
+    """Where the coordinates and filtration values of some windows lie."""
+    window = default_collate([data[i] for i in spread(len(data), most)])
+    clouds, target = window["clouds"], target_states(window)
+    origin = clouds.mean(dim=(0, 1, 2))
+    deaths = target.death[target.presence > 0]
+    value = float(deaths.mean()) if len(deaths) else Normalisation().value
+    return Normalisation(tuple(origin.tolist()), float((clouds - origin).std()), value)
+
+
+def epoch_order(n: int, count: int | None, seed: int, epoch: int) -> list[int]:
+    """`count` of n windows, or all, in an order that seed and epoch decide."""
+    generator = torch.Generator().manual_seed(seed * 1_000_003 + epoch)
+    return torch.randperm(n, generator=generator)[:count].tolist()
+
+
+def spread(n: int, most: int) -> list[int]:
+    """At most so many of n numbers, evenly spaced."""
+    return [i * n // min(n, most) for i in range(min(n, most))]

@@ -35,11 +35,7 @@ FRAME = 10  # numbers of a frame beside its cloud: the grippers from their middl
 
 
 class FrameEncoder(nn.Module):
-    """A code and a place for each corner of each slot, from one cloud.
-
-    Every point sees the whole cloud through its maximum (PointNet's segmentation network), then each slot looks at the points
-    with eight attentions: it takes the mean of their values, and the mean of their places.
-    """
+    """A code and a place for each corner of each slot: of a cloud whose points see the whole, the means that attentions take."""
 
     def __init__(self, slots: int, width: int = 128) -> None:
         super().__init__()
@@ -64,17 +60,7 @@ class FrameEncoder(nn.Module):
 
 
 class LoopCast(PredictiveModel):
-    """Our predictor: it finds the loops, carries them with the grippers and learns the rest.
-
-    Parameters
-    ----------
-    width : int
-        Of the codes of points, frames and slots.
-    step_width : int
-        Of the codes of the plan's steps.
-    tracked : bool
-        Whether what seqPH saw in the history is looked at too.
-    """
+    """Our predictor: codes of points, frames and slots have `width`, those of the plan's steps `step_width`."""
 
     inputs = ("clouds", "grippers", "held")
     plans_at_once = 20
@@ -111,8 +97,6 @@ class LoopCast(PredictiveModel):
             nn.init.zeros_(self.notice.weight)
             nn.init.zeros_(self.notice.bias)
 
-    # -- the history --------------------------------------------------------------------------------------------------------
-
     def encode_frames(self, frames: Context) -> Context:
         """Codes and places of the slots, from clouds, grippers and held."""
         grippers, scale = frames["grippers"], self.normalisation.scale
@@ -146,9 +130,8 @@ class LoopCast(PredictiveModel):
     def _corrected(self, context: Context, kept: Context) -> Context:
         """Where the loops start when the tracked ones pull them: `anchor` and `start`, and the `belief` in each (B, slots).
 
-        A tracked loop has a say in where its slot is, when it is born and dies, and whether it is there. It has none in the
-        shape: the killer edge leaps from frame to frame, and which of its ends comes first means nothing. Belief is learned
-        from the present alone: the forecast has no say in it, and may take back over the steps what it is told here.
+        A tracked loop has no say in the shape: the killer edge leaps from frame to frame, and its ends have no order. Belief is
+        learned from the present alone: the forecast has no say in it, and may take back over the steps what it is told here.
         """
         pointed, present = context["pointed"], context["present"]
         scale, value = self.normalisation.scale, self.normalisation.value
@@ -156,7 +139,7 @@ class LoopCast(PredictiveModel):
         since = (kept["past_grippers"][:, :1] - last["grippers_then"]).mean(dim=2)  # how far it was carried
         tracked = {name: last[name] for name in ("corners", "neighbour_values", "birth", "death", "presence")}
         found = States(**tracked, step=last["birth"]).mean + since
-        guessed = self._states(present, pointed).mean
+        guessed = self._states(present, pointed[..., None, :]).mean
         apart = torch.cdist(guessed.detach(), found)  # (B, slots, tracked)
         order = cheapest_order(apart * last["known"][:, None])
         row = torch.arange(len(order), device=order.device)[:, None]
@@ -176,11 +159,8 @@ class LoopCast(PredictiveModel):
         }
 
     def _reliability(self, last: Context, kept: Context) -> Tensor:
-        """Of each tracked loop: its values, how often it was there, how far it strayed from the grippers.
-
-        (B, slots, RELIABLE). Not how far it is from where a slot points: on a garment that it does not know the network points
-        far from where the loops are, and that is when the tracker is needed most.
-        """
+        """Values, how often it was there and how far it strayed from the grippers, of each tracked loop (B, slots, RELIABLE)."""
+        # Not how far it is from where a slot points: on unknown garments that is far, and the tracker needed most.
         grippers, there = kept["past_grippers"], kept["past_present"].to(kept["past_grippers"])  # (B, h, loops)
         beside = kept["past_triangles"][..., :2, :, :].mean(dim=(-3, -2)) - grippers.mean(dim=2)[:, :, None]
         times = there.sum(dim=1).clamp_min(1)
@@ -197,15 +177,13 @@ class LoopCast(PredictiveModel):
         if self.tracked:  # for the belief alone: the same loops elsewhere
             numbers = torch.cat([numbers, numbers.detach()], dim=1)
             about = torch.cat([about, context["believed"][:, None]], dim=1)
-        return self._states(numbers, about)
-
-    # -- the plan -----------------------------------------------------------------------------------------------------------
+        return self._states(numbers, about[..., None, :])
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
         code, carried = self._plan(context["grippers"], actions, held)
         change = self._changes(code, context["slot"])
         moved = context["hold"][:, None] @ carried  # (C, K, slots, 3): each loop follows the grippers in its own shares
-        return self._states(context["start"][:, None] + change, context["anchor"][:, None] + moved)
+        return self._states(context["start"][:, None] + change, (context["anchor"][:, None] + moved)[..., None, :])
 
     def _changes(self, code: Tensor, slot: Tensor) -> Tensor:
         """What the network adds (C, K, slots, NUMBERS), of codes of steps (C, K, step_width) and of slots."""
@@ -213,10 +191,7 @@ class LoopCast(PredictiveModel):
         return self.change(functional.relu(hidden, inplace=True))
 
     def _plan(self, grippers: Tensor, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
-        """Codes (C, K, step_width) of the steps, and how far each gripper has carried by then (C, K, 2, 3), metres.
-
-        Causal: a step knows the plan up to itself.
-        """
+        """Codes (C, K, step_width) of the steps, causal, and how far each gripper has carried by then (C, K, 2, 3), metres."""
         scale, (n, steps) = self.normalisation.scale, actions.shape[:2]
         before = torch.cat([grippers[:, None].expand(n, -1, -1, -1), actions[:, :-1]], dim=1)
         velocity = actions - before
@@ -249,6 +224,6 @@ class LoopCast(PredictiveModel):
 
 
 def _numbers_of(values: Tensor) -> Tensor:
-    """The numbers of which `PredictiveModel._states` makes such values, in units of `value`; small ones are cut off."""
+    """The inverse of `PredictiveModel._positive`, in units of `value`; small ones are cut off."""
     y = (2 * values).clamp_min(0.1)
     return (y.square() - 1) / (2 * y)

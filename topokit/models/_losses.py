@@ -13,39 +13,22 @@ from torch.nn import functional
 
 from topokit._config import NotNegative, checked
 
-from ._mixture import loop_mixtures, sigma_points
-from ._states import States, cheapest_order, past_states, target_states
+from ._states import States, cheapest_order, loop_mixtures, past_states, sigma_points, target_states
 
 POSITION, VALUE = 0.1, 0.02  # metres that count as one in the losses: of places, and of filtration values
 
 
 @checked
 class LossWeights:
-    """Weights of the parts of the loss, and whether slots may be matched.
+    """Weights of the parts of the loss, and whether slots may be matched."""
 
-    Attributes
-    ----------
-    features : float
-        Squared errors of corners, filtration values, birth, death and step, of loops that are there (the paper's L2). An edge
-        has no direction: the better of the two ways round counts.
-    presence : float
-        Binary cross-entropy of the presence of each slot.
-    centre : float
-        Distance of the mixture's mean from the target's, with the square below 2 cm (Huber): jumps of labels pull less.
-    nll : float
-        Negative log-likelihood of the target mixture under the predicted one, nats.
-    now : float
-        `features` of the present state, for a model that estimates it on its way.
-    match : bool
-        Take the cheapest of all orders of the slots, the same over the whole horizon. Else the order of the labels counts:
-        by mean lifetime over the history, then of appearance.
-    """
-
+    #: Squared errors of corners, values, birth, death, step of loops that are there (the paper's L2), the better way round.
     features: NotNegative = 1.0
-    presence: NotNegative = 1.0
-    centre: NotNegative = 0.0
-    nll: NotNegative = 0.0
-    now: NotNegative = 0.0
+    presence: NotNegative = 1.0  #: binary cross-entropy of the presence of each slot
+    centre: NotNegative = 0.0  #: distance of the mixtures' means, with the square below 2 cm: jumps of labels pull less
+    nll: NotNegative = 0.0  #: negative log-likelihood of the target mixture under the predicted one, nats
+    now: NotNegative = 0.0  #: `features` of the present state, for a model that estimates it on its way
+    #: Take the cheapest order of the slots for the whole horizon, not that of the labels: by mean lifetime over the history.
     match: bool = False
 
 

@@ -1,8 +1,10 @@
-"""Predicted states as tensors: every loop as eight corners and a few numbers.
+"""Predicted states as tensors: every loop as eight corners and a few numbers; and their mixtures, batched and differentiable.
 
 Idea: the two killer triangles share the killer edge, and a neighbour shares an edge with one of them. So six triangles have
 eight corners: the ends x, y of the killer edge, the apexes z1 (thick), z2, and an apex a neighbour. Predicting corners keeps
 triangles that share an edge together and is half the size.
+
+Source of the mixture: Antonova et al. 2021, equation 1. Taught in chapter 9.
 """
 
 from __future__ import annotations
@@ -15,7 +17,10 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
 from torch.nn import functional
+
+from topokit.mixture import moments
 
 TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  # x y z1, x y z2, then the neighbours
 _OTHER_WAY = ([1, 0, 2, 3, 5, 4, 7, 6], [1, 0, 3, 2])  # corners and neighbours when x and y change places
@@ -24,25 +29,14 @@ NUMBERS = 32  # of a loop: 8 corners, 4 neighbour values, birth, lifetime, step,
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """States of B sequences, K steps, S slots. Metres; a slot without a loop holds zeros or what the model thinks.
+    """States of B sequences, K steps, S slots. Metres; a slot without a loop holds zeros or what the model thinks."""
 
-    Attributes
-    ----------
-    corners : (B, K, S, 8, 3)
-        x, y, z1, z2 and the neighbours' apexes, in the order of `TRIANGLES`.
-    neighbour_values : (B, K, S, 4)
-        Filtration values; 0 where there is no neighbour. Those of the killer triangles are `death`.
-    birth, death, step : (B, K, S)
-    presence : (B, K, S)
-        Logit of the loop being there.
-    """
-
-    corners: Tensor
-    neighbour_values: Tensor
-    birth: Tensor
-    death: Tensor
-    step: Tensor
-    presence: Tensor
+    corners: Tensor  #: (B, K, S, 8, 3) x, y, z1, z2 and the neighbours' apexes, in the order of `TRIANGLES`
+    neighbour_values: Tensor  #: (B, K, S, 4) filtration values, 0 where there is no neighbour; the killers' are `death`
+    birth: Tensor  #: (B, K, S)
+    death: Tensor  #: (B, K, S)
+    step: Tensor  #: (B, K, S)
+    presence: Tensor  #: (B, K, S) logit of the loop being there
 
     @property
     def triangles(self) -> Tensor:
@@ -82,12 +76,10 @@ class States:
 
     def slots(self, order: Tensor) -> States:
         """The slots in another order (B, S) for every sequence."""
-
-        def gather(part: Tensor) -> Tensor:
-            index = order.reshape(order.shape[0], 1, -1, *(1,) * (part.dim() - 3))
-            return part.gather(2, index.expand_as(part))
-
-        return self._each(gather)
+        index = order[:, None]
+        return self._each(
+            lambda part: part.take_along_dim(index.reshape(*index.shape, *(1,) * (part.dim() - 3)), dim=2)
+        )
 
     def _each(self, change: Callable[[Tensor], Tensor]) -> States:
         return States(*(change(part) for part in vars(self).values()))
@@ -96,8 +88,7 @@ class States:
 def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     """Corners (..., 8, 3) and neighbour values (..., 4) of labels: triangles (..., 6, 3, 3) and values (..., 6).
 
-    A killer triangle is stored as x, y, apex, a neighbour as the outer edge it stands on and its apex (`Diagram.neighbours`);
-    labels list the neighbours without gaps, so the edge says which it is. The apex of an absent one is that edge's middle.
+    Labels list the neighbours without gaps, so the outer edge says which it is. The apex of an absent one is that edge's middle.
     """
     x, y = triangles[..., 0, 0, :], triangles[..., 0, 1, :]
     corners = torch.stack([x, y, triangles[..., 0, 2, :], triangles[..., 1, 2, :]], dim=-2)
@@ -136,3 +127,30 @@ def _states(window: Mapping[str, Tensor], prefix: str) -> States:
     birth, death, step = (window[f"{prefix}{name}"] for name in ("birth", "death", "step"))
     presence = torch.where(window[f"{prefix}present"], 20.0, -20.0)
     return States(corners, neighbour_values, birth, death, torch.nan_to_num(step), presence)
+
+
+def loop_mixtures(triangles: Tensor, values: Tensor, noise: float = 1e-4) -> MixtureSameFamily:
+    """Mixtures of a batch of loops, by the formula of `topokit.loop_mixture`.
+
+    Parameters
+    ----------
+    triangles : (..., m, 3, 3)
+    values : (..., m)
+        Filtration values of the triangles, not negative; 0 for one that is absent.
+    noise : float
+        Added to the diagonal of every sample covariance, square metres.
+    """
+    means, scatter = moments(triangles)
+    covariances = scatter / 2 + noise * torch.eye(triangles.shape[-1]).to(triangles)
+    components = MultivariateNormal(means, covariances, validate_args=False)
+    weights = Categorical(probs=values.clamp_min(1e-12), validate_args=False)
+    return MixtureSameFamily(weights, components, validate_args=False)
+
+
+def sigma_points(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+    """Points (..., 3 m, 3) and weights (..., 3 m) that have mean and covariance (without noise) of each component."""
+    # The vertices drawn away by sqrt(3/2): their population covariance is then the sample covariance.
+    mean = triangles.mean(dim=-2, keepdim=True)
+    points = (mean + 1.5**0.5 * (triangles - mean)).flatten(-3, -2)
+    weights = (values / values.sum(dim=-1, keepdim=True).clamp_min(1e-12)).repeat_interleave(3, dim=-1) / 3
+    return points, weights
