@@ -1,12 +1,10 @@
 """More data from the same data: the room in a mirror, and histories that are seen badly.
 
-The scenes are alike left and right of the plane x = 0 in which the targets stand, so that the mirror image of an episode is one
-that could have happened, with the grippers' names exchanged.
+Scenes are alike left and right of the plane x = 0 in which the targets stand: the mirror image of an episode could have happened.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
@@ -18,6 +16,7 @@ from topokit._config import checked
 from topokit.data import spoil
 
 from ._base import PAST
+from ._states import Window
 
 _PLACES = ("clouds", "grippers", "actions", "triangles", "past_triangles", "seen_triangles")
 _PAIRS = ("grippers", "actions")
@@ -38,7 +37,7 @@ class Spoiling:
     false: _Part = 0.0
 
 
-def mirrored(window: Mapping[str, Tensor], which: Tensor) -> dict[str, Tensor]:
+def mirrored(window: Window, which: Tensor) -> dict[str, Tensor]:
     """A batch of windows, those where `which` (B,) is true seen in the mirror x -> -x, where the grippers change names."""
     flipped = dict(window)
     for name in (name for name in _PLACES if name in window):
@@ -47,11 +46,11 @@ def mirrored(window: Mapping[str, Tensor], which: Tensor) -> dict[str, Tensor]:
     return flipped
 
 
-def spoilt(window: Mapping[str, Tensor], how: Spoiling, generator: torch.Generator) -> dict[str, Tensor]:
+def spoilt(window: Window, how: Spoiling, generator: torch.Generator) -> dict[str, Tensor]:
     """A batch of windows as it is shown to a model; the labels that it is held against are those of `window`."""
     shown, n = dict(window), len(window["clouds"])
-    chosen = torch.nonzero(torch.rand(n, generator=generator) < how.clouds)[:, 0]
-    if len(chosen):
+    chosen = torch.rand(n, generator=generator) < how.clouds
+    if chosen.any():
         shown["clouds"] = window["clouds"].clone()
         shown["clouds"][chosen] = _spoilt_clouds(window["clouds"][chosen], how, generator)
     if how.seen or how.lost or how.false:
@@ -66,7 +65,7 @@ def _spoilt_clouds(clouds: Tensor, how: Spoiling, generator: torch.Generator) ->
     return torch.from_numpy(spoil(clouds.cpu().numpy(), rng, noise=noise, outliers=outliers, keep=1 - drop)).to(clouds)
 
 
-def _spoilt_tracks(window: Mapping[str, Tensor], how: Spoiling, generator: torch.Generator) -> dict[str, Tensor]:
+def _spoilt_tracks(window: Window, how: Spoiling, generator: torch.Generator) -> dict[str, Tensor]:
     """What is tracked in the history: by a worse tracker, nothing at all, or false loops."""
     n, _, slots = window["past_present"].shape
     tracked = {name: window[name] for name in PAST}
@@ -81,7 +80,7 @@ def _spoilt_tracks(window: Mapping[str, Tensor], how: Spoiling, generator: torch
     }
 
 
-def _false_loops(tracked: Mapping[str, Tensor], grippers: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
+def _false_loops(tracked: Window, grippers: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
     """In each slot the first loop of the window before, about these grippers, flickering and leaping."""
     size = tracked["past_present"].shape  # (n, h, slots)
     others = {name: part[:, :, :1].roll(1, dims=0).expand_as(part) for name, part in tracked.items()}

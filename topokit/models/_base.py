@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 
 import torch
 from torch import Tensor, nn
@@ -12,7 +11,7 @@ from torch.nn import functional
 from topokit._config import Count, checked
 from topokit.io import HISTORY, HORIZON
 
-from ._states import States
+from ._states import States, Window
 
 PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "step", "present"))
 
@@ -87,7 +86,7 @@ class PredictiveModel(nn.Module, ABC):
         """Return estimates of the present state that the model makes on its way, (B, n, slots); None when it makes none."""
         return None
 
-    def encode(self, window: Mapping[str, Tensor]) -> Context:
+    def encode(self, window: Window) -> Context:
         """Everything that does not depend on the plan."""
         look = [self.shape.history - 1 - back for back in self.frames]
         frames = {name: window[name][:, look] for name in self.inputs}
@@ -98,7 +97,7 @@ class PredictiveModel(nn.Module, ABC):
             kept |= {name: window[name].flip(1) for name in PAST} | {"past_grippers": window["grippers"].flip(1)}
         return self.gather(kept)
 
-    def forward(self, window: Mapping[str, Tensor]) -> tuple[States, States | None]:
+    def forward(self, window: Window) -> tuple[States, States | None]:
         """The forecast, and the present state when the model estimates it."""
         context = self.encode(window)
         return self.decode(context, window["actions"], window["actions_held"]), self.present_states(context)

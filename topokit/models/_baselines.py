@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from topokit.state import TopologicalState
 
 from ._base import PAST, Context, Normalisation, PredictiveModel, Shape, maximum
-from ._states import NUMBERS, States, past_states, target_states
+from ._states import NUMBERS, States, Window, past_states, target_states
 
 HIDDEN = (512, 512, 256, 128)  # units of the paper's hidden layers
 
@@ -35,15 +35,9 @@ class Hold(PredictiveModel):
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
         moved = self._moved(context, actions, held)  # (C, K, slots or 1, 3)
-        parts = {}
-        for name in ("corners", "neighbour_values", "birth", "death", "presence"):
-            part = context[name][:, None]
-            parts[name] = part.expand(len(actions), actions.shape[1], *part.shape[2:])
-        return States(
-            corners=parts.pop("corners") + moved[..., None, :],
-            step=moved.diff(dim=1, prepend=torch.zeros_like(moved[:, :1])).norm(dim=-1).expand_as(parts["birth"]),
-            **parts,
-        )
+        still = States.among(context).each(lambda part: part[:, None].expand(*actions.shape[:2], *part.shape[1:]))
+        step = moved.diff(dim=1, prepend=torch.zeros_like(moved[:, :1])).norm(dim=-1)
+        return still.replace(corners=still.corners + moved[..., None, :], step=step.expand_as(still.step))
 
     def _moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
         """How far each loop has gone by each step."""
@@ -86,7 +80,7 @@ class Ridge(Hold):
     def _positive(self, raw: Tensor) -> Tensor:
         return self.normalisation.value * raw.clamp_min(0)
 
-    def fit(self, batches: Iterable[Mapping[str, Tensor]]) -> None:
+    def fit(self, batches: Iterable[Window]) -> None:
         """Solve the normal equations, summed over batches of windows: one system for places, one for the rest."""
         size = len(self.coefficients)
         gram, there_gram = torch.zeros(2, size, size, dtype=torch.float64)
@@ -107,10 +101,8 @@ class Ridge(Hold):
             moments[..., 24:] += torch.einsum("bsi,bksn->ikn", x, rest.double())
         penalty = self.penalty * torch.eye(size, dtype=torch.float64)
         penalty[0, 0] = 1e-6
-        for which, matrix in ((slice(0, 24), there_gram), (slice(24, NUMBERS), gram)):
-            moments[..., which] = torch.linalg.solve(matrix + penalty, moments[..., which].flatten(1)).unflatten(
-                1, (self.shape.horizon, -1)
-            )
+        for part, matrix in ((moments[..., :24], there_gram), (moments[..., 24:], gram)):
+            part[:] = torch.linalg.solve(matrix + penalty, part.flatten(1)).view_as(part)
         self.coefficients.data = moments.flatten(1).to(self.coefficients)
 
     def _inputs(self, kept: Context, actions: Tensor, held: Tensor) -> Tensor:
@@ -194,15 +186,9 @@ def last_appearance(kept: Context) -> Context:
     loops = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
     known = present.any(dim=1)
     middle = kept["past_grippers"][:, 0].mean(dim=1)[:, None, None]
-    return {
-        "corners": torch.where(known[..., None, None], loops.corners, middle),
-        "neighbour_values": loops.neighbour_values,
-        "birth": loops.birth,
-        "death": loops.death,
-        "presence": torch.where(present[:, 0], 6.0, -6.0),
-        "known": known,
-        "grippers_then": kept["past_grippers"][batch, last],  # (B, slots, 2, 3)
-    }
+    corners = torch.where(known[..., None, None], loops.corners, middle)
+    loops = loops.replace(corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
+    return vars(loops) | {"known": known, "grippers_then": kept["past_grippers"][batch, last]}
 
 
 def past_window(states: Sequence[TopologicalState], slots: int) -> dict[str, Tensor]:

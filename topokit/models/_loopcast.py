@@ -2,18 +2,14 @@
 
 Idea, five choices against the paper's networks:
 
-1. *Relative coordinates.* Points are seen from the middle between the grippers, so that what is learned at one place of the
-   room holds near it. (Not everywhere: the network is told where that middle is, or it could not know where the hook is.)
-2. *Pointing.* A corner of a loop's triangles is an average of the cloud's own points under learned attention, plus a little,
-   not a number that a network has to make up: a centimetre is then easy.
+1. *Relative coordinates.* Points are seen from the middle between the grippers; the network is told where that middle is.
+2. *Pointing.* A corner of a loop's triangles is an average of the cloud's own points under learned attention, plus a little.
 3. *Carrying.* The forecast is the present loop moved with the grippers for as long as they hold, in learned shares, plus
    what the network adds. Untrained it is already the baseline `carry`.
 4. *Slots.* Each loop has its own code; a step of the plan has one too (from the actions up to that step, none after it). A
    small network of the two gives the state. Frames are encoded once, when they arrive, and plans share the history.
 5. *Belief.* If `tracked`, every loop that seqPH tracks is given to the slot that points nearest to it, and pulls it to where
-   seqPH sees it, as far as such a loop has deserved it in training: seqPH is exact on a good cloud, blind or wrong on a bad
-   one. The forecast begins there: for a plan of no steps the network adds nothing. A loop that is not tracked begins where its
-   slot points.
+   seqPH sees it, as far as such a loop has deserved it in training. For a plan of no steps the network adds nothing.
 
 Source: attention as in Vaswani et al. 2017; slots as in Locatello et al. 2020 and Carion et al. 2020. Taught in chapter 10.
 """
@@ -137,8 +133,7 @@ class LoopCast(PredictiveModel):
         scale, value = self.normalisation.scale, self.normalisation.value
         last = last_appearance(kept)
         since = (kept["past_grippers"][:, :1] - last["grippers_then"]).mean(dim=2)  # how far it was carried
-        tracked = {name: last[name] for name in ("corners", "neighbour_values", "birth", "death", "presence")}
-        found = States(**tracked, step=last["birth"]).mean + since
+        found = States.among(last).mean + since
         guessed = self._states(present, pointed[..., None, :]).mean
         apart = torch.cdist(guessed.detach(), found)  # (B, slots, tracked)
         order = cheapest_order(apart * last["known"][:, None])

@@ -5,15 +5,13 @@ Source: Antonova et al. 2021, section 5 (the L2 loss); slots are matched as in C
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from topokit._config import NotNegative, checked
 
-from ._states import States, cheapest_order, loop_mixtures, past_states, sigma_points, target_states
+from ._states import States, Window, cheapest_order, loop_mixtures, past_states, sigma_points, target_states
 
 POSITION, VALUE = 0.1, 0.02  # metres that count as one in the losses: of places, and of filtration values
 
@@ -34,7 +32,7 @@ class LossWeights:
 
 def forecast_loss(
     predicted: States,
-    window: Mapping[str, Tensor],
+    window: Window,
     weights: LossWeights,
     *,
     present: States | None = None,

@@ -25,6 +25,7 @@ from topokit.mixture import moments
 TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  # x y z1, x y z2, then the neighbours
 _OTHER_WAY = ([1, 0, 2, 3, 5, 4, 7, 6], [1, 0, 3, 2])  # corners and neighbours when x and y change places
 NUMBERS = 32  # of a loop: 8 corners, 4 neighbour values, birth, lifetime, step, presence
+Window = Mapping[str, Tensor]  # a batch of windows, as of `topokit.data.WindowDataset`
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,26 +63,30 @@ class States:
             corners=self.corners[..., corners, :], neighbour_values=self.neighbour_values[..., neighbours]
         )
 
+    @classmethod
+    def among(cls, parts: Mapping[str, Tensor]) -> States:
+        """Those that stand under the names of the fields among other tensors."""
+        return cls(*(parts[part.name] for part in dataclasses.fields(cls)))
+
     def replace(self, **parts: Tensor) -> States:
         """A copy with other parts."""
         return dataclasses.replace(self, **parts)
 
     def float(self) -> States:
         """All parts in 32 bits."""
-        return self._each(Tensor.float)
+        return self.each(Tensor.float)
 
     def __getitem__(self, index: Any) -> States:
         """Index all parts alike, along the leading dimensions."""
-        return self._each(lambda part: part[index])
+        return self.each(lambda part: part[index])
 
     def slots(self, order: Tensor) -> States:
         """The slots in another order (B, S) for every sequence."""
         index = order[:, None]
-        return self._each(
-            lambda part: part.take_along_dim(index.reshape(*index.shape, *(1,) * (part.dim() - 3)), dim=2)
-        )
+        return self.each(lambda part: part.take_along_dim(index.reshape(*index.shape, *(1,) * (part.dim() - 3)), dim=2))
 
-    def _each(self, change: Callable[[Tensor], Tensor]) -> States:
+    def each(self, change: Callable[[Tensor], Tensor]) -> States:
+        """Every part changed alike."""
         return States(*(change(part) for part in vars(self).values()))
 
 
@@ -112,17 +117,17 @@ def cheapest_order(cost: Tensor) -> Tensor:
     return orders[totals.argmin(dim=-1)]
 
 
-def target_states(window: Mapping[str, Tensor]) -> States:
+def target_states(window: Window) -> States:
     """What should be predicted for a batch of windows."""
     return _states(window, "")
 
 
-def past_states(window: Mapping[str, Tensor]) -> States:
+def past_states(window: Window) -> States:
     """What the tracker saw in the history of a batch of windows."""
     return _states(window, "past_")
 
 
-def _states(window: Mapping[str, Tensor], prefix: str) -> States:
+def _states(window: Window, prefix: str) -> States:
     corners, neighbour_values = corners_of(window[f"{prefix}triangles"], window[f"{prefix}values"])
     birth, death, step = (window[f"{prefix}{name}"] for name in ("birth", "death", "step"))
     presence = torch.where(window[f"{prefix}present"], 20.0, -20.0)

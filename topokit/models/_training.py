@@ -12,7 +12,6 @@ import csv
 import json
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -31,9 +30,9 @@ from ._baselines import Ridge
 from ._checkpoint import build, describe, load_tensors, part_of, save_tensors
 from ._config import TrainConfig, Windows, epoch_order, normalisation_of, spread
 from ._losses import forecast_loss
+from ._states import Window
 
 LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
-Batch = Mapping[str, Tensor]
 _FREE = ("workers", "minutes_between_checkpoints", "out", "dataset", "accelerator")  # may change on the way
 
 
@@ -106,7 +105,6 @@ class _Training:
         self.steps_per_epoch = min(config.windows_per_epoch or n, n) // config.batch
 
     def run(self, stop_after: int | None) -> dict[str, Any]:
-        """Train, and return what `train` returns."""
         if not self.progress.finished and self.model.learns:
             self._descend(self.progress.step + stop_after if stop_after else None)
         elif not self.progress.finished:
@@ -141,7 +139,7 @@ class _Training:
         progress.finished = True
         self._save(LAST)
 
-    def _step(self, window: Batch) -> None:
+    def _step(self, window: Window) -> None:
         progress, config = self.progress, self.config
         share = learning_rate_share(progress.step, config.epochs * self.steps_per_epoch)
         for group in self.optimizer.param_groups:
@@ -160,7 +158,7 @@ class _Training:
         progress.step += 1
         progress.batch += 1
 
-    def _loss(self, window: Batch, shown: Batch, seed: int) -> tuple[Tensor, dict[str, Tensor]]:
+    def _loss(self, window: Window, shown: Window, seed: int) -> tuple[Tensor, dict[str, Tensor]]:
         """Of a batch, as it is shown to the model: in 32 bits whatever the model computes in. The seed draws steps."""
         with self.fabric.autocast():
             predicted, present = self.model(shown)
@@ -267,7 +265,7 @@ def learning_rate_share(step: int, steps: int) -> float:
     return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1.0, (step - warm) / max(1, steps - warm))))
 
 
-def _add(sums: dict[str, float], parts: Mapping[str, Tensor], weight: int = 1) -> None:
+def _add(sums: dict[str, float], parts: Window, weight: int = 1) -> None:
     for name, part in parts.items():
         sums[name] = sums.get(name, 0.0) + weight * float(part)
 
