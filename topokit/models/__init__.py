@@ -1,9 +1,6 @@
 """Predictive models: from the last clouds and the planned actions to the topological states of the next frames.
 
-    from topokit.models import Predictor
-
 Needs `pip install topokit[learn]`; nothing here imports torch before it is used.
-
 Source: Antonova et al. 2021, section 5. Taught in chapter 10.
 """
 
@@ -14,10 +11,9 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._augment import Spoiling
     from ._base import PAST, Normalisation, PredictiveModel, Shape
     from ._checkpoint import MODELS, build, load_model, load_tensors
-    from ._config import TrainConfig, Windows, load_config, open_windows
+    from ._config import Spoiling, TrainConfig, Windows, load_config, open_windows
     from ._losses import LossWeights, forecast_loss, match_slots
     from ._predictor import Forecast, PredictedLoop, Predictor
     from ._states import States, loop_mixtures, past_states, target_states
@@ -53,10 +49,9 @@ __all__ = [
 __getattr__ = attach(
     __name__,
     {
-        "_augment": "Spoiling",
         "_base": "PAST Normalisation PredictiveModel Shape",
         "_checkpoint": "MODELS build load_model load_tensors",
-        "_config": "TrainConfig Windows load_config open_windows",
+        "_config": "Spoiling TrainConfig Windows load_config open_windows",
         "_losses": "LossWeights forecast_loss match_slots",
         "_predictor": "Forecast PredictedLoop Predictor",
         "_states": "States loop_mixtures past_states target_states",

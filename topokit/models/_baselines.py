@@ -19,7 +19,7 @@ from topokit.state import TopologicalState
 from ._base import PAST, Context, Normalisation, PredictiveModel, Shape, maximum
 from ._states import NUMBERS, States, Window, past_states, target_states
 
-HIDDEN = (512, 512, 256, 128)  # units of the paper's hidden layers
+HIDDEN, POINTS = (512, 512, 256, 128), (64, 64, 96)  # units of the paper's hidden layers, and of those for every point
 
 
 class Hold(PredictiveModel):
@@ -30,7 +30,6 @@ class Hold(PredictiveModel):
     tracked = True
 
     def gather(self, kept: Context) -> Context:
-        """The last appearance of each slot."""
         return last_appearance(kept) | {"grippers": kept["grippers"][:, 0]}
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
@@ -139,11 +138,9 @@ class MLP(PredictiveModel):
         return 3 * self.cloud_points
 
     def encode_frames(self, frames: Context) -> Context:
-        """The coordinates of some points."""
         return {"frame": self.normalise(frames["clouds"][:, : self.cloud_points]).flatten(1)}
 
     def gather(self, kept: Context) -> Context:
-        """The history's share of the first layer."""
         return {"first": self.history_layer(kept["frame"].flatten(1))}
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
@@ -160,7 +157,7 @@ class PointNet(MLP):
         shape: Shape,
         normalisation: Normalisation,
         hidden: Sequence[int] = HIDDEN,
-        per_point: Sequence[int] = (64, 64, 96),
+        per_point: Sequence[int] = POINTS,
     ) -> None:
         self.code = per_point[-1]
         super().__init__(shape, normalisation, hidden)
@@ -170,7 +167,6 @@ class PointNet(MLP):
         return self.code
 
     def encode_frames(self, frames: Context) -> Context:
-        """The codes of the clouds."""
         return {"frame": maximum(self.points(self.normalise(frames["clouds"])))}
 
 

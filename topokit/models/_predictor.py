@@ -239,9 +239,8 @@ class Predictor:
         plans, holds = self._plans(actions, held)
         context = self._encoded()
         chunks = zip(*(part.split(self.model.plans_at_once) for part in (plans, holds)), strict=True)
-        parts = [vars(self.model.decode(context, *chunk)) for chunk in chunks]
-        states = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
-        forecast = Forecast.from_states(States(**states))
+        parts = (vars(self.model.decode(context, *chunk)).values() for chunk in chunks)
+        forecast = Forecast.from_states(States(*map(torch.cat, zip(*parts, strict=True))))
         return forecast if np.ndim(actions) == 4 else forecast.plan(0)
 
     def _encoded(self) -> dict[str, Tensor]:

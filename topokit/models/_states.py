@@ -59,9 +59,8 @@ class States:
     def reversed(self) -> States:
         """The same loops with the ends of their killer edges the other way round."""
         corners, neighbours = _OTHER_WAY
-        return self.replace(
-            corners=self.corners[..., corners, :], neighbour_values=self.neighbour_values[..., neighbours]
-        )
+        values = self.neighbour_values[..., neighbours]
+        return self.replace(corners=self.corners[..., corners, :], neighbour_values=values)
 
     @classmethod
     def among(cls, parts: Mapping[str, Tensor]) -> States:

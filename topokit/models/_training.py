@@ -24,11 +24,10 @@ from tqdm import tqdm
 
 from topokit._config import from_mapping
 
-from ._augment import mirrored, spoilt
 from ._base import Normalisation
 from ._baselines import Ridge
 from ._checkpoint import build, describe, load_tensors, part_of, save_tensors
-from ._config import TrainConfig, Windows, epoch_order, normalisation_of, spread
+from ._config import TrainConfig, Windows, epoch_order, mirrored, normalisation_of, spoilt, spread
 from ._losses import forecast_loss
 from ._states import Window
 
