@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from ._base import PAST, Normalisation, PredictiveModel, Shape
     from ._checkpoint import MODELS, build, load_model, load_tensors
     from ._config import Spoiling, TrainConfig, Windows, load_config, open_windows
-    from ._losses import LossWeights, forecast_loss, match_slots
     from ._predictor import Forecast, PredictedLoop, Predictor
-    from ._states import States, loop_mixtures, past_states, target_states
+    from ._states import LossWeights, States, forecast_loss, loop_mixtures, match_slots, past_states, target_states
     from ._training import train
 
 __all__ = [
@@ -52,9 +51,8 @@ __getattr__ = attach(
         "_base": "PAST Normalisation PredictiveModel Shape",
         "_checkpoint": "MODELS build load_model load_tensors",
         "_config": "Spoiling TrainConfig Windows load_config open_windows",
-        "_losses": "LossWeights forecast_loss match_slots",
         "_predictor": "Forecast PredictedLoop Predictor",
-        "_states": "States loop_mixtures past_states target_states",
+        "_states": "LossWeights States forecast_loss loop_mixtures match_slots past_states target_states",
         "_training": "train",
     },
     extra="learn",

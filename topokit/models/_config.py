@@ -21,8 +21,7 @@ from topokit.data import spoil
 
 from ._base import PAST, Normalisation, Shape
 from ._checkpoint import MODELS
-from ._losses import LossWeights
-from ._states import Window, target_states
+from ._states import LossWeights, Window, target_states
 
 Natural = Annotated[int, Field(ge=0)]
 _Part = Annotated[float, Field(ge=0, lt=1)]

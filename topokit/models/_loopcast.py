@@ -94,7 +94,6 @@ class LoopCast(PredictiveModel):
             nn.init.zeros_(self.notice.bias)
 
     def encode_frames(self, frames: Context) -> Context:
-        """Codes and places of the slots, from clouds, grippers and held."""
         grippers, scale = frames["grippers"], self.normalisation.scale
         middle = grippers.mean(dim=1)
         sides = ((grippers - middle[:, None]) / scale).flatten(1)

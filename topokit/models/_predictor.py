@@ -138,10 +138,7 @@ class Forecast:
         near, death = self.neighbour_values[step, slot], self.death[step, slot]
         return PredictedLoop(
             slot=slot,
-            presence=float(self.presence[step, slot]),
-            birth=float(self.birth[step, slot]),
-            death=float(death),
-            step=float(self.step[step, slot]),
+            **{name: float(getattr(self, name)[step, slot]) for name in ("presence", "birth", "death", "step")},
             killer_triangles=triangles[:2],
             neighbours=triangles[2:][near > 0],
             killer_values=np.repeat(death, 2),

@@ -28,8 +28,7 @@ from ._base import Normalisation
 from ._baselines import Ridge
 from ._checkpoint import build, describe, load_tensors, part_of, save_tensors
 from ._config import TrainConfig, Windows, epoch_order, mirrored, normalisation_of, spoilt, spread
-from ._losses import forecast_loss
-from ._states import Window
+from ._states import Window, forecast_loss
 
 LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
 _FREE = ("workers", "minutes_between_checkpoints", "out", "dataset", "accelerator")  # may change on the way
