@@ -30,7 +30,7 @@ test: env opengl lint
 # The wheel as a user gets it, imported from outside the checkout: what the core needs must be in it.
 CORE := .venv-core
 CORE_BIN := $(CORE)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
-CORE_TESTS := rips rips_properties cycles reduction seqph linking mixture io core
+CORE_TESTS := sampling rips rips_properties cycles reduction seqph linking mixture io core
 core:
 	$(PYTHON) -m venv --clear $(CORE)
 	$(CORE_BIN)/python -m pip install --quiet . gudhi hypothesis 'pytest<10' scikit-learn

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import gudhi
 import numpy as np
+import pytest
+from numba import config
 
 FAMILIES = ("gaussian", "grid", "polygon", "duplicates", "collinear", "sphere", "cocircular", "coplanar")
+
+compiled = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="takes long where numba does not compile")
+
+
+def fewer(count: int) -> int:
+    """A count of clouds, or a fifth of it where numba does not compile (a mutation run, say)."""
+    return count // 5 if config.DISABLE_JIT else count
 
 
 def random_cloud(rng: np.random.Generator, family: str, max_points: int = 24) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")  # tests have no display
@@ -17,6 +18,11 @@ def polygon(n: int, radius: float = 1.0) -> np.ndarray:
     """Corners of a regular n-gon in the plane."""
     angle = 2 * np.pi * np.arange(n) / n
     return radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def hear_ctrl_c() -> None:
+    """Ctrl-C is ignored by what a shell runs in the background, and by all that this starts."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")

@@ -18,8 +18,7 @@ from collections.abc import Iterable
 import gudhi
 import numpy as np
 
-from topokit.rips import Diagram, rips_persistence
-from topokit.rips._diagram import tighten
+from topokit.rips import Diagram, rips_persistence, tighten
 from topokit.rips.reduction import Pair, Reduction, filtration, reduce
 
 from clouds import FAMILIES, random_cloud, sorted_pairs
@@ -38,6 +37,10 @@ class Case:
     def edge(self, i: int, j: int) -> int:
         """Position of an edge in the filtration."""
         return self.position[min(i, j), max(i, j)]
+
+    def value(self, *triangle: int) -> float:
+        """Filtration value of a triangle."""
+        return self.slow.simplices[self.position[tuple(sorted(triangle))]].value
 
     def chain(self, *walks: Iterable[int]) -> set[int]:
         """The edges that closed walks cross an odd number of times."""
@@ -137,6 +140,19 @@ def lune_components(case: Case, x: int, y: int) -> list[set[int]]:
             waiting += reached
         components.append(component)
     return components
+
+
+def check_neighbours(case: Case) -> None:
+    """On each outer edge of the killer triangles the earliest other triangle, by value, then apex; if it is there at death."""
+    for i, triangles in enumerate(case.fast.killer_triangles.tolist()):
+        expected = []
+        for x, y, apex in triangles:
+            for a, b, opposite in ((x, apex, y), (apex, y, x)):
+                others = set(range(len(case.data))) - {a, b, opposite}
+                found = min(((case.value(a, b, c), c) for c in others), default=(np.inf, -1))
+                if found[0] <= case.value(*triangles[0]):
+                    expected.append([a, b, found[1]])
+        assert case.fast.neighbours(i).tolist() == expected
 
 
 def check_quadrilaterals(case: Case) -> None:
@@ -244,6 +260,7 @@ CHECKS = (
     check_diagram,
     check_pairing,
     check_killers,
+    check_neighbours,
     check_quadrilaterals,
     check_cycles,
     check_tighten,

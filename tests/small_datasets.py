@@ -18,6 +18,8 @@ import pytest
 from topokit.data import DatasetConfig, _generate
 from topokit.sim import SimulationConfig
 
+from conftest import hear_ctrl_c
+
 TINY = DatasetConfig(
     tasks={"sheet-hook": 2, "sheet2-hanger": 1, "mask-hook": 1},
     sizes={"sheet": {"spacing": 0.06}, "sheet2": {"spacing": 0.05}, "mask": {"spacing": 0.03}},
@@ -83,13 +85,8 @@ def command(*arguments: str | Path, site: Path | None = None) -> subprocess.Pope
         text=True,
         env={**os.environ, "PYTHONPATH": path},
         start_new_session=True,
-        preexec_fn=_listen,
+        preexec_fn=hear_ctrl_c,
     )
-
-
-def _listen() -> None:
-    """Ctrl-C is ignored by what a shell runs in the background, and by all that this starts."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def wait_until(condition: Callable[[], bool], process: subprocess.Popen[str], seconds: float = 120.0) -> None:

@@ -15,7 +15,7 @@ import pytest
 from topokit.cli import main
 from topokit.io import load_states
 
-from conftest import polygon
+from conftest import hear_ctrl_c, polygon
 
 
 @pytest.fixture
@@ -146,7 +146,7 @@ def test_track_needs_one_source(arguments, capsys):
 def test_a_live_track_that_is_stopped_says_what_it_gave():
     command = [sys.executable, "-m", "topokit", "track", "--live"]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, **pipes) as process:
+    with subprocess.Popen(command, **pipes, preexec_fn=hear_ctrl_c) as process:
         for _ in range(2):
             stream = io.BytesIO()
             np.save(stream, polygon(30))

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from topokit import rips_persistence
-from topokit.rips import _cycles
-from topokit.rips._diagram import tighten
+from topokit.rips import _cycles, tighten
 
 from clouds import FAMILIES, random_cloud
 from conftest import polygon
@@ -177,7 +176,7 @@ def test_shortest_walk_that_outlives_the_bar_is_not_taken():
     diagram, ranks = rips_persistence(MIXED), Ranks(MIXED)
     assert diagram.birth_edge[1].tolist() == [1, 4]
     classes = diagram._homology
-    shortest = classes.path(1, [4], classes.time(1, 4))
+    shortest = classes.path([1], [4], classes.time(1, 4))
     assert shortest == [1, 3, 5, 4]
     death = ranks[diagram.killer_edge[1]]
     assert not ranks.bounds(ranks.chain(shortest), death)  # it outlives the bar

@@ -91,7 +91,7 @@ def test_a_greedy_matching_would_be_wrong():
         birth, death = np.array(pairs, float).T
         edge = np.zeros((len(pairs), 2), np.int64)
         return type(rips_persistence(shape(0)))(
-            birth, death, edge, edge, np.zeros((len(pairs), 2, 3), np.int64), 9, np.inf, np.zeros((9, 2))
+            birth, death, edge, edge, np.zeros((len(pairs), 2, 3), np.int64), 9, np.inf, None, None
         )
 
     a, b = diagram((1, 9), (2, 9.5)), diagram((1.9, 9.4), (0, 8.2))

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
 from topokit import linking_number, rips_persistence, track
 from topokit.io import load_episode
-from topokit.linking import close_far, linking_numbers
+from topokit.linking import _segment_distances, close_far, linking_numbers
 
 from conftest import DATA, polygon
 
@@ -365,3 +366,83 @@ def test_the_quadrilateral_of_a_neck_hole_knows_the_neck():
     outline = track([ring])[0].loops[0].quadrilateral
     for x, y in rng.uniform(-0.03, 0.03, (20, 2)):
         assert abs(linking_number(outline, close_far([[x, y, -0.5], [x, y, 0.5]]))) == 1
+
+
+# -- the parts, with literal answers ---------------------------------------------------------------------------------------------
+
+
+def test_far_away_is_where_it_is_said_to_be():
+    """Extents of 1, 4 and 2: the leads are 100 times 4 long, whatever the length of the directions."""
+    curve = np.array([[0.0, 0, 0], [1, 4, 0], [1, 4, 1], [1, 4, 2]])
+    closed = close_far(curve, start=(0, -2, 0), end=(0, 0, 5))
+    np.testing.assert_array_equal(closed[:4], curve)
+    assert closed[4:].tolist() == [[1, 4, 402], [-399, 4, 402], [-400, -400, 0], [0, -400, 0]]
+    assert close_far(curve, far=10.0)[4].tolist() == [1, 4, 42]
+
+
+@pytest.mark.parametrize("end", [(0.0, 0.0, 1.0), (3.0, 4.0, 0.0), (1.0, 2.0, -2.0)])
+def test_parallel_leads_are_joined_aside(end):
+    closed = close_far([[0.0, 0, 0], [0, 0, 1.0]], start=-np.array(end), end=end)
+    tip, aside = closed[2] - closed[1], closed[3] - closed[2]
+    assert np.linalg.norm(tip) == pytest.approx(100)
+    assert np.linalg.norm(aside) == pytest.approx(100)
+    assert aside @ tip == pytest.approx(0, abs=1e-8)
+    np.testing.assert_allclose(closed[4] - closed[5], aside, atol=1e-9)
+
+
+def test_nearly_parallel_leads_are_joined_aside_as_far_as_others():
+    closed = close_far([[0.0, 0, 0], [0, 0, 1.0]], start=(1e-4, 0, -1), end=(0, 0, 1))
+    assert np.linalg.norm(closed[3] - closed[2]) == pytest.approx(100)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"curve": [[0, 0, 0], [0, 0, np.nan]]}, "curve has 1 of 2 points with a NaN"),
+        ({"far": 0.0}, "far must be more than zero"),
+        ({"start": (0, 0, 0)}, "start must be a direction of three numbers"),
+        ({"end": (0, 0)}, "end must be a direction of three numbers"),
+        ({"end": (0, 0, np.inf)}, "end must be a direction of three numbers"),
+    ],
+)
+def test_what_cannot_be_closed_is_named(arguments, says):
+    with pytest.raises(ValueError, match=says):
+        close_far(**{"curve": [[0, 0, 0], [0, 0, 1]], **arguments})
+
+
+def test_wrong_curves_are_named():
+    circle = ring(5)
+    for pair, says in (((circle[None], circle), "curve_a is a batch"), ((circle, circle[None]), "curve_b is a batch")):
+        with pytest.raises(ValueError, match=says):
+            linking_number(*pair)
+    wrong = np.where(np.arange(15).reshape(5, 3) == 4, np.nan, circle)
+    for pair, says in (
+        ((wrong, circle), "curves_a has 1 of 5 points with a NaN"),
+        ((circle, wrong), "curves_b has 1 of 5 points with a NaN"),
+        ((np.stack([circle, wrong]), circle), r"curves_a\[1\] has 1 of 5 points with a NaN"),
+        ((circle[0], circle), r"curves_a must be a \(B, n, 3\) array"),
+        (([circle, circle[:4]], circle), "the curves of curves_a must have equally many corners"),
+        ((np.stack([circle] * 2), np.stack([circle] * 3)), "they are 2 and 3"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            linking_numbers(*pair)
+
+
+def ring(n: int) -> np.ndarray:
+    angle = 2 * np.pi * np.arange(n) / n
+    return np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+
+
+def test_distances_of_segments_are_those_of_bounded_least_squares():
+    rng = np.random.default_rng(4)
+    ends = rng.normal(size=(4, 60, 3))
+    ends[3, :10] = ends[2, :10] + (ends[1] - ends[0])[:10]  # parallel
+    ends[1, 10:15] = ends[0, 10:15]  # a segment that is a point
+    ends *= rng.choice([1e-3, 1.0, 1e3], size=(1, 60, 1))
+    a, a_end, b, b_end = ends
+    expected = []
+    for i in range(60):
+        system = np.column_stack([b_end[i] - b[i], a[i] - a_end[i]])
+        best = lsq_linear(system, a[i] - b[i], bounds=(0, 1), tol=1e-14)
+        expected.append(np.linalg.norm(system @ best.x - (a[i] - b[i])))
+    np.testing.assert_allclose(_segment_distances(a, a_end, b, b_end), expected, rtol=1e-5)

@@ -1,23 +1,21 @@
-"""The two kernels give the same simplices, at every scale of coordinates, on threads, and where a filtration is cut."""
+"""The kernel and its parts: every scale of coordinates, ties, bounds of work and memory, threads, where a filtration is cut."""
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from topokit import rips_persistence, rips_persistence_many
-from topokit.rips import _compute
+from topokit.rips import _cloud, _edges, _jit, _tree, kernel
 
-from clouds import FAMILIES, gudhi_pairs, random_cloud, sorted_pairs
+from clouds import compiled, gudhi_pairs, sorted_pairs
 from conftest import polygon
-
-
-@pytest.fixture
-def no_bitsets(monkeypatch):
-    """Send every cloud to the kernel for many points."""
-    monkeypatch.setattr(_compute, "MOST_ROWS", 0)
 
 
 def same(one, other) -> None:
@@ -25,33 +23,198 @@ def same(one, other) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_both_kernels_agree_to_the_last_simplex(family, monkeypatch):
-    rng = np.random.default_rng(200 + FAMILIES.index(family))
-    for _ in range(60):
-        cloud = random_cloud(rng, family, 60)
-        by_rows = rips_persistence(cloud)
-        with monkeypatch.context() as patch:
-            patch.setattr(_compute, "MOST_ROWS", 0)
-            same(by_rows, rips_persistence(cloud))
+def plain(function):
+    """A compiled function as Python."""
+    return getattr(function, "py_func", function)
 
 
-def test_kernel_for_many_points_equals_gudhi(no_bitsets):
-    rng = np.random.default_rng(9)
-    sheet = np.column_stack([rng.random((150, 2)), 0.02 * rng.normal(size=150)])
-    sheet = sheet[np.linalg.norm(sheet[:, :2] - 0.5, axis=1) > 0.25]
-    diagram = rips_persistence(sheet)
-    ours = sorted_pairs(np.column_stack([diagram.birth, diagram.death]))
-    np.testing.assert_allclose(ours, gudhi_pairs(sheet), atol=1e-9)
-    assert diagram.lifetime[0] > 3 * diagram.lifetime[1]
+class Counting(np.ndarray):
+    """An array that counts what is written into it."""
+
+    writes = 0
+
+    def __setitem__(self, place, value):
+        Counting.writes += np.size(value)
+        super().__setitem__(place, value)
 
 
-def test_more_points_than_bitsets_are_kept_for():
+@pytest.mark.parametrize("spread", [0.0, 1e-14], ids=["equal", "nearly equal"])
+def test_sorting_edges_of_nearly_equal_length_takes_few_moves(spread, monkeypatch):
+    """All pairs of 32 points, of lengths around 1 in a window from 0 to 2; the last labels come first."""
+    n = 32
+    x, y = np.triu_indices(n, 1)
+    lengths = 1 + spread * np.linspace(1, -1, len(x))
+    m, label = len(x), np.arange(n)[::-1].copy()
+    room = (
+        (y << 21 | x).astype(np.int64),
+        lengths,
+        np.empty(m, np.int64).view(Counting),
+        np.empty(m),
+        np.empty(m + 2, np.int32),
+    )
+    monkeypatch.setattr(_edges, "_sort_slice", plain(_edges._sort_slice), raising=False)
+    monkeypatch.setattr(Counting, "writes", 0)
+    plain(_edges._sort)(room, m, label, 0.0, 2.0)
+    assert Counting.writes <= m * (2 + np.log2(m))
+    ends = sorted((length, *sorted((label[i], label[j]))) for length, i, j in zip(lengths, x, y, strict=True))
+    found = [(sorted((label[key & 31], label[key >> 21]))) for key in room[2].tolist()]
+    assert found == [[a, b] for _, a, b in ends]
+
+
+@compiled  # NumPy would warn of the quotients that overflow on purpose
+@pytest.mark.parametrize("size", [5e-324, 1e-310, 1.7e308])
+def test_distances_at_the_ends_of_floating_point(size):
+    equal = np.full((8, 8), size)
+    np.fill_diagonal(equal, 0)
+    assert len(rips_persistence(equal, metric="precomputed")) == 0
+    square = np.array([[0, 1, 2, 1], [1, 0, 1, 2], [2, 1, 0, 1], [1, 2, 1, 0]]) * (size if size < 1 else size / 2)
+    assert rips_persistence(square, metric="precomputed").killer_edge.tolist() == [[0, 2]]
+
+
+@pytest.mark.parametrize("size", [1e-320, 1e-310, 1e308])
+def test_coordinates_at_the_ends_of_floating_point(size):
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * size
+    assert rips_persistence(square).killer_edge.tolist() == [[0, 2]]
+    assert rips_persistence(square - size).killer_edge.tolist() == [[0, 2]]
+
+
+def test_max_radius_whose_square_overflows():
+    assert rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]], max_radius=1e200).death[0] == np.sqrt(2)
+
+
+@pytest.mark.parametrize("metric", ["euclidean", "precomputed"])
+def test_a_diagram_does_not_change_with_the_array_it_was_made_of(metric):
+    cloud = np.random.default_rng(2).normal(size=(30, 3))
+    buffer = np.linalg.norm(cloud[:, None] - cloud[None], axis=2) if metric == "precomputed" else cloud
+    kept, walk = rips_persistence(buffer.copy(), metric=metric), np.arange(30)
+    diagram = rips_persistence(buffer, metric=metric)
+    buffer[:] = 0
+    for i in range(len(kept)):
+        assert diagram.neighbours(i).tolist() == kept.neighbours(i).tolist()
+        assert diagram.cycle(i).tolist() == kept.cycle(i).tolist()
+    assert diagram.killers_of([walk]).tolist() == kept.killers_of([walk]).tolist()
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 4, 7])
+def test_lengths_are_the_same_in_numpy_and_compiled(d):
+    points = np.random.default_rng(d).normal(size=(20, d)) * np.logspace(-3, 3, d)
+    for i in range(20):
+        keys = _cloud.squares(points[i], points)
+        assert keys.tolist() == [_edges.edge_length(points, i, j, (0,) * d) for j in range(20)]
+        assert keys.tolist() == [_edges.edge_length(points, j, i, (0,) * d) for j in range(20)]
+    matrix = np.abs(points @ points.T)
+    assert _edges.edge_length(matrix, 3, 5, ()) == matrix[3, 5]
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_point_is_near_the_middle_only_if_it_is_near_all_of_the_lune(d):
+    """Against points on the rim of the lune, where it is farthest from what is between its two balls."""
+    rng, axes, near = np.random.default_rng(d), (0,) * d, 0
+    for _ in range(300):
+        data = rng.normal(size=(3, d))
+        data[2] = data[:2].mean(axis=0) + rng.normal(size=d) * 0.3
+        length = _edges.edge_length(data, 0, 1, axes)
+        across = rng.normal(size=(400, d))
+        step = (data[1] - data[0]) / np.sqrt(length)
+        across -= np.outer(across @ step, step)
+        rim = data[:2].mean(axis=0) + np.sqrt(0.75 * length) * across / np.linalg.norm(across, axis=1, keepdims=True)
+        farthest = max(((np.vstack([rim, data[:2]]) - data[2]) ** 2).sum(axis=1))
+        assert kernel._is_near_middle(data, axes, 0, 1, 2, length) <= (farthest < length)
+        near += kernel._is_near_middle(data, axes, 0, 1, 2, length)
+    assert 20 < near < 200
+
+
+@compiled
+@pytest.mark.parametrize("shape", ["sheet", "torus"])
+def test_places_decide_as_the_distances_do(shape):
+    """Above 2,048 points cones are known from places; for a matrix of distances they cannot be."""
+    rng = np.random.default_rng(11)
+    a, b = rng.random((2, 2300))
+    cloud = np.column_stack([a, b, 0.05 * np.sin(5 * a)])[(a - 0.5) ** 2 + (b - 0.4) ** 2 > 0.04]
+    if shape == "torus":
+        a, b = 2 * np.pi * a, 2 * np.pi * b
+        cloud = np.column_stack([(1 + 0.3 * np.cos(b)) * np.cos(a), (1 + 0.3 * np.cos(b)) * np.sin(a), 0.3 * np.sin(b)])
+    matrix = np.sqrt(_cloud.squares(cloud[:, None], cloud[None]))
+    assert len(cloud) > 64 * kernel.FEW_WORDS or shape == "sheet"
+    same(rips_persistence(cloud), rips_persistence(matrix, metric="precomputed"))
+
+
+@compiled
+def test_windows_of_edges_are_bounded_and_leave_none_out():
+    cloud = _cloud.Cloud.of(np.random.default_rng(12).random((3100, 2)))
+    tree = _tree.build_tree(cloud.data, cloud.axes)
+    room, shortest, count, before = _edges.new_room(1 << 16), 0.0, 0, -1.0
+    while shortest < 4:
+        room, m, bound = _edges.edges_between(tree.points, cloud.axes, tree, shortest, 5.0, room, 1 << 40)
+        lengths = room[3][:m]
+        assert m <= len(room[0]) == _edges.WINDOW
+        assert before <= lengths[0]
+        assert (np.diff(lengths) >= 0).all()
+        assert shortest <= lengths[0] <= lengths[-1] < bound
+        shortest, count, before = bound, count + m, lengths[-1]
+    assert count == 3100 * 3099 // 2
+
+
+def test_more_points_than_memory_is_allowed_for():
+    with pytest.raises(
+        MemoryError, match=r"4\.3 GB for one cloud, and these 200000 points need 5\.0 GB.*farthest_point_sample"
+    ):
+        rips_persistence(np.random.default_rng(0).random((200_000, 3)))
+
+
+@compiled
+def test_more_edges_or_loops_than_memory_is_allowed_for(monkeypatch):
+    two_sites = np.repeat([[0.0, 0.0], [1.0, 1.0]], 1000, axis=0)
+    many_loops = np.random.default_rng(0).random((2000, 3))
+    assert len(rips_persistence(two_sites)) == 0
+    for cloud, spare, what in ((two_sites, 1 << 26, "edges of the same length"), (many_loops, 600_000, "loops")):
+        monkeypatch.setattr(_cloud, "MEMORY", 8 * 2000 * 32 + spare)
+        with pytest.raises(MemoryError, match=f"these 2000 points need more.*{what}.*farthest_point_sample"):
+            rips_persistence(cloud)
+
+
+def test_any_change_of_a_kernel_file_makes_compiled_kernels_stale(tmp_path):
+    folder = Path(_jit.__file__).parent
+    kernels = [path for path in folder.glob("*.py") if "njit" in path.read_text()]
+    assert {"kernel.py", "_edges.py", "_tree.py", "_lunes.py", "_paths.py", "_creators.py"} <= {
+        path.name for path in kernels
+    }
+    for path in kernels:
+        shutil.copy(path, tmp_path)
+    before = _jit.source_digest(tmp_path)
+    assert before == _jit.source_digest(folder)
+    for path in tmp_path.glob("*.py"):
+        source = path.read_bytes()
+        path.write_bytes(source + b" ")
+        assert _jit.source_digest(tmp_path) != before
+        path.write_bytes(source)
+    assert _jit.source_digest(tmp_path) == before
+
+
+@compiled
+def test_a_kernel_that_uses_another_file_is_compiled_anew_when_that_changes(tmp_path):
+    package = tmp_path / "kernels"
+    package.mkdir()
+    shutil.copy(_jit.__file__, package / "_jit.py")
+    (package / "__init__.py").write_text("")
+    (package / "outer.py").write_text(
+        "from ._jit import njit\nfrom .inner import inner\n\n"
+        "@njit()\ndef outer():\n    return inner()\n\nprint(outer(), sum(outer.stats.cache_hits.values()))\n"
+    )
+    printed = []
+    for number in (1, 1, 2):
+        (package / "inner.py").write_text(f"from ._jit import njit\n@njit()\ndef inner():\n    return {number}\n")
+        command = [sys.executable, "-c", "import kernels.outer"]
+        printed.append(subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout)
+    assert printed == ["1 0\n", "1 1\n", "2 0\n"]  # what it gives, and how often it was read from the disk
+
+
+@compiled
+def test_ring_of_thousands_of_points():
     rng = np.random.default_rng(0)
     angle = 2 * np.pi * rng.random(5000)
     ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(5000)]) * (1 + 0.05 * rng.random((5000, 1)))
     diagram = rips_persistence(ring)
-    assert len(ring) > _compute.MOST_ROWS
     assert diagram.death[0] == pytest.approx(np.sqrt(3) / 2, rel=0.01)  # the inner rim has radius 1
     assert (diagram.lifetime[1:] < 0.05).all()
 
@@ -114,11 +277,11 @@ def test_many_says_which_cloud_is_bad(capsys):
 
 
 def test_long_compilation_is_announced(monkeypatch, capsys):
-    monkeypatch.setattr(_compute, "_PATIENCE", 0.01)
-    with _compute._announced("compiling"):
+    monkeypatch.setattr(_cloud, "_PATIENCE", 0.01)
+    with _cloud._announced("compiling"):
         time.sleep(0.2)
     assert capsys.readouterr().err == "compiling\n"
-    with _compute._announced("compiling"):
+    with _cloud._announced("compiling"):
         pass
     time.sleep(0.05)
     assert capsys.readouterr().err == ""

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from topokit import Diagram, rips_persistence
 
-from clouds import FAMILIES, random_cloud
+from clouds import FAMILIES, compiled, fewer, random_cloud
 
 FIELDS = ("birth", "death", "birth_edge", "killer_edge", "killer_triangles")
 
@@ -26,14 +26,14 @@ def same(one: Diagram, other: Diagram, names: tuple[str, ...] = FIELDS) -> None:
 def sampled(family: str, count: int, salt: int, max_points: int = 24):
     """Random clouds of a family."""
     rng = np.random.default_rng([salt, FAMILIES.index(family)])
-    for _ in range(count):
+    for _ in range(fewer(count)):
         yield rng, random_cloud(rng, family, max_points)
 
 
 @pytest.mark.parametrize("first", range(0, 640, 80))
 def test_slice_of_the_fuzz(first):
     """`python tests/fuzz_rips.py --clouds 20000` runs the same checks for longer."""
-    counts, reproducer = fuzz_rips.run(80, seed=1, first=first)
+    counts, reproducer = fuzz_rips.run(fewer(80), seed=1, first=first)
     assert reproducer is None, reproducer
     assert counts["loops"] > 0
 
@@ -65,13 +65,13 @@ coordinates = st.integers(0, 4).map(float)
 
 
 @given(arrays(float, st.tuples(st.integers(1, 11), st.integers(1, 3)), elements=coordinates))
-@settings(max_examples=300, deadline=None, derandomize=True, database=None)
+@settings(max_examples=fewer(300), deadline=None, derandomize=True, database=None)
 def test_integer_clouds(points):
     assert fuzz_rips.failure(points, "euclidean") is None
 
 
 @given(st.data())
-@settings(max_examples=300, deadline=None, derandomize=True, database=None)
+@settings(max_examples=fewer(300), deadline=None, derandomize=True, database=None)
 def test_integer_matrices(data):
     """Symmetric matrices of small integers, most of them no metric."""
     n = data.draw(st.integers(1, 8))
@@ -178,7 +178,7 @@ def test_subset_is_close(family):
         assert gudhi.bottleneck_distance(one, other) <= radius + 1e-12
 
 
-@pytest.mark.parametrize("n", [60, 300])
+@pytest.mark.parametrize("n", [60, pytest.param(300, marks=compiled)])
 @pytest.mark.parametrize("d", [2, 3])
 def test_larger_clouds_against_gudhi(n, d):
     """Beyond one word of the bitsets, and up to more leaves of the tree."""

@@ -13,30 +13,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What a matching sees: the n loops found in a frame and the m known from before.
+    """What a matching sees: the n loops found in a frame and the m known from before."""
 
-    Attributes
-    ----------
-    birth, death : (n,) float64
-    places : (n, p, d) float64
-        Where they are, by the tracker's `identity`: the two ends of the killer edge, or one point.
-    known_birth, known_death : (m,) float64
-    known_places : (m, p, d) float64
-    motion : (m,) float64
-        How far the scene may have moved since each was seen, the sum of the steps' epsilon.
-    alpha, beta : float
-        Of this step.
-    """
-
-    birth: Array
-    death: Array
-    places: Array
-    known_birth: Array
-    known_death: Array
-    known_places: Array
-    motion: Array
-    alpha: float
-    beta: float
+    birth: Array  #: (n,)
+    death: Array  #: (n,)
+    places: Array  #: (n, p, d) where they are, by the tracker's `identity`: two ends of an edge, or one point
+    known_birth: Array  #: (m,)
+    known_death: Array  #: (m,)
+    known_places: Array  #: (m, p, d)
+    motion: Array  #: (m,) how far the scene may have moved since each was seen, the sum of the steps' epsilon
+    alpha: float  #: of this step
+    beta: float  #: of this step
 
     def changes(self) -> tuple[Array, Array]:
         """(n, m) changes of birth and of death between every found loop and every known one."""

@@ -46,54 +46,29 @@ _TEXT = ("garment", "target", "task", "success", "seed", "dt", "observation", "p
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One recorded run of two grippers carrying a garment to a target.
+    """One recorded run of two grippers carrying a garment to a target. Arrays are held as they are given, not copied."""
 
-    Attributes
-    ----------
-    points : (T, N, 3) float32
-        All vertices of the garment in mesh order, metres.
-    observed : (T, M, 3) float32
-        What an observer sees: farthest-point samples of the vertices, or of what cameras see (`observation` says which).
-    actions, grippers : (T, 2, 3) float32
-        Where the two grippers were told to be, and where they were.
-    held : (T,) bool
-        Whether the grippers hold the garment at that frame.
-    faces : (F, 3) int32
-    loops : tuple of (L,) int32
-        The true loops, each a closed cycle of vertex ids (the last joins the first).
-    centre_line : (K, 3) float32
-        The target's centre line, an open polyline.
-    target, garment, task : str
-    success : bool
-        Whether the task's true loops hang on the target, at rest, after release.
-    observation : dict
-        How `observed` was made: its kind and, for cameras, all their parameters.
-    physics : dict
-        All parameters of the simulation, the target's sizes and position, what was randomised and in which ranges.
-    seed : int
-    dt : float
-        Seconds between frames.
-    provenance : dict
-        The command and the versions that made it.
-    """
-
-    points: NDArray[np.float32]
+    points: NDArray[np.float32]  #: (T, N, 3) all vertices of the garment in mesh order, metres
+    #: (T, M, 3) what an observer sees: farthest-point samples of the vertices, or of what cameras see (`observation` says which)
     observed: NDArray[np.float32]
-    actions: NDArray[np.float32]
-    grippers: NDArray[np.float32]
-    held: NDArray[np.bool_]
-    faces: NDArray[np.int32]
+    actions: NDArray[np.float32]  #: (T, 2, 3) where the two grippers were told to be
+    grippers: NDArray[np.float32]  #: (T, 2, 3) where they were
+    held: NDArray[np.bool_]  #: (T,) whether the grippers hold the garment at that frame
+    faces: NDArray[np.int32]  #: (F, 3)
+    #: the true loops, each a closed cycle (L,) of vertex ids, the last joins the first
     loops: tuple[NDArray[np.int32], ...]
-    centre_line: NDArray[np.float32]
-    garment: str
-    target: str
-    success: bool
-    seed: int
-    dt: float
-    task: str = ""
+    centre_line: NDArray[np.float32]  #: (K, 3) the target's centre line, an open polyline
+    garment: str  #: its name
+    target: str  #: its name
+    success: bool  #: whether the task's true loops hang on the target, at rest, after release
+    seed: int  #: of everything random
+    dt: float  #: seconds between frames
+    task: str = ""  #: garment and target
+    #: how `observed` was made: its kind and, for cameras, all their parameters
     observation: dict[str, Any] = field(default_factory=dict)
+    #: all parameters of the simulation, the target's sizes and position, what was randomised and in which ranges
     physics: dict[str, Any] = field(default_factory=dict)
-    provenance: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)  #: the command and the versions that made it
     schema: int = SCHEMA  #: of the file format
 
     def __len__(self) -> int:

@@ -26,20 +26,13 @@ class Triangles(Protocol):
     """What a mixture needs of a loop, seen (`Loop`) or predicted (`PredictedLoop`)."""
 
     @property
-    def killer_triangles(self) -> NDArray[np.floating]:
-        """(2, 3, d)."""
-
+    def killer_triangles(self) -> NDArray[np.floating]: ...  # (2, 3, d)
     @property
-    def neighbours(self) -> NDArray[np.floating]:
-        """(m, 3, d)."""
-
+    def neighbours(self) -> NDArray[np.floating]: ...  # (m, 3, d)
     @property
-    def killer_values(self) -> NDArray[np.floating]:
-        """(2,)."""
-
+    def killer_values(self) -> NDArray[np.floating]: ...  # (2,)
     @property
-    def neighbour_values(self) -> NDArray[np.floating]:
-        """(m,)."""
+    def neighbour_values(self) -> NDArray[np.floating]: ...  # (m,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,17 +41,11 @@ class InverseWishart:
 
     With a flat prior on the mean, the covariance given vertices of scatter A (the sum of the outer products about their mean)
     is inverse-Wishart(scale + A, dof + 2), and its mean (scale + A) / (dof + 1 - d).
-
-    Attributes
-    ----------
-    scale : float or (d, d) array_like
-        Scale matrix, or that multiple of the identity; square metres. The prior's mean is scale / (dof - d - 1).
-    dof : float, optional
-        Degrees of freedom, above d - 1. When not given d + 2, the fewest whole ones for which the prior has a mean, which then
-        is `scale` itself.
     """
 
+    #: scale matrix (d, d), or that multiple of the identity; square metres. The prior's mean is scale / (dof - d - 1).
     scale: ArrayLike
+    #: degrees of freedom, above d - 1; d + 2 when not given, the fewest whole ones for which the prior has a mean: `scale`
     dof: float | None = None
 
     def posterior_mean(self, scatter: Array) -> Array:
@@ -84,20 +71,11 @@ class InverseWishart:
 
 @dataclass(frozen=True, eq=False)
 class LoopMixture:
-    """A Gaussian mixture of m components in d dimensions.
+    """A Gaussian mixture of m components in d dimensions."""
 
-    Attributes
-    ----------
-    means : (m, d) float64
-        Barycentres of the triangles, killer triangles first.
-    covariances : (m, d, d) float64
-    weights : (m,) float64
-        They sum to one.
-    """
-
-    means: Array
-    covariances: Array
-    weights: Array
+    means: Array  #: (m, d) barycentres of the triangles, killer triangles first
+    covariances: Array  #: (m, d, d)
+    weights: Array  #: (m,) they sum to one
 
     def __post_init__(self) -> None:
         own_arrays(self)

@@ -111,19 +111,14 @@ def main() -> int:
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--peers", nargs="*", metavar="NAME", help=f"against these only, of {', '.join(PEERS)}")
     parser.add_argument(
-        "--large", type=int, nargs="*", metavar="N", help="large aprons, topokit alone, with peak memory"
-    )
-    parser.add_argument(
-        "--profile", action="store_true", help="where the time goes, against reading every needed pair once"
+        "--large", type=int, nargs="*", metavar="N", help="large clouds, topokit alone, with peak memory"
     )
     parser.add_argument("--json", type=Path, help="also write the numbers there")
     options = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     if options.large is not None:
-        return large(options.large or [10_000])
-    if options.profile:
-        return profile(options.shapes, options.sizes, options.repeat)
+        return large(options.shapes, options.large or [10_000])
     wanted = PEERS if options.peers is None else options.peers
     others = {name: function for name, function in peers().items() if name in wanted}
     missing = set(wanted) - set(others)
@@ -149,48 +144,18 @@ def main() -> int:
     return 0
 
 
-def profile(shapes: list[str], sizes: list[int], repeat: int) -> int:
-    """Time of the whole against its floor: reading once the pairs that are no longer than the last death, then sorting them.
-
-    A pair is read by computing its distance and looking at it; all pairs of the cloud are what a matrix would need.
-    """
-    from topokit.rips import _edges
-    from topokit.rips._tree import build_tree
-
-    print(
-        f"{'cloud':>8} {'points':>6} {'pairs':>8} {'needed':>8} {'read':>9} {'sorted':>9} {'whole':>9} {'whole/read':>11}"
+def large(shapes: list[str], sizes: list[int]) -> int:
+    """Time and peak memory of single large clouds, each in a process of its own."""
+    code = (
+        "import sys, time; sys.path.insert(0, sys.argv[3]); import numpy as np, rips, resource, topokit as tk\n"
+        "points = rips.cloud(sys.argv[1], int(sys.argv[2])); tk.rips_persistence(points[:300])\n"
+        "start = time.perf_counter(); diagram = tk.rips_persistence(points); seconds = time.perf_counter() - start\n"
+        "print(f'{sys.argv[1]}, {len(points)} points: {seconds:.2f} s, {len(diagram)} loops, peak memory',"
+        " f'{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB', diagram.lifetime[:3].round(4))"
     )
     for shape in shapes:
         for n in sizes:
-            points = cloud(shape, n)
-            tree = build_tree(points, (0, 0, 0))
-            window = 0.0, (2 * tk.rips_persistence(points).death.max()) ** 2 * (1 + 1e-9)
-            room, keys, _ = _edges.edges_between(tree.points, tree.axes, tree, *window, _edges.new_room())
-            needed = len(keys)
-            read = median_ms(lambda _, t=tree, w=window, r=room: _edges._edges_of_points(t, *w, *r[:2]), points, repeat)
-            ordered = median_ms(
-                lambda _, t=tree, w=window, r=room: _edges.edges_between(t.points, t.axes, t, *w, r), points, repeat
-            )
-            whole = median_ms(tk.rips_persistence, points, repeat)
-            print(
-                f"{shape:>8} {n:>6} {n * (n - 1) // 2:>8} {needed:>8} {read:>6.2f} ms {ordered:>6.2f} ms {whole:>6.2f} ms"
-                f" {whole / read:>10.1f}x",
-                flush=True,
-            )
-    return 0
-
-
-def large(sizes: list[int]) -> int:
-    """Time and peak memory of single large aprons, each in a process of its own."""
-    code = (
-        "import sys, time; sys.path.insert(0, sys.argv[2]); import numpy as np, rips, resource, topokit as tk\n"
-        "points = rips.cloud('apron', int(sys.argv[1])); tk.rips_persistence(points[:5000])\n"
-        "start = time.perf_counter(); diagram = tk.rips_persistence(points); seconds = time.perf_counter() - start\n"
-        "print(f'{len(points)} points: {seconds:.2f} s, {len(diagram)} loops, peak memory',"
-        " f'{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB', diagram.lifetime[:3].round(4))"
-    )
-    for n in sizes:
-        subprocess.run([sys.executable, "-c", code, str(n), str(Path(__file__).parent)], check=True)
+            subprocess.run([sys.executable, "-c", code, shape, str(n), str(Path(__file__).parent)], check=True)
     return 0
 
 

@@ -6,16 +6,16 @@ Taught in chapter 0.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from .._validate import as_points, as_sequence, positive
-from ._compute import pairs
+from .._cores import n_cores
+from .._validate import as_sequence, positive
+from ._cloud import Cloud, pairs
 from ._diagram import Diagram, tighten
 
 __all__ = ["Diagram", "rips_persistence", "rips_persistence_many", "tighten"]
@@ -53,6 +53,10 @@ def rips_persistence(
     TypeError, ValueError
         When `points` is not a finite (n, d) array, the matrix is not square, symmetric, zero on its diagonal and not
         negative, or an option is out of range.
+    MemoryError
+        When the tables would take more than 4.3 GB. They hold a bit for each pair of points (0.3 GB for 50,000 points), a
+        sixteenth of a byte for each pair of loops, however short, and 76 bytes for each edge of those that are sorted at a
+        time: about four million, or as many as have the same length. Take a subset then (`farthest_point_sample`).
 
     Examples
     --------
@@ -64,13 +68,8 @@ def rips_persistence(
     """
     cutoff = positive(max_radius, "max_radius", infinite=True)
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
-    if metric not in ("euclidean", "precomputed"):
-        raise ValueError(f'metric must be "euclidean" or "precomputed", not {metric!r}')
-    array = as_points(points)
-    precomputed = metric == "precomputed"
-    if precomputed:
-        _check_distances(array)
-    created, killed, birth, death = pairs(array, cutoff, precomputed)
+    cloud = Cloud.of(points, metric)
+    created, killed, birth, death = pairs(cloud, cutoff)
     keep = np.flatnonzero((death > birth) & (death - birth >= shortest))
     keep = keep[np.lexsort((created[keep, 1], created[keep, 0], birth[keep], -(death - birth)[keep]))]
     return Diagram(
@@ -79,10 +78,9 @@ def rips_persistence(
         birth_edge=created[keep],
         killer_edge=killed[keep, :2],
         killer_triangles=killed[keep][:, [[0, 1, 3], [0, 1, 2]]],
-        n_points=len(array),
+        n_points=len(cloud),
         max_radius=cutoff,
-        _points=array,
-        _precomputed=precomputed,
+        _cloud=cloud,
         _simplices=(created, killed),
     )
 
@@ -128,7 +126,7 @@ def rips_persistence_many(
     arrays = as_sequence(clouds, "clouds")
     if n_jobs is not None and n_jobs < 1:
         raise ValueError(f"n_jobs must be 1 or more, not {n_jobs}")
-    workers = n_jobs or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    workers = n_jobs or n_cores()
     diagrams = []
     with ThreadPoolExecutor(workers) as pool:
         jobs = [pool.submit(rips_persistence, a, max_radius=max_radius, min_lifetime=min_lifetime) for a in arrays]
@@ -142,21 +140,3 @@ def rips_persistence_many(
             if progress and jobs:
                 print(file=sys.stderr)
     return diagrams
-
-
-def _check_distances(matrix: NDArray[np.float64]) -> None:
-    """Raise ValueError when the matrix cannot be one of distances; the message names the entry."""
-    if matrix.shape[0] != matrix.shape[1]:
-        raise ValueError(
-            f'with metric="precomputed", points must be a square matrix of distances, not of shape {matrix.shape}'
-        )
-    for wrong, what in (
-        (matrix < 0, "negative"),
-        (matrix != matrix.T, "not symmetric"),
-        (np.diag(np.diag(matrix) != 0), "not zero on the diagonal"),
-    ):
-        if wrong.any():
-            i, j = np.argwhere(wrong)[0].tolist()
-            raise ValueError(
-                f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]} there and {matrix[j, i]} at [{j}, {i}]"
-            )

@@ -23,15 +23,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ._compute import pairs
-from ._lengths import power_of_two
-from ._paths import Time, edge_key, lune_vertex, neighbours, shortest_paths
-
-__all__ = ["Homology", "homology"]
+from ._cloud import Cloud
+from ._edges import edge_length
+from ._paths import Time, lune_vertex, neighbours, shortest_paths
 
 SEARCH_LIMIT = 20_000  # pairs (vertex, class) looked at before a search gives up
 Edge = tuple[int, int]
-_Array = NDArray[np.float64]
 
 
 class Homology:
@@ -39,23 +36,13 @@ class Homology:
 
     Parameters
     ----------
-    data : (n, d) or (n, n) float64
-        Coordinates, or distances when `precomputed`.
+    cloud : Cloud
     created, killed : (c, 2) and (c, 4) int64
         The edges that create loops, in order; for each the killer edge and its two apexes, -1 when nothing kills it.
-    scale : float
-        By which the user's coordinates were multiplied.
     """
 
-    def __init__(
-        self,
-        data: _Array,
-        precomputed: bool,
-        created: NDArray[np.int64],
-        killed: NDArray[np.int64],
-        scale: float = 1.0,
-    ) -> None:
-        self.data, self.precomputed, self.scale = data, precomputed, scale
+    def __init__(self, cloud: Cloud, created: NDArray[np.int64], killed: NDArray[np.int64]) -> None:
+        self._data, self._axes = cloud.data, cloud.axes
         self._creator: dict[Edge, int] = {(a, b): c for c, (a, b) in enumerate(created.tolist())}
         self._killers: list[list[int]] = killed.tolist()
         self._killed_at = [self.time(x, y) if x >= 0 else (math.inf, 0, 0) for x, y, _, _ in self._killers]
@@ -66,7 +53,7 @@ class Homology:
 
     def time(self, i: int, j: int) -> Time:
         """When the edge {i, j} arrives."""
-        return edge_key(self.data, self.precomputed, i, j), min(i, j), max(i, j)
+        return edge_length(self._data, i, j, self._axes), min(i, j), max(i, j)
 
     def length(self, walk: Sequence[int]) -> float:
         """Length of a closed walk."""
@@ -75,7 +62,7 @@ class Homology:
     def side(self, a: int, b: int) -> float:
         """Length of an edge."""
         key = self.time(a, b)[0]
-        return key if self.precomputed else math.sqrt(key)
+        return math.sqrt(key) if self._axes else key
 
     def in_creators(self, a: int, b: int) -> int:
         """The edge {a, b} written in creators."""
@@ -86,7 +73,7 @@ class Homology:
                 waiting.pop()
             elif edge in self._creator:
                 self._edges[edge] = 1 << self._creator[edge]
-            elif (z := lune_vertex(self.data, self.precomputed, *edge)) < 0:
+            elif (z := lune_vertex(self._data, self._axes, *edge)) < 0:
                 self._edges[edge] = 0  # a tree edge
             else:
                 one, other = ((min(v, z), max(v, z)) for v in edge)
@@ -177,7 +164,7 @@ class Homology:
         """A short closed walk that is born with an edge and, if there is a killer edge, becomes a boundary with that."""
         x, y = birth_edge
         born = self.time(x, y)
-        walk = self.path(x, [y], born)
+        walk = self.path([x], [y], born)
         if killer_edge is None:
             return walk
         key, low, high = self.time(*killer_edge)
@@ -187,10 +174,14 @@ class Homology:
         around = self.path_in_class(x, y, born, death, self.class_of([birth_edge], death))
         return around or self._corrected(walk, born, death)
 
-    def path(self, source: int, targets: Sequence[int], time: Time) -> list[int]:
-        """The shortest path to one of the targets along edges that precede a time; [] when there is none."""
-        length, after = shortest_paths(self.data, self.precomputed, time, np.asarray(targets), source)
-        return _follow(after, source) if length[source] < math.inf else []
+    def path(self, sources: Sequence[int], targets: Sequence[int], time: Time) -> list[int]:
+        """The shortest path from one of the sources to one of the targets before a time; [] when there is none."""
+        stop = sources[0] if len(sources) == 1 else -1
+        length, after = shortest_paths(self._data, self._axes, time, np.asarray(targets), stop)
+        path = [min(sources, key=lambda v: length[v])]
+        while after[path[-1]] >= 0:
+            path.append(int(after[path[-1]]))
+        return path if length[path[0]] < math.inf else []
 
     def path_in_class(
         self, source: int, target: int, time: Time, death: Time, wanted: int, bound: float = math.inf
@@ -199,7 +190,7 @@ class Homology:
 
         Returns [] when none is shorter than the bound, or none is found among the first `SEARCH_LIMIT` pairs.
         """
-        remaining = shortest_paths(self.data, self.precomputed, time, np.array([target]), -1)[0].tolist()
+        remaining = shortest_paths(self._data, self._axes, time, np.array([target]), -1)[0].tolist()
         start, goal = (source, 0), (target, wanted)
         best, before = {start: (0.0, 0)}, {start: start}
         queue = [(remaining[source], 0, start)]
@@ -213,7 +204,7 @@ class Homology:
             done.add(state)
             v, so_far = state
             length, steps = best[state]
-            for w, step in zip(*map(np.ndarray.tolist, neighbours(self.data, self.precomputed, v, time)), strict=True):
+            for w, step in zip(*map(np.ndarray.tolist, neighbours(self._data, self._axes, v, time)), strict=True):
                 if length + step + remaining[w] >= bound:
                     continue
                 onward, way = (w, so_far ^ self.class_of([(v, w)], death)), (length + step, steps + 1)
@@ -227,16 +218,10 @@ class Homology:
         edges = list(self._creator)
         while left := self.class_of(sides(walk), death):
             x, y = edges[left.bit_length() - 1]
-            other = self.path(x, [y], self.time(x, y))
-            bridge = next(path for t in (born, death) if (path := self._bridge(walk, other, t)))
+            other = self.path([x], [y], self.time(x, y))
+            bridge = next(path for t in (born, death) if (path := self.path(walk, other, t)))
             walk = _spliced(walk, bridge, other)
         return walk
-
-    def _bridge(self, walk: list[int], other: list[int], time: Time) -> list[int]:
-        """The shortest path from one walk to another, [] when none is there before a time."""
-        length, after = shortest_paths(self.data, self.precomputed, time, np.array(other), -1)
-        source = min(walk, key=lambda v: length[v])
-        return _follow(after, source) if length[source] < math.inf else []
 
     def tightened(self, walk: list[int], time: Time) -> list[int]:
         """Shorten a closed walk within its class before a time, until no third of it can be made shorter."""
@@ -258,7 +243,7 @@ class Homology:
         """A path with the ends and the class of an arc, and shorter; [] when there is none or none is found."""
         bound = (1 - 1e-12) * sum(map(self.side, arc, arc[1:]))
         wanted = self.class_of(pairwise(arc), time)
-        path = self.path(arc[0], [arc[-1]], time)
+        path = self.path([arc[0]], [arc[-1]], time)
         if sum(map(self.side, path, path[1:])) >= bound:
             return []
         if self.class_of(pairwise(path), time) != wanted:
@@ -266,28 +251,9 @@ class Homology:
         return path if sum(map(self.side, path, path[1:])) < bound else []
 
 
-def homology(
-    data: _Array,
-    precomputed: bool,
-    max_radius: float,
-    simplices: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None,
-) -> Homology:
-    """The classes of a cloud up to a filtration value; `simplices` are what creates and kills its loops, when known."""
-    created, killed = simplices or pairs(data, max_radius, precomputed)[:2]
-    scale = 1.0 if precomputed else power_of_two(data)
-    return Homology(data * scale, precomputed, created, killed, scale)
-
-
 def sides(walk: Sequence[int]) -> list[Edge]:
     """The edges of a closed walk, the one that closes it last."""
     return list(zip(walk, (*walk[1:], walk[0]), strict=True))
-
-
-def _follow(after: NDArray[np.int64], v: int) -> list[int]:
-    path = [v]
-    while after[path[-1]] >= 0:
-        path.append(int(after[path[-1]]))
-    return path
 
 
 def _back(before: dict[tuple[int, int], tuple[int, int]], state: tuple[int, int]) -> list[int]:

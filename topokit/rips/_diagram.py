@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._validate import positive
-from ._lengths import power_of_two, squares_from
+from ._cloud import Cloud, pairs
 
 if TYPE_CHECKING:
     from ._cycles import Homology
-
-__all__ = ["Diagram", "tighten"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +43,10 @@ class Diagram:
     killer_triangles: NDArray[np.int64]
     n_points: int
     max_radius: float
-    _points: NDArray[np.float64]  # (n_points, d) coordinates, or the (n_points, n_points) distances
-    _precomputed: bool = False
-    _simplices: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None  # of all loops: created (c, 2), killed (c, 4)
+    _cloud: Cloud
+    _simplices: tuple[
+        NDArray[np.int64], NDArray[np.int64]
+    ]  # of all loops, the short too: created (c, 2), killed (c, 4)
 
     def __post_init__(self) -> None:
         for name in ("birth", "death", "birth_edge", "killer_edge", "killer_triangles"):
@@ -64,19 +63,6 @@ class Diagram:
     def lifetime(self) -> NDArray[np.float64]:
         """(n,) death - birth."""
         return self.death - self.birth
-
-    def distances_from(self, i: int) -> NDArray[np.float64]:
-        """(n_points,) distances from vertex `i` to every vertex."""
-        if self._precomputed:
-            return np.asarray(self._points[i])
-        points, scale = self._scaled
-        return np.asarray(np.sqrt(squares_from(points, i)) / scale)
-
-    @cached_property
-    def _scaled(self) -> tuple[NDArray[np.float64], float]:
-        """The coordinates times a power of two, and that factor."""
-        scale = power_of_two(self._points)
-        return self._points * scale, scale
 
     def neighbours(self, i: int) -> NDArray[np.int64]:
         """Triangles next to the killer triangles of loop `i`: on each of their four outer edges the one that comes first.
@@ -98,7 +84,7 @@ class Diagram:
             return np.empty((0, 3), dtype=np.int64)
         for x, y, apex in self.killer_triangles[i].tolist():
             for a, b, opposite in ((x, apex, y), (apex, y, x)):
-                to_a, to_b = self.distances_from(a), self.distances_from(b)
+                to_a, to_b = (self._cloud.lengths(v, slice(None)) for v in (a, b))
                 enters = np.maximum(np.maximum(to_a, to_b), to_a[b])
                 enters[[a, b, opposite]] = np.inf
                 c = int(np.argmin(enters))
@@ -180,17 +166,13 @@ class Diagram:
 
     @cached_property
     def _homology(self) -> Homology:
-        from ._cycles import homology  # numba takes a while to import
+        from ._cycles import Homology  # numba takes a while to import
 
-        return homology(self._points, self._precomputed, self.max_radius, self._simplices)
+        return Homology(self._cloud, *self._simplices)
 
     def _check_index(self, i: int) -> None:
         if not -len(self) <= i < len(self):
             raise IndexError(f"no loop {i}: the diagram has {len(self)}")
-
-    def value(self, simplex: NDArray[np.int64]) -> float:
-        """Filtration value of a simplex, given by its vertex ids: half its longest edge."""
-        return max(float(self.distances_from(int(v))[simplex].max()) for v in simplex) / 2
 
 
 def tighten(
@@ -237,25 +219,26 @@ def tighten(
     >>> tighten(points, [0, 1, 2, 4, 3], radius=1.2)
     array([0, 1, 2, 3])
     """
-    from . import rips_persistence  # it imports this module
-    from ._cycles import homology, sides
+    from ._cycles import Homology, sides  # numba takes a while to import
 
-    diagram = points if isinstance(points, Diagram) else rips_persistence(points, max_radius=0.0, metric=metric)
-    walk = _as_walk(cycle, diagram.n_points)
-    classes = diagram._homology
-    latest = max(classes.time(a, b) for a, b in sides(walk))
-    own = classes.side(*latest[1:]) / (2 * classes.scale)
-    scale = own if radius is None else positive(radius, "radius", infinite=True)
-    if own > scale * (1 + 1e-12):
+    diagram = points if isinstance(points, Diagram) else None
+    cloud = diagram._cloud if diagram is not None else Cloud.of(points, metric)  # type: ignore[arg-type]
+    walk = _as_walk(cycle, len(cloud))
+    a, b = np.sort(sides(walk)).T
+    key, low, high = max(zip(cloud.keys(a, b).tolist(), a.tolist(), b.tolist(), strict=True))
+    time = (key, low, high + 1)  # just after its latest edge
+    own = float(cloud.lengths(low, np.array(high))) / 2
+    bound = (own if radius is None else positive(radius, "radius", infinite=True)) * (1 + 1e-12)
+    if own > bound:
         raise ValueError(
-            f"cycle is not in the complex: it has an edge of half length {own}, longer than radius {scale}"
+            f"cycle is not in the complex: it has an edge of half length {own}, longer than radius {radius}"
         )
-    if scale * (1 + 1e-12) > diagram.max_radius:
-        classes = homology(diagram._points, diagram._precomputed, scale * (1 + 1e-12))
-    time = (latest[0], latest[1], latest[2] + 1)  # just after its latest edge
     if radius is not None:
-        longest = 2 * scale * classes.scale * (1 + 1e-15)
-        time = max(time, (longest if diagram._precomputed else longest**2, diagram.n_points, 0))
+        time = max(time, (cloud.key_of(2 * float(radius)), len(cloud), len(cloud)))
+    if diagram is not None and bound <= diagram.max_radius:
+        classes = diagram._homology
+    else:
+        classes = Homology(cloud, *pairs(cloud, bound)[:2])
     tight = classes.tightened(walk, time)
     if classes.length(tight) > classes.length(walk):  # by rounding
         tight = walk

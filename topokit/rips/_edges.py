@@ -1,21 +1,26 @@
 """Edges of a point cloud or of a matrix of distances, a window of lengths at a time, in the total order.
 
 A cloud comes as a kd-tree (`_tree`), whose boxes are walked in pairs so that only edges of about the right length are
-looked at. For a cloud a "length" here is squared: it orders edges alike and costs no root.
+looked at. For a cloud a "length" here is squared: it orders edges alike and costs no root. `edge_length` decides ties, so
+all compiled code asks it, and `_cloud.squares` is its like in NumPy, the same to the last bit.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from ._tree import between_boxes, centre, nearby_point
+from ._jit import njit
+from ._tree import LEAF, between_boxes, centre, nearby_point
 
+WINDOW = 1 << 22  # edges at a time, unless more have one length
+EDGE_BYTES = 76  # of room for an edge while it is sorted
+CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)  # of an edge's length; a little less, for rounding
+FEW = 8  # edges that insertion sorts as quickly as anything
 _BITS = 21  # of an int64 for a vertex, three times: two million vertices
 _MASK = (1 << _BITS) - 1
 
 
-@njit(cache=True, forceinline=True)
+@njit(forceinline=True)
 def edge_length(data, i, j, axes):
     """The entry of a matrix (no axes), or the squared distance of two points; the same for (i, j) and (j, i)."""
     if len(axes) == 0:
@@ -27,50 +32,49 @@ def edge_length(data, i, j, axes):
     return total
 
 
-@njit(cache=True, forceinline=True)
-def tie_precedes(label, a, b, x, y):
-    """Whether {a, b} precedes {x, y}, an edge of the same length, in the total order."""
-    a, b, x, y = label[a], label[b], label[x], label[y]
-    return min(a, b) < min(x, y) or (min(a, b) == min(x, y) and max(a, b) < max(x, y))
+@njit(forceinline=True)
+def precedes(length, a, b, other, x, y):
+    """Whether the edge {a, b} comes before {x, y} in the total order, given the lengths of both."""
+    if length != other:
+        return length < other
+    low, least = min(a, b), min(x, y)
+    return low < least or (low == least and max(a, b) < max(x, y))
 
 
-@njit(cache=True)
-def new_room():
+@njit()
+def new_room(capacity):
     """Arrays for `edges_between` to fill, handed on from window to window: fresh memory costs more than what is done in it."""
-    return np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64), np.empty(0), np.empty(0, np.int32)
+    return (
+        np.empty(capacity, np.int64),
+        np.empty(capacity),
+        np.empty(capacity, np.int64),
+        np.empty(capacity),
+        np.empty(capacity + 2, np.int32),
+    )
 
 
-@njit(cache=True, forceinline=True)
+@njit(forceinline=True)
 def ends_of(key):
-    """Both ends of an edge, and a vertex near its middle."""
+    """Both ends of an edge, and a vertex near its middle; negative when one is so near that the lune is a cone."""
     return key & _MASK, (key >> _BITS) & _MASK, key >> (2 * _BITS)
 
 
-@njit(cache=True)
-def _most_edges(tree, shortest, longest):
-    """An upper bound for the edges that the walk below finds."""
-    start, end = tree.start, tree.end
-    pairs, top, most_edges = np.zeros((272, 2), dtype=np.int64), 0, 0
-    while top >= 0:
-        a, b = pairs[top, 0], pairs[top, 1]
-        top -= 1
-        least, most = between_boxes(tree, a, b)
-        if least >= longest or most < shortest:
-            continue
-        if a < tree.first_leaf:
-            for i in range(1, 3):
-                for j in range(1, 3):
-                    if a != b or i <= j:
-                        top += 1
-                        pairs[top, 0], pairs[top, 1] = 2 * a + i, 2 * b + j
-            continue
-        most_edges += (end[a] - start[a]) * (end[b] - start[b])
-    return most_edges
+@njit(forceinline=True)
+def _middle(tree, a, b, shortest, place):
+    """A vertex near the middle of the edges between two leaves; -1 when one is near enough for the lunes to be cones.
+
+    A lune lies within sqrt(3)/2 of the edge's length from its midpoint. What is within the rest of the length is joined to
+    all of it before the edge arrives.
+    """
+    spread = centre(tree, a, b, place)
+    middle, apart = nearby_point(tree, place)
+    near = CONE * np.sqrt(shortest) - spread
+    return -1 if near > 0.0 and apart < near * near else middle
 
 
-@njit(cache=True)
+@njit()
 def _edges_of_points(tree, shortest, longest, keys, lengths):
-    """All edges with shortest <= squared length < longest, by walking pairs of boxes of the tree; their number."""
+    """Find all edges with shortest <= squared length < longest by walking pairs of boxes; their number, -1 if room is short."""
     points, axes, start, end = tree.points, tree.axes, tree.start, tree.end
     pairs, top, size = np.zeros((272, 2), dtype=np.int64), 0, 0
     place = np.empty(len(axes))
@@ -87,25 +91,25 @@ def _edges_of_points(tree, shortest, longest, keys, lengths):
                         top += 1
                         pairs[top, 0], pairs[top, 1] = 2 * a + i, 2 * b + j
             continue
-        centre(tree, a, b, place)
-        middle = nearby_point(tree, place) << (2 * _BITS)
+        if size + LEAF * LEAF > len(keys):
+            return -1
+        middle = _middle(tree, a, b, max(least, shortest), place) << (2 * _BITS)
         for x in range(start[a], end[a]):
             for y in range(x + 1 if a == b else start[b], end[b]):
-                length = 0.0
-                for k in range(len(axes)):
-                    step = points[x, k] - points[y, k]
-                    length += step * step
+                length = edge_length(points, x, y, axes)
                 keys[size] = middle | (y << _BITS) | x
                 lengths[size] = length
                 size += (shortest <= length) & (length < longest)  # no branch: it could not be foreseen
     return size
 
 
-@njit(cache=True)
+@njit()
 def _edges_of_matrix(data, shortest, longest, keys, lengths):
-    """All edges with shortest <= length < longest; their number. One end stands for the middle."""
+    """Find all edges with shortest <= length < longest; their number, -1 if room is short. One end stands for the middle."""
     size = 0
     for x in range(len(data)):
+        if size + len(data) - x > len(keys):
+            return -1
         for y in range(x + 1, len(data)):
             keys[size] = (x << (2 * _BITS)) | (y << _BITS) | x
             lengths[size] = length = data[x, y]
@@ -113,11 +117,35 @@ def _edges_of_matrix(data, shortest, longest, keys, lengths):
     return size
 
 
-@njit(cache=True)
+@njit(forceinline=True)
+def _comes_before(key, length, other_key, other_length, label):
+    """Whether an edge comes before another in the total order."""
+    if length != other_length:
+        return length < other_length
+    a, b, _ = ends_of(key)
+    x, y, _ = ends_of(other_key)
+    return precedes(length, label[a], label[b], length, label[x], label[y])
+
+
+@njit()
+def _sort_slice(keys, lengths, label):
+    """Put edges in the total order, however many have almost the same length: by their ends, then stably by length."""
+    ends = np.empty(len(keys), np.int64)
+    for e in range(len(keys)):
+        x, y, _ = ends_of(keys[e])
+        ends[e] = min(label[x], label[y]) << _BITS | max(label[x], label[y])
+    order = np.argsort(ends, kind="mergesort")
+    order = order[np.argsort(lengths[order], kind="mergesort")]
+    keys[:], lengths[:] = keys[order], lengths[order]
+
+
+@njit()
 def _sort(room, m, label, shortest, longest):
     """Put m edges in the total order: a slice of lengths holds about one edge, and insertion does the rest."""
     keys, lengths, sorted_keys, sorted_lengths, start = room
     scale = m / (longest - shortest)
+    if not scale < 1e300:  # tiny distances: the place of a slice would not be a number
+        scale = 0.0
     start[: m + 2] = 0
     for e in range(m):
         start[min(int((lengths[e] - shortest) * scale), m - 1) + 2] += 1
@@ -127,56 +155,67 @@ def _sort(room, m, label, shortest, longest):
         s = min(int((lengths[e] - shortest) * scale), m - 1) + 1
         sorted_keys[start[s]], sorted_lengths[start[s]] = keys[e], lengths[e]
         start[s] += 1
+    for s in range(m):
+        if start[s + 1] - start[s] > FEW:
+            _sort_slice(sorted_keys[start[s] : start[s + 1]], sorted_lengths[start[s] : start[s + 1]], label)
     for e in range(1, m):
-        key, length = sorted_keys[e], sorted_lengths[e]
-        i = e
-        while i > 0 and (
-            sorted_lengths[i - 1] > length
-            or (sorted_lengths[i - 1] == length and _tied_before(label, key, sorted_keys[i - 1]))
-        ):
+        key, length, i = sorted_keys[e], sorted_lengths[e], e
+        while i > 0 and _comes_before(key, length, sorted_keys[i - 1], sorted_lengths[i - 1], label):
             sorted_keys[i], sorted_lengths[i] = sorted_keys[i - 1], sorted_lengths[i - 1]
             i -= 1
         sorted_keys[i], sorted_lengths[i] = key, length
 
 
-@njit(cache=True, forceinline=True)
-def _tied_before(label, key, other):
-    a, b, _ = ends_of(key)
-    x, y, _ = ends_of(other)
-    return tie_precedes(label, a, b, x, y)
-
-
-@njit(cache=True)
-def edges_between(data, axes, tree, shortest, longest, room):
-    """The edges with shortest <= length < longest, in the total order.
+@njit()
+def edges_between(data, axes, tree, shortest, longest, room, most):
+    """Find the edges with shortest <= length < longest, or with a smaller bound if they are many, in the total order.
 
     Returns
     -------
     room : tuple
-        To be handed to the next call.
-    keys, lengths : (m,) int64, float64
-        Views of it, good until then; `ends_of` reads a key.
+        To be handed to the next call. Its third and fourth arrays hold the edges and their lengths; `ends_of` reads an edge.
+    m : int
+        Number of edges.
+    longest : float
+        The bound up to which these are all edges.
+
+    Raises
+    ------
+    MemoryError
+        When more than `most` edges have the same length.
     """
-    most = len(data) * len(data) // 2 if len(axes) == 0 else _most_edges(tree, shortest, longest)
-    if most >= len(room[0]):  # memory that is never written to is never taken
-        room = (np.empty(most + 1, np.int64), np.empty(most + 1), room[2], room[3], room[4])
-    if len(axes) == 0:
-        m = _edges_of_matrix(data, shortest, longest, room[0], room[1])
-    else:
-        m = _edges_of_points(tree, shortest, longest, room[0], room[1])
-    if m > len(room[2]):
-        room = (room[0], room[1], np.empty(m, np.int64), np.empty(m), np.empty(m + 2, np.int32))
-    _sort(room, m, tree.label, shortest, longest)
-    return room, room[2][:m], room[3][:m]
+    while True:
+        if len(axes) == 0:
+            m = _edges_of_matrix(data, shortest, longest, room[0], room[1])
+        else:
+            m = _edges_of_points(tree, shortest, longest, room[0], room[1])
+        if m >= 0:
+            _sort(room, m, tree.label, shortest, longest)
+            return room, m, longest
+        middle = shortest + 0.5 * (longest - shortest)
+        if len(room[0]) >= min(WINDOW, most) and shortest < middle < longest:
+            longest = middle
+        elif len(room[0]) < most:
+            room = new_room(min(2 * len(room[0]), most))
+        else:
+            raise MemoryError("edges of one length")
 
 
-@njit(cache=True)
+@njit()
+def next_window(data, axes, shortest, longest, m):
+    """The bound of the window after one with m edges: as many again or more, and not too many more."""
+    growth = 0.5 * longest if len(axes) == 0 else longest
+    ratio = max(1.0, 0.5 * WINDOW / (m + 1))
+    return longest + max(min(growth, ratio * (longest - shortest)), 1e-6 * longest)
+
+
+@njit()
 def greatest_length(data, axes, tree):
     """An upper bound of all lengths."""
     return data.max() if len(axes) == 0 else between_boxes(tree, 0, 0)[1]
 
 
-@njit(cache=True)
+@njit()
 def first_window(data, axes, tree):
     """A length below which most vertices have their nearest neighbours."""
     total, n = 0.0, len(data)
@@ -188,4 +227,4 @@ def first_window(data, axes, tree):
                 nearest = min(nearest, edge_length(data, x, y, axes))
         total += nearest if len(axes) == 0 else np.sqrt(nearest)
     first = 2.0 * total / n if len(axes) == 0 else (2.5 * total / n) ** 2
-    return max(first, 1e-6 * greatest_length(data, axes, tree))
+    return max(first, 1e-6 * greatest_length(data, axes, tree), 5e-324)

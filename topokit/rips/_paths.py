@@ -3,72 +3,46 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["edge_key", "lune_vertex", "neighbours", "shortest_paths"]
+from ._edges import edge_length, precedes
+from ._jit import njit
 
-Time = tuple[float, int, int]  # what orders edges: (length or its square, smaller index, larger index)
+Time = tuple[float, int, int]  # what `edge_length` says of an edge, and its ends
 _Array = NDArray[np.float64]
+_Axes = tuple[int, ...]
 
 
-@njit(cache=True, inline="always")
-def _key(data: _Array, precomputed: bool, i: int, j: int) -> float:
-    """The distance of two vertices, or its square: what orders edges."""
-    if precomputed:
-        return data[i, j]
-    total = 0.0
-    for k in range(data.shape[1]):
-        step = data[i, k] - data[j, k]
-        total += step * step
-    return total
-
-
-@njit(cache=True)
-def edge_key(data: _Array, precomputed: bool, i: int, j: int) -> float:
-    """`_key`, to be called from Python."""
-    return _key(data, precomputed, i, j)
-
-
-@njit(cache=True, inline="always")
-def _precedes(key: float, i: int, j: int, time: Time) -> bool:
-    """Whether the edge {i, j} arrives before a time."""
-    if key != time[0]:
-        return key < time[0]
-    low, high = min(i, j), max(i, j)
-    return low < time[1] or (low == time[1] and high < time[2])
-
-
-@njit(cache=True)
-def lune_vertex(data: _Array, precomputed: bool, x: int, y: int) -> int:
+@njit()
+def lune_vertex(data: _Array, axes: _Axes, x: int, y: int) -> int:
     """The vertex z that completes the earliest triangle before the edge {x, y}, x < y; -1 when its lune is empty."""
-    time = (_key(data, precomputed, x, y), x, y)
+    length = edge_length(data, x, y, axes)
     best, least = -1, np.inf
     for z in range(len(data)):
         if z in (x, y):
             continue
-        to_x, to_y = _key(data, precomputed, x, z), _key(data, precomputed, y, z)
+        to_x, to_y = edge_length(data, x, z, axes), edge_length(data, y, z, axes)
         later = max(to_x, to_y)
-        if later < least and _precedes(to_x, x, z, time) and _precedes(to_y, y, z, time):
+        if later < least and precedes(to_x, x, z, length, x, y) and precedes(to_y, y, z, length, x, y):
             best, least = z, later
     return best
 
 
-@njit(cache=True)
-def neighbours(data: _Array, precomputed: bool, v: int, time: Time) -> tuple[NDArray[np.int64], _Array]:
+@njit()
+def neighbours(data: _Array, axes: _Axes, v: int, time: Time) -> tuple[NDArray[np.int64], _Array]:
     """The vertices joined to v before a time, and the lengths of the edges to them."""
     found, lengths, size = np.empty(len(data), np.int64), np.empty(len(data)), 0
     for w in range(len(data)):
-        key = _key(data, precomputed, v, w)
-        if w != v and _precedes(key, v, w, time):
-            found[size], lengths[size] = w, key if precomputed else np.sqrt(key)
+        key = edge_length(data, v, w, axes)
+        if w != v and precedes(key, v, w, time[0], time[1], time[2]):
+            found[size], lengths[size] = w, key if len(axes) == 0 else np.sqrt(key)
             size += 1
     return found[:size], lengths[:size]
 
 
-@njit(cache=True)
+@njit()
 def shortest_paths(
-    data: _Array, precomputed: bool, time: Time, targets: NDArray[np.int64], stop: int
+    data: _Array, axes: _Axes, time: Time, targets: NDArray[np.int64], stop: int
 ) -> tuple[_Array, NDArray[np.int64]]:
     """Shortest paths along edges that precede a time, to the nearest target, by Dijkstra's method.
 
@@ -94,9 +68,9 @@ def shortest_paths(
         for w in range(n):
             if done[w]:
                 continue
-            key = _key(data, precomputed, v, w)
-            if _precedes(key, v, w, time):
-                way = length[v] + (key if precomputed else np.sqrt(key))
+            key = edge_length(data, v, w, axes)
+            if precedes(key, v, w, time[0], time[1], time[2]):
+                way = length[v] + (key if len(axes) == 0 else np.sqrt(key))
                 if way < length[w] or (way == length[w] and steps[v] + 1 < steps[w]):
                     length[w], after[w], steps[w] = way, v, steps[v] + 1
     for w in range(n):

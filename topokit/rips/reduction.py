@@ -14,16 +14,16 @@ Source: Edelsbrunner, Letscher, Zomorodian 2002; Cohen-Steiner, Edelsbrunner, Mo
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from .._validate import as_points, positive
-from ._lengths import power_of_two, squares_from
+from .._validate import positive
+from ._cloud import Cloud
 
 __all__ = ["MAX_SIMPLICES", "Pair", "Reduction", "Simplex", "filtration", "persistence", "reduce"]
 
@@ -117,7 +117,7 @@ class Reduction:
         return Pair(
             degree=len(first.vertices) - 1,
             birth=first.value,
-            death=last.value if last else np.inf,
+            death=last.value if last else math.inf,
             birth_simplex=first.vertices,
             death_simplex=last.vertices if last else None,
             birth_edge=first.latest_edge,
@@ -127,7 +127,7 @@ class Reduction:
 
 
 def persistence(
-    points: ArrayLike, degree: int = 1, *, max_radius: float = np.inf, metric: str = "euclidean"
+    points: ArrayLike, degree: int = 1, *, max_radius: float = math.inf, metric: str = "euclidean"
 ) -> list[Pair]:
     """Compute the Vietoris-Rips persistence of a small cloud in one degree by reducing the boundary matrix.
 
@@ -172,7 +172,7 @@ def persistence(
 
 
 def filtration(
-    points: ArrayLike, dimension: int, *, max_radius: float = np.inf, metric: str = "euclidean"
+    points: ArrayLike, dimension: int, *, max_radius: float = math.inf, metric: str = "euclidean"
 ) -> list[Simplex]:
     """List the simplices of the Rips complex up to a dimension, in the order in which they arrive.
 
@@ -182,10 +182,14 @@ def filtration(
 
     Parameters
     ----------
-    points, max_radius, metric
+    points : (n, d) array_like
         As in `persistence`.
     dimension : int
         Of the largest simplices.
+    max_radius : float
+        As in `persistence`.
+    metric : {"euclidean", "precomputed"}
+        As in `persistence`.
 
     Returns
     -------
@@ -260,21 +264,12 @@ def reduce(simplices: Sequence[Simplex]) -> Reduction:
 
 def _edges(points: ArrayLike, max_radius: float, metric: str) -> tuple[int, list[tuple[float, int, int]]]:
     """Number of points, and the edges up to a length as (length, i, j), i < j, in the total order."""
-    from . import _check_distances  # this module must be importable from there
-
-    if metric not in ("euclidean", "precomputed"):
-        raise ValueError(f'metric must be "euclidean" or "precomputed", not {metric!r}')
-    array = as_points(points)
-    if metric == "precomputed":
-        _check_distances(array)
-    n = len(array)
-    # Edges of points are ordered by squared length: roots may hide a difference.
-    scale = 1.0 if metric == "precomputed" else power_of_two(array)
+    cloud = Cloud.of(points, metric)
+    n = len(cloud)
     edges: list[tuple[float, int, int, float]] = []
-    for i in range(len(array)):
-        keys = array[i] if metric == "precomputed" else squares_from(array * scale, i)
-        lengths = keys if metric == "precomputed" else np.sqrt(keys) / scale
-        edges += [(float(keys[j]), i, j, float(lengths[j])) for j in range(i + 1, n) if lengths[j] / 2 <= max_radius]
+    for i in range(n):
+        keys, lengths = cloud.keys(i, slice(None)).tolist(), cloud.lengths(i, slice(None)).tolist()
+        edges += [(keys[j], i, j, lengths[j]) for j in range(i + 1, n) if lengths[j] / 2 <= max_radius]
         _check_size(n + len(edges), n, 1)
     return n, [(length, i, j) for _, i, j, length in sorted(edges)]
 

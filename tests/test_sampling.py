@@ -1,0 +1,79 @@
+"""Samples and distances: small clouds with literal answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topokit import covering_radius, farthest_point_sample, hausdorff
+from topokit.sampling import spacing
+
+LINE = np.array([[3.0], [4.0], [5.0], [9.0], [4.5]])
+
+
+@pytest.mark.parametrize(
+    ("n", "start", "idx", "radius"),
+    [
+        (1, 0, [0], 6.0),
+        (2, 0, [0, 3], 2.0),
+        (3, 0, [0, 3, 2], 1.0),
+        (5, 0, [0, 3, 2, 1, 4], 0.0),
+        (2, -2, [3, 0], 2.0),
+        (2, -5, [0, 3], 2.0),
+        (2, 4, [4, 3], 1.5),
+    ],
+)
+def test_the_farthest_comes_next_and_ties_go_to_the_first(n, start, idx, radius):
+    found, covered = farthest_point_sample(LINE, n, start)
+    assert (found.tolist(), covered) == (idx, radius)
+    assert covering_radius(LINE, LINE[found]) == radius
+    if start == 0:
+        assert farthest_point_sample(LINE, n)[0].tolist() == idx
+
+
+@pytest.mark.parametrize(
+    ("n", "start", "says"),
+    [(0, 0, "n must be 1 to 5"), (6, 0, "n must be 1 to 5, .* not 6"), (1, 5, "start must"), (1, -6, "start must")],
+)
+def test_numbers_out_of_range_are_named(n, start, says):
+    with pytest.raises(ValueError, match=says):
+        farthest_point_sample(LINE, n, start)
+
+
+def test_the_covering_radius_has_a_direction_and_hausdorff_has_none():
+    assert covering_radius([[0.0], [7.0]], [[1.0]]) == 6.0
+    assert covering_radius([[1.0]], [[0.0], [7.0]]) == 1.0
+    assert hausdorff([[0.0], [7.0]], [[1.0]]) == hausdorff([[1.0]], [[0.0], [7.0]]) == 6.0
+
+
+@pytest.mark.parametrize(
+    ("dense", "sample", "says"),
+    [
+        (np.empty((0, 2)), [[0, 0]], "at least one point each"),
+        ([[0, 0]], np.empty((0, 2)), "at least one point each"),
+        ([[0, 0]], [[0, 0, 0]], "dense has 2 dimensions, sample 3"),
+        ([[np.nan, 0]], [[0, 0]], "dense has 1 of 1 points with a NaN"),
+        ([[0, 0]], [[0, np.nan]], "sample has 1 of 1 points with a NaN"),
+    ],
+)
+def test_clouds_that_cannot_be_compared_are_named(dense, sample, says):
+    with pytest.raises(ValueError, match=says):
+        covering_radius(dense, sample)
+
+
+@pytest.mark.parametrize(
+    ("cloud", "half"),
+    [
+        ([[5.0]], 0.0),
+        ([[5.0], [5.0]], 0.0),
+        ([[5.0], [8.0]], 1.5),
+        ([[5.0], [8.0], [5.0]], 1.5),
+        ([[0.0], [-0.0], [0.0]], 0.0),
+        ([[0.0], [-0.0], [3.0]], 1.5),
+        ([[0.0], [1.0], [3.0], [9.0]], 3.0),
+        ([[0.0], [0.0], [1.0], [3.0], [3.0], [9.0], [9.0]], 3.0),
+        ([[1e-17], [0.0], [4.0], [4.0]], 2.0),
+    ],
+)
+def test_spacing_is_half_the_widest_gap_between_different_points(cloud, half):
+    assert spacing(np.array(cloud)) == half

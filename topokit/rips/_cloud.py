@@ -1,0 +1,173 @@
+"""A cloud as the kernel reads it, and the way from there to births, deaths and simplices."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._validate import as_points
+
+MEMORY = 4 << 30  # bytes that the tables for one cloud may take
+_PATIENCE = 3.0  # seconds of compiling before it is said
+_ready: set[tuple[int, ...]] = set()
+_compiling = threading.Lock()
+_kept = threading.local()  # each thread's room for edges, kept from one cloud to the next
+
+Pairs = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points or distances, checked and copied.
+
+    Edges of points are ordered by squared length: roots may hide a difference. A power of two saves squares from overflow
+    and underflow, and costs no digit.
+    """
+
+    data: NDArray[np.float64]  # (n, d) coordinates times `scale`, d >= 3; or (n, n) distances
+    axes: tuple[int, ...]  # d zeros; none for distances
+    scale: float
+
+    @classmethod
+    def of(cls, points: ArrayLike, metric: str = "euclidean") -> Cloud:
+        """Check `points`, (n, d) coordinates or with ``metric="precomputed"`` the (n, n) distances, and copy them."""
+        if metric not in ("euclidean", "precomputed"):
+            raise ValueError(f'metric must be "euclidean" or "precomputed", not {metric!r}')
+        array = as_points(points)
+        if metric == "precomputed":
+            _check_distances(array)
+            return cls(array.copy(), (), 1.0)
+        exponent = int(np.frexp(np.abs(array).max(initial=0.0))[1])
+        scale = 2.0 ** -min(max(exponent, -1000), 1000)
+        flat = np.zeros(
+            (len(array), max(3 - array.shape[1], 0))
+        )  # the plane is a part of space: fewer kernels to compile
+        data = np.hstack([array * scale, flat])
+        return cls(data, (0,) * data.shape[1], scale)
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    def keys(self, i: int | NDArray[np.int64], j: NDArray[np.int64] | slice) -> NDArray[np.float64]:
+        """What orders edges from i to j: distances of a matrix, squared lengths times `scale` twice for points."""
+        return squares(self.data[i], self.data[j]) if self.axes else self.data[i, j]
+
+    def lengths(self, i: int | NDArray[np.int64], j: NDArray[np.int64] | slice) -> NDArray[np.float64]:
+        """Lengths of edges from i to j, in the unit of the points."""
+        return np.asarray(np.sqrt(self.keys(i, j)) / self.scale if self.axes else self.keys(i, j))
+
+    def key_of(self, length: float) -> float:
+        """What an edge of a length has for a key, in floating point rather too much than too little."""
+        scaled = length * self.scale * (1 + 1e-15)
+        return scaled * scaled if self.axes else scaled
+
+
+def squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squared distances of points, summed axis by axis as the kernels do; NumPy's `sum` pairs the terms."""
+    total = np.zeros(np.broadcast_shapes(one.shape, other.shape)[:-1])
+    for axis in range(one.shape[-1]):
+        total += (one[..., axis] - other[..., axis]) ** 2
+    return total
+
+
+def _check_distances(matrix: NDArray[np.float64]) -> None:
+    """Raise ValueError when the matrix cannot be one of distances; the message names the entry."""
+    if matrix.shape[0] != matrix.shape[1]:
+        raise ValueError(
+            f'with metric="precomputed", points must be a square matrix of distances, not of shape {matrix.shape}'
+        )
+    for wrong, what in (
+        (matrix < 0, "negative"),
+        (matrix != matrix.T, "not symmetric"),
+        (np.diag(np.diag(matrix) != 0), "not zero on the diagonal"),
+    ):
+        if wrong.any():
+            i, j = np.argwhere(wrong)[0].tolist()
+            raise ValueError(
+                f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]} there and {matrix[j, i]} at [{j}, {i}]"
+            )
+
+
+def pairs(cloud: Cloud, max_radius: float) -> Pairs:
+    """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,)."""
+    if len(cloud) < 4 or (
+        cloud.axes and not cloud.data[:, 1:].any()
+    ):  # a loop needs four vertices, and room to go around
+        return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
+    created, killed = _kernel(cloud, cloud.key_of(2 * max_radius))
+    birth, death = (cloud.lengths(edges[:, 0], edges[:, 1]) / 2 for edges in (created, killed))
+    death[(killed[:, 0] < 0) | (death > max_radius)] = np.inf
+    killed[np.isinf(death)] = -1
+    inside = birth <= max_radius
+    return created[inside], killed[inside], birth[inside], death[inside]
+
+
+def _kernel(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Run the kernel within `MEMORY`."""
+    n = len(cloud)
+    bits = n * ((n + 63) // 64) * 8
+    if bits > MEMORY:
+        raise _too_large(n, f"{bits / 1e9:.1f} GB for a bit for each pair of points")
+    _compile(cloud.axes)
+    try:
+        return _run(cloud, max_length, MEMORY - bits)
+    except MemoryError as error:
+        what = "edges of the same length" if "one length" in str(error) else "loops, however short"
+        raise _too_large(n, f"more than that: there are very many {what}") from error
+
+
+def _too_large(n: int, needs: str) -> MemoryError:
+    return MemoryError(
+        f"persistence may take {MEMORY / 1e9:.1f} GB for one cloud, and these {n} points need {needs}; "
+        "take a subset (topokit.farthest_point_sample)"
+    )
+
+
+def _run(cloud: Cloud, max_length: float, spare: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    from ._edges import EDGE_BYTES, WINDOW, new_room  # numba takes a while to import
+    from ._tree import build_tree
+    from .kernel import pair_edges
+
+    if cloud.axes:
+        tree = build_tree(cloud.data, cloud.axes)
+        data = tree.points
+    else:
+        tree = build_tree(np.zeros((1, 1)), (0,))._replace(label=np.arange(len(cloud)))
+        data = cloud.data
+    room = getattr(_kept, "room", None)
+    if room is None or EDGE_BYTES * len(room[0]) > spare // 2:
+        room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
+    room, created, killed = pair_edges(data, cloud.axes, tree, max_length, room, spare)
+    _kept.room = room if len(room[0]) <= WINDOW else None
+    label = np.append(tree.label, -1)  # of what is not there
+    created, killed = label[created], label[killed]
+    return np.sort(created), np.hstack([np.sort(killed[:, :2]), killed[:, 2:]])
+
+
+def _compile(axes: tuple[int, ...]) -> None:
+    """Compile the kernel for points of a dimension (none: a matrix) on a tiny cloud, or load it; once a process."""
+    with _compiling:
+        if axes in _ready:
+            return
+        what = f"points in {len(axes)} dimensions" if axes else "matrices of distances"
+        with _announced(f"topokit: compiling the persistence kernel for {what} (once; kept for the next time)"):
+            _run(Cloud(np.zeros((4, len(axes) or 4)), axes, 1.0), 1.0, MEMORY)
+        _ready.add(axes)
+
+
+@contextlib.contextmanager
+def _announced(message: str) -> Iterator[None]:
+    """Say on stderr what is being waited for, when it takes long."""
+    timer = threading.Timer(_PATIENCE, lambda: print(message, file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
