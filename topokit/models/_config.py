@@ -51,9 +51,7 @@ class TrainConfig:
     dataset: str = ""  #: directory of a dataset, relative to the configuration's file
     out: str = "run"  #: directory for checkpoints and logs, relative to the configuration's file
     options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
-    windows: dict[str, Any] = field(
-        default_factory=dict
-    )  #: of `topokit.data.WindowDataset`: which labels, which stride
+    windows: dict[str, Any] = field(default_factory=dict)  #: of `topokit.data.WindowDataset`: labels, stride
     shape: Shape = field(default_factory=Shape)  #: sizes of a window
     loss: LossWeights = field(default_factory=LossWeights)  #: what is minimised
     split: dict[str, Any] = field(default_factory=dict)  #: of `Dataset.split`; its "train" and "validation" are read
