@@ -372,7 +372,7 @@ def test_wrong_and_damaged_checkpoints_are_told_apart(tmp_path):
     with pytest.raises(FileNotFoundError, match="a folder"):
         Predictor.load(tmp_path)
     for content, says in (
-        (b"", "empty"),
+        (b"", "truncated or damaged"),
         (whole[:-100], "truncated or damaged"),
         (whole[:50], "truncated or damaged"),
         (b"\x80\x04." + bytes(100), "no checkpoint, or a truncated or damaged one"),
@@ -388,11 +388,11 @@ def test_checkpoints_for_other_shapes_or_models(tmp_path):
     path = tmp_path / "c.safetensors"
     save(path, shape={"history": 16, "horizon": 60, "points": POINTS, "slots": 3})
     with pytest.raises(
-        FormatError, match=r"weights of another shape: 'mlp' as described has rest\.\S+ \(5760.*the file \(7680"
+        FormatError, match=r"weights of another shape: .*MLP: size mismatch for rest\.\S+:.*\[7680.*model is .*\[5760"
     ):
         Predictor.load(path)
     save(path, model="loopcast", options={})
-    with pytest.raises(FormatError, match=r"weights of another shape: 'loopcast'.*not at all"):
+    with pytest.raises(FormatError, match=r"weights of another shape: .*LoopCast: Missing key.*slot_name"):
         Predictor.load(path)
     save(path, model="transformer")
     with pytest.raises(FormatError, match="no model 'transformer'; there are hold, carry"):

@@ -20,8 +20,7 @@ from topokit.models import (
     target_states,
 )
 from topokit.models._baselines import past_window
-from topokit.models._mixture import sigma_points
-from topokit.models._states import corners_of
+from topokit.models._states import corners_of, sigma_points
 
 from windows import SLOTS, RingWindows
 

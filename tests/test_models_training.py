@@ -32,9 +32,8 @@ from topokit.models import (
     target_states,
     train,
 )
-from topokit.models._augment import mirrored, spoilt
-from topokit.models._paper import PointNet
-from topokit.models._windows import epoch_order
+from topokit.models._baselines import PointNet
+from topokit.models._config import epoch_order, mirrored, spoilt
 
 from windows import POINTS, SLOTS, RingWindows
 

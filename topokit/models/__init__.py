@@ -1,9 +1,6 @@
 """Predictive models: from the last clouds and the planned actions to the topological states of the next frames.
 
-    from topokit.models import Predictor
-
 Needs `pip install topokit[learn]`; nothing here imports torch before it is used.
-
 Source: Antonova et al. 2021, section 5. Taught in chapter 10.
 """
 
@@ -14,18 +11,12 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._augment import Spoiling
     from ._base import PAST, Normalisation, PredictiveModel, Shape
-    from ._checkpoint import load_model, load_tensors
-    from ._config import TrainConfig, load_config
-    from ._forecast import Forecast, PredictedLoop
-    from ._losses import LossWeights, forecast_loss, match_slots
-    from ._mixture import loop_mixtures
-    from ._predictor import Predictor
-    from ._registry import MODELS, build
-    from ._states import States, past_states, target_states
+    from ._checkpoint import MODELS, build, load_model, load_tensors
+    from ._config import Spoiling, TrainConfig, Windows, load_config, open_windows
+    from ._predictor import Forecast, PredictedLoop, Predictor
+    from ._states import LossWeights, States, forecast_loss, loop_mixtures, match_slots, past_states, target_states
     from ._training import train
-    from ._windows import Windows, open_windows
 
 __all__ = [
     "MODELS",
@@ -57,18 +48,12 @@ __all__ = [
 __getattr__ = attach(
     __name__,
     {
-        "_augment": "Spoiling",
         "_base": "PAST Normalisation PredictiveModel Shape",
-        "_checkpoint": "load_model load_tensors",
-        "_config": "TrainConfig load_config",
-        "_forecast": "Forecast PredictedLoop",
-        "_losses": "LossWeights forecast_loss match_slots",
-        "_mixture": "loop_mixtures",
-        "_predictor": "Predictor",
-        "_registry": "MODELS build",
-        "_states": "States past_states target_states",
+        "_checkpoint": "MODELS build load_model load_tensors",
+        "_config": "Spoiling TrainConfig Windows load_config open_windows",
+        "_predictor": "Forecast PredictedLoop Predictor",
+        "_states": "LossWeights States forecast_loss loop_mixtures match_slots past_states target_states",
         "_training": "train",
-        "_windows": "Windows open_windows",
     },
     extra="learn",
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 
 import torch
 from torch import Tensor, nn
@@ -12,7 +11,7 @@ from torch.nn import functional
 from topokit._config import Count, checked
 from topokit.io import HISTORY, HORIZON
 
-from ._states import States
+from ._states import States, Window
 
 PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "step", "present"))
 
@@ -21,41 +20,21 @@ Context = dict[str, Tensor]
 
 @checked
 class Shape:
-    """Sizes of a window.
+    """Sizes of a window."""
 
-    Attributes
-    ----------
-    history, horizon : int
-        Frames that are seen and forecast.
-    points : int
-        Of a cloud.
-    slots : int
-        Loops that are forecast at most.
-    """
-
-    history: Count = HISTORY
-    horizon: Count = HORIZON
-    points: Count = 128
-    slots: Count = 4
+    history: Count = HISTORY  #: frames that are seen
+    horizon: Count = HORIZON  #: frames that are forecast
+    points: Count = 128  #: of a cloud
+    slots: Count = 4  #: loops that are forecast at most
 
 
 @checked
 class Normalisation:
-    """Where coordinates and filtration values lie in the training split; models see (x - origin) / scale.
+    """Where coordinates and filtration values lie in the training split; models see (x - origin) / scale."""
 
-    Attributes
-    ----------
-    origin : (3,) float
-        Mean of the clouds, metres.
-    scale : float
-        Root mean square distance from it along an axis, metres.
-    value : float
-        Mean death of the loops, metres.
-    """
-
-    origin: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    scale: float = 0.2
-    value: float = 0.05
+    origin: tuple[float, float, float] = (0.0, 0.0, 1.0)  #: mean of the clouds, metres
+    scale: float = 0.2  #: root mean square distance from it along an axis, metres
+    value: float = 0.05  #: mean death of the loops, metres
 
 
 class PredictiveModel(nn.Module, ABC):
@@ -88,10 +67,7 @@ class PredictiveModel(nn.Module, ABC):
 
     @abstractmethod
     def gather(self, kept: Context) -> Context:
-        """What the forecast needs of the frames that `encode_frames` kept, (B, F, ...), in the order of `self.frames`.
-
-        If `tracked`, with the tracked states, (B, history, ...), the newest first.
-        """
+        """What the forecast needs of the frames kept, (B, F, ...), and of the tracked states, (B, history, ...) newest first."""
 
     @abstractmethod
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
@@ -107,13 +83,10 @@ class PredictiveModel(nn.Module, ABC):
         """
 
     def present_states(self, context: Context) -> States | None:
-        """Return the present state as the model estimates it on its way, (B, 1, slots); None when it does not.
-
-        More steps than one are more estimates of the same state.
-        """
+        """Return estimates of the present state that the model makes on its way, (B, n, slots); None when it makes none."""
         return None
 
-    def encode(self, window: Mapping[str, Tensor]) -> Context:
+    def encode(self, window: Window) -> Context:
         """Everything that does not depend on the plan."""
         look = [self.shape.history - 1 - back for back in self.frames]
         frames = {name: window[name][:, look] for name in self.inputs}
@@ -124,7 +97,7 @@ class PredictiveModel(nn.Module, ABC):
             kept |= {name: window[name].flip(1) for name in PAST} | {"past_grippers": window["grippers"].flip(1)}
         return self.gather(kept)
 
-    def forward(self, window: Mapping[str, Tensor]) -> tuple[States, States | None]:
+    def forward(self, window: Window) -> tuple[States, States | None]:
         """The forecast, and the present state when the model estimates it."""
         context = self.encode(window)
         return self.decode(context, window["actions"], window["actions_held"]), self.present_states(context)
@@ -134,21 +107,20 @@ class PredictiveModel(nn.Module, ABC):
         return (points - self.origin) / self.normalisation.scale
 
     def _states(self, numbers: Tensor, about: Tensor) -> States:
-        """The last layer of a network (..., NUMBERS) as states; corners are `scale` times the first 24, about a place (..., 3).
-
-        Birth, lifetime, step and neighbour values are positive whatever the network says: `value` times
-        (x + sqrt(x^2 + 1)) / 2, which is half a softplus' cost.
-        """
-        corners, raw = numbers[..., :24].unflatten(-1, (8, 3)), numbers[..., 24:31]
-        positive = self.normalisation.value / 2 * (raw + (raw.square() + 1).sqrt())
+        """The last layer of a network (..., NUMBERS) as states: corners are `scale` times the first 24, about places (..., 3)."""
+        corners, positive = numbers[..., :24].unflatten(-1, (8, 3)), self._positive(numbers[..., 24:31])
         return States(
-            corners=torch.add(about[..., None, :], corners, alpha=self.normalisation.scale),
+            corners=torch.add(about, corners, alpha=self.normalisation.scale),
             neighbour_values=positive[..., :4],
             birth=positive[..., 4],
             death=positive[..., 4] + positive[..., 5],
             step=positive[..., 6],
             presence=numbers[..., 31],
         )
+
+    def _positive(self, raw: Tensor) -> Tensor:
+        """Values that are positive whatever the network says, at half the cost of a softplus."""
+        return self.normalisation.value / 2 * (raw + (raw.square() + 1).sqrt())
 
 
 def maximum(codes: Tensor) -> Tensor:

@@ -1,12 +1,14 @@
-"""Predictors without a network, which any network must beat: hold, carry, ridge. They start from the last tracked states.
+"""Predictors to beat: hold, carry and ridge, which start from the last tracked states, and the two networks of the paper.
 
-Source: Hoerl and Kennard 1970 (ridge regression). Taught in chapter 10.
+Source: Hoerl and Kennard 1970 (ridge regression); Antonova et al. 2021, section 5; Qi, Su, Mo, Guibas 2017, *PointNet* (a network
+shared by all points, then the maximum over them), without its transforms of the input. Taught in chapter 10.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import torch
@@ -14,8 +16,10 @@ from torch import Tensor, nn
 
 from topokit.state import TopologicalState
 
-from ._base import PAST, Context, Normalisation, PredictiveModel, Shape
-from ._states import NUMBERS, States, past_states, target_states
+from ._base import PAST, Context, Normalisation, PredictiveModel, Shape, maximum
+from ._states import NUMBERS, States, Window, past_states, target_states
+
+HIDDEN, POINTS = (512, 512, 256, 128), (64, 64, 96)  # units of the paper's hidden layers, and of those for every point
 
 
 class Hold(PredictiveModel):
@@ -26,20 +30,13 @@ class Hold(PredictiveModel):
     tracked = True
 
     def gather(self, kept: Context) -> Context:
-        """The last appearance of each slot."""
         return last_appearance(kept) | {"grippers": kept["grippers"][:, 0]}
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
         moved = self._moved(context, actions, held)  # (C, K, slots or 1, 3)
-        parts = {}
-        for name in ("corners", "neighbour_values", "birth", "death", "presence"):
-            part = context[name][:, None]
-            parts[name] = part.expand(len(actions), actions.shape[1], *part.shape[2:])
-        return States(
-            corners=parts.pop("corners") + moved[..., None, :],
-            step=moved.diff(dim=1, prepend=torch.zeros_like(moved[:, :1])).norm(dim=-1).expand_as(parts["birth"]),
-            **parts,
-        )
+        still = States.among(context).each(lambda part: part[:, None].expand(*actions.shape[:2], *part.shape[1:]))
+        step = moved.diff(dim=1, prepend=torch.zeros_like(moved[:, :1])).norm(dim=-1)
+        return still.replace(corners=still.corners + moved[..., None, :], step=step.expand_as(still.step))
 
     def _moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
         """How far each loop has gone by each step."""
@@ -59,16 +56,10 @@ class Carry(Hold):
 
 
 class Ridge(Hold):
-    """Linear regression with a penalty, from the last states and the plan to the states of all steps, one system for all slots.
+    """Linear regression with a `penalty` on squared coefficients, from the last states and the plan to those of all steps.
 
     The corners' change since the last appearance, the values and the presence are regressed on the last state of the slot, the
     grippers and the plan, all relative to the middle between the grippers. A loop that is not there has no say in its place.
-    Values are cut off at zero.
-
-    Parameters
-    ----------
-    penalty : float
-        On the squared coefficients, for inputs of about unit size; the constant has none.
     """
 
     def __init__(self, shape: Shape, normalisation: Normalisation, penalty: float = 100.0) -> None:
@@ -82,18 +73,13 @@ class Ridge(Hold):
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
         kept = {name: part.expand(len(actions), *part.shape[1:]) for name, part in context.items()}
         numbers = (self._inputs(kept, actions, held) @ self.coefficients).unflatten(-1, (self.shape.horizon, NUMBERS))
-        numbers = numbers.transpose(1, 2)  # (C, K, slots, NUMBERS)
-        values = self.normalisation.value * numbers[..., 24:31].clamp_min(0)
-        return States(
-            corners=kept["corners"][:, None] + self.normalisation.scale * numbers[..., :24].unflatten(-1, (8, 3)),
-            neighbour_values=values[..., :4],
-            birth=values[..., 4],
-            death=values[..., 4] + values[..., 5],
-            step=values[..., 6],
-            presence=12 * (numbers[..., 31] - 0.5),
-        )
+        states = self._states(numbers.transpose(1, 2), kept["corners"][:, None])
+        return states.replace(presence=12 * (states.presence - 0.5))
 
-    def fit(self, batches: Iterable[Mapping[str, Tensor]]) -> None:
+    def _positive(self, raw: Tensor) -> Tensor:
+        return self.normalisation.value * raw.clamp_min(0)
+
+    def fit(self, batches: Iterable[Window]) -> None:
         """Solve the normal equations, summed over batches of windows: one system for places, one for the rest."""
         size = len(self.coefficients)
         gram, there_gram = torch.zeros(2, size, size, dtype=torch.float64)
@@ -114,10 +100,8 @@ class Ridge(Hold):
             moments[..., 24:] += torch.einsum("bsi,bksn->ikn", x, rest.double())
         penalty = self.penalty * torch.eye(size, dtype=torch.float64)
         penalty[0, 0] = 1e-6
-        for which, matrix in ((slice(0, 24), there_gram), (slice(24, NUMBERS), gram)):
-            moments[..., which] = torch.linalg.solve(matrix + penalty, moments[..., which].flatten(1)).unflatten(
-                1, (self.shape.horizon, -1)
-            )
+        for part, matrix in ((moments[..., :24], there_gram), (moments[..., 24:], gram)):
+            part[:] = torch.linalg.solve(matrix + penalty, part.flatten(1)).view_as(part)
         self.coefficients.data = moments.flatten(1).to(self.coefficients)
 
     def _inputs(self, kept: Context, actions: Tensor, held: Tensor) -> Tensor:
@@ -134,26 +118,73 @@ class Ridge(Hold):
         return torch.cat([each, state, kept["neighbour_values"] / value, values, flags, name], dim=-1)
 
 
-def last_appearance(kept: Context) -> Context:
-    """Each slot as it was last tracked: `corners`, values, present `presence`, whether `known`, and the `grippers_then`.
+class MLP(PredictiveModel):
+    """Fully connected network of `hidden` units, in the coordinates of the room.
 
-    Of a slot that was never tracked, corners are the middle between the grippers, the rest zeros.
+    Of each cloud the first `cloud_points` points are read: clouds come in farthest-point order.
     """
+
+    def __init__(
+        self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN, cloud_points: int = 32
+    ) -> None:
+        super().__init__(shape, normalisation)
+        self.cloud_points = min(cloud_points, shape.points)
+        self.history_layer = nn.Linear(shape.history * self._frame_size(), hidden[0])
+        self.action_layer = nn.Linear(7 * shape.horizon, hidden[0], bias=False)
+        last = nn.Linear(hidden[-1], shape.horizon * shape.slots * NUMBERS)
+        self.rest = nn.Sequential(nn.ReLU(), *_layers(hidden), last)
+
+    def _frame_size(self) -> int:
+        return 3 * self.cloud_points
+
+    def encode_frames(self, frames: Context) -> Context:
+        return {"frame": self.normalise(frames["clouds"][:, : self.cloud_points]).flatten(1)}
+
+    def gather(self, kept: Context) -> Context:
+        return {"first": self.history_layer(kept["frame"].flatten(1))}
+
+    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
+        plan = torch.cat([self.normalise(actions).flatten(1), held.to(actions)], dim=1)
+        numbers = self.rest(context["first"] + self.action_layer(plan))
+        return self._states(numbers.unflatten(1, (self.shape.horizon, self.shape.slots, NUMBERS)), self.origin)
+
+
+class PointNet(MLP):
+    """PointNet a cloud, of `per_point` units, shared by all frames, in front of the fully connected network."""
+
+    def __init__(
+        self,
+        shape: Shape,
+        normalisation: Normalisation,
+        hidden: Sequence[int] = HIDDEN,
+        per_point: Sequence[int] = POINTS,
+    ) -> None:
+        self.code = per_point[-1]
+        super().__init__(shape, normalisation, hidden)
+        self.points = nn.Sequential(*_layers((3, *per_point)))
+
+    def _frame_size(self) -> int:
+        return self.code
+
+    def encode_frames(self, frames: Context) -> Context:
+        return {"frame": maximum(self.points(self.normalise(frames["clouds"])))}
+
+
+def _layers(widths: Sequence[int]) -> list[nn.Module]:
+    return [layer for n_in, n_out in itertools.pairwise(widths) for layer in (nn.Linear(n_in, n_out), nn.ReLU())]
+
+
+def last_appearance(kept: Context) -> Context:
+    """Each slot as it was last tracked, and the grippers then; one that never was has its corners between the grippers."""
     present = kept["past_present"]  # (B, h, slots), the newest frame first
     last = present.int().argmax(dim=1)  # (B, slots); 0 of one that was never tracked
     batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])
     loops = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
     known = present.any(dim=1)
     middle = kept["past_grippers"][:, 0].mean(dim=1)[:, None, None]
-    return {
-        "corners": torch.where(known[..., None, None], loops.corners, middle),
-        "neighbour_values": loops.neighbour_values,
-        "birth": loops.birth,
-        "death": loops.death,
-        "presence": torch.where(present[:, 0], 6.0, -6.0),
-        "known": known,
-        "grippers_then": kept["past_grippers"][batch, last],  # (B, slots, 2, 3)
-    }
+    corners = torch.where(known[..., None, None], loops.corners, middle)
+    loops = loops.replace(corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
+    return vars(loops) | {"known": known, "grippers_then": kept["past_grippers"][batch, last]}
 
 
 def past_window(states: Sequence[TopologicalState], slots: int) -> dict[str, Tensor]:

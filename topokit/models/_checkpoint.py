@@ -1,12 +1,14 @@
-"""Checkpoints: tensors as safetensors, everything else as JSON in the same file's header. Loading runs no code.
+"""Models by their names, and checkpoints: tensors as safetensors, all else as JSON in the same file's header.
 
 One file, so that weights and description cannot come apart; replaced in one piece, so that a reader never sees half of it.
+Loading runs no code.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import textwrap
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -22,10 +24,51 @@ from topokit._archive import FormatError, atomic_file
 from topokit._config import from_mapping
 
 from ._base import Normalisation, PredictiveModel, Shape
-from ._registry import build
+from ._baselines import MLP, Carry, Hold, PointNet, Ridge
+from ._loopcast import LoopCast
 
 SCHEMA = 1
 _KIND = "topokit-checkpoint"
+
+MODELS: Mapping[str, type[PredictiveModel]] = {
+    "hold": Hold,
+    "carry": Carry,
+    "ridge": Ridge,
+    "mlp": MLP,
+    "pointnet": PointNet,
+    "loopcast": LoopCast,
+}
+
+
+def build(
+    name: str, shape: Shape, normalisation: Normalisation, options: Mapping[str, Any] | None = None
+) -> PredictiveModel:
+    """Make a model with freshly drawn weights.
+
+    "hold", "carry" and "ridge" are baselines without a network, "mlp" and "pointnet" the paper's, "loopcast" is ours.
+
+    Parameters
+    ----------
+    name : str
+        A key of `MODELS`.
+    shape : Shape
+    normalisation : Normalisation
+    options : mapping, optional
+        Of "ridge" `penalty`, on squared coefficients; of "mlp" `hidden` units and `cloud_points` read; of "pointnet" `hidden` and
+        `per_point` units; of "loopcast" `width` of codes, `step_width` of a step's, and whether it is given what is `tracked`.
+
+    Raises
+    ------
+    ValueError
+        When there is no such model, or it has no such option.
+    """
+    if name not in MODELS:
+        raise ValueError(f"there is no model {name!r}; there are {', '.join(MODELS)}")
+    options = dict(options or {})
+    try:
+        return MODELS[name](shape, normalisation, **options)
+    except TypeError as error:
+        raise ValueError(f"model {name!r} with options {options}: {error}") from error
 
 
 def describe(model: PredictiveModel, name: str, options: Mapping[str, Any], **more: Any) -> dict[str, Any]:
@@ -55,41 +98,33 @@ def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], description: M
 
 
 def load_tensors(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """Read what `save_tensors` wrote.
+    """Read the description of a checkpoint, and its tensors.
 
     Raises
     ------
     FileNotFoundError
         When there is no such file.
     FormatError
-        When it is no safetensors file, a damaged one, one that topokit did not write, or of a newer schema; says which.
+        When it is damaged, was not written by topokit, or is of another schema; says which.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: {'a folder, not a file' if path.is_dir() else 'there is no such file'}")
-    if path.stat().st_size == 0:
-        raise FormatError(f"{path}: the file is empty (0 bytes)")
     try:
         with safe_open(str(path), framework="pt") as archive:
             metadata = archive.metadata() or {}
             tensors = {name: archive.get_tensor(name) for name in archive.keys()}  # noqa: SIM118  (it is no dict)
     except (SafetensorError, ValueError, RuntimeError) as error:
-        raise FormatError(
-            f"{path}: no checkpoint, or a truncated or damaged one ({error}); copy or train it again"
-        ) from error
+        raise FormatError(f"{path}: no checkpoint, or a truncated or damaged one ({error}); copy it again") from error
     try:
         document = json.loads(metadata["topokit"])
         kind, schema, digest = (document.pop(name) for name in ("kind", "schema", "sha256"))
     except (KeyError, ValueError, AttributeError) as error:
-        raise FormatError(
-            f"{path}: a safetensors file that topokit did not write: its header does not describe a model"
-        ) from error
+        raise FormatError(f"{path}: topokit did not write this safetensors file: its header names no model") from error
     if kind != _KIND or schema != SCHEMA:
         raise FormatError(f"{path}: a {kind} of schema {schema}; this topokit reads a {_KIND} of schema {SCHEMA}")
     if _digest(tensors) != digest:
-        raise FormatError(
-            f"{path}: the checksum does not match: the weights were changed or damaged; copy or train it again"
-        )
+        raise FormatError(f"{path}: the checksum does not match: the weights were changed or damaged; copy it again")
     return document, tensors
 
 
@@ -98,28 +133,26 @@ def load_model(path: str | Path) -> tuple[PredictiveModel, dict[str, Any]]:
 
     Raises
     ------
-    FileNotFoundError, FormatError
-        As `load_tensors`, and when the description or the weights do not fit a model of this topokit; says which and where.
+    FormatError
+        When the description or the weights do not fit a model of this topokit; says which and where.
     """
     description, tensors = load_tensors(path)
-    weights = {name.removeprefix("model."): t.float() for name, t in tensors.items() if name.startswith("model.")}
+    weights = {name: part.float() for name, part in part_of(tensors, "model.").items()}
     try:
         shape = from_mapping(Shape, description["shape"], "shape")
         normalisation = from_mapping(Normalisation, description["normalisation"], "normalisation")
         model = build(description["model"], shape, normalisation, description["options"])
+        model.load_state_dict(weights)
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{path}: describes no model that this topokit can build: {error}") from error
-    expected, found = (
-        {name: tuple(part.shape) for name, part in parts.items()} for parts in (model.state_dict(), weights)
-    )
-    for name in sorted(expected.keys() | found.keys()):
-        if expected.get(name) != found.get(name):
-            raise FormatError(
-                f"{path}: weights of another shape: {description['model']!r} as described has {name} "
-                f"{expected.get(name, 'not at all')}, the file {found.get(name, 'not at all')}"
-            )
-    model.load_state_dict(weights)
+    except RuntimeError as error:  # of torch: it lists every weight
+        raise FormatError(f"{path}: weights of another shape: {textwrap.shorten(str(error), 300)}") from error
     return model.eval(), description
+
+
+def part_of(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Those whose names begin so, under the rest of their names."""
+    return {name.removeprefix(prefix): part for name, part in tensors.items() if name.startswith(prefix)}
 
 
 def _digest(tensors: Mapping[str, Tensor]) -> str:

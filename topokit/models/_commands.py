@@ -16,15 +16,16 @@ def add(commands: Any) -> None:
     train.add_argument("--seed", type=int, help="instead of the configuration's; with --out, to train several")
     train.add_argument("--out", metavar="DIR", help="where checkpoints and log go, instead of the configuration's")
     train.add_argument("--quiet", action="store_true", help="no progress bar")
-    train.add_argument("--json", action="store_true", help="print the answer as JSON")
     train.set_defaults(run=_train)
 
     predict = commands.add_parser("predict", help="forecast the loops of a recorded episode from one of its frames on")
     predict.add_argument("checkpoint", type=Path, metavar="CHECKPOINT", help="a trained predictor (.safetensors)")
     predict.add_argument("episode", type=Path, metavar="EPISODE", help="a recorded episode (.npz)")
     predict.add_argument("--frame", type=int, default=15, metavar="T", help="the last frame that is seen (default 15)")
-    predict.add_argument("--json", action="store_true", help="print the answer as JSON")
     predict.set_defaults(run=_predict)
+
+    for command in (train, predict):
+        command.add_argument("--json", action="store_true", help="print the answer as JSON")
 
 
 def _train(options: argparse.Namespace) -> int:

@@ -2,18 +2,14 @@
 
 Idea, five choices against the paper's networks:
 
-1. *Relative coordinates.* Points are seen from the middle between the grippers, so that what is learned at one place of the
-   room holds near it. (Not everywhere: the network is told where that middle is, or it could not know where the hook is.)
-2. *Pointing.* A corner of a loop's triangles is an average of the cloud's own points under learned attention, plus a little,
-   not a number that a network has to make up: a centimetre is then easy.
+1. *Relative coordinates.* Points are seen from the middle between the grippers; the network is told where that middle is.
+2. *Pointing.* A corner of a loop's triangles is an average of the cloud's own points under learned attention, plus a little.
 3. *Carrying.* The forecast is the present loop moved with the grippers for as long as they hold, in learned shares, plus
    what the network adds. Untrained it is already the baseline `carry`.
 4. *Slots.* Each loop has its own code; a step of the plan has one too (from the actions up to that step, none after it). A
    small network of the two gives the state. Frames are encoded once, when they arrive, and plans share the history.
 5. *Belief.* If `tracked`, every loop that seqPH tracks is given to the slot that points nearest to it, and pulls it to where
-   seqPH sees it, as far as such a loop has deserved it in training: seqPH is exact on a good cloud, blind or wrong on a bad
-   one. The forecast begins there: for a plan of no steps the network adds nothing. A loop that is not tracked begins where its
-   slot points.
+   seqPH sees it, as far as such a loop has deserved it in training. For a plan of no steps the network adds nothing.
 
 Source: attention as in Vaswani et al. 2017; slots as in Locatello et al. 2020 and Carion et al. 2020. Taught in chapter 10.
 """
@@ -35,11 +31,7 @@ FRAME = 10  # numbers of a frame beside its cloud: the grippers from their middl
 
 
 class FrameEncoder(nn.Module):
-    """A code and a place for each corner of each slot, from one cloud.
-
-    Every point sees the whole cloud through its maximum (PointNet's segmentation network), then each slot looks at the points
-    with eight attentions: it takes the mean of their values, and the mean of their places.
-    """
+    """A code and a place for each corner of each slot: of a cloud whose points see the whole, the means that attentions take."""
 
     def __init__(self, slots: int, width: int = 128) -> None:
         super().__init__()
@@ -64,17 +56,7 @@ class FrameEncoder(nn.Module):
 
 
 class LoopCast(PredictiveModel):
-    """Our predictor: it finds the loops, carries them with the grippers and learns the rest.
-
-    Parameters
-    ----------
-    width : int
-        Of the codes of points, frames and slots.
-    step_width : int
-        Of the codes of the plan's steps.
-    tracked : bool
-        Whether what seqPH saw in the history is looked at too.
-    """
+    """Our predictor: codes of points, frames and slots have `width`, those of the plan's steps `step_width`."""
 
     inputs = ("clouds", "grippers", "held")
     plans_at_once = 20
@@ -111,10 +93,7 @@ class LoopCast(PredictiveModel):
             nn.init.zeros_(self.notice.weight)
             nn.init.zeros_(self.notice.bias)
 
-    # -- the history --------------------------------------------------------------------------------------------------------
-
     def encode_frames(self, frames: Context) -> Context:
-        """Codes and places of the slots, from clouds, grippers and held."""
         grippers, scale = frames["grippers"], self.normalisation.scale
         middle = grippers.mean(dim=1)
         sides = ((grippers - middle[:, None]) / scale).flatten(1)
@@ -146,17 +125,15 @@ class LoopCast(PredictiveModel):
     def _corrected(self, context: Context, kept: Context) -> Context:
         """Where the loops start when the tracked ones pull them: `anchor` and `start`, and the `belief` in each (B, slots).
 
-        A tracked loop has a say in where its slot is, when it is born and dies, and whether it is there. It has none in the
-        shape: the killer edge leaps from frame to frame, and which of its ends comes first means nothing. Belief is learned
-        from the present alone: the forecast has no say in it, and may take back over the steps what it is told here.
+        A tracked loop has no say in the shape: the killer edge leaps from frame to frame, and its ends have no order. Belief is
+        learned from the present alone: the forecast has no say in it, and may take back over the steps what it is told here.
         """
         pointed, present = context["pointed"], context["present"]
         scale, value = self.normalisation.scale, self.normalisation.value
         last = last_appearance(kept)
         since = (kept["past_grippers"][:, :1] - last["grippers_then"]).mean(dim=2)  # how far it was carried
-        tracked = {name: last[name] for name in ("corners", "neighbour_values", "birth", "death", "presence")}
-        found = States(**tracked, step=last["birth"]).mean + since
-        guessed = self._states(present, pointed).mean
+        found = States.among(last).mean + since
+        guessed = self._states(present, pointed[..., None, :]).mean
         apart = torch.cdist(guessed.detach(), found)  # (B, slots, tracked)
         order = cheapest_order(apart * last["known"][:, None])
         row = torch.arange(len(order), device=order.device)[:, None]
@@ -176,11 +153,8 @@ class LoopCast(PredictiveModel):
         }
 
     def _reliability(self, last: Context, kept: Context) -> Tensor:
-        """Of each tracked loop: its values, how often it was there, how far it strayed from the grippers.
-
-        (B, slots, RELIABLE). Not how far it is from where a slot points: on a garment that it does not know the network points
-        far from where the loops are, and that is when the tracker is needed most.
-        """
+        """Values, how often it was there and how far it strayed from the grippers, of each tracked loop (B, slots, RELIABLE)."""
+        # Not how far it is from where a slot points: on unknown garments that is far, and the tracker needed most.
         grippers, there = kept["past_grippers"], kept["past_present"].to(kept["past_grippers"])  # (B, h, loops)
         beside = kept["past_triangles"][..., :2, :, :].mean(dim=(-3, -2)) - grippers.mean(dim=2)[:, :, None]
         times = there.sum(dim=1).clamp_min(1)
@@ -197,15 +171,13 @@ class LoopCast(PredictiveModel):
         if self.tracked:  # for the belief alone: the same loops elsewhere
             numbers = torch.cat([numbers, numbers.detach()], dim=1)
             about = torch.cat([about, context["believed"][:, None]], dim=1)
-        return self._states(numbers, about)
-
-    # -- the plan -----------------------------------------------------------------------------------------------------------
+        return self._states(numbers, about[..., None, :])
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
         code, carried = self._plan(context["grippers"], actions, held)
         change = self._changes(code, context["slot"])
         moved = context["hold"][:, None] @ carried  # (C, K, slots, 3): each loop follows the grippers in its own shares
-        return self._states(context["start"][:, None] + change, context["anchor"][:, None] + moved)
+        return self._states(context["start"][:, None] + change, (context["anchor"][:, None] + moved)[..., None, :])
 
     def _changes(self, code: Tensor, slot: Tensor) -> Tensor:
         """What the network adds (C, K, slots, NUMBERS), of codes of steps (C, K, step_width) and of slots."""
@@ -213,10 +185,7 @@ class LoopCast(PredictiveModel):
         return self.change(functional.relu(hidden, inplace=True))
 
     def _plan(self, grippers: Tensor, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
-        """Codes (C, K, step_width) of the steps, and how far each gripper has carried by then (C, K, 2, 3), metres.
-
-        Causal: a step knows the plan up to itself.
-        """
+        """Codes (C, K, step_width) of the steps, causal, and how far each gripper has carried by then (C, K, 2, 3), metres."""
         scale, (n, steps) = self.normalisation.scale, actions.shape[:2]
         before = torch.cat([grippers[:, None].expand(n, -1, -1, -1), actions[:, :-1]], dim=1)
         velocity = actions - before
@@ -249,6 +218,6 @@ class LoopCast(PredictiveModel):
 
 
 def _numbers_of(values: Tensor) -> Tensor:
-    """The numbers of which `PredictiveModel._states` makes such values, in units of `value`; small ones are cut off."""
+    """The inverse of `PredictiveModel._positive`, in units of `value`; small ones are cut off."""
     y = (2 * values).clamp_min(0.1)
     return (y.square() - 1) / (2 * y)

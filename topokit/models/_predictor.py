@@ -1,9 +1,10 @@
-"""A trained model on a stream of clouds: observe, then predict under one plan or many."""
+"""A trained model on a stream of clouds: observe, then predict under one plan or many; and what it says, all of it in NumPy."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from topokit._validate import as_points
+from topokit.mixture import LoopMixture, loop_mixture
 from topokit.sampling import farthest_point_sample
 from topokit.seqph import RECOMMENDED, SeqPH
 from topokit.state import TopologicalState
@@ -20,8 +22,144 @@ from topokit.state import TopologicalState
 from ._base import PredictiveModel
 from ._baselines import past_window
 from ._checkpoint import load_model
-from ._forecast import Forecast
-from ._states import States
+from ._states import TRIANGLES, States
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedLoop:
+    """A loop that is forecast. As `topokit.Loop`, but its triangles have no vertices in a cloud."""
+
+    slot: int  #: its identity: the same over the whole forecast
+    presence: float  #: probability that it is there
+    birth: float  #: filtration value, metres
+    death: float  #: filtration value, metres
+    step: float  #: Hausdorff distance between its killer edge and that of the step before, metres
+    killer_triangles: Array  #: (2, 3, 3) metres, the thick one first
+    neighbours: Array  #: (m, 3, 3) metres, m <= 4
+    killer_values: Array  #: (2,)
+    neighbour_values: Array  #: (m,)
+
+    @property
+    def lifetime(self) -> float:
+        """death - birth."""
+        return self.death - self.birth
+
+    @property
+    def centre(self) -> Array:
+        """(3,) mean of the killer triangles' barycentres, as of a `topokit.Loop`; `mixture().mean` is another place."""
+        return np.asarray(self.killer_triangles.mean(axis=(0, 1)))
+
+    def mixture(self, noise: float = 1e-4) -> LoopMixture:
+        """Where the loop is, as `topokit.loop_mixture` says."""
+        return loop_mixture(self, noise)
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """The states of K steps, of S slots, under one plan, or under C plans: then every array has a leading axis of C.
+
+    As a sequence it has K items, each a tuple of `PredictedLoop`: those that are there, longest lifetime first.
+    """
+
+    #: (K, S, 8, 3) metres: the killer edge's ends, the apexes of the thick and the other killer triangle, of the neighbours
+    corners: Array
+    neighbour_values: Array  #: (K, S, 4) filtration values of the neighbours, 0 where there is none
+    birth: Array  #: (K, S) metres
+    death: Array  #: (K, S) metres
+    step: Array  #: (K, S) metres
+    presence: Array  #: (K, S) probability
+
+    @classmethod
+    def from_states(cls, states: States) -> Forecast:
+        """Of a model's output (C, K, S), on the CPU."""
+        return cls(*(part.numpy() for part in vars(states.replace(presence=states.presence.sigmoid())).values()))
+
+    @property
+    def plans(self) -> int | None:
+        """C, or None of a single plan."""
+        return len(self.birth) if self.birth.ndim == 3 else None
+
+    def plan(self, index: int) -> Forecast:
+        """The forecast under one of many plans.
+
+        Raises
+        ------
+        IndexError
+            When there is but one.
+        """
+        if self.plans is None:
+            raise IndexError("this is the forecast of a single plan")
+        return Forecast(*(part[index] for part in vars(self).values()))
+
+    @property
+    def lifetime(self) -> Array:
+        """(K, S)."""
+        return self.death - self.birth
+
+    @property
+    def triangles(self) -> Array:
+        """(K, S, 6, 3, 3) the killer triangles and the neighbours."""
+        return self._states.triangles.numpy()
+
+    @property
+    def values(self) -> Array:
+        """(K, S, 6) filtration values of the triangles."""
+        return self._states.values.numpy()
+
+    @property
+    def mean(self) -> Array:
+        """(K, S, 3) means of the mixtures."""
+        return self._states.mean.numpy()
+
+    @property
+    def _states(self) -> States:
+        return States(*map(torch.from_numpy, vars(self).values()))
+
+    def __len__(self) -> int:
+        return self.birth.shape[-2]
+
+    def __getitem__(self, step: int) -> tuple[PredictedLoop, ...]:
+        """Return the loops of a step, 0 for the next frame: those more likely there than not, longest lifetime first."""
+        if self.plans is not None:
+            raise IndexError("this is a forecast of many plans: choose one first, forecast.plan(i)[step]")
+        longest = np.argsort(-self.lifetime[step], kind="stable")
+        return tuple(self.loop(step, int(slot)) for slot in longest if self.presence[step, slot] > 0.5)
+
+    def loop(self, step: int, slot: int) -> PredictedLoop:
+        """Return one loop of a single plan, there or not.
+
+        Parameters
+        ----------
+        step, slot : int
+        """
+        triangles = self.corners[step, slot][np.array(TRIANGLES)]
+        near, death = self.neighbour_values[step, slot], self.death[step, slot]
+        return PredictedLoop(
+            slot=slot,
+            **{name: float(getattr(self, name)[step, slot]) for name in ("presence", "birth", "death", "step")},
+            killer_triangles=triangles[:2],
+            neighbours=triangles[2:][near > 0],
+            killer_values=np.repeat(death, 2),
+            neighbour_values=near[near > 0],
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists, for JSON: of every step the loops that are there."""
+        return {"steps": [[_as_dict(loop) for loop in self[step]] for step in range(len(self))]}
+
+
+def _as_dict(loop: PredictedLoop) -> dict[str, Any]:
+    return {
+        "slot": loop.slot,
+        "presence": round(loop.presence, 4),
+        "birth": loop.birth,
+        "death": loop.death,
+        "lifetime": loop.lifetime,
+        "mean": loop.mixture().mean.tolist(),
+        "killer_triangles": loop.killer_triangles.tolist(),
+    }
 
 
 class Predictor:
@@ -32,16 +170,6 @@ class Predictor:
     model : PredictiveModel
     description : mapping, optional
         What a checkpoint says of it.
-
-    Examples
-    --------
-    Forecast a stream under the plan to stand still::
-
-        predictor = Predictor.load("data_small/checkpoints/loopcast.safetensors")
-        for cloud, grippers in stream:
-            predictor.observe(cloud, grippers)
-        forecast = predictor.predict(np.repeat(grippers[None], 60, axis=0))
-        forecast[59][0].mixture().mean
     """
 
     def __init__(self, model: PredictiveModel, description: Mapping[str, Any] | None = None) -> None:
@@ -50,13 +178,7 @@ class Predictor:
 
     @classmethod
     def load(cls, path: str | Path) -> Predictor:
-        """Read a checkpoint.
-
-        Raises
-        ------
-        FileNotFoundError, FormatError
-            When it is missing, damaged, no checkpoint, or for other shapes; the message says which.
-        """
+        """Read a checkpoint."""
         return cls(*load_model(path))
 
     def reset(self) -> None:
@@ -73,9 +195,9 @@ class Predictor:
         Parameters
         ----------
         points : (n, 3) array_like
-            Any number of points, metres.
+            Metres.
         grippers : (2, 3) array_like, optional
-            Where the grippers are. A model that reads clouds alone does without.
+            Metres. A model that reads clouds alone does without.
         held : bool
             Whether they hold the garment.
 
@@ -102,9 +224,7 @@ class Predictor:
 
     @torch.inference_mode()
     def predict(self, actions: ArrayLike, held: ArrayLike | None = None) -> Forecast:
-        """Forecast the states of the next frames.
-
-        Before `history` frames were observed, the first stands in for those before it.
+        """Forecast the states of the next frames; the first frame observed stands in for those before it.
 
         Parameters
         ----------
@@ -112,18 +232,12 @@ class Predictor:
             Where the two grippers are told to be at each of the next frames, metres; or C such plans.
         held : (60,) or (C, 60) array_like of bool, optional
             Whether they hold the garment then; throughout, when not given.
-
-        Raises
-        ------
-        ValueError
-            When nothing was observed yet, or an array has another shape or holds a value that is not finite.
         """
         plans, holds = self._plans(actions, held)
         context = self._encoded()
         chunks = zip(*(part.split(self.model.plans_at_once) for part in (plans, holds)), strict=True)
-        parts = [vars(self.model.decode(context, *chunk)) for chunk in chunks]
-        states = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
-        forecast = Forecast.from_states(States(**states))
+        parts = (vars(self.model.decode(context, *chunk)).values() for chunk in chunks)
+        forecast = Forecast.from_states(States(*map(torch.cat, zip(*parts, strict=True))))
         return forecast if np.ndim(actions) == 4 else forecast.plan(0)
 
     def _encoded(self) -> dict[str, Tensor]:
@@ -145,10 +259,7 @@ class Predictor:
         steps = self.model.shape.horizon
         plans = np.asarray(actions, dtype=np.float32)
         if plans.ndim not in (3, 4) or plans.shape[-3:] != (steps, 2, 3) or not len(plans):
-            raise ValueError(
-                f"actions must be ({steps}, 2, 3) or (plans, {steps}, 2, 3) for this model, which forecasts {steps} steps; "
-                f"not {plans.shape}"
-            )
+            raise ValueError(f"actions must be ({steps}, 2, 3) or (plans, {steps}, 2, 3), not {plans.shape}")
         if not np.isfinite(plans).all():
             raise ValueError("actions hold a NaN or infinite coordinate")
         holds = np.ones(plans.shape[:-2], dtype=bool) if held is None else np.asarray(held, dtype=bool)
@@ -157,7 +268,7 @@ class Predictor:
         return torch.from_numpy(plans).reshape(-1, steps, 2, 3), torch.from_numpy(holds).reshape(-1, steps)
 
 
-def _spread(points: NDArray[np.float64], n: int) -> NDArray[np.float32]:
+def _spread(points: NDArray[np.float64], n: int) -> Array:
     """`n` farthest points, or all of them and then the first ones again."""
     if len(points) > n:
         points = points[farthest_point_sample(points, n)[0]]

@@ -1,8 +1,11 @@
-"""Predicted states as tensors: every loop as eight corners and a few numbers.
+"""States as tensors, every loop as eight corners and a few numbers; their mixtures, and the losses that training minimises.
 
 Idea: the two killer triangles share the killer edge, and a neighbour shares an edge with one of them. So six triangles have
 eight corners: the ends x, y of the killer edge, the apexes z1 (thick), z2, and an apex a neighbour. Predicting corners keeps
 triangles that share an edge together and is half the size.
+
+Source: Antonova et al. 2021, section 5 (the L2 loss) and equation 1; slots are matched as in Carion et al. 2020 (DETR). Taught in
+chapters 9 and 10.
 """
 
 from __future__ import annotations
@@ -15,34 +18,29 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.distributions import Categorical, MixtureSameFamily, MultivariateNormal
 from torch.nn import functional
+
+from topokit._config import NotNegative, checked
+from topokit.mixture import moments
 
 TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  # x y z1, x y z2, then the neighbours
 _OTHER_WAY = ([1, 0, 2, 3, 5, 4, 7, 6], [1, 0, 3, 2])  # corners and neighbours when x and y change places
 NUMBERS = 32  # of a loop: 8 corners, 4 neighbour values, birth, lifetime, step, presence
+POSITION, VALUE = 0.1, 0.02  # metres that count as one in the losses: of places, and of filtration values
+Window = Mapping[str, Tensor]  # a batch of windows, as of `topokit.data.WindowDataset`
 
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """States of B sequences, K steps, S slots. Metres; a slot without a loop holds zeros or what the model thinks.
+    """States of B sequences, K steps, S slots. Metres; a slot without a loop holds zeros or what the model thinks."""
 
-    Attributes
-    ----------
-    corners : (B, K, S, 8, 3)
-        x, y, z1, z2 and the neighbours' apexes, in the order of `TRIANGLES`.
-    neighbour_values : (B, K, S, 4)
-        Filtration values; 0 where there is no neighbour. Those of the killer triangles are `death`.
-    birth, death, step : (B, K, S)
-    presence : (B, K, S)
-        Logit of the loop being there.
-    """
-
-    corners: Tensor
-    neighbour_values: Tensor
-    birth: Tensor
-    death: Tensor
-    step: Tensor
-    presence: Tensor
+    corners: Tensor  #: (B, K, S, 8, 3) x, y, z1, z2 and the neighbours' apexes, in the order of `TRIANGLES`
+    neighbour_values: Tensor  #: (B, K, S, 4) filtration values, 0 where there is no neighbour; the killers' are `death`
+    birth: Tensor  #: (B, K, S)
+    death: Tensor  #: (B, K, S)
+    step: Tensor  #: (B, K, S)
+    presence: Tensor  #: (B, K, S) logit of the loop being there
 
     @property
     def triangles(self) -> Tensor:
@@ -64,9 +62,13 @@ class States:
     def reversed(self) -> States:
         """The same loops with the ends of their killer edges the other way round."""
         corners, neighbours = _OTHER_WAY
-        return self.replace(
-            corners=self.corners[..., corners, :], neighbour_values=self.neighbour_values[..., neighbours]
-        )
+        values = self.neighbour_values[..., neighbours]
+        return self.replace(corners=self.corners[..., corners, :], neighbour_values=values)
+
+    @classmethod
+    def among(cls, parts: Mapping[str, Tensor]) -> States:
+        """Those that stand under the names of the fields among other tensors."""
+        return cls(*(parts[part.name] for part in dataclasses.fields(cls)))
 
     def replace(self, **parts: Tensor) -> States:
         """A copy with other parts."""
@@ -74,30 +76,26 @@ class States:
 
     def float(self) -> States:
         """All parts in 32 bits."""
-        return self._each(Tensor.float)
+        return self.each(Tensor.float)
 
     def __getitem__(self, index: Any) -> States:
         """Index all parts alike, along the leading dimensions."""
-        return self._each(lambda part: part[index])
+        return self.each(lambda part: part[index])
 
     def slots(self, order: Tensor) -> States:
         """The slots in another order (B, S) for every sequence."""
+        index = order[:, None]
+        return self.each(lambda part: part.take_along_dim(index.reshape(*index.shape, *(1,) * (part.dim() - 3)), dim=2))
 
-        def gather(part: Tensor) -> Tensor:
-            index = order.reshape(order.shape[0], 1, -1, *(1,) * (part.dim() - 3))
-            return part.gather(2, index.expand_as(part))
-
-        return self._each(gather)
-
-    def _each(self, change: Callable[[Tensor], Tensor]) -> States:
+    def each(self, change: Callable[[Tensor], Tensor]) -> States:
+        """Every part changed alike."""
         return States(*(change(part) for part in vars(self).values()))
 
 
 def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     """Corners (..., 8, 3) and neighbour values (..., 4) of labels: triangles (..., 6, 3, 3) and values (..., 6).
 
-    A killer triangle is stored as x, y, apex, a neighbour as the outer edge it stands on and its apex (`Diagram.neighbours`);
-    labels list the neighbours without gaps, so the edge says which it is. The apex of an absent one is that edge's middle.
+    Labels list the neighbours without gaps, so the outer edge says which it is. The apex of an absent one is that edge's middle.
     """
     x, y = triangles[..., 0, 0, :], triangles[..., 0, 1, :]
     corners = torch.stack([x, y, triangles[..., 0, 2, :], triangles[..., 1, 2, :]], dim=-2)
@@ -121,18 +119,146 @@ def cheapest_order(cost: Tensor) -> Tensor:
     return orders[totals.argmin(dim=-1)]
 
 
-def target_states(window: Mapping[str, Tensor]) -> States:
+def target_states(window: Window) -> States:
     """What should be predicted for a batch of windows."""
     return _states(window, "")
 
 
-def past_states(window: Mapping[str, Tensor]) -> States:
+def past_states(window: Window) -> States:
     """What the tracker saw in the history of a batch of windows."""
     return _states(window, "past_")
 
 
-def _states(window: Mapping[str, Tensor], prefix: str) -> States:
+def _states(window: Window, prefix: str) -> States:
     corners, neighbour_values = corners_of(window[f"{prefix}triangles"], window[f"{prefix}values"])
     birth, death, step = (window[f"{prefix}{name}"] for name in ("birth", "death", "step"))
     presence = torch.where(window[f"{prefix}present"], 20.0, -20.0)
     return States(corners, neighbour_values, birth, death, torch.nan_to_num(step), presence)
+
+
+def loop_mixtures(triangles: Tensor, values: Tensor, noise: float = 1e-4) -> MixtureSameFamily:
+    """Mixtures of a batch of loops, by the formula of `topokit.loop_mixture`.
+
+    Parameters
+    ----------
+    triangles : (..., m, 3, 3)
+    values : (..., m)
+        Filtration values of the triangles, not negative; 0 for one that is absent.
+    noise : float
+        Added to the diagonal of every sample covariance, square metres.
+    """
+    means, scatter = moments(triangles)
+    covariances = scatter / 2 + noise * torch.eye(triangles.shape[-1]).to(triangles)
+    components = MultivariateNormal(means, covariances, validate_args=False)
+    weights = Categorical(probs=values.clamp_min(1e-12), validate_args=False)
+    return MixtureSameFamily(weights, components, validate_args=False)
+
+
+def sigma_points(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+    """Points (..., 3 m, 3) and weights (..., 3 m) that have mean and covariance (without noise) of each component."""
+    # The vertices drawn away by sqrt(3/2): their population covariance is then the sample covariance.
+    mean = triangles.mean(dim=-2, keepdim=True)
+    points = (mean + 1.5**0.5 * (triangles - mean)).flatten(-3, -2)
+    weights = (values / values.sum(dim=-1, keepdim=True).clamp_min(1e-12)).repeat_interleave(3, dim=-1) / 3
+    return points, weights
+
+
+@checked
+class LossWeights:
+    """Weights of the parts of the loss, and whether slots may be matched."""
+
+    #: Squared errors of corners, values, birth, death, step of loops that are there (the paper's L2), the better way round.
+    features: NotNegative = 1.0
+    presence: NotNegative = 1.0  #: binary cross-entropy of the presence of each slot
+    centre: NotNegative = 0.0  #: distance of the mixtures' means, with the square below 2 cm: jumps of labels pull less
+    nll: NotNegative = 0.0  #: negative log-likelihood of the target mixture under the predicted one, nats
+    now: NotNegative = 0.0  #: `features` of the present state, for a model that estimates it on its way
+    #: Take the cheapest order of the slots for the whole horizon, not that of the labels: by mean lifetime over the history.
+    match: bool = False
+
+
+def forecast_loss(
+    predicted: States,
+    window: Window,
+    weights: LossWeights,
+    *,
+    present: States | None = None,
+    generator: torch.Generator | None = None,
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Loss of a batch; and for the log the same, its parts, and the mean distance of the mixtures' means in metres.
+
+    Parameters
+    ----------
+    predicted : States
+    window : mapping of str to Tensor
+        The batch, labels included.
+    weights : LossWeights
+    present : States, optional
+        A model's estimate of the present state, or a few of them, as steps.
+    generator : torch.Generator, optional
+        Draws the eight steps on which the log-likelihood is taken.
+    """
+    target = target_states(window)
+    past = past_states(window)[:, [-1] * (1 if present is None else present.birth.shape[1])]
+    if weights.match:
+        order = match_slots(predicted, target)
+        target, past = target.slots(order), past.slots(order)
+    there = target.presence > 0
+    gap = (predicted.mean - target.mean)[there].norm(dim=-1)
+    parts = {
+        "features": _features(predicted, target, there),
+        "presence": functional.binary_cross_entropy_with_logits(predicted.presence, there.to(predicted.presence)),
+        "centre": _mean(functional.huber_loss(gap / POSITION, torch.zeros_like(gap), delta=0.2, reduction="none")),
+    }
+    if weights.nll:
+        steps = torch.randperm(there.shape[1], generator=generator)[:8].to(there.device)
+        parts["nll"] = _nll(predicted[:, steps][there[:, steps]], target[:, steps][there[:, steps]])
+    if weights.now and present is not None:
+        parts["now"] = _features(present, past, past.presence > 0)
+    total = torch.stack([getattr(weights, name) * part for name, part in parts.items()]).sum()
+    parts = {"loss": total, **parts, "distance": _mean(gap)}
+    return total, {name: part.detach() for name, part in parts.items()}
+
+
+@torch.no_grad()
+def match_slots(predicted: States, target: States) -> Tensor:
+    """(B, S) which target slot each predicted slot should have, the same for all steps; the cheapest of all orders.
+
+    Parameters
+    ----------
+    predicted, target : States
+    """
+    there = (target.presence > 0).to(predicted.presence)  # (B, K, S)
+    apart = torch.cdist(predicted.mean, target.mean) / POSITION  # (B, K, predicted, target)
+    logit = predicted.presence[..., :, None]
+    wrong = functional.softplus(logit) - logit * there[..., None, :]  # cross-entropy of every pair
+    return cheapest_order((apart.clamp_max(5.0) * there[..., None, :] + wrong).mean(dim=1))
+
+
+def _features(predicted: States, target: States, there: Tensor) -> Tensor:
+    """Mean over the loops that are there of the mean squared errors of their features."""
+    predicted, target = predicted[there], target[there]
+    numbers, truth = (torch.stack([part.birth, part.death, part.step], dim=-1) for part in (predicted, target))
+    error = ((numbers - truth) / VALUE).square().mean(dim=-1)
+    return _mean(error + torch.minimum(_edge_errors(predicted, target), _edge_errors(predicted, target.reversed())))
+
+
+def _edge_errors(predicted: States, target: States) -> Tensor:
+    counts = torch.cat([torch.ones_like(target.corners[..., :4, 0]), (target.neighbour_values > 0).float()], dim=-1)
+    places = ((predicted.corners - target.corners) / POSITION).square().sum(dim=-1)
+    values = ((predicted.neighbour_values - target.neighbour_values) / VALUE).square().mean(dim=-1)
+    return (places * counts).sum(dim=-1) / counts.sum(dim=-1) + values
+
+
+def _nll(predicted: States, target: States) -> Tensor:
+    """Cross-entropy of the target mixtures relative to the predicted ones, by the targets' sigma points."""
+    if not len(target.birth):
+        return predicted.birth.sum()
+    points, weight = sigma_points(target.triangles, target.values)  # (n, 18, 3), (n, 18)
+    mixtures = loop_mixtures(predicted.triangles, predicted.values)
+    return _mean(-(weight * mixtures.log_prob(points.transpose(0, 1)).transpose(0, 1)).sum(dim=-1))
+
+
+def _mean(errors: Tensor) -> Tensor:
+    """Mean, and zero (with a gradient) of nothing: a batch may have no loop."""
+    return errors.sum() / max(errors.numel(), 1)

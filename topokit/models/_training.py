@@ -12,7 +12,6 @@ import csv
 import json
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -23,17 +22,13 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Subset
 from tqdm import tqdm
 
-from topokit._archive import FormatError
 from topokit._config import from_mapping
 
-from ._augment import mirrored, spoilt
 from ._base import Normalisation
 from ._baselines import Ridge
-from ._checkpoint import describe, load_tensors, save_tensors
-from ._config import TrainConfig
-from ._losses import forecast_loss
-from ._registry import build
-from ._windows import Windows, epoch_order, length, normalisation_of, spread
+from ._checkpoint import build, describe, load_tensors, part_of, save_tensors
+from ._config import TrainConfig, Windows, epoch_order, mirrored, normalisation_of, spoilt, spread
+from ._states import Window, forecast_loss
 
 LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
 _FREE = ("workers", "minutes_between_checkpoints", "out", "dataset", "accelerator")  # may change on the way
@@ -44,6 +39,8 @@ def train(
 ) -> dict[str, Any]:
     """Train a model, or go on with a training that was stopped; checkpoints and the log go to `config.out`.
 
+    Returned are the checkpoint with the smallest validation loss, that loss, epochs, steps, seconds, windows a second.
+
     Parameters
     ----------
     config : TrainConfig
@@ -51,26 +48,18 @@ def train(
     progress : bool
         Show a bar on stderr.
     stop_after : int, optional
-        Stop after so many steps of this run, as if killed after the checkpoint there (for tests).
-
-    Returns
-    -------
-    dict
-        The checkpoint with the smallest validation loss, that loss, epochs, steps, seconds, windows a second.
+        Stop after so many steps of this run, as if killed after the checkpoint there.
 
     Raises
     ------
     ValueError
-        When there are fewer windows than a batch holds, the output directory holds a training of another configuration or
-        other data, or the loss is no number any more.
-    FormatError
-        When the checkpoint to go on from is damaged.
+        When there are too few windows, `config.out` holds another training, or the loss is no number any more.
     """
-    counts = length(windows.train), length(windows.validation)
-    if counts[0] < config.batch or not counts[1]:
+    n, held_back = len(windows.train), len(windows.validation)
+    if n < config.batch or not held_back:
         raise ValueError(
-            f"{counts[0]} windows to train on and {counts[1]} to validate with; a batch has {config.batch}, and one is "
-            "needed to validate: add episodes or make the batch smaller"
+            f"{n} windows to train on and {held_back} to validate with; a batch has {config.batch}, and one is needed to "
+            "validate: add episodes or make the batch smaller"
         )
     Path(config.out).mkdir(parents=True, exist_ok=True)
     return _Training(config, windows, progress).run(stop_after)
@@ -110,16 +99,14 @@ class _Training:
             _, self.optimizer = self.fabric.setup(self.model, optimizer)
         if saved is not None:
             self._restore(*saved)
-        n = length(windows.train)
+        n = len(windows.train)
         self.steps_per_epoch = min(config.windows_per_epoch or n, n) // config.batch
 
     def run(self, stop_after: int | None) -> dict[str, Any]:
-        """Train, and return what `train` returns."""
-        if not self.progress.finished:
-            if self.model.learns:
-                self._descend(self.progress.step + stop_after if stop_after else None)
-            else:
-                self._solve()
+        if not self.progress.finished and self.model.learns:
+            self._descend(self.progress.step + stop_after if stop_after else None)
+        elif not self.progress.finished:
+            self._solve()
         return self._summary()
 
     def _solve(self) -> None:
@@ -150,7 +137,7 @@ class _Training:
         progress.finished = True
         self._save(LAST)
 
-    def _step(self, window: Mapping[str, Tensor]) -> None:
+    def _step(self, window: Window) -> None:
         progress, config = self.progress, self.config
         share = learning_rate_share(progress.step, config.epochs * self.steps_per_epoch)
         for group in self.optimizer.param_groups:
@@ -169,9 +156,7 @@ class _Training:
         progress.step += 1
         progress.batch += 1
 
-    def _loss(
-        self, window: Mapping[str, Tensor], shown: Mapping[str, Tensor], seed: int
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+    def _loss(self, window: Window, shown: Window, seed: int) -> tuple[Tensor, dict[str, Tensor]]:
         """Of a batch, as it is shown to the model: in 32 bits whatever the model computes in. The seed draws steps."""
         with self.fabric.autocast():
             predicted, present = self.model(shown)
@@ -183,7 +168,7 @@ class _Training:
     def _validate(self) -> None:
         """End an epoch: mean losses over the windows held back, a row of the log, the best weights so far."""
         self.model.eval()
-        chosen = spread(length(self.windows.validation), self.config.validation_windows)
+        chosen = spread(len(self.windows.validation), self.config.validation_windows)
         sums: dict[str, float] = {}
         for number, window in enumerate(self._loader(Subset(self.windows.validation, chosen))):
             _, parts = self._loss(window, window, number)
@@ -192,7 +177,10 @@ class _Training:
         row = {"epoch": progress.epoch, "step": progress.step, "seconds": round(progress.seconds, 1)}
         row |= {f"train_{name}": value / max(progress.batch, 1) for name, value in progress.sums.items()}
         progress.log.append(row | {f"validation_{name}": value for name, value in losses.items()})
-        self._write_log()
+        with (self.out / LOG).open("w", newline="") as handle:
+            writer = csv.DictWriter(handle, progress.log[0])
+            writer.writeheader()
+            writer.writerows(progress.log)
         if losses["loss"] < progress.best:
             progress.best, progress.best_epoch = losses["loss"], progress.epoch
             self._save(BEST)
@@ -217,7 +205,7 @@ class _Training:
     def _batches(self) -> Any:
         """What is left of the epoch's batches, under a bar."""
         progress, config = self.progress, self.config
-        order = epoch_order(length(self.windows.train), config.windows_per_epoch, config.seed, progress.epoch)
+        order = epoch_order(len(self.windows.train), config.windows_per_epoch, config.seed, progress.epoch)
         left = Subset(self.windows.train, order[progress.batch * config.batch :])
         return tqdm(
             self._loader(left, drop_last=True),
@@ -246,42 +234,25 @@ class _Training:
                 weights |= {f"optimizer.{index}.{key}": torch.as_tensor(part) for key, part in entries.items()}
         save_tensors(self.out / name, weights, describe(self.model, self.config.model, self.config.options, **more))
 
-    def _write_log(self) -> None:
-        with (self.out / LOG).open("w", newline="") as handle:
-            writer = csv.DictWriter(handle, self.progress.log[0])
-            writer.writeheader()
-            writer.writerows(self.progress.log)
-
     def _restore(self, document: dict[str, Any], tensors: dict[str, Tensor]) -> None:
-        parts: dict[str, dict[str, Tensor]] = {"model": {}, "optimizer": {}}
-        try:
-            for key, part in tensors.items():
-                kind, name = key.split(".", 1)
-                parts[kind][name] = part
-            self.model.load_state_dict(parts["model"])
-            if self.model.learns:
-                whole = self.optimizer.state_dict()
-                for key, part in parts["optimizer"].items():
-                    index, name = key.split(".")
-                    whole["state"].setdefault(int(index), {})[name] = part
-                self.optimizer.load_state_dict(whole)
-            self.progress = Progress(**document["progress"])
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
-            raise FormatError(f"{self.out / LAST}: not the checkpoint of a training: {error}") from error
+        self.model.load_state_dict(part_of(tensors, "model."))
+        self.progress = Progress(**document["progress"])
+        if self.model.learns:
+            whole = self.optimizer.state_dict()
+            for key, part in part_of(tensors, "optimizer.").items():
+                index, name = key.split(".")
+                whole["state"].setdefault(int(index), {})[name] = part
+            self.optimizer.load_state_dict(whole)
 
     def _check_same(self, document: dict[str, Any]) -> None:
         """Whether a training may go on: with this configuration, as JSON has it, and on this dataset."""
         known = asdict(TrainConfig(self.config.model)) | document.get("config", {})  # an older one may lack entries
         for name, wanted in json.loads(json.dumps(asdict(self.config))).items():
             if name not in _FREE and known[name] != wanted:
-                raise ValueError(
-                    f"{self.out}: holds a training with {name} = {known[name]!r}, the configuration says {wanted!r}; "
-                    "choose another `out`, or remove that one"
-                )
+                found = f"{name} = {known[name]!r}, the configuration says {wanted!r}"
+                raise ValueError(f"{self.out}: holds a training with {found}; choose another `out`, or remove that one")
         if document.get("dataset") != self.windows.checksum:
-            raise ValueError(
-                f"{self.out}: holds a training on another dataset (its checksum differs); choose another `out`"
-            )
+            raise ValueError(f"{self.out}: holds a training on another dataset, by its checksum; choose another `out`")
 
 
 def learning_rate_share(step: int, steps: int) -> float:
@@ -292,7 +263,7 @@ def learning_rate_share(step: int, steps: int) -> float:
     return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(1.0, (step - warm) / max(1, steps - warm))))
 
 
-def _add(sums: dict[str, float], parts: Mapping[str, Tensor], weight: int = 1) -> None:
+def _add(sums: dict[str, float], parts: Window, weight: int = 1) -> None:
     for name, part in parts.items():
         sums[name] = sums.get(name, 0.0) + weight * float(part)
 
