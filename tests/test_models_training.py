@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pytest
 import torch
 from torch.utils.data import default_collate
 
+from topokit._archive import FormatError
 from topokit._config import from_mapping
 from topokit.models import (
     PAST,
@@ -100,6 +102,14 @@ def test_stopped_and_resumed_is_as_undisturbed(tmp_path, windows, stop):
     drop = {"seconds"}
     for a, b in zip(log(tmp_path / "whole"), log(tmp_path / "parts"), strict=True):
         assert {k: v for k, v in a.items() if k not in drop} == {k: v for k, v in b.items() if k not in drop}
+
+
+def test_other_weights_in_the_place_of_a_training_are_named(tmp_path, windows):
+    how = config(tmp_path, epochs=1)
+    train(how, windows)
+    shutil.copy(tmp_path / "best.safetensors", tmp_path / "last.safetensors")
+    with pytest.raises(FormatError, match=r"last.safetensors: not the checkpoint of a training"):
+        train(how, windows)
 
 
 def test_killed_and_resumed_is_as_undisturbed(tmp_path, windows):

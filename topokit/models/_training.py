@@ -22,6 +22,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Subset
 from tqdm import tqdm
 
+from topokit._archive import FormatError
 from topokit._config import from_mapping
 
 from ._base import Normalisation
@@ -235,14 +236,17 @@ class _Training:
         save_tensors(self.out / name, weights, describe(self.model, self.config.model, self.config.options, **more))
 
     def _restore(self, document: dict[str, Any], tensors: dict[str, Tensor]) -> None:
-        self.model.load_state_dict(part_of(tensors, "model."))
-        self.progress = Progress(**document["progress"])
-        if self.model.learns:
-            whole = self.optimizer.state_dict()
-            for key, part in part_of(tensors, "optimizer.").items():
-                index, name = key.split(".")
-                whole["state"].setdefault(int(index), {})[name] = part
-            self.optimizer.load_state_dict(whole)
+        try:
+            self.model.load_state_dict(part_of(tensors, "model."))
+            self.progress = Progress(**document["progress"])
+            if self.model.learns:
+                whole = self.optimizer.state_dict()
+                for key, part in part_of(tensors, "optimizer.").items():
+                    index, name = key.split(".")
+                    whole["state"].setdefault(int(index), {})[name] = part
+                self.optimizer.load_state_dict(whole)
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise FormatError(f"{self.out / LAST}: not the checkpoint of a training: {error!s:.300}") from error
 
     def _check_same(self, document: dict[str, Any]) -> None:
         """Whether a training may go on: with this configuration, as JSON has it, and on this dataset."""
