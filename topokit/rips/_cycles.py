@@ -1,9 +1,7 @@
 """Closed walks around loops: one that is short at birth and dies when its loop does, and shorter ones in the same class.
 
-Idea: a cycle of the Rips complex, written in *creators* (the edges that made loops), is a short set: an edge with a
-non-empty lune counts as the two other edges of a triangle on it, a tree edge as nothing. The relations that kill loops,
-reduced, turn that set into the cycle's *class*: nothing is left of it exactly when the cycle is a boundary. Both are worked
-out only for the edges and relations that are asked for.
+Idea: a cycle, written in creators as in `kernel`, is a short set. The relations that kill loops, reduced, turn that set into
+the cycle's *class*: nothing is left of it exactly when the cycle is a boundary. Both are worked out only when asked for.
 
 The shortest way around a birth edge {x, y} is the shortest path from x to y before it arrives. It may go around an older
 loop as well and then outlives the bar. So the search runs in pairs (vertex, class of the path so far), as in a covering
@@ -18,7 +16,9 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Iterable, Sequence
+from functools import reduce
 from itertools import pairwise
+from operator import xor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,24 +28,18 @@ from ._edges import edge_length
 from ._paths import Time, lune_vertex, neighbours, shortest_paths
 
 SEARCH_LIMIT = 20_000  # pairs (vertex, class) looked at before a search gives up
+NEVER: Time = (math.inf, 0, 0)
 Edge = tuple[int, int]
 
 
 class Homology:
-    """Degree-1 classes in the Rips filtration of a cloud, as sets of creators: an int, bit c for the c-th loop born.
-
-    Parameters
-    ----------
-    cloud : Cloud
-    created, killed : (c, 2) and (c, 4) int64
-        The edges that create loops, in order; for each the killer edge and its two apexes, -1 when nothing kills it.
-    """
+    """Degree-1 classes in the Rips filtration of a cloud, as sets of creators: an int, bit c for the c-th loop born."""
 
     def __init__(self, cloud: Cloud, created: NDArray[np.int64], killed: NDArray[np.int64]) -> None:
         self._data, self._axes = cloud.data, cloud.axes
         self._creator: dict[Edge, int] = {(a, b): c for c, (a, b) in enumerate(created.tolist())}
         self._killers: list[list[int]] = killed.tolist()
-        self._killed_at = [self.time(x, y) if x >= 0 else (math.inf, 0, 0) for x, y, _, _ in self._killers]
+        self._killed_at = [self.time(x, y) if x >= 0 else NEVER for x, y, _, _ in self._killers]
         self._edges: dict[Edge, int] = {}  # edges written in creators
         self._columns: dict[int, int] = {}  # reduced relations, by youngest creator
         self._classes: dict[Edge, int] = {}  # of edges, at the time that was asked for last
@@ -84,41 +78,37 @@ class Homology:
         return self._edges[edge]
 
     def class_of(self, edges: Iterable[Edge], time: Time) -> int:
-        """The class of a chain in the complex just before a time; 0 for a cycle that is a boundary there.
-
-        It is linear in the chain: what is left of its creators when all relations that came before are used up.
-        """
+        """The class of a chain in the complex just before a time, linear in the chain; 0 for a boundary."""
         if time != self._classes_at:
             self._classes_at, self._classes = time, {}
         total = 0
         for a, b in edges:
             edge = (a, b) if a < b else (b, a)
             if edge not in self._classes:
-                self._classes[edge] = self._reduced(self.in_creators(a, b), time)
+                self._classes[edge] = self._reduced(self.in_creators(a, b), time)[0]
             total ^= self._classes[edge]
         return total
 
-    def _reduced(self, column: int, time: Time) -> int:
-        """What is left of a set of creators when all relations that came before a time are used up."""
-        left = 0
+    def _reduced(self, column: int, time: Time) -> tuple[int, set[int]]:
+        """What relations before a time leave of a set of creators; creators that are left or are such a relation's youngest."""
+        left, used = 0, set[int]()
         while column:
             youngest = column.bit_length() - 1
+            used.add(youngest)
             if self._killed_at[youngest] < time:
                 column ^= self._columns.get(youngest) or self._relation_of(youngest)
             else:
                 left |= 1 << youngest
                 column ^= 1 << youngest
-        return left
+        return left, used
 
     def killers_of(self, walks: Iterable[Sequence[int]]) -> list[Edge | None]:
-        """For closed walks in order: the edge with which each becomes a boundary or homologous to a sum of earlier ones.
-
-        That edge is a killer, or the walk's own latest edge if it is so as soon as it is there; None when it never is.
-        """
+        """For closed walks in order: the edge with which each becomes a boundary or homologous to a sum of earlier ones."""
         edges, settled = list[Edge | None](), dict[int, set[int]]()
         for walk in walks:
             last = max(self.time(a, b) for a, b in sides(walk))
-            used, latest = self._relations(sides(walk)), -1
+            column, latest = reduce(xor, (self.in_creators(a, b) for a, b in sides(walk))), -1
+            _, used = self._reduced(column, NEVER)
             while used and (latest := max(used, key=self._killed_at.__getitem__)) in settled:
                 used = used ^ settled[latest]
             if used:
@@ -126,20 +116,6 @@ class Homology:
                 last = max(last, self._killed_at[latest])
             edges.append(None if last[0] == math.inf else last[1:])
         return edges
-
-    def _relations(self, cycle: Iterable[Edge]) -> set[int]:
-        """The reduced relations whose sum a cycle is, by their creators; their pivots differ, so there is one such sum."""
-        column, used = 0, set[int]()
-        for a, b in cycle:
-            column ^= self.in_creators(a, b)
-        while column:
-            youngest = column.bit_length() - 1
-            used.add(youngest)
-            if self._killed_at[youngest][0] == math.inf:
-                column ^= 1 << youngest
-            else:
-                column ^= self._columns.get(youngest) or self._relation_of(youngest)
-        return used
 
     def _relation_of(self, creator: int) -> int:
         """The relation that kills a loop, reduced by those before it until the loop is its youngest."""
