@@ -176,7 +176,7 @@ def test_more_edges_or_loops_than_memory_is_allowed_for(monkeypatch):
 def test_any_change_of_a_kernel_file_makes_compiled_kernels_stale(tmp_path):
     folder = Path(_jit.__file__).parent
     kernels = [path for path in folder.glob("*.py") if "njit" in path.read_text()]
-    assert {"kernel.py", "_edges.py", "_tree.py", "_lunes.py", "_paths.py", "_creators.py"} <= {
+    assert {"kernel.py", "_edges.py", "_tree.py", "_lunes.py", "_cycles.py", "_creators.py"} <= {
         path.name for path in kernels
     }
     for path in kernels:

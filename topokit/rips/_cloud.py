@@ -24,10 +24,9 @@ Pairs = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points or distances, checked and copied.
+    """Points or distances. Squared lengths order edges of points: roots may hide a difference.
 
-    Edges of points are ordered by squared length: roots may hide a difference. A power of two saves squares from overflow
-    and underflow, and costs no digit.
+    A power of two saves squares from overflow and underflow, and costs no digit.
     """
 
     data: NDArray[np.float64]  # (n, d) coordinates times `scale`, d >= 3; or (n, n) distances
@@ -36,7 +35,7 @@ class Cloud:
 
     @classmethod
     def of(cls, points: ArrayLike, metric: str = "euclidean") -> Cloud:
-        """Check `points`, (n, d) coordinates or with ``metric="precomputed"`` the (n, n) distances, and copy them."""
+        """Check and copy (n, d) coordinates, or with ``metric="precomputed"`` the (n, n) distances."""
         if metric not in ("euclidean", "precomputed"):
             raise ValueError(f'metric must be "euclidean" or "precomputed", not {metric!r}')
         array = as_points(points)
@@ -45,9 +44,7 @@ class Cloud:
             return cls(array.copy(), (), 1.0)
         exponent = int(np.frexp(np.abs(array).max(initial=0.0))[1])
         scale = 2.0 ** -min(max(exponent, -1000), 1000)
-        flat = np.zeros(
-            (len(array), max(3 - array.shape[1], 0))
-        )  # the plane is a part of space: fewer kernels to compile
+        flat = np.zeros((len(array), max(3 - array.shape[1], 0)))  # in space: fewer kernels to compile
         data = np.hstack([array * scale, flat])
         return cls(data, (0,) * data.shape[1], scale)
 
@@ -79,9 +76,7 @@ def squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.
 def _check_distances(matrix: NDArray[np.float64]) -> None:
     """Raise ValueError when the matrix cannot be one of distances; the message names the entry."""
     if matrix.shape[0] != matrix.shape[1]:
-        raise ValueError(
-            f'with metric="precomputed", points must be a square matrix of distances, not of shape {matrix.shape}'
-        )
+        raise ValueError(f"the matrix of distances must be square, not of shape {matrix.shape}")
     for wrong, what in (
         (matrix < 0, "negative"),
         (matrix != matrix.T, "not symmetric"),
@@ -89,16 +84,13 @@ def _check_distances(matrix: NDArray[np.float64]) -> None:
     ):
         if wrong.any():
             i, j = np.argwhere(wrong)[0].tolist()
-            raise ValueError(
-                f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]} there and {matrix[j, i]} at [{j}, {i}]"
-            )
+            raise ValueError(f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]} and {matrix[j, i]}")
 
 
 def pairs(cloud: Cloud, max_radius: float) -> Pairs:
     """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,)."""
-    if len(cloud) < 4 or (
-        cloud.axes and not cloud.data[:, 1:].any()
-    ):  # a loop needs four vertices, and room to go around
+    on_a_line = bool(cloud.axes) and not cloud.data[:, 1:].any()
+    if len(cloud) < 4 or on_a_line:
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
     created, killed = _kernel(cloud, cloud.key_of(2 * max_radius))
     birth, death = (cloud.lengths(edges[:, 0], edges[:, 1]) / 2 for edges in (created, killed))
@@ -112,21 +104,16 @@ def _kernel(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray
     """Run the kernel within `MEMORY`."""
     n = len(cloud)
     bits = n * ((n + 63) // 64) * 8
-    if bits > MEMORY:
-        raise _too_large(n, f"{bits / 1e9:.1f} GB for a bit for each pair of points")
-    _compile(cloud.axes)
     try:
+        if bits > MEMORY:
+            raise MemoryError(f"{bits / 1e9:.1f} GB for a bit for each pair of points")
+        _compile(cloud.axes)
         return _run(cloud, max_length, MEMORY - bits)
     except MemoryError as error:
-        what = "edges of the same length" if "one length" in str(error) else "loops, however short"
-        raise _too_large(n, f"more than that: there are very many {what}") from error
-
-
-def _too_large(n: int, needs: str) -> MemoryError:
-    return MemoryError(
-        f"persistence may take {MEMORY / 1e9:.1f} GB for one cloud, and these {n} points need {needs}; "
-        "take a subset (topokit.farthest_point_sample)"
-    )
+        raise MemoryError(
+            f"persistence may take {MEMORY / 1e9:.1f} GB for one cloud, and these {n} points need {error}; "
+            "take a subset (topokit.farthest_point_sample)"
+        ) from error
 
 
 def _run(cloud: Cloud, max_length: float, spare: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -17,19 +17,22 @@ import heapq
 import math
 from collections.abc import Iterable, Sequence
 from functools import reduce
-from itertools import pairwise
+from itertools import pairwise, starmap
 from operator import xor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._cloud import Cloud
-from ._edges import edge_length
-from ._paths import Time, lune_vertex, neighbours, shortest_paths
+from ._edges import edge_length, precedes
+from ._jit import njit
 
 SEARCH_LIMIT = 20_000  # pairs (vertex, class) looked at before a search gives up
-NEVER: Time = (math.inf, 0, 0)
 Edge = tuple[int, int]
+Time = tuple[float, int, int]  # what `edge_length` says of an edge, and its ends
+NEVER: Time = (math.inf, 0, 0)
+_Array = NDArray[np.float64]
+_Axes = tuple[int, ...]
 
 
 class Homology:
@@ -77,6 +80,10 @@ class Homology:
                     waiting += [one, other]
         return self._edges[edge]
 
+    def _around(self, walk: Sequence[int]) -> int:
+        """A closed walk written in creators."""
+        return reduce(xor, starmap(self.in_creators, sides(walk)))
+
     def class_of(self, edges: Iterable[Edge], time: Time) -> int:
         """The class of a chain in the complex just before a time, linear in the chain; 0 for a boundary."""
         if time != self._classes_at:
@@ -107,8 +114,7 @@ class Homology:
         edges, settled = list[Edge | None](), dict[int, set[int]]()
         for walk in walks:
             last = max(self.time(a, b) for a, b in sides(walk))
-            column, latest = reduce(xor, (self.in_creators(a, b) for a, b in sides(walk))), -1
-            _, used = self._reduced(column, NEVER)
+            (_, used), latest = self._reduced(self._around(walk), NEVER), -1
             while used and (latest := max(used, key=self._killed_at.__getitem__)) in settled:
                 used = used ^ settled[latest]
             if used:
@@ -124,9 +130,7 @@ class Homology:
             c = waiting[-1]
             if c not in unfinished:
                 x, y, first, further = self._killers[c]
-                unfinished[c] = 0
-                for a, b in ((x, first), (first, y), (y, further), (further, x)):
-                    unfinished[c] ^= self.in_creators(a, b)
+                unfinished[c] = self._around([x, first, y, further])
             while (youngest := unfinished[c].bit_length() - 1) != c and youngest in self._columns:
                 unfinished[c] ^= self._columns[youngest]
             if youngest == c:
@@ -245,3 +249,65 @@ def _spliced(walk: list[int], bridge: list[int], other: list[int]) -> list[int]:
     i, j = walk.index(bridge[0]), other.index(bridge[-1])
     detour = [*bridge[:-1], *other[j:], *other[: j + 1], *bridge[-2::-1]]
     return [*walk[:i], *detour, *walk[i + 1 :]]
+
+
+@njit()
+def lune_vertex(data: _Array, axes: _Axes, x: int, y: int) -> int:
+    """The vertex z that completes the earliest triangle before the edge {x, y}, x < y; -1 when its lune is empty."""
+    length = edge_length(data, x, y, axes)
+    best, least = -1, np.inf
+    for z in range(len(data)):
+        if z in (x, y):
+            continue
+        to_x, to_y = edge_length(data, x, z, axes), edge_length(data, y, z, axes)
+        later = max(to_x, to_y)
+        if later < least and precedes(to_x, x, z, length, x, y) and precedes(to_y, y, z, length, x, y):
+            best, least = z, later
+    return best
+
+
+@njit()
+def neighbours(data: _Array, axes: _Axes, v: int, time: Time) -> tuple[NDArray[np.int64], _Array]:
+    """The vertices joined to v before a time, and the lengths of the edges to them."""
+    found, lengths, size = np.empty(len(data), np.int64), np.empty(len(data)), 0
+    for w in range(len(data)):
+        key = edge_length(data, v, w, axes)
+        if w != v and precedes(key, v, w, time[0], time[1], time[2]):
+            found[size], lengths[size] = w, key if len(axes) == 0 else np.sqrt(key)
+            size += 1
+    return found[:size], lengths[:size]
+
+
+@njit()
+def shortest_paths(
+    data: _Array, axes: _Axes, time: Time, targets: NDArray[np.int64], stop: int
+) -> tuple[_Array, NDArray[np.int64]]:
+    """Lengths (n,) of the shortest paths along edges that precede a time, to the nearest target, and the next vertices on them.
+
+    Dijkstra's method. A length is infinite where there is no path, and where the path is longer than that from `stop` (-1:
+    nowhere). The vertex after a target is -1. Among equal lengths the path with fewer steps is taken.
+    """
+    n = len(data)
+    length, after = np.full(n, np.inf), np.full(n, -1)
+    steps, done = np.zeros(n, np.int64), np.zeros(n, np.bool_)
+    length[targets] = 0.0
+    while True:
+        v = -1
+        for w in range(n):
+            if not done[w] and length[w] < np.inf and (v < 0 or (length[w], steps[w]) < (length[v], steps[v])):
+                v = w
+        if v < 0 or v == stop:
+            break
+        done[v] = True
+        for w in range(n):
+            if done[w]:
+                continue
+            key = edge_length(data, v, w, axes)
+            if precedes(key, v, w, time[0], time[1], time[2]):
+                way = length[v] + (key if len(axes) == 0 else np.sqrt(key))
+                if way < length[w] or (way == length[w] and steps[v] + 1 < steps[w]):
+                    length[w], after[w], steps[w] = way, v, steps[v] + 1
+    for w in range(n):
+        if not done[w] and w != stop:
+            length[w] = np.inf
+    return length, after

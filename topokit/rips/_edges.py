@@ -119,7 +119,6 @@ def _edges_of_matrix(data, shortest, longest, keys, lengths):
 
 @njit(forceinline=True)
 def _comes_before(key, length, other_key, other_length, label):
-    """Whether an edge comes before another in the total order."""
     if length != other_length:
         return length < other_length
     a, b, _ = ends_of(key)
@@ -168,21 +167,10 @@ def _sort(room, m, label, shortest, longest):
 
 @njit()
 def edges_between(data, axes, tree, shortest, longest, room, most):
-    """Find the edges with shortest <= length < longest, or with a smaller bound if they are many, in the total order.
+    """Find the edges with shortest <= length < longest, in the total order: `room`, their number, and the bound.
 
-    Returns
-    -------
-    room : tuple
-        To be handed to the next call. Its third and fourth arrays hold the edges and their lengths; `ends_of` reads an edge.
-    m : int
-        Number of edges.
-    longest : float
-        The bound up to which these are all edges.
-
-    Raises
-    ------
-    MemoryError
-        When more than `most` edges have the same length.
+    The bound is smaller where they are many. The third and fourth arrays of `room` hold the edges, which `ends_of` reads, and
+    their lengths; the next call takes it again. More than `most` edges of the same length are a MemoryError.
     """
     while True:
         if len(axes) == 0:
@@ -198,7 +186,7 @@ def edges_between(data, axes, tree, shortest, longest, room, most):
         elif len(room[0]) < most:
             room = new_room(min(2 * len(room[0]), most))
         else:
-            raise MemoryError("edges of one length")
+            raise MemoryError("more than that: there are very many edges of the same length")
 
 
 @njit()

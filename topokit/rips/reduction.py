@@ -11,10 +11,10 @@ Source: Edelsbrunner, Letscher, Zomorodian 2002; Cohen-Steiner, Edelsbrunner, Mo
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from numbers import Integral
 
 from numpy.typing import ArrayLike
 
@@ -68,23 +68,19 @@ class Reduction:
         """Yield what is born in a degree, in order of birth, bars of length zero among it."""
         for j, simplex in enumerate(self.simplices):
             if len(simplex.vertices) == degree + 1 and not self.columns[j]:
-                yield self._pair(j)
-
-    def _pair(self, born: int) -> Pair:
-        first = self.simplices[born]
-        killer = self.killer.get(born)
-        last = None if killer is None else self.simplices[killer]
-        cycle = self.chains[born] if killer is None else self.columns[killer]
-        return Pair(
-            degree=len(first.vertices) - 1,
-            birth=first.value,
-            death=last.value if last else math.inf,
-            birth_simplex=first.vertices,
-            death_simplex=last.vertices if last else None,
-            birth_edge=first.latest_edge,
-            killer_edge=last.latest_edge if last else None,
-            cycle=tuple(self.simplices[i].vertices for i in sorted(cycle)),
-        )
+                killer = self.killer.get(j)
+                last = None if killer is None else self.simplices[killer]
+                cycle = self.chains[j] if killer is None else self.columns[killer]
+                yield Pair(
+                    degree=degree,
+                    birth=simplex.value,
+                    death=last.value if last else math.inf,
+                    birth_simplex=simplex.vertices,
+                    death_simplex=last.vertices if last else None,
+                    birth_edge=simplex.latest_edge,
+                    killer_edge=last.latest_edge if last else None,
+                    cycle=tuple(self.simplices[i].vertices for i in sorted(cycle)),
+                )
 
 
 def persistence(
@@ -120,7 +116,7 @@ def persistence(
     >>> [component.death for component in persistence(square, degree=0)]
     [inf, 1.0, 1.0, 1.0]
     """
-    degree = _degree(degree, "degree")
+    _check_degree(degree, "degree")
     reduction = reduce(filtration(points, degree + 1, max_radius=max_radius, metric=metric))
     bars = [pair for pair in reduction.pairs(degree) if pair.death > pair.birth]
     return sorted(bars, key=lambda pair: (-pair.lifetime, pair.birth, pair.birth_simplex))
@@ -149,7 +145,7 @@ def filtration(
     >>> [simplex.vertices for simplex in filtration([[0.0], [1.0], [3.0]], 2)]
     [(0,), (1,), (2,), (0, 1), (1, 2), (0, 2), (0, 1, 2)]
     """
-    dimension = _degree(dimension, "dimension")
+    _check_degree(dimension, "dimension")
     cloud = Cloud.of(points, metric)
     edges, n = _edges(cloud, positive(max_radius, "max_radius", infinite=True)), len(cloud)
     simplices = [Simplex((i,), 0.0, None) for i in range(n)]
@@ -221,11 +217,8 @@ def _check_size(count: int, n: int, dimension: int) -> None:
         )
 
 
-def _degree(value: int, name: str) -> int:
-    try:
-        number = operator.index(value)
-    except TypeError as error:
-        raise TypeError(f"{name} must be an integer, not {value!r}") from error
-    if number < 0:
-        raise ValueError(f"{name} must be zero or more, not {number}")
-    return number
+def _check_degree(value: int, name: str) -> None:
+    if not isinstance(value, Integral):
+        raise TypeError(f"{name} must be an integer, not {value!r}")
+    if value < 0:
+        raise ValueError(f"{name} must be zero or more, not {value}")
