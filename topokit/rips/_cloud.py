@@ -92,7 +92,7 @@ def pairs(cloud: Cloud, max_radius: float) -> Pairs:
     on_a_line = bool(cloud.axes) and not cloud.data[:, 1:].any()
     if len(cloud) < 4 or on_a_line:
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
-    created, killed = _kernel(cloud, cloud.key_of(2 * max_radius))
+    created, killed = _within_memory(cloud, cloud.key_of(2 * max_radius))
     birth, death = (cloud.lengths(edges[:, 0], edges[:, 1]) / 2 for edges in (created, killed))
     death[(killed[:, 0] < 0) | (death > max_radius)] = np.inf
     killed[np.isinf(death)] = -1
@@ -100,8 +100,7 @@ def pairs(cloud: Cloud, max_radius: float) -> Pairs:
     return created[inside], killed[inside], birth[inside], death[inside]
 
 
-def _kernel(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Run the kernel within `MEMORY`."""
+def _within_memory(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     n = len(cloud)
     bits = n * ((n + 63) // 64) * 8
     try:

@@ -35,12 +35,9 @@ def lowest(word):
 
 @njit(forceinline=True)
 def _lune_vertex(data, axes, rows, label, a, b):
-    """A vertex of the lune that {a, b} had when it arrived: one near the middle, or that whose longer edge is shortest.
-
-    Near is what is little farther from both ends than half the length, or a quarter of the square; which one does not matter.
-    """
+    """A vertex of the lune that {a, b} had when it arrived: one near the middle, or that whose longer edge is shortest."""
     length = edge_length(data, a, b, axes)
-    near = (0.63 if len(axes) == 0 else 0.4) * length
+    near = (0.63 if len(axes) == 0 else 0.4) * length  # a little more than half of it, or a quarter of the square
     best, best_value = -1, np.inf
     for w in range(rows.shape[1]):
         both = rows[a, w] & rows[b, w]

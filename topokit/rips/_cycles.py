@@ -166,10 +166,7 @@ class Homology:
     def path_in_class(
         self, source: int, target: int, time: Time, death: Time, wanted: int, bound: float = math.inf
     ) -> list[int]:
-        """The shortest path along edges that precede a time whose class before `death` is the one that is wanted.
-
-        Returns [] when none is shorter than the bound, or none is found among the first `SEARCH_LIMIT` pairs.
-        """
+        """The shortest path before a time whose class before `death` is the one wanted; [] if none is found below the bound."""
         remaining = shortest_paths(self._data, self._axes, time, np.array([target]), -1)[0].tolist()
         start, goal = (source, 0), (target, wanted)
         best, before = {start: (0.0, 0)}, {start: start}
@@ -282,10 +279,10 @@ def neighbours(data: _Array, axes: _Axes, v: int, time: Time) -> tuple[NDArray[n
 def shortest_paths(
     data: _Array, axes: _Axes, time: Time, targets: NDArray[np.int64], stop: int
 ) -> tuple[_Array, NDArray[np.int64]]:
-    """Lengths (n,) of the shortest paths along edges that precede a time, to the nearest target, and the next vertices on them.
+    """Lengths of the shortest paths before a time to the nearest target, by Dijkstra's method, and the next vertices on them.
 
-    Dijkstra's method. A length is infinite where there is no path, and where the path is longer than that from `stop` (-1:
-    nowhere). The vertex after a target is -1. Among equal lengths the path with fewer steps is taken.
+    A length is infinite where there is no path or it is longer than that from `stop` (-1: nowhere); -1 comes after a target.
+    Among equal lengths the path with fewer steps is taken.
     """
     n = len(data)
     length, after = np.full(n, np.inf), np.full(n, -1)

@@ -58,8 +58,7 @@ class Diagram:
         Returns
         -------
         (m, 3) int64, m <= 4
-            Outer edge and apex, the thick triangle's first. Ties go to the smaller apex; a triangle that is not in the
-            complex at the loop's death is left out.
+            Outer edge and apex, the thick triangle's first. Triangles that come after the loop's death are left out.
         """
         self._check_index(i)
         found: list[tuple[int, int, int]] = []
@@ -80,12 +79,10 @@ class Diagram:
 
         It becomes a boundary with the killer edge, not before. The path is the shortest, along edges that precede the birth
         edge, for which this is so: the shortest of all may go around an older loop as well, and would outlive the bar.
-        Around a loop that does not die the walk is the shortest of all.
 
-        There are two exceptions. The search for that path gives up where very many older loops are alive. And where the
-        class that dies needs an older loop of another component, no connected walk at birth is in it: of the two rings at
-        the ends of a pipe the older lives on, and what dies is both together. In these cases walks around the older loops
-        are added, there and back over a bridge. Its edges precede the killer edge; used twice, they count as nothing.
+        There are two exceptions: where very many older loops are alive, the search for that path gives up, and where what
+        dies are the two rings at the ends of a pipe, no connected walk at birth is in their class. Then walks around older
+        loops are added, there and back over a bridge of edges that precede the killer edge and, used twice, count as nothing.
 
         Returns
         -------
@@ -117,8 +114,7 @@ class Diagram:
         Returns
         -------
         (len(walks), 2) int64
-            A killer edge, or the walk's own latest edge when it ends as soon as it is there; -1 where `max_radius` keeps it
-            from ending.
+            A killer edge, or the walk's own latest edge; -1 where `max_radius` keeps it from ending.
 
         Raises
         ------
@@ -165,8 +161,7 @@ def tighten(
     cycle : (length,) array_like of int
         Vertex ids; the last joins the first.
     radius : float, optional
-        The complex is VR_radius; by default the one at the walk's own birth, of all edges up to the walk's latest. Where a
-        loop lives on, a larger radius draws it tighter, over longer edges.
+        The complex is VR_radius; by default the one at the walk's own birth, of all edges up to the walk's latest.
     metric : {"euclidean", "precomputed"}
         Of `points`; ignored for a diagram.
 

@@ -101,7 +101,7 @@ def persistence(
     Returns
     -------
     list of Pair
-        Longest lifetime first, then by birth and by birth simplex. Bars of length zero are left out.
+        Longest lifetime first, then by birth and by birth simplex; none of length zero.
 
     Examples
     --------
@@ -127,9 +127,8 @@ def filtration(
 ) -> list[Simplex]:
     """List the simplices of the Rips complex up to a dimension, in the order in which they arrive.
 
-    Vertices come first, then edges by (length, smaller index, larger index). Each brings at once the simplices of which it
-    is the latest edge, by dimension, then by vertices: those that it spans with the cliques of its *lune*, the vertices
-    already joined to both its ends. There may be `MAX_SIMPLICES` of them.
+    Vertices come first, then edges by (length, smaller index, larger index). Each brings at once, by dimension, then by
+    vertices, what it spans with the cliques of its *lune*, the vertices already joined to both its ends.
 
     Parameters
     ----------
