@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 import threading
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,18 +140,11 @@ def _compile(axes: tuple[int, ...]) -> None:
         if axes in _ready:
             return
         what = f"points in {len(axes)} dimensions" if axes else "matrices of distances"
-        with _announced(f"topokit: compiling the persistence kernel for {what} (once; kept for the next time)"):
+        message = f"topokit: compiling the persistence kernel for {what} (once; kept for the next time)"
+        notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
+        notice.start()
+        try:
             _run(Cloud(np.zeros((4, len(axes) or 4)), axes, 1.0), 1.0, MEMORY)
+        finally:
+            notice.cancel()
         _ready.add(axes)
-
-
-@contextlib.contextmanager
-def _announced(message: str) -> Iterator[None]:
-    """Say on stderr what is being waited for, when it takes long."""
-    timer = threading.Timer(_PATIENCE, lambda: print(message, file=sys.stderr, flush=True))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
