@@ -10,7 +10,7 @@ from importlib import resources
 
 import pytest
 
-from topokit.view._frame import Framed
+from topokit.view._pages import Framed
 
 needs_node = pytest.mark.skipif(
     shutil.which("node") is None, reason="node, which runs the page's script, is not installed"

@@ -140,7 +140,7 @@ def test_noise_is_repeatable_and_small(world):
 @pytest.mark.parametrize("z", [0.4, 1.0, 2.0])
 def test_axial_noise_grows_with_squared_distance(rng, z):
     depth, mask = np.full((300, 300), z), np.ones((300, 300), dtype=bool)
-    noisy, seen = DepthNoise().apply(depth, mask, rng)
+    noisy, seen = DepthNoise()._spoil(depth, mask, rng)
     assert seen.all()
     assert np.std(noisy - z) == pytest.approx(0.0012 + 0.0019 * (z - 0.4) ** 2, rel=0.02)
     assert abs(np.mean(noisy - z)) < 1e-4
@@ -150,15 +150,15 @@ def test_lateral_noise_and_dropout(rng):
     depth = np.where(np.arange(400) < 200, 1.0, np.inf) * np.ones((400, 1))
     mask = np.isfinite(depth)
     none = DepthNoise(axial=0, axial_growth=0, lateral=0)
-    for before, after in zip((depth, mask), none.apply(depth, mask, rng), strict=True):
+    for before, after in zip((depth, mask), none._spoil(depth, mask, rng), strict=True):
         np.testing.assert_array_equal(before, after)
-    moved, ragged = dataclasses.replace(none, lateral=2.0).apply(depth, mask, rng)
+    moved, ragged = dataclasses.replace(none, lateral=2.0)._spoil(depth, mask, rng)
     np.testing.assert_array_equal(ragged, np.isfinite(moved))
     edge = ragged[:, 198:202].mean()
     assert 0.3 < edge < 0.7  # near the outline it is a coin toss
     assert ragged[:, :190].all()
     assert not ragged[:, 210:].any()
-    _, kept = dataclasses.replace(none, dropout=0.25).apply(depth, mask, rng)
+    _, kept = dataclasses.replace(none, dropout=0.25)._spoil(depth, mask, rng)
     assert kept[:, :200].mean() == pytest.approx(0.75, abs=0.01)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import pickle
 import shutil
 from types import SimpleNamespace
 
@@ -16,7 +17,7 @@ from topokit import track
 from topokit._archive import FormatError
 from topokit.cli import main
 from topokit.data import Dataset, DatasetConfig, _generate, check_dataset, generate_dataset, label_dataset, make_episode
-from topokit.data._states import arrays_of, states_of
+from topokit.data._layout import arrays_of, states_of
 from topokit.seqph import RECOMMENDED
 
 from small_datasets import SEED, TINY, without_dask
@@ -105,6 +106,20 @@ def test_labels_are_the_states_of_the_stored_clouds(made):
                     np.testing.assert_allclose(a.neighbour_values, b.neighbour_values, rtol=1e-6)
 
 
+def test_a_stored_loop_finds_its_cycle(made):
+    """By persistence of the stored cloud, when asked for: the one that the tracker would name."""
+    dataset, asked = Dataset(made), 0
+    for name, cloud in (("full", dataset[4].points), ("observed-40", dataset[4].observed[:, :40])):
+        states = pickle.loads(pickle.dumps(dataset.states(4, name)))
+        for one, other in zip(states[::5], track(cloud, **OPTIONS)[::5], strict=True):
+            for a, b in zip(one.loops, other.loops, strict=False):
+                asked += 1
+                assert a.cycle.tolist() == b.cycle.tolist()
+                assert set(a.birth_edge.tolist()) == {a.cycle[0], a.cycle[-1]}
+                np.testing.assert_array_equal(a.cycle_points, cloud[one.frame][a.cycle])
+    assert asked > 4
+
+
 def test_loops_without_a_slot_are_counted(made):
     episode = Dataset(made)[0]
     states = track(episode.points, alpha=0.0)  # also what is noise
@@ -112,7 +127,7 @@ def test_loops_without_a_slot_are_counted(made):
     assert most > 2
     stored = arrays_of(states, 2)
     assert [int(n) for n in stored["parameters"][:, 3]] == [max(0, len(state) - 2) for state in states]
-    found = states_of(stored, episode.points, episode.times)
+    found = states_of(stored, episode.points, episode.dt)
     assert [loop.id for loop in found[0].loops] == [loop.id for loop in states[0].loops[:2]]  # the longest-lived ones
 
 
@@ -274,7 +289,7 @@ class Many(Dataset):
     """The records of a dataset of 21 tasks, without episodes."""
 
     def __init__(self, n):
-        from topokit.data._records import Record
+        from topokit.data._group import Record
 
         config = DatasetConfig()
         tasks = [config.draw(0, i).task for i in range(n)]

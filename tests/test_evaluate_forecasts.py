@@ -453,7 +453,7 @@ def test_results_of_other_code_are_stale_and_words_do_not_count(module, old, new
         path.write_text(
             '"""Other words."""  # and a comment\n' + text.split('"""', 2)[2].replace("Parameters\n", "Given\n")
         )
-        (package / "view" / "_palette.py").write_text("nothing = 0\n")
+        (package / "view" / "_plots.py").write_text("nothing = 0\n")
         assert library_digest(package) == library_digest()
     else:
         path.write_text(text.replace(old, new))

@@ -14,9 +14,9 @@ from scipy.spatial.distance import cdist, directed_hausdorff
 from topokit import hausdorff, lemmas, rips_persistence
 from topokit.io import load_episode
 from topokit.lemmas import COUNTEREXAMPLES, STATEMENTS, Verdict
-from topokit.lemmas._critical import is_critical
 from topokit.lemmas._diagrams import _rank_inequality
 from topokit.lemmas._matching import longest_unmatched, match_diagrams
+from topokit.lemmas._measures import is_critical
 from topokit.lemmas._step import observed_state
 
 from conftest import DATA
@@ -235,7 +235,7 @@ def test_every_inequality_can_fail():
     assert honest.statistic > 0
     verdict = _rank_inequality(observed_state(points, ids), honest.statistic / 2)
     assert verdict.violated
-    assert verdict.margin == pytest.approx(-honest.statistic / 2)
+    assert verdict.bound - verdict.statistic == pytest.approx(-honest.statistic / 2)
     loop = verdict.witness.loop
     assert (verdict.witness.birth, verdict.witness.death) == (s.birth[loop], s.death[loop])
 
@@ -247,7 +247,7 @@ def test_counterexamples_refute_the_paper_and_not_the_correction(name):
     assert check.statement == example.statement
     assert check.paper.applies  # the hypotheses hold, there is a loop to speak about
     assert not check.paper.holds
-    assert check.paper.margin < 0
+    assert check.paper.bound < check.paper.statistic
     assert check.paper.witness is not None
     assert "FAILS" in str(check)
     assert all(v.holds for version, v in check.versions.items() if version != "paper")
@@ -469,3 +469,12 @@ def test_the_search_finds_no_violation_and_would_find_one(monkeypatch):
     less = search_lemmas.shrink(instance, news["statement"], news["version"])
     assert len(less.before) <= len(instance.before)
     assert lemmas.feature_approximation(less.before, less.seen).paper.violated
+
+
+def test_the_killer_of_a_square_jumps_by_a_side_and_its_cycle_stays():
+    """A motion of 1e-9 and the other diagonal is the killer; the triangle's barycentre jumps a third as far."""
+    square = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+    [jump] = lemmas.killer_jumps(square, square + [[1e-9, 0], [0, 0], [0, 0], [0, 0]])
+    assert (jump.loop, jump.length) == (0, 2.0)
+    assert (jump.edge, jump.barycentre) == pytest.approx((2**0.5, 2**0.5 / 3), abs=1e-8)
+    assert jump.cycle == pytest.approx(0, abs=1e-8)

@@ -6,6 +6,7 @@ import ast
 import hashlib
 import json
 import re
+import statistics
 import subprocess
 import sys
 from pathlib import Path
@@ -138,6 +139,29 @@ def tracked_files() -> list[Path]:
     if done.returncode:
         pytest.skip("not a git checkout")
     return [ROOT / name for name in done.stdout.split("\0") if name and (ROOT / name).is_file()]
+
+
+def lengths_of_functions(path: Path) -> list[int]:
+    """Lines of code of every function, without its docstring, comments and blank lines."""
+    source = path.read_text()
+    lines, found = source.splitlines(), []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            words = node.body[0] if ast.get_docstring(node) is not None else None
+            said = set(range(words.lineno, words.end_lineno + 1)) if words is not None else set()
+            body = [lines[i - 1].strip() for i in range(node.lineno, node.end_lineno + 1) if i not in said]
+            found.append(sum(line != "" and not line.startswith("#") for line in body))
+    return found
+
+
+def test_the_library_stays_small():
+    files = sorted((ROOT / "topokit").rglob("*.py"))
+    sizes = {path.name: len(path.read_text().splitlines()) for path in files}
+    assert sum(len(path.read_text().splitlines()) for path in files) <= 15_000
+    assert max(sizes.values()) <= 350, max(sizes, key=sizes.get)
+    lengths = sorted(length for path in files for length in lengths_of_functions(path))
+    assert statistics.median(lengths) <= 7
+    assert lengths[len(lengths) * 9 // 10] <= 20
 
 
 def test_files_are_small():

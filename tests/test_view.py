@@ -14,9 +14,8 @@ from matplotlib.figure import Figure
 import topokit as tk
 from topokit import view
 from topokit.io import Episode
-from topokit.view import _cloth, _player, _render
-from topokit.view._cloth import tube
-from topokit.view._palette import OKABE_ITO, long_lived
+from topokit.view import _player, _plots, _render
+from topokit.view._plots import OKABE_ITO, long_lived, tube
 
 from pages import NETWORK, page_data
 
@@ -222,7 +221,7 @@ def test_plot_cloth_without_faces_draws_the_points_alone(episode):
     axes.figure.canvas.draw()
     drawn = [len(part.get_offsets()) for part in axes.collections if len(part.get_offsets()) > 1]
     assert drawn == [len(episode.points[0])]
-    assert _cloth._shaded(np.zeros((0, 3, 3)), 0, (-60, 15)).shape == (0, 3)
+    assert _plots._shaded(np.zeros((0, 3, 3)), 0, (-60, 15)).shape == (0, 3)
     plt.close(axes.figure)
 
 
@@ -231,6 +230,14 @@ def test_probe_survives_a_segfault(monkeypatch):
     works, reason = _render.pyvista_works.__wrapped__()
     assert not works
     assert "apt-get install libegl1" in reason
+
+
+def test_probe_does_not_run_what_lies_in_the_working_directory(tmp_path, monkeypatch):
+    (tmp_path / "pyvista.py").write_text("open('executed', 'w').close(); raise SystemExit(1)")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(_render, "find_spec", lambda name: name)
+    _render.pyvista_works.__wrapped__()
+    assert not (tmp_path / "executed").exists()
 
 
 def test_render_with_pyvista_shows_the_loop(episode, states):

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from topokit import hausdorff, lemmas, rips_persistence, view
-from topokit.lemmas._critical import is_critical
+from topokit.lemmas._measures import is_critical
 from topokit.view._lunes import _witness
 
 from conftest import polygon

@@ -23,39 +23,21 @@ __all__ = ["Loop", "TopologicalState", "as_table"]
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One loop of one frame. Lengths are in the unit of the points (metres in topokit's own data).
+    """One loop of one frame. Lengths are in the unit of the points (metres in topokit's own data)."""
 
-    Attributes
-    ----------
-    id : int
-        Identity through time: the same loop keeps it from frame to frame; never reused.
-    birth, death : float
-        Filtration values (half the length) of the edge that creates the loop and of the edge that ends it.
-    birth_edge, killer_edge : (2,) int
-        Vertex ids in the frame's cloud.
-    killer_triangle_ids, neighbour_ids : (2, 3) and (m, 3) int, m <= 4
-        Vertex ids; the thick killer triangle comes first.
-    killer_edge_points : (2, d) float
-    killer_triangles, neighbours : (2, 3, d) and (m, 3, d) float
-        Their coordinates.
-    killer_values, neighbour_values : (2,) and (m,) float
-        Filtration values of the triangles; both killer triangles enter at `death`.
-    step : float
-        Hausdorff distance between this loop's killer edge and that of its previous appearance; nan when the loop is new.
-    """
-
-    id: int
-    birth: float
-    death: float
-    birth_edge: NDArray[np.int64]
-    killer_edge: NDArray[np.int64]
-    killer_triangle_ids: NDArray[np.int64]
-    neighbour_ids: NDArray[np.int64]
-    killer_edge_points: NDArray[np.float64]
-    killer_triangles: NDArray[np.float64]
-    neighbours: NDArray[np.float64]
-    killer_values: NDArray[np.float64]
-    neighbour_values: NDArray[np.float64]
+    id: int  #: identity through time: the same loop keeps it from frame to frame; never reused
+    birth: float  #: filtration value (half the length) of the edge that creates the loop
+    death: float  #: filtration value of the edge that ends it
+    birth_edge: NDArray[np.int64]  #: (2,) vertex ids in the frame's cloud
+    killer_edge: NDArray[np.int64]  #: (2,) vertex ids
+    killer_triangle_ids: NDArray[np.int64]  #: (2, 3) vertex ids; the thick triangle comes first
+    neighbour_ids: NDArray[np.int64]  #: (m, 3) vertex ids, m <= 4
+    killer_edge_points: NDArray[np.float64]  #: (2, d) places of `killer_edge`
+    killer_triangles: NDArray[np.float64]  #: (2, 3, d) places of `killer_triangle_ids`
+    neighbours: NDArray[np.float64]  #: (m, 3, d) places of `neighbour_ids`
+    killer_values: NDArray[np.float64]  #: (2,) filtration values of the killer triangles: both enter at `death`
+    neighbour_values: NDArray[np.float64]  #: (m,) filtration values of the neighbours
+    #: Hausdorff distance between this loop's killer edge and that of its previous appearance; nan when the loop is new
     step: float = float("nan")
     _curve: Callable[[], tuple[NDArray[np.int64], NDArray[np.float64]]] | None = field(default=None, repr=False)
 
@@ -79,7 +61,7 @@ class Loop:
         Raises
         ------
         LookupError
-            When the loop was put together from labels, which hold no cycle.
+            When it was read from a file of states of 0.1.0, or put together by hand: it knows no cloud to find its cycle in.
         """
         return self._closed_curve[0]
 
@@ -111,22 +93,12 @@ class Loop:
 
 @dataclass(frozen=True, eq=False)
 class TopologicalState:
-    """All loops of one frame, longest lifetime first, and the parameters they were tracked with.
+    """All loops of one frame, longest lifetime first, and the parameters they were tracked with."""
 
-    Attributes
-    ----------
-    frame : int
-        Number of the frame in its sequence, from 0.
-    time : float
-        Seconds, when the sequence has a clock; else the frame number.
-    loops : tuple of Loop
-    parameters : dict of str to float
-        The `alpha`, `beta` and `epsilon` used at this frame, given or estimated.
-    """
-
-    frame: int
-    time: float
-    loops: tuple[Loop, ...] = ()
+    frame: int  #: number of the frame in its sequence, from 0
+    time: float  #: seconds, when the sequence has a clock; else the frame number
+    loops: tuple[Loop, ...] = ()  #: longest lifetime first
+    #: the `alpha`, `beta` and `epsilon` used at this frame, given or estimated
     parameters: dict[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -134,23 +106,14 @@ class TopologicalState:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, for JSON: frame, time, parameters, and of every loop its id, place and values."""
-        return {
-            "frame": self.frame,
-            "time": self.time,
-            "parameters": dict(self.parameters),
-            "loops": [
-                {
-                    "id": loop.id,
-                    "birth": loop.birth,
-                    "death": loop.death,
-                    "lifetime": loop.lifetime,
-                    "centre": loop.centre.tolist(),
-                    "killer_edge": loop.killer_edge.tolist(),
-                    "killer_triangles": loop.killer_triangles.tolist(),
-                }
-                for loop in self.loops
-            ],
-        }
+        loops = [
+            {
+                **{name: getattr(loop, name) for name in ("id", "birth", "death", "lifetime")},
+                **{name: getattr(loop, name).tolist() for name in ("centre", "killer_edge", "killer_triangles")},
+            }
+            for loop in self.loops
+        ]
+        return {"frame": self.frame, "time": self.time, "parameters": dict(self.parameters), "loops": loops}
 
     def __getitem__(self, loop_id: int) -> Loop:
         """Return the loop of that identity; KeyError when this frame has none."""
@@ -161,14 +124,10 @@ class TopologicalState:
 
 
 def as_table(states: Iterable[TopologicalState]) -> Any:
-    """Return tracked states as a pandas table, a row for every loop of every frame.
+    """Return tracked states as a `pandas.DataFrame`, a row for every loop of every frame.
 
     Columns are frame, time, id, birth, death, lifetime, step, the centre (x, y, z, or x0 to x[d-1] when d is not 3) and the
     killer edge's vertex ids (killer_a, killer_b).
-
-    Returns
-    -------
-    pandas.DataFrame
 
     Raises
     ------
@@ -179,14 +138,10 @@ def as_table(states: Iterable[TopologicalState]) -> Any:
         import pandas as pd
     except ImportError as error:
         raise ImportError("as_table needs pandas: pip install pandas") from error
-    rows = []
+    numbers, axes, rows = ("id", "birth", "death", "lifetime", "step"), ["x", "y", "z"], []
     for state in states:
         for loop in state.loops:
-            axes = "xyz" if len(loop.centre) == 3 else [f"x{i}" for i in range(len(loop.centre))]
-            row: dict[str, Any] = {"frame": state.frame, "time": state.time}
-            row |= {name: getattr(loop, name) for name in ("id", "birth", "death", "lifetime", "step")}
-            row |= dict(zip(axes, loop.centre.tolist(), strict=True))
-            row |= dict(zip(("killer_a", "killer_b"), loop.killer_edge.tolist(), strict=True))
-            rows.append(row)
-    names = ["frame", "time", "id", "birth", "death", "lifetime", "step", "x", "y", "z", "killer_a", "killer_b"]
-    return pd.DataFrame(rows, columns=None if rows else names)
+            axes = axes if len(loop.centre) == 3 else [f"x{i}" for i in range(len(loop.centre))]
+            values = [getattr(loop, name) for name in numbers]
+            rows.append([state.frame, state.time, *values, *loop.centre.tolist(), *loop.killer_edge.tolist()])
+    return pd.DataFrame(rows, columns=["frame", "time", *numbers, *axes, "killer_a", "killer_b"])

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from ._generate import generate_dataset
     from ._label import label_dataset
     from ._recipe import DatasetConfig, make_episode
-    from ._spoil import spoil
-    from ._windows import WindowDataset
+    from ._windows import WindowDataset, spoil
 
 __all__ = [
     "Dataset",
@@ -38,8 +37,7 @@ __getattr__ = attach(
         "_generate": "generate_dataset",
         "_label": "label_dataset",
         "_recipe": "DatasetConfig make_episode",
-        "_spoil": "spoil",
-        "_windows": "WindowDataset",
+        "_windows": "WindowDataset spoil",
     },
     extra="data,sim,learn",
 )

@@ -6,37 +6,30 @@ import hashlib
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from topokit._archive import FormatError
 from topokit.io import check_episode
 
-from ._group import Group, cloud_of, decode, open_episodes
-from ._layout import Field, episode_fields, episode_of, room, skeleton
+from ._group import Group, Record, decode, open_episodes, parse, read_index, record_path, tracked_cloud
+from ._layout import Field, episode_fields, episode_of, label_fields, room, skeleton, states_of
 from ._recipe import DatasetConfig
-from ._records import Record, parse, read_index, record_path
-from ._states import label_fields, states_of
 
 Records = dict[int, Record]
 Content = Callable[[dict[str, Any]], str | None]  # what is wrong with an episode whose objects are whole
 
 
-class Problem(NamedTuple):
-    """What is wrong with a dataset.
+@dataclass(frozen=True)
+class Problem:
+    """What is wrong with a dataset."""
 
-    Attributes
-    ----------
-    where : str
-        A path in the dataset.
-    what : str
-    """
-
-    where: str
-    what: str
+    where: str  #: a path in the dataset
+    what: str  #: what is wrong there
 
     def __str__(self) -> str:
         return f"{self.where}: {self.what}"
@@ -54,13 +47,8 @@ def check_dataset(url: str | Path, *, progress: bool = False) -> list[Problem]:
     url : str or path
     progress : bool
         Show a bar on stderr.
-
-    Raises
-    ------
-    FileNotFoundError, FormatError
-        When there is no dataset there at all.
     """
-    group, records = open_episodes(url, records=False), Records()
+    group, records = open_episodes(url), Records()
     problems = [*_episode_problems(group, records, progress)]
     for name in group.names("labels"):
         problems += _label_problems(group, f"labels/{name}", records, progress)
@@ -91,7 +79,7 @@ def _episode_problems(group: Group, records: Records, progress: bool) -> Iterato
 
 def _label_problems(group: Group, prefix: str, episodes: Records, progress: bool) -> Iterator[Problem]:
     try:
-        labels = Group(group.url, prefix, records=False)
+        labels = Group(group.url, prefix)
     except (FileNotFoundError, FormatError) as error:
         yield Problem(prefix, str(error))
         return
@@ -103,9 +91,8 @@ def _label_problems(group: Group, prefix: str, episodes: Records, progress: bool
             return "is of another episode than the one that is there now: remove the record, and label again"
         if document["status"] != "ok":
             return None
-        cloud = cloud_of(group, group.document(index), manifest["observation"], manifest["n_points"])
-        times = np.arange(len(cloud), dtype=np.float64)
-        states = states_of(decode(labels, document), cloud, times)  # an error when a frame or a point is not there
+        cloud = tracked_cloud(group, group.document(index), manifest)
+        states = states_of(decode(labels, document), cloud, 1.0)  # an error when a frame or a point is not there
         fine = all(-np.inf < loop.birth < loop.death for state in states for loop in state.loops)
         return None if fine else "has a loop that dies before it is born"
 
@@ -118,7 +105,7 @@ def _label_problems(group: Group, prefix: str, episodes: Records, progress: bool
 def _group_problems(
     group: Group, fields: tuple[Field, ...], wanted: set[int], content: Content, records: Records, progress: bool
 ) -> Iterator[Problem]:
-    """Yield what is wrong with a group, and put its records into `records`."""
+    """What is wrong with a group; its records go into `records`."""
     from tqdm import tqdm
 
     yield from _skeleton_problems(group, fields)
@@ -134,7 +121,10 @@ def _group_problems(
             yield Problem(path, f"episode {record.episode} does not belong here")
         records[record.episode] = record
         owned.update(document["objects"])
-        yield from [*_object_problems(group, fields, document)] or _content_problems(content, document, path)
+        if damage := [*_object_problems(group, fields, document)]:
+            yield from damage
+        elif wrong := _wrong_content(content, document):
+            yield Problem(path, f"episode {record.episode} {wrong}")
     paths = {f"{f.name}/{name}" for f in fields for name in group.names(f.name) if name != "zarr.json"}
     for path in sorted(paths - owned):
         yield Problem(path, "belongs to no record: left by a command that was stopped, and the same command goes on")
@@ -144,7 +134,6 @@ def _group_problems(
 
 
 def _skeleton_problems(group: Group, fields: tuple[Field, ...]) -> Iterator[Problem]:
-    """Yield arrays whose description is not what it must be."""
     for path, content in skeleton(fields, group.manifest).items():
         found = group.read(path)
         if found is None:
@@ -163,7 +152,6 @@ def _difference(found: bytes, wanted: dict[str, Any]) -> str:
 
 
 def _object_problems(group: Group, fields: tuple[Field, ...], document: Mapping[str, Any]) -> Iterator[Problem]:
-    """Yield what is wrong with the objects that a record names."""
     index, expected = document["episode"], set()
     if document["status"] == "ok":
         expected = {f"{f.name}/c.{index}" + ".0" * len(f.shape) for f in fields}
@@ -177,21 +165,17 @@ def _object_problems(group: Group, fields: tuple[Field, ...], document: Mapping[
             yield Problem(path, f"is damaged: its checksum is not that in the record of episode {index}")
 
 
-def _content_problems(content: Content, document: dict[str, Any], path: str) -> Iterator[Problem]:
+def _wrong_content(content: Content, document: dict[str, Any]) -> str | None:
     try:
-        wrong = content(document)
+        return content(document)
     except Exception as error:  # damage shows in a dozen ways
-        wrong = f"cannot be read: {type(error).__name__}: {error}"
-    if wrong:
-        yield Problem(path, f"episode {document['episode']} {wrong}")
+        return f"cannot be read: {type(error).__name__}: {error}"
 
 
 def _index_problems(group: Group, records: Records) -> Iterator[Problem]:
     content = group.read("index.json")
-    if content is None:
-        return
     try:
-        known = read_index(content, "index.json")
+        known = {} if content is None else read_index(content, "index.json")
     except FormatError as error:
         yield Problem("index.json", str(error))
         return

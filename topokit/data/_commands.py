@@ -7,6 +7,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ def add(commands: Any) -> None:
     option("--out", type=Path, required=True, metavar="DIR", help="where to make it, or to go on with it")
     option("--episodes", type=int, required=True, metavar="N", help="how many; more than last time adds some")
     option("--seed", type=int, default=0, help="of the dataset (default 0)")
-    option("--config", type=Path, metavar="JSON", help="a DatasetConfig; what it leaves out has its default")
+    option("--config", type=Path, metavar="FILE", help="a DatasetConfig, as JSON or TOML; the rest has its default")
     seconds = "stop an episode after so many seconds of processor time (default 600)"
     option("--time-limit", type=float, default=600.0, metavar="S", help=seconds)
     option("--retry-failed", action="store_true", help="try failed episodes again")
@@ -48,14 +49,13 @@ def add(commands: Any) -> None:
 
 
 def _generate(options: argparse.Namespace) -> int:
+    from topokit._config import load
+
     from . import DatasetConfig, generate_dataset
 
-    try:
-        config = DatasetConfig.from_json(json.loads(options.config.read_text()) if options.config else {})
-    except ValueError as error:
-        raise ValueError(f"--config {options.config}: {error}") from error
-    limits = {"time_limit": options.time_limit, "retry_failed": options.retry_failed}
-    return _report(options, generate_dataset, config, options.out, options.episodes, options.seed, **limits)
+    config = load(DatasetConfig, options.config) if options.config else DatasetConfig()
+    how = {"time_limit": options.time_limit, "retry_failed": options.retry_failed}
+    return _report(options, generate_dataset, config, options.out, options.episodes, options.seed, **how)
 
 
 def _label(options: argparse.Namespace) -> int:
@@ -90,7 +90,7 @@ def _check(options: argparse.Namespace) -> int:
 
     problems = check_dataset(options.dataset, progress=sys.stderr.isatty() and not options.quiet)
     if options.json:
-        print(json.dumps({"dataset": options.dataset, "problems": [problem._asdict() for problem in problems]}))
+        print(json.dumps({"dataset": options.dataset, "problems": [asdict(problem) for problem in problems]}))
     else:
         print(*problems, sep="\n", end="\n" if problems else "")
         print(f"{options.dataset}: " + (f"{len(problems)} problems" if problems else "all is well"))

@@ -1,7 +1,4 @@
-"""Read a dataset: episodes, labels, splits, and a smaller dataset of some of its episodes.
-
-Taught in chapter 8.
-"""
+"""Read a dataset: episodes, labels, splits, and a smaller dataset of some of its episodes. Taught in chapter 8."""
 
 from __future__ import annotations
 
@@ -14,15 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topokit._archive import atomic_file
 from topokit.io import Episode
 from topokit.state import TopologicalState
 
-from ._group import Group, cloud_of, decode, open_episodes
-from ._layout import episode_of, skeleton
+from ._group import Group, Record, decode, index_bytes, open_episodes, record_path, replace, tracked_cloud
+from ._layout import episode_of, skeleton, states_of
 from ._recipe import DatasetConfig
-from ._records import Record, index_bytes, record_path
-from ._states import states_of
 
 Ids = NDArray[np.int64]
 _PARTS = {"train": 0.8, "validation": 0.1, "test": 0.1}
@@ -33,29 +27,18 @@ class Dataset:
     """A dataset that `generate` made, in a folder or at any URL that fsspec reads.
 
     Episodes keep their number whatever became of their neighbours: ``dataset[7]`` is `make_episode(config, seed, 7)`, to
-    within 0.05 mm. `episodes` are the numbers of those that are whole; iterating gives them in that order.
+    within 0.05 mm. Iterating gives those that are whole, in order.
 
     Parameters
     ----------
     url : str or path
         ``runs/data``, ``s3://bucket/data``, ``zip://::data.zip``, ``memory://data`` and so on.
-
-    Attributes
-    ----------
-    seed : int
-    episodes : (n,) int64
-        Numbers of the whole ones.
-
-    Raises
-    ------
-    FileNotFoundError, FormatError
-        When there is no dataset, or it is damaged; `topokit check` says where.
     """
 
     def __init__(self, url: str | Path) -> None:
         self.group = open_episodes(url)
         self.seed: int = self.group.manifest["seed"]
-        self.episodes: Ids = self.group.whole
+        self.episodes: Ids = self.group.whole  #: (n,) numbers of the whole ones
         self._labels: dict[str, Group] = {}
 
     @cached_property
@@ -65,12 +48,12 @@ class Dataset:
 
     @cached_property
     def records(self) -> tuple[Record, ...]:
-        """One for every episode that was tried, in order; those that are not ok say why."""
+        """One for every episode that was tried, in order."""
         return tuple(self.group.records[i] for i in sorted(self.group.records))
 
     @property
     def failures(self) -> tuple[Record, ...]:
-        """The records of the episodes that were rejected or failed, each with its reason."""
+        """Those that were rejected or failed, each with its `reason`."""
         return tuple(record for record in self.records if record.status != "ok")
 
     @cached_property
@@ -86,13 +69,7 @@ class Dataset:
         return f"Dataset({self.group.url!r}, {whole} of {of} episodes, {len(self.failures)} rejected or failed)"
 
     def __getitem__(self, episode: int) -> Episode:
-        """Return an episode by its number.
-
-        Raises
-        ------
-        KeyError
-            When there is none of that number, or it is not whole; the message says why.
-        """
+        """Return an episode by its number; a KeyError says why there is none."""
         document = self.group.document(self._known(episode))
         return episode_of(decode(self.group, document), document, self.group.manifest)
 
@@ -111,17 +88,6 @@ class Dataset:
         """Return the full record of an episode: its physics, what was drawn, and the checksums of its objects."""
         return self.group.document(int(episode))
 
-    def arrays(self, episode: int, *names: str) -> dict[str, NDArray[Any]]:
-        """Return arrays of an episode as they are stored: coordinates in units of 0.1 mm.
-
-        Parameters
-        ----------
-        episode : int
-        *names : str
-            Of the arrays, all when none is named.
-        """
-        return decode(self.group, self.group.document(self._known(episode)), names)
-
     def checksum(self) -> str:
         """Return one SHA-256 of what the dataset is and of all its episodes: the same however it was made."""
         return self.group.checksum()
@@ -132,7 +98,7 @@ class Dataset:
         Raises
         ------
         FileNotFoundError
-            When there is none of that name.
+            When there are none of that name.
         """
         if name not in self._labels:
             if self.group.read(f"labels/{name}/zarr.json") is None:
@@ -155,16 +121,10 @@ class Dataset:
         episode : int
         name : str
             Of the labels.
-
-        Raises
-        ------
-        KeyError, FileNotFoundError
-            When there is no such episode, or no such labels of it.
         """
         labels, document = self.labels(name), self.group.document(self._known(episode))
-        cloud = cloud_of(self.group, document, labels.manifest["observation"], labels.manifest["n_points"])
-        times = np.arange(len(cloud)) * document["dt"]
-        return states_of(decode(labels, labels.document(int(episode))), cloud, times)
+        cloud = tracked_cloud(self.group, document, labels.manifest)
+        return states_of(decode(labels, labels.document(int(episode))), cloud, document["dt"])
 
     def split(
         self,
@@ -176,15 +136,13 @@ class Dataset:
     ) -> dict[str, Ids]:
         """Divide the episodes into parts, never within an episode: neighbouring frames are nearly the same.
 
-        Parts are cut in one order, however `shares` names them, as a JSON object keeps none: "train" is the first and "test"
-        the last, and others come between them in the order of the alphabet.
+        Parts are cut in one order, however `shares` names them: "train" first, "test" last, others between them by name.
 
         Parameters
         ----------
         by : {"episode", "garment"}
-            Whether a part shares garments with another one. By episode each is drawn on its own: the shares are met about,
-            and no episode changes its part when the dataset grows. By garment whole garments are dealt out, at least one
-            to every part.
+            By episode each is drawn on its own: the shares are met about, and no episode changes its part when the dataset
+            grows. By garment whole garments are dealt out, at least one to every part.
         shares : mapping of str to float
             Parts and their shares.
         seed : int
@@ -220,7 +178,7 @@ class Dataset:
         return {name: self.episodes[part == k] for k, name in enumerate(names)}
 
     def _owners(self, weights: NDArray[np.float64], seed: int, held_out: Sequence[str]) -> dict[str, int]:
-        """Return which part each garment goes to."""
+        """Which part each garment goes to."""
         unknown = sorted(set(held_out) - set(self.garments))
         if unknown:
             raise ValueError(f"held_out: no garment {', '.join(unknown)}; there are {', '.join(self.garments)}")
@@ -269,5 +227,4 @@ def _copy(group: Group, folder: Path, numbers: list[int]) -> None:
     for path, content in chain(((path, group.read(path)) for path in paths), made.items()):
         if content is None:
             raise FileNotFoundError(f"{group.where(path)}: there is no such file; topokit check says what is wrong")
-        with atomic_file(folder / path) as handle:
-            handle.write(content)
+        replace(folder / path, content)

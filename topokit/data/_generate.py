@@ -22,16 +22,14 @@ from topokit.io import Episode
 from topokit.sim import SimulationError
 from topokit.sim._process import Forge
 
-from ._group import Group, compact, locked, prepare, refuse_another, versions_of
+from ._group import Group, commit, compact, locked, prepare, record_path, refuse_another, versions_of
 from ._layout import encode, episode_arrays, episode_fields, room
 from ._parallel import Cluster, Job, run_jobs
 from ._recipe import DatasetConfig, make_episode
-from ._records import commit, record_path
 
 _TRIES = 3
 _SIMULATE = "topokit.data._generate:simulate_and_commit"
 _NEEDS = ("pybullet", "zarr.codecs", "zarr.storage", "scipy.spatial", "fsspec")
-_BETWEEN_INDICES = 500  # episodes between two updates of the index
 Identity = Callable[[int], dict[str, Any]]
 PACKAGES = ("numpy", "scipy", "pybullet", "zarr", "numcodecs")
 
@@ -75,23 +73,14 @@ def generate_dataset(
     progress : bool
         Show a bar with the time left on stderr.
 
-    Returns
-    -------
-    Group
-        Open it with `Dataset` to read episodes.
-
     Raises
     ------
     ValueError
         When the folder was begun with another configuration, seed or version; the message names what differs.
     ImportError
         When PyBullet is not there.
-    OSError
-        When the disk is full, or another command is writing there.
-    ConnectionError
-        When the scheduler cannot be reached or goes away.
-    KeyboardInterrupt
-        On Ctrl-C. In these three cases the same call goes on where it stopped.
+    OSError, ConnectionError, KeyboardInterrupt
+        When the disk is full, another command writes there, or on Ctrl-C: the same call goes on where it stopped.
     """
     folder = Path(out)
     if find_spec("pybullet") is None:
@@ -144,21 +133,18 @@ def make_missing(
 
 
 def _note(folder: Path, outcomes: Iterable[dict[str, Any]], todo: int, wanted: int, progress: bool) -> None:
-    """Keep the log, the bar and the index up to date with what is done."""
+    """Keep the log and the bar up to date with what is done."""
     from tqdm import tqdm
 
     counts: Counter[str] = Counter()
-    bar = tqdm(
-        total=wanted, initial=wanted - todo, unit="episode", disable=not progress, file=sys.stderr, smoothing=0.05
-    )
+    options = {"unit": "episode", "disable": not progress, "file": sys.stderr, "smoothing": 0.05}
+    bar = tqdm(total=wanted, initial=wanted - todo, **options)
     with bar, (folder / "timing.jsonl").open("a") as log:
-        for done, outcome in enumerate(outcomes, 1):
+        for outcome in outcomes:
             counts[outcome["status"]] += 1
             print(json.dumps({**outcome, "at": round(time.time(), 3)}), file=log, flush=True)
             bar.set_postfix({key: n for key, n in counts.items() if key != "ok"}, refresh=False)
             bar.update()
-            if done % _BETWEEN_INDICES == 0:
-                compact(folder)
 
 
 def _kept(folder: Path, identity: Identity, index: int, outcome: Any) -> dict[str, Any]:
@@ -166,7 +152,8 @@ def _kept(folder: Path, identity: Identity, index: int, outcome: Any) -> dict[st
     from distributed import KilledWorker
 
     if isinstance(outcome, KilledWorker):
-        _record_failure(folder, identity(index), "its worker died again and again, whatever worker it was")
+        failure = {"status": "failed", "reason": "its worker died again and again, whatever worker it was"}
+        commit(folder, {**identity(index), **failure, "attempts": None})
         outcome = {"status": "failed", "seconds": 0.0}
     elif isinstance(outcome, BaseException):
         raise outcome  # of the disk, or of this program: not the episode's fault
@@ -182,8 +169,8 @@ def _forget_failed(folder: Path) -> None:
 
 
 def manifest_here(folder: Path, packages: Sequence[str]) -> dict[str, Any]:
-    """Return what a group says it is, to a worker that shall write to it with the same versions: else bytes might differ."""
-    manifest = Group(folder, records=False).manifest
+    """What a group says it is, to a worker that shall write to it: with the same versions, else bytes might differ."""
+    manifest = Group(folder).manifest
     refuse_another(manifest["versions"], versions_of(*packages), str(folder), "versions")
     return manifest
 
@@ -192,7 +179,7 @@ _forge: Forge | None = None  # of this worker
 
 
 def _make_episode(folder: str, time_limit: float, index: int) -> dict[str, Any]:
-    """What a Dask worker does for an episode: see to it that its record is written. Returns what goes into the log."""
+    """What a Dask worker does for an episode: see to its record, and say what goes into the log."""
     global _forge
     _forge = _forge or Forge(_SIMULATE, _NEEDS)
     start, reasons, manifest = time.monotonic(), [], manifest_here(Path(folder), PACKAGES)
@@ -205,20 +192,16 @@ def _make_episode(folder: str, time_limit: float, index: int) -> dict[str, Any]:
             break
         reasons.append(result["message"] if result["error"] == "crash" else f"{result['error']}: {result['message']}")
     else:
-        status = "failed"
-        reason = f"after {_TRIES} tries: {'; '.join(dict.fromkeys(reasons))}"
-        _record_failure(Path(folder), _identity(manifest, index), reason, _TRIES)
+        status, reason = "failed", f"after {_TRIES} tries: {'; '.join(dict.fromkeys(reasons))}"
+        document = {**_identity(manifest, index), "status": status, "reason": reason, "attempts": _TRIES}
+        commit(Path(folder), document)
     return {"status": status, "seconds": round(time.monotonic() - start, 3), "attempts": attempt}
-
-
-def _record_failure(folder: Path, identity: dict[str, Any], reason: str, attempts: int | None = None) -> None:
-    commit(folder, {**identity, "status": "failed", "reason": reason, "attempts": attempts})
 
 
 def simulate_and_commit(job: dict[str, Any]) -> str:
     """What the fresh process does: simulate, pack, write, commit. Returns the status."""
     folder, index = Path(job["folder"]), job["index"]
-    manifest = Group(folder, records=False).manifest
+    manifest = Group(folder).manifest
     identity = _identity(manifest, index)
     try:
         episode = make_episode(DatasetConfig.from_json(manifest["config"]), manifest["seed"], index, time_limit=None)

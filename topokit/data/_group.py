@@ -1,4 +1,8 @@
-"""A group of a dataset, the episodes or a set of labels: opened from anywhere, made and grown on a local disk."""
+"""A group of a dataset, the episodes or a set of labels: opened from anywhere, made and grown on a local disk.
+
+An episode counts once its record is in place: a small JSON file that names the objects of its episode with their SHA-256 and
+is renamed into place after they are. Nothing in it depends on when, where or in which order it was made.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ import hashlib
 import json
 import platform
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -18,21 +23,87 @@ from numpy.typing import NDArray
 from topokit import __version__
 from topokit._archive import FormatError, atomic_file
 
-from ._layout import Field, observed, skeleton, unpack
-from ._records import Record, canonical, index_bytes, parse, read_index, record_path
+from ._layout import Field, cloud_of, skeleton, unpack
+
+
+@dataclass(frozen=True)
+class Record:
+    """An episode in short."""
+
+    episode: int
+    status: str  # "ok"; "rejected": the simulation was not physical; "failed": it could not be made, after three tries
+    reason: str = ""  # why, when the status is not ok
+    task: str = ""
+    garment: str = ""
+    target: str = ""
+    seed: int = 0  # of the episode
+    success: bool = False
+    frames: int = 0  # with the two below: 0 when the status is not ok
+    vertices: int = 0
+    observed: int = 0
+    sha256: str = ""  # of the full record, which holds the checksums of the episode's objects
+
+
+_COLUMNS = tuple(f.name for f in fields(Record))
+
+
+def canonical(document: Mapping[str, Any]) -> bytes:
+    return (json.dumps(document, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
+def record_path(index: int) -> str:
+    return f"records/{index:08d}.json"
+
+
+def commit(folder: Path, document: Mapping[str, Any], objects: Iterable[tuple[str, bytes]] = ()) -> None:
+    """Put the objects of an episode in place, each whole, and then its record.
+
+    None is there before all are written, so that a full disk leaves nothing; what a kill leaves without a record is replaced.
+    """
+    sums = {}
+    with contextlib.ExitStack() as stack:
+        for path, content in objects:
+            stack.enter_context(atomic_file(folder / path)).write(content)
+            sums[path] = hashlib.sha256(content).hexdigest()
+    replace(folder / record_path(document["episode"]), canonical({**document, "objects": sums}))
+
+
+def parse(content: bytes, where: str) -> tuple[Record, dict[str, Any]]:
+    """The short and the full form of a record."""
+    try:
+        document = json.loads(content)
+        known = {name: document[name] for name in _COLUMNS if name in document}
+        record = Record(**{**known, "sha256": hashlib.sha256(content).hexdigest()})
+        if record.status not in ("ok", "rejected", "failed") or record.episode != int(Path(where).stem):
+            raise ValueError(f"it says episode {record.episode}, status {record.status!r}")
+        if not isinstance(document["objects"], dict):
+            raise ValueError("its objects have no names")
+    except (ValueError, KeyError, TypeError) as error:
+        raise FormatError(
+            f"{where}: not a whole record ({error}); remove it and give the same command again"
+        ) from error
+    return record, document
+
+
+def index_bytes(records: Iterable[Record]) -> bytes:
+    """The index file of records: columns, so that 23,000 of them are read at once."""
+    ordered = sorted(records, key=lambda record: record.episode)
+    return canonical({"version": 1, **{name: [getattr(r, name) for r in ordered] for name in _COLUMNS}})
+
+
+def read_index(content: bytes, where: str) -> dict[int, Record]:
+    try:
+        document = json.loads(content)
+        rows = zip(*(document[name] for name in _COLUMNS), strict=True)
+        return {row[0]: Record(*row) for row in rows}
+    except (ValueError, KeyError, TypeError) as error:
+        raise FormatError(f"{where}: a damaged index ({error}); remove it, it is made again") from error
 
 
 class Group:
-    """Records and arrays of a group, read only.
+    """Records and arrays of a group, read only."""
 
-    Attributes
-    ----------
-    manifest : dict
-        What the group is.
-    records : dict of int to Record
-    """
-
-    def __init__(self, url: str | Path, prefix: str = "", *, records: bool = True) -> None:
+    def __init__(self, url: str | Path, prefix: str = "") -> None:
         import fsspec
 
         self.url, self.prefix = str(url), prefix
@@ -42,22 +113,33 @@ class Group:
         if content is None:
             raise FileNotFoundError(f"{self.where()}: there is no dataset (no zarr.json)")
         try:
-            self.manifest: dict[str, Any] = json.loads(content)["attributes"]["topokit"]
+            self.manifest: dict[str, Any] = json.loads(content)["attributes"]["topokit"]  #: what the group is
             number = self.manifest["version"]
         except (ValueError, KeyError, TypeError) as error:
             raise FormatError(f"{self.where('zarr.json')}: not the group of a topokit dataset ({error})") from error
         if number != 1:
             raise FormatError(f"{self.where()}: of version {number}; this topokit reads version 1")
-        self.records = self._read_records() if records else {}
 
     def where(self, path: str = "") -> str:
-        """Return a path as messages name it."""
         return _join(self.url, self.prefix, path)
 
     @property
     def numbers(self) -> list[int]:
         """The episodes that it is to have."""
         return list(self.manifest.get("numbers") or range(self.manifest["episodes"]))
+
+    @cached_property
+    def records(self) -> dict[int, Record]:
+        """Of the episodes that were tried, in short."""
+        content = self.read("index.json")
+        records = {} if content is None else read_index(content, self.where("index.json"))
+        if len(records) < len(self.numbers):  # only then can there be records that the index does not know
+            numbers = {int(name[:8]) for name in self.names("records") if name[:8].isdigit()}
+            for number in sorted(numbers - records.keys()):
+                path = record_path(number)
+                if (content := self.read(path)) is not None:  # it may just have been removed, to be made again
+                    records[number], _ = parse(content, path)
+        return records
 
     @cached_property
     def whole(self) -> NDArray[np.int64]:
@@ -73,11 +155,9 @@ class Group:
 
     def read(self, path: str) -> bytes | None:
         """Return the content of a file, None when there is none."""
-        try:
-            content: bytes = self._fs.cat_file(_join(self._root, self.prefix, path))
-        except (FileNotFoundError, NotADirectoryError, KeyError):
-            return None
-        return content
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError, KeyError):
+            return bytes(self._fs.cat_file(_join(self._root, self.prefix, path)))
+        return None
 
     def names(self, folder: str) -> list[str]:
         """Return the names of the files in place in a folder; none when there is no such folder."""
@@ -105,26 +185,13 @@ class Group:
             self._arrays[name] = zarr.open_array(Path(path) if local else self._fs.get_mapper(path), mode="r")
         return self._arrays[name]
 
-    def _read_records(self) -> dict[int, Record]:
-        content = self.read("index.json")
-        records = {} if content is None else read_index(content, self.where("index.json"))
-        if len(records) < len(self.numbers):  # only then can there be records that the index does not know
-            numbers = {int(name[:8]) for name in self.names("records") if name[:8].isdigit()}
-            for path in map(record_path, sorted(numbers - records.keys())):
-                content = self.read(path)
-                if content is not None:
-                    record, _ = parse(content, path)
-                    records[record.episode] = record
-        return records
-
 
 def _join(*parts: str) -> str:
     return "/".join(part.rstrip("/") for part in parts if part)
 
 
-def open_episodes(url: str | Path, *, records: bool = True) -> Group:
-    """Return the group of the episodes of a dataset."""
-    group = Group(url, records=records)
+def open_episodes(url: str | Path) -> Group:
+    group = Group(url)
     if group.manifest.get("format") != "topokit-dataset":
         raise FormatError(f"{url}: labels, not the dataset that they are of; open the folder that holds `labels`")
     return group
@@ -136,41 +203,26 @@ def decode(group: Group, document: Mapping[str, Any], names: tuple[str, ...] = (
     return {name: np.asarray(group.array(name)[(index, *map(slice, shapes[name]))]) for name in names or shapes}
 
 
-def cloud_of(
-    group: Group, document: Mapping[str, Any], observation: str, n_points: int | None = None
-) -> NDArray[np.float32]:
-    """(T, n, 3) what an observer sees: all vertices ("full"), or the observation that was recorded ("observed").
-
-    Of an observation of vertices the first `n_points` are a farthest-point sample of that many.
-    """
-    stored = decode(group, document, ("points", "observed"))
-    points = unpack(stored["points"])
-    return points if observation == "full" else observed(points, stored["observed"][:, :n_points])
+def tracked_cloud(group: Group, document: Mapping[str, Any], labels: Mapping[str, Any]) -> NDArray[np.float32]:
+    """(T, n, 3) the cloud of an episode that labels of that manifest are of, in metres."""
+    return unpack(cloud_of(decode(group, document, ("points", "observed")), labels))
 
 
 def prepare(folder: Path, manifest: Mapping[str, Any], fields: Iterable[Field]) -> None:
-    """Make a group, or open it to go on: only its number of episodes may have grown.
-
-    Raises
-    ------
-    ValueError
-        When the folder holds something else, or what differs; the message names the field.
-    """
+    """Make a group, or open it to go on: only its number of episodes may have grown."""
     if (folder / "zarr.json").exists():
-        old, episodes = Group(folder, records=False).manifest, manifest["episodes"]
+        old, episodes = Group(folder).manifest, manifest["episodes"]
         refuse_another(old, manifest, str(folder))
         if episodes < old["episodes"]:
             raise ValueError(f"{folder} has been given {old['episodes']} episodes; it cannot shrink to {episodes}")
     elif any(path.name != ".lock" for path in folder.iterdir()):
         raise ValueError(f"{folder} holds other files and is no dataset: name a new folder, or an empty one")
-    for path, content in skeleton(
-        fields, manifest
-    ).items():  # also to go on: the last command may have been killed here
-        _replace(folder / path, content)
+    for path, content in skeleton(fields, manifest).items():  # also to go on: it may have been killed here
+        replace(folder / path, content)
     (folder / "records").mkdir(exist_ok=True)
 
 
-def _replace(path: Path, content: bytes) -> None:
+def replace(path: Path, content: bytes) -> None:
     if not path.exists() or path.read_bytes() != content:
         with atomic_file(path) as handle:
             handle.write(content)
@@ -191,7 +243,7 @@ def refuse_another(old: Any, new: Any, where: str, name: str = "") -> None:
 def compact(folder: Path) -> Group:
     """Bring the index up to the records that are there."""
     group = Group(folder)
-    _replace(folder / "index.json", index_bytes(group.records.values()))
+    replace(folder / "index.json", index_bytes(group.records.values()))
     return group
 
 

@@ -19,13 +19,12 @@ import numpy as np
 from topokit.seqph import RECOMMENDED, SeqPH, track
 
 from ._generate import make_missing, manifest_here
-from ._group import Group, cloud_of, locked, open_episodes, prepare, versions_of
-from ._layout import encode
+from ._group import Group, commit, locked, open_episodes, prepare, record_path, tracked_cloud, versions_of
+from ._layout import arrays_of, encode, label_fields
 from ._parallel import Cluster
-from ._records import commit, record_path
-from ._states import arrays_of, label_fields
 
-OBSERVATIONS = ("full", "observed", "camera")
+_OBSERVATIONS = ("full", "observed", "camera")
+_SLOTS = 8  # of a frame
 _PACKAGES = ("numpy", "scipy", "numba", "zarr", "numcodecs")
 
 
@@ -35,7 +34,6 @@ def label_dataset(
     *,
     name: str | None = None,
     n_points: int | None = None,
-    slots: int = 8,
     options: Mapping[str, Any] = RECOMMENDED,
     scheduler: str | None = None,
     n_workers: int | None = None,
@@ -43,6 +41,8 @@ def label_dataset(
     progress: bool = True,
 ) -> Group:
     """Track every episode of a dataset and store the states, or go on with it.
+
+    The eight loops of the longest lifetime are kept in a frame; how many were dropped is stored beside them.
 
     Parameters
     ----------
@@ -54,8 +54,6 @@ def label_dataset(
         Of this set of labels; that of the observation when not given.
     n_points : int, optional
         Track so many points of an observation of vertices, a farthest-point sample.
-    slots : int
-        Loops kept in a frame, those of the longest lifetime; how many were dropped is stored beside them.
     options : mapping
         Of `topokit.SeqPH`.
     scheduler, n_workers, dashboard, progress
@@ -65,43 +63,39 @@ def label_dataset(
     ------
     ValueError
         When there is no such observation, or labels of that name were begun with other options.
-    OSError, ConnectionError, KeyboardInterrupt
-        As in `generate_dataset`.
     """
     folder = Path(dataset)
     group = open_episodes(folder)
-    manifest = _manifest(group, observation, n_points, slots, options)
+    manifest = _manifest(group, observation, n_points, options)
     name = name or observation + (f"-{n_points}" if n_points else "")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
         raise ValueError(f"name {name!r}: letters, digits, dots, hyphens and underscores only")
     target, cluster = folder / "labels" / name, Cluster(scheduler, n_workers, dashboard)
     job = partial(_label_episode, str(folder), name)
     with locked(target):
-        prepare(target, manifest, label_fields(group.manifest["room"]["frames"], slots))
+        prepare(target, manifest, label_fields(group.manifest["room"]["frames"], _SLOTS))
         return make_missing(target, group.whole.tolist(), job, partial(_identity, group), cluster, progress)
 
 
-def _manifest(
-    group: Group, observation: str, n_points: int | None, slots: int, options: Mapping[str, Any]
-) -> dict[str, Any]:
-    """What the group of the labels says it is."""
+def _check_request(group: Group, observation: str, n_points: int | None) -> None:
     cameras = group.manifest["config"]["cameras"]
-    if observation not in OBSERVATIONS:
-        raise ValueError(f"observation must be one of {', '.join(OBSERVATIONS)}, not {observation!r}")
+    if observation not in _OBSERVATIONS:
+        raise ValueError(f"observation must be one of {', '.join(_OBSERVATIONS)}, not {observation!r}")
     if observation == "camera" and not cameras:
-        raise ValueError(
-            f"{group.url} was made without cameras: set `cameras` in its configuration, or label `observed`"
-        )
+        raise ValueError(f"{group.url} was made without cameras: label `observed`")
     if n_points is not None and (observation != "observed" or cameras or n_points < 4):
         raise ValueError(f"n_points = {n_points}: a number of points, at least 4, of an observation of vertices")
-    if slots < 1:
-        raise ValueError(f"slots must be at least 1, not {slots}")
+
+
+def _manifest(group: Group, observation: str, n_points: int | None, options: Mapping[str, Any]) -> dict[str, Any]:
+    """What the group of the labels says it is."""
+    _check_request(group, observation, n_points)
     return {
         "format": "topokit-labels",
         "version": 1,
         "observation": observation,
         "n_points": n_points,
-        "slots": slots,
+        "slots": _SLOTS,
         "options": _all_options(options),
         "episodes": group.manifest["episodes"],
         "versions": versions_of(*_PACKAGES),
@@ -120,10 +114,10 @@ def _all_options(options: Mapping[str, Any]) -> dict[str, Any]:
 
 def _label_episode(folder: str, name: str, index: int) -> dict[str, Any]:
     """What a Dask worker does for an episode."""
-    start, target, group = time.monotonic(), Path(folder, "labels", name), Group(folder, records=False)
+    start, target, group = time.monotonic(), Path(folder, "labels", name), Group(folder)
     manifest, episode = manifest_here(target, _PACKAGES), group.document(index)
     try:
-        cloud = cloud_of(group, episode, manifest["observation"], manifest["n_points"])
+        cloud = tracked_cloud(group, episode, manifest)
         states = track(cloud, times=np.arange(len(cloud)) * episode["dt"], n_jobs=1, **manifest["options"])
     except ValueError as error:
         commit(target, {**_identity(group, index), "status": "failed", "reason": str(error)})

@@ -15,14 +15,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from topokit.io import FEWEST_FRAMES, HISTORY, Episode
+from topokit.rips import rips_persistence
 from topokit.sim import TASKS
 from topokit.sim._randomise import generator
+from topokit.state import Loop, TopologicalState
 
 from ._recipe import DatasetConfig
 
@@ -30,6 +33,15 @@ METRE = 10_000  # units of a stored coordinate in a metre
 _METRES = ("points", "actions", "grippers", "centre_line")
 _RECORDED = ("garment", "target", "task", "success", "seed", "dt", "observation", "physics")
 _COORDINATES = {"units": "m", "scale_factor": 1 / METRE, "add_offset": 0.0}
+SIMPLICES = {
+    "birth_edge": slice(0, 2),
+    "killer_edge": slice(2, 4),
+    "killer_triangles": slice(4, 10),
+    "neighbours": slice(10, 22),
+}
+VALUES = ("birth", "death", "step", "neighbour_0", "neighbour_1", "neighbour_2", "neighbour_3")
+PARAMETERS = ("alpha", "beta", "epsilon", "dropped")
+ABSENT = 65535
 
 
 @dataclass(frozen=True)
@@ -70,13 +82,7 @@ def episode_fields(size: Mapping[str, int]) -> tuple[Field, ...]:
 
 
 def episode_arrays(episode: Episode) -> dict[str, NDArray[Any]]:
-    """Return what the arrays hold of an episode, each in its own extent.
-
-    Raises
-    ------
-    ValueError
-        When a coordinate is farther than 3.27 m from the origin.
-    """
+    """Return what the arrays hold of an episode, each in its own extent."""
     longest = max((len(loop) for loop in episode.loops), default=0)
     loops = np.full((len(episode.loops), longest), -1, dtype=np.int16)
     for row, loop in zip(loops, episode.loops, strict=True):
@@ -93,7 +99,7 @@ def episode_of(stored: Mapping[str, NDArray[Any]], document: Mapping[str, Any], 
     metres: dict[str, Any] = {name: unpack(stored[name]) for name in _METRES}
     return Episode(
         **metres,
-        observed=observed(metres["points"], stored["observed"]),
+        observed=unpack(observed(stored)),
         held=stored["held"].astype(np.bool_),
         faces=stored["faces"].astype(np.int32),
         loops=tuple(row[:n].astype(np.int32) for row, n in zip(stored["loops"], document["loops"], strict=True)),
@@ -102,9 +108,15 @@ def episode_of(stored: Mapping[str, NDArray[Any]], document: Mapping[str, Any], 
     )
 
 
-def observed(points: NDArray[np.float32], stored: NDArray[Any]) -> NDArray[np.float32]:
+def observed(stored: Mapping[str, NDArray[Any]]) -> NDArray[np.int16]:
     """(T, M, 3) an observation from what is stored of it: places, or which of the points they are."""
-    return unpack(stored) if stored.ndim == 3 else points[np.arange(len(points))[:, None], stored]
+    points, seen = stored["points"], stored["observed"]
+    return seen if seen.ndim == 3 else points[np.arange(len(points))[:, None], seen]
+
+
+def cloud_of(stored: Mapping[str, NDArray[Any]], labels: Mapping[str, Any]) -> NDArray[np.int16]:
+    """(T, n, 3) what labels of that manifest are of: all vertices, or the first points of what was observed."""
+    return stored["points"] if labels["observation"] == "full" else observed(stored)[:, : labels["n_points"]]
 
 
 def vertex_ids(points: NDArray[np.float32], observed: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -117,7 +129,6 @@ def vertex_ids(points: NDArray[np.float32], observed: NDArray[np.float32]) -> ND
 
 
 def pack(name: str, values: NDArray[Any]) -> NDArray[np.int16]:
-    """Return coordinates as integers, in units of 0.1 mm."""
     scaled = np.rint(np.asarray(values, dtype=np.float64) * METRE)
     if scaled.size and np.abs(scaled).max() > np.iinfo(np.int16).max:
         far = np.abs(scaled).max() / METRE
@@ -126,8 +137,86 @@ def pack(name: str, values: NDArray[Any]) -> NDArray[np.int16]:
 
 
 def unpack(values: NDArray[Any]) -> NDArray[np.float32]:
-    """Return metres."""
     return np.asarray(values / METRE, dtype=np.float32)
+
+
+def label_fields(frames: int, slots: int) -> tuple[Field, ...]:
+    """Return the arrays of a set of labels."""
+    axes = ("frame", "slot", "column")
+    identity = {"units": "1", "description": "identity; -1: no loop"}
+    simplices = {
+        "units": "1",
+        "columns": {name: [part.start, part.stop] for name, part in SIMPLICES.items()},
+        "description": f"ids into the cloud that was tracked; {ABSENT}: no neighbour",
+    }
+    values = {"units": "m", "columns": VALUES}
+    parameters = {"units": "m, dropped: 1", "columns": PARAMETERS}
+    return (
+        Field("id", (frames, slots), "int32", axes[:2], identity, -1),
+        Field("simplices", (frames, slots, 22), "uint16", axes, simplices),
+        Field("values", (frames, slots, len(VALUES)), "float32", axes, values),
+        Field("parameters", (frames, len(PARAMETERS)), "float32", ("frame", "column"), parameters),
+    )
+
+
+def arrays_of(states: list[TopologicalState], slots: int) -> dict[str, NDArray[Any]]:
+    """Return states as the arrays of labels; loops beyond `slots` in a frame, the shortest-lived ones, are dropped."""
+    arrays = {f.name: np.full(f.shape, f.fill, dtype=f.dtype) for f in label_fields(len(states), slots)}
+    for frame, state in enumerate(states):
+        given = [state.parameters[name] for name in PARAMETERS[:3]]
+        arrays["parameters"][frame] = *given, max(0, len(state) - slots)
+        for slot, loop in enumerate(state.loops[:slots]):
+            neighbours = np.full((4, 3), ABSENT)
+            neighbours[: len(loop.neighbour_ids)] = loop.neighbour_ids
+            parts = (loop.birth_edge, loop.killer_edge, loop.killer_triangle_ids, neighbours)
+            numbers = [loop.birth, loop.death, loop.step, *loop.neighbour_values]
+            arrays["id"][frame, slot] = loop.id
+            arrays["simplices"][frame, slot] = np.concatenate([np.ravel(part) for part in parts])
+            arrays["values"][frame, slot, : len(numbers)] = numbers
+    return arrays
+
+
+def states_of(stored: Mapping[str, NDArray[Any]], cloud: NDArray[np.float32], dt: float) -> list[TopologicalState]:
+    """Return the tracked states that labels hold, in the coordinates of the cloud that was tracked."""
+    states = []
+    for frame, points in enumerate(cloud.astype(np.float64)):
+        slots = np.flatnonzero(stored["id"][frame] >= 0).tolist()
+        loops = tuple(_loop(stored, (frame, slot), points) for slot in slots)
+        parameters = dict(zip(PARAMETERS, stored["parameters"][frame].tolist(), strict=True))
+        states.append(TopologicalState(frame, frame * dt, loops, parameters))
+    return states
+
+
+def _loop(stored: Mapping[str, NDArray[Any]], where: tuple[int, int], points: NDArray[np.float64]) -> Loop:
+    ids = {name: stored["simplices"][where][part].astype(np.int64) for name, part in SIMPLICES.items()}
+    born, edge, killers = ids["birth_edge"], ids["killer_edge"], ids["killer_triangles"].reshape(2, 3)
+    neighbours = ids["neighbours"].reshape(4, 3)
+    neighbours = neighbours[neighbours[:, 0] != ABSENT]
+    birth, death, step, *neighbour_values = stored["values"][where].tolist()
+    return Loop(
+        id=int(stored["id"][where]),
+        birth=birth,
+        death=death,
+        birth_edge=born,
+        killer_edge=edge,
+        killer_triangle_ids=killers,
+        neighbour_ids=neighbours,
+        killer_edge_points=points[edge],
+        killer_triangles=points[killers],
+        neighbours=points[neighbours],
+        killer_values=np.array([death, death]),
+        neighbour_values=np.array(neighbour_values[: len(neighbours)]),
+        step=step,
+        _curve=partial(_curve, points, [*born.tolist(), *edge.tolist()]),
+    )
+
+
+def _curve(points: NDArray[np.float64], edges: list[int]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The cycle of a stored loop, by ids and by places: the loop of the tracked cloud with those birth and killer edges."""
+    diagram = rips_persistence(points)
+    pairs = np.column_stack([diagram.birth_edge, diagram.killer_edge])
+    ids = diagram.cycle(pairs.tolist().index(edges))
+    return ids, points[ids]
 
 
 def skeleton(fields: Iterable[Field], manifest: Mapping[str, Any]) -> dict[str, bytes]:

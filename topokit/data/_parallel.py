@@ -36,13 +36,7 @@ class _ShortOfWorkersError(Exception):
 
 
 def run_jobs(job: Job, items: Sequence[int], cluster: Cluster) -> Generator[tuple[int, Any]]:
-    """Yield (item, what `job` of it returned, or the exception that it raised) as they are done.
-
-    Raises
-    ------
-    ConnectionError
-        When the scheduler cannot be reached or goes away, or workers do not start.
-    """
+    """Yield (item, what `job` of it returned, or the exception that it raised) as they are done."""
     left, starts = dict.fromkeys(items), 0
     while left and starts < _STARTS:
         starts += 1
@@ -106,7 +100,6 @@ def _local_cluster(count: int, dashboard: str | None) -> Iterator[Any]:
     settings = {
         "distributed.scheduler.allowed-failures": _LOST_WORKERS,
         "distributed.comm.timeouts.connect": "60s",
-        "distributed.worker.memory.terminate": False,
         "distributed.worker.profile.enabled": bool(dashboard),  # it would take 3 % of a core
         "distributed.admin.low-level-log-length": 100,
     }

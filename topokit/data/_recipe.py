@@ -12,7 +12,7 @@ from dataclasses import field
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from topokit._config import Count, NotNegative, Positive, checked, from_mapping
 from topokit.io import Episode
@@ -26,56 +26,43 @@ class Draw(NamedTuple):
     seed: int
 
 
+def _ranges(values: Any) -> Any:
+    """The ranges of a JSON document: without the version that `to_json` notes beside them, and its lists as tuples."""
+    if not isinstance(values, Mapping):
+        return values
+    if values.get("version", Randomisation.version) != Randomisation.version:
+        raise ValueError(f"of another version; this topokit has {Randomisation.version}")
+    plain = {name: value for name, value in values.items() if name != "version"}
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in plain.items()}
+
+
 @checked
 class DatasetConfig:
     """What is drawn for the episodes of a dataset, and how they are simulated and observed.
-
-    Attributes
-    ----------
-    version : 1
-        Of the meaning of these numbers and of the order of the draws; saved with them.
-    tasks : mapping of str to float
-        Names in `topokit.sim.TASKS` (a garment and a target) with the weights at which they are drawn.
-    simulation : SimulationConfig
-        Its `frames` is the length of every episode; None records each path to its end, at least 76 frames.
-    randomisation : Randomisation or None
-        Ranges of physics, size and cameras; None varies the path alone.
-    sizes : mapping of str to mapping of str to float
-        Sizes of a garment, by its name, that differ from the default ones, for example ``{"sheet": {"spacing": 0.05}}``.
-    n_observed : int
-        Points of an observation; all vertices of a garment that has fewer, when all sides are seen.
-    cameras : int
-        Depth cameras around the target. 0: farthest-point samples of the vertices, all sides seen.
-    camera_distance : float
-        Metres from the cameras to the seat of the target.
-    depth_noise : bool
-        Whether the cameras have the noise of a depth sensor.
 
     Raises
     ------
     ValueError
         When a task or a garment is not known, or a value is not what it must be; the message names it.
-
-    Examples
-    --------
-    >>> config = DatasetConfig(tasks={"apron-hook": 1, "tote-hook": 3})
-    >>> DatasetConfig.from_json(config.to_json()) == config
-    True
-    >>> config.draw(0, 5) == config.draw(0, 5) != config.draw(0, 6)
-    True
     """
 
+    #: Of the meaning of these numbers and of the order of the draws; saved with them.
     version: Literal[1] = 1
+    #: Names in `topokit.sim.TASKS` (a garment and a target) with the weights at which they are drawn.
     tasks: Annotated[Mapping[str, Positive], Field(min_length=1)] = field(
         default_factory=lambda: dict.fromkeys(TASKS, 1.0)
     )
+    #: Its `frames` is the length of every episode; None records each path to its end, at least 76 frames.
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
-    randomisation: Randomisation | None = field(default_factory=Randomisation)
+    #: Ranges of physics, size and cameras; None varies the path alone.
+    randomisation: Annotated[Randomisation | None, BeforeValidator(_ranges)] = field(default_factory=Randomisation)
+    #: Sizes of a garment, by its name, that differ from the default ones: ``{"sheet": {"spacing": 0.05}}``.
     sizes: Mapping[str, Mapping[str, NotNegative]] = field(default_factory=dict)
-    n_observed: Count = 512
+    n_observed: Count = 512  #: points of an observation; all vertices of a garment with fewer, when all sides are seen
+    #: Depth cameras around the target. 0: farthest-point samples of the vertices, all sides seen.
     cameras: Annotated[int, Field(ge=0)] = 0
-    camera_distance: Positive = 2.2
-    depth_noise: bool = False
+    camera_distance: Positive = 2.2  #: metres from the cameras to the seat of the target
+    depth_noise: bool = False  #: whether the cameras have the noise of a depth sensor
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.tasks if name not in TASKS]
@@ -101,19 +88,8 @@ class DatasetConfig:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> DatasetConfig:
-        """Return the configuration of what `to_json` gave; what is left out has its default.
-
-        Raises
-        ------
-        ValueError
-            When a name is not known, the version is another one, or a value is not what it must be.
-        """
-        parts = dict(values)
-        if parts.get("randomisation"):
-            ranges = parts["randomisation"] = dict(parts["randomisation"])
-            if ranges.pop("version", Randomisation.version) != Randomisation.version:
-                raise ValueError(f"randomisation is of another version; this topokit has {Randomisation.version}")
-        return from_mapping(cls, parts, "the configuration")
+        """Return the configuration of what `to_json` gave; what is left out has its default."""
+        return from_mapping(cls, values, "the configuration")
 
     def draw(self, seed: int, index: int) -> Draw:
         """Return task and seed of an episode.

@@ -1,4 +1,4 @@
-"""Windows for training: 16 clouds of the past, 60 planned actions, and the states that they led to.
+"""Windows for training: 16 clouds of the past, 60 planned actions, the states that they led to; and worse clouds.
 
 Source: Antonova et al. 2021, section 5 (h = 16, k = 60). Taught in chapter 8.
 """
@@ -21,13 +21,11 @@ from topokit.seqph import RECOMMENDED, track
 
 from ._dataset import Dataset
 from ._group import decode
-from ._layout import METRE, pack, unpack
-from ._states import ABSENT, SIMPLICES, arrays_of
-
-__all__ = ["WindowDataset"]
+from ._layout import ABSENT, METRE, SIMPLICES, arrays_of, cloud_of, observed, pack, unpack
 
 Array = NDArray[np.float32]
 _UNIT = np.float32(1 / METRE)
+_MARGIN = 0.1  # metres around a cloud's box in which outliers lie
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +39,16 @@ class _Tracked:
 
     @classmethod
     def of(cls, found: Mapping[str, NDArray[Any]], cloud: NDArray[np.int16]) -> _Tracked:
-        """From stored arrays, and the cloud that was tracked."""
-        triangles, values = _triangles(found["simplices"], found["values"], cloud)
-        return cls(found["id"], triangles, values, np.nan_to_num(found["values"][..., :3], nan=0.0))
+        """From stored arrays, and the cloud that was tracked: the killer triangles first, then the neighbours."""
+        simplices, numbers = found["simplices"], found["values"]
+        frames, slots = simplices.shape[:2]
+        killers = simplices[..., SIMPLICES["killer_triangles"]].reshape(frames, slots, 2, 3)
+        neighbours = simplices[..., SIMPLICES["neighbours"]].reshape(frames, slots, 4, 3)
+        absent = neighbours[..., :1] == ABSENT
+        ids = np.concatenate([killers, np.where(absent, killers[:, :, :1], neighbours)], axis=2)  # (T, S', 6, 3)
+        values = np.concatenate([numbers[..., [1, 1]], np.where(absent[..., 0], 0, numbers[..., 3:7])], axis=2)
+        triangles = cloud[np.arange(frames)[:, None, None, None], ids]
+        return cls(found["id"], triangles, values, np.nan_to_num(numbers[..., :3], nan=0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +71,7 @@ class _Episode:
 class _Memory:
     """Decoded episodes, the one that was used last at the end: at most so many bytes, and one at least.
 
-    Copies of a `WindowDataset` share it. Processes that are spawned decode for themselves: it travels empty.
+    Copies of a `WindowDataset` share it. It travels empty to processes that are spawned.
     """
 
     def __init__(self, most: float) -> None:
@@ -77,7 +82,6 @@ class _Memory:
         return _Memory, (self.most,)
 
     def get(self, number: int, decode_episode: Callable[[int], _Episode]) -> _Episode:
-        """Return an episode, decoded now if need be; the ones that were not used for longest make room for it."""
         if number not in self.episodes:
             self.episodes[number] = decode_episode(number)
             self.nbytes += self.episodes[number].nbytes
@@ -138,13 +142,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         What is seen of an episode instead of its clouds: from its number and its clouds, (T, P, 3) float64, to clouds
         (T, P', 3), in metres. All states, past and future, are then those that seqPH tracks on these, from the first frame
         on, as labels are made (`topokit.seqph.RECOMMENDED`); `labels` only say which episodes there are.
-
-    Raises
-    ------
-    ValueError
-        When an episode has no labels of that name, or no window fits into any.
-    FileNotFoundError
-        When there are no labels of that name.
     """
 
     def __init__(
@@ -167,9 +164,9 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
             if type(value) is not int or value < 1:
                 raise ValueError(f"{name} must be a whole number, at least 1, not {value!r}")
         self.dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
-        self.labels, self.seen_labels, self.history, self.horizon = labels, seen_labels, history, horizon
-        self.n_points, self.slots, self.stride = n_points, slots, stride
-        self.observe, self._memory = observe, _Memory(memory)
+        self.labels, self.seen_labels, self.observe = labels, seen_labels, observe
+        self.history, self.horizon, self.n_points, self.slots = history, horizon, n_points, slots
+        self._memory = _Memory(memory)
         self.episodes = self.dataset.labelled(labels) if episodes is None else np.unique([*map(int, episodes)])
         self._check_labelled()
         lengths = [self.dataset.group.records[int(i)].frames for i in self.episodes]
@@ -180,12 +177,11 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         self.index = np.column_stack([np.repeat(self.episodes, counts), np.concatenate(frames)])
 
     def _check_labelled(self) -> None:
-        for name in [self.labels] if self.seen_labels is None else [self.labels, self.seen_labels]:
+        for name in filter(None, (self.labels, self.seen_labels)):
             missing = np.setdiff1d(self.episodes, self.dataset.labelled(name))
             if len(missing):
-                raise ValueError(
-                    f"{len(missing)} episodes have no labels {name!r}, the first is {missing[0]}: topokit label makes them"
-                )
+                lack = f"{len(missing)} episodes have no labels {name!r}, the first is {missing[0]}"
+                raise ValueError(f"{lack}: topokit label makes them")
 
     def __len__(self) -> int:
         return len(self.index)
@@ -238,16 +234,12 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     def _states(self, episode: _Episode, past: slice, future: slice) -> dict[str, Any]:
         """The labels of the two spans, by identity, and what else was seen of the first."""
         order = self._identities(episode.tracked, past, future)
-        parts = _by_identity(episode.tracked, order, slice(past.start, future.stop))
-        h = past.stop - past.start
-        seen = {}
+        parts = _by_identity(episode.tracked, order, future)
+        parts |= {f"past_{name}": part for name, part in _by_identity(episode.tracked, order, past).items()}
         if episode.seen is not None:
-            seen = _by_identity(episode.seen, self._identities(episode.seen, past, slice(0, 0)), past)
-        return {
-            **{name: part[h:] for name, part in parts.items()},
-            **{f"past_{name}": part[:h] for name, part in parts.items()},
-            **{f"seen_{name}": part for name, part in seen.items()},
-        }
+            order = self._identities(episode.seen, past, slice(0, 0))
+            parts |= {f"seen_{name}": part for name, part in _by_identity(episode.seen, order, past).items()}
+        return parts
 
     def _identities(self, tracked: _Tracked, past: slice, future: slice) -> NDArray[np.int64]:
         """(S,) who has which slot; -2 for nobody."""
@@ -263,34 +255,23 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     def _decode(self, number: int) -> _Episode:
         group = self.dataset.group
         stored = decode(group, group.document(number), ("points", "observed", "actions", "grippers", "held"))
-        points, seen = stored["points"], stored["observed"]
-        if seen.ndim == 2:
-            seen = points[np.arange(len(points))[:, None], seen]
-        told = None if self.seen_labels is None else self._labelled(self.seen_labels, number, points, seen)
+        clouds = observed(stored)
         if self.observe is None:
-            tracked = self._labelled(self.labels, number, points, seen)
+            tracked = self._labelled(self.labels, number, stored)
         else:
-            seen = pack("clouds", self.observe(number, unpack(seen[:, : self.n_points]).astype(np.float64)))
-            tracked = self._tracked(seen)
-        return _Episode(
-            seen[:, np.arange(self.n_points) % seen.shape[1]],
-            stored["grippers"],
-            stored["actions"],
-            stored["held"].astype(bool),
-            tracked,
-            told,
-        )
+            clouds = pack("clouds", self.observe(number, unpack(clouds[:, : self.n_points]).astype(np.float64)))
+            slots = self.dataset.labels(self.labels).manifest["slots"]
+            states = track(unpack(clouds), n_jobs=1, **RECOMMENDED)
+            tracked = _Tracked.of(arrays_of(states, slots), clouds)
+        seen = None if self.seen_labels is None else self._labelled(self.seen_labels, number, stored)
+        clouds = clouds[:, np.arange(self.n_points) % clouds.shape[1]]
+        return _Episode(clouds, stored["grippers"], stored["actions"], stored["held"].astype(bool), tracked, seen)
 
-    def _labelled(self, name: str, number: int, points: NDArray[np.int16], seen: NDArray[np.int16]) -> _Tracked:
+    def _labelled(self, name: str, number: int, stored: Mapping[str, NDArray[Any]]) -> _Tracked:
         """The labels of a name, in the coordinates of the cloud that they are of."""
         labels = self.dataset.labels(name)
-        cloud = points if labels.manifest["observation"] == "full" else seen[:, : labels.manifest["n_points"]]
-        return _Tracked.of(decode(labels, labels.document(number), ("id", "simplices", "values")), cloud)
-
-    def _tracked(self, cloud: NDArray[np.int16]) -> _Tracked:
-        """The states that a cloud shows, as `label` would store them."""
-        slots = self.dataset.labels(self.labels).manifest["slots"]
-        return _Tracked.of(arrays_of(track(unpack(cloud), n_jobs=1, **RECOMMENDED), slots), cloud)
+        found = decode(labels, labels.document(number), ("id", "simplices", "values"))
+        return _Tracked.of(found, cloud_of(stored, labels.manifest))
 
 
 def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> dict[str, NDArray[Any]]:
@@ -308,13 +289,37 @@ def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> di
     }
 
 
-def _triangles(simplices: NDArray[Any], numbers: Array, cloud: NDArray[np.int16]) -> tuple[NDArray[np.int16], Array]:
-    """(T, S, 6, 3, 3) triangles and (T, S, 6) filtration values of labels: killers, then neighbours."""
-    frames, slots = simplices.shape[:2]
-    killers = simplices[..., SIMPLICES["killer_triangles"]].reshape(frames, slots, 2, 3)
-    neighbours = simplices[..., SIMPLICES["neighbours"]].reshape(frames, slots, 4, 3)
-    absent = neighbours[..., :1] == ABSENT
-    ids = np.concatenate([killers, np.where(absent, killers[:, :, :1], neighbours)], axis=2)  # (T, S, 6, 3)
-    there = np.where(absent[..., 0], 0, numbers[..., 3:7])
-    values = np.concatenate([numbers[..., [1, 1]], there], axis=2)
-    return cloud[np.arange(frames)[:, None, None, None], ids], values
+def spoil(
+    clouds: NDArray[np.floating],
+    rng: np.random.Generator,
+    *,
+    noise: ArrayLike = 0.0,
+    outliers: ArrayLike = 0.0,
+    keep: ArrayLike = 1.0,
+) -> NDArray[np.float64]:
+    """Return clouds with points missing, noise and outliers, every cloud for itself.
+
+    Parameters
+    ----------
+    clouds : (..., P, 3) array
+    rng : numpy.random.Generator
+    noise : float or array that broadcasts to the leading axes of `clouds`
+        Standard deviation of each coordinate, metres.
+    outliers : float or such an array
+        Share of the points that are anywhere in the cloud's box, which is grown by 10 cm on each side.
+    keep : float or such an array
+        Share of the points that are kept, at least one. They come first, in the order in which they were; repeats of them, in
+        their order, stand for the others.
+    """
+    clouds = np.asarray(clouds, dtype=np.float64)
+    noise, outliers, keep = (
+        np.broadcast_to(amount, clouds.shape[:-2])[..., None] for amount in (noise, outliers, keep)
+    )
+    places = np.broadcast_to(np.arange(clouds.shape[-2]), clouds.shape[:-1])
+    left = np.maximum(np.round(keep * clouds.shape[-2]), 1).astype(np.int64)
+    order = np.argsort(rng.permuted(places, axis=-1) >= left, axis=-1, kind="stable")  # kept ones first, as they were
+    kept = np.take_along_axis(order, places % left, axis=-1)
+    spoilt = np.take_along_axis(clouds, kept[..., None], axis=-2) + noise[..., None] * rng.standard_normal(clouds.shape)
+    low, high = clouds.min(axis=-2, keepdims=True) - _MARGIN, clouds.max(axis=-2, keepdims=True) + _MARGIN
+    wild = rng.permuted(places, axis=-1) < np.round(outliers * clouds.shape[-2])
+    return np.where(wild[..., None], rng.uniform(low, high, clouds.shape), spoilt)

@@ -9,7 +9,6 @@
 
 One function a statement; each takes the state S (all points, row i the same point at both times) and what is observed of it
 (ids of its points, or their coordinates), measures the constants and the two sides of the inequality, and returns a `Check`.
-A TypeError or ValueError says which of them is no point cloud, differs in shape, or is observed without being in the state.
 Throughout, corresponding loops are those that an optimal bottleneck matching pairs.
 
 Source: Antonova et al. 2021, section 4. Taught in chapters 3 to 5.
@@ -17,15 +16,13 @@ Source: Antonova et al. 2021, section 4. Taught in chapters 3 to 5.
 
 from __future__ import annotations
 
-from ._counterexamples import COUNTEREXAMPLES, Counterexample
 from ._diagrams import feature_approximation, gates, observability, temporal_persistence
 from ._killers import converse, corollary, recovering_killers, regularity_of_killers
-from ._matching import match_diagrams
+from ._matching import killer_jumps, match_diagrams
 from ._measures import beta_all, beta_critical, feature_separation
-from ._stability import killer_jumps
 from ._step import distortion, max_displacement, vertex_ids
 from ._verdict import Check, LoopCheck, Verdict, Witness
-from ._verify import STATEMENTS, StepCheck, verify_episode, verify_step
+from ._verify import COUNTEREXAMPLES, STATEMENTS, Counterexample, StepCheck, verify_episode, verify_step
 
 __all__ = [
     "COUNTEREXAMPLES",

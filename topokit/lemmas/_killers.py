@@ -2,12 +2,11 @@
 
 Source: Antonova et al. 2021, section 4. Taught in chapter 5.
 
-All of them compare edges by Hausdorff distance, each edge taken as its two end points, and all of them rest on an assumption
-on rivals: edges that could be taken for the killer lie within beta of it. The paper's Assumption 3 asks this of all edges of
-about the killer's length. Two loops that die within alpha of each other are then rivals, within beta, and the same assumption
-wants them more than 2 alpha + beta + epsilon apart: it cannot hold. (`Verdict.hypotheses` of the paper's versions says whether
-it does.) Assumption 3' asks it of critical edges only, see `beta_critical`. The killers of other loops are critical too, so
-where several loops die at about the same time only the distance to the nearest of their killers can be small: `converse`.
+Edges, each its two end points, are compared by Hausdorff distance, and edges that could be taken for the killer are assumed
+to lie within beta of it. The paper's Assumption 3 asks this of all edges of about the killer's length. Two loops that die within
+alpha of each other are then rivals, within beta, and the same assumption wants them more than 2 alpha + beta + epsilon apart:
+it cannot hold. Assumption 3' asks it of critical edges only, see `beta_critical`. The killers of other loops are critical too,
+so where several loops die at about the same time only the distance to the nearest of their killers can be small: `converse`.
 """
 
 from __future__ import annotations
@@ -40,13 +39,6 @@ def recovering_killers(state: ArrayLike, observed: ArrayLike) -> Check:
     ----------
     state, observed : array_like
         S_t, (n, d), and O_t: (m,) ids of its points or their (m, d) coordinates.
-
-    Examples
-    --------
-    >>> angle = 2 * np.pi * np.arange(40) / 40
-    >>> check = recovering_killers(np.column_stack([np.cos(angle), np.sin(angle)]), np.arange(0, 40, 2))
-    >>> check.corrected.holds
-    True
     """
     return check_recovering_killers(observed_state(state, observed))
 
@@ -75,15 +67,7 @@ def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.
     before, after : array_like
         S_t and S_t+1, both (n, d): row i of both is the same point.
     alpha : float
-        Of the observations, for the paper's Assumption 3; 2.001 epsilon when smaller, since Assumption 2 wants it above
-        2 epsilon.
-
-    Examples
-    --------
-    >>> square = np.array([[0, 0], [1, 0], [1, 1], [0, 1.001]])
-    >>> check = regularity_of_killers(square, square + [0.01, 0])
-    >>> check.corrected.holds, round(check.corrected.statistic, 4)
-    (True, 0.01)
+        Of the observations; 2.001 epsilon when smaller, since the paper's Assumption 2 wants it above 2 epsilon.
     """
     return check_regularity(observed_step(before, None, after, None), positive(alpha, "alpha"))
 
@@ -112,26 +96,12 @@ def corollary(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, o
     lifetimes above alpha + 2 epsilon. Proof: both observed killers, pulled back to S_t, are critical and of half length in
     [d - 2 epsilon, d + alpha + 2 epsilon], hence within beta of f's. Intrinsic: the `distortion` in place of epsilon
     everywhere but in the last term. Further: over all edges 3 beta + epsilon follows from the paper's lemmas, and 2 beta +
-    epsilon when its Assumption 3 takes the wider window.
+    epsilon when its Assumption 3 takes the wider window. A loop's legs lead from O_t to S_t, to S_t+1, and to O_t+1.
 
     Parameters
     ----------
     before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. They need not be the same
-        vertices.
-
-    Returns
-    -------
-    Check
-        A loop's three legs are from O_t to S_t, from there to S_t+1, and on to O_t+1.
-
-    Examples
-    --------
-    >>> angle = 2 * np.pi * np.arange(40) / 40
-    >>> circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    >>> check = corollary(circle, np.arange(0, 40, 2), circle + [0.001, 0], np.arange(1, 40, 2))
-    >>> check.corrected.holds
-    True
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates.
     """
     return check_corollary(observed_step(before, observed_before, after, observed_after))
 
@@ -197,27 +167,13 @@ def converse(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, ob
     its place, the killer in S_t within beta of it (beta + epsilon at t + 1), and two observed killers of t and t + 1 are within
     2 beta + epsilon if and only if they have the same place. The statistic is that reach, the bound the least distance
     between killers of different places. Proof: both are critical, as in the corollary; apply the triangle inequality through
-    their places. Intrinsic: the `distortion` in place of epsilon, but not where it says how far edges move.
+    their places. Intrinsic: the `distortion` in place of epsilon, but not where it says how far edges move. The check is empty
+    where there are not two loops that live long enough.
 
     Parameters
     ----------
     before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. They need not be the same
-        vertices.
-
-    Returns
-    -------
-    Check
-        Empty where there are not two loops that live long enough.
-
-    Examples
-    --------
-    >>> angle = 2 * np.pi * np.arange(20) / 20
-    >>> circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    >>> both = np.vstack([circle, circle + [20, 0]])
-    >>> check = converse(both, np.arange(40), both, np.arange(40))
-    >>> check.paper.applies, check.corrected.applies, check.corrected.holds
-    (False, True, True)
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates.
     """
     return check_converse(observed_step(before, observed_before, after, observed_after))
 

@@ -1,4 +1,4 @@
-"""Optimal bottleneck matchings of persistence diagrams, two-sided and one-sided.
+"""Optimal bottleneck matchings of persistence diagrams, two-sided and one-sided, and how far matched loops jump.
 
 Idea: a threshold c is enough when every bar too long to stay alone at c can be matched at a cost of at most c. By the theorem
 of Mendelsohn and Dulmage it suffices that the long bars of one diagram can all be matched, and those of the other can, each
@@ -14,37 +14,30 @@ from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from ..rips import Diagram
+from .._curves import curve_centroid
+from .._validate import as_points, positive
+from ..rips import Diagram, rips_persistence
+from ..sampling import hausdorff
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """Which bars of two diagrams correspond.
+    """Which bars of two diagrams correspond."""
 
-    Attributes
-    ----------
-    partner : (n,) int64
-        For every bar of the first diagram its bar in the second, -1 when it has none.
-    cost : float
-        The bottleneck: the largest of the shifts of matched bars and the costs of bars left alone.
-    worst : (int, int)
-        The two bars that reach it, -1 in the place of none.
-    """
-
-    partner: NDArray[np.int64]
-    cost: float
-    worst: tuple[int, int]
+    partner: NDArray[np.int64]  #: (n,) for every bar of the first diagram its bar in the second, -1 when it has none
+    cost: float  #: the bottleneck: the largest of the shifts of matched bars and the costs of bars left alone
+    worst: tuple[int, int]  #: the two bars that reach it, -1 in the place of none
 
 
 def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, tolerance: float = 0.0) -> Matching:
-    """Match two diagrams optimally.
+    """Match two diagrams optimally; of the optimal matchings the one of least total cost. Every bar must die.
 
     Two-sided, the cost of a pair is the larger shift of its births and of its deaths, of a bar left alone half its lifetime;
     the optimum is the bottleneck distance. One-sided, for a diagram of S and one of a subset O of S, both
@@ -59,24 +52,6 @@ def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, 
         Whether `second` is of a subset.
     tolerance : float
         How far below zero rounding may push a shift that is zero.
-
-    Returns
-    -------
-    Matching
-        Of least total cost among the optimal ones.
-
-    Raises
-    ------
-    ValueError
-        When a bar does not die (a diagram cut at `max_radius`).
-
-    Examples
-    --------
-    >>> from topokit import rips_persistence
-    >>> square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    >>> match = match_diagrams(rips_persistence(square), rips_persistence(1.1 * square))
-    >>> match.partner, round(match.cost, 4)
-    (array([0]), 0.0707)
     """
     pair, alone, others_alone = _costs(first, second, one_sided, tolerance)
     limits = np.unique(np.concatenate([pair[np.isfinite(pair)], alone, others_alone, [0.0]]))
@@ -89,10 +64,9 @@ def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, 
 def longest_unmatched(
     first: Diagram, second: Diagram, shift: float, *, one_sided: bool = False, tolerance: float = 0.0
 ) -> tuple[float, int]:
-    """Lifetime and index of the longest bar of `first` that cannot be matched along with all longer ones.
+    """Lifetime and index of the longest bar of `first` that cannot be matched along with all longer ones; (0.0, -1) for none.
 
-    Partners may be shifted by at most `shift`, with no shift below -tolerance when `one_sided`. (0.0, -1) when all can be
-    matched. No matching does better: the sets of bars that can be matched together are those of a matroid.
+    No matching does better: the sets of bars that can be matched together are those of a matroid.
     """
     pair, _, _ = _costs(first, second, one_sided, tolerance)
     longest = range(1, len(first) + 1)
@@ -144,12 +118,52 @@ def _cheapest(pair: Array, alone: Array, others_alone: Array, c: float) -> NDArr
 def _worst(pair: Array, alone: Array, others_alone: Array, partner: NDArray[np.int64]) -> tuple[int, int]:
     """The most costly pair or bar left alone; (-1, -1) when both diagrams are empty."""
     matched = np.flatnonzero(partner >= 0)
-    costs, others = alone.copy(), others_alone.copy()
-    costs[matched], others[partner[matched]] = pair[matched, partner[matched]], 0.0
-    most, most_of_others = costs.max(initial=0.0), others.max(initial=0.0)
-    if most == most_of_others == 0.0:
+    costs = np.concatenate([alone, others_alone])
+    costs[matched], costs[len(alone) + partner[matched]] = pair[matched, partner[matched]], 0.0
+    if costs.max(initial=0.0) == 0.0:
         return (-1, -1)
-    if most < most_of_others:
-        return (-1, int(np.argmax(others)))
     i = int(np.argmax(costs))
-    return (i, int(partner[i]))
+    return (i, int(partner[i])) if i < len(alone) else (-1, i - len(alone))
+
+
+@dataclass(frozen=True)
+class Jump:
+    """How far the places of one loop lie apart in two clouds, in the unit of the points."""
+
+    loop: int  #: index in the first diagram
+    length: float  #: of the killer edge in the first, twice the death: what the distances are large or small against
+    edge: float  #: Hausdorff distance of the killer edges' end points
+    triangle: float  #: Hausdorff distance of the thick killer triangles' vertices
+    barycentre: float  #: distance of the thick killer triangles' barycentres
+    cycle: float  #: distance of the centroids of tight cycles at birth
+
+
+def killer_jumps(before: ArrayLike, after: ArrayLike, min_lifetime: float = 0.0) -> list[Jump]:
+    """Measure how stable the places of the loops are that an optimal matching of two clouds pairs, longest lifetime first.
+
+    Parameters
+    ----------
+    before, after : (n, d) and (m, d) array_like
+        Two clouds of one object: a moment later, or sampled again. They need not have the same points.
+    min_lifetime : float
+        Only loops of `before` with a lifetime above it.
+
+    """
+    clouds = as_points(before, "before"), as_points(after, "after")
+    first, second = (rips_persistence(cloud) for cloud in clouds)
+    partner = match_diagrams(first, second).partner
+    kept = (first.lifetime > positive(min_lifetime, "min_lifetime")) & (partner >= 0)
+    return [_jump(*clouds, first, second, i, int(partner[i])) for i in np.flatnonzero(kept).tolist()]
+
+
+def _jump(a: Array, b: Array, first: Diagram, second: Diagram, i: int, j: int) -> Jump:
+    thick, later = a[first.killer_triangles[i, 0]], b[second.killer_triangles[j, 0]]
+    centroids = curve_centroid(a[first.cycle(i)]), curve_centroid(b[second.cycle(j)])
+    return Jump(
+        loop=i,
+        length=2 * float(first.death[i]),
+        edge=hausdorff(a[first.killer_edge[i]], b[second.killer_edge[j]]),
+        triangle=hausdorff(thick, later),
+        barycentre=float(np.linalg.norm(thick.mean(axis=0) - later.mean(axis=0))),
+        cycle=float(np.linalg.norm(centroids[0] - centroids[1])),
+    )

@@ -1,6 +1,10 @@
 """A state with its observation, and what the lemmas assume of it: alpha, how far from a killer its rivals lie, how far apart
 loops are.
 
+Idea of a critical edge: the killer of a loop seen through samples is an edge whose lune falls apart there. An edge is critical
+when two points of its lune, seen with all slack that sampling and motion allow, are not joined through the points that are
+surely in the lune, with steps that surely survive. Only such edges can be seen as killers.
+
 Source: Antonova et al. 2021, Assumptions 1 and 3. Taught in chapters 3 and 5.
 """
 
@@ -10,34 +14,26 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 
 from .._validate import as_points, positive
 from ..rips import Diagram, rips_persistence
 from ..sampling import covering_radius
-from ._critical import first_critical
 from ._matching import Matching, match_diagrams
 
 Array = NDArray[np.float64]
-ROUNDING = 1e-12  # relative to the longest edge; windows are wider by it
+Ids = NDArray[np.int64]
+ROUNDING = 1e-12  # relative; rounding may only add rivals and make more edges critical
 
 
 @dataclass(frozen=True, eq=False)
 class Beta:
-    """How far from a loop's killer edge the edges lie that could be taken for it.
+    """How far from a loop's killer edge the edges lie that could be taken for it."""
 
-    Attributes
-    ----------
-    value : (k,) float64
-        For each of the k longest-lived loops of the diagram, the largest Hausdorff distance to a rival, in the unit of the
-        points.
-    edge : (k, 2) int64
-        That rival; the killer itself when there is no other.
-    """
-
-    value: Array
-    edge: NDArray[np.int64]
+    value: Array  #: (k,) for each of the k longest-lived loops the largest Hausdorff distance to a rival
+    edge: Ids  #: (k, 2) that rival; the killer itself when there is no other
 
     @property
     def max(self) -> float:
@@ -50,7 +46,7 @@ class State:
     """All points of the scene at one time, S, and the vertices of it that are observed, O."""
 
     points: Array
-    ids: NDArray[np.int64]
+    ids: Ids
     known_diagram: Diagram | None = None
 
     @cached_property
@@ -80,12 +76,11 @@ class State:
         return np.asarray(cdist(self.points, self.points))
 
     def separation(self, min_lifetime: float) -> float:
-        """As `feature_separation`."""
         killers = self.diagram.killer_edge[self.diagram.lifetime > min_lifetime]
         pairs = (self.edge_distances(killers[:i], killers[i]).min() for i in range(1, len(killers)))
         return float(min(pairs, default=np.inf))
 
-    def edge_distances(self, edges: NDArray[np.int64], edge: NDArray[np.int64]) -> Array:
+    def edge_distances(self, edges: Ids, edge: Ids) -> Array:
         """(m,) Hausdorff distances from each of (m, 2) edges to one."""
         d = self.distances[edges[:, :, None], edge]  # (m, 2, 2)
         return np.asarray(np.maximum(d.min(axis=2).max(axis=1), d.min(axis=1).max(axis=1)))
@@ -101,10 +96,7 @@ class State:
     def _farthest_edges(
         self, min_lifetime: float, below: float, above: float, critical: tuple[float, float] | None, nearest: bool
     ) -> Beta:
-        """The edges, or the critical ones, of half length in [death - below, death + above] farthest from the killers.
-
-        The distance is to the loop's own killer, or to the nearest killer of all loops that are measured.
-        """
+        """The edges, or the critical ones, of half length in [death - below, death + above] farthest from the killers."""
         n_loops = int((self.diagram.lifetime > min_lifetime).sum())
         killers = self.diagram.killer_edge[:n_loops]
         value, edge = np.zeros(n_loops), killers.copy()
@@ -117,12 +109,59 @@ class State:
             rivals = pairs[(half >= death - below - rounding) & (half <= death + above + rounding)]
             measured = killers if nearest else killers[i : i + 1]
             away = np.min([self.edge_distances(rivals, killer) for killer in measured], axis=0)
-            order = np.argsort(-away, kind="stable")  # farthest first
-            place = 0 if critical is None else first_critical(self.distances, rivals[order], *critical)
-            # The killer is a rival of itself, but a lune may hold together by rounding alone.
-            if place >= 0 and len(rivals):
-                value[i], edge[i] = away[order[place]], rivals[order[place]]
+            for j in np.argsort(-away, kind="stable"):  # farthest first
+                x, y = rivals[j].tolist()
+                # The killer is a rival of itself, but a lune may hold together by rounding alone.
+                if critical is None or is_critical(self.distances, x, y, *critical):
+                    value[i], edge[i] = away[j], rivals[j]
+                    break
         return Beta(value, edge)
+
+
+@njit(cache=True)
+def is_critical(distances: Array, x: int, y: int, alpha: float, epsilon: float) -> bool:
+    """Whether the edge {x, y} is (alpha, epsilon)-critical; `beta_critical` says what that means."""
+    length = distances[x, y]
+    inner = (length - alpha - 4 * epsilon) * (1 - ROUNDING)  # of points that carry paths, and of a path's end steps
+    step = (length - 2 * alpha - 4 * epsilon) * (1 - ROUNDING)
+    outer = (length + 4 * epsilon) * (1 + ROUNDING)
+    apart = (length - 4 * epsilon) * (1 - ROUNDING)
+    farther = np.maximum(distances[x], distances[y])
+    in_lens = farther <= outer
+    in_lens[x] = in_lens[y] = False
+    lens, carriers = np.flatnonzero(in_lens), np.flatnonzero(farther < inner)
+    component, n_components = _components(distances, carriers, step)
+    reached = np.zeros((len(lens), n_components), dtype=np.bool_)
+    for i in range(len(lens)):
+        for j in range(len(carriers)):
+            if distances[lens[i], carriers[j]] < inner:
+                reached[i, component[j]] = True
+    for i in range(len(lens)):
+        for j in range(i):
+            if distances[lens[i], lens[j]] >= apart and not (reached[i] & reached[j]).any():
+                return True
+    return False
+
+
+@njit(cache=True)
+def _components(distances: Array, vertices: Ids, step: float) -> tuple[Ids, int]:
+    """Number of each vertex's component under steps shorter than `step`, and how many components there are."""
+    m = len(vertices)
+    component, waiting = np.full(m, -1, np.int64), np.empty(m, np.int64)
+    n_components = 0
+    for start in range(m):
+        if component[start] >= 0:
+            continue
+        component[start], waiting[0], top = n_components, start, 1
+        while top > 0:
+            top -= 1
+            near = distances[vertices[waiting[top]]]
+            for w in range(m):
+                if component[w] < 0 and near[vertices[w]] < step:
+                    component[w], waiting[top] = n_components, w
+                    top += 1
+        n_components += 1
+    return component, n_components
 
 
 def beta_all(
@@ -144,12 +183,6 @@ def beta_all(
         `alpha` when not given, as in the paper.
     diagram : Diagram, optional
         Of `points`, when it is known.
-
-    Examples
-    --------
-    >>> square = [[0, 0], [1, 0], [1, 1], [0, 1]]
-    >>> beta_all(square, 0.1).value  # the other diagonal
-    array([1.])
     """
     alpha = positive(alpha, "alpha")
     shortest = alpha if min_lifetime is None else positive(min_lifetime, "min_lifetime")
@@ -165,7 +198,7 @@ def beta_critical(
     min_lifetime: float | None = None,
     diagram: Diagram | None = None,
 ) -> Beta:
-    """Measure the beta of Assumption 3', over critical edges only.
+    """Measure the beta of Assumption 3', over critical edges only: ours, where the paper quantifies over all edges.
 
     An edge e = {x, y} of length L is (alpha, epsilon)-critical in S when there are two points a, b of S other than x and y,
     both within L + 4 epsilon of x and of y, at least L - 4 epsilon apart, that no path in S joins through points nearer than
@@ -181,28 +214,12 @@ def beta_critical(
     alpha, epsilon : float
         Covering radius of the observations and largest displacement, in the unit of the points.
     nearest : bool
-        Measure from a critical edge to the nearest killer of all loops, not to this loop's: where several loops die at about
-        the same time each one's killer is a critical edge in the window of the others.
+        Measure to the nearest killer of all loops, not to this loop's: where several loops die at about the same time each
+        one's killer is a critical edge in the window of the others.
     min_lifetime : float, optional
         Loops with a lifetime above it are measured; ``alpha + 2 * epsilon`` when not given: what the corollary needs.
     diagram : Diagram, optional
         Of `points`, when it is known.
-
-    Returns
-    -------
-    Beta
-        Never above what all edges in the same window give.
-
-    Notes
-    -----
-    The paper quantifies over all edges. This version is ours. Cost: rivals are tested from the farthest inwards, each with a
-    number of operations that is quadratic in the points of its lens; of the order of 0.1 s a loop for 550 points.
-
-    Examples
-    --------
-    >>> square = [[0, 0], [1, 0], [1, 1], [0, 1]]
-    >>> beta_critical(square, 0.1).value
-    array([1.])
     """
     alpha, epsilon = positive(alpha, "alpha"), positive(epsilon, "epsilon")
     shortest = alpha + 2 * epsilon if min_lifetime is None else positive(min_lifetime, "min_lifetime")
@@ -218,12 +235,6 @@ def feature_separation(points: ArrayLike, min_lifetime: float = 0.0) -> float:
         The dense state S_t.
     min_lifetime : float
         Only loops with a lifetime above it.
-
-    Examples
-    --------
-    >>> square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    >>> feature_separation(np.vstack([square, square + [5, 0]]), min_lifetime=0.1)
-    5.0
     """
     return _dense(points, None).separation(positive(min_lifetime, "min_lifetime"))
 

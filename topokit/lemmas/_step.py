@@ -102,13 +102,11 @@ def observed_step(
     before: ArrayLike, observed_before: ArrayLike | None, after: ArrayLike, observed_after: ArrayLike | None
 ) -> Step:
     """Two states with what is observed of them, checked; all vertices are where that is None."""
-    clouds = _same_points(before, after)
-    observations = {"observed_before": observed_before, "observed_after": observed_after}
-    states = [
-        State(cloud, np.arange(len(cloud)) if observed is None else vertex_ids(cloud, observed, name))
-        for cloud, (name, observed) in zip(clouds, observations.items(), strict=True)
-    ]
-    return Step(*states)
+    a, b = _same_points(before, after)
+    everything = np.arange(len(a))
+    ids = everything if observed_before is None else vertex_ids(a, observed_before, "observed_before")
+    ids_after = everything if observed_after is None else vertex_ids(b, observed_after, "observed_after")
+    return Step(State(a, ids), State(b, ids_after))
 
 
 def max_displacement(before: ArrayLike, after: ArrayLike) -> float:
@@ -118,11 +116,6 @@ def max_displacement(before: ArrayLike, after: ArrayLike) -> float:
     ----------
     before, after : (n, d) array_like
         Row i of both is the same point.
-
-    Examples
-    --------
-    >>> max_displacement([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.5], [1.0, 0.0]])
-    0.5
     """
     a, b = _same_points(before, after)
     return float(np.linalg.norm(b - a, axis=1).max(initial=0.0))
@@ -132,22 +125,13 @@ def distortion(before: ArrayLike, after: ArrayLike) -> float:
     """Return half the largest change of a distance between two points: what a motion does to the filtration.
 
     Never above `max_displacement`, and zero for a rigid motion, however fast. Wherever a statement needs epsilon for a change
-    of filtration values this number does instead; only where it says how far an edge moves must epsilon stay.
+    of filtration values this number does instead; only where it says how far an edge moves must epsilon stay. That it bounds
+    the bottleneck distance of Rips diagrams is the theorem of Chazal, de Silva and Oudot 2014.
 
     Parameters
     ----------
     before, after : (n, d) array_like
         Row i of both is the same point.
-
-    Notes
-    -----
-    The correspondence between before and after has twice this distortion in the sense of Gromov and Hausdorff; that it bounds
-    the bottleneck distance of Rips diagrams is the theorem of Chazal, de Silva and Oudot 2014.
-
-    Examples
-    --------
-    >>> distortion([[0.0], [1.0]], [[5.0], [6.5]])
-    0.25
     """
     a, b = _same_points(before, after)
     return float(np.abs(cdist(b, b) - cdist(a, a)).max(initial=0.0)) / 2
@@ -176,13 +160,7 @@ def vertex_ids(points: ArrayLike, observed: ArrayLike, name: str = "observed") -
     Raises
     ------
     TypeError, ValueError
-        When nothing is observed, an id is out of range, or an observed point is no vertex: the statements are about subsets
-        of the state.
-
-    Examples
-    --------
-    >>> vertex_ids([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]], [[2.0, 0.0], [0.0, 0.0]])
-    array([0, 2])
+        When nothing is observed, an id is out of range, or an observed point is no vertex of the state.
     """
     state, ids = as_points(points), np.asarray(observed)
     if ids.size == 0:
@@ -203,8 +181,6 @@ def _nearest_vertices(state: Array, cloud: Array, name: str) -> Ids:
     distance, nearest = cKDTree(state).query(cloud)
     if distance.max() > STORED:
         far = int(np.argmax(distance))
-        raise ValueError(
-            f"{name} must be vertices of the state: point {far} is {distance[far]:.3g} from the nearest one; "
-            "what cameras see is on the surface between vertices, take a subsample of the vertices instead"
-        )
+        nearest_one = f"point {far} is {distance[far]:.3g} from the nearest one"
+        raise ValueError(f"{name} must be vertices of the state: {nearest_one}; take a subsample of the vertices")
     return np.asarray(nearest)

@@ -8,59 +8,27 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Witness:
-    """The loop at which an inequality is closest to failing, or fails.
+    """The loop at which an inequality is closest to failing, or fails."""
 
-    Attributes
-    ----------
-    of : str
-        Where the loop lives: "S_t", "O_t", "S_t+1" or "O_t+1".
-    loop : int
-        Its index in that diagram.
-    birth, death : float
-    edge : (int, int)
-        Vertex ids, in the state, of the edge that decides: the killer.
-    what : str
-        What is the matter with it, in words.
-    """
-
-    of: str
-    loop: int
-    birth: float
-    death: float
-    edge: tuple[int, int]
-    what: str
+    of: str  #: where the loop lives: "S_t", "O_t", "S_t+1" or "O_t+1"
+    loop: int  #: its index in that diagram
+    birth: float  #: its birth
+    death: float  #: its death
+    edge: tuple[int, int]  #: vertex ids, in the state, of the edge that decides: the killer
+    what: str  #: what is the matter with it, in words
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """One version of a statement on one instance: the inequality ``statistic <= bound`` where it is tightest.
+    """One version of a statement on one instance: the inequality ``statistic <= bound`` where it is tightest."""
 
-    Attributes
-    ----------
-    statistic, bound : float
-        Both sides, at the loop where it is tightest. In the unit of the points, unless the statement counts loops.
-    holds : bool
-        Up to rounding (1e-9 of the size of the cloud). True when there is no loop to speak about.
-    hypotheses : bool
-        Whether what the statement assumes is so here. The constants are measured, so only assumptions that relate them can
-        fail.
-    loops : int
-        To how many loops the statement speaks: zero makes it empty.
-    witness : Witness or None
-        The loop where it is tightest, if any.
-    """
-
-    statistic: float
-    bound: float
-    holds: bool
+    statistic: float  #: in the unit of the points, unless the statement counts loops
+    bound: float  #: in the same unit
+    holds: bool  #: up to rounding (1e-9 of the size of the cloud); true when there is no loop to speak about
+    #: Whether what the statement assumes is so. The constants are measured: only assumptions that relate them can fail.
     hypotheses: bool = True
-    loops: int = 0
-    witness: Witness | None = None
-
-    @property
-    def margin(self) -> float:
-        """bound - statistic: negative when it fails."""
-        return self.bound - self.statistic
+    loops: int = 0  #: to how many loops the statement speaks: zero makes it empty
+    witness: Witness | None = None  #: the loop where it is tightest, if any
 
     @property
     def applies(self) -> bool:
@@ -89,50 +57,26 @@ def compared(
 
 @dataclass(frozen=True)
 class LoopCheck:
-    """One loop of S_t in a statement about killers.
+    """One loop of S_t in a statement about killers."""
 
-    Attributes
-    ----------
-    loop : int
-        Index in the diagram of S_t.
-    lifetime : float
-    statistic : float
-        How far the killers lie apart; inf when the loop has no counterpart.
-    legs : tuple of float
-        The same from killer to killer along the chain: one leg, or the corollary's three.
-    bounds : mapping of str to float
-        The bound of each version ("paper", "corrected", "intrinsic") that speaks about this loop.
-    """
-
-    loop: int
-    lifetime: float
-    statistic: float
-    legs: tuple[float, ...]
-    bounds: Mapping[str, float]
+    loop: int  #: index in the diagram of S_t
+    lifetime: float  #: in the unit of the points
+    statistic: float  #: how far the killers lie apart; inf when the loop has no counterpart
+    legs: tuple[float, ...]  #: the same from killer to killer along the chain: one leg, or the corollary's three
+    bounds: Mapping[str, float]  #: of each version ("paper", "corrected", "intrinsic") that speaks about this loop
 
 
 @dataclass(frozen=True)
 class Check:
-    """A statement on one instance, as the paper has it and as it is true.
+    """A statement on one instance, as the paper has it and as it is true."""
 
-    Attributes
-    ----------
-    statement : str
-        One of `STATEMENTS`.
-    versions : mapping of str to Verdict
-        All verdicts by name: "paper", "corrected", "intrinsic" where something moves, and other bounds for the same statistic.
-    alpha, epsilon, distortion : float
-        As measured; 0.0 where the statement has none.
-    loops : tuple of LoopCheck
-        For statements about killers, every loop they speak about.
-    """
-
-    statement: str
+    statement: str  #: one of `STATEMENTS`
+    #: All verdicts by name: "paper", "corrected", "intrinsic" where something moves, and other bounds for the same statistic.
     versions: Mapping[str, Verdict]
-    alpha: float = 0.0
-    epsilon: float = 0.0
-    distortion: float = 0.0
-    loops: tuple[LoopCheck, ...] = ()
+    alpha: float = 0.0  #: as measured, as are the next two; 0.0 where the statement has none
+    epsilon: float = 0.0  #: largest displacement
+    distortion: float = 0.0  #: half the largest change of a distance
+    loops: tuple[LoopCheck, ...] = ()  #: for statements about killers, every loop they speak about
 
     @property
     def paper(self) -> Verdict:

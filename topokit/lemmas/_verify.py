@@ -1,16 +1,20 @@
-"""All statements on one step of a sequence, and on every step of a recorded episode.
+"""All statements on one step of a sequence, on every step of a recorded episode, and on small literal counterexamples.
 
 Taught in chapter 5.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from itertools import pairwise
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._validate import as_sequence
 from ._diagrams import check_feature_approximation, check_gates, check_observability, check_temporal_persistence
@@ -19,6 +23,8 @@ from ._measures import State
 from ._step import Step, observed_step, vertex_ids
 from ._verdict import Check
 
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
 STATEMENTS = (
     "feature approximation",
     "observability",
@@ -33,34 +39,18 @@ STATEMENTS = (
 
 @dataclass(frozen=True)
 class StepCheck:
-    """One step of an episode: the constants, and what became of every statement.
+    """One step of an episode: the constants, and what became of every statement. A beta is nan where no loop lives so long."""
 
-    Attributes
-    ----------
-    frame : int
-        Of S_t; S_t+1 is the next frame that is looked at.
-    alpha, epsilon, distortion : float
-        In the unit of the points; alpha is the larger of both frames'.
-    lifetime, death : float
-        Of the longest-lived loop of S_t; 0.0 when there is none.
-    beta_all, beta_critical, beta_intrinsic : float
-        The largest beta over all edges, of loops with a lifetime above the frame's alpha; over (alpha, epsilon)-critical ones,
-        of loops with a lifetime above alpha + 2 epsilon; over (alpha, distortion)-critical ones, of loops above
-        alpha + 2 distortion. nan where there is no such loop.
-    checks : dict of str to Check
-        By statement, in the order of `STATEMENTS`.
-    """
-
-    frame: int
-    alpha: float
-    epsilon: float
-    distortion: float
-    lifetime: float
-    death: float
-    beta_all: float
-    beta_critical: float
-    beta_intrinsic: float
-    checks: dict[str, Check]
+    frame: int  #: of S_t; S_t+1 is the next frame that is looked at
+    alpha: float  #: the larger of both frames', in the unit of the points
+    epsilon: float  #: in the unit of the points
+    distortion: float  #: in the unit of the points
+    lifetime: float  #: of the longest-lived loop of S_t; 0.0 when there is none
+    death: float  #: of the same loop
+    beta_all: float  #: the largest beta over all edges, of loops with a lifetime above the frame's alpha
+    beta_critical: float  #: over (alpha, epsilon)-critical edges, of loops with a lifetime above alpha + 2 epsilon
+    beta_intrinsic: float  #: the same as `beta_critical` with the distortion in place of epsilon
+    checks: dict[str, Check]  #: by statement, in the order of `STATEMENTS`
 
 
 def verify_step(
@@ -71,15 +61,7 @@ def verify_step(
     Parameters
     ----------
     before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. They need not be the same
-        vertices.
-
-    Examples
-    --------
-    >>> square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    >>> checks = verify_step(square, [0, 1, 2, 3], square + [0.01, 0], [0, 1, 2, 3])
-    >>> [name for name, check in checks.items() if not check.corrected.holds]
-    []
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates.
     """
     return _checks(observed_step(before, observed_before, after, observed_after))
 
@@ -119,14 +101,6 @@ def verify_episode(
     TypeError, ValueError
         When the frames do not fit each other, or what is observed is not among the vertices (cameras see the surface between
         them); the message names the frame.
-
-    Examples
-    --------
-    >>> angle = 2 * np.pi * np.arange(24) / 24
-    >>> circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    >>> steps = verify_episode([circle, 1.01 * circle, 1.02 * circle], np.arange(0, 24, 2))
-    >>> [step.checks["corollary"].corrected.holds for step in steps]
-    [True, True]
     """
     if not isinstance(stride, (int, np.integer)) or stride < 1:
         raise ValueError(f"stride must be a whole number of frames, 1 or more, not {stride!r}")
@@ -171,3 +145,36 @@ def _step_check(frame: int, step: Step) -> StepCheck:
 def _largest(check: Check, version: str) -> float:
     """The largest bound of a version, nan where it speaks about no loop."""
     return max((row.bounds[version] for row in check.loops if version in row.bounds), default=float("nan"))
+
+
+@dataclass(frozen=True, eq=False)
+class Counterexample:
+    """An instance in the plane, small enough to check by hand, on which a statement fails or a constant is seen to be sharp."""
+
+    statement: str  #: that it is about, one of `STATEMENTS`
+    story: str  #: what it shows
+    before: Array  #: (n, 2) S_t
+    after: Array  #: (n, 2) S_t+1; the same where nothing moves
+    observed_before: Ids  #: (m,) vertices seen at t; all of them where the statement has no observation
+    observed_after: Ids  #: (k,) vertices seen at t + 1
+    #: Whether the paper's statement fails here, its hypotheses being so. Otherwise the instance shows that a constant is
+    #: sharp, or an assumption cannot hold.
+    refutes: bool
+
+    def check(self) -> Check:
+        """The statement on this instance."""
+        return verify_step(self.before, self.observed_before, self.after, self.observed_after)[self.statement]
+
+
+def _counterexample(entry: dict[str, Any]) -> Counterexample:
+    before, after = (np.array(entry.get(when, entry["before"])) for when in ("before", "after"))
+    seen, seen_after = (np.delete(np.arange(len(before)), entry.get(key, ())) for key in ("unseen", "unseen_after"))
+    for array in (before, after, seen, seen_after):
+        array.setflags(write=False)
+    return Counterexample(entry["statement"], entry["story"], before, after, seen, seen_after, entry["refutes"])
+
+
+_FILE = resources.files(__package__).joinpath("counterexamples.json")
+COUNTEREXAMPLES: Mapping[str, Counterexample] = MappingProxyType(
+    {name: _counterexample(entry) for name, entry in json.loads(_FILE.read_text(encoding="utf-8")).items()}
+)

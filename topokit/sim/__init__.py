@@ -13,13 +13,11 @@ from topokit._lazy import attach
 from ._camera import Camera, DepthNoise, cameras_around
 from ._episode import simulate
 from ._garments import WARDROBE, Garment
-from ._paths import GripperPath, Via
-from ._physics import SimulationConfig
 from ._process import SimulationError
 from ._randomise import Randomisation
 from ._targets import Hanger, Hook, Mannequin, Target
-from ._tasks import TASKS, Task, task_for
-from ._world import World, observe
+from ._tasks import TASKS, GripperPath, Task, Via, task_for
+from ._world import SimulationConfig, World, observe
 
 if TYPE_CHECKING:
     from ._env import HangEnv

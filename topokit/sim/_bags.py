@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ._pattern import Arch, Band, chain, cut, inflate, mirror, polyline, ring, sew
+from ._surface import Array
 from ._wardrobe import THIRDS, Fields, check_sizes, demand, numbered
-
-Array = NDArray[np.float64]
 
 
 def tote(
@@ -24,10 +22,9 @@ def tote(
 ) -> Fields:
     """Return a bag open at its top, whose panels bulge to `depth`, with one handle or two.
 
-    The open top is no loop in degree 1, since the bag closes it: a tote has as many classes as handles. One handle runs
-    over the top from side to side; of two, each stands on its own panel, `handle_span` between the middles of its ends. A
-    true loop is the border of the opening under a handle. The grips are on the one handle, at a third of its length from
-    either end, or one on each of the two, near the top.
+    A tote has as many classes as handles: the bag closes its open top. One handle runs over the top from side to side; of
+    two, each stands on its own panel, `handle_span` between the middles of its ends. A true loop is the border of the
+    opening under a handle. The grips are on the one handle, or one on each of the two.
 
     Parameters
     ----------
@@ -43,7 +40,8 @@ def tote(
     sides = polyline((-half, 0), (-half, -height), (half, -height), (half, 0))
     if handles == 2:
         return _tote_of_two(sizes, sides)
-    demand(handle_width <= width - 2 * spacing, f"handle_width {handle_width} must be less than width {width}", spacing)
+    fits = handle_width <= width - 2 * spacing
+    demand(fits, f"handle_width {handle_width} must be less than width {width} by twice the spacing {spacing}")
     top = polyline((half, 0), (half - handle_width / 2, 0), (handle_width / 2 - half, 0), (-half, 0))
     panel = cut([*sides, *top], [], spacing)
     front = inflate(panel, (0, 1, 2), depth / 2)
@@ -63,11 +61,8 @@ def tote(
 def _tote_of_two(sizes: dict[str, float], sides: list[Array]) -> Fields:
     half, spacing = sizes["width"] / 2, sizes["spacing"]
     span, width = sizes["handle_span"], sizes["handle_width"]
-    demand(
-        2 * spacing <= span - width and span + width <= 2 * half - 2 * spacing,
-        f"handle_span {span} must leave an opening inside handles of handle_width {width} and fit the width {2 * half}",
-        spacing,
-    )
+    fits = 2 * spacing <= span - width and span + width <= 2 * half - 2 * spacing
+    demand(fits, f"handle_span {span} must leave room for handles of handle_width {width} in width {2 * half}")
     arch = Arch.of_length(span, sizes["handle_length"], "handle_length")
     outer, opening, middle = arch.strap(width, spacing, sizes["handle_length"])
     top = [*polyline((half, 0), outer[0]), outer, *polyline(outer[-1], (-half, 0))]
@@ -105,11 +100,8 @@ def backpack(
     half, low = width / 2, -height
     rim = low + box_height
     span = -rim - 2 * strap_width
-    demand(
-        span - strap_width >= 2 * spacing,
-        f"height {height} leaves no opening for straps of strap_width {strap_width} above a box_height of {box_height}",
-        spacing,
-    )
+    opens = span - strap_width >= 2 * spacing
+    demand(opens, f"height {height} is too low for straps of strap_width {strap_width} above box_height {box_height}")
     arch = Arch.of_length(span, strap_length)
 
     def aside(line: Array) -> Array:
@@ -141,7 +133,6 @@ def backpack(
 
 
 def _folded(vertices: Array, half: float, angle: float) -> Array:
-    """Turn what lies beyond x = +-half towards +y."""
     beyond = np.maximum(np.abs(vertices[:, 0]) - half, 0)
     x = np.sign(vertices[:, 0]) * (np.minimum(np.abs(vertices[:, 0]), half) + beyond * np.cos(angle))
     return np.column_stack([x, vertices[:, 1] + beyond * np.sin(angle), vertices[:, 2]])

@@ -1,7 +1,6 @@
 """Depth cameras: what they see of the cloth, as points in metres.
 
-A camera draws the whole scene, so that the target and the cloth itself hide what is behind them; only the cloth's pixels
-become points. Without noise a point lies on the cloth exactly.
+A camera draws the whole scene, so that what is in front hides what is behind; only the cloth's pixels become points.
 
 Source: Hartley and Zisserman 2004, chapter 6 (the pinhole camera); Nguyen, Izadi and Lovell 2012, *Modeling Kinect sensor
 noise for improved 3D reconstruction and tracking* (the noise). Taught in chapter 7.
@@ -17,7 +16,8 @@ from pydantic import BeforeValidator, Field
 
 from topokit._config import Count, NotNegative, Positive, checked
 
-Array = NDArray[np.float64]
+from ._surface import Array
+
 Mask = NDArray[np.bool_]
 
 
@@ -30,38 +30,16 @@ Place = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
 
 @checked
 class DepthNoise:
-    """The errors of a structured-light depth sensor, after Nguyen, Izadi and Lovell 2012.
+    """The errors of a structured-light depth sensor, after Nguyen, Izadi and Lovell 2012."""
 
-    Parameters
-    ----------
-    axial : float
-        Standard deviation of the depth at `best` metres, in metres.
-    axial_growth : float
-        The deviation at depth z is `axial + axial_growth * (z - best)**2`; 1/m.
-    best : float
-        Depth of least noise, metres.
-    lateral : float
-        Standard deviation, in pixels, of the place at which a pixel reads the scene: outlines become ragged.
-    dropout : float
-        Share of pixels that are lost, each by itself; below 1.
-    """
+    axial: NotNegative = 0.0012  #: standard deviation of the depth at `best` metres, in metres
+    axial_growth: NotNegative = 0.0019  #: the deviation at depth z is `axial + axial_growth * (z - best)**2`; 1/m
+    best: NotNegative = 0.4  #: depth of least noise, metres
+    lateral: NotNegative = 0.8  #: standard deviation, in pixels, of the place a pixel reads: outlines become ragged
+    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of pixels that are lost, each by itself
 
-    axial: NotNegative = 0.0012
-    axial_growth: NotNegative = 0.0019
-    best: NotNegative = 0.4
-    lateral: NotNegative = 0.8
-    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
-
-    def apply(self, depth: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Mask]:
-        """Return a noisy copy of a depth image and of the cloth's mask.
-
-        Parameters
-        ----------
-        depth : (h, w) float64
-            Metres.
-        mask : (h, w) bool
-        rng : numpy.random.Generator
-        """
+    def _spoil(self, depth: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Mask]:
+        """A noisy copy of a depth image (h, w) in metres and of the cloth's mask (h, w)."""
         rows, columns = np.indices(depth.shape)
         shift = np.rint(self.lateral * rng.standard_normal((2, *depth.shape))).astype(np.int64)
         rows = np.clip(rows + shift[0], 0, depth.shape[0] - 1)
@@ -73,46 +51,17 @@ class DepthNoise:
 
 @checked
 class Camera:
-    """A pinhole depth camera. Metres, degrees, pixels.
+    """A pinhole depth camera. Metres, degrees, pixels."""
 
-    Parameters
-    ----------
-    eye, target : (3,) float
-        Where it is, and the place in the middle of its picture.
-    up : (3,) float
-        The direction that points up in the picture.
-    fov : float
-        Vertical angle of view, degrees.
-    width, height : int
-        Of the picture, pixels.
-    near, far : float
-        Nothing nearer or farther than this is seen.
-    noise : DepthNoise, optional
-        Added by `observe`; none when not given.
-
-    Raises
-    ------
-    ValueError
-        When a number is out of its range, or the camera looks along `up`; the message says which.
-
-    Examples
-    --------
-    >>> camera = Camera(eye=(0, -2, 1), target=(0, 0, 1), width=3, height=3)
-    >>> depth = np.full((3, 3), np.inf)
-    >>> depth[2, 0] = 2.0
-    >>> camera.unproject(depth, np.isfinite(depth)).round(3) + 0.0
-    array([[-0.933,  0.   ,  0.067]])
-    """
-
-    eye: Place = (0.0, -1.6, 1.2)
-    target: Place = (0.0, 0.0, 1.0)
-    up: Place = (0.0, 0.0, 1.0)
-    fov: Annotated[float, Field(gt=0, lt=180)] = 50.0
-    width: Count = 128
-    height: Count = 128
-    near: Positive = 0.1
-    far: Positive = 6.0
-    noise: DepthNoise | None = None
+    eye: Place = (0.0, -1.6, 1.2)  #: (3,) where it is
+    target: Place = (0.0, 0.0, 1.0)  #: (3,) the place in the middle of its picture
+    up: Place = (0.0, 0.0, 1.0)  #: (3,) the direction that points up in the picture, not along the view
+    fov: Annotated[float, Field(gt=0, lt=180)] = 50.0  #: vertical angle of view, degrees
+    width: Count = 128  #: of the picture, pixels
+    height: Count = 128  #: of the picture, pixels
+    near: Positive = 0.1  #: nothing nearer is seen
+    far: Positive = 6.0  #: nothing farther is seen
+    noise: DepthNoise | None = None  #: added by `observe`; none when not given
 
     def __post_init__(self) -> None:
         if self.near >= self.far:
@@ -120,9 +69,7 @@ class Camera:
         forward = np.subtract(self.target, self.eye)
         scale = float(np.linalg.norm(forward) * np.linalg.norm(self.up))
         if np.linalg.norm(np.cross(forward, self.up)) <= 1e-9 * scale:
-            raise ValueError(
-                f"the camera at {self.eye} must look at another place than itself, and not along up {self.up}"
-            )
+            raise ValueError(f"the camera at {self.eye} must look at another place than itself, not along up {self.up}")
 
     @property
     def axes(self) -> Array:
@@ -169,16 +116,17 @@ class Camera:
         for name, image in (("depth", metres), ("mask", chosen)):
             if image.shape != (self.height, self.width):
                 raise ValueError(f"{name} must be of shape {(self.height, self.width)}, not {image.shape}")
-        rows, columns = np.nonzero(chosen)
-        z = metres[rows, columns]
-        if not np.isfinite(z).all():
-            bad = int(np.argmin(np.isfinite(z)))
-            raise ValueError(f"pixel ({rows[bad]}, {columns[bad]}) of the mask sees nothing: its depth is {z[bad]}")
+        rows, columns = np.nonzero(chosen & np.isfinite(metres))
+        if len(rows) < chosen.sum():
+            row, column = np.argwhere(chosen & ~np.isfinite(metres))[0]
+            raise ValueError(f"pixel ({row}, {column}) of the mask sees nothing: its depth is {metres[row, column]}")
         # PyBullet's TinyRenderer samples a pixel at its left edge and its lower edge, not at its middle.
         half = np.tan(np.radians(self.fov) / 2)
         x = (2 * columns / self.width - 1) * half * self.width / self.height
         y = (1 - 2 * (rows + 1) / self.height) * half
-        return np.asarray(self.eye + (np.column_stack([x, y, np.ones(len(x))]) * z[:, None]) @ self.axes)
+        return np.asarray(
+            self.eye + (np.column_stack([x, y, np.ones(len(x))]) * metres[rows, columns][:, None]) @ self.axes
+        )
 
 
 def cameras_around(
@@ -201,11 +149,6 @@ def cameras_around(
         Of the cameras over the horizon, degrees.
     noise : DepthNoise, optional
         Of every camera.
-
-    Examples
-    --------
-    >>> [camera.eye[0] > 0 for camera in cameras_around(n=3)[1:]]
-    [True, False]
     """
     middle = np.asarray(place, dtype=np.float64)
     turn = 2 * np.pi * np.arange(n) / n - np.pi / 2

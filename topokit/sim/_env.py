@@ -4,7 +4,7 @@
     >>> env = gymnasium.make("topokit/Hang-v0", task="apron-hook", reward="topological")
 
 Source: Towers et al. 2024, *Gymnasium: a standard interface for reinforcement learning environments*; Ng, Harada and Russell
-1999, *Policy invariance under reward transformations* (shaping by differences of a potential). Taught in chapter 7.
+1999, *Policy invariance under reward transformations*. Taught in chapter 7.
 """
 
 from __future__ import annotations
@@ -22,21 +22,20 @@ from topokit.rips import rips_persistence
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
-from ._episode import AT_REST
+from ._episode import AT_REST, StretchCheck
 from ._garments import Garment
-from ._physics import SimulationConfig
 from ._process import SimulationError
-from ._recording import StretchCheck
-from ._surface import simple_cycles
+from ._surface import Array, simple_cycles
 from ._targets import Target
 from ._tasks import Task, task_named
-from ._world import World, observe
+from ._world import SimulationConfig, World, observe
 
-Array = NDArray[np.float64]
 Observation = dict[str, Any]
 REWARDS = ("sparse", "dense", "topological", "topological-observed")
 _ROOM = 4.0  # metres: nothing that is observed is farther from the origin along an axis
+_SPEED = 1.2  # m/s of the grippers' goals along each axis, at most
 _LEASH = 0.2  # metres by which a goal may lead its gripper along an axis: taut cloth holds a gripper back
+_OUTCOME = {"success": False, "dropped": False, "torn": False}
 _REST_AFTER = 0.5  # s after the release: cloth that is not held by the target is fast by then
 
 
@@ -51,23 +50,18 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     - `held`: 1 until the release, then 0.
 
     **Action**, seven numbers from -1 to 1: the displacements of the first and of the second gripper's goal (x, y, z each) as
-    shares of what `max_speed` allows in a step; the garment is let go, for good, when the last is above 0.5.
+    shares of what 1.2 m/s allows in a step; the garment is let go, for good, when the last is above 0.5.
 
-    **Reward**: 1 at success, and by `reward`
+    **Reward**: 1 at success, and by `reward` differences of a potential, so that going back and forth earns nothing:
 
     - `"sparse"`: nothing else;
     - `"dense"`: the metres by which the task's loop came nearer to the target's seat in this step;
-    - `"topological"`: also the change of the share of the task's loops that are around the target, by linking number; loops
-      and centres are those of the true loops;
-    - `"topological-observed"`: the same for the longest-lived loops of the observed points, as many as the garment has, each
-      taken as its tight cycle: nothing is used that a robot would not have.
-
-    What the last three add are differences of a potential: going back and forth earns nothing.
+    - `"topological"`: also the change of the share of the task's loops that are around the target, by linking number;
+    - `"topological-observed"`: the same for the longest-lived loops of the observed points, as many as the garment has.
 
     An episode **terminates** when the garment has been free for half a second and is at rest, with success if the task's
-    loops are on the target (else it was dropped), and when it is torn: stretched beyond `config.max_stretch`. It is
-    **truncated** after `max_steps`. `info` holds `success`, `dropped`, `torn`, and the `linked` share and the `distance` of
-    the potential.
+    loops are on the target (else it was dropped), and when it is torn: stretched too far. It is **truncated** after
+    `max_steps`. `info` holds `success`, `dropped`, `torn`, and the `linked` share and the `distance` of the potential.
 
     Parameters
     ----------
@@ -82,17 +76,10 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         What the observer has; without any it sees the vertices on all sides.
     config : SimulationConfig, optional
         Without self-collision when not given: with it, a seed repeats to a micrometre but not bit by bit.
-    max_speed : float
-        Of the grippers' goals along each axis, m/s.
     max_steps : int
         A step takes `config.frame_time` seconds.
     render_mode : str, optional
         `"rgb_array"`: `render()` gives a picture (360, 480, 3) uint8.
-
-    Raises
-    ------
-    ValueError
-        When the task, the reward or the render mode is not known, or there are fewer vertices than `n_points`.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 28}  # noqa: RUF012
@@ -107,7 +94,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         n_points: int = 256,
         cameras: Sequence[Camera] = (),
         config: SimulationConfig | None = None,
-        max_speed: float = 1.2,
         max_steps: int = 200,
         render_mode: str | None = None,
     ) -> None:
@@ -119,11 +105,9 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.garment, self.target = garment or self.task.garment(), target or self.task.target
         self.config = config or SimulationConfig(self_collision=False)
         if not 1 <= n_points <= len(self.garment.vertices):
-            raise ValueError(
-                f"n_points must be 1 to {len(self.garment.vertices)}, the garment's vertices, not {n_points}"
-            )
+            raise ValueError(f"n_points must be 1 to {len(self.garment.vertices)}, the vertices, not {n_points}")
         self.reward, self.n_points, self.cameras, self.render_mode = reward, n_points, tuple(cameras), render_mode
-        self.max_step = positive(max_speed, "max_speed", zero=False) * self.config.frame_time
+        self.max_step = _SPEED * self.config.frame_time
         self.max_steps = int(positive(max_steps, "max_steps", zero=False))
         self._check = StretchCheck(self.garment, self.config)
         self._world: World | None = None
@@ -175,7 +159,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if torn:
             self._points = points  # the last that made sense
         observation = self._observe()
-        speed = float(np.linalg.norm(self._points - points, axis=1).mean()) / self.config.frame_time
+        speed = np.linalg.norm(self._points - points, axis=1).mean() / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
         rests = not torn and free and speed < AT_REST
         hangs = rests and self.task.hangs(self._points, self.garment.loops, self.target)
@@ -189,7 +173,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return observation, reward, ends, not ends and self._steps >= self.max_steps, info
 
     def _advance(self, move: Array, release: bool) -> None:
-        """Simulate a frame in which the goals move by (2, 3) metres."""
         world = self._running()
         if self._released < 0 and release:
             world.release()
@@ -264,9 +247,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             return True
         return False
 
-    def _info(self, *, success: bool = False, dropped: bool = False, torn: bool = False) -> dict[str, Any]:
-        outcome = {"success": success, "dropped": dropped, "torn": torn}
-        return {**outcome, "linked": self._linked, "distance": self._distance}
+    def _info(self, **outcome: bool) -> dict[str, Any]:
+        return {**_OUTCOME, **outcome, "linked": self._linked, "distance": self._distance}
 
 
 def _shaded(world: World, camera: Camera) -> NDArray[np.uint8]:

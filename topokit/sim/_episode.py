@@ -1,35 +1,46 @@
 """Record an episode: two grippers carry a garment to a target, hang it there and let go.
 
-Source: Antonova et al. 2021, section 6 (two anchors, a PD controller, randomised paths). Taught in chapters 0 and 7.
+Source: Antonova et al. 2021, section 6. Taught in chapters 0 and 7.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import math
 import platform
 import sys
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Callable, Sequence
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from topokit._archive import load_archive, save_archive
+from topokit._config import from_mapping
 from topokit._validate import positive
 from topokit.io import FEWEST_FRAMES, Episode
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
 from ._garments import Garment
-from ._physics import SimulationConfig
+from ._process import Forge, SimulationError
 from ._randomise import Randomisation, generator
-from ._recording import Recording, Run, record, record_afresh
-from ._targets import Hook, Target
+from ._surface import Array
+from ._targets import Hook, Rod, Target
 from ._tasks import Task, task_for, task_named
+from ._world import SimulationConfig, World, observe
 
+Report = Callable[[int], None]
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
+_CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
+_JOB = "topokit.sim._episode:record_job"
+_RUN, _RECORDING = "topokit-run", "topokit-recording"
+_ERRORS: dict[str, type[Exception]] = {kind.__name__: kind for kind in (SimulationError, ValueError, ImportError)}
 
 
 def simulate(
@@ -57,16 +68,15 @@ def simulate(
         Of everything random: path, physics, cameras and their noise each have a generator of their own.
     config : SimulationConfig, optional
     randomisation : Randomisation, optional
-        Ranges from which this episode draws its physics, size and cameras; nothing varies but the path when not given.
+        Without it nothing varies but the path.
     cameras : sequence of Camera, optional
         What the observer has. Without any it sees all sides: farthest-point samples of the vertices.
     n_observed : int, optional
-        Points of the observation in each frame; at most the garment's vertices, unless cameras see more. 500 when not
-        given, or all vertices of a garment that has fewer.
+        Points of the observation in each frame: 500, or all vertices of a garment that has fewer, when not given. Without
+        cameras it may not exceed them.
     time_limit : float, optional
-        The simulation runs in a fresh process, which is stopped when loading, settling or a frame takes longer than so
-        many seconds; then the same call gives the same bytes anywhere in a program. None: in this process, without a
-        limit, for those who keep processes themselves; repeatable bit by bit only as the first simulation of a process.
+        Seconds for loading, settling and each frame in a fresh process; the same call then gives the same bytes anywhere
+        in a program. None: in this process, repeatable bit by bit only as its first simulation.
     progress : bool
         Write the share done to stderr.
 
@@ -78,8 +88,7 @@ def simulate(
     Raises
     ------
     SimulationError
-        When the cloth explodes or is over-stretched (the message names frame, edge and stretch), when the simulator
-        crashes, or when it is stopped.
+        When the cloth explodes or is over-stretched, or the simulator crashes or is stopped.
     ValueError
         When `n_observed` exceeds the number of vertices, `task` is not known, or no camera sees any cloth in some frame.
     """
@@ -113,7 +122,6 @@ def simulate(
 def _episode(
     run: Run, recording: Recording, task: Task, target: Target, seed: int, randomisation: dict[str, Any] | None
 ) -> Episode:
-    """What was recorded, with its truth and its parameters."""
     garment, config, points = run.garment, run.config, recording.points
     held = np.arange(len(points)) * config.steps_per_frame < run.release
     hangs = not held[-1] and _at_rest(points, config) and task.hangs(points[-1], garment.loops, target)
@@ -155,13 +163,136 @@ def _at_rest(points: NDArray[np.float32], config: SimulationConfig) -> bool:
     return float(np.linalg.norm(points[-1] - points[-2], axis=1).mean()) / config.frame_time < AT_REST
 
 
-def _show(frames: int, frame: int) -> None:
-    end = "\n" if frame + 1 == frames else ""
-    print(f"\rsimulating: frame {frame + 1} of {frames}", end=end, file=sys.stderr, flush=True)
-
-
 def _version(package: str) -> str:
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:  # run from a source tree that is not installed
         return "0+unknown"
+
+
+def _show(frames: int, frame: int) -> None:
+    end = "\n" if frame + 1 == frames else ""
+    print(f"\rsimulating: frame {frame + 1} of {frames}", end=end, file=sys.stderr, flush=True)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Run:
+    """All that a process needs to know in order to simulate."""
+
+    garment: Garment
+    rods: Sequence[Rod]  # the target
+    goals: Array  # (steps, 2, 3) metres, where the grippers should be at every physics step
+    release: int  # the step at which they let go
+    config: SimulationConfig
+    cameras: Sequence[Camera]  # that observe every frame; there may be none
+    n_observed: int  # points that the cameras give together
+    noise: int  # seed of the noise of the cameras
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recording:
+    points: NDArray[np.float32]  # (T, N, 3)
+    grippers: NDArray[np.float32]  # (T, 2, 3)
+    observed: NDArray[np.float32]  # (T, M, 3), and M is 0 without cameras
+    stretch: Array  # (T, 2) the 99th percentile and the maximum of edge length over rest length
+
+
+def record(run: Run, report: Report | None = None) -> Recording:
+    """Simulate in this process; `report` is called with -1 now and then while the cloth settles, and with every frame."""
+    garment, config = run.garment, run.config
+    report = report or (lambda _: None)
+    check = StretchCheck(garment, config)
+    offset = run.goals[0].mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
+    noise = np.random.default_rng(run.noise)
+    points, grippers, observed, stretch = [], [], [], []
+    with World(garment, offset, config) as world:
+        world.add_rods(run.rods)
+        for step in range(round(config.settle / config.dt)):
+            if step % _CHECK_WHILE_SETTLING == 0 and step:
+                check(world.vertices(), "settling")
+                report(-1)
+            world.step(run.goals[0])
+        for step, goal in enumerate(run.goals):
+            if step == run.release:
+                world.release()
+            if step % config.steps_per_frame == 0:
+                points.append(world.vertices())
+                stretch.append(check(points[-1], f"frame {len(points) - 1}"))
+                grippers.append(world.grippers())
+                if run.cameras:
+                    observed.append(observe(world, run.cameras, run.n_observed, noise))
+                report(len(points) - 1)
+            world.step(goal)
+    views = np.array(observed, dtype=np.float32) if observed else np.empty((len(points), 0, 3), np.float32)
+    return Recording(np.array(points, np.float32), np.array(grippers, np.float32), views, np.array(stretch))
+
+
+def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> Recording:
+    """Simulate in a fresh process; it is stopped when loading, settling or a frame takes longer than `time_limit` seconds."""
+    stage = "loading the garment"
+
+    def note(frame: int) -> None:
+        nonlocal stage
+        stage = "settling" if frame < 0 else f"after frame {frame}"
+        if report is not None:
+            report(frame)
+
+    with tempfile.TemporaryDirectory() as folder, contextlib.closing(Forge(_JOB, once=True)) as forge:
+        _save_run(Path(folder, "run.npz"), run)
+        result = forge.run({"folder": folder}, math.inf, silence=time_limit, report=note)
+        if "error" in result:
+            raise SimulationError(f"{stage}: {result['message']}")
+        text, arrays = load_archive(Path(folder, "recording.npz"), _RECORDING)
+    if "error" in text:
+        raise _ERRORS[text["error"]](text["message"])
+    return Recording(**arrays)
+
+
+def record_job(job: dict[str, str], report: Report) -> None:
+    """What the fresh process does: simulate and save the recording, or the error."""
+    text: dict[str, str] = {}
+    arrays: dict[str, NDArray[Any]] = {}
+    try:
+        arrays = vars(record(_load_run(Path(job["folder"], "run.npz")), report))
+    except tuple(_ERRORS.values()) as error:
+        text = {"error": type(error).__name__, "message": str(error)}
+    save_archive(Path(job["folder"], "recording.npz"), _RECORDING, text, arrays)
+
+
+def _save_run(path: Path, run: Run) -> None:
+    arrays = {name: getattr(run.garment, name) for name in ("vertices", "faces", "grips")} | {"goals": run.goals}
+    arrays["rods"] = np.array([[*start, *end, radius] for start, end, radius in run.rods]).reshape(-1, 7)
+    text: dict[str, Any] = {name: getattr(run, name) for name in ("release", "n_observed", "noise")}
+    text |= {"config": dataclasses.asdict(run.config), "cameras": [dataclasses.asdict(one) for one in run.cameras]}
+    save_archive(path, _RUN, text, arrays)
+
+
+def _load_run(path: Path) -> Run:
+    text, arrays = load_archive(path, _RUN)
+    garment = Garment("", arrays["vertices"], arrays["faces"], (), arrays["grips"])
+    rods = [(rod[:3], rod[3:6], float(rod[6])) for rod in arrays["rods"]]
+    config = from_mapping(SimulationConfig, text.pop("config"), "config")
+    cameras = tuple(from_mapping(Camera, camera, "camera") for camera in text.pop("cameras"))
+    return Run(garment, rods, arrays["goals"], config=config, cameras=cameras, **text)
+
+
+class StretchCheck:
+    """Refuses frames that are not physical."""
+
+    def __init__(self, garment: Garment, config: SimulationConfig) -> None:
+        self._edges, self._rest, self._config = garment.edges, garment.edge_lengths, config
+
+    def __call__(self, points: Array, where: str) -> tuple[float, float]:
+        lost = ~np.isfinite(points).all(axis=1)
+        if lost.any():
+            vertex = int(np.argmax(lost))
+            raise SimulationError(f"{where}: vertex {vertex} is at {points[vertex]}: the cloth exploded")
+        ends = points[self._edges]
+        stretch = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / self._rest
+        most, worst = float(np.percentile(stretch, 99)), int(np.argmax(stretch))
+        edge = f"{self._edges[worst].tolist()}, {stretch[worst]:.2f} times its length"
+        for name, value in (("max_stretch", most), ("max_edge_stretch", stretch[worst])):
+            limit = getattr(self._config, name)
+            if value > limit:
+                raise SimulationError(f"{where}: stretched {value:.2f} times ({name} is {limit:g}), most {edge}")
+        return most, float(stretch[worst])

@@ -7,24 +7,18 @@ alike in every direction, and the border of an opening keeps its order: it is th
 from __future__ import annotations
 
 import functools
-import inspect
-import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ParamSpec
 
 import numpy as np
-from numpy.typing import NDArray
 
 from topokit._validate import as_points
 
 from . import _bags, _mesh, _wardrobe
-from ._surface import as_ids, check_loop, check_mesh, half_edges
+from ._surface import Array, Ids, as_ids, check_loop, check_mesh, half_edges
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 Sizes = ParamSpec("Sizes")
-_log = logging.getLogger(__name__)
 
 
 def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]:
@@ -34,8 +28,6 @@ def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]
     def garment(*arguments: Sizes.args, **sizes: Sizes.kwargs) -> Garment:
         return Garment(*pattern(*arguments, **sizes))
 
-    signature = inspect.signature(pattern).replace(return_annotation="Garment")
-    garment.__signature__ = signature  # type: ignore[attr-defined]
     return garment
 
 
@@ -44,43 +36,17 @@ class Garment:
     """A triangle mesh with its true loops and the two vertices by which grippers hold it.
 
     Everything that makes a physics engine fail or hang is refused here: vertices in no face, several components, edges
-    without length, faces that name a vertex twice. An edge may be in three faces, as where a strap is sewn on.
-
-    Attributes
-    ----------
-    name : str
-    vertices : (N, 3) float64
-        Rest positions in metres, z up; rest lengths of the springs are taken from them.
-    faces : (F, 3) int64
-        Vertex ids, counted from 0.
-    loops : tuple of (L,) int64
-        The true loops: each a closed cycle of vertex ids along edges of the mesh (the last joins the first).
-    grips : (2,) int64
-        The two vertices that the grippers hold.
-    parameters : mapping of str to float
-        The sizes it was made from, kept with every episode.
-    repairs : tuple of str
-        What `from_mesh` did to the mesh of a file, in words.
-
-    Raises
-    ------
-    ValueError
-        When the mesh, a loop or a grip is not as described; the message names the vertex, edge or face.
-
-    Examples
-    --------
-    >>> apron = Garment.apron()
-    >>> len(apron.loops), len(apron.vertices) >= 520
-    (1, True)
+    without length, faces that name a vertex twice; the message names them. An edge may be in three faces, as where a strap
+    is sewn on.
     """
 
-    name: str
-    vertices: Array
-    faces: Ids
-    loops: tuple[Ids, ...]
-    grips: Ids
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    repairs: tuple[str, ...] = ()
+    name: str  #: that episodes record
+    vertices: Array  #: (N, 3) float64, rest positions in metres, z up; rest lengths of the springs are taken from them
+    faces: Ids  #: (F, 3) int64 vertex ids, counted from 0
+    loops: tuple[Ids, ...]  #: true loops (L,) int64: closed cycles of vertex ids along edges (the last joins the first)
+    grips: Ids  #: (2,) int64 the vertices that the grippers hold
+    parameters: Mapping[str, float] = field(default_factory=dict)  #: the sizes it was made from
+    repairs: tuple[str, ...] = ()  #: what `from_mesh` did to the mesh of a file, in words
 
     def __post_init__(self) -> None:
         vertices = as_points(self.vertices, "vertices", copy=True)
@@ -88,9 +54,7 @@ class Garment:
             raise ValueError(f"vertices must be an (N, 3) array, not of shape {vertices.shape}")
         faces = as_ids(self.faces, "faces", len(vertices))
         if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-            raise ValueError(
-                f"faces must be an (F, 3) array of vertex ids with at least one row, not of shape {faces.shape}"
-            )
+            raise ValueError(f"faces must be vertex ids (F, 3), one row at least, not of shape {faces.shape}")
         grips = as_ids(self.grips, "grips", len(vertices))
         if grips.shape != (2,) or grips[0] == grips[1]:
             raise ValueError(f"grips must be two different vertex ids, not {grips.tolist()}")

@@ -1,7 +1,4 @@
-"""Make a cloth of a mesh as it comes: welded, in one piece, in metres, with the ids of its file carried along.
-
-What is safe is repaired and said in words; what would change the garment is refused.
-"""
+"""Make a cloth of a mesh as it comes: what is safe is repaired and said in words, what would change it is refused."""
 
 from __future__ import annotations
 
@@ -11,17 +8,15 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from topokit._curves import side_lengths
 from topokit._validate import positive
 
 from ._read import read_mesh
-from ._surface import EdgeGraph, as_ids, border_cycles, close_loop, components, half_edges, joined, wind
+from ._surface import Array, EdgeGraph, Ids, as_ids, border_cycles, close_loop, components, half_edges, joined, wind
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
 _METRES = (0.15, 2.5)  # largest extent of a garment in metres
@@ -37,15 +32,12 @@ def from_mesh(
     scale: float | None = None,
     up: Literal["y", "z"] | None = None,
     weld: float | None = None,
-    name: str | None = None,
     max_vertices: int = 3000,
 ) -> tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float], tuple[str, ...]]:
     """Return the garment of an OBJ, PLY or STL file as it comes; what had to be repaired is in `repairs` and logged.
 
-    Welded are vertices at one place (UV seams, STL corners). Dropped are vertices in no face, faces without three
-    different vertices, faces that lie on another one, and small separate components (what touches at a vertex only is
-    separate). Polygons are cut into triangles and faces turned to agree with their neighbours. Edges in more than two
-    faces are kept: cloth may be sewn so.
+    Vertices at one place are welded; vertices in no face, faces without three different vertices or on another one, and
+    small components are dropped; polygons are cut into triangles, and faces turned to agree with their neighbours.
 
     Parameters
     ----------
@@ -53,55 +45,33 @@ def from_mesh(
         Of all objects and groups of an OBJ file the garment is made.
     loops : sequence of sequences of int, or "borders"
         Vertex ids of the true loops as the file numbers them, counted from 0 (in an STL file, corner k of triangle i is
-        3 i + k). In order they need not name every vertex: gaps of up to four edges are closed along the mesh. Given
-        in no order, the cycle they lie around is found by persistence. With "borders", every border of the mesh,
-        the longest first; of m borders of a garment without handles m - 1 are independent.
+        3 i + k). Gaps of up to four edges are closed along the mesh; given in no order, the cycle they lie around is found
+        by persistence. With "borders", every border of the mesh, the longest first.
     grips : (2,) int, optional
         Vertex ids as the file numbers them; two near the top when not given, to the left and to the right.
     size : float, optional
         Largest extent that the garment shall have, metres.
     scale : float, optional
-        Metres in one unit of the file. When neither is given: metres if the garment's largest extent is then 0.15 to
-        2.5, else millimetres or centimetres if they make it so, else it is made 1 m.
+        Metres in one unit of the file. When neither is given: metres, millimetres or centimetres, the first that make
+        the largest extent 0.15 to 2.5 m; else it is made 1 m.
     up : {"y", "z"}, optional
-        The axis that points up; y is turned to z. When not given, y if the grips lie higher above the middle that way,
-        without grips if the garment is much longer along y; else z.
+        The axis that points up; when not given, the one along which the grips lie higher, or the garment is longer.
     weld : float, optional
-        Distance within which vertices are one, in the file's units; 1e-5 of the diagonal or 0.01 of the usual edge, if
-        that is less, when not given.
-    name : str, optional
-        The file's name when not given.
+        Distance within which vertices are one, in the file's units; what rounding leaves when not given.
     max_vertices : int
         More of them are refused.
 
     Raises
     ------
-    FileNotFoundError
-        When there is no such file.
     ValueError, TypeError
-        When the file is empty, damaged or of another kind, the mesh has no faces, a vertex of a face is not finite,
-        there are separate components of similar size, a loop or a grip names a vertex that is not part of the garment,
-        or a loop cannot be closed; the message says which, where, and what to do.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> from tempfile import TemporaryDirectory
-    >>> from topokit.sim import Garment
-    >>> with TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "flag.obj"
-    ...     _ = path.write_text("v 0 0 0\\nv 90 0 0\\nv 90 0 60\\nv 0 0 60\\nf 1 2 3 4\\n")
-    ...     flag = Garment.from_mesh(path, grips=[2, 3])
-    >>> flag.repairs
-    ('1 faces of four corners or more were cut into triangles', 'its largest extent, 90, was taken for centimetres: ...')
+        When an option, a loop or a grip cannot be meant; the message says which, where, and what to do.
     """
     for key, value in (("size", size), ("scale", scale), ("weld", weld), ("max_vertices", max_vertices)):
         if value is not None:
             positive(value, key, zero=False)
     if up not in (None, "y", "z"):
         raise ValueError(f"up must be 'y' or 'z', not {up!r}")
-    borders = isinstance(loops, str)
-    if borders and loops != "borders":
+    if isinstance(loops, str) and loops != "borders":
         raise ValueError(f"loops must be lists of vertex ids, or 'borders', not {loops!r}")
     if size is not None and scale is not None:
         raise ValueError("give size or scale, not both")
@@ -111,29 +81,24 @@ def from_mesh(
         given, held = _asked(loops, grips, len(vertices))
         faces, vertex_of, names = _repaired(vertices, polygons, weld, said)
         if len(names) > max_vertices:
-            raise ValueError(
-                f"{len(names)} vertices after repair; more than {max_vertices} make a slow simulation. Decimate the mesh "
-                "(in Blender or MeshLab), or raise max_vertices"
-            )
+            raise ValueError(f"{len(names)} vertices after repair; more than {max_vertices}; decimate the mesh")
         new = np.full(len(vertices), -1)
         new[names] = np.arange(len(names))
         carried = [_carry(loop, new[vertex_of], f"loops[{i}]") for i, loop in enumerate(given)]
         ends = None if held is None else _carry(held, new[vertex_of], "grips")
-        if ends is not None and ends[0] == ends[1]:
-            raise ValueError(f"grips {held} are one vertex after welding; give two that lie apart")
-        placed, factor = _placed(vertices[names], ends, size, scale, up, said)
+        turned = _upright(vertices[names], ends, up, said)
+        placed, factor = _scaled(turned, size, scale, said)
         _say_short(placed, faces, names, said)
-        cycles = _borders(placed, faces, said) if borders else _closed(placed, faces, names, carried, said)
+        cycles = _borders(placed, faces, said) if loops == "borders" else _closed(placed, faces, names, carried, said)
         ends = _grips(placed, names, said) if ends is None else ends
-    except (TypeError, ValueError) as error:
-        raise (TypeError if isinstance(error, TypeError) else ValueError)(f"{path}: {error}") from error
+    except ValueError as error:
+        raise type(error)(f"{path}: {error}") from error
     for repair in said:
         _log.warning("%s: %s", path, repair)
-    return Path(path).stem if name is None else name, placed, faces, cycles, ends, {"scale": factor}, tuple(said)
+    return Path(path).stem, placed, faces, cycles, ends, {"scale": factor}, tuple(said)
 
 
 def _asked(loops: Sequence[ArrayLike] | str, grips: ArrayLike | None, n_vertices: int) -> tuple[list[Ids], Ids | None]:
-    """The ids of loops and grips, when they are ids of the file."""
     given = [] if isinstance(loops, str) else [as_ids(loop, f"loops[{i}]", n_vertices) for i, loop in enumerate(loops)]
     if any(loop.ndim != 1 for loop in given):
         raise ValueError("loops must be a list of lists of vertex ids; one loop is a list of one list")
@@ -144,7 +109,6 @@ def _asked(loops: Sequence[ArrayLike] | str, grips: ArrayLike | None, n_vertices
 
 
 def _note(said: list[str], count: int, what: str) -> None:
-    """Say what was done to some vertices, faces or edges, if there were any."""
     if count:
         said.append(f"{count} {what}")
 
@@ -206,7 +170,6 @@ def _weld(vertices: Array, distance: float, said: list[str]) -> Ids:
 
 
 def _clean(faces: Ids, said: list[str]) -> Ids:
-    """Drop faces that name a vertex twice, and all but the first of faces on the same three vertices."""
     whole = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     _note(said, len(faces) - len(whole), "faces without area, which named a vertex twice, were dropped")
     _, first = np.unique(np.sort(whole, axis=1), axis=0, return_index=True)
@@ -217,7 +180,6 @@ def _clean(faces: Ids, said: list[str]) -> Ids:
 
 
 def _one_component(vertices: Array, faces: Ids, said: list[str]) -> Ids:
-    """Keep the largest component; refuse where that would take away much of the surface."""
     corners = vertices[faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     which = components(faces)
@@ -231,9 +193,7 @@ def _one_component(vertices: Array, faces: Ids, said: list[str]) -> Ids:
         one, other = (np.unique(faces[which == part]) for part in largest[:2])
         gap = cKDTree(vertices[one]).query(vertices[other])[0].min()
         raise ValueError(
-            f"{parts} components that no edge joins, of {shares} of the surface: none is the garment. Sew them together, "
-            f"or save the one that you mean to a file of its own; a gap is closed by a larger weld (vertices of the two largest "
-            f"come as near as {gap:.2g}, in the file's units)"
+            f"{parts} components that no edge joins, of {shares} of the surface: keep one, or weld more than {gap:.2g}"
         )
     lost = f"{100 * (1 - share.max()):.1f} % of the surface"
     said.append(f"{parts - 1} smaller components, {lost}, were dropped: a cloth is one piece")
@@ -247,43 +207,41 @@ def _say_short(vertices: Array, faces: Ids, names: Ids, said: list[str]) -> None
     if length.min() < 0.05 * np.median(length):
         a, b = names[edges[np.argmin(length)]]
         said.append(
-            f"vertices {a} and {b} are only {length.min():.2g} m apart, and so thin is the cloth to collisions (the median edge "
-            f"has {np.median(length):.2g} m); a larger weld distance joins them"
+            f"vertices {a} and {b} are only {length.min():.2g} m apart, so thin is the cloth to collisions; weld them"
         )
 
 
 def _carry(ids: Ids, new: Ids, name: str) -> Ids:
     lost = new[ids] < 0
     if lost.any():
-        raise ValueError(
-            f"{name} names vertex {ids[np.argmax(lost)]}, which is in no face of the garment's component; it cannot be kept"
-        )
+        raise ValueError(f"{name} names vertex {ids[np.argmax(lost)]}, which is in no face of the garment's component")
+    if name == "grips" and new[ids[0]] == new[ids[1]]:
+        raise ValueError(f"grips {ids} are one vertex after welding; give two that lie apart")
     return new[ids]
 
 
-def _placed(
-    vertices: Array, grips: Ids | None, size: float | None, scale: float | None, up: str | None, said: list[str]
-) -> tuple[Array, float]:
-    """Vertices in metres, z up."""
-    extent = np.ptp(vertices, axis=0)
-    if up is None:  # grips are above the middle; without them, a garment hangs and does not lie
-        above = extent / 2 if grips is None else vertices[grips].mean(axis=0) - (vertices.min(axis=0) + extent / 2)
+def _upright(vertices: Array, grips: Ids | None, up: str | None, said: list[str]) -> Array:
+    """Vertices with z up. Grips are above the middle; without them, a garment hangs and does not lie."""
+    if up is None:
+        half = np.ptp(vertices, axis=0) / 2
+        above = half if grips is None else vertices[grips].mean(axis=0) - (vertices.min(axis=0) + half)
         up = "y" if above[1] > (1.7 if grips is None else 1.0) * abs(above[2]) else "z"
         if up == "y":
             said.append("its y axis was taken for up and turned to z; give up='z' if it is not")
-    if up == "y":
-        vertices = vertices[:, [0, 2, 1]] * [1, -1, 1]
-    largest = float(extent.max())
+    return vertices[:, [0, 2, 1]] * [1, -1, 1] if up == "y" else vertices
+
+
+def _scaled(vertices: Array, size: float | None, scale: float | None, said: list[str]) -> tuple[Array, float]:
+    largest = float(np.ptp(vertices, axis=0).max())
     if size is not None:
         scale = size / largest
     elif scale is None:
         low, high = _METRES
-        scale, unit = next(((f, unit) for f, unit in _UNITS if low <= f * largest <= high), (1 / largest, ""))
-        what = (
-            f"was taken for {unit}: {scale * largest:.3g} m" if unit else "is a garment's in no unit: it was made 1 m"
-        )
+        scale, unit = next(((f, unit) for f, unit in _UNITS if low <= f * largest <= high), (1 / largest, "no unit"))
         if unit != "metres":
-            said.append(f"its largest extent, {largest:.4g}, {what}; give size or scale")
+            said.append(
+                f"its largest extent, {largest:.4g}, was taken for {unit}: {scale * largest:.3g} m; give size or scale"
+            )
     vertices = scale * vertices
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     if np.linalg.norm(middle) > 10 * scale * largest:  # single precision in the engine would blur it

@@ -15,40 +15,25 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import spsolve
-from scipy.spatial import cKDTree
+from scipy.spatial import Delaunay, cKDTree
 
-from ._surface import half_edges, joined, strangers, wind
-from ._triangulate import arc_length, count_steps, points_at, triangulate
-
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
+from ._surface import Array, Ids, half_edges, joined, strangers, wind
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A piece of cloth and the vertices along its borders, before it is sewn.
+    """A piece of cloth and the vertices along its borders, before it is sewn."""
 
-    Attributes
-    ----------
-    vertices : (n, 3) float64
-    faces : (f, 3) int64
-    sides : tuple of (k,) int64
-        Vertex ids along each polyline of the outline, both ends included.
-    holes : tuple of (k,) int64
-        Vertex ids around each hole, once.
-    """
-
-    vertices: Array
-    faces: Ids
-    sides: tuple[Ids, ...]
-    holes: tuple[Ids, ...]
+    vertices: Array  # (n, 3)
+    faces: Ids  # (f, 3)
+    sides: tuple[Ids, ...]  # vertex ids along each polyline of the outline, both ends included
+    holes: tuple[Ids, ...]  # vertex ids around each hole, once
 
     def placed(self, place: Callable[[Array], Array]) -> Panel:
         """The panel with its vertices moved by `place`, (n, 3) to (n, 3)."""
         return replace(self, vertices=place(self.vertices))
 
     def mirrored(self) -> Panel:
-        """The panel on the other side of the plane y = 0."""
         return replace(self, vertices=self.vertices * [1, -1, 1])
 
     def nearest(self, places: Array) -> Ids:
@@ -98,8 +83,7 @@ class Arch:
         narrowest = min(self.half_span**2 / self.height, self.height**2 / self.half_span)  # radius of curvature
         if width / 2 >= narrowest:
             raise ValueError(
-                f"a strap of width {width} is too wide to bend over a span of {2 * self.half_span:.3f} at a length of {length}; "
-                f"its width must be less than {2 * narrowest:.3f}"
+                f"a strap so long ({length}) and bent must be less wide than {2 * narrowest:.3f}, not {width}"
             )
         share = np.linspace(0, 1, 181)
         outer, inner = self.points(share, width / 2), self.points(share, -width / 2)
@@ -111,7 +95,6 @@ class Arch:
 
 
 def polyline(*corners: Sequence[float] | Array) -> list[Array]:
-    """The straight lines between consecutive corners."""
     return [np.array([a, b], dtype=np.float64) for a, b in itertools.pairwise(corners)]
 
 
@@ -133,32 +116,16 @@ def ring(one: Ids, other: Ids) -> Ids:
 def cut(
     outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Array | None = None
 ) -> Panel:
-    """Cut a pattern drawn in (x, z) out of the plane y = 0.
+    """Cut a pattern drawn in (x, z) out of the plane y = 0; `fixed` are inner vertices (k, 2) to keep where they are.
 
-    Parameters
-    ----------
-    outline : sequence of (k, 2) arrays
-        A closed chain of polylines, counter-clockwise; the joints between polylines stay vertices.
-    holes : sequence of such chains
-    spacing : float
-        Edge length, metres.
-    fixed : (k, 2) array, optional
-        Inner vertices to keep where they are.
-
-    Raises
-    ------
-    ValueError
-        When the pattern is too narrow somewhere for this spacing.
+    The outline and each hole are closed chains of polylines, counter-clockwise, whose joints stay vertices.
     """
     flat, faces, borders = triangulate(outline, holes, spacing, np.zeros((0, 2)) if fixed is None else fixed)
     edges = half_edges(faces)
     lost = next((pair for border in borders for pair in strangers(border, edges)), None)
     if lost is not None:
         x, z = flat[lost[0]]
-        raise ValueError(
-            f"spacing {spacing} is too coarse for this pattern: its border is lost near x = {x:.3f}, z = {z:.3f} m; "
-            "use a smaller spacing or a wider cut"
-        )
+        raise ValueError(f"spacing {spacing} is too coarse: the border is lost near x = {x:.3f}, z = {z:.3f} m")
     starts = np.cumsum([0, *(count_steps(line, spacing) for line in outline)])
     around = np.append(borders[0], borders[0][:1])
     sides = tuple(around[a : b + 1] for a, b in itertools.pairwise(starts))
@@ -243,3 +210,72 @@ def sew(panels: Sequence[Panel], seams: Sequence[tuple[int, Ids, int, Ids]]) -> 
     wound = wind(faces)[0]
     first_turned = bool((wound[0] != faces[0]).any())  # the outside is where the first panel has it
     return vertices, wound[:, ::-1] if first_turned else wound, maps
+
+
+def triangulate(
+    outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Array, rounds: int = 12
+) -> tuple[Array, Ids, list[Ids]]:
+    """Triangulate a flat pattern; return its vertices (n, 2), faces (f, 3) and borders (ids of the outline and of each hole)."""
+    borders = [np.concatenate([_resample(line, spacing) for line in chain]) for chain in (outline, *holes)]
+    kept = np.concatenate([*borders, fixed])
+    lattice = _lattice(borders[0].min(axis=0), borders[0].max(axis=0), spacing)
+    lattice = lattice[_inside(lattice, borders) & (cKDTree(kept).query(lattice)[0] > 0.75 * spacing)]
+    points = np.concatenate([kept, lattice])
+    for _ in range(rounds):  # Laplacian relaxation of the lattice towards the border
+        one = half_edges(_faces(points, borders, spacing))
+        ends = np.concatenate([one, one[:, ::-1]])
+        count = np.bincount(ends[:, 0], minlength=len(points))[:, None]
+        mean = np.column_stack([np.bincount(ends[:, 0], points[ends[:, 1], i], len(points)) for i in range(2)]) / count
+        points[len(kept) :] = mean[len(kept) :]
+    first = np.cumsum([0, *map(len, borders)])
+    ids = [np.arange(start, end) for start, end in itertools.pairwise(first)]
+    return points, _faces(points, borders, spacing), ids
+
+
+def _faces(points: Array, borders: Sequence[Array], spacing: float) -> Ids:
+    """Delaunay triangles inside the pattern, counter-clockwise, without the slivers along straight borders."""
+    faces = Delaunay(points).simplices.astype(np.int64)
+    a, b, c = points[faces].transpose(1, 0, 2)
+    area = ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
+    faces = np.where(area[:, None] < 0, faces[:, ::-1], faces)
+    return faces[(np.abs(area) > 1e-3 * spacing**2) & _inside((a + b + c) / 3, borders)]
+
+
+def arc_length(line: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+
+
+def points_at(line: Array, at: Array) -> Array:
+    """(n, 2) points of a polyline (k, 2) at arc lengths (n,)."""
+    length = arc_length(line)
+    return np.column_stack([np.interp(at, length, line[:, i]) for i in range(2)])
+
+
+def count_steps(line: Array, spacing: float) -> int:
+    return max(1, round(float(arc_length(line)[-1]) / spacing))
+
+
+def _resample(line: Array, spacing: float) -> Array:
+    """Points at equal arc lengths of about `spacing` along a polyline, without its last point."""
+    count = count_steps(line, spacing)
+    return points_at(line, arc_length(line)[-1] * np.arange(count) / count)
+
+
+def _lattice(low: Array, high: Array, spacing: float) -> Array:
+    row = spacing * np.sqrt(3) / 2
+    half = int(np.ceil(max(-low[0], high[0]) / spacing)) + 1
+    across = spacing * np.arange(-half, half + 1)
+    heights = np.arange(low[1] + row, high[1], row)
+    return np.array([(x + spacing / 2 * (i % 2), z) for i, z in enumerate(heights) for x in across]).reshape(-1, 2)
+
+
+def _inside(points: Array, borders: Sequence[Array]) -> NDArray[np.bool_]:
+    """Even-odd rule over all borders: inside the outline and in none of the holes."""
+    x, y = points[:, :1], points[:, 1:]
+    crossings = np.zeros(len(points), dtype=np.int64)
+    for border in borders:
+        (x0, y0), (x1, y1) = border.T, np.roll(border, -1, axis=0).T
+        spans = (y0 > y) != (y1 > y)
+        rise = np.where(y1 == y0, 1.0, y1 - y0)
+        crossings += (spans & (x < x0 + (y - y0) / rise * (x1 - x0))).sum(axis=1)
+    return crossings % 2 == 1

@@ -1,9 +1,8 @@
 """Jobs in fresh processes, which can be stopped.
 
-Idea: PyBullet repeats self-collision bit by bit in a fresh process only, can end its process, and can hang inside C. Importing
-NumPy, PyBullet and Zarr takes about as long as a short simulation; a fork of a process that has imported them and done
-nothing else is as fresh and starts in milliseconds. That process, the forge, has one thread, so that forking is safe; it
-ends, and ends its fork, when the process that owns it goes away in whatever manner.
+Idea: PyBullet repeats self-collision bit by bit in a fresh process only, can end its process, and can hang inside C. A fork
+of a process that has imported NumPy, PyBullet and Zarr and done nothing else is as fresh and starts in milliseconds. That
+process, the forge, has one thread, so that forking is safe; it ends, and ends its fork, when its owner goes away.
 """
 
 from __future__ import annotations
@@ -40,16 +39,9 @@ class SimulationError(RuntimeError):
 
 
 class Forge:
-    """Runs jobs, one after another, each in a fresh process.
+    """Runs jobs, one after another, each in a fresh process, by "module:name" of a function from JSON to JSON.
 
-    Parameters
-    ----------
-    function : str
-        "module:name" of a function that takes a job and gives an answer, both what JSON can hold.
-    needs : sequence of str
-        Modules to import beforehand that the function's own module does not import at once.
-    once : bool
-        For one job only, which needs no fork: the forge does it itself where there is none.
+    `needs` are modules to import beforehand; `once` is for one job only, which needs no fork.
     """
 
     def __init__(self, function: str, needs: Sequence[str] = (), *, once: bool = False) -> None:
@@ -68,16 +60,9 @@ class Forge:
     ) -> Answer:
         """Return {"answer": ...}, or {"error": name, "message": ..., "errno": ...}; a crash is an error "crash".
 
-        Parameters
-        ----------
-        job : dict
-        time_limit : float
-            Seconds of processor time: on a busy machine a job may take much longer.
-        silence : float, optional
-            Seconds without a sign of life after which it is stopped, also while the forge starts. When not given, ten times
-            `time_limit`, and the forge may take any time to start.
-        report : callable, optional
-            Called with the numbers that the function reports, by a second argument that it then gets.
+        A job is stopped after `time_limit` seconds of processor time, and after `silence` seconds without a sign of life
+        (when not given, ten times `time_limit`, and the forge may take any time to start). The numbers that the function
+        reports, by a second argument that it then gets, go to `report`.
         """
         call = {"job": job, "time_limit": time_limit, "reports": report is not None}
         try:
@@ -151,7 +136,6 @@ class Forge:
 
 
 def _read(stream: IO[str], lines: queue.Queue[str]) -> None:
-    """Pass lines on, and at the end an empty one."""
     with stream:
         for line in stream:
             lines.put(line)
@@ -159,7 +143,6 @@ def _read(stream: IO[str], lines: queue.Queue[str]) -> None:
 
 
 def _fate(code: int, errors: str) -> str:
-    """Say why a process ended."""
     if code < 0:
         return f"{signal.Signals(-code).name}: a crash inside PyBullet, or out of memory"
     return f"exit code {code}" + "".join(f": {line}" for line in errors.strip().splitlines()[-1:])
@@ -186,11 +169,15 @@ def serve(function: str, *needs: str) -> None:
 
 def _fork(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> str | None:
     """Do a job in a fork, and end it when our owner is gone; say how it ended when it gave no answer."""
+    import resource  # there is none on Windows
+
     alive, held = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(0)
-        _limit(call["time_limit"])
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # no file of the memory at a crash
+        if math.isfinite(call["time_limit"]):
+            resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(call["time_limit"]), math.ceil(call["time_limit"]) + 1))
         _perform(work, call, answers)
         os._exit(0)
     os.close(held)
@@ -204,18 +191,7 @@ def _fork(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> s
     return _fate(code, os.pread(2, os.fstat(2).st_size, 0).decode(errors="replace")) if code else None
 
 
-def _limit(seconds: float) -> None:
-    """No file of the memory at a crash, and so much processor time."""
-    import resource  # there is none on Windows
-
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    if math.isfinite(seconds):
-        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(seconds), math.ceil(seconds) + 1))
-
-
 def _perform(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> None:
-    """Do a job and answer."""
-
     def tell(told: Answer) -> None:
         print(json.dumps(told), file=answers, flush=True)
 

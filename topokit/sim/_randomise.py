@@ -16,7 +16,7 @@ from topokit._config import NotNegative, Positive, checked
 
 from ._camera import Camera
 from ._garments import Garment
-from ._physics import SimulationConfig
+from ._world import SimulationConfig
 
 PURPOSES = ("path", "physics", "cameras", "noise")
 Bounds = tuple[float, float]
@@ -35,43 +35,23 @@ NotNegativeRange = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_or
 
 
 def generator(seed: int, purpose: str) -> np.random.Generator:
-    """Return the random generator of an episode for one purpose; the purposes are independent of each other.
-
-    Examples
-    --------
-    >>> generator(7, "path").random() == generator(7, "path").random() != generator(7, "physics").random()
-    True
-    """
-    if purpose not in PURPOSES:
-        raise ValueError(f"purpose must be one of {', '.join(PURPOSES)}, not {purpose!r}")
+    """Return the random generator of an episode for one purpose; the purposes are independent of each other."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(PURPOSES.index(purpose),)))
 
 
 @checked
 class Randomisation:
-    """Ranges (low, high) from which every episode draws its own physics, size and cameras. None leaves a number as it is.
+    """Ranges (low, high) from which every episode draws its physics, size and cameras; None leaves a number as it is."""
 
-    Parameters
-    ----------
-    stiffness, bending, damping, friction, mass : (2,) float, optional
-        Of `SimulationConfig`, in its units; bending is drawn on a logarithmic scale.
-    scale : (2,) float, optional
-        Factor on all sizes of the garment.
-    camera_distance : (2,) float, optional
-        Factor on the distance of a camera from the place it looks at.
-    camera_turn, camera_tilt : (2,) float, optional
-        Degrees by which a camera is turned about the vertical through that place, and raised.
-    """
-
-    stiffness: PositiveRange | None = (0.6, 1.0)
-    bending: PositiveRange | None = (0.0001, 0.003)
-    damping: NotNegativeRange | None = (0.15, 0.4)
-    friction: NotNegativeRange | None = (0.6, 1.4)
-    mass: PositiveRange | None = (0.2, 0.4)
-    scale: PositiveRange | None = (0.92, 1.08)
-    camera_distance: PositiveRange | None = (0.9, 1.1)
-    camera_turn: Range | None = (-15.0, 15.0)
-    camera_tilt: Range | None = (-8.0, 8.0)
+    stiffness: PositiveRange | None = (0.6, 1.0)  #: (2,)
+    bending: PositiveRange | None = (0.0001, 0.003)  #: (2,) drawn on a logarithmic scale
+    damping: NotNegativeRange | None = (0.15, 0.4)  #: (2,)
+    friction: NotNegativeRange | None = (0.6, 1.4)  #: (2,)
+    mass: PositiveRange | None = (0.2, 0.4)  #: (2,)
+    scale: PositiveRange | None = (0.92, 1.08)  #: (2,) factor on all sizes of the garment
+    camera_distance: PositiveRange | None = (0.9, 1.1)  #: (2,) factor on a camera's distance from the place it looks at
+    camera_turn: Range | None = (-15.0, 15.0)  #: (2,) degrees about the vertical through that place
+    camera_tilt: Range | None = (-8.0, 8.0)  #: (2,) degrees by which a camera is raised
 
     version = 1  # of the meaning of these numbers; recorded with them
 

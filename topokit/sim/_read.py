@@ -1,23 +1,24 @@
 """Read the vertices and the polygons of an OBJ, PLY or STL file, numbered as the file numbers them.
 
-General readers (trimesh, for one) split, merge and drop vertices to suit textures and materials, and then an id of a loop
-means nothing; some read no quads beside triangles, or take half a file for a whole one. Here everything but places and
-polygons is passed over, and what is not whole is refused.
+General readers (trimesh, for one) split, merge and drop vertices, and then an id of a loop means nothing; or they take half
+a file for a whole one. Here everything but places and polygons is passed over, and what is not whole is refused.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from topokit._archive import FormatError
 
-Array = NDArray[np.float64]
+from ._surface import Array, as_ids
+
 Polygons = list[list[int]]
+Properties = list[tuple[str, list[str]]]  # names, and one type or the two of a list
 _PLY_CODES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
 _PLY_TYPES = dict(zip(("char", "uchar", "short", "ushort", "int", "uint", "float", "double"), _PLY_CODES, strict=True))
 _PLY_TYPES |= {np.dtype(code).name: code for code in _PLY_CODES}
@@ -28,13 +29,6 @@ def read_mesh(path: str | Path) -> tuple[Array, Polygons]:
     """Return vertices (n, 3) in the file's units and the polygons as lists of vertex ids counted from 0.
 
     An STL file has no vertex ids: corner k of triangle i is vertex 3 i + k.
-
-    Raises
-    ------
-    FileNotFoundError
-        When there is no such file.
-    FormatError
-        When the file is not a whole OBJ, PLY or STL file with faces; the message says what is wrong and where.
     """
     path = Path(path)
     if not path.is_file():
@@ -43,20 +37,15 @@ def read_mesh(path: str | Path) -> tuple[Array, Polygons]:
     if path.suffix.lower() not in readers:
         raise FormatError(f"{path}: a mesh file ends in {', '.join(readers)}, not in {path.suffix!r}; export it as one")
     data = path.read_bytes()
-    if not data.strip():
-        raise FormatError(f"{path}: the file is empty")
     try:
+        if not data.strip():
+            raise ValueError("the file is empty")
         vertices, polygons = readers[path.suffix.lower()](data)
-    except FormatError as error:
+        if not polygons:
+            raise ValueError(f"{len(vertices)} vertices and no faces; a garment needs a surface")
+        as_ids(list(itertools.chain(*polygons)), "a face", len(vertices))
+    except ValueError as error:
         raise FormatError(f"{path}: {error}") from error
-    if not polygons:
-        raise FormatError(f"{path}: {len(vertices)} vertices and no faces; a garment needs a surface")
-    ids = np.concatenate([np.asarray(polygon, dtype=np.int64) for polygon in polygons])
-    if ids.min() < 0 or ids.max() >= len(vertices):
-        bad = int(ids.min() if ids.min() < 0 else ids.max())
-        raise FormatError(
-            f"{path}: a face names vertex {bad} (counted from 0), the file has {len(vertices)}; is it whole?"
-        )
     return vertices, polygons
 
 
@@ -77,11 +66,9 @@ def _obj(data: bytes) -> tuple[Array, Polygons]:
             corners = [int(word.split("/")[0]) for word in words[1:]]
         except ValueError as error:
             what = "three coordinates" if words[0] == "v" else "vertex numbers"
-            raise FormatError(f"line {number} should hold {what}: {line.strip()[:60]!r}") from error
+            raise ValueError(f"line {number} should hold {what}: {line.strip()[:60]!r}") from error
         if len(corners) < 3 or 0 in corners:
-            raise FormatError(
-                f"line {number} is no face of three corners or more, numbered from 1: {line.strip()[:60]!r}"
-            )
+            raise ValueError(f"line {number} is no face of three corners, numbered from 1: {line.strip()[:60]!r}")
         polygons.append([corner - 1 if corner > 0 else len(vertices) + corner for corner in corners])
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons
 
@@ -96,16 +83,11 @@ def _stl(data: bytes) -> tuple[Array, Polygons]:
         rows = re.findall(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", text)
         facets = len(re.findall(r"\bfacet\s+normal", text))
         if len(rows) != 3 * facets or "endsolid" not in text:
-            raise FormatError(
-                f"cut off or damaged: {facets} facets have {len(rows)} corners, and the last line is endsolid"
-            )
-        try:
-            corners = np.array(rows, dtype=np.float64).reshape(-1, 3)
-        except ValueError as error:
-            raise FormatError(f"a vertex is no place in space: {error}") from error
+            raise ValueError(f"cut off or damaged: {facets} facets have {len(rows)} corners, or endsolid is missing")
+        corners = np.array(rows, dtype=np.float64).reshape(-1, 3)
     else:
-        raise FormatError(
-            f"neither ASCII STL nor whole binary STL: its header counts {count} triangles, its {len(data)} bytes do not fit that"
+        raise ValueError(
+            f"neither ASCII STL nor whole binary STL: {len(data)} bytes, its header counts {count} triangles"
         )
     return corners.astype(np.float64), np.arange(len(corners)).reshape(-1, 3).tolist()
 
@@ -113,39 +95,31 @@ def _stl(data: bytes) -> tuple[Array, Polygons]:
 def _ply(data: bytes) -> tuple[Array, Polygons]:
     """ASCII or binary of either byte order; of its elements only the places of vertices and the lists of faces are kept."""
     head, mark, body = data.partition(b"end_header")
-    words = [line.split() for line in head.decode("ascii", errors="replace").splitlines()]
-    if not mark or not words or words[0] != ["ply"]:
-        raise FormatError("not a PLY file: it must begin with 'ply' and have a header that ends in 'end_header'")
-    kind = next((line[1] for line in words if len(line) > 1 and line[0] == "format"), "missing")
+    header = [line.split() for line in head.decode("ascii", errors="replace").splitlines()]
+    if not mark or not header or header[0] != ["ply"]:
+        raise ValueError("not a PLY file: it must begin with 'ply' and have a header that ends in 'end_header'")
+    kind = next((line[1] for line in header if len(line) > 1 and line[0] == "format"), "missing")
     orders = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
     if kind not in orders:
-        raise FormatError(f"PLY format {kind!r}; expected one of {', '.join(orders)}")
+        raise ValueError(f"PLY format {kind!r}; expected one of {', '.join(orders)}")
     take = _taker(body, orders[kind])
-    vertices, polygons = np.zeros((0, 3)), []
-    for name, count, properties in _ply_elements(words):
-        try:
-            rows = [{key: _ply_value(take, types) for key, types in properties} for _ in range(count)]
-        except ValueError as error:
-            raise FormatError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
-        keys = {key for key, _ in properties}
-        if name == "vertex":
-            if not {"x", "y", "z"} <= keys:
-                raise FormatError("its vertices have no x, y and z")
-            vertices = np.array([[row[axis][0] for axis in "xyz"] for row in rows], dtype=np.float64).reshape(-1, 3)
-        elif name == "face":
-            lists = [key for key in ("vertex_indices", "vertex_index") if key in keys]
-            if not lists:
-                raise FormatError("its faces have no list vertex_indices")
-            polygons = [row[lists[0]].astype(np.int64).tolist() for row in rows]
-    short = next((i for i, polygon in enumerate(polygons) if len(polygon) < 3), None)
+    rows: dict[str, list[dict[str, Array]]] = {"vertex": [], "face": []}
+    for name, count, properties in _ply_elements(header):
+        rows[name] = _ply_rows(take, name, count, properties)
+    try:
+        vertices = np.array([[row[axis][0] for axis in "xyz"] for row in rows["vertex"]]).reshape(-1, 3)
+        lists = [row["vertex_index"] if "vertex_index" in row else row["vertex_indices"] for row in rows["face"]]
+    except KeyError as error:
+        raise ValueError("its vertices have no x, y and z, or its faces no list vertex_indices") from error
+    short = next((i for i, polygon in enumerate(lists) if len(polygon) < 3), None)
     if short is not None:
-        raise FormatError(f"face {short} has {len(polygons[short])} corners; three at least make a face")
-    return vertices, polygons
+        raise ValueError(f"face {short} has {len(lists[short])} corners; three at least make a face")
+    return vertices, [polygon.astype(np.int64).tolist() for polygon in lists]
 
 
-def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, list[tuple[str, list[str]]]]]:
+def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
     """Name, number of rows and properties of each element; a property is its name and its types, two for a list."""
-    elements: list[tuple[str, int, list[tuple[str, list[str]]]]] = []
+    elements: list[tuple[str, int, Properties]] = []
     line: list[str] = []
     try:
         for line in header:
@@ -155,19 +129,29 @@ def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, list[tuple[st
                 types = line[2:4] if line[1] == "list" else line[1:2]
                 elements[-1][2].append((line[-1], [_PLY_TYPES[kind] for kind in types]))
     except (IndexError, KeyError, ValueError) as error:
-        raise FormatError(f"a line of the PLY header is not understood: {' '.join(line)!r}") from error
+        raise ValueError(f"a line of the PLY header is not understood: {' '.join(line)!r}") from error
     return elements
 
 
-def _taker(body: bytes, order: str) -> Callable[[str, int], Array]:
-    """A function that takes the next so many numbers of a body, which is binary of a byte order, or text."""
+def _ply_rows(take: Callable[..., Array], name: str, count: int, properties: Properties) -> list[dict[str, Array]]:
+    try:
+        return [{key: take(*types) for key, types in properties} for _ in range(count)]
+    except ValueError as error:
+        raise ValueError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
+
+
+def _taker(body: bytes, order: str) -> Callable[..., Array]:
+    """A function that takes the next number of a type, or list of two types, of a body: binary of a byte order, or text."""
     at, words = 0, body.split() if not order else []
     binary = body.split(b"\n", 1)[-1]
 
-    def take(code: str, count: int) -> Array:
+    def take(*types: str) -> Array:
         nonlocal at
+        count = 1 if len(types) == 1 else int(take(types[0])[0])
+        if count < 0:
+            raise ValueError(f"a list of {count} numbers")
         if order:
-            values = np.frombuffer(binary, order + code, count, at)
+            values = np.frombuffer(binary, order + types[-1], count, at)
             at += values.nbytes
         else:
             values = np.array(words[at : at + count])
@@ -177,11 +161,3 @@ def _taker(body: bytes, order: str) -> Callable[[str, int], Array]:
         return values.astype(np.float64)
 
     return take
-
-
-def _ply_value(take: Callable[[str, int], Array], types: list[str]) -> Array:
-    """The one number of a property, or the numbers of a list."""
-    count = 1 if len(types) == 1 else int(take(types[0], 1)[0])
-    if count < 0:
-        raise ValueError(f"a list of {count} numbers")
-    return take(types[-1], count)

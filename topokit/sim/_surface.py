@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from topokit._validate import WrongKindError
 from topokit.rips import rips_persistence, tighten
 
 Array = NDArray[np.float64]
@@ -26,15 +27,7 @@ def wind(faces: Ids) -> tuple[Ids, int, bool]:
 
     Idea: every face stands twice in a graph, as it is and turned round; a face as it is joins its neighbour as it is when
     the two agree, and turned round when not. Of the two halves of the graph the one that turns fewer faces is taken. A
-    surface with one side has one half.
-
-    Returns
-    -------
-    faces : (F, 3) int64
-    turned : int
-        How many were turned round.
-    two_sided : bool
-        Whether that made all neighbours agree.
+    surface with one side has one half. Returned are the faces, how many were turned, and whether all neighbours agree now.
     """
     n = len(faces)
     directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
@@ -83,14 +76,10 @@ def border_cycles(faces: Ids) -> list[Ids]:
     for start in rest:
         walk = [start]
         while rest[walk[-1]]:
-            step = rest[walk[-1]].pop()
-            rest[step].remove(walk[-1])
-            if step in walk:  # a cycle is closed; what led up to it goes on
-                at = walk.index(step)
-                cycles.append(np.array(walk[at:], dtype=np.int64))
-                walk = walk[:at]
-            walk.append(step)
-    return cycles
+            walk.append(rest[walk[-1]].pop())
+            rest[walk[-1]].remove(walk[-2])
+        cycles += _split(walk)[0]
+    return [np.array(cycle, dtype=np.int64) for cycle in cycles]
 
 
 class EdgeGraph:
@@ -116,21 +105,15 @@ class EdgeGraph:
         return path[::-1]
 
     def around(self, ids: Sequence[int]) -> list[list[int]]:
-        """The shortest paths between consecutive vertices, and from the last to the first."""
         return [self.path(a, b) for a, b in zip(ids, [*ids[1:], ids[0]], strict=True)]
 
 
 def close_loop(graph: EdgeGraph, ids: Sequence[int], names: Ids) -> tuple[Ids, str]:
     """Make a simple closed cycle along edges of the vertices of a loop, in order or not; say in words what it took.
 
-    In order, gaps of a few edges are closed by shortest paths. Without order (most neighbours far apart), or where the order
-    runs into itself, the cycle is the one around the longest-lived loop of these vertices, with distances along the mesh:
-    persistence again. `names` are what messages call the vertices.
-
-    Raises
-    ------
-    ValueError
-        When a gap is wide, or the vertices do not surround anything.
+    Idea: in order, gaps of a few edges are closed by shortest paths. Without order (most neighbours far apart), or where the
+    order runs into itself, the cycle is the one around the longest-lived loop of these vertices, with distances along the
+    mesh: persistence again. `names` are what messages call the vertices.
     """
     given = [a for a, b in zip(ids, [*ids[1:], ids[0]], strict=True) if a != b]
     members = np.unique(given)
@@ -145,8 +128,7 @@ def close_loop(graph: EdgeGraph, ids: Sequence[int], names: Ids) -> tuple[Ids, s
     diagram = rips_persistence(graph.distances(members), metric="precomputed")
     if not len(diagram) or diagram.death[0] < 1.5 * diagram.birth[0]:
         raise ValueError(
-            f"its vertices {names[widest[0]]} and {names[widest[-1]]} follow each other but are {len(widest) - 1} edges apart, "
-            "and whatever their order its vertices surround nothing; give those between them"
+            f"its vertices {names[widest[0]]} and {names[widest[-1]]} follow each other but are {len(widest) - 1} edges apart"
         )
     end = min(diagram.death[0], 2 * diagram.birth[0])  # halfway there is a tighter cycle than the one at birth
     tight = members[tighten(diagram, diagram.cycle(0), radius=(diagram.birth[0] + end) / 2)].tolist()
@@ -158,12 +140,17 @@ def close_loop(graph: EdgeGraph, ids: Sequence[int], names: Ids) -> tuple[Ids, s
 
 
 def _walk(paths: Sequence[Sequence[int]]) -> list[int]:
-    """Paths end to end, each joint once."""
     return [vertex for path in paths for vertex in path[:-1]]
 
 
 def simple_cycles(walk: Sequence[int]) -> list[list[int]]:
     """Cut a closed walk where it returns to a vertex; what goes there and back over a bridge falls away."""
+    parts, path = _split(walk)
+    return [part for part in [*parts, path] if len(part) > 2]
+
+
+def _split(walk: Sequence[int]) -> tuple[list[list[int]], list[int]]:
+    """The simple cycles that a walk closes, in their order, and the path that is left."""
     parts: list[list[int]] = []
     path: list[int] = []
     for vertex in walk:
@@ -172,14 +159,14 @@ def simple_cycles(walk: Sequence[int]) -> list[list[int]]:
             parts.append(path[start:])
             path = path[:start]
         path.append(vertex)
-    return [part for part in [*parts, path] if len(part) > 2]
+    return parts, path
 
 
 def as_ids(values: object, name: str, n_vertices: int) -> Ids:
-    """Return vertex ids as int64, or raise TypeError or ValueError that names the first that is none."""
+    """Vertex ids as int64; a TypeError or ValueError names the first that is none."""
     ids = np.asarray(values)
     if not np.issubdtype(ids.dtype, np.integer):
-        raise TypeError(f"{name} must hold whole numbers (vertex ids), not {ids.dtype}")
+        raise WrongKindError(f"{name} must hold whole numbers (vertex ids), not {ids.dtype}")
     if ids.size and (ids.min() < 0 or ids.max() >= n_vertices):
         bad = int(ids.min()) if ids.min() < 0 else int(ids.max())
         raise ValueError(f"{name} names vertex {bad}; there are {n_vertices}, numbered from 0")
@@ -187,7 +174,6 @@ def as_ids(values: object, name: str, n_vertices: int) -> Ids:
 
 
 def check_mesh(vertices: Array, faces: Ids) -> None:
-    """Raise ValueError unless the faces make one component that uses every vertex."""
     repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     if repeats.any():
         raise ValueError(f"faces[{np.argmax(repeats)}] names a vertex twice: {faces[np.argmax(repeats)].tolist()}")
@@ -204,7 +190,6 @@ def check_mesh(vertices: Array, faces: Ids) -> None:
 
 
 def check_loop(loop: Ids, edges: Ids, name: str) -> None:
-    """Raise ValueError unless `loop` is a simple closed cycle along edges."""
     if loop.ndim != 1 or len(loop) < 3:
         raise ValueError(f"{name} must be a cycle of at least 3 vertex ids, not of shape {loop.shape}")
     if len(np.unique(loop)) != len(loop):
@@ -212,6 +197,4 @@ def check_loop(loop: Ids, edges: Ids, name: str) -> None:
     apart = strangers(loop, edges)
     if apart:
         a, b = apart[0]
-        raise ValueError(
-            f"{name} is not a closed cycle of the mesh: vertices {a} and {b} follow each other but share no edge"
-        )
+        raise ValueError(f"{name} is not a closed cycle of the mesh: no edge joins vertices {a} and {b}")

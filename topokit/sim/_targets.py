@@ -13,28 +13,23 @@ from dataclasses import field
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from topokit._config import Positive, checked
 from topokit._validate import as_points
 from topokit.linking import close_far, linking_number
 
-Array = NDArray[np.float64]
+from ._surface import Array
+
 Rod = tuple[Array, Array, float]  # a capsule: start, end, radius
 _SHOULDER = 0.3  # radius of the shoulders as a share of the depth of the chest
 
 
 @checked
 class Target(ABC):
-    """What `simulate` asks of a target. Subclass it, as a frozen dataclass, to hang garments on something else.
+    """What `simulate` asks of a target. Subclass it, as a frozen dataclass, to hang garments on something else."""
 
-    Parameters
-    ----------
-    distance : float
-        y of its pole or axis, metres.
-    """
-
-    distance: float = field(default=0.3, kw_only=True)
+    distance: float = field(default=0.3, kw_only=True)  #: y of its pole or axis, metres
 
     name: ClassVar[str]
 
@@ -60,7 +55,7 @@ class Target(ABC):
 
     def holds(self, loop: ArrayLike) -> bool:
         """Whether a closed curve (L, 3) winds around the target: its linking number with the closed centre line is not 0."""
-        return linking_number(loop, close_far(self.centre_line)) != 0
+        return _linked(loop, close_far(self.centre_line))
 
 
 @checked
@@ -68,21 +63,12 @@ class Hook(Target):
     """A pole with an arm towards the grippers and an upturned tip. Metres, z up; the arm points along -y.
 
     A loop around the arm links the centre line, and so does one around the tip or the pole: it is not off yet.
-
-    Parameters
-    ----------
-    height, reach, tip : float
-        Of the arm's axis above the floor; from the pole to the tip; of the tip over the arm's axis.
-    radius : float
-        Of all three rods. Cloth tunnels through thin rods; 0.02 and more is reliable.
-    distance : float
-        y of the pole.
     """
 
-    height: Positive = 1.2
-    reach: Positive = 0.2
-    tip: Positive = 0.06
-    radius: Positive = 0.02
+    height: Positive = 1.2  #: of the arm's axis above the floor
+    reach: Positive = 0.2  #: from the pole to the tip
+    tip: Positive = 0.06  #: of the tip over the arm's axis
+    radius: Positive = 0.02  #: of all three rods; cloth tunnels through rods thinner than this
 
     name = "hook"
 
@@ -94,17 +80,14 @@ class Hook(Target):
 
     @property
     def seat(self) -> Array:
-        """(3,) the middle of the arm's axis."""
         return np.array([0, self.distance - self.reach / 2, self.height])
 
     @property
     def rods(self) -> list[Rod]:
-        """Pole, arm and tip."""
         return _tube(self.centre_line, self.radius)
 
     @property
     def lowest(self) -> float:
-        """The arm's axis."""
         return self.height
 
 
@@ -114,27 +97,15 @@ class Hanger(Target):
 
     Two arms slope down from the stem, each with an upturned end. A strap hangs when it is around an arm; around the stem it
     is around both. The rail stands on two posts.
-
-    Parameters
-    ----------
-    height, width, drop : float
-        Of the place above the floor where the arms' axes meet under the stem; from the end of one arm to that of the other;
-        how much lower than their meeting the arms end, less than half the width.
-    tip, stem : float
-        Of the upturned ends over the arms' axes there; from the meeting of the arms up to the rail.
-    radius, span : float
-        Of hanger and rail, as a hook's; between the posts, which stand left and right of the hanger.
-    distance : float
-        y of rail and stem.
     """
 
-    height: Positive = 1.3
-    width: Positive = 0.44
-    drop: Positive = 0.06
-    tip: Positive = 0.04
-    stem: Positive = 0.22
-    radius: Positive = 0.02
-    span: Positive = 1.4
+    height: Positive = 1.3  #: of the place above the floor where the arms' axes meet under the stem
+    width: Positive = 0.44  #: from the end of one arm to that of the other
+    drop: Positive = 0.06  #: how much lower than their meeting the arms end, less than half the width
+    tip: Positive = 0.04  #: of the upturned ends over the arms' axes there
+    stem: Positive = 0.22  #: from the meeting of the arms up to the rail
+    radius: Positive = 0.02  #: of hanger and rail, as a hook's
+    span: Positive = 1.4  #: between the posts, which stand left and right of the hanger
 
     name = "hanger"
 
@@ -149,7 +120,6 @@ class Hanger(Target):
 
     @property
     def seat(self) -> Array:
-        """(3,) the middle of the near arm's axis."""
         return np.array([0, self.distance - self.width / 4, self.height - self.drop / 2])
 
     @property
@@ -160,12 +130,11 @@ class Hanger(Target):
 
     @property
     def lowest(self) -> float:
-        """The ends of the arms."""
         return self.height - self.drop
 
     def holds(self, loop: ArrayLike) -> bool:
         """Whether a closed curve (L, 3) winds around either arm."""
-        return any(linking_number(loop, close_far(self._line(side))) != 0 for side in (-1, 1))
+        return _linked(loop, *(close_far(self._line(side)) for side in (-1, 1)))
 
     def _line(self, side: int) -> Array:
         """From the foot of a post to the tip of the near (-1) or the far arm (1)."""
@@ -182,27 +151,16 @@ class Mannequin(Target):
     Its centre line is the axis from the floor through the head. A loop hangs when it is around the axis and lower than the
     middle of the head (a neck hole that lies on the crown like a wreath is around the axis too), or when it is around a
     shoulder, as a backpack's straps are.
-
-    Parameters
-    ----------
-    height, head_radius, head_height : float
-        Of the top of the head above the floor; half the breadth of the head, and its height.
-    neck_radius, neck_length : float
-        The length is that between head and shoulders.
-    shoulder_width, depth, torso_length : float
-        From the end of one shoulder to that of the other; of the chest, front to back; from the shoulders' top to the hips.
-    distance : float
-        y of the axis.
     """
 
-    height: Positive = 1.6
-    head_radius: Positive = 0.08
-    head_height: Positive = 0.22
-    neck_radius: Positive = 0.055
-    neck_length: Positive = 0.07
-    shoulder_width: Positive = 0.42
-    depth: Positive = 0.16
-    torso_length: Positive = 0.5
+    height: Positive = 1.6  #: of the top of the head above the floor
+    head_radius: Positive = 0.08  #: half the breadth of the head
+    head_height: Positive = 0.22  #: from the chin to the top
+    neck_radius: Positive = 0.055  #: less than the head's
+    neck_length: Positive = 0.07  #: between head and shoulders
+    shoulder_width: Positive = 0.42  #: from the end of one shoulder to that of the other
+    depth: Positive = 0.16  #: of the chest, front to back
+    torso_length: Positive = 0.5  #: from the shoulders' top to the hips
 
     name = "mannequin"
 
@@ -244,12 +202,10 @@ class Mannequin(Target):
 
     @property
     def lowest(self) -> float:
-        """The hips."""
         return self.shoulder_height - self.torso_length
 
     @property
     def rods(self) -> list[Rod]:
-        """Head, neck, stand and spine; on either side a shoulder and a flank."""
         foot, hips, neck, top = self.centre_line
         ball, low = np.array([0, 0, self.head_radius]), neck - [0, 0, _SHOULDER * self.depth]
         radius = self.depth / 2
@@ -267,16 +223,18 @@ class Mannequin(Target):
         curve = as_points(loop, "loop")
         if curve[:, 2].mean() < self.head_centre[2] and super().holds(curve):
             return True
-        return any(linking_number(curve, self._closed_shoulder(side)) != 0 for side in (-1, 1))
+        ends = {side: self.shoulder * [side, 1, 1] for side in (-1, 1)}  # out through the shoulders
+        foot = self.centre_line[0]
+        return _linked(
+            curve, *(close_far([foot, end * [0, 1, 1], end], end=(side, 0, 0)) for side, end in ends.items())
+        )
 
-    def _closed_shoulder(self, side: int) -> Array:
-        """From the floor up the axis and out through a shoulder, closed far away."""
-        foot, end = self.centre_line[0], self.shoulder * [side, 1, 1]
-        return close_far([foot, end * [0, 1, 1], end], end=(side, 0, 0))
+
+def _linked(loop: ArrayLike, *lines: Array) -> bool:
+    return any(linking_number(loop, line) != 0 for line in lines)
 
 
 def _upright(*places: tuple[float, float]) -> Array:
-    """(k, 3) places (y, z) in the plane x = 0."""
     return np.array([[0.0, y, z] for y, z in places])
 
 

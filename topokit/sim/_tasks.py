@@ -1,59 +1,118 @@
 """Tasks: which garment goes to which target, on which scripted path, and when it hangs there.
 
-Source: Antonova et al. 2021, section 6 (aprons, bags, shirts, vests and backpacks; hook, hanger and mannequin). Taught in
-chapter 7.
+Idea of the paths: people's reaching movements minimise the integral of squared jerk. Through given places at given times, at
+rest at both ends, the minimiser is the quintic spline of four continuous derivatives; between two rests it is
+start + (10 s^3 - 15 s^4 + 6 s^5) (end - start) with s the share of the time.
+
+Source: Antonova et al. 2021, section 6; Flash and Hogan 1985, *The coordination of arm movements*. Taught in chapter 7.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import functools
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.interpolate import make_interp_spline
 
 from topokit._validate import as_points
 
 from ._garments import WARDROBE, Garment
-from ._paths import GripperPath, Via
+from ._surface import Array
 from ._targets import Hanger, Hook, Mannequin, Target
 
-Array = NDArray[np.float64]
+
+@dataclass(frozen=True)
+class Via:
+    """A place on a path. At the first and the last one the grippers stand still anyway."""
+
+    time: float  #: seconds since the first frame
+    place: ArrayLike  #: (3,) of the middle between the grippers, metres
+    opening: float = 1.0  #: distance between the grippers as a multiple of the one at the start
+    rest: bool = False  #: whether the grippers stand still there
+
+
+@dataclass(frozen=True, eq=False)
+class GripperPath:
+    """The path of two grippers, and when they let go."""
+
+    vias: Sequence[Via]  #: two at least, in the order of time; before and after them the grippers stand still
+    spread: Array  #: (2, 3) the grippers relative to their middle, at an opening of 1
+    release: float  #: seconds; when they let go
+    end: float  #: seconds; how long an episode lasts that gives the garment time to come to rest
+
+    def __post_init__(self) -> None:
+        if len(self.vias) < 2:
+            raise ValueError(f"a path needs two places at least, not {len(self.vias)}")
+        places, times, spread = self._places, self._times, np.asarray(self.spread)
+        if not np.isfinite(places).all() or places.shape[1] != 4:
+            raise ValueError(f"the places of a path must be (3,) and finite, its openings finite: {list(self.vias)}")
+        if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
+            raise ValueError(f"the times of a path must increase, not {times.tolist()}")
+        if places[:, 3].min() <= 0:
+            raise ValueError(f"openings must be more than zero, not {places[:, 3].tolist()}")
+        if spread.shape != (2, 3) or not np.isfinite(spread).all():
+            raise ValueError(f"spread must be a finite (2, 3) array, not of shape {spread.shape}")
+        if not self.end >= self.release >= 0:
+            raise ValueError(f"the end ({self.end} s) must come after the release ({self.release} s), and that after 0")
+
+    def at(self, time: ArrayLike) -> Array:
+        """(..., 2, 3) where the two grippers should be at these times (...)."""
+        t, times, places = np.asarray(time, dtype=np.float64), self._times, self._places
+        velocities, accelerations = self._derivatives
+        i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+        h = (times[i + 1] - times[i])[..., None]
+        s = np.clip((t - times[i])[..., None] / h, 0, 1)
+        cube = s * s * s
+        # Quintic Hermite interpolation: place, velocity and acceleration at either end.
+        value = places[i] + cube * (10 - 15 * s + 6 * s * s) * (places[i + 1] - places[i])
+        value = value + h * (s - cube * (6 - 8 * s + 3 * s * s)) * velocities[i]
+        value = value - h * cube * (4 - 7 * s + 3 * s * s) * velocities[i + 1]
+        value = value + h * h / 2 * (s * s - cube * (3 - 3 * s + s * s)) * accelerations[i]
+        value = value + h * h / 2 * cube * (1 - 2 * s + s * s) * accelerations[i + 1]
+        return np.asarray(value[..., None, :3] + value[..., None, 3:] * self.spread)
+
+    @functools.cached_property
+    def _times(self) -> Array:
+        return np.array([via.time for via in self.vias], dtype=np.float64)
+
+    @functools.cached_property
+    def _places(self) -> Array:
+        """(k, 4) middle and opening."""
+        return np.array([[*np.asarray(via.place, dtype=np.float64), via.opening] for via in self.vias])
+
+    @functools.cached_property
+    def _derivatives(self) -> tuple[Array, Array]:
+        """(k, 4) velocities and accelerations at the places: 0 at a rest, the minimum-jerk spline's between two rests."""
+        velocities, accelerations = np.zeros_like(self._places), np.zeros_like(self._places)
+        still = ([(1, np.zeros(4)), (2, np.zeros(4))],) * 2
+        rests = [0, *(i for i in range(1, len(self.vias) - 1) if self.vias[i].rest), len(self.vias) - 1]
+        for first, last in itertools.pairwise(rests):
+            if last - first > 1:
+                stroke = slice(first, last + 1)
+                spline = make_interp_spline(self._times[stroke], self._places[stroke], k=5, bc_type=still)
+                inner = slice(first + 1, last)
+                velocities[inner] = spline(self._times[inner], 1)
+                accelerations[inner] = spline(self._times[inner], 2)
+        return velocities, accelerations
+
+
 Planner = Callable[[Garment, Target, np.random.Generator], GripperPath]
 
 
 @dataclass(frozen=True)
 class Task:
-    """A garment to be hung on a target.
+    """A garment to be hung on a target."""
 
-    Parameters
-    ----------
-    name : str
-    garment : callable
-        Makes the garment, without arguments.
-    target : Target
-    plan : callable
-        (garment, target, generator) -> GripperPath; all the randomness of the path comes from the generator.
-    loops : tuple of int
-        Numbers of the true loops that must be on the target: one of them at least, or each where `every`.
-    every : bool
-
-    Examples
-    --------
-    >>> task = TASKS["apron-hook"]
-    >>> apron = task.garment()
-    >>> path = task.plan(apron, task.target, np.random.default_rng(0))
-    >>> path.at(0.0).shape, task.hangs(apron.vertices, apron.loops)
-    ((2, 3), False)
-    """
-
-    name: str
-    garment: Callable[[], Garment]
-    target: Target
-    plan: Planner
-    loops: tuple[int, ...] = (0,)
-    every: bool = False
+    name: str  #: garment, hyphen, target
+    garment: Callable[[], Garment]  #: makes the garment
+    target: Target  #: what it is hung on
+    plan: Planner  #: draws the path; all its randomness comes from the generator
+    loops: tuple[int, ...] = (0,)  #: numbers of the true loops of which one at least must be on the target
+    every: bool = False  #: whether each of them must be
 
     def hangs(self, points: ArrayLike, loops: Sequence[ArrayLike], target: Target | None = None) -> bool:
         """Whether the loops that must be are on the target, and the garment has not slid down around it.
@@ -77,11 +136,7 @@ class Task:
 def hang_by_strap(
     garment: Garment, target: Target, rng: np.random.Generator, *, opening: float = 1.0, rest: float = 1.05
 ) -> GripperPath:
-    """Carry the first true loop over the upturned tip of a hook or a hanger, so that the arm comes into it, and lower it.
-
-    An `opening` above 1 draws the grippers apart on the way: straps at either side of a bag then turn to face the arm.
-    `rest` is the time in seconds between release and end: a bag that hangs by one strap swings for longer.
-    """
+    """Carry the first true loop over the upturned tip, and lower it; an `opening` above 1 turns straps to face the arm."""
     aside, below = _opening(garment, opening)
     tip, seat, radius = target.centre_line[-1], target.seat, target.rods[0][2]
     over = np.array([-aside, seat[1], tip[2] + radius + 0.04 + below])
@@ -147,7 +202,6 @@ def _mannequin(target: Target) -> Mannequin:
 
 
 def _spread(garment: Garment) -> Array:
-    """(2, 3) the grips about their middle."""
     grips = garment.vertices[garment.grips]
     return np.asarray(grips - grips.mean(axis=0))
 
@@ -181,46 +235,37 @@ def _uniform(rng: np.random.Generator, *ranges: tuple[float, float]) -> Array:
     return np.array([rng.uniform(low, high) for low, high in ranges])
 
 
-def _tasks() -> dict[str, Task]:
-    sideways: Planner = partial(hang_by_strap, opening=1.15, rest=2.0)
-    tasks = {}
+def _tasks() -> Iterator[Task]:
+    sideways: Planner = functools.partial(hang_by_strap, opening=1.15, rest=2.0)
     for target in (Hook(), Hanger()):
-        for garment in ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet", "sheet2"):
-            plan = sideways if garment == "backpack" else hang_by_strap
-            loops: tuple[int, ...] = (0, 1) if garment in ("tote2", "backpack") else (0,)
-            name = f"{garment}-{target.name}"
-            tasks[name] = Task(
-                name, WARDROBE[garment], target, plan, loops, every=garment != "backpack"
-            )  # by either strap
-    bodies: dict[str, tuple[Planner, tuple[int, ...]]] = {
-        "apron": (pull_over_head, (0,)),
-        "apron2": (pull_over_head, (0,)),
-        "backpack": (put_on_shoulders, (0, 1)),
-        "shirt": (dress, (0, 3)),  # neck and hem
-        "vest": (dress, (0, 3)),
-    }
-    for garment, (plan, loops) in bodies.items():
-        name = f"{garment}-{Mannequin.name}"
-        tasks[name] = Task(name, WARDROBE[garment], Mannequin(), plan, loops, every=True)
-    return tasks
+        for name in ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet", "sheet2"):
+            plan: Planner = sideways if name == "backpack" else hang_by_strap
+            loops: tuple[int, ...] = (0, 1) if name in ("tote2", "backpack") else (0,)
+            every = name != "backpack"  # which hangs by either strap
+            yield Task(f"{name}-{target.name}", WARDROBE[name], target, plan, loops, every)
+    bodies: list[tuple[str, Planner, tuple[int, ...]]] = [
+        ("apron", pull_over_head, (0,)),
+        ("apron2", pull_over_head, (0,)),
+        ("backpack", put_on_shoulders, (0, 1)),
+        ("shirt", dress, (0, 3)),  # neck and hem
+        ("vest", dress, (0, 3)),
+    ]
+    for name, plan, loops in bodies:
+        yield Task(f"{name}-{Mannequin.name}", WARDROBE[name], Mannequin(), plan, loops, every=True)
 
 
-TASKS: Mapping[str, Task] = _tasks()
+TASKS: Mapping[str, Task] = {task.name: task for task in _tasks()}
 """Every task by its name: garment, hyphen, target."""
 
 
 def task_named(name: str) -> Task:
-    """Return the task of that name, or raise ValueError that lists the names."""
     if name not in TASKS:
         raise ValueError(f"there is no task {name!r}; there are {', '.join(TASKS)}")
     return TASKS[name]
 
 
 def task_for(garment: Garment, target: Target) -> Task:
-    """Return the task of a garment and a target.
-
-    That of `TASKS` when there is one by that name; else to get any of the garment's loops on the target, by the path that
-    suits a strap.
+    """Return the task of `TASKS` for a garment and a target, or else to get any of its loops there, as a strap goes.
 
     Parameters
     ----------

@@ -8,15 +8,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from topokit._validate import positive
 
-from ._pattern import Arch, Band, cut, inflate, mirror, polyline, ring, sew
-from ._surface import EdgeGraph, half_edges
+from ._pattern import Arch, Band, Panel, cut, inflate, mirror, polyline, ring, sew
+from ._surface import Array, EdgeGraph, Ids, half_edges
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 Fields = tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float]]
 THIRDS = np.array([1 / 3, 2 / 3])
 
@@ -36,16 +33,14 @@ def check_sizes(given: Mapping[str, float | None], without: Sequence[str] = ()) 
 
 
 def numbered(kind: str, number: int, name: str) -> str:
-    """The name of a garment with one loop, handle or hole, or with two."""
     if number not in (1, 2):
         raise ValueError(f"{name} must be 1 or 2, not {number!r}")
     return kind if number == 1 else f"{kind}{number}"
 
 
-def demand(holds: bool, otherwise: str, spacing: float) -> None:
-    """Raise ValueError unless sizes fit each other."""
+def demand(holds: bool, otherwise: str) -> None:
     if not holds:
-        raise ValueError(f"{otherwise} (metres, at a spacing of {spacing})")
+        raise ValueError(f"{otherwise} (metres)")
 
 
 def apron(
@@ -63,10 +58,9 @@ def apron(
 ) -> Fields:
     """Return an apron with one loop, its neck strap, or with two.
 
-    It hangs in the plane y = 0 with the top of its bib at z = 0. The strap is three vertices wide at the default spacing
-    and runs from one top corner of the bib to the other; the true loop is the border of the neck opening. With `loops=2` a
-    second strap closes behind the waist (towards +y), and the second true loop runs along its upper border and across the
-    apron. The grips are on the neck strap, at a third of its length from either end.
+    It hangs in the plane y = 0 with the top of its bib at z = 0. The true loop is the border of the neck opening. With
+    `loops=2` a second strap closes behind the waist (towards +y), and the second true loop runs along its upper border and
+    across the apron. The grips are on the neck strap, at a third of its length from either end.
 
     Parameters
     ----------
@@ -76,12 +70,9 @@ def apron(
     """
     sizes = check_sizes(locals(), without=("waist_strap_length", "waist_strap_width") if loops == 1 else ())
     name = numbered("apron", loops, "loops")
-    demand(bib_width <= body_width, f"bib_width {bib_width} must not exceed body_width {body_width}", spacing)
-    demand(
-        bib_width >= 2 * strap_width + 3 * spacing,
-        f"bib_width {bib_width} leaves no opening between straps of strap_width {strap_width}",
-        spacing,
-    )
+    demand(bib_width <= body_width, f"bib_width {bib_width} must not exceed body_width {body_width}")
+    opens = bib_width >= 2 * strap_width + 3 * spacing
+    demand(opens, f"bib_width {bib_width} is too narrow for straps of strap_width {strap_width}")
     arch = Arch.of_length(bib_width - strap_width, strap_length)
     outer, opening, middle = arch.strap(strap_width, spacing, strap_length)
     half_body, half_bib = body_width / 2, bib_width / 2
@@ -91,11 +82,8 @@ def apron(
     armhole = np.column_stack([half_body - (half_body - half_bib) * np.sin(angle), waist * np.cos(angle)])
     side = polyline((half_body, hem), (half_body, waist))
     if loops == 2:
-        demand(
-            waist_strap_width + spacing <= body_height,
-            f"waist_strap_width {waist_strap_width} leaves nothing of body_height {body_height} below it",
-            spacing,
-        )
+        fits = waist_strap_width + spacing <= body_height
+        demand(fits, f"waist_strap_width {waist_strap_width} is too wide for body_height {body_height}")
         side = polyline((half_body, hem), (half_body, waist - waist_strap_width), (half_body, waist))
     left = [mirror(line) for line in [armhole, *side[::-1]]]
     outline = [*side, armhole, outer, *left, *polyline((-half_body, hem), (half_body, hem))]
@@ -103,15 +91,22 @@ def apron(
     grips = front.nearest(arch.points(THIRDS))
     if loops == 1:
         return name, front.vertices, front.faces, front.holes, grips, sizes
-    around = Arch.of_length(body_width, waist_strap_length, "waist_strap_length")
-    strap = Band.cut([waist_strap_length], [waist_strap_width], spacing)
-    share = strap.panel.vertices[:, 0] / waist_strap_length
+    vertices, faces, behind = _with_waist_strap(front, sizes)
+    return name, vertices, faces, (front.holes[0], behind), grips, sizes
+
+
+def _with_waist_strap(front: Panel, sizes: Mapping[str, float]) -> tuple[Array, Ids, Ids]:
+    """Vertices and faces of an apron with a strap behind, and the loop along the strap and across the apron."""
+    length, waist = sizes["waist_strap_length"], -sizes["bib_height"]
+    around = Arch.of_length(sizes["body_width"], length, "waist_strap_length")
+    strap = Band.cut([length], [sizes["waist_strap_width"]], sizes["spacing"])
+    share = strap.panel.vertices[:, 0] / length
     cloth = strap.panel.placed(lambda v: np.column_stack([around.points(share), waist + v[:, 2]]))
     ends = [(0, front.sides[1], 1, strap.start), (0, front.sides[5][::-1], 1, strap.end)]
     vertices, faces, (_, ids) = sew([front, cloth], ends)
     behind = ids[strap.high]  # from the right side to the left one
     across = EdgeGraph(vertices, half_edges(front.faces)).path(int(behind[-1]), int(behind[0]))
-    return name, vertices, faces, (front.holes[0], np.concatenate([behind[:-1], across[:-1]])), grips, sizes
+    return vertices, faces, np.concatenate([behind[:-1], across[:-1]])
 
 
 def shirt(
@@ -138,16 +133,12 @@ def shirt(
     sizes = check_sizes(locals())
     half, neck, angle = width / 2, neck_width / 2, np.radians(sleeve_angle)
     along, across = np.array([np.cos(angle), -np.sin(angle)]), np.array([-np.sin(angle), -np.cos(angle)])
-    demand(neck + spacing <= half, f"neck_width {2 * neck} must be less than the width {2 * half}", spacing)
+    demand(neck + spacing <= half, f"neck_width {2 * neck} must be less than the width {2 * half}")
     top = np.array([neck, 0]) + ((half - neck) / along[0] + sleeve_length) * along
     low = top + sleeve_width * across
     underarm = low - (low[0] - half) / along[0] * along
-    demand(
-        low[0] - half >= spacing and -length + spacing <= underarm[1],
-        f"sleeve_length {sleeve_length} is too short, or sleeve_width {sleeve_width} too wide for the length "
-        f"{length}, at a sleeve_angle of {sleeve_angle} degrees",
-        spacing,
-    )
+    fits = low[0] - half >= spacing and -length + spacing <= underarm[1]
+    demand(fits, f"sleeve_length {sleeve_length} is too short or sleeve_width {sleeve_width} too wide")
     right = polyline((half, -length), (half, underarm[1]), low, top, (neck, 0))
     return ("shirt", *_tunic(sizes, right, (0, 1, 3), neck + 0.5 * (half - neck)), sizes)
 
@@ -175,16 +166,9 @@ def vest(
     sizes = check_sizes(locals())
     half, neck = width / 2, neck_width / 2
     tip = np.array([neck + shoulder_width, -0.25 * shoulder_width])
-    demand(
-        tip[0] <= half,
-        f"width {width} is too narrow for two shoulders of shoulder_width {shoulder_width} beside the neck",
-        spacing,
-    )
-    demand(
-        armhole_depth + spacing <= length and -armhole_depth < tip[1] - 2 * spacing,
-        f"armhole_depth {armhole_depth} must be more than the shoulder's drop and less than the length {length}",
-        spacing,
-    )
+    demand(tip[0] <= half, f"width {width} is too narrow for the neck and two times shoulder_width {shoulder_width}")
+    fits = armhole_depth + spacing <= length and -armhole_depth < tip[1] - 2 * spacing
+    demand(fits, f"armhole_depth {armhole_depth} must lie between the shoulder's drop and length {length}")
     bend = np.pi / 2 * np.linspace(0, 1, 181)
     across, down = half - (half - tip[0]) * np.sin(bend), (tip[1] + armhole_depth) * (1 - np.cos(bend))
     hole = np.column_stack([across, -armhole_depth + down])
@@ -237,11 +221,8 @@ def mask(
     """
     sizes = check_sizes(locals())
     half, low = width / 2, -height
-    demand(
-        strap_span - strap_width >= 2 * spacing and strap_span + strap_width + spacing <= width,
-        f"strap_span {strap_span} must leave an opening inside straps of strap_width {strap_width} and fit the width {width}",
-        spacing,
-    )
+    fits = strap_span - strap_width >= 2 * spacing and strap_span + strap_width + spacing <= width
+    demand(fits, f"strap_span {strap_span} must leave room for straps of strap_width {strap_width} in width {width}")
     arch = Arch.of_length(strap_span, strap_length)
     outer, hole, middle = arch.strap(strap_width, spacing, strap_length)
     side = np.column_stack([half + bow * np.sin(np.pi * np.linspace(0, 1, 91)), np.linspace(low, 0, 91)])
@@ -284,10 +265,10 @@ def sheet(
     half, low, room = width / 2, -height, hole_radius + spacing
     places = [0.0] if holes == 1 else [-hole_distance / 2, hole_distance / 2]
     of = f"of hole_radius {hole_radius}"
-    demand(hole_radius >= 1.2 * spacing, f"hole_radius {hole_radius} is too small for the spacing", spacing)
-    demand(room <= hole_drop <= height - room, f"hole_drop {hole_drop} puts a hole {of} over the border", spacing)
-    demand(places[-1] + room <= half, f"width {width} has no room for holes {of} at {places}", spacing)
-    demand(holes == 1 or places[-1] >= room, f"hole_distance {2 * places[-1]} makes holes {of} meet", spacing)
+    demand(hole_radius >= 1.2 * spacing, f"hole_radius {hole_radius} is too small for the spacing")
+    demand(room <= hole_drop <= height - room, f"hole_drop {hole_drop} puts a hole {of} over the border")
+    demand(places[-1] + room <= half, f"width {width} has no room for holes {of} at {places}")
+    demand(holes == 1 or places[-1] >= room, f"hole_distance {2 * places[-1]} makes holes {of} meet")
     angle = np.linspace(0, 2 * np.pi, 361)
     x, z = hole_radius * np.cos(angle), -hole_drop + hole_radius * np.sin(angle)
     rings = [[np.column_stack([place + x, z])] for place in places]

@@ -1,10 +1,6 @@
 """Pictures: diagrams, tracks, cloths, and figures that move without a kernel.
 
 Everything here needs Matplotlib; `render_cloth` draws better with PyVista, which is imported only there.
-
-    >>> from topokit.view import loop_colour
-    >>> loop_colour(0)
-    '#D55E00'
 """
 
 from __future__ import annotations
@@ -14,13 +10,10 @@ from importlib.util import find_spec
 if find_spec("matplotlib") is None:
     raise ImportError("topokit.view needs matplotlib: pip install 'topokit[view]'")
 
-from ._cloth import Scene, plot_cloth
-from ._flow import data_flow
 from ._lunes import plot_lens, plot_lune
-from ._palette import appearances, loop_colour
-from ._planar import coverage, growth, motion, nudge
+from ._pages import coverage, data_flow, growth, motion, nudge
 from ._player import player
-from ._plots import plot_diagram, plot_tracks, track_figure
+from ._plots import Scene, appearances, loop_colour, plot_cloth, plot_diagram, plot_tracks, track_figure
 from ._render import pyvista_works, render_cloth, save_animation
 from ._report import model_label, plot_accuracy, plot_by_horizon, plot_conditions, plot_treatments
 

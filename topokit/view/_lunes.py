@@ -6,17 +6,18 @@ Taught in chapters 2 and 5.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial.distance import cdist
 
 from topokit._validate import positive
-from topokit.view._palette import OKABE_ITO, new_axes
-from topokit.view._planar import planar
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from topokit.view._pages import planar
+from topokit.view._plots import OKABE_ITO, new_axes
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -33,17 +34,10 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
     Parameters
     ----------
     points : (n, 2) array_like
-        The cloud.
     edge : (2,) sequence of int
         Its two ends.
     ax : matplotlib Axes, optional
         A new figure's when not given.
-
-    Examples
-    --------
-    >>> from topokit import view
-    >>> view.plot_lune([[0, 0], [2, 0], [2, 2], [0, 2]], (0, 2)).get_title()
-    '2 components'
     """
     cloud = planar(points, "points")
     x, y = _ends(edge, len(cloud))
@@ -62,9 +56,9 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
             longer = np.linalg.norm(part[:, None] - cloud[[x, y]], axis=2).max(axis=1)
             triangle = np.vstack([cloud[[x, y]], part[np.argmin(longer)]])
             axes.fill(*triangle.T, facecolor=_EDGE, alpha=0.22, zorder=1)
-    _draw_edge(axes, cloud[[x, y]])
     count = len(components)
-    return _bare(axes, "empty" if count == 0 else "connected" if count == 1 else f"{count} components")
+    title = "empty" if count == 0 else "connected" if count == 1 else f"{count} components"
+    return _finished(axes, cloud[[x, y]], title)
 
 
 def plot_lens(
@@ -79,22 +73,13 @@ def plot_lens(
     Parameters
     ----------
     points : (n, 2) array_like
-        The cloud.
     edge : (2,) sequence of int
         Its two ends.
     alpha, epsilon : float
         Covering radius of the observations and largest displacement, in the unit of the points.
     ax : matplotlib Axes, optional
         A new figure's when not given.
-
-    Examples
-    --------
-    >>> from topokit import view
-    >>> view.plot_lens([[0, 0], [2, 0], [2, 2], [0, 2]], (0, 2), alpha=0.1).get_title()
-    'critical'
     """
-    from scipy.spatial.distance import cdist
-
     cloud, alpha, epsilon = planar(points, "points"), positive(alpha, "alpha"), positive(epsilon, "epsilon")
     x, y = _ends(edge, len(cloud))
     distances = cdist(cloud, cloud)
@@ -111,9 +96,8 @@ def plot_lens(
     _draw_dots(axes, cloud, "0.55", 2.5, zorder=2)
     _draw_dots(axes, cloud[inner], "0.3", 3, zorder=2)
     axes.plot(*cloud[path].T, "-", color=_PATH, linewidth=2.2, zorder=3)
-    _draw_edge(axes, cloud[[x, y]])
     _draw_dots(axes, cloud[pair], _BLOCKED if critical else _PATH, 8, zorder=5)
-    return _bare(axes, "critical" if critical else "not critical")
+    return _finished(axes, cloud[[x, y]], "critical" if critical else "not critical")
 
 
 def _draw_dots(axes: Axes, places: Array, colour: str, size: float, zorder: float) -> None:
@@ -121,26 +105,17 @@ def _draw_dots(axes: Axes, places: Array, colour: str, size: float, zorder: floa
 
 
 def _draw_edges(axes: Axes, cloud: Array, joined: NDArray[np.bool_], **look: Any) -> None:
-    """The edges of a graph of places."""
-    from matplotlib.collections import LineCollection
-
     axes.add_collection(LineCollection(list(cloud[np.argwhere(np.triu(joined))]), **look))
 
 
-def _bare(axes: Axes, title: str) -> Axes:
-    """One scale for both directions, and no frame."""
-    axes.set_title(title)
-    axes.set_aspect("equal")
+def _finished(axes: Axes, ends: Array, title: str) -> Axes:
+    axes.plot(*ends.T, "o-", color=_EDGE, linewidth=2.6, markersize=6, zorder=4.5)
+    axes.set(title=title, aspect="equal")
     axes.set_axis_off()
     return axes
 
 
-def _draw_edge(axes: Axes, ends: Array) -> None:
-    axes.plot(*ends.T, "o-", color=_EDGE, linewidth=2.6, markersize=6, zorder=4.5)
-
-
 def _ends(edge: Sequence[int], n: int) -> tuple[int, int]:
-    """The smaller end of the edge, then the larger."""
     ends = np.asarray(edge)
     if ends.shape != (2,) or not np.issubdtype(ends.dtype, np.integer):
         raise ValueError(f"edge must be two vertex ids, not {edge!r}")
@@ -156,15 +131,12 @@ def _joined_before(cloud: Array, x: int, y: int) -> NDArray[np.bool_]:
     index = np.arange(len(cloud))
     low, high = np.minimum.outer(index, index), np.maximum.outer(index, index)
     tie = (low < x) | ((low == x) & (high < y))
-    joined: NDArray[np.bool_] = (squared < squared[x, y]) | ((squared == squared[x, y]) & tie)
-    np.fill_diagonal(joined, False)
-    return joined
+    joined = (squared < squared[x, y]) | ((squared == squared[x, y]) & tie)
+    return np.asarray(joined & (low < high))
 
 
 def _components(vertices: Ids, joined: NDArray[np.bool_]) -> list[Ids]:
     """The connected components of a set of vertices, each in order, by their smallest vertex."""
-    from scipy.sparse.csgraph import connected_components
-
     count, label = connected_components(joined[np.ix_(vertices, vertices)], directed=False)
     return [vertices[label == i] for i in range(count)]
 
@@ -173,19 +145,16 @@ def _outline(a: Array, b: Array, radius: float) -> Array:
     """(k, 2) the outline of all places within `radius` of both a and b; degenerate when it is below half their distance."""
     ahead = np.arctan2(*(b - a)[::-1])
     half = float(np.hypot(*(b - a))) / 2
-    arc = np.arccos(min(1.0, half / radius)) * np.linspace(-1, 1, 40) if radius > 0 else np.zeros(40)
-    arcs = [
-        centre + max(radius, half) * np.column_stack([np.cos(way + arc), np.sin(way + arc)])
-        for centre, way in ((a, ahead), (b, ahead + np.pi))
-    ]
-    return np.concatenate(arcs)
+    radius = max(radius, half)
+    angles = ahead + np.arccos(half / radius if radius else 1.0) * np.linspace(-1, 1, 40)
+    arc = radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    return np.concatenate([a + arc, b - arc])
 
 
 def _witness(distances: Array, x: int, y: int, alpha: float, epsilon: float) -> tuple[Ids, Ids, Ids]:
-    """Two points of the lens, a path between them (empty when none may be), and the points that may carry paths.
+    """Two points of the lens (none when none are far enough apart), a path between them, and the points that may carry paths.
 
-    The pair is one without a path if there is one, else the one farthest apart; of equals the first. No pair when no two
-    points of the lens are far enough apart.
+    The pair is one without a path if there is one, else the one farthest apart; of equals the first.
     """
     length, farther = distances[x, y], np.maximum(distances[x], distances[y])
     end_step = length - alpha - 4 * epsilon
@@ -200,16 +169,13 @@ def _witness(distances: Array, x: int, y: int, alpha: float, epsilon: float) -> 
     ends = distances[np.ix_(lens, inner)] < end_step
     reached = np.array([ends[:, part].any(axis=1) for part in _components(np.arange(len(inner)), steps)], dtype=int)
     blocked = asked & (reached.T @ reached == 0) if len(inner) else asked
-    pair = lens[
-        list(np.unravel_index(np.argmax(np.where(blocked if blocked.any() else asked, apart, -1)), apart.shape))
-    ]
+    farthest = np.argmax(np.where(blocked if blocked.any() else asked, apart, -1))
+    pair = lens[[*divmod(int(farthest), len(lens))]]
     return pair, none if blocked.any() else _path(distances, pair, inner, end_step, end_step - alpha), inner
 
 
 def _path(distances: Array, pair: Ids, inner: Ids, end_step: float, step: float) -> Ids:
     """The shortest path between two points through others, by steps below a limit, which is another at the ends."""
-    from scipy.sparse.csgraph import dijkstra
-
     places, last = np.concatenate([inner, pair]), len(inner)
     graph = distances[np.ix_(places, places)]
     limit = np.full(graph.shape, step)

@@ -14,19 +14,14 @@ from numpy.typing import NDArray
 
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
-from topokit.view._cloth import as_line, one_a_frame, rod_radius, subdivide
-from topokit.view._frame import Framed, framed
-from topokit.view._palette import long_lived
+from topokit.view._pages import Framed, framed
+from topokit.view._plots import as_line, long_lived, one_a_frame, rod_radius, subdivide
 
 
 def pack(array: NDArray[Any]) -> dict[str, Any]:
     """An array as a JSON-ready dict: little-endian bytes in base64, in the smallest type the player reads."""
-    if array.dtype.kind == "f":
-        kind = "f4"
-    elif array.dtype == bool:
-        kind = "u1"
-    else:
-        kind = "u2" if array.min(initial=0) >= 0 and array.max(initial=0) < 2**16 else "i4"
+    whole = "u2" if array.min(initial=0) >= 0 and array.max(initial=0) < 2**16 else "i4"
+    kind = {"f": "f4", "b": "u1"}.get(array.dtype.kind, whole)
     values = np.ascontiguousarray(array, dtype=f"<{kind}")
     return {"type": kind, "shape": list(array.shape), "values": base64.b64encode(values.tobytes()).decode("ascii")}
 
@@ -35,8 +30,7 @@ def pack_coordinates(points: NDArray[np.floating[Any]]) -> dict[str, Any]:
     """(..., 3) coordinates packed to 16 bits with one scale for the three axes; the error is at most half the scale."""
     flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     low = flat.min(axis=0) if len(flat) else np.zeros(3)
-    scale = float((flat.max(axis=0) - low).max()) / (2**16 - 1) if len(flat) else 0.0
-    scale = scale or 1.0  # all points equal
+    scale = float((flat - low).max(initial=0.0)) / (2**16 - 1) or 1.0  # all points equal
     steps = np.rint((flat - low) / scale).astype(np.uint16).reshape(np.shape(points))
     return pack(steps) | {"scale": scale, "low": low.tolist()}
 
@@ -88,16 +82,13 @@ def player(
 
 
 def telling_frame(states: Sequence[TopologicalState]) -> int:
-    """Return the frame at which the weightiest identity has its longest lifetime; 0 when there are no loops."""
-    ids = long_lived(states)
-    if not ids:
-        return 0
-    lifetimes = [max((loop.lifetime for loop in state.loops if loop.id == ids[0]), default=-1.0) for state in states]
-    return int(np.argmax(lifetimes))
+    """The frame at which the weightiest identity has its longest lifetime; 0 when there are no loops."""
+    first = long_lived(states)[:1]
+    lifetimes = [max((loop.lifetime for loop in state.loops if loop.id in first), default=-1.0) for state in states]
+    return int(np.argmax(lifetimes)) if states else 0
 
 
 def _scene(episode: Episode) -> dict[str, Any]:
-    """The parts of the payload that come from the episode."""
     points = np.asarray(episode.points, dtype=np.float64)
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
     return {

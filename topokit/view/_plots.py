@@ -1,24 +1,231 @@
-"""Matplotlib pictures of loops: the diagram of a frame, lifetimes over time, both beside the cloth. Taught in chapter 0."""
+"""One colour for one identity, and Matplotlib pictures: a cloth with its loops, the diagram of a frame, lifetimes over time.
+
+The six colours are those of Okabe and Ito that read on white and on near-black alike; they stay apart for the common kinds
+of colour blindness. Loop 3 looks the same in the diagram, on the cloth, in the player and in the next chapter. What a picture
+of a cloth shows is checked once, by `Scene`, for this module and for `_render`. Taught in chapter 0.
+"""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import KW_ONLY, dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.proj3d import proj_transform
+from numpy.typing import ArrayLike, NDArray
 
+from topokit._validate import as_points
 from topokit.io import Episode
 from topokit.rips import Diagram
-from topokit.state import TopologicalState
-from topokit.view._cloth import one_a_frame, plot_cloth, rod_radius
-from topokit.view._palette import long_lived, loop_colour, new_axes
+from topokit.state import Loop, TopologicalState
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+CLOTH, ROD, INK = "#E8E2D4", "#5B6B7C", "#1C2733"
 
-_GREY = "0.55"
+
+def loop_colour(loop_id: int) -> str:
+    """Return the colour of an identity as `#RRGGBB`; identities six apart share one."""
+    return OKABE_ITO[int(loop_id) % len(OKABE_ITO)]
+
+
+def appearances(states: Sequence[TopologicalState]) -> dict[int, Ids]:
+    """Return for every identity the positions in `states` at which it is there, identities in order of first appearance."""
+    places: defaultdict[int, list[int]] = defaultdict(list)
+    for position, state in enumerate(states):
+        for loop in state.loops:
+            places[loop.id].append(position)
+    return {loop_id: np.array(positions, dtype=np.int64) for loop_id, positions in places.items()}
+
+
+def long_lived(states: Sequence[TopologicalState]) -> tuple[int, ...]:
+    """Identities worth a name in a picture, the weightiest first; each weighs the sum of its lifetimes over the states."""
+    weight: defaultdict[int, float] = defaultdict(float)
+    for state in states:
+        for loop in state.loops:
+            weight[loop.id] += loop.lifetime
+    least = 0.2 * max(weight.values(), default=0.0)
+    return tuple(sorted((i for i in weight if weight[i] >= least), key=lambda i: (-weight[i], i)))
+
+
+def new_axes(ax: Axes | None, **options: Any) -> Axes:
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    axes: Axes = plt.figure(layout="constrained").add_subplot(**options)
+    return axes
+
+
+@dataclass(eq=False)
+class Scene:
+    """A cloth with its loops and its target, and the eye that sees them."""
+
+    points: Any  #: (N, 3) array_like, metres, z up
+    faces: Any = ()  #: (F, 3) array_like of int; the points alone are drawn when there are none
+    _: KW_ONLY
+    loops: Sequence[Loop] = ()  #: their killer triangles and edges are drawn in the colour of the identity
+    true_loops: Sequence[ArrayLike] = ()  #: closed cycles of vertex ids, (L,) each, drawn as dark lines
+    centre_line: Any = None  #: (K, 3) array_like, the target's, drawn as a rod; not drawn where there are `rods`
+    rods: Sequence[tuple[ArrayLike, ArrayLike, float]] = ()  #: start, end, radius of the target's capsules, in metres
+    thickness: float = 0.01  #: radius of the rod around `centre_line`
+    view: tuple[float, float] = (-60.0, 15.0)  #: azimuth and elevation of the eye in degrees
+    zoom: float = 1.0  #: above one comes nearer than the fit around everything
+    focus: Any = None  #: (3,) array_like, the middle of the picture; the middle of everything when not given
+
+    def __post_init__(self) -> None:
+        self.points = as_points(self.points)
+        if self.points.shape[1] != 3:
+            raise ValueError(f"points must lie in space, (N, 3), not of shape {self.points.shape}")
+        self.faces = _as_faces(self.faces, len(self.points))
+        self.cycles = [self.points[np.append(ids, np.asarray(ids)[:1])] for ids in self.true_loops]
+        line = as_line(self.centre_line, "centre_line")
+        capsules = [(as_line(np.array(ends), "rods"), radius) for *ends, radius in self.rods]
+        self.capsules = capsules or [(line, self.thickness)] * (len(line) > 1)
+        self.everything = np.concatenate([self.points, line, *(rod for rod, _ in capsules)])
+
+
+def _as_faces(faces: ArrayLike, n_points: int) -> Ids:
+    array = np.asarray(faces, dtype=np.int64) if np.size(faces) else np.zeros((0, 3), np.int64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"faces must be an (F, 3) array of vertex ids, not of shape {array.shape}")
+    outside = array[(array < 0) | (array >= n_points)]
+    if len(outside):
+        raise ValueError(f"faces names vertex {outside[0]}; points has {n_points}, numbered from 0")
+    return array
+
+
+def as_line(line: ArrayLike | None, name: str) -> Array:
+    """A polyline as (K, 3), K = 0 for None; ValueError when it is none."""
+    array = np.zeros((0, 3)) if line is None else np.asarray(line, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"{name} must be a (K, 3) array of points in space, not of shape {array.shape}")
+    return array
+
+
+def one_a_frame(episode: Episode, states: Sequence[TopologicalState]) -> None:
+    if len(states) != len(episode):
+        raise ValueError(f"states has {len(states)} frames where episode has {len(episode)}; track the same episode")
+
+
+def rod_radius(episode: Episode) -> float:
+    """Radius of an episode's target in metres, 0.01 when its physics does not tell."""
+    target = episode.physics.get("target")
+    return float(target.get("radius", 0.01)) if isinstance(target, dict) else 0.01
+
+
+def direction(azimuth: float, elevation: float) -> Array:
+    """Unit vector towards an eye at these degrees."""
+    a, e = np.radians([azimuth, elevation])
+    return np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+
+
+def plot_cloth(points: ArrayLike, faces: ArrayLike = (), *, ax: Axes | None = None, **scene: Any) -> Axes:
+    """Draw a cloth in space with the killer triangles of its loops, by Matplotlib alone; `render_cloth` draws it better.
+
+    Parameters
+    ----------
+    points, faces : (N, 3) and (F, 3) array_like
+        As of `Scene`.
+    ax : matplotlib Axes of projection "3d", optional
+        A new figure's when not given.
+    **scene
+        What else is drawn, and from where: the other parameters of `Scene`.
+
+    Raises
+    ------
+    ValueError
+        When `ax` is flat, or anything else is not of its kind.
+    """
+    checked = Scene(points, faces, **scene)
+    axes = new_axes(ax, projection="3d")
+    if not hasattr(axes, "add_collection3d"):
+        raise ValueError("ax must be a 3D one: plt.figure().add_subplot(projection='3d')")
+    draw_cloth(axes, checked)
+    return axes
+
+
+def draw_cloth(axes: Any, scene: Scene) -> None:
+    axes.set_autoscale_on(False)  # `_fit` sets the limits
+    axes.computed_zorder = False
+    # Matplotlib sorts by depth only inside a collection; it would pad faces of several lengths with what is in memory.
+    tubes = [tube(subdivide(line, 40), radius) for line, radius in scene.capsules]
+    polygons = np.concatenate([scene.points[scene.faces], *tubes])
+    colours = _shaded(polygons, len(scene.faces), scene.view)
+    axes.add_collection3d(Poly3DCollection(polygons, facecolors=colours, edgecolors=colours, linewidths=0.8, zorder=1))
+    if not len(scene.faces):
+        axes.scatter(*scene.points.T, s=4, color=ROD, zorder=1)
+    for cycle in scene.cycles:
+        axes.plot(*cycle.T, color=INK, linewidth=1.6, zorder=2)
+    for loop in scene.loops:
+        colour = loop_colour(loop.id)
+        killers = Poly3DCollection(list(loop.killer_triangles), zorder=3)
+        killers.set(facecolor=(colour, 0.45), edgecolor=colour)
+        axes.add_collection3d(killers)
+        axes.add_collection3d(Line3DCollection([loop.killer_edge_points], colors=colour, linewidths=3, zorder=4))
+    _fit(axes, scene)
+
+
+def _fit(axes: Any, scene: Scene) -> None:
+    """Fit the axes tightly around everything as the eye sees it, without box or ticks."""
+    everything = scene.everything if len(scene.everything) else np.zeros((1, 3))
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    size = np.maximum(high - low, 1e-3 * max(float((high - low).max()), 1e-6))
+    middle = (low + high) / 2
+    axes.set(**{f"{name}lim": (m - s / 2, m + s / 2) for name, m, s in zip("xyz", middle, size, strict=True)})
+    axes.set_box_aspect(size)
+    axes.view_init(elev=scene.view[1], azim=scene.view[0])
+    axes.set_axis_off()
+    # Matplotlib frames the box's diagonal; its flat view limits are set to what is seen, in a square.
+    flat = np.array(proj_transform(*everything.T, axes.get_proj())[:2])
+    half = 0.53 * float(np.ptp(flat, axis=1).max()) / scene.zoom or 0.1
+    centre = (flat.min(axis=1) + flat.max(axis=1)) / 2
+    if scene.focus is not None:
+        centre = np.array(proj_transform(*scene.focus, axes.get_proj())[:2])
+    axes.viewLim.intervalx, axes.viewLim.intervaly = (tuple(m + half * np.array([-1, 1])) for m in centre)
+
+
+def subdivide(line: Array, pieces: int = 60) -> Array:
+    """Cut a (K, 3) polyline into short pieces, so that sorting them by depth puts each before or behind the cloth."""
+    if len(line) < 2:
+        return line
+    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    places = np.union1d(np.linspace(0.0, walked[-1], pieces), walked)
+    return np.stack([np.interp(places, walked, line[:, axis]) for axis in range(3)], axis=1)
+
+
+def tube(line: Array, radius: float, sides: int = 8) -> Array:
+    """(m, 3, 3) the triangles of a tube around a polyline; one normal is carried along it, so that the tube does not twist."""
+    along = np.gradient(line, axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    normal = np.eye(3)[np.argmin(np.abs(along[0]))]
+    angles = np.linspace(0.0, 2 * np.pi, sides, endpoint=False)
+    rings = []
+    for point, ahead in zip(line, along, strict=True):
+        normal = normal - (normal @ ahead) * ahead
+        normal /= max(float(np.linalg.norm(normal)), 1e-12)
+        other = np.cross(ahead, normal)
+        rings.append(point + radius * (np.cos(angles)[:, None] * normal + np.sin(angles)[:, None] * other))
+    ring = np.array(rings)  # (K, sides, 3)
+    turned = np.roll(ring, -1, axis=1)
+    halves = [ring[:-1], ring[1:], turned[1:]], [ring[:-1], turned[1:], turned[:-1]]
+    return np.concatenate([np.stack(half, axis=2).reshape(-1, 3, 3) for half in halves])
+
+
+def _shaded(polygons: Array, n_cloth: int, view: tuple[float, float]) -> Array:
+    """(m, 3) colours of cloth faces, then of the rods'; the lamp, above the eye's left shoulder, shines on both sides."""
+    base = np.array([to_rgb(CLOTH)] * n_cloth + [to_rgb(ROD)] * (len(polygons) - n_cloth)).reshape(-1, 3)
+    lamp = direction(view[0] - np.degrees(0.6), min(view[1] + np.degrees(0.6), np.degrees(1.4)))
+    normals = np.cross(polygons[:, 1] - polygons[:, 0], polygons[:, 2] - polygons[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
+    return np.asarray(base * (0.45 + 0.55 * np.abs(normals @ lamp))[:, None])
 
 
 def plot_diagram(diagram: Diagram | TopologicalState, ax: Axes | None = None, *, alpha: float | None = None) -> Axes:
@@ -42,9 +249,9 @@ def plot_diagram(diagram: Diagram | TopologicalState, ax: Axes | None = None, *,
         points = [(float(b), float(d), loop_colour(1), "") for b, d in zip(diagram.birth, diagram.death, strict=True)]
     finite = [value for birth, death, _, _ in points for value in (birth, death) if np.isfinite(value)]
     high = 1.12 * max([*finite, 2 * (alpha or 0.0)]) or 1.0
-    axes.plot([0, high], [0, high], color=_GREY, linewidth=1, label="birth = death")
+    axes.plot([0, high], [0, high], color="0.55", linewidth=1, label="birth = death")
     if alpha:
-        axes.plot([0, high - alpha], [alpha, high], color=_GREY, linewidth=1, linestyle="--", label="lifetime = alpha")
+        axes.plot([0, high - alpha], [alpha, high], color="0.55", linewidth=1, linestyle="--", label="lifetime = alpha")
     longest = max((death - birth for birth, death, _, _ in points), default=0.0)
     for birth, death, colour, name in points:
         _draw_loop(axes, birth, death, high, colour, name)
@@ -76,7 +283,7 @@ def plot_tracks(states: Sequence[TopologicalState], ax: Axes | None = None) -> A
     axes = new_axes(ax)
     times = np.array([state.time for state in states])
     named = long_lived(states)
-    lifetimes: dict[int, NDArray[np.float64]] = {}
+    lifetimes: dict[int, Array] = {}
     for position, state in enumerate(states):
         for loop in state.loops:
             lifetimes.setdefault(loop.id, np.full(len(states), np.nan))[position] = loop.lifetime
@@ -87,9 +294,7 @@ def plot_tracks(states: Sequence[TopologicalState], ax: Axes | None = None) -> A
     return axes
 
 
-def _draw_track(
-    axes: Axes, times: NDArray[np.float64], values: NDArray[np.float64], loop_id: int, *, bold: bool
-) -> None:
+def _draw_track(axes: Axes, times: Array, values: Array, loop_id: int, *, bold: bool) -> None:
     there, colour = np.flatnonzero(np.isfinite(values)), loop_colour(loop_id)
     look: dict[str, Any] = {"alpha": 1.0, "linewidth": 2.2} if bold else {"alpha": 0.35, "linewidth": 1.0}
     marker = "." if len(there) == 1 else None
@@ -103,9 +308,6 @@ def _draw_track(
 def track_figure(episode: Episode, states: Sequence[TopologicalState]) -> Figure:
     """Return one picture of a tracked episode: the cloth at four moments, lifetimes over time, the diagram of a frame.
 
-    This is what `topokit track --plot` saves. The figure belongs to no window: a notebook shows it when it is the value
-    of a cell, and nothing has to be closed.
-
     Parameters
     ----------
     episode : Episode
@@ -113,8 +315,6 @@ def track_figure(episode: Episode, states: Sequence[TopologicalState]) -> Figure
     states : sequence of TopologicalState
         One a frame, as `topokit.track` returns them.
     """
-    from matplotlib.figure import Figure
-
     one_a_frame(episode, states)
     figure = Figure(figsize=(11, 6.4), dpi=120)
     grid = figure.add_gridspec(

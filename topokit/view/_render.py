@@ -7,90 +7,72 @@ process of its own.
 from __future__ import annotations
 
 import functools
-import importlib
 import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
+from PIL import Image
 
 from topokit._archive import atomic_file
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
-from topokit.view._cloth import INK, ROD, Scene, direction, draw_cloth, one_a_frame
-from topokit.view._palette import loop_colour
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
+from topokit.view._plots import INK, ROD, Scene, direction, draw_cloth, loop_colour, one_a_frame
 
 Array = NDArray[np.float64]
 _PROBE = """
+import sys
+sys.path[:] = filter(None, sys.path)  # what lies in the working directory is not imported
 import pyvista
 plotter = pyvista.Plotter(off_screen=True, window_size=(32, 32))
 plotter.add_mesh(pyvista.Sphere(), color="black")
 assert plotter.screenshot(None, return_img=True).min() < 128
 """
-_PACKAGES = "apt-get install libegl1 libgl1-mesa-dri"
+# In this environment VTK opens no window: EGL on Linux without a display.
+_NO_SCREEN = sys.platform.startswith("linux") and not os.environ.get("DISPLAY")
+_WINDOW = {"VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"} if _NO_SCREEN else {}
 _STEEL, _GLOSS = "#7F91A5", {"specular": 0.5, "specular_power": 22}
-_LAMPS = (
-    (-45, 40, "#FFF6E5", 0.85),
-    (55, 10, "#E6F0FF", 0.35),
-    (170, 30, "white", 0.25),
-)  # turned, lifted from the eye
+# turned and lifted from the eye in degrees, colour, strength
+_LAMPS = ((-45, 40, "#FFF6E5", 0.85), (55, 10, "#E6F0FF", 0.35), (170, 30, "white", 0.25))
 
 
 @functools.cache
 def pyvista_works() -> tuple[bool, str]:
-    """Return whether PyVista can draw on this machine, and what to do when it cannot. Found out once a process.
-
-    Examples
-    --------
-    >>> works, reason = pyvista_works()
-    >>> isinstance(works, bool) and bool(reason)
-    True
-    """
+    """Return whether PyVista can draw on this machine, and what to do when it cannot. Found out once a process."""
     if find_spec("pyvista") is None:
         return False, "PyVista is not installed: pip install 'topokit[view]'"
+    command = [sys.executable, "-c", _PROBE]
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", _PROBE], env=os.environ | _window(), capture_output=True, text=True, timeout=180
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return False, f"PyVista did not answer ({type(error).__name__}); on Debian or Ubuntu: {_PACKAGES}"
-    if done.returncode:
-        return False, f"PyVista cannot draw without the system's OpenGL; on Debian or Ubuntu: {_PACKAGES}"
+        subprocess.run(command, env=os.environ | _WINDOW, capture_output=True, timeout=180, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return False, "PyVista cannot draw without OpenGL; on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri"
     return True, "PyVista draws"
 
 
-def render_cloth(points: ArrayLike, faces: ArrayLike, *, size: tuple[int, int] = (900, 700), **scene: Any) -> Image:
-    """Return a shaded picture of a cloth with the killer triangles of its loops.
+def render_cloth(
+    points: ArrayLike, faces: ArrayLike, *, size: tuple[int, int] = (900, 700), **scene: Any
+) -> Image.Image:
+    """Return a shaded picture of a cloth with the killer triangles of its loops, as an RGB image of Pillow.
 
     Where PyVista cannot draw the picture is `plot_cloth`'s, and one line on stderr says what to install.
 
     Parameters
     ----------
-    points : (N, 3) array_like
-        Metres, z up.
-    faces : (F, 3) array_like of int
-        The points alone are drawn when there are none.
+    points, faces : (N, 3) and (F, 3) array_like
+        As of `Scene`.
     size : (2,) int
         Width and height in pixels.
     **scene
         What else is drawn, and from where: the other parameters of `Scene`.
-
-    Returns
-    -------
-    PIL.Image.Image
-        RGB, of the size asked for; a notebook shows it, `numpy.asarray` gives its pixels.
     """
-    from PIL import Image
-
     checked = Scene(points, faces, **scene)
     works, reason = pyvista_works()
     if not works:
@@ -136,10 +118,14 @@ def save_animation(
         raise ValueError(f"every must be a whole number of frames, 1 or more, not {every}")
     if states:
         one_a_frame(episode, states)
-    pictures = [
-        _quantized(render_cloth(points, episode.faces, size=size, **picture))
-        for points, picture in _moments(episode, states, int(every), scene)
-    ]
+    corners = np.concatenate([episode.points.reshape(-1, 3), episode.centre_line])
+    scene = {"focus": (corners.min(axis=0) + corners.max(axis=0)) / 2} | scene  # the camera stands still
+    scene |= {"true_loops": episode.loops, "centre_line": episode.centre_line}
+    pictures = []
+    for frame in range(0, len(episode), int(every)):
+        loops = states[frame].loops if states else ()
+        picture = render_cloth(episode.points[frame], episode.faces, size=size, loops=loops, **scene)
+        pictures.append(picture.quantize(160, Image.Quantize.FASTOCTREE))  # a median cut loses small patches of colour
     pause = max(20, round(1000 * episode.dt * every))  # milliseconds; browsers slow down what is faster
     options: dict[str, Any] = {"save_all": True, "duration": pause, "loop": 0, "optimize": True}
     with atomic_file(path) as file:
@@ -147,39 +133,12 @@ def save_animation(
     return path
 
 
-def _moments(
-    episode: Episode, states: Sequence[TopologicalState], every: int, scene: dict[str, Any]
-) -> Iterator[tuple[Array, dict[str, Any]]]:
-    """The cloth in every frame that is drawn, and what is drawn with it, by a camera that stands still."""
-    corners = np.concatenate([episode.points.reshape(-1, 3), episode.centre_line])
-    fixed = {"focus": (corners.min(axis=0) + corners.max(axis=0)) / 2, "rods": list(scene.pop("rods", ()))} | scene
-    fixed |= {"true_loops": episode.loops, "centre_line": episode.centre_line}
-    for frame in range(0, len(episode), every):
-        yield episode.points[frame], fixed | {"loops": states[frame].loops if states else ()}
-
-
-def _quantized(picture: Image) -> Image:
-    from PIL.Image import Quantize
-
-    return picture.quantize(160, Quantize.FASTOCTREE)  # a median cut loses small patches of colour
-
-
 @functools.cache
 def _tell(reason: str) -> None:
     print(f"topokit.view: a plainer picture by Matplotlib. {reason}", file=sys.stderr)
 
 
-def _window() -> dict[str, str]:
-    """The environment in which VTK opens no window: EGL on Linux without a display."""
-    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        return {"VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"}
-    return {}
-
-
 def _by_matplotlib(scene: Scene, size: tuple[int, int]) -> NDArray[np.uint8]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100)
     canvas: Any = FigureCanvasAgg(figure)
     draw_cloth(figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d"), scene)
@@ -193,19 +152,23 @@ def _pyvista() -> Any:
     with warnings.catch_warnings():
         # Notebooks without ipywidgets would show it, and no picture has a progress bar.
         warnings.filterwarnings("ignore", "IProgress not found")
-        return importlib.import_module("pyvista")
+        import pyvista
+    return pyvista
 
 
 def _by_pyvista(scene: Scene, size: tuple[int, int]) -> NDArray[np.uint8]:
-    os.environ.update(_window())
+    os.environ.update(_WINDOW)
     pyvista = _pyvista()
     plotter = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="none")
     plotter.set_background("#DCE3EA", top="#FFFFFF")
     extent = float(np.ptp(scene.points, axis=0).max(initial=0.0)) or 1.0
     _add_cloth(plotter, scene)
-    for line, radius in scene.rods:
-        _add_rod(plotter, line, radius)
-    for cycle in scene.true_loops:
+    for line, radius in scene.capsules:
+        _add_tube(plotter, line, radius, _STEEL, **_GLOSS)
+        for end in line[[0, -1]]:
+            ball = pyvista.Sphere(radius=radius, center=end, theta_resolution=24, phi_resolution=24)
+            plotter.add_mesh(ball, color=_STEEL, smooth_shading=True, ambient=0.35, **_GLOSS)
+    for cycle in scene.cycles:
         _add_tube(plotter, cycle, 0.0035 * extent, INK)
     for loop in scene.loops:
         _add_loop(plotter, loop, extent, direction(*scene.view))
@@ -247,14 +210,6 @@ def _add_tube(plotter: Any, line: Array, radius: float, colour: str, **look: flo
     wall = _pyvista().lines_from_points(line).tube(radius=radius, n_sides=20, capping=True)
     wall = wall.compute_normals(auto_orient_normals=True, split_vertices=True, feature_angle=60)
     plotter.add_mesh(wall, color=colour, smooth_shading=True, ambient=0.35, **look)
-
-
-def _add_rod(plotter: Any, line: Array, radius: float) -> None:
-    """A tube with round ends."""
-    _add_tube(plotter, line, radius, _STEEL, **_GLOSS)
-    for end in line[[0, -1]]:
-        ball = _pyvista().Sphere(radius=radius, center=end, theta_resolution=24, phi_resolution=24)
-        plotter.add_mesh(ball, color=_STEEL, smooth_shading=True, ambient=0.35, **_GLOSS)
 
 
 def _add_loop(plotter: Any, loop: Loop, extent: float, eye: Array) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 
-from ._palette import loop_colour
+from ._plots import loop_colour
 
 __all__ = ["model_label", "plot_accuracy", "plot_by_horizon", "plot_conditions", "plot_treatments"]
 

@@ -1,23 +1,134 @@
-"""Figures of planar clouds that the reader changes: a growing complex, an observed scene, a small motion, a nudge.
+"""Figures of the browser: the data-flow picture, and planar clouds that the reader changes, on pages without a kernel.
 
-Idea: a page gets the points and little else. `rips.js` computes their loops, by the same lunes as `topokit.rips`, and `match.js`
-matches diagrams as `topokit.lemmas` does, in a few milliseconds; so the reader can drag a point and see what changes. Tests hold
-their answers to topokit's. Taught in chapters 1 to 5.
+Idea: the data are packed once beside scripts without dependencies, and the page is handed to the browser as the `srcdoc` of an
+iframe. So it works the same in Jupyter, on a built page and as a file, and asks nothing of the network. `rips.js` computes loops
+by the same lunes as `topokit.rips`, and `match.js` matches diagrams as `topokit.lemmas` does, in a few milliseconds, so that
+points can be dragged. Tests hold their answers to topokit's. Taught in chapters 1 to 5.
 """
 
 from __future__ import annotations
 
+import html
+import json
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import as_points, positive
-from topokit.view._frame import Framed, framed
+from topokit.lemmas import vertex_ids
+from topokit.view._plots import OKABE_ITO
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
 REACHES = (0.05, 1e-3, 1e-6, 1e-9)
+
+
+@dataclass(frozen=True, repr=False)
+class Framed:
+    """A moving figure; the last value of a notebook cell shows it."""
+
+    page: str  #: the whole HTML page, its data and its script inside
+    height: int  #: of the frame in CSS pixels; a narrow page stacks the parts and takes more
+    title: str  #: what the frame is called for readers who hear the page
+
+    def _repr_html_(self) -> str:
+        source = html.escape(self.page, quote=True)
+        return (
+            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" '
+            f'style="width:100%;height:{self.height}px;border:0;display:block"></iframe>'
+        )
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.title!r}, {len(self.page) / 1000:.0f} kB)"
+
+    def save(self, path: str | Path) -> Path:
+        """Write the figure as one HTML file that opens in any browser, and return its path."""
+        path = Path(path)
+        path.write_text(self.page, encoding="utf-8")
+        return path
+
+
+def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: int, caption: str, title: str) -> Framed:
+    """The page `name`: its parts, `name`.html, in the frame that all share, and its script, `name`.js, after `scripts`."""
+    data = data | {"height": int(height), "title": caption, "palette": list(OKABE_ITO)}
+    code = "\n".join(_text(script) for script in ("frame.js", *scripts, f"{name}.js"))
+    parts = {
+        "NAME": name,
+        "STYLE": _text("frame.css"),
+        "PARTS": _text(f"{name}.html"),
+        "SCRIPT": f"(() => {{\n{code}}})();",
+        "DATA": json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),  # it could end the script element
+    }
+    page = _text("frame.html")
+    for part, text in parts.items():
+        page = page.replace(f"__{part}__", text)
+    return Framed(page, height, title)
+
+
+def _text(file: str) -> str:
+    return resources.files("topokit.view").joinpath(file).read_text(encoding="utf-8")
+
+
+# name of the stage -> what leaves it, in the words of the chapters
+STAGES = {
+    "cloth": "vertices",
+    "cloud": "points",
+    "loops": "birth, death, killers",
+    "tracks": "identities",
+    "mixture": "where",
+    "model": "what comes next",
+    "plan": "what to do",
+}
+_WIDTH, _HEIGHT, _GAP = 92, 46, 24
+
+
+@dataclass(frozen=True)
+class DataFlow:
+    """The picture; a notebook shows it, in the colours of the page around it."""
+
+    svg: str = field(repr=False)  #: as SVG text
+
+    def _repr_html_(self) -> str:
+        return f'<div class="topokit-flow">{self.svg}</div>'
+
+
+def data_flow(*lit: str) -> DataFlow:
+    """Return the picture of the stages from cloth to plan, with the stages named in `lit` filled.
+
+    Raises
+    ------
+    ValueError
+        When a name is no stage.
+    """
+    for name in set(lit) - set(STAGES):
+        raise ValueError(f"no stage {name!r}; there are {', '.join(STAGES)}")
+    parts = [_stage(column, name, name in lit) for column, name in enumerate(STAGES)]
+    width = len(STAGES) * (_WIDTH + _GAP) - _GAP + 4
+    label = f"From cloth to plan in seven stages; this chapter is about {', '.join(lit) or 'none of them'}."
+    return DataFlow(
+        f'<svg viewBox="0 0 {width} {_HEIGHT + 30}" role="img" aria-label="{label}" '
+        'style="width:100%;max-width:820px;height:auto;display:block" font-family="system-ui,sans-serif" '
+        f'fill="currentColor" text-anchor="middle">{"".join(parts)}</svg>'
+    )
+
+
+def _stage(column: int, name: str, lit: bool) -> str:
+    x, middle = 2 + column * (_WIDTH + _GAP), 2 + _HEIGHT / 2
+    blue = OKABE_ITO[1]
+    fill = f'fill="{blue}" stroke="{blue}"' if lit else 'fill="none" stroke="currentColor" opacity="0.55"'
+    ink = 'fill="#ffffff" font-weight="600"' if lit else 'opacity="0.75"'
+    arrow = f"M{x - _GAP + 3} {middle}H{x - 7}m-5 -4l5 4l-5 4"
+    return (
+        (f'<path d="{arrow}" fill="none" stroke="currentColor" opacity="0.6"/>' if column else "")
+        + f'<rect x="{x}" y="2" width="{_WIDTH}" height="{_HEIGHT}" rx="7" {fill}/>'
+        + f'<text x="{x + _WIDTH / 2}" y="{middle + 5}" font-size="15" {ink}>{name}</text>'
+        + f'<text x="{x + _WIDTH / 2}" y="{_HEIGHT + 20}" font-size="11" opacity="0.8">{STAGES[name]}</text>'
+    )
 
 
 def growth(
@@ -31,8 +142,7 @@ def growth(
     """Return an interactive figure of the Rips complex of a planar cloud as the radius grows, and of its loops.
 
     Beside the complex stand its diagram, where a loop is a circle while it lives and a dot once it is dead, and its bars.
-    The tightest cycle of a living loop, its killer edge and its killer triangles have one colour. Points can be dragged;
-    the page then computes their loops anew.
+    The tightest cycle of a living loop, its killer edge and its killer triangles have one colour. Points can be dragged.
 
     Parameters
     ----------
@@ -51,11 +161,6 @@ def growth(
     ------
     ValueError
         When `start` lies beyond `max_radius`.
-
-    Examples
-    --------
-    >>> growth([[0, 0], [4, 0], [4, 3], [0, 3]], start=2)
-    Framed('Rips complex of 4 points', ... kB)
     """
     cloud = planar(points, "points", MOST_POINTS)
     first = None if start is None else positive(start, "start")
@@ -71,8 +176,7 @@ def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a po
 
     Balls of the covering radius alpha stand around the observed points. In the diagram every loop of the scene that lives
     longer than alpha has a square of side alpha, in which it must be seen. The third part shows alpha against the number of
-    points for farthest-point samples, with the lifetimes of the long-lived loops as dashed lines. The reader hides points,
-    draws others, drags them.
+    points for farthest-point samples. The reader hides points, draws others, drags them.
 
     Parameters
     ----------
@@ -82,14 +186,7 @@ def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a po
         Which of them are observed at first, O.
     title : str
         The caption in the corner of the figure.
-
-    Examples
-    --------
-    >>> coverage([[0, 0], [4, 0], [4, 3], [0, 3]], [0, 1, 2])
-    Framed('3 of 4 points observed', ... kB)
     """
-    from topokit.lemmas import vertex_ids  # with numba, which no other picture needs
-
     cloud = planar(points, "points", MOST_POINTS)
     ids = vertex_ids(cloud, observed)
     data = {"points": cloud.tolist(), "observed": ids.tolist()}
@@ -116,11 +213,6 @@ def motion(points: ArrayLike, epsilon: float, after: ArrayLike | None = None) ->
     ------
     ValueError
         When `after` is another number of points.
-
-    Examples
-    --------
-    >>> motion([[0, 0], [4, 0], [4, 3], [0, 3]], 0.3)
-    Framed('4 points, each within 0.3 of its place', ... kB)
     """
     cloud, radius = planar(points, "points", MOST_POINTS), positive(epsilon, "epsilon", zero=False)
     target = None if after is None else planar(after, "after", MOST_POINTS)
@@ -135,9 +227,8 @@ def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> Framed:
     """Return an interactive figure of how far three places of the longest-lived loop move when one point does.
 
     The places are the killer edge (compared by Hausdorff distance), the barycentre of the thick killer triangle, and the
-    centroid of the representative cycle, by length. A slider moves the point by at most a twentieth, a thousandth, a millionth
-    or a billionth of a unit; charts beside the picture show the moves, and birth and death, over its whole range. Any point
-    can be chosen and dragged; the page then computes everything anew.
+    centroid of the representative cycle, by length. A slider moves the point by at most a twentieth to a billionth of a unit;
+    charts show the moves, and birth and death, over its whole range. Any point can be chosen and dragged.
 
     Parameters
     ----------
@@ -148,11 +239,6 @@ def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> Framed:
     ------
     ValueError
         When there is no cloud.
-
-    Examples
-    --------
-    >>> nudge([[0, 0], [4, 0], [4, 3], [0, 3]])
-    Framed('Loop of 4 points, nudged', ... kB)
     """
     given = points if isinstance(points, Mapping) else {"points": points}
     clouds = {str(name): planar(cloud, str(name), MOST_NUDGED) for name, cloud in given.items()}
@@ -168,9 +254,7 @@ def planar(points: ArrayLike, name: str, most: int | None = None) -> NDArray[np.
     """A cloud of the plane with 1 to `most` points, every digit kept, since ties must stay ties; or ValueError."""
     cloud = as_points(points, name)
     if cloud.shape[1] != 2:
-        raise ValueError(
-            f"{name} must lie in the plane, not in {cloud.shape[1]} dimensions; choose two, as {name}[:, :2]"
-        )
+        raise ValueError(f"{name} must lie in the plane, not in {cloud.shape[1]} dimensions; choose two of them")
     if most and not 1 <= len(cloud) <= most:
         raise ValueError(f"{name} must be 1 to {most} points, not {len(cloud)}; see topokit.farthest_point_sample")
     return cloud
