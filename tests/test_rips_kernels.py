@@ -176,7 +176,7 @@ def test_more_edges_or_loops_than_memory_is_allowed_for(monkeypatch):
 def test_any_change_of_a_kernel_file_makes_compiled_kernels_stale(tmp_path):
     folder = Path(_jit.__file__).parent
     kernels = [path for path in folder.glob("*.py") if "njit" in path.read_text()]
-    assert {"kernel.py", "_edges.py", "_tree.py", "_lunes.py", "_paths.py", "_creators.py"} <= {
+    assert {"kernel.py", "_edges.py", "_tree.py", "_lunes.py", "_cycles.py", "_creators.py"} <= {
         path.name for path in kernels
     }
     for path in kernels:
@@ -276,12 +276,15 @@ def test_many_says_which_cloud_is_bad(capsys):
     assert "2 of 2 clouds" in capsys.readouterr().err
 
 
-def test_long_compilation_is_announced(monkeypatch, capsys):
-    monkeypatch.setattr(_cloud, "_PATIENCE", 0.01)
-    with _cloud._announced("compiling"):
-        time.sleep(0.2)
-    assert capsys.readouterr().err == "compiling\n"
-    with _cloud._announced("compiling"):
-        pass
-    time.sleep(0.05)
-    assert capsys.readouterr().err == ""
+@pytest.mark.parametrize(("seconds", "said"), [(0.3, "compiling the persistence kernel for matrices"), (0.0, "")])
+def test_long_compilation_is_announced(monkeypatch, capsys, seconds, said):
+    monkeypatch.setattr(_cloud, "_PATIENCE", 0.1)
+    monkeypatch.setattr(_cloud, "_ready", set())
+    monkeypatch.setattr(_cloud, "_run", lambda *_: time.sleep(seconds))
+    _cloud._compile(())
+    time.sleep(0.2)
+    message = capsys.readouterr().err
+    assert said in message
+    assert message.count("\n") == bool(said)
+    monkeypatch.setattr(_cloud, "_run", None)
+    _cloud._compile(())  # once is enough

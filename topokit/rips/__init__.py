@@ -30,8 +30,7 @@ def rips_persistence(
 ) -> Diagram:
     """Compute the loops of a point cloud: degree-1 Vietoris-Rips persistence, exactly.
 
-    Edges are ordered by (length, smaller index, larger index); this order decides every tie, so the answer is
-    deterministic, and births and deaths do not depend on the order of the points.
+    Edges are ordered by (length, smaller index, larger index), which decides every tie.
 
     Parameters
     ----------
@@ -43,24 +42,16 @@ def rips_persistence(
         Leave out loops with a shorter lifetime. Loops of lifetime zero are always left out.
     metric : {"euclidean", "precomputed"}
 
-    Returns
-    -------
-    Diagram
-        Longest lifetime first. Empty for fewer than four points, which can have no loop.
-
     Raises
     ------
-    TypeError, ValueError
-        When `points` is not a finite (n, d) array, the matrix is not square, symmetric, zero on its diagonal and not
-        negative, or an option is out of range.
     MemoryError
         When the tables would take more than 4.3 GB. They hold a bit for each pair of points (0.3 GB for 50,000 points), a
-        sixteenth of a byte for each pair of loops, however short, and 76 bytes for each edge of those that are sorted at a
-        time: about four million, or as many as have the same length. Take a subset then (`farthest_point_sample`).
+        sixteenth of a byte for each pair of loops, however short, and 76 bytes for each of the edges sorted at a time: four
+        million, or as many as have the same length. Take a subset then (`farthest_point_sample`).
 
     Examples
     --------
-    Four corners of a square: the loop is born with the last side and dies with the first diagonal.
+    The loop of a square is born with the last side and dies with the first diagonal.
 
     >>> dgm = rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]])
     >>> dgm.birth, dgm.death.round(4), dgm.killer_edge
@@ -101,21 +92,16 @@ def rips_persistence_many(
     ----------
     clouds : (T, n, d) array_like or list of (n_t, d) array_like
     n_jobs : int, optional
-        Threads; as many as there are cores to run on when not given.
+        Threads; by default one for each core.
     progress : bool
         Count the clouds done on stderr.
     max_radius, min_lifetime : float
         As in `rips_persistence`.
 
-    Returns
-    -------
-    list of Diagram
-        In the order of the clouds.
-
     Raises
     ------
-    TypeError, ValueError
-        As `rips_persistence`, naming the cloud, before anything is computed.
+    ValueError
+        When `n_jobs` is less than 1.
 
     Examples
     --------

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 import threading
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,10 +22,9 @@ Pairs = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points or distances, checked and copied.
+    """Points or distances. Squared lengths order edges of points: roots may hide a difference.
 
-    Edges of points are ordered by squared length: roots may hide a difference. A power of two saves squares from overflow
-    and underflow, and costs no digit.
+    A power of two saves squares from overflow and underflow, and costs no digit.
     """
 
     data: NDArray[np.float64]  # (n, d) coordinates times `scale`, d >= 3; or (n, n) distances
@@ -36,7 +33,7 @@ class Cloud:
 
     @classmethod
     def of(cls, points: ArrayLike, metric: str = "euclidean") -> Cloud:
-        """Check `points`, (n, d) coordinates or with ``metric="precomputed"`` the (n, n) distances, and copy them."""
+        """Check and copy (n, d) coordinates, or with ``metric="precomputed"`` the (n, n) distances."""
         if metric not in ("euclidean", "precomputed"):
             raise ValueError(f'metric must be "euclidean" or "precomputed", not {metric!r}')
         array = as_points(points)
@@ -45,9 +42,7 @@ class Cloud:
             return cls(array.copy(), (), 1.0)
         exponent = int(np.frexp(np.abs(array).max(initial=0.0))[1])
         scale = 2.0 ** -min(max(exponent, -1000), 1000)
-        flat = np.zeros(
-            (len(array), max(3 - array.shape[1], 0))
-        )  # the plane is a part of space: fewer kernels to compile
+        flat = np.zeros((len(array), max(3 - array.shape[1], 0)))  # in space: fewer kernels to compile
         data = np.hstack([array * scale, flat])
         return cls(data, (0,) * data.shape[1], scale)
 
@@ -79,9 +74,7 @@ def squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.
 def _check_distances(matrix: NDArray[np.float64]) -> None:
     """Raise ValueError when the matrix cannot be one of distances; the message names the entry."""
     if matrix.shape[0] != matrix.shape[1]:
-        raise ValueError(
-            f'with metric="precomputed", points must be a square matrix of distances, not of shape {matrix.shape}'
-        )
+        raise ValueError(f"the matrix of distances must be square, not of shape {matrix.shape}")
     for wrong, what in (
         (matrix < 0, "negative"),
         (matrix != matrix.T, "not symmetric"),
@@ -89,18 +82,15 @@ def _check_distances(matrix: NDArray[np.float64]) -> None:
     ):
         if wrong.any():
             i, j = np.argwhere(wrong)[0].tolist()
-            raise ValueError(
-                f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]} there and {matrix[j, i]} at [{j}, {i}]"
-            )
+            raise ValueError(f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]} and {matrix[j, i]}")
 
 
 def pairs(cloud: Cloud, max_radius: float) -> Pairs:
     """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,)."""
-    if len(cloud) < 4 or (
-        cloud.axes and not cloud.data[:, 1:].any()
-    ):  # a loop needs four vertices, and room to go around
+    on_a_line = bool(cloud.axes) and not cloud.data[:, 1:].any()
+    if len(cloud) < 4 or on_a_line:
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
-    created, killed = _kernel(cloud, cloud.key_of(2 * max_radius))
+    created, killed = _within_memory(cloud, cloud.key_of(2 * max_radius))
     birth, death = (cloud.lengths(edges[:, 0], edges[:, 1]) / 2 for edges in (created, killed))
     death[(killed[:, 0] < 0) | (death > max_radius)] = np.inf
     killed[np.isinf(death)] = -1
@@ -108,25 +98,19 @@ def pairs(cloud: Cloud, max_radius: float) -> Pairs:
     return created[inside], killed[inside], birth[inside], death[inside]
 
 
-def _kernel(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Run the kernel within `MEMORY`."""
+def _within_memory(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     n = len(cloud)
     bits = n * ((n + 63) // 64) * 8
-    if bits > MEMORY:
-        raise _too_large(n, f"{bits / 1e9:.1f} GB for a bit for each pair of points")
-    _compile(cloud.axes)
     try:
+        if bits > MEMORY:
+            raise MemoryError(f"{bits / 1e9:.1f} GB for a bit for each pair of points")
+        _compile(cloud.axes)
         return _run(cloud, max_length, MEMORY - bits)
     except MemoryError as error:
-        what = "edges of the same length" if "one length" in str(error) else "loops, however short"
-        raise _too_large(n, f"more than that: there are very many {what}") from error
-
-
-def _too_large(n: int, needs: str) -> MemoryError:
-    return MemoryError(
-        f"persistence may take {MEMORY / 1e9:.1f} GB for one cloud, and these {n} points need {needs}; "
-        "take a subset (topokit.farthest_point_sample)"
-    )
+        raise MemoryError(
+            f"persistence may take {MEMORY / 1e9:.1f} GB for one cloud, and these {n} points need {error}; "
+            "take a subset (topokit.farthest_point_sample)"
+        ) from error
 
 
 def _run(cloud: Cloud, max_length: float, spare: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -156,18 +140,11 @@ def _compile(axes: tuple[int, ...]) -> None:
         if axes in _ready:
             return
         what = f"points in {len(axes)} dimensions" if axes else "matrices of distances"
-        with _announced(f"topokit: compiling the persistence kernel for {what} (once; kept for the next time)"):
+        message = f"topokit: compiling the persistence kernel for {what} (once; kept for the next time)"
+        notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
+        notice.start()
+        try:
             _run(Cloud(np.zeros((4, len(axes) or 4)), axes, 1.0), 1.0, MEMORY)
+        finally:
+            notice.cancel()
         _ready.add(axes)
-
-
-@contextlib.contextmanager
-def _announced(message: str) -> Iterator[None]:
-    """Say on stderr what is being waited for, when it takes long."""
-    timer = threading.Timer(_PATIENCE, lambda: print(message, file=sys.stderr, flush=True))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()

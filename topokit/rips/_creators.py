@@ -1,8 +1,8 @@
 """Relations between loops, written in creators and reduced.
 
 A relation is a cycle that bounds. Each of its edges is replaced by the two other edges of a triangle on it, again and again,
-until all have empty lunes; those that joined two components form a tree and count as nothing, so the others, which created
-loops, say which cycle it is.
+until all have empty lunes; those that joined two components form a tree and count as nothing, so the others, the *creators* of
+loops, say which cycle it is. Persistence is the reduction of these short sets, youngest creator first.
 """
 
 from __future__ import annotations
@@ -35,12 +35,9 @@ def lowest(word):
 
 @njit(forceinline=True)
 def _lune_vertex(data, axes, rows, label, a, b):
-    """A vertex of the lune that {a, b} had when it arrived: one near the middle, or that whose longer edge is shortest.
-
-    Near is what is little farther from both ends than half the length, or a quarter of the square; which one does not matter.
-    """
+    """A vertex of the lune that {a, b} had when it arrived: one near the middle, or that whose longer edge is shortest."""
     length = edge_length(data, a, b, axes)
-    near = (0.63 if len(axes) == 0 else 0.4) * length
+    near = (0.63 if len(axes) == 0 else 0.4) * length  # a little more than half of it, or a quarter of the square
     best, best_value = -1, np.inf
     for w in range(rows.shape[1]):
         both = rows[a, w] & rows[b, w]
@@ -117,7 +114,7 @@ def with_loop(loops, born, x, y, spare):
     """The loops with one more, created by the edge {x, y}."""
     if born == len(loops.created):
         if 8 * (first_word(born) + first_word(2 * born)) > spare:
-            raise MemoryError("loops")
+            raise MemoryError("more than that: there are very many loops, however short")
         more = new_loops(2 * born)
         more.created[:born], more.killed[:born] = loops.created, loops.killed
         more.columns[: len(loops.columns)] = loops.columns
@@ -140,17 +137,7 @@ def _pivot(column):
 
 @njit()
 def reduce_column(column, columns, killed):
-    """Reduce a column by those of the loops that are dead; return the loop it kills, -1 for none.
-
-    Parameters
-    ----------
-    column : (words,) uint64
-        A relation as the bitset of its creators; changed.
-    columns : (all words,) uint64
-        The columns of the dead loops, one after the other.
-    killed : (c, 4) int64
-        Killer edges and apexes of the loops, -1 for those that are alive.
-    """
+    """Reduce a relation, the bitset of its creators, by those of the dead loops; return the loop it kills, -1 for none."""
     pivot = _pivot(column)
     while pivot >= 0 and killed[pivot, 0] >= 0:
         first = first_word(pivot)

@@ -1,9 +1,7 @@
 """Closed walks around loops: one that is short at birth and dies when its loop does, and shorter ones in the same class.
 
-Idea: a cycle of the Rips complex, written in *creators* (the edges that made loops), is a short set: an edge with a
-non-empty lune counts as the two other edges of a triangle on it, a tree edge as nothing. The relations that kill loops,
-reduced, turn that set into the cycle's *class*: nothing is left of it exactly when the cycle is a boundary. Both are worked
-out only for the edges and relations that are asked for.
+Idea: a cycle, written in creators as in `kernel`, is a short set. The relations that kill loops, reduced, turn that set into
+the cycle's *class*: nothing is left of it exactly when the cycle is a boundary. Both are worked out only when asked for.
 
 The shortest way around a birth edge {x, y} is the shortest path from x to y before it arrives. It may go around an older
 loop as well and then outlives the bar. So the search runs in pairs (vertex, class of the path so far), as in a covering
@@ -18,34 +16,33 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
+from functools import reduce
+from itertools import pairwise, starmap
+from operator import xor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._cloud import Cloud
-from ._edges import edge_length
-from ._paths import Time, lune_vertex, neighbours, shortest_paths
+from ._edges import edge_length, precedes
+from ._jit import njit
 
 SEARCH_LIMIT = 20_000  # pairs (vertex, class) looked at before a search gives up
 Edge = tuple[int, int]
+Time = tuple[float, int, int]  # what `edge_length` says of an edge, and its ends
+NEVER: Time = (math.inf, 0, 0)
+_Array = NDArray[np.float64]
+_Axes = tuple[int, ...]
 
 
 class Homology:
-    """Degree-1 classes in the Rips filtration of a cloud, as sets of creators: an int, bit c for the c-th loop born.
-
-    Parameters
-    ----------
-    cloud : Cloud
-    created, killed : (c, 2) and (c, 4) int64
-        The edges that create loops, in order; for each the killer edge and its two apexes, -1 when nothing kills it.
-    """
+    """Degree-1 classes in the Rips filtration of a cloud, as sets of creators: an int, bit c for the c-th loop born."""
 
     def __init__(self, cloud: Cloud, created: NDArray[np.int64], killed: NDArray[np.int64]) -> None:
         self._data, self._axes = cloud.data, cloud.axes
         self._creator: dict[Edge, int] = {(a, b): c for c, (a, b) in enumerate(created.tolist())}
         self._killers: list[list[int]] = killed.tolist()
-        self._killed_at = [self.time(x, y) if x >= 0 else (math.inf, 0, 0) for x, y, _, _ in self._killers]
+        self._killed_at = [self.time(x, y) if x >= 0 else NEVER for x, y, _, _ in self._killers]
         self._edges: dict[Edge, int] = {}  # edges written in creators
         self._columns: dict[int, int] = {}  # reduced relations, by youngest creator
         self._classes: dict[Edge, int] = {}  # of edges, at the time that was asked for last
@@ -83,42 +80,41 @@ class Homology:
                     waiting += [one, other]
         return self._edges[edge]
 
-    def class_of(self, edges: Iterable[Edge], time: Time) -> int:
-        """The class of a chain in the complex just before a time; 0 for a cycle that is a boundary there.
+    def _around(self, walk: Sequence[int]) -> int:
+        """A closed walk written in creators."""
+        return reduce(xor, starmap(self.in_creators, sides(walk)))
 
-        It is linear in the chain: what is left of its creators when all relations that came before are used up.
-        """
+    def class_of(self, edges: Iterable[Edge], time: Time) -> int:
+        """The class of a chain in the complex just before a time, linear in the chain; 0 for a boundary."""
         if time != self._classes_at:
             self._classes_at, self._classes = time, {}
         total = 0
         for a, b in edges:
             edge = (a, b) if a < b else (b, a)
             if edge not in self._classes:
-                self._classes[edge] = self._reduced(self.in_creators(a, b), time)
+                self._classes[edge] = self._reduced(self.in_creators(a, b), time)[0]
             total ^= self._classes[edge]
         return total
 
-    def _reduced(self, column: int, time: Time) -> int:
-        """What is left of a set of creators when all relations that came before a time are used up."""
-        left = 0
+    def _reduced(self, column: int, time: Time) -> tuple[int, set[int]]:
+        """What relations before a time leave of a set of creators; creators that are left or are such a relation's youngest."""
+        left, used = 0, set[int]()
         while column:
             youngest = column.bit_length() - 1
+            used.add(youngest)
             if self._killed_at[youngest] < time:
                 column ^= self._columns.get(youngest) or self._relation_of(youngest)
             else:
                 left |= 1 << youngest
                 column ^= 1 << youngest
-        return left
+        return left, used
 
     def killers_of(self, walks: Iterable[Sequence[int]]) -> list[Edge | None]:
-        """For closed walks in order: the edge with which each becomes a boundary or homologous to a sum of earlier ones.
-
-        That edge is a killer, or the walk's own latest edge if it is so as soon as it is there; None when it never is.
-        """
+        """For closed walks in order: the edge with which each becomes a boundary or homologous to a sum of earlier ones."""
         edges, settled = list[Edge | None](), dict[int, set[int]]()
         for walk in walks:
             last = max(self.time(a, b) for a, b in sides(walk))
-            used, latest = self._relations(sides(walk)), -1
+            (_, used), latest = self._reduced(self._around(walk), NEVER), -1
             while used and (latest := max(used, key=self._killed_at.__getitem__)) in settled:
                 used = used ^ settled[latest]
             if used:
@@ -127,20 +123,6 @@ class Homology:
             edges.append(None if last[0] == math.inf else last[1:])
         return edges
 
-    def _relations(self, cycle: Iterable[Edge]) -> set[int]:
-        """The reduced relations whose sum a cycle is, by their creators; their pivots differ, so there is one such sum."""
-        column, used = 0, set[int]()
-        for a, b in cycle:
-            column ^= self.in_creators(a, b)
-        while column:
-            youngest = column.bit_length() - 1
-            used.add(youngest)
-            if self._killed_at[youngest][0] == math.inf:
-                column ^= 1 << youngest
-            else:
-                column ^= self._columns.get(youngest) or self._relation_of(youngest)
-        return used
-
     def _relation_of(self, creator: int) -> int:
         """The relation that kills a loop, reduced by those before it until the loop is its youngest."""
         waiting, unfinished = [creator], dict[int, int]()
@@ -148,9 +130,7 @@ class Homology:
             c = waiting[-1]
             if c not in unfinished:
                 x, y, first, further = self._killers[c]
-                unfinished[c] = 0
-                for a, b in ((x, first), (first, y), (y, further), (further, x)):
-                    unfinished[c] ^= self.in_creators(a, b)
+                unfinished[c] = self._around([x, first, y, further])
             while (youngest := unfinished[c].bit_length() - 1) != c and youngest in self._columns:
                 unfinished[c] ^= self._columns[youngest]
             if youngest == c:
@@ -186,10 +166,7 @@ class Homology:
     def path_in_class(
         self, source: int, target: int, time: Time, death: Time, wanted: int, bound: float = math.inf
     ) -> list[int]:
-        """The shortest path along edges that precede a time whose class before `death` is the one that is wanted.
-
-        Returns [] when none is shorter than the bound, or none is found among the first `SEARCH_LIMIT` pairs.
-        """
+        """The shortest path before a time whose class before `death` is the one wanted; [] if none is found below the bound."""
         remaining = shortest_paths(self._data, self._axes, time, np.array([target]), -1)[0].tolist()
         start, goal = (source, 0), (target, wanted)
         best, before = {start: (0.0, 0)}, {start: start}
@@ -269,3 +246,65 @@ def _spliced(walk: list[int], bridge: list[int], other: list[int]) -> list[int]:
     i, j = walk.index(bridge[0]), other.index(bridge[-1])
     detour = [*bridge[:-1], *other[j:], *other[: j + 1], *bridge[-2::-1]]
     return [*walk[:i], *detour, *walk[i + 1 :]]
+
+
+@njit()
+def lune_vertex(data: _Array, axes: _Axes, x: int, y: int) -> int:
+    """The vertex z that completes the earliest triangle before the edge {x, y}, x < y; -1 when its lune is empty."""
+    length = edge_length(data, x, y, axes)
+    best, least = -1, np.inf
+    for z in range(len(data)):
+        if z in (x, y):
+            continue
+        to_x, to_y = edge_length(data, x, z, axes), edge_length(data, y, z, axes)
+        later = max(to_x, to_y)
+        if later < least and precedes(to_x, x, z, length, x, y) and precedes(to_y, y, z, length, x, y):
+            best, least = z, later
+    return best
+
+
+@njit()
+def neighbours(data: _Array, axes: _Axes, v: int, time: Time) -> tuple[NDArray[np.int64], _Array]:
+    """The vertices joined to v before a time, and the lengths of the edges to them."""
+    found, lengths, size = np.empty(len(data), np.int64), np.empty(len(data)), 0
+    for w in range(len(data)):
+        key = edge_length(data, v, w, axes)
+        if w != v and precedes(key, v, w, time[0], time[1], time[2]):
+            found[size], lengths[size] = w, key if len(axes) == 0 else np.sqrt(key)
+            size += 1
+    return found[:size], lengths[:size]
+
+
+@njit()
+def shortest_paths(
+    data: _Array, axes: _Axes, time: Time, targets: NDArray[np.int64], stop: int
+) -> tuple[_Array, NDArray[np.int64]]:
+    """Lengths of the shortest paths before a time to the nearest target, by Dijkstra's method, and the next vertices on them.
+
+    A length is infinite where there is no path or it is longer than that from `stop` (-1: nowhere); -1 comes after a target.
+    Among equal lengths the path with fewer steps is taken.
+    """
+    n = len(data)
+    length, after = np.full(n, np.inf), np.full(n, -1)
+    steps, done = np.zeros(n, np.int64), np.zeros(n, np.bool_)
+    length[targets] = 0.0
+    while True:
+        v = -1
+        for w in range(n):
+            if not done[w] and length[w] < np.inf and (v < 0 or (length[w], steps[w]) < (length[v], steps[v])):
+                v = w
+        if v < 0 or v == stop:
+            break
+        done[v] = True
+        for w in range(n):
+            if done[w]:
+                continue
+            key = edge_length(data, v, w, axes)
+            if precedes(key, v, w, time[0], time[1], time[2]):
+                way = length[v] + (key if len(axes) == 0 else np.sqrt(key))
+                if way < length[w] or (way == length[w] and steps[v] + 1 < steps[w]):
+                    length[w], after[w], steps[w] = way, v, steps[v] + 1
+    for w in range(n):
+        if not done[w] and w != stop:
+            length[w] = np.inf
+    return length, after

@@ -21,32 +21,20 @@ if TYPE_CHECKING:
 class Diagram:
     """Degree-1 Rips persistence of a point cloud or a distance matrix, longest lifetime first.
 
-    Filtration values are half the diameter of a simplex, in the unit of the points. A loop that `max_radius` keeps from
-    dying has death inf and -1 for its killer's vertices.
-
-    Attributes
-    ----------
-    birth, death : (n,) float64
-    birth_edge, killer_edge : (n, 2) int64
-        Vertex ids, the smaller first. `birth` and `death` are half their lengths.
-    killer_triangles : (n, 2, 3) int64
-        The killer edge and an apex, twice: one apex from each of the two components of the lune that the killing relation
-        joins. The thick triangle, whose apex is farther from the edge's farther end, comes first.
-    n_points : int
-    max_radius : float
+    A loop that `max_radius` keeps from dying has death inf and -1 for its killer's vertices.
     """
 
-    birth: NDArray[np.float64]
-    death: NDArray[np.float64]
-    birth_edge: NDArray[np.int64]
-    killer_edge: NDArray[np.int64]
+    birth: NDArray[np.float64]  #: (n,) half the length of the birth edge, in the unit of the points
+    death: NDArray[np.float64]  #: (n,) half the length of the killer edge
+    birth_edge: NDArray[np.int64]  #: (n, 2) vertex ids, the smaller first
+    killer_edge: NDArray[np.int64]  #: (n, 2)
+    #: (n, 2, 3) the killer edge and an apex, twice: one of each of the two components of the lune that the killing relation
+    #: joins. The thick triangle, whose apex is farther from the edge's farther end, comes first.
     killer_triangles: NDArray[np.int64]
-    n_points: int
-    max_radius: float
+    n_points: int  #: of the cloud
+    max_radius: float  #: where the filtration stopped
     _cloud: Cloud
-    _simplices: tuple[
-        NDArray[np.int64], NDArray[np.int64]
-    ]  # of all loops, the short too: created (c, 2), killed (c, 4)
+    _simplices: tuple[NDArray[np.int64], NDArray[np.int64]]  # of short loops too: created (c, 2), killed (c, 4)
 
     def __post_init__(self) -> None:
         for name in ("birth", "death", "birth_edge", "killer_edge", "killer_triangles"):
@@ -70,13 +58,7 @@ class Diagram:
         Returns
         -------
         (m, 3) int64, m <= 4
-            Outer edge and apex, in the order of the outer edges (thick triangle first). Ties go to the smaller apex; a
-            triangle that is not in the complex at the loop's death is left out. None for a loop that does not die.
-
-        Raises
-        ------
-        IndexError
-            When there is no loop `i`.
+            Outer edge and apex, the thick triangle's first. Triangles that come after the loop's death are left out.
         """
         self._check_index(i)
         found: list[tuple[int, int, int]] = []
@@ -95,26 +77,17 @@ class Diagram:
     def cycle(self, i: int) -> NDArray[np.int64]:
         """A closed walk around loop `i`, tight at its birth: the birth edge and the shortest path around it.
 
-        It is born with the loop and becomes a boundary with the killer edge, not before. Its first and last vertex are the
-        ends of the birth edge; the path between them is the shortest, along edges that precede the birth edge in the total
-        order, for which this is so. (The shortest of all may go around an older loop as well, and would outlive the bar.)
+        It becomes a boundary with the killer edge, not before. The path is the shortest, along edges that precede the birth
+        edge, for which this is so: the shortest of all may go around an older loop as well, and would outlive the bar.
 
-        There are two exceptions. The search for that path gives up where very many older loops are alive. And where the
-        class that dies needs an older loop of another component, no connected walk at birth is in it: of the two rings at
-        the ends of a pipe the older lives on, and what dies is both together. In these cases walks around the older loops
-        are added, there and back over a bridge. Its edges precede the killer edge; used twice, they count as nothing.
-
-        Around a loop that `max_radius` keeps from dying the walk is the shortest.
+        There are two exceptions: where very many older loops are alive, the search for that path gives up, and where what
+        dies are the two rings at the ends of a pipe, no connected walk at birth is in their class. Then walks around older
+        loops are added, there and back over a bridge of edges that precede the killer edge and, used twice, count as nothing.
 
         Returns
         -------
         (length,) int64
-            Vertex ids; the last joins the first.
-
-        Raises
-        ------
-        IndexError
-            When there is no loop `i`.
+            Vertex ids, from one end of the birth edge to the other; the last joins the first.
 
         Examples
         --------
@@ -128,11 +101,10 @@ class Diagram:
         return np.array(walk, dtype=np.int64)
 
     def killers_of(self, walks: Sequence[ArrayLike]) -> NDArray[np.int64]:
-        """Return for closed walks the edges that end them: when is each filled in, or the same as others before it?
+        """Return for closed walks the edges with which they die by the elder rule.
 
-        Half the length of that edge is the walk's death by the elder rule: it becomes a boundary, or homologous to a sum of
-        walks that come before it in `walks`. Alone, it becomes a boundary. So independent walks have different killers,
-        even when one of them merges with another long before both are filled in.
+        With that edge a walk becomes a boundary, or homologous to a sum of walks that come before it in `walks`. So
+        independent walks have different killers, even when they merge long before both are filled in.
 
         Parameters
         ----------
@@ -142,13 +114,12 @@ class Diagram:
         Returns
         -------
         (len(walks), 2) int64
-            Vertex ids, the smaller first: a killer edge, or the walk's own latest edge when it ends as soon as it is there.
-            -1 where `max_radius` keeps a walk from ending.
+            A killer edge, or the walk's own latest edge; -1 where `max_radius` keeps it from ending.
 
         Raises
         ------
-        TypeError, ValueError
-            When a walk does not hold vertex ids, or has no edge.
+        ValueError
+            When a walk has no edge.
 
         Examples
         --------
@@ -181,11 +152,7 @@ def tighten(
     """Shorten a closed walk without leaving its homology class.
 
     Stretches of a third of the walk are replaced by the shortest path between their ends that is homologous to them, until
-    none can be. The walk that comes out has the same class over Z/2 in degree 1 of the complex, and is never longer. It is
-    not always the shortest of its class. A walk that is a boundary shrinks to its first vertex.
-
-    `Diagram.cycle` is already as short as its class allows at its own birth; with a radius between birth and death the loop
-    is drawn tighter, over longer edges.
+    none can be. The walk keeps its class over Z/2; it is not always the shortest of it. A boundary shrinks to a vertex.
 
     Parameters
     ----------
@@ -194,20 +161,19 @@ def tighten(
     cycle : (length,) array_like of int
         Vertex ids; the last joins the first.
     radius : float, optional
-        The complex is VR_radius. By default it is the one at the walk's own birth: all edges up to and with the walk's
-        latest one in the total order (length, smaller index, larger index), and the triangles among them.
+        The complex is VR_radius; by default the one at the walk's own birth, of all edges up to the walk's latest.
     metric : {"euclidean", "precomputed"}
         Of `points`; ignored for a diagram.
 
     Returns
     -------
     (new_length,) int64
-        Vertex ids of a closed walk along edges of the complex, from the first of the old ones that is still there.
+        Vertex ids, from the first of the old ones that is still there.
 
     Raises
     ------
-    TypeError, ValueError
-        When `points` is not a cloud, `cycle` does not hold vertex ids, or the walk has edges longer than the radius allows.
+    ValueError
+        When the walk has edges longer than the radius allows.
 
     Examples
     --------
@@ -230,9 +196,7 @@ def tighten(
     own = float(cloud.lengths(low, np.array(high))) / 2
     bound = (own if radius is None else positive(radius, "radius", infinite=True)) * (1 + 1e-12)
     if own > bound:
-        raise ValueError(
-            f"cycle is not in the complex: it has an edge of half length {own}, longer than radius {radius}"
-        )
+        raise ValueError(f"cycle has an edge of half length {own}, longer than radius {radius}")
     if radius is not None:
         time = max(time, (cloud.key_of(2 * float(radius)), len(cloud), len(cloud)))
     if diagram is not None and bound <= diagram.max_radius:
@@ -247,7 +211,7 @@ def tighten(
 
 
 def _as_walk(cycle: ArrayLike, n_points: int) -> list[int]:
-    """Vertex ids of a closed walk, repeated ones next to each other left out, or say why they are not."""
+    """Vertex ids of a closed walk, repeated ones next to each other left out."""
     ids = np.asarray(cycle)
     if ids.ndim != 1 or len(ids) == 0 or not np.issubdtype(ids.dtype, np.integer):
         raise TypeError(f"cycle must be a sequence of vertex ids, not of shape {ids.shape} and type {ids.dtype}")

@@ -14,7 +14,8 @@ from ._tree import LEAF, between_boxes, centre, nearby_point
 
 WINDOW = 1 << 22  # edges at a time, unless more have one length
 EDGE_BYTES = 76  # of room for an edge while it is sorted
-CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)  # of an edge's length; a little less, for rounding
+# A lune lies within sqrt(3)/2 of its edge's length from the midpoint: what is within the rest is joined to all of it.
+CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)
 FEW = 8  # edges that insertion sorts as quickly as anything
 _BITS = 21  # of an int64 for a vertex, three times: two million vertices
 _MASK = (1 << _BITS) - 1
@@ -43,7 +44,7 @@ def precedes(length, a, b, other, x, y):
 
 @njit()
 def new_room(capacity):
-    """Arrays for `edges_between` to fill, handed on from window to window: fresh memory costs more than what is done in it."""
+    """Arrays for `edges_between`, handed on as fresh memory is slow; the third and fourth get the edges and their lengths."""
     return (
         np.empty(capacity, np.int64),
         np.empty(capacity),
@@ -61,11 +62,7 @@ def ends_of(key):
 
 @njit(forceinline=True)
 def _middle(tree, a, b, shortest, place):
-    """A vertex near the middle of the edges between two leaves; -1 when one is near enough for the lunes to be cones.
-
-    A lune lies within sqrt(3)/2 of the edge's length from its midpoint. What is within the rest of the length is joined to
-    all of it before the edge arrives.
-    """
+    """A vertex near the middle of the edges between two leaves; -1 when one is near enough for the lunes to be cones."""
     spread = centre(tree, a, b, place)
     middle, apart = nearby_point(tree, place)
     near = CONE * np.sqrt(shortest) - spread
@@ -119,7 +116,6 @@ def _edges_of_matrix(data, shortest, longest, keys, lengths):
 
 @njit(forceinline=True)
 def _comes_before(key, length, other_key, other_length, label):
-    """Whether an edge comes before another in the total order."""
     if length != other_length:
         return length < other_length
     a, b, _ = ends_of(key)
@@ -168,22 +164,7 @@ def _sort(room, m, label, shortest, longest):
 
 @njit()
 def edges_between(data, axes, tree, shortest, longest, room, most):
-    """Find the edges with shortest <= length < longest, or with a smaller bound if they are many, in the total order.
-
-    Returns
-    -------
-    room : tuple
-        To be handed to the next call. Its third and fourth arrays hold the edges and their lengths; `ends_of` reads an edge.
-    m : int
-        Number of edges.
-    longest : float
-        The bound up to which these are all edges.
-
-    Raises
-    ------
-    MemoryError
-        When more than `most` edges have the same length.
-    """
+    """Put the edges with shortest <= length < longest, or a smaller bound, in order; return `room`, their number, the bound."""
     while True:
         if len(axes) == 0:
             m = _edges_of_matrix(data, shortest, longest, room[0], room[1])
@@ -198,7 +179,7 @@ def edges_between(data, axes, tree, shortest, longest, room, most):
         elif len(room[0]) < most:
             room = new_room(min(2 * len(room[0]), most))
         else:
-            raise MemoryError("edges of one length")
+            raise MemoryError("more than that: there are very many edges of the same length")
 
 
 @njit()

@@ -1,9 +1,8 @@
 """How late an edge with an empty lune can still come: after the last of them no loop is born any more.
 
 Idea: a point that is nearer to all of two boxes than they are to each other is in the lune of every edge between them. A
-point near the middle is tried, and the one that was tried for the boxes around them. What two leaves are left with is tried
-on the points of the leaves themselves; the few edges that remain are searched. Here a lune holds strictly shorter edges
-only. Where lengths tie that may find an edge too many: the kernel then reads on for nothing, and its answer is the same.
+point near the middle is tried, then the points of two leaves; the few edges that remain are searched. Here a lune holds
+strictly shorter edges only: where lengths tie, the kernel may read on for nothing, and its answer is the same.
 """
 
 from __future__ import annotations

@@ -113,16 +113,6 @@ def centre(tree, a, b, place):
 
 
 @njit(forceinline=True)
-def _square_to(tree, z, place):
-    """Squared distance of a point from a place."""
-    total = 0.0
-    for k in range(len(tree.axes)):
-        step = tree.points[z, k] - place[k]
-        total += step * step
-    return total
-
-
-@njit(forceinline=True)
 def nearby_point(tree, place):
     """A point near a place, and its squared distance: the nearest of the leaf that always taking the nearer box leads to."""
     node = 0
@@ -131,7 +121,10 @@ def nearby_point(tree, place):
         node = left if nearest_in_box(tree, place, left) <= nearest_in_box(tree, place, right) else right
     best, bound = -1, np.inf
     for z in range(tree.start[node], tree.end[node]):
-        square = _square_to(tree, z, place)
+        square = 0.0
+        for k in range(len(tree.axes)):
+            step = tree.points[z, k] - place[k]
+            square += step * step
         if square < bound:
             best, bound = z, square
     return best, bound

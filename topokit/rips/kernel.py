@@ -2,15 +2,10 @@
 
 Idea: edges arrive in the total order (length, smaller index, larger index). Every vertex keeps a bitset of the vertices it
 is joined to, so the lune of an arriving edge {x, y} is row x AND row y. Most lunes are cones: one vertex near the middle of the
-edge, the same for all edges between two small boxes, is joined to all the others. Often it is near enough for that to be sure;
-else one pass over three rows shows it. Of the rest, an empty lune joins two components or creates a loop; a connected one
-changes nothing; each further component of a disconnected one brings a relation x, z_i, y, z_1 that may kill one loop.
-Triangles are never listed.
-
-A relation is written in *creators*, the edges that made loops: an edge with a non-empty lune is replaced by the two other
-edges of a triangle on it, until only edges with empty lunes are left; those that joined components are a spanning tree and
-count as nothing, because a cycle is known by its edges outside the tree. Persistence is then the reduction of these short
-sets, youngest creator first. It ends when no loop is alive and no later edge has an empty lune.
+edge, the same for all edges between two small boxes, is joined to all the others. Of the rest, an empty lune joins two
+components or creates a loop; a connected one changes nothing; each further component of a disconnected one brings a relation
+x, z_i, y, z_1 that may kill one loop, as `_creators` tells. Triangles are never listed. It ends when no loop is alive and no
+later edge has an empty lune.
 
 Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtration). Read in chapter 2.
 """
@@ -40,15 +35,7 @@ def _join(rows, x, y):
 
 @njit(forceinline=True)
 def is_cone(rows, x, y, z):
-    """Whether z is in the lune of {x, y} and joined to all of it.
-
-    Parameters
-    ----------
-    rows : (n, words) uint64
-        The vertices joined to each vertex, itself among them.
-    x, y, z : int
-        Vertices.
-    """
+    """Whether z is in the lune of {x, y} and joined to all of it; `rows` (n, words) holds the vertices joined to each."""
     if not (rows[x, z >> 6] & rows[y, z >> 6]) >> np.uint64(z & 63) & ONE:
         return False
     outside = np.uint64(0)
@@ -91,18 +78,7 @@ def _lune(rows, x, y, lune):
 def is_connected(rows, lune, z, left):
     """Whether a lune is connected: absorb, from z on, vertices that share a neighbour in it with what is absorbed already.
 
-    False may also mean that the order was unlucky: the full search decides.
-
-    Parameters
-    ----------
-    rows : (n, words) uint64
-        The vertices joined to each vertex, itself among them.
-    lune : (words,) uint64
-    z : int
-        A vertex of the lune.
-    left : (words,) uint64
-        Room for a bitset.
-    """
+    False may also mean that the order was unlucky: the full search decides. `left` (words,) is room for a bitset."""
     words = len(lune)
     some = np.uint64(0)
     for w in range(words):
@@ -127,10 +103,7 @@ def is_connected(rows, lune, z, left):
 
 @njit(forceinline=True)
 def _take_component(data, axes, rows, label, x, y, z, lune, stack):
-    """Take the component of z out of the lune; return its apex and the longer edge from that to {x, y}.
-
-    The apex of a component is the vertex whose later edge to {x, y} comes first, ties by index.
-    """
+    """Take the component of z out of the lune; return its apex, whose longer edge to {x, y} is shortest, and that edge."""
     apex, best, top = -1, np.inf, 0
     stack[0] = z
     lune[z >> 6] ^= ONE << np.uint64(z & 63)
@@ -198,37 +171,11 @@ def _root(parent, x):
 
 @njit(nogil=True)
 def pair_edges(data, axes, tree, max_length, room, spare):
-    """Pair the edges that create loops with the edges that kill them.
+    """Pair the edges that create loops, (c, 2), with the edges that kill them and their two apexes, (c, 4), -1 for none.
 
-    Parameters
-    ----------
-    data : (n, n) or (n, d) float64
-        Distances, or the points of `tree` in its own order.
-    axes : tuple
-        Empty for a matrix, d zeros for points.
-    tree : Tree
-        Of the points; of any one point for a matrix, where only its labels 0 to n - 1 are used.
-    max_length : float
-        Edges longer than that do not arrive. Squared for points, as all lengths here.
-    room : tuple
-        Of `edges_between`; `new_room` at first.
-    spare : int
-        Bytes that may be taken besides the n x n bits: half for the edges of a window, half for the columns of loops.
-
-    Returns
-    -------
-    room : tuple
-        For the next call.
-    created : (c, 2) int64
-        The edges that create loops, in order.
-    killed : (c, 4) int64
-        For each the killer edge and the two apexes (first component, further component), -1 when nothing kills it. Vertices
-        are those of `data`.
-
-    Raises
-    ------
-    MemoryError
-        When that would not be enough.
+    `data` holds distances, or points in the order of `tree`, whose labels alone a matrix needs; lengths are squared for points.
+    `room` is that of `edges_between`, and comes back for the next call. Besides the n x n bits `spare` bytes may be taken:
+    half for the edges of a window, half for the columns of loops.
     """
     n, label = len(data), tree.label
     words = (n + 63) >> 6

@@ -1,13 +1,9 @@
 """Persistence by the textbook: the reduction of the boundary matrix, for small clouds, in any degree.
 
-Idea: put the simplices of the Rips complex in one line, in the order in which they arrive. The boundary of each is a column
-over Z/2: the set of its facets. From left to right, while a column's youngest facet (its *pivot*) is already the pivot of a
-column to its left, add that column. What is left of it tells what the simplex did. Nothing: it closed a cycle, something is
-born. Something: it filled a cycle whose youngest simplex is the pivot, and what the pivot bore dies. A reduced column is
-itself that cycle.
-
-Nothing here is fast, and everything can be looked at: `filtration` gives the line, `reduce` the columns, `persistence` the
-pairs. It is the oracle of `topokit.rips_persistence`, which finds the same pairs in degree 1 without listing triangles.
+Idea: the boundary of each simplex, in the order in which they arrive, is a column over Z/2: the set of its facets. From left
+to right, while a column's youngest facet (its *pivot*) is already the pivot of a column to its left, add that column. Where
+nothing is left, the simplex closed a cycle, and something is born. Else what is left is a cycle that it filled, and what the
+pivot bore dies. `topokit.rips_persistence` finds the same pairs in degree 1 without listing triangles.
 
 Source: Edelsbrunner, Letscher, Zomorodian 2002; Cohen-Steiner, Edelsbrunner, Morozov 2006 (R = D V). Taught in chapter 2.
 """
@@ -15,10 +11,10 @@ Source: Edelsbrunner, Letscher, Zomorodian 2002; Cohen-Steiner, Edelsbrunner, Mo
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from numbers import Integral
 
 from numpy.typing import ArrayLike
 
@@ -33,48 +29,25 @@ Vertices = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Simplex:
-    """A simplex of the filtration.
+    """A simplex of the filtration."""
 
-    Attributes
-    ----------
-    vertices : tuple of int
-        Increasing.
-    value : float
-        Half its longest edge, 0 for a vertex.
-    latest_edge : (int, int), or None for a vertex
-        The edge with which it arrives.
-    """
-
-    vertices: Vertices
-    value: float
-    latest_edge: tuple[int, int] | None
+    vertices: Vertices  #: increasing
+    value: float  #: half its longest edge, 0 for a vertex
+    latest_edge: tuple[int, int] | None  #: with which it arrives; None for a vertex
 
 
 @dataclass(frozen=True)
 class Pair:
-    """A bar, with the simplices that begin and end it.
+    """A bar, with the simplices that begin and end it."""
 
-    Attributes
-    ----------
-    degree : int
-    birth, death : float
-        Half a diameter; death is inf when nothing ends the bar.
-    birth_simplex, death_simplex : tuple of int
-        Vertices; `death_simplex` is None when nothing ends the bar.
-    birth_edge, killer_edge : (int, int), or None
-        The latest edge of each: with it the simplex arrives. None for a vertex, and when nothing ends the bar.
-    cycle : tuple of tuple of int
-        The simplices of a cycle that is born with the bar and bounds at its death, not before.
-    """
-
-    degree: int
-    birth: float
-    death: float
-    birth_simplex: Vertices
-    death_simplex: Vertices | None
-    birth_edge: tuple[int, int] | None
-    killer_edge: tuple[int, int] | None
-    cycle: tuple[Vertices, ...]
+    degree: int  #: 0 for a component, 1 for a loop
+    birth: float  #: half a diameter
+    death: float  #: inf when nothing ends the bar
+    birth_simplex: Vertices  #: vertices of the simplex that begins it
+    death_simplex: Vertices | None  #: None when nothing ends the bar
+    birth_edge: tuple[int, int] | None  #: latest edge of the first simplex; None for a vertex
+    killer_edge: tuple[int, int] | None  #: latest edge of the last one
+    cycle: tuple[Vertices, ...]  #: simplices of a cycle that is born with the bar and bounds at its death, not before
 
     @property
     def lifetime(self) -> float:
@@ -84,46 +57,30 @@ class Pair:
 
 @dataclass(frozen=True)
 class Reduction:
-    """A reduced boundary matrix: column j of D V, where D holds the boundaries and V says which columns were added.
+    """A reduced boundary matrix D V, where D holds the boundaries and V says which columns were added."""
 
-    Attributes
-    ----------
-    simplices : list of Simplex
-        The filtration; columns and rows are numbered by the positions in it.
-    columns : list of set of int
-        The reduced columns. No two that are not empty have the same largest entry.
-    chains : list of set of int
-        Columns of V: which simplices' boundaries add up to `columns[j]`. Where that is empty, the chain is a cycle.
-    killer : dict of int to int
-        From the simplex that bears something to the one that kills it.
-    """
-
-    simplices: list[Simplex]
-    columns: list[set[int]]
-    chains: list[set[int]]
-    killer: dict[int, int]
+    simplices: list[Simplex]  #: the filtration; its positions number columns and rows
+    columns: list[set[int]]  #: reduced; no two that are not empty have the same largest entry
+    chains: list[set[int]]  #: columns of V: whose boundaries add up to `columns[j]`; a cycle where that is empty
+    killer: dict[int, int]  #: from the simplex that bears something to the one that kills it
 
     def pairs(self, degree: int) -> Iterator[Pair]:
         """Yield what is born in a degree, in order of birth, bars of length zero among it."""
         for j, simplex in enumerate(self.simplices):
             if len(simplex.vertices) == degree + 1 and not self.columns[j]:
-                yield self._pair(j)
-
-    def _pair(self, born: int) -> Pair:
-        first = self.simplices[born]
-        killer = self.killer.get(born)
-        last = None if killer is None else self.simplices[killer]
-        cycle = self.chains[born] if killer is None else self.columns[killer]
-        return Pair(
-            degree=len(first.vertices) - 1,
-            birth=first.value,
-            death=last.value if last else math.inf,
-            birth_simplex=first.vertices,
-            death_simplex=last.vertices if last else None,
-            birth_edge=first.latest_edge,
-            killer_edge=last.latest_edge if last else None,
-            cycle=tuple(self.simplices[i].vertices for i in sorted(cycle)),
-        )
+                killer = self.killer.get(j)
+                last = None if killer is None else self.simplices[killer]
+                cycle = self.chains[j] if killer is None else self.columns[killer]
+                yield Pair(
+                    degree=degree,
+                    birth=simplex.value,
+                    death=last.value if last else math.inf,
+                    birth_simplex=simplex.vertices,
+                    death_simplex=last.vertices if last else None,
+                    birth_edge=simplex.latest_edge,
+                    killer_edge=last.latest_edge if last else None,
+                    cycle=tuple(self.simplices[i].vertices for i in sorted(cycle)),
+                )
 
 
 def persistence(
@@ -144,17 +101,11 @@ def persistence(
     Returns
     -------
     list of Pair
-        Longest lifetime first, then by birth and by birth simplex. Bars of length zero are left out.
-
-    Raises
-    ------
-    TypeError, ValueError
-        When `points` is not a cloud (or a matrix of distances), an option is out of range, or the complex has more than
-        `MAX_SIMPLICES` simplices.
+        Longest lifetime first, then by birth and by birth simplex; none of length zero.
 
     Examples
     --------
-    Four corners of a square: the diagonal {0, 2} arrives and its second triangle fills the loop.
+    The second triangle of the diagonal {0, 2} fills the loop of a square.
 
     >>> square = [[0, 0], [2, 0], [2, 2], [0, 2]]
     >>> loop, = persistence(square)
@@ -165,7 +116,7 @@ def persistence(
     >>> [component.death for component in persistence(square, degree=0)]
     [inf, 1.0, 1.0, 1.0]
     """
-    degree = _degree(degree, "degree")
+    _check_degree(degree, "degree")
     reduction = reduce(filtration(points, degree + 1, max_radius=max_radius, metric=metric))
     bars = [pair for pair in reduction.pairs(degree) if pair.death > pair.birth]
     return sorted(bars, key=lambda pair: (-pair.lifetime, pair.birth, pair.birth_simplex))
@@ -176,9 +127,8 @@ def filtration(
 ) -> list[Simplex]:
     """List the simplices of the Rips complex up to a dimension, in the order in which they arrive.
 
-    Vertices come first. Edges come by (length, smaller index, larger index). Each brings at once the simplices of which it
-    is the latest edge, by dimension, then by vertices: those that it spans with the cliques of its *lune*, the vertices
-    already joined to both its ends.
+    Vertices come first, then edges by (length, smaller index, larger index). Each brings at once, by dimension, then by
+    vertices, what it spans with the cliques of its *lune*, the vertices already joined to both its ends.
 
     Parameters
     ----------
@@ -187,27 +137,16 @@ def filtration(
     dimension : int
         Of the largest simplices.
     max_radius : float
-        As in `persistence`.
     metric : {"euclidean", "precomputed"}
-        As in `persistence`.
-
-    Returns
-    -------
-    list of Simplex
-        Every simplex after its facets.
-
-    Raises
-    ------
-    TypeError, ValueError
-        As `persistence`.
 
     Examples
     --------
     >>> [simplex.vertices for simplex in filtration([[0.0], [1.0], [3.0]], 2)]
     [(0,), (1,), (2,), (0, 1), (1, 2), (0, 2), (0, 1, 2)]
     """
-    dimension = _degree(dimension, "dimension")
-    n, edges = _edges(points, positive(max_radius, "max_radius", infinite=True), metric)
+    _check_degree(dimension, "dimension")
+    cloud = Cloud.of(points, metric)
+    edges, n = _edges(cloud, positive(max_radius, "max_radius", infinite=True)), len(cloud)
     simplices = [Simplex((i,), 0.0, None) for i in range(n)]
     near: list[set[int]] = [set() for _ in range(n)]
     for length, i, j in edges if dimension > 0 else []:
@@ -231,13 +170,9 @@ def reduce(simplices: Sequence[Simplex]) -> Reduction:
     simplices : sequence of Simplex
         Every simplex after its facets, as `filtration` gives them.
 
-    Returns
-    -------
-    Reduction
-
     Examples
     --------
-    A triangle in the line: its second edge finds a column with its pivot, vertex 2; so does its third, which is left empty.
+    The third edge of a triangle finds a column with its pivot, vertex 2, and is left empty.
 
     >>> reduction = reduce(filtration([[0.0], [1.0], [3.0]], 2))
     >>> reduction.columns
@@ -262,32 +197,27 @@ def reduce(simplices: Sequence[Simplex]) -> Reduction:
     return Reduction(list(simplices), columns, chains, killer)
 
 
-def _edges(points: ArrayLike, max_radius: float, metric: str) -> tuple[int, list[tuple[float, int, int]]]:
-    """Number of points, and the edges up to a length as (length, i, j), i < j, in the total order."""
-    cloud = Cloud.of(points, metric)
+def _edges(cloud: Cloud, max_radius: float) -> list[tuple[float, int, int]]:
+    """The edges up to a length as (length, i, j), i < j, in the total order."""
     n = len(cloud)
     edges: list[tuple[float, int, int, float]] = []
     for i in range(n):
         keys, lengths = cloud.keys(i, slice(None)).tolist(), cloud.lengths(i, slice(None)).tolist()
         edges += [(keys[j], i, j, lengths[j]) for j in range(i + 1, n) if lengths[j] / 2 <= max_radius]
         _check_size(n + len(edges), n, 1)
-    return n, [(length, i, j) for _, i, j, length in sorted(edges)]
+    return [(length, i, j) for _, i, j, length in sorted(edges)]
 
 
 def _check_size(count: int, n: int, dimension: int) -> None:
     if count > MAX_SIMPLICES:
         raise ValueError(
-            f"the Rips complex of these {n} points has more than {MAX_SIMPLICES} simplices up to dimension {dimension}, too "
-            f"many for the textbook reduction: lower max_radius or the degree, take a subset "
-            f"(topokit.farthest_point_sample), or use topokit.rips_persistence, which is made for large clouds in degree 1"
+            f"the Rips complex of these {n} points has more than {MAX_SIMPLICES} simplices up to dimension {dimension}: "
+            "lower max_radius or the degree, take a subset (topokit.farthest_point_sample), or use topokit.rips_persistence"
         )
 
 
-def _degree(value: int, name: str) -> int:
-    try:
-        number = operator.index(value)
-    except TypeError as error:
-        raise TypeError(f"{name} must be an integer, not {value!r}") from error
-    if number < 0:
-        raise ValueError(f"{name} must be zero or more, not {number}")
-    return number
+def _check_degree(value: int, name: str) -> None:
+    if not isinstance(value, Integral):
+        raise TypeError(f"{name} must be an integer, not {value!r}")
+    if value < 0:
+        raise ValueError(f"{name} must be zero or more, not {value}")
