@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import ast
+from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 
-def attach(package: str, modules: Mapping[str, str], extra: str) -> Callable[[str], Any]:
-    """Return a `__getattr__` for a package.
+def shown(path: str) -> dict[str, str]:
+    """What a package shows, and in which of its modules it is: all that the file `path` imports from its own modules."""
+    tree = ast.parse(Path(path).read_text(encoding="utf-8"))
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level == 1]
+    return {alias.name: node.module or "" for node in imports for alias in node.names}
+
+
+def attach(package: str, path: str, extra: str) -> tuple[Callable[[str], Any], list[str]]:
+    """Return `__getattr__` and `__all__` for a package: what it imports under ``if TYPE_CHECKING:`` is imported when used.
 
     Parameters
     ----------
-    package : str
-        Its `__name__`.
-    modules : mapping of str to str
-        Its modules, and the names in each that it shows, with spaces between them.
+    package, path : str
+        Its `__name__` and `__file__`.
     extra : str
-        What to install when one of them needs a package that is missing: ``pip install 'topokit[extra]'``.
+        What to install when a package that it needs is missing: ``pip install 'topokit[extra]'``.
     """
-    where = {name: module for module, names in modules.items() for name in names.split()}
+    where = shown(path)
 
     def __getattr__(name: str) -> Any:
         if name not in where:
@@ -31,4 +38,4 @@ def attach(package: str, modules: Mapping[str, str], extra: str) -> Callable[[st
                 raise
             raise ImportError(f"{package}.{name} needs {error.name}: pip install 'topokit[{extra}]'") from error
 
-    return __getattr__
+    return __getattr__, sorted(where)

@@ -17,27 +17,4 @@ if TYPE_CHECKING:
     from ._recipe import DatasetConfig, make_episode
     from ._windows import WindowDataset, spoil
 
-__all__ = [
-    "Dataset",
-    "DatasetConfig",
-    "Problem",
-    "WindowDataset",
-    "check_dataset",
-    "generate_dataset",
-    "label_dataset",
-    "make_episode",
-    "spoil",
-]
-
-__getattr__ = attach(
-    __name__,
-    {
-        "_check": "Problem check_dataset",
-        "_dataset": "Dataset",
-        "_generate": "generate_dataset",
-        "_label": "label_dataset",
-        "_recipe": "DatasetConfig make_episode",
-        "_windows": "WindowDataset spoil",
-    },
-    extra="data,sim,learn",
-)
+__getattr__, __all__ = attach(__name__, __file__, "data,sim,learn")

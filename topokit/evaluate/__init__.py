@@ -31,42 +31,4 @@ if TYPE_CHECKING:
     from ._results import library_digest, read_results, write_report
     from ._summary import Bootstrap, Estimate
 
-__all__ = [
-    "Bootstrap",
-    "Clouds",
-    "Condition",
-    "Estimate",
-    "EvaluationConfig",
-    "Event",
-    "Overlap",
-    "TrackSummary",
-    "TrackingScore",
-    "TrueLoops",
-    "by_diagram",
-    "by_killer",
-    "by_midpoint",
-    "by_place",
-    "compare",
-    "distance_to_hull",
-    "evaluate_forecasts",
-    "events",
-    "library_digest",
-    "load_evaluation",
-    "read_results",
-    "score",
-    "summarise_tracks",
-    "track_vines",
-    "true_loops",
-    "write_report",
-]
-
-__getattr__ = attach(
-    __name__,
-    {
-        "_conditions": "Clouds Condition EvaluationConfig load_evaluation",
-        "_forecasts": "evaluate_forecasts",
-        "_results": "library_digest read_results write_report",
-        "_summary": "Bootstrap Estimate",
-    },
-    extra="learn,data",
-)
+__getattr__, __all__ = attach(__name__, __file__, "learn,data")

@@ -16,6 +16,8 @@ Source: Antonova et al. 2021, section 4. Taught in chapters 3 to 5.
 
 from __future__ import annotations
 
+from topokit._lazy import shown
+
 from ._diagrams import feature_approximation, gates, observability, temporal_persistence
 from ._killers import converse, corollary, recovering_killers, regularity_of_killers
 from ._matching import killer_jumps, match_diagrams
@@ -24,31 +26,4 @@ from ._step import distortion, max_displacement, vertex_ids
 from ._verdict import Check, LoopCheck, Verdict, Witness
 from ._verify import COUNTEREXAMPLES, STATEMENTS, Counterexample, StepCheck, verify_episode, verify_step
 
-__all__ = [
-    "COUNTEREXAMPLES",
-    "STATEMENTS",
-    "Check",
-    "Counterexample",
-    "LoopCheck",
-    "StepCheck",
-    "Verdict",
-    "Witness",
-    "beta_all",
-    "beta_critical",
-    "converse",
-    "corollary",
-    "distortion",
-    "feature_approximation",
-    "feature_separation",
-    "gates",
-    "killer_jumps",
-    "match_diagrams",
-    "max_displacement",
-    "observability",
-    "recovering_killers",
-    "regularity_of_killers",
-    "temporal_persistence",
-    "verify_episode",
-    "verify_step",
-    "vertex_ids",
-]
+__all__ = sorted(shown(__file__))

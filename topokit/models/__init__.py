@@ -18,42 +18,4 @@ if TYPE_CHECKING:
     from ._states import LossWeights, States, forecast_loss, loop_mixtures, match_slots, past_states, target_states
     from ._training import train
 
-__all__ = [
-    "MODELS",
-    "PAST",
-    "Forecast",
-    "LossWeights",
-    "Normalisation",
-    "PredictedLoop",
-    "PredictiveModel",
-    "Predictor",
-    "Shape",
-    "Spoiling",
-    "States",
-    "TrainConfig",
-    "Windows",
-    "build",
-    "forecast_loss",
-    "load_config",
-    "load_model",
-    "load_tensors",
-    "loop_mixtures",
-    "match_slots",
-    "open_windows",
-    "past_states",
-    "target_states",
-    "train",
-]
-
-__getattr__ = attach(
-    __name__,
-    {
-        "_base": "PAST Normalisation PredictiveModel Shape",
-        "_checkpoint": "MODELS build load_model load_tensors",
-        "_config": "Spoiling TrainConfig Windows load_config open_windows",
-        "_predictor": "Forecast PredictedLoop Predictor",
-        "_states": "LossWeights States forecast_loss loop_mixtures match_slots past_states target_states",
-        "_training": "train",
-    },
-    extra="learn",
-)
+__getattr__, __all__ = attach(__name__, __file__, "learn")

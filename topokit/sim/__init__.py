@@ -22,33 +22,9 @@ from ._world import SimulationConfig, World, observe
 if TYPE_CHECKING:
     from ._env import HangEnv
 
-__all__ = [
-    "TASKS",
-    "WARDROBE",
-    "Camera",
-    "DepthNoise",
-    "Garment",
-    "GripperPath",
-    "HangEnv",
-    "Hanger",
-    "Hook",
-    "Mannequin",
-    "Randomisation",
-    "SimulationConfig",
-    "SimulationError",
-    "Target",
-    "Task",
-    "Via",
-    "World",
-    "cameras_around",
-    "observe",
-    "simulate",
-    "task_for",
-]
-
 if importlib.util.find_spec("gymnasium"):  # so that gymnasium.make knows the environment once this package is imported
     from gymnasium import register
 
     register("topokit/Hang-v0", "topokit.sim:HangEnv")
 
-__getattr__ = attach(__name__, {"_env": "HangEnv"}, "sim")
+__getattr__, __all__ = attach(__name__, __file__, "sim")

@@ -10,6 +10,8 @@ from importlib.util import find_spec
 if find_spec("matplotlib") is None:
     raise ImportError("topokit.view needs matplotlib: pip install 'topokit[view]'")
 
+from topokit._lazy import shown
+
 from ._lunes import plot_lens, plot_lune
 from ._pages import coverage, data_flow, growth, motion, nudge
 from ._player import player
@@ -17,28 +19,4 @@ from ._plots import Scene, appearances, loop_colour, plot_cloth, plot_diagram, p
 from ._render import pyvista_works, render_cloth, save_animation
 from ._report import model_label, plot_accuracy, plot_by_horizon, plot_conditions, plot_treatments
 
-__all__ = [
-    "Scene",
-    "appearances",
-    "coverage",
-    "data_flow",
-    "growth",
-    "loop_colour",
-    "model_label",
-    "motion",
-    "nudge",
-    "player",
-    "plot_accuracy",
-    "plot_by_horizon",
-    "plot_cloth",
-    "plot_conditions",
-    "plot_diagram",
-    "plot_lens",
-    "plot_lune",
-    "plot_tracks",
-    "plot_treatments",
-    "pyvista_works",
-    "render_cloth",
-    "save_animation",
-    "track_figure",
-]
+__all__ = sorted(shown(__file__))
