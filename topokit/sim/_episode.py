@@ -290,12 +290,12 @@ class StretchCheck:
         ends = points[self._edges]
         stretch = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / self._rest
         most, worst = float(np.percentile(stretch, 99)), int(np.argmax(stretch))
-        edge = f"most of all {self._edges[worst].tolist()}, to {stretch[worst]:.2f} times its length"
+        edge = f"most of all {self._edges[worst].tolist()}, {stretch[worst]:.2f} times its length"
         for name, what, value in (
             ("max_stretch", "one edge in a hundred is", most),
             ("max_edge_stretch", "an edge is", stretch[worst]),
         ):
             limit = getattr(self._config, name)
             if value > limit:
-                raise SimulationError(f"{where}: {what} stretched beyond {name} = {limit:g}, {edge}")
+                raise SimulationError(f"{where}: {what} stretched beyond the limit ({name} is {limit:g}), {edge}")
         return most, float(stretch[worst])
