@@ -144,3 +144,14 @@ def test_nothing_is_left_of_an_owner_that_is_killed(tmp_path):
     owner.kill()
     owner.wait()
     assert_nothing_is_left(pids)
+
+
+def test_a_job_that_is_sent_before_the_last_fork_has_ended_is_done(monkeypatch):
+    """The answer is there, and the fork takes its time to end: the next job must neither end it nor get its fate."""
+    slow = "import os, time; end = os._exit; os._exit = lambda code: (time.sleep(0.3), end(code))\n"
+    monkeypatch.setattr(_process, "_MAIN", slow + _process._MAIN)
+    forge = _process.Forge("json:dumps")
+    try:
+        assert [forge.run({"a": i}, 5.0) for i in range(3)] == [{"answer": f'{{"a": {i}}}'} for i in range(3)]
+    finally:
+        forge.close()

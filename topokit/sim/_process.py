@@ -181,11 +181,14 @@ def _fork(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> s
         _perform(work, call, answers)
         os._exit(0)
     os.close(held)
-    ended, _, _ = select.select([0, alive], [], [])  # nobody sends a second job before the first is answered
-    if 0 in ended:
+    ended, _, _ = select.select([0, alive], [], [])
+    answered = 0 in ended and bool(sys.stdin.buffer.peek(1))  # nobody sends another job before this one is answered
+    if 0 in ended and not answered:
         os.kill(child, signal.SIGKILL)
     os.close(alive)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if answered:
+        return None
     if code == -signal.SIGXCPU:
         return f"stopped after {call['time_limit']:g} s of processor time"
     return _fate(code, os.pread(2, os.fstat(2).st_size, 0).decode(errors="replace")) if code else None
