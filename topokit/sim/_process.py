@@ -182,7 +182,8 @@ def _fork(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> s
         os._exit(0)
     os.close(held)
     ended, _, _ = select.select([0, alive], [], [])
-    answered = 0 in ended and bool(sys.stdin.buffer.peek(1))  # nobody sends another job before this one is answered
+    jobs: Any = sys.stdin.buffer
+    answered = 0 in ended and bool(jobs.peek(1))  # nobody sends another job before this one is answered
     if 0 in ended and not answered:
         os.kill(child, signal.SIGKILL)
     os.close(alive)
