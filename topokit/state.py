@@ -51,7 +51,7 @@ class Loop:
 
     @property
     def centre(self) -> NDArray[np.float64]:
-        """(d,) mean of the barycentres of the two killer triangles: where the loop is."""
+        """(d,) where the loop is, midway between the barycentres of its two killer triangles."""
         return np.asarray(self.killer_triangles.mean(axis=(0, 1)))
 
     @property
