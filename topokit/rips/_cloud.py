@@ -99,31 +99,38 @@ def pairs(cloud: Cloud, max_radius: float) -> Pairs:
 
 
 def _within_memory(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    n = len(cloud)
-    bits = n * ((n + 63) // 64) * 8
     try:
-        if bits > MEMORY:
-            raise MemoryError(f"{bits / 1e9:.1f} GB for a bit for each pair of points")
         _compile(cloud.axes)
-        return _run(cloud, max_length, MEMORY - bits)
+        return _run(cloud, max_length)
     except MemoryError as error:
         raise MemoryError(
-            f"persistence may take {MEMORY / 1e9:.1f} GB for one cloud, and these {n} points need {error}; "
+            f"persistence may take {MEMORY / 1e9:.1f} GB for one cloud, and these {len(cloud)} points need {error}; "
             "take a subset (topokit.farthest_point_sample)"
         ) from error
 
 
-def _run(cloud: Cloud, max_length: float, spare: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _run(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     from ._edges import EDGE_BYTES, WINDOW, new_room  # numba takes a while to import
-    from ._tree import build_tree
+    from ._tree import build_tree, repeats
     from .kernel import pair_edges
 
     if cloud.axes:
         tree = build_tree(cloud.data, cloud.axes)
         data = tree.points
+        if repeats(
+            tree
+        ):  # edges of a second copy are cones over the first one, and the edge between them joins two components
+            first = np.sort(np.unique(cloud.data + 0.0, axis=0, return_index=True)[1])
+            created, killed = _run(Cloud(cloud.data[first], cloud.axes, cloud.scale), max_length)
+            once = np.append(first, -1)
+            return once[created], once[killed]
     else:
         tree = build_tree(np.zeros((1, 1)), (0,))._replace(label=np.arange(len(cloud)))
         data = cloud.data
+    bits = len(cloud) * ((len(cloud) + 63) // 64) * 8
+    if bits > MEMORY:
+        raise MemoryError(f"{bits / 1e9:.1f} GB for a bit for each pair of points")
+    spare = MEMORY - bits
     room = getattr(_kept, "room", None)
     if room is None or EDGE_BYTES * len(room[0]) > spare // 2:
         room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
@@ -144,7 +151,7 @@ def _compile(axes: tuple[int, ...]) -> None:
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:
-            _run(Cloud(np.zeros((4, len(axes) or 4)), axes, 1.0), 1.0, MEMORY)
+            _run(Cloud(np.eye(4, len(axes) or 4), axes, 1.0), 1.0)
         finally:
             notice.cancel()
         _ready.add(axes)

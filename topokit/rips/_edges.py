@@ -16,6 +16,7 @@ WINDOW = 1 << 22  # edges at a time, unless more have one length
 EDGE_BYTES = 76  # of room for an edge while it is sorted
 # A lune lies within sqrt(3)/2 of its edge's length from the midpoint: what is within the rest is joined to all of it.
 CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)
+ROUNDING = 4e-16  # of a place that is a mean of coordinates, which are at most 1
 FEW = 8  # edges that insertion sorts as quickly as anything
 _BITS = 21  # of an int64 for a vertex, three times: two million vertices
 _MASK = (1 << _BITS) - 1
@@ -65,7 +66,7 @@ def _middle(tree, a, b, shortest, place):
     """A vertex near the middle of the edges between two leaves; -1 when one is near enough for the lunes to be cones."""
     spread = centre(tree, a, b, place)
     middle, apart = nearby_point(tree, place)
-    near = CONE * np.sqrt(shortest) - spread
+    near = CONE * np.sqrt(shortest) - spread - ROUNDING
     return -1 if near > 0.0 and apart < near * near else middle
 
 
@@ -136,10 +137,13 @@ def _sort_slice(keys, lengths, label):
 
 
 @njit()
-def _sort(room, m, label, shortest, longest):
+def _sort(room, m, label):
     """Put m edges in the total order: a slice of lengths holds about one edge, and insertion does the rest."""
     keys, lengths, sorted_keys, sorted_lengths, start = room
-    scale = m / (longest - shortest)
+    shortest, longest = np.inf, 0.0
+    for e in range(m):
+        shortest, longest = min(shortest, lengths[e]), max(longest, lengths[e])
+    scale = m / (longest - shortest) if longest > shortest else 0.0
     if not scale < 1e300:  # tiny distances: the place of a slice would not be a number
         scale = 0.0
     start[: m + 2] = 0
@@ -171,7 +175,7 @@ def edges_between(data, axes, tree, shortest, longest, room, most):
         else:
             m = _edges_of_points(tree, shortest, longest, room[0], room[1])
         if m >= 0:
-            _sort(room, m, tree.label, shortest, longest)
+            _sort(room, m, tree.label)
             return room, m, longest
         middle = shortest + 0.5 * (longest - shortest)
         if len(room[0]) >= min(WINDOW, most) and shortest < middle < longest:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ._edges import edge_length
+from ._edges import ROUNDING, edge_length
 from ._jit import njit
 from ._tree import between_boxes, centre, nearby_point, nearest_in_box
 
@@ -89,12 +89,13 @@ def _is_empty(tree, x, y, length, stack, place):
     """Whether no point is in the lune of {x, y}; boxes nearer to its midpoint are looked at first."""
     for k in range(len(tree.axes)):
         place[k] = 0.5 * (tree.points[x, k] + tree.points[y, k])
+    reach = (0.86605 * np.sqrt(length) + ROUNDING) ** 2  # a lune lies within sqrt(3)/2 of the length
     top = 0
     stack[0] = 0
     while top >= 0:
         node = stack[top]
         top -= 1
-        if nearest_in_box(tree, place, node) > 0.7501 * length:  # a lune lies within sqrt(3)/2 of the length
+        if nearest_in_box(tree, place, node) > reach:
             continue
         if node < tree.first_leaf:
             left, right = 2 * node + 1, 2 * node + 2

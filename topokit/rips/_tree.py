@@ -80,6 +80,18 @@ def build_tree(points, axes):
     return Tree(points[order], order, start, end, low, high, first_leaf, axes)
 
 
+@njit()
+def repeats(tree):
+    """Whether a point is there twice, as far as the next ones in the tree's order tell."""
+    for i in range(len(tree.points) - 1):
+        same = True
+        for k in range(len(tree.axes)):
+            same = same and tree.points[i, k] == tree.points[i + 1, k]
+        if same:
+            return True
+    return False
+
+
 @njit(forceinline=True)
 def nearest_in_box(tree, place, node):
     """Smallest squared distance from a place to the box of a node."""

@@ -51,11 +51,13 @@ def _is_near_middle(data, axes, x, y, z, length):
     With z at distance b from the line through x and y, and a from their midpoint along it, the farthest such place is on the
     lune's rim: a^2 + (sqrt(3)/2 L + b)^2 < L^2.
     """
-    if len(axes) == 0 or length == 0.0:
+    if len(axes) == 0 or length == 0.0 or z in (x, y):
         return False
     along, apart = 0.0, 0.0
     for k in range(len(axes)):
-        step = data[z, k] - 0.5 * (data[x, k] + data[y, k])
+        step = 0.5 * (
+            (data[z, k] - data[x, k]) + (data[z, k] - data[y, k])
+        )  # in this order exact for what is very near
         along += step * (data[y, k] - data[x, k])
         apart += step * step
     along = along * along / length
@@ -225,10 +227,12 @@ def pair_edges(data, axes, tree, max_length, room, spare):
             if a != b:  # the edge joins two components
                 parent[a] = b
                 pieces -= 1
+                if pieces == 1 and alive == 0:
+                    last = last_empty_lune(data, axes, tree, length)
             else:  # it creates a loop
                 loops = with_loop(loops, born, x, y, spare // 2)
                 born += 1
                 alive += 1
-        done = done or longest > greatest
+        done = done or longest > greatest or (alive == 0 and 0 <= last < longest)
         shortest, longest = longest, next_window(data, axes, shortest, longest, m)
     return room, loops.created[:born], loops.killed[:born]
