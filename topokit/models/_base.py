@@ -51,7 +51,7 @@ class PredictiveModel(nn.Module, ABC):
 
     learns = True  # by gradient descent
     inputs: tuple[str, ...] = ("clouds",)  # what is read of each frame of a window's history
-    tracked = False  # whether `gather` is given what a tracker saw, too: `PAST`, and `past_grippers`, of all frames
+    tracked = False  # whether `gather` is given what a tracker saw, too: `PAST`, of all frames
     plans_at_once = 250  # of many: so that weights are read seldom, and what lies between layers stays in the cache
 
     def __init__(self, shape: Shape, normalisation: Normalisation) -> None:
@@ -83,7 +83,7 @@ class PredictiveModel(nn.Module, ABC):
         """
 
     def present_states(self, context: Context) -> States | None:
-        """Return estimates of the present state that the model makes on its way, (B, n, slots); None when it makes none."""
+        """Return the estimate of the present state that the model makes on its way, (B, 1, slots); None when it makes none."""
         return None
 
     def encode(self, window: Window) -> Context:
@@ -94,7 +94,7 @@ class PredictiveModel(nn.Module, ABC):
         kept = self.encode_frames({name: part.flatten(0, 1) for name, part in frames.items()})
         kept = {name: part.unflatten(0, sizes) for name, part in kept.items()}
         if self.tracked:
-            kept |= {name: window[name].flip(1) for name in PAST} | {"past_grippers": window["grippers"].flip(1)}
+            kept |= {name: window[name].flip(1) for name in PAST}
         return self.gather(kept)
 
     def forward(self, window: Window) -> tuple[States, States | None]:

@@ -181,10 +181,10 @@ def last_appearance(kept: Context) -> Context:
     batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])
     loops = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
     known = present.any(dim=1)
-    middle = kept["past_grippers"][:, 0].mean(dim=1)[:, None, None]
+    middle = kept["grippers"][:, 0].mean(dim=1)[:, None, None]
     corners = torch.where(known[..., None, None], loops.corners, middle)
     loops = loops.replace(corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
-    return vars(loops) | {"known": known, "grippers_then": kept["past_grippers"][batch, last]}
+    return vars(loops) | {"known": known, "grippers_then": kept["grippers"][batch, last]}
 
 
 def past_window(states: Sequence[TopologicalState], slots: int) -> dict[str, Tensor]:

@@ -55,7 +55,7 @@ def build(
     normalisation : Normalisation
     options : mapping, optional
         Of "ridge" `penalty`, on squared coefficients; of "mlp" `hidden` units and `cloud_points` read; of "pointnet" `hidden` and
-        `per_point` units; of "loopcast" `width` of codes, `step_width` of a step's, and whether it is given what is `tracked`.
+        `per_point` units; of "loopcast" `width` of codes, `step_width` of a step's.
 
     Raises
     ------

@@ -19,13 +19,13 @@ from torch.utils.data import default_collate
 from topokit._config import Count, NotNegative, Positive, checked, load
 from topokit.data import spoil
 
-from ._base import PAST, Normalisation, Shape
+from ._base import Normalisation, Shape
 from ._checkpoint import MODELS
 from ._states import LossWeights, Window, target_states
 
 Natural = Annotated[int, Field(ge=0)]
 _Part = Annotated[float, Field(ge=0, lt=1)]
-_PLACES = ("clouds", "grippers", "actions", "triangles", "past_triangles", "seen_triangles")
+_PLACES = ("clouds", "grippers", "actions", "triangles", "past_triangles")
 _PAIRS = ("grippers", "actions")
 
 
@@ -37,10 +37,6 @@ class Spoiling:
     noise: _Part = 0.0  #: standard deviation on every coordinate, metres
     outliers: _Part = 0.0  #: share of points that are anywhere in the cloud's box and 10 cm around it
     drop: _Part = 0.0  #: share of points that are missing; others stand twice in their place
-    seen: _Part = 0.0  #: share of windows whose tracked states are the `seen_` ones
-    lost: _Part = 0.0  #: share of windows of which nothing is tracked
-    #: Share of slots, taken or not, that hold a false loop: another window's, flickering, each time elsewhere by some 10 cm.
-    false: _Part = 0.0
 
 
 @checked
@@ -73,8 +69,6 @@ class TrainConfig:
     def __post_init__(self) -> None:
         if self.model not in MODELS:
             raise ValueError(f"model must be one of {', '.join(MODELS)}, not {self.model!r}")
-        if self.spoil.seen and not self.windows.get("seen_labels"):
-            raise ValueError("spoil.seen needs windows.seen_labels: which labels hold what was seen")
 
 
 def load_config(path: str | Path) -> TrainConfig:
@@ -150,8 +144,6 @@ def spoilt(window: Window, how: Spoiling, generator: torch.Generator) -> dict[st
     if chosen.any():
         shown["clouds"] = window["clouds"].clone()
         shown["clouds"][chosen] = _spoilt_clouds(window["clouds"][chosen], how, generator)
-    if how.seen or how.lost or how.false:
-        shown |= _spoilt_tracks(window, how, generator)
     return shown
 
 
@@ -160,34 +152,6 @@ def _spoilt_clouds(clouds: Tensor, how: Spoiling, generator: torch.Generator) ->
     rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
     noise, outliers, drop = (most * rng.random((len(clouds), 1)) for most in (how.noise, how.outliers, how.drop))
     return torch.from_numpy(spoil(clouds.cpu().numpy(), rng, noise=noise, outliers=outliers, keep=1 - drop)).to(clouds)
-
-
-def _spoilt_tracks(window: Window, how: Spoiling, generator: torch.Generator) -> dict[str, Tensor]:
-    """What is tracked in the history: by a worse tracker, nothing at all, or false loops."""
-    n, _, slots = window["past_present"].shape
-    tracked = {name: window[name] for name in PAST}
-    worse = torch.rand(n, generator=generator) < how.seen
-    if worse.any():
-        tracked = {name: _chosen(worse, window[name.replace("past_", "seen_")], part) for name, part in tracked.items()}
-    false = _false_loops(tracked, window["grippers"], generator)
-    wrong = torch.rand(n, 1, slots, generator=generator) < how.false
-    kept = torch.rand(n, generator=generator) >= how.lost
-    return {
-        name: _chosen(kept, _chosen(wrong, false[name], part), torch.zeros_like(part)) for name, part in tracked.items()
-    }
-
-
-def _false_loops(tracked: Window, grippers: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
-    """In each slot the first loop of the window before, about these grippers, flickering and leaping."""
-    size = tracked["past_present"].shape  # (n, h, slots)
-    others = {name: part[:, :, :1].roll(1, dims=0).expand_as(part) for name, part in tracked.items()}
-    often = 0.6 * torch.rand(size[0], 1, size[2], generator=generator)
-    there = others["past_present"] & (torch.rand(size, generator=generator) < often).to(grippers.device)
-    middle = grippers.mean(dim=2)
-    beside = (middle - middle.roll(1, dims=0))[:, :, None]
-    leaps = (0.1 * torch.randn(*size, 3, generator=generator)).to(grippers)
-    others["past_triangles"] = others["past_triangles"] + (beside + leaps)[..., None, None, :]
-    return {name: _chosen(there, part, torch.zeros_like(part)) for name, part in others.items()}
 
 
 def _chosen(which: Tensor, part: Tensor, other: Tensor) -> Tensor:

@@ -1,6 +1,6 @@
 """LoopCast, our predictor: find the loops, carry them with the grippers, learn the rest.
 
-Idea, five choices against the paper's networks:
+Idea, four choices against the paper's networks:
 
 1. *Relative coordinates.* Points are seen from the middle between the grippers; the network is told where that middle is.
 2. *Pointing.* A corner of a loop's triangles is an average of the cloud's own points under learned attention, plus a little.
@@ -8,8 +8,6 @@ Idea, five choices against the paper's networks:
    what the network adds. Untrained it is already the baseline `carry`.
 4. *Slots.* Each loop has its own code; a step of the plan has one too (from the actions up to that step, none after it). A
    small network of the two gives the state. Frames are encoded once, when they arrive, and plans share the history.
-5. *Belief.* If `tracked`, every loop that seqPH tracks is given to the slot that points nearest to it, and pulls it to where
-   seqPH sees it, as far as such a loop has deserved it in training. For a plan of no steps the network adds nothing.
 
 Source: attention as in Vaswani et al. 2017; slots as in Locatello et al. 2020 and Carion et al. 2020. Taught in chapter 10.
 """
@@ -21,12 +19,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ._base import Context, Normalisation, PredictiveModel, Shape, maximum
-from ._baselines import last_appearance
-from ._states import NUMBERS, States, cheapest_order
+from ._states import NUMBERS, States
 
 FRAMES = (0, 3, 8, 15)  # that are looked at, counted back from the present
 HEADS = 8  # one a corner
-RELIABLE = 11  # numbers that say how far a tracked loop can be believed
 FRAME = 10  # numbers of a frame beside its cloud: the grippers from their middle, that middle in the room, held
 
 
@@ -61,16 +57,9 @@ class LoopCast(PredictiveModel):
     inputs = ("clouds", "grippers", "held")
     plans_at_once = 20
 
-    def __init__(
-        self,
-        shape: Shape,
-        normalisation: Normalisation,
-        width: int = 128,
-        step_width: int = 48,
-        tracked: bool = False,
-    ) -> None:
+    def __init__(self, shape: Shape, normalisation: Normalisation, width: int = 128, step_width: int = 48) -> None:
         super().__init__(shape, normalisation)
-        self.frames, self.tracked = [back for back in FRAMES if back < shape.history], tracked
+        self.frames = [back for back in FRAMES if back < shape.history]
         self.encoder = FrameEncoder(shape.slots, width)
         self.slot_name = nn.Parameter(0.1 * torch.randn(shape.slots, width))
         self.join = nn.Linear((width + 3 * HEADS + FRAME) * len(self.frames), width)
@@ -85,13 +74,6 @@ class LoopCast(PredictiveModel):
         nn.init.normal_(self.present.weight, std=0.01)
         nn.init.zeros_(self.hold.weight)
         self.hold.bias.data = torch.tensor([0.0, 0.0, -4.0])  # as the baseline `carry`
-        if tracked:
-            score = nn.Linear(32, 2)
-            score.bias.data = torch.tensor([3.0, 3.0])
-            self.belief = nn.Sequential(nn.Linear(RELIABLE, 32), nn.GELU(), score)
-            self.notice = nn.Linear(3 + 2 + 1, width)
-            nn.init.zeros_(self.notice.weight)
-            nn.init.zeros_(self.notice.bias)
 
     def encode_frames(self, frames: Context) -> Context:
         grippers, scale = frames["grippers"], self.normalisation.scale
@@ -113,76 +95,20 @@ class LoopCast(PredictiveModel):
         slot = slot + functional.gelu(self.mix(slot))  # (B, slots, width)
         anchor = places[:, 0, :, :4].mean(dim=2)  # (B, slots, 3): of the killer triangles
         corners = ((places[:, 0] - anchor[:, :, None]) / self.normalisation.scale).flatten(2)
-        present = self.present(slot) + functional.pad(corners, (0, NUMBERS - corners.shape[-1]))
-        context = {"slot": slot, "anchor": anchor, "start": present, "pointed": anchor, "present": present}
-        if self.tracked:
-            context |= self._corrected(context, kept)
-            context["slot"] = slot + self.notice(context["noticed"])
-            standing = self._changes(self._standing(kept), context["slot"])[:, 0]
-            context["start"] = context["start"] - standing  # a plan of no steps changes nothing
-        return context | {"hold": self.hold(context["slot"]).softmax(dim=-1)[..., :2], "grippers": grippers}
-
-    def _corrected(self, context: Context, kept: Context) -> Context:
-        """Where the loops start when the tracked ones pull them: `anchor` and `start`, and the `belief` in each (B, slots).
-
-        A tracked loop has no say in the shape: the killer edge leaps from frame to frame, and its ends have no order. Belief is
-        learned from the present alone: the forecast has no say in it, and may take back over the steps what it is told here.
-        """
-        pointed, present = context["pointed"], context["present"]
-        scale, value = self.normalisation.scale, self.normalisation.value
-        last = last_appearance(kept)
-        since = (kept["past_grippers"][:, :1] - last["grippers_then"]).mean(dim=2)  # how far it was carried
-        found = States.among(last).mean + since
-        guessed = self._states(present, pointed[..., None, :]).mean
-        apart = torch.cdist(guessed.detach(), found)  # (B, slots, tracked)
-        order = cheapest_order(apart * last["known"][:, None])
-        row = torch.arange(len(order), device=order.device)[:, None]
-        score = self.belief(self._reliability(last, kept)).float()[row, order]
-        belief = score[..., :1].sigmoid() * last["known"][row, order][..., None]
-        values = torch.stack([last["birth"], last["death"] - last["birth"]], dim=-1)[row, order]
-        off, wrong = found[row, order] - guessed, _numbers_of(values / value) - present[..., 28:30]
-        believed = belief.detach()
-        surer = believed * (score[..., 1:] - present[..., 31:])  # that it is tracked speaks for its being there
-        none = torch.zeros_like(present[..., :28])
-        return {
-            "anchor": pointed + believed * off,
-            "start": present + torch.cat([none, believed * wrong, none[..., :1], surer], dim=-1),
-            "noticed": torch.cat([believed * off / scale, believed * wrong, believed], dim=-1),
-            "belief": belief[..., 0],
-            "believed": pointed.detach() + belief * off.detach(),
-        }
-
-    def _reliability(self, last: Context, kept: Context) -> Tensor:
-        """Values, how often it was there and how far it strayed from the grippers, of each tracked loop (B, slots, RELIABLE)."""
-        # Not how far it is from where a slot points: on unknown garments that is far, and the tracker needed most.
-        grippers, there = kept["past_grippers"], kept["past_present"].to(kept["past_grippers"])  # (B, h, loops)
-        beside = kept["past_triangles"][..., :2, :, :].mean(dim=(-3, -2)) - grippers.mean(dim=2)[:, :, None]
-        times = there.sum(dim=1).clamp_min(1)
-        mean = (beside * there[..., None]).sum(dim=1) / times[..., None]
-        stray = ((beside - mean[:, None]).square().sum(dim=-1) * there).sum(dim=1) / times
-        values = torch.stack([last["birth"], last["death"], *last["neighbour_values"].unbind(dim=-1)], dim=-1)
-        often = torch.stack([last["known"].to(there), there[:, 0], there[:, :4].mean(dim=1), there.mean(dim=1)], dim=-1)
-        far = (stray + 1e-8).sqrt()[..., None] * (10 / self.normalisation.scale)
-        return torch.cat([values / self.normalisation.value, often, far], dim=-1)
+        start = self.present(slot) + functional.pad(corners, (0, NUMBERS - corners.shape[-1]))
+        hold = self.hold(slot).softmax(dim=-1)[..., :2]
+        return {"slot": slot, "anchor": anchor, "start": start, "hold": hold, "grippers": grippers}
 
     def present_states(self, context: Context) -> States:
-        """The present loops, about the places pointed at; if `tracked`, in a second step, about those that they are pulled to."""
-        numbers, about = context["present"][:, None], context["pointed"][:, None]
-        if self.tracked:  # for the belief alone: the same loops elsewhere
-            numbers = torch.cat([numbers, numbers.detach()], dim=1)
-            about = torch.cat([about, context["believed"][:, None]], dim=1)
-        return self._states(numbers, about[..., None, :])
+        """The present loops, (B, 1, slots)."""
+        return self._states(context["start"][:, None], context["anchor"][:, None, :, None])
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
         code, carried = self._plan(context["grippers"], actions, held)
-        change = self._changes(code, context["slot"])
+        hidden = code[:, :, None] + self.from_slot(context["slot"])[:, None]
+        change = self.change(functional.relu(hidden, inplace=True))  # (C, K, slots, NUMBERS): what the network adds
         moved = context["hold"][:, None] @ carried  # (C, K, slots, 3): each loop follows the grippers in its own shares
         return self._states(context["start"][:, None] + change, (context["anchor"][:, None] + moved)[..., None, :])
-
-    def _changes(self, code: Tensor, slot: Tensor) -> Tensor:
-        """What the network adds (C, K, slots, NUMBERS), of codes of steps (C, K, step_width) and of slots."""
-        hidden = code[:, :, None] + self.from_slot(slot)[:, None]
-        return self.change(functional.relu(hidden, inplace=True))
 
     def _plan(self, grippers: Tensor, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
         """Codes (C, K, step_width) of the steps, causal, and how far each gripper has carried by then (C, K, 2, 3), metres."""
@@ -201,23 +127,7 @@ class LoopCast(PredictiveModel):
             middle,
             torch.stack([holds, since, free], dim=-1),
         ]
-        return self._code(torch.cat(numbers, dim=-1)), carried
-
-    def _standing(self, kept: Context) -> Tensor:
-        """The code (B, 1, step_width) of a step before the first: nothing has moved."""
-        frame = kept["frame"][:, 0]  # with the middle of the grippers in the room, and held, at the end
-        numbers = functional.pad(frame[:, None, 6:], (18, 2))
-        return self._code(numbers)
-
-    def _code(self, numbers: Tensor) -> Tensor:
-        """Codes (C, K, step_width) of the numbers (C, K, 24) of steps, each with the mean over those up to it."""
-        h = functional.gelu(self.step_in(numbers))
-        count = torch.arange(1, numbers.shape[1] + 1, device=numbers.device)[:, None]
+        h = functional.gelu(self.step_in(torch.cat(numbers, dim=-1)))
+        count = torch.arange(1, steps + 1, device=h.device)[:, None]
         mean = functional.gelu(self.step_past(h)).cumsum(dim=1) / count
-        return self.from_step(torch.cat([h, mean], dim=-1))
-
-
-def _numbers_of(values: Tensor) -> Tensor:
-    """The inverse of `PredictiveModel._positive`, in units of `value`; small ones are cut off."""
-    y = (2 * values).clamp_min(0.1)
-    return (y.square() - 1) / (2 * y)
+        return self.from_step(torch.cat([h, mean], dim=-1)), carried

@@ -184,7 +184,7 @@ class Predictor:
     def reset(self) -> None:
         """Forget everything observed."""
         self._kept: deque[dict[str, Tensor]] = deque(maxlen=self.model.shape.history)
-        self._tracked: deque[tuple[TopologicalState, Tensor]] = deque(maxlen=self.model.shape.history)
+        self._states: deque[TopologicalState] = deque(maxlen=self.model.shape.history)
         self._tracker = SeqPH(**RECOMMENDED) if self.model.tracked else None
         self._context: dict[str, Tensor] | None = None
 
@@ -218,7 +218,7 @@ class Predictor:
                 raise ValueError(f"grippers must be a (2, 3) array, not of shape {place.shape}")
             frame |= {"grippers": torch.from_numpy(place).float()[None], "held": torch.tensor([bool(held)])}
         if self._tracker is not None:
-            self._tracked.append((self._tracker.update(cloud), frame["grippers"]))
+            self._states.append(self._tracker.update(cloud))
         self._kept.append(self.model.encode_frames({name: frame[name] for name in self.model.inputs}))
         self._context = None
 
@@ -249,8 +249,7 @@ class Predictor:
             look = [back[frames] for frames in self.model.frames]
             kept = {name: torch.stack([self._kept[i][name] for i in look], dim=1) for name in self._kept[0]}
             if self._tracker is not None:
-                states, grippers = zip(*self._tracked, strict=True)
-                past = past_window(states, self.model.shape.slots) | {"past_grippers": torch.stack(grippers, dim=1)}
+                past = past_window(self._states, self.model.shape.slots)
                 kept |= {name: part[:, back] for name, part in past.items()}
             self._context = self.model.gather(kept)
         return self._context

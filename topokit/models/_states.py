@@ -111,14 +111,6 @@ def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     return torch.cat([corners, apexes], dim=-2), neighbour_values
 
 
-def cheapest_order(cost: Tensor) -> Tensor:
-    """(B, S) which of S each of S shall have, for costs (B, S, S) of each having each: all orders are tried."""
-    slots = cost.shape[-1]
-    orders = torch.tensor(list(itertools.permutations(range(slots))), device=cost.device)  # (S!, S)
-    totals = cost[:, torch.arange(slots, device=cost.device), orders].sum(dim=-1)  # (B, S!)
-    return orders[totals.argmin(dim=-1)]
-
-
 def target_states(window: Window) -> States:
     """What should be predicted for a batch of windows."""
     return _states(window, "")
@@ -194,12 +186,12 @@ def forecast_loss(
         The batch, labels included.
     weights : LossWeights
     present : States, optional
-        A model's estimate of the present state, or a few of them, as steps.
+        A model's estimate of the present state, as the one step.
     generator : torch.Generator, optional
         Draws the eight steps on which the log-likelihood is taken.
     """
     target = target_states(window)
-    past = past_states(window)[:, [-1] * (1 if present is None else present.birth.shape[1])]
+    past = past_states(window)[:, -1:]
     if weights.match:
         order = match_slots(predicted, target)
         target, past = target.slots(order), past.slots(order)
@@ -232,7 +224,11 @@ def match_slots(predicted: States, target: States) -> Tensor:
     apart = torch.cdist(predicted.mean, target.mean) / POSITION  # (B, K, predicted, target)
     logit = predicted.presence[..., :, None]
     wrong = functional.softplus(logit) - logit * there[..., None, :]  # cross-entropy of every pair
-    return cheapest_order((apart.clamp_max(5.0) * there[..., None, :] + wrong).mean(dim=1))
+    cost = (apart.clamp_max(5.0) * there[..., None, :] + wrong).mean(dim=1)  # (B, predicted, target)
+    slots = cost.shape[-1]
+    orders = torch.tensor(list(itertools.permutations(range(slots))), device=cost.device)  # (S!, S)
+    totals = cost[:, torch.arange(slots, device=cost.device), orders].sum(dim=-1)  # (B, S!)
+    return orders[totals.argmin(dim=-1)]
 
 
 def _features(predicted: States, target: States, there: Tensor) -> Tensor:
