@@ -6,6 +6,7 @@ shared by all points, then the maximum over them), without its transforms of the
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -30,11 +31,20 @@ class Hold(PredictiveModel):
     tracked = True
 
     def gather(self, kept: Context) -> Context:
-        return last_appearance(kept) | {"grippers": kept["grippers"][:, 0]}
+        """Each slot as it was last tracked, and the grippers then; one that never was has its corners between the grippers."""
+        present = kept["past_present"]  # (B, h, slots), the newest frame first
+        last = present.int().argmax(dim=1)  # (B, slots); 0 of one that was never tracked
+        batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])
+        loops = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
+        known, now = present.any(dim=1), kept["grippers"][:, 0]
+        corners = torch.where(known[..., None, None], loops.corners, now.mean(dim=1)[:, None, None])
+        loops = loops.replace(corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
+        return vars(loops) | {"known": known, "grippers": now, "grippers_then": kept["grippers"][batch, last]}
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
         moved = self._moved(context, actions, held)  # (C, K, slots or 1, 3)
-        still = States.among(context).each(lambda part: part[:, None].expand(*actions.shape[:2], *part.shape[1:]))
+        last = States(*(context[part.name] for part in dataclasses.fields(States)))
+        still = last.each(lambda part: part[:, None].expand(*actions.shape[:2], *part.shape[1:]))
         step = moved.diff(dim=1, prepend=torch.zeros_like(moved[:, :1])).norm(dim=-1)
         return still.replace(corners=still.corners + moved[..., None, :], step=step.expand_as(still.step))
 
@@ -172,19 +182,6 @@ class PointNet(MLP):
 
 def _layers(widths: Sequence[int]) -> list[nn.Module]:
     return [layer for n_in, n_out in itertools.pairwise(widths) for layer in (nn.Linear(n_in, n_out), nn.ReLU())]
-
-
-def last_appearance(kept: Context) -> Context:
-    """Each slot as it was last tracked, and the grippers then; one that never was has its corners between the grippers."""
-    present = kept["past_present"]  # (B, h, slots), the newest frame first
-    last = present.int().argmax(dim=1)  # (B, slots); 0 of one that was never tracked
-    batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])
-    loops = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
-    known = present.any(dim=1)
-    middle = kept["grippers"][:, 0].mean(dim=1)[:, None, None]
-    corners = torch.where(known[..., None, None], loops.corners, middle)
-    loops = loops.replace(corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
-    return vars(loops) | {"known": known, "grippers_then": kept["grippers"][batch, last]}
 
 
 def past_window(states: Sequence[TopologicalState], slots: int) -> dict[str, Tensor]:

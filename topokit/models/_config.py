@@ -26,7 +26,6 @@ from ._states import LossWeights, Window, target_states
 Natural = Annotated[int, Field(ge=0)]
 _Part = Annotated[float, Field(ge=0, lt=1)]
 _PLACES = ("clouds", "grippers", "actions", "triangles", "past_triangles")
-_PAIRS = ("grippers", "actions")
 
 
 @checked
@@ -107,9 +106,9 @@ def open_windows(config: TrainConfig) -> Windows:
     return Windows(train, validation, episodes.checksum())
 
 
-def normalisation_of(data: Any, most: int = 200) -> Normalisation:
+def normalisation_of(data: Any) -> Normalisation:
     """Where the coordinates and filtration values of some windows lie."""
-    window = default_collate([data[i] for i in spread(len(data), most)])
+    window = default_collate([data[i] for i in spread(len(data), 200)])
     clouds, target = window["clouds"], target_states(window)
     origin = clouds.mean(dim=(0, 1, 2))
     deaths = target.death[target.presence > 0]
@@ -132,8 +131,9 @@ def mirrored(window: Window, which: Tensor) -> dict[str, Tensor]:
     """A batch of windows, those where `which` (B,) is true seen in the mirror x -> -x, where the grippers change names."""
     flipped = dict(window)
     for name in (name for name in _PLACES if name in window):
-        image = window[name] * window[name].new_tensor([-1.0, 1.0, 1.0])
-        flipped[name] = _chosen(which, image.flip(-2) if name in _PAIRS else image, window[name])
+        image = window[name][which] * window[name].new_tensor([-1.0, 1.0, 1.0])
+        flipped[name] = window[name].clone()
+        flipped[name][which] = image.flip(-2) if name in ("grippers", "actions") else image
     return flipped
 
 
@@ -142,18 +142,10 @@ def spoilt(window: Window, how: Spoiling, generator: torch.Generator) -> dict[st
     shown, n = dict(window), len(window["clouds"])
     chosen = torch.rand(n, generator=generator) < how.clouds
     if chosen.any():
+        clouds = window["clouds"][chosen]
+        rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
+        noise, outliers, drop = (most * rng.random((len(clouds), 1)) for most in (how.noise, how.outliers, how.drop))
+        worse = spoil(clouds.cpu().numpy(), rng, noise=noise, outliers=outliers, keep=1 - drop)
         shown["clouds"] = window["clouds"].clone()
-        shown["clouds"][chosen] = _spoilt_clouds(window["clouds"][chosen], how, generator)
+        shown["clouds"][chosen] = torch.from_numpy(worse).to(clouds)
     return shown
-
-
-def _spoilt_clouds(clouds: Tensor, how: Spoiling, generator: torch.Generator) -> Tensor:
-    """Clouds (n, h, P, 3) with points missing, noise, and outliers, every window by amounts of its own."""
-    rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
-    noise, outliers, drop = (most * rng.random((len(clouds), 1)) for most in (how.noise, how.outliers, how.drop))
-    return torch.from_numpy(spoil(clouds.cpu().numpy(), rng, noise=noise, outliers=outliers, keep=1 - drop)).to(clouds)
-
-
-def _chosen(which: Tensor, part: Tensor, other: Tensor) -> Tensor:
-    """One of two parts of windows, as `which` says for their leading axes."""
-    return torch.where(which.reshape(*which.shape, *(1,) * (part.dim() - which.dim())).to(part.device), part, other)

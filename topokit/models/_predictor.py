@@ -55,6 +55,12 @@ class PredictedLoop:
         """Where the loop is, as `topokit.loop_mixture` says."""
         return loop_mixture(self, noise)
 
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists, for JSON."""
+        numbers = {name: getattr(self, name) for name in ("slot", "birth", "death", "lifetime")}
+        places = {"mean": self.mixture().mean.tolist(), "killer_triangles": self.killer_triangles.tolist()}
+        return numbers | places | {"presence": round(self.presence, 4)}
+
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
@@ -147,19 +153,7 @@ class Forecast:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, for JSON: of every step the loops that are there."""
-        return {"steps": [[_as_dict(loop) for loop in self[step]] for step in range(len(self))]}
-
-
-def _as_dict(loop: PredictedLoop) -> dict[str, Any]:
-    return {
-        "slot": loop.slot,
-        "presence": round(loop.presence, 4),
-        "birth": loop.birth,
-        "death": loop.death,
-        "lifetime": loop.lifetime,
-        "mean": loop.mixture().mean.tolist(),
-        "killer_triangles": loop.killer_triangles.tolist(),
-    }
+        return {"steps": [[loop.as_dict() for loop in self[step]] for step in range(len(self))]}
 
 
 class Predictor:
@@ -206,10 +200,13 @@ class Predictor:
         ValueError
             When an array has another shape or holds a value that is not finite, or the model needs the grippers.
         """
-        cloud = as_points(points)
+        cloud, n = as_points(points), self.model.shape.points
         if cloud.shape[1] != 3 or not len(cloud):
             raise ValueError(f"points must be an (n, 3) array of one point at least, not of shape {cloud.shape}")
-        frame = {"clouds": torch.from_numpy(_spread(cloud, self.model.shape.points))[None]}
+        chosen = cloud[farthest_point_sample(cloud, n)[0]] if len(cloud) > n else cloud
+        frame = {
+            "clouds": torch.from_numpy(np.resize(chosen, (1, n, 3)).astype(np.float32))
+        }  # repeated if they are few
         if "grippers" in self.model.inputs:
             if grippers is None:
                 raise ValueError("this model needs to know where the grippers are: observe(points, grippers)")
@@ -265,10 +262,3 @@ class Predictor:
         if holds.shape != plans.shape[:-2]:
             raise ValueError(f"held must be {plans.shape[:-2]}, as the actions, not {holds.shape}")
         return torch.from_numpy(plans).reshape(-1, steps, 2, 3), torch.from_numpy(holds).reshape(-1, steps)
-
-
-def _spread(points: NDArray[np.float64], n: int) -> Array:
-    """`n` farthest points, or all of them and then the first ones again."""
-    if len(points) > n:
-        points = points[farthest_point_sample(points, n)[0]]
-    return np.resize(points, (n, 3)).astype(np.float32)

@@ -65,18 +65,9 @@ class States:
         values = self.neighbour_values[..., neighbours]
         return self.replace(corners=self.corners[..., corners, :], neighbour_values=values)
 
-    @classmethod
-    def among(cls, parts: Mapping[str, Tensor]) -> States:
-        """Those that stand under the names of the fields among other tensors."""
-        return cls(*(parts[part.name] for part in dataclasses.fields(cls)))
-
     def replace(self, **parts: Tensor) -> States:
         """A copy with other parts."""
         return dataclasses.replace(self, **parts)
-
-    def float(self) -> States:
-        """All parts in 32 bits."""
-        return self.each(Tensor.float)
 
     def __getitem__(self, index: Any) -> States:
         """Index all parts alike, along the leading dimensions."""

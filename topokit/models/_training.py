@@ -14,6 +14,7 @@ import math
 import time
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -107,16 +108,12 @@ class _Training:
         if not self.progress.finished and self.model.learns:
             self._descend(self.progress.step + stop_after if stop_after else None)
         elif not self.progress.finished:
-            self._solve()
+            if isinstance(self.model, Ridge):
+                self.model.fit(self._batches())
+            self._validate()
+            self.progress.finished = True
+            self._save(LAST)
         return self._summary()
-
-    def _solve(self) -> None:
-        """A model without gradient descent: fit what is to be fitted, and validate once."""
-        if isinstance(self.model, Ridge):
-            self.model.fit(self._batches())
-        self._validate()
-        self.progress.finished = True
-        self._save(LAST)
 
     def _descend(self, stop: int | None) -> None:
         """Epochs until the end, early or not, or until a step."""
@@ -161,9 +158,11 @@ class _Training:
         """Of a batch, as it is shown to the model: in 32 bits whatever the model computes in. The seed draws steps."""
         with self.fabric.autocast():
             predicted, present = self.model(shown)
-        present = None if present is None else present.float()
+        present = None if present is None else present.each(Tensor.float)
         generator = torch.Generator().manual_seed(seed)
-        return forecast_loss(predicted.float(), window, self.config.loss, present=present, generator=generator)
+        return forecast_loss(
+            predicted.each(Tensor.float), window, self.config.loss, present=present, generator=generator
+        )
 
     @torch.no_grad()
     def _validate(self) -> None:
@@ -273,8 +272,5 @@ def _add(sums: dict[str, float], parts: Window, weight: int = 1) -> None:
 
 
 def _fabric(config: TrainConfig) -> Any:
-    try:
-        Fabric = import_module("lightning_fabric").Fabric
-    except ModuleNotFoundError:  # conda-forge has it as a part of `lightning`
-        Fabric = import_module("lightning.fabric").Fabric
-    return Fabric(accelerator=config.accelerator, devices=1, precision=config.precision)
+    module = "lightning_fabric" if find_spec("lightning_fabric") else "lightning.fabric"  # the latter is conda-forge's
+    return import_module(module).Fabric(accelerator=config.accelerator, devices=1, precision=config.precision)
