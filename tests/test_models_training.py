@@ -33,8 +33,8 @@ from topokit.models import (
     target_states,
     train,
 )
-from topokit.models._baselines import PointNet
 from topokit.models._config import epoch_order, mirrored, spoilt
+from topokit.models._networks import PointNet
 
 from windows import POINTS, SLOTS, RingWindows
 

@@ -163,19 +163,16 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         self.history, self.horizon, self.n_points, self.slots = history, horizon, n_points, slots
         self._memory = _Memory(memory)
         self.episodes = self.dataset.labelled(labels) if episodes is None else np.unique([*map(int, episodes)])
-        self._check_labelled()
+        missing = np.setdiff1d(self.episodes, self.dataset.labelled(labels))
+        if len(missing):
+            lack = f"{len(missing)} episodes have no labels {labels!r}, the first is {missing[0]}"
+            raise ValueError(f"{lack}: topokit label makes them")
         lengths = [self.dataset.group.records[int(i)].frames for i in self.episodes]
         frames = [np.arange(history - 1, length - horizon, stride) for length in lengths]
         counts = [len(span) for span in frames]
         if not any(counts):
             raise ValueError(f"no episode has the {history + horizon} frames of a window (of {len(lengths)} episodes)")
         self.index = np.column_stack([np.repeat(self.episodes, counts), np.concatenate(frames)])
-
-    def _check_labelled(self) -> None:
-        missing = np.setdiff1d(self.episodes, self.dataset.labelled(self.labels))
-        if len(missing):
-            lack = f"{len(missing)} episodes have no labels {self.labels!r}, the first is {missing[0]}"
-            raise ValueError(f"{lack}: topokit label makes them")
 
     def __len__(self) -> int:
         return len(self.index)

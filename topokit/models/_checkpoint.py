@@ -23,21 +23,14 @@ import topokit
 from topokit._archive import FormatError, atomic_file
 from topokit._config import from_mapping
 
-from ._base import Normalisation, PredictiveModel, Shape
-from ._baselines import MLP, Carry, Hold, PointNet, Ridge
-from ._loopcast import LoopCast
+from ._baselines import Carry, Hold, Normalisation, PredictiveModel, Ridge, Shape
+from ._networks import MLP, LoopCast, PointNet
 
 SCHEMA = 1
 _KIND = "topokit-checkpoint"
 
-MODELS: Mapping[str, type[PredictiveModel]] = {
-    "hold": Hold,
-    "carry": Carry,
-    "ridge": Ridge,
-    "mlp": MLP,
-    "pointnet": PointNet,
-    "loopcast": LoopCast,
-}
+_KINDS: tuple[type[PredictiveModel], ...] = (Hold, Carry, Ridge, MLP, PointNet, LoopCast)
+MODELS: Mapping[str, type[PredictiveModel]] = {kind.__name__.lower(): kind for kind in _KINDS}
 
 
 def build(

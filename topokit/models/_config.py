@@ -19,7 +19,7 @@ from torch.utils.data import default_collate
 from topokit._config import Count, NotNegative, Positive, checked, load
 from topokit.data import spoil
 
-from ._base import Normalisation, Shape
+from ._baselines import Normalisation, Shape
 from ._checkpoint import MODELS
 from ._states import LossWeights, Window, target_states
 
@@ -43,7 +43,7 @@ class TrainConfig:
     """What `topokit train` does. An entry that is unknown or refused is a ValueError that names it."""
 
     model: str  #: a name of `topokit.models.MODELS`
-    dataset: str = ""  #: directory of a dataset, relative to the configuration's file
+    dataset: str = "."  #: directory of a dataset, relative to the configuration's file
     out: str = "run"  #: directory for checkpoints and logs, relative to the configuration's file
     options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
     windows: dict[str, Any] = field(default_factory=dict)  #: of `topokit.data.WindowDataset`: labels, stride
@@ -73,7 +73,7 @@ class TrainConfig:
 def load_config(path: str | Path) -> TrainConfig:
     """Read a configuration; paths in it are then relative to the working directory."""
     config, home = load(TrainConfig, path), Path(path).parent
-    return replace(config, dataset=config.dataset and str(home / config.dataset), out=str(home / config.out))
+    return replace(config, dataset=str(home / config.dataset), out=str(home / config.out))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,17 +86,9 @@ class Windows:
 
 
 def open_windows(config: TrainConfig) -> Windows:
-    """The windows of a dataset that `topokit generate` made, split by episode or as `config.split` says.
-
-    Raises
-    ------
-    ValueError
-        When the configuration names no dataset.
-    """
+    """The windows of a dataset that `topokit generate` made, split by episode or as `config.split` says."""
     from topokit.data import Dataset, WindowDataset  # which need what the extra `learn` has not
 
-    if not config.dataset:
-        raise ValueError("the configuration names no dataset")
     episodes, sizes = Dataset(config.dataset), asdict(config.shape)
     parts, points = episodes.split(**config.split), sizes.pop("points")
     train, validation = (

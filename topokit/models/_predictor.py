@@ -19,8 +19,7 @@ from topokit.sampling import farthest_point_sample
 from topokit.seqph import RECOMMENDED, SeqPH
 from topokit.state import TopologicalState
 
-from ._base import PredictiveModel
-from ._baselines import past_window
+from ._baselines import PredictiveModel, past_window
 from ._checkpoint import load_model
 from ._states import TRIANGLES, States
 
@@ -82,11 +81,6 @@ class Forecast:
         """Of a model's output (C, K, S), on the CPU."""
         return cls(*(part.numpy() for part in vars(states.replace(presence=states.presence.sigmoid())).values()))
 
-    @property
-    def plans(self) -> int | None:
-        """C, or None of a single plan."""
-        return len(self.birth) if self.birth.ndim == 3 else None
-
     def plan(self, index: int) -> Forecast:
         """The forecast under one of many plans.
 
@@ -95,7 +89,7 @@ class Forecast:
         IndexError
             When there is but one.
         """
-        if self.plans is None:
+        if self.birth.ndim < 3:
             raise IndexError("this is the forecast of a single plan")
         return Forecast(*(part[index] for part in vars(self).values()))
 
@@ -128,18 +122,12 @@ class Forecast:
 
     def __getitem__(self, step: int) -> tuple[PredictedLoop, ...]:
         """Return the loops of a step, 0 for the next frame: those more likely there than not, longest lifetime first."""
-        if self.plans is not None:
+        if self.birth.ndim > 2:
             raise IndexError("this is a forecast of many plans: choose one first, forecast.plan(i)[step]")
         longest = np.argsort(-self.lifetime[step], kind="stable")
-        return tuple(self.loop(step, int(slot)) for slot in longest if self.presence[step, slot] > 0.5)
+        return tuple(self._loop(step, int(slot)) for slot in longest if self.presence[step, slot] > 0.5)
 
-    def loop(self, step: int, slot: int) -> PredictedLoop:
-        """Return one loop of a single plan, there or not.
-
-        Parameters
-        ----------
-        step, slot : int
-        """
+    def _loop(self, step: int, slot: int) -> PredictedLoop:
         triangles = self.corners[step, slot][np.array(TRIANGLES)]
         near, death = self.neighbour_values[step, slot], self.death[step, slot]
         return PredictedLoop(
@@ -150,10 +138,6 @@ class Forecast:
             killer_values=np.repeat(death, 2),
             neighbour_values=near[near > 0],
         )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists, for JSON: of every step the loops that are there."""
-        return {"steps": [[loop.as_dict() for loop in self[step]] for step in range(len(self))]}
 
 
 class Predictor:

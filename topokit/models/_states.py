@@ -28,6 +28,7 @@ TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  
 _OTHER_WAY = ([1, 0, 2, 3, 5, 4, 7, 6], [1, 0, 3, 2])  # corners and neighbours when x and y change places
 NUMBERS = 32  # of a loop: 8 corners, 4 neighbour values, birth, lifetime, step, presence
 POSITION, VALUE = 0.1, 0.02  # metres that count as one in the losses: of places, and of filtration values
+PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "step", "present"))
 Window = Mapping[str, Tensor]  # a batch of windows, as of `topokit.data.WindowDataset`
 
 
@@ -104,19 +105,14 @@ def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
 
 def target_states(window: Window) -> States:
     """What should be predicted for a batch of windows."""
-    return _states(window, "")
+    step, presence = torch.nan_to_num(window["step"]), torch.where(window["present"], 20.0, -20.0)
+    corners, neighbour_values = corners_of(window["triangles"], window["values"])
+    return States(corners, neighbour_values, window["birth"], window["death"], step, presence)
 
 
 def past_states(window: Window) -> States:
     """What the tracker saw in the history of a batch of windows."""
-    return _states(window, "past_")
-
-
-def _states(window: Window, prefix: str) -> States:
-    corners, neighbour_values = corners_of(window[f"{prefix}triangles"], window[f"{prefix}values"])
-    birth, death, step = (window[f"{prefix}{name}"] for name in ("birth", "death", "step"))
-    presence = torch.where(window[f"{prefix}present"], 20.0, -20.0)
-    return States(corners, neighbour_values, birth, death, torch.nan_to_num(step), presence)
+    return target_states({name.removeprefix("past_"): window[name] for name in PAST})
 
 
 def loop_mixtures(triangles: Tensor, values: Tensor, noise: float = 1e-4) -> MixtureSameFamily:

@@ -26,8 +26,7 @@ from tqdm import tqdm
 from topokit._archive import FormatError
 from topokit._config import from_mapping
 
-from ._base import Normalisation
-from ._baselines import Ridge
+from ._baselines import Normalisation, Ridge
 from ._checkpoint import build, describe, load_tensors, part_of, save_tensors
 from ._config import TrainConfig, Windows, epoch_order, mirrored, normalisation_of, spoilt, spread
 from ._states import Window, forecast_loss
@@ -85,7 +84,10 @@ class Progress:
 class _Training:
     def __init__(self, config: TrainConfig, windows: Windows, show: bool) -> None:
         self.config, self.windows, self.show, self.out = config, windows, show, Path(config.out)
-        self.fabric, self.progress = _fabric(config), Progress()
+        self.progress = Progress()
+        module = "lightning_fabric" if find_spec("lightning_fabric") else "lightning.fabric"  # as conda-forge has it
+        fabric = import_module(module).Fabric
+        self.fabric = fabric(accelerator=config.accelerator, devices=1, precision=config.precision)
         saved = load_tensors(self.out / LAST) if (self.out / LAST).exists() else None
         if saved is None:
             normalisation = normalisation_of(windows.train)
@@ -269,8 +271,3 @@ def learning_rate_share(step: int, steps: int) -> float:
 def _add(sums: dict[str, float], parts: Window, weight: int = 1) -> None:
     for name, part in parts.items():
         sums[name] = sums.get(name, 0.0) + weight * float(part)
-
-
-def _fabric(config: TrainConfig) -> Any:
-    module = "lightning_fabric" if find_spec("lightning_fabric") else "lightning.fabric"  # the latter is conda-forge's
-    return import_module(module).Fabric(accelerator=config.accelerator, devices=1, precision=config.precision)

@@ -1,6 +1,6 @@
-"""LoopCast, our predictor: find the loops, carry them with the grippers, learn the rest.
+"""Networks: the two of the paper, and LoopCast, ours, which finds the loops, carries them with the grippers, learns the rest.
 
-Idea, four choices against the paper's networks:
+Idea of LoopCast, four choices against the paper's networks:
 
 1. *Relative coordinates.* Points are seen from the middle between the grippers; the network is told where that middle is.
 2. *Pointing.* A corner of a loop's triangles is an average of the cloud's own points under learned attention, plus a little.
@@ -9,21 +9,88 @@ Idea, four choices against the paper's networks:
 4. *Slots.* Each loop has its own code; a step of the plan has one too (from the actions up to that step, none after it). A
    small network of the two gives the state. Frames are encoded once, when they arrive, and plans share the history.
 
-Source: attention as in Vaswani et al. 2017; slots as in Locatello et al. 2020 and Carion et al. 2020. Taught in chapter 10.
+Source: Antonova et al. 2021, section 5; Qi, Su, Mo, Guibas 2017, *PointNet* (a network shared by all points, then the maximum
+over them), without its transforms of the input; attention as in Vaswani et al. 2017; slots as in Locatello et al. 2020 and
+Carion et al. 2020. Taught in chapter 10.
 """
 
 from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ._base import Context, Normalisation, PredictiveModel, Shape, maximum
+from ._baselines import Context, Normalisation, PredictiveModel, Shape
 from ._states import NUMBERS, States
 
+HIDDEN, POINTS = (512, 512, 256, 128), (64, 64, 96)  # units of the paper's hidden layers, and of those for every point
 FRAMES = (0, 3, 8, 15)  # that are looked at, counted back from the present
 HEADS = 8  # one a corner
 FRAME = 10  # numbers of a frame beside its cloud: the grippers from their middle, that middle in the room, held
+
+
+def maximum(codes: Tensor) -> Tensor:
+    """(N, width) maximum over the points of codes (N, P, width), as a pooling: its gradient is far quicker than that of amax."""
+    return functional.adaptive_max_pool1d(codes.transpose(1, 2), 1)[..., 0]
+
+
+class MLP(PredictiveModel):
+    """Fully connected network of `hidden` units, in the coordinates of the room.
+
+    Of each cloud the first `cloud_points` points are read: clouds come in farthest-point order.
+    """
+
+    def __init__(
+        self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN, cloud_points: int = 32
+    ) -> None:
+        super().__init__(shape, normalisation)
+        self.cloud_points = min(cloud_points, shape.points)
+        self.history_layer = nn.Linear(shape.history * self._frame_size(), hidden[0])
+        self.action_layer = nn.Linear(7 * shape.horizon, hidden[0], bias=False)
+        last = nn.Linear(hidden[-1], shape.horizon * shape.slots * NUMBERS)
+        self.rest = nn.Sequential(nn.ReLU(), *_layers(hidden), last)
+
+    def _frame_size(self) -> int:
+        return 3 * self.cloud_points
+
+    def encode_frames(self, frames: Context) -> Context:
+        return {"frame": self.normalise(frames["clouds"][:, : self.cloud_points]).flatten(1)}
+
+    def gather(self, kept: Context) -> Context:
+        return {"first": self.history_layer(kept["frame"].flatten(1))}
+
+    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
+        plan = torch.cat([self.normalise(actions).flatten(1), held.to(actions)], dim=1)
+        numbers = self.rest(context["first"] + self.action_layer(plan))
+        return self._states(numbers.unflatten(1, (self.shape.horizon, self.shape.slots, NUMBERS)), self.origin)
+
+
+class PointNet(MLP):
+    """PointNet a cloud, of `per_point` units, shared by all frames, in front of the fully connected network."""
+
+    def __init__(
+        self,
+        shape: Shape,
+        normalisation: Normalisation,
+        hidden: Sequence[int] = HIDDEN,
+        per_point: Sequence[int] = POINTS,
+    ) -> None:
+        self.code = per_point[-1]
+        super().__init__(shape, normalisation, hidden)
+        self.points = nn.Sequential(*_layers((3, *per_point)))
+
+    def _frame_size(self) -> int:
+        return self.code
+
+    def encode_frames(self, frames: Context) -> Context:
+        return {"frame": maximum(self.points(self.normalise(frames["clouds"])))}
+
+
+def _layers(widths: Sequence[int]) -> list[nn.Module]:
+    return [layer for n_in, n_out in itertools.pairwise(widths) for layer in (nn.Linear(n_in, n_out), nn.ReLU())]
 
 
 class FrameEncoder(nn.Module):
@@ -119,12 +186,11 @@ class LoopCast(PredictiveModel):
         carried = (velocity * holds[..., None, None]).cumsum(dim=1)
         since = torch.linspace(1 / steps, 1, steps).to(actions).expand(n, -1)
         free = (1 - holds).cumsum(dim=1) / steps
-        middle = self.normalise(actions.mean(dim=2))
         numbers = [
             ((actions - grippers[:, None]) / scale).flatten(2),
             (10 / scale * velocity).flatten(2),
             (carried / scale).flatten(2),
-            middle,
+            self.normalise(actions.mean(dim=2)),
             torch.stack([holds, since, free], dim=-1),
         ]
         h = functional.gelu(self.step_in(torch.cat(numbers, dim=-1)))
