@@ -77,9 +77,8 @@ def describe(model: PredictiveModel, name: str, options: Mapping[str, Any], **mo
     }
 
 
-def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> Path:
+def save_tensors(path: Path, tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> Path:
     """Write tensors and their description (JSON) to one file, checksummed."""
-    path = Path(path)
     if path.suffix != ".safetensors":
         raise ValueError(f"{path}: the name of a checkpoint ends in .safetensors")
     whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
@@ -130,12 +129,11 @@ def load_model(path: str | Path) -> tuple[PredictiveModel, dict[str, Any]]:
         When the description or the weights do not fit a model of this topokit; says which and where.
     """
     description, tensors = load_tensors(path)
-    weights = {name: part.float() for name, part in part_of(tensors, "model.").items()}
     try:
         shape = from_mapping(Shape, description["shape"], "shape")
         normalisation = from_mapping(Normalisation, description["normalisation"], "normalisation")
         model = build(description["model"], shape, normalisation, description["options"])
-        model.load_state_dict(weights)
+        model.load_state_dict({name: part.float() for name, part in part_of(tensors, "model.").items()})
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{path}: describes no model that this topokit can build: {error}") from error
     except RuntimeError as error:  # of torch: it lists every weight

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,6 @@ def add(commands: Any) -> None:
 
 
 def _train(options: argparse.Namespace) -> int:
-    from dataclasses import replace
-
     from . import load_config, open_windows, train
 
     changes = {name: value for name, value in (("seed", options.seed), ("out", options.out)) if value is not None}

@@ -1,7 +1,7 @@
 """What is trained on: a configuration (JSON or TOML), the windows of two splits that it names, and more made of them.
 
 Scenes are alike left and right of the plane x = 0 in which the targets stand: the mirror image of an episode could have happened.
-Histories are also shown worse than the labels' tracker saw them, which is what a real camera does.
+Clouds are also shown worse than the labels' tracker saw them, which is what a real camera does.
 """
 
 from __future__ import annotations
@@ -25,12 +25,11 @@ from ._states import LossWeights, Window, target_states
 
 Natural = Annotated[int, Field(ge=0)]
 _Part = Annotated[float, Field(ge=0, lt=1)]
-_PLACES = ("clouds", "grippers", "actions", "triangles", "past_triangles")
 
 
 @checked
 class Spoiling:
-    """How much worse a model sees the history in training than the labels' tracker did; nothing, when not said."""
+    """How much worse a model sees the clouds in training than the labels' tracker did; nothing, when not said."""
 
     clouds: _Part = 0.0  #: share of windows whose clouds are spoilt, each by an amount of its own, up to the next three
     noise: _Part = 0.0  #: standard deviation on every coordinate, metres
@@ -58,7 +57,7 @@ class TrainConfig:
     learning_rate: Positive = 1e-3  #: of AdamW; rises over the first 2 % of steps, falls along a cosine to a hundredth
     weight_decay: NotNegative = 1e-4  #: of AdamW
     clip: Positive = 1.0  #: largest norm of a gradient
-    spoil: Spoiling = field(default_factory=Spoiling)  #: how much worse the history is seen than by the labels' tracker
+    spoil: Spoiling = field(default_factory=Spoiling)  #: how much worse clouds are seen than by the labels' tracker
     patience: Count = 5  #: stop after so many epochs without a smaller validation loss
     minutes_between_checkpoints: Positive = 5.0  #: within an epoch; one more at its end
     workers: Natural = 0  #: processes that read windows beside the one that trains
@@ -122,7 +121,7 @@ def spread(n: int, most: int) -> list[int]:
 def mirrored(window: Window, which: Tensor) -> dict[str, Tensor]:
     """A batch of windows, those where `which` (B,) is true seen in the mirror x -> -x, where the grippers change names."""
     flipped = dict(window)
-    for name in (name for name in _PLACES if name in window):
+    for name in ("clouds", "grippers", "actions", "triangles", "past_triangles"):
         image = window[name][which] * window[name].new_tensor([-1.0, 1.0, 1.0])
         flipped[name] = window[name].clone()
         flipped[name][which] = image.flip(-2) if name in ("grippers", "actions") else image

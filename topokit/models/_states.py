@@ -4,8 +4,7 @@ Idea: the two killer triangles share the killer edge, and a neighbour shares an 
 eight corners: the ends x, y of the killer edge, the apexes z1 (thick), z2, and an apex a neighbour. Predicting corners keeps
 triangles that share an edge together and is half the size.
 
-Source: Antonova et al. 2021, section 5 (the L2 loss) and equation 1; slots are matched as in Carion et al. 2020 (DETR). Taught in
-chapters 9 and 10.
+Source: Antonova et al. 2021, section 5 (the L2 loss) and equation 1; slots as in Carion et al. 2020. Taught in chapters 9, 10.
 """
 
 from __future__ import annotations
@@ -89,8 +88,7 @@ def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
 
     Labels list the neighbours without gaps, so the outer edge says which it is. The apex of an absent one is that edge's middle.
     """
-    x, y = triangles[..., 0, 0, :], triangles[..., 0, 1, :]
-    corners = torch.stack([x, y, triangles[..., 0, 2, :], triangles[..., 1, 2, :]], dim=-2)
+    corners = torch.cat([triangles[..., 0, :, :], triangles[..., 1, 2:, :]], dim=-2)  # x y z1, z2
     edges = torch.tensor([triangle[:2] for triangle in TRIANGLES[2:]], device=triangles.device)
     outer = corners[..., edges, :]  # (..., 4 edges, 2, 3)
     found = triangles[..., 2:, :, :]  # (..., 4 neighbours, 3, 3)
