@@ -140,21 +140,6 @@ def test_who_gets_a_slot(zero):
     assert order(1) == [7]
 
 
-def test_what_was_seen_besides_is_the_history_of_the_other_labels(dataset, windows):
-    both = WindowDataset(dataset, history=H, horizon=K, n_points=30, slots=3, seen_labels="observed-40")
-    other = WindowDataset(dataset, history=H, horizon=K, n_points=30, slots=3, labels="observed-40")
-    assert sum(int(both[i]["seen_present"].sum()) for i in range(0, len(both), 7)) > 0
-    for i in range(0, len(both), 7):
-        window = both[i]
-        assert all(torch.equal(part, window[name]) for name, part in windows[i].items())
-        alive = other[i]["past_present"].any(dim=0)
-        for name in ("triangles", "values", "birth", "death", "step", "present"):
-            assert torch.equal(window[f"seen_{name}"][:, alive], other[i][f"past_{name}"][:, alive])
-            assert not window[f"seen_{name}"][:, ~alive].any()
-    with pytest.raises(FileNotFoundError, match="camera"):
-        WindowDataset(dataset, history=H, horizon=K, seen_labels="camera")
-
-
 def test_what_is_stored_becomes_triangles_and_values():
     """One frame, two loops in units of 0.1 mm: one with two neighbours, one that is not there."""
     cloud = np.arange(30, dtype=np.int16).reshape(1, 10, 3)
@@ -301,8 +286,6 @@ def test_what_is_kept_does_not_grow(dataset, windows):
     tracked = [getattr(episode.tracked, name).nbytes for name in ("ids", "triangles", "values", "numbers")]
     own = [getattr(episode, name).nbytes for name in ("clouds", "grippers", "actions", "held")]
     assert episode.nbytes == sum(own) + sum(tracked)
-    both = WindowDataset(dataset, history=H, horizon=K, n_points=30, seen_labels="observed-40")._decode(0)
-    assert both.nbytes == episode.nbytes + sum(part.nbytes for part in vars(both.seen).values())
     small = WindowDataset(dataset, history=H, horizon=K, n_points=30, slots=3, memory=2.5 * episode.nbytes)
     for i in (0, 30, 60, 0, 65):
         assert (small[i]["clouds"] == windows[i]["clouds"]).all()
@@ -358,11 +341,11 @@ def test_sizes_are_those_of_the_paper_when_none_are_given(dataset):
     assert WindowDataset(dataset, history=H, horizon=K)._memory.most == 4e9
 
 
-def test_episodes_without_the_second_labels_are_refused(dataset, tmp_path):
+def test_episodes_without_these_labels_are_refused(dataset, tmp_path):
     few = dataset.cut([0, 1], tmp_path / "few")
     (tmp_path / "few" / "labels" / "observed-40" / "records" / "00000001.json").unlink()
     (tmp_path / "few" / "labels" / "observed-40" / "index.json").unlink()
     assert few.episodes.tolist() == [0, 1]
     with pytest.raises(ValueError, match="1 episodes have no labels 'observed-40', the first is 1"):
-        WindowDataset(tmp_path / "few", history=H, horizon=K, seen_labels="observed-40")
+        WindowDataset(tmp_path / "few", [0, 1], history=H, horizon=K, labels="observed-40")
     assert WindowDataset(tmp_path / "few", history=H, horizon=K, labels="observed-40").episodes.tolist() == [0]

@@ -133,7 +133,7 @@ def test_in_the_opening():
 def test_likelihood_is_that_of_the_mixture():
     states, curve = said([(0.02, 0, 0.01)], [0.05]), circle()
     found = score(states, curve)
-    mixture = Forecast.from_states(states).plan(0).loop(0, 0).mixture()
+    mixture = Forecast.from_states(states).plan(0)[0][0].mixture()
     assert isinstance(mixture, LoopMixture)
     expected = -mixture.log_prob(opening_points(curve[0], 16, np.random.default_rng(0))).mean()
     assert found["nll"][0] == pytest.approx(expected, rel=1e-4)

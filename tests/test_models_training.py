@@ -19,7 +19,6 @@ from torch.utils.data import default_collate
 from topokit._archive import FormatError
 from topokit._config import from_mapping
 from topokit.models import (
-    PAST,
     LossWeights,
     Normalisation,
     Shape,
@@ -34,8 +33,8 @@ from topokit.models import (
     target_states,
     train,
 )
-from topokit.models._baselines import PointNet
 from topokit.models._config import epoch_order, mirrored, spoilt
+from topokit.models._networks import PointNet
 
 from windows import POINTS, SLOTS, RingWindows
 
@@ -89,8 +88,8 @@ def test_the_loss_falls_and_the_checkpoint_is_the_best_epoch(tmp_path, windows, 
 
 @pytest.mark.parametrize("stop", [4, 6, 13])  # within an epoch, at its end, in the last
 def test_stopped_and_resumed_is_as_undisturbed(tmp_path, windows, stop):
-    options = {"width": 16, "step_width": 8, "tracked": True}
-    spoil = Spoiling(clouds=0.5, noise=0.01, outliers=0.1, drop=0.5, lost=0.1, false=0.1)
+    options = {"width": 16, "step_width": 8}
+    spoil = Spoiling(clouds=0.5, noise=0.01, outliers=0.1, drop=0.5)
     how = {"model": "loopcast", "options": options, "loss": OURS, "spoil": spoil}
     whole, parts = config(tmp_path / "whole", **how), config(tmp_path / "parts", **how)
     train(whole, windows)
@@ -225,7 +224,6 @@ def test_load_config(tmp_path):
         ('{"model": "mlp", "shape": {"slots": 0}}', r"shape\.slots: .* greater than or equal to 1"),
         ('{"model": "mlp", "loss": {"nll": -1}}', r"loss\.nll: .* greater than or equal to 0"),
         ('{"model": "mlp", "spoil": {"noise": 1}}', r"spoil\.noise: .* less than 1, not 1"),
-        ('{"model": "mlp", "spoil": {"seen": 0.5}}', "spoil.seen needs windows.seen_labels"),
         ("{}", "'model' is missing"),
     ],
 )
@@ -265,68 +263,36 @@ def test_the_mirror_exchanges_the_grippers_and_their_targets():
 
 
 @pytest.fixture
-def seen():
-    """Windows with what another tracker saw of the history: every loop ten metres above."""
+def window():
     data = RingWindows(64, seed=2)
-    window = default_collate([data[i] for i in range(64)])
-    others = {name.replace("past_", "seen_"): part.clone() for name, part in window.items() if name[:5] == "past_"}
-    others["seen_triangles"][..., 2] += 10.0
-    return window | others
+    return default_collate([data[i] for i in range(64)])
 
 
 def generator():
     return torch.Generator().manual_seed(0)
 
 
-def test_spoilt_clouds_are_as_bad_as_was_asked_for_and_labels_stay(seen):
+def test_spoilt_clouds_are_as_bad_as_was_asked_for_and_labels_stay(window):
     how = Spoiling(clouds=0.5, noise=0.01, outliers=0.2, drop=0.5)
-    shown, again = spoilt(seen, how, generator()), spoilt(seen, how, generator())
+    shown, again = spoilt(window, how, generator()), spoilt(window, how, generator())
     assert torch.equal(shown["clouds"], again["clouds"])
-    assert all(torch.equal(part, shown[name]) for name, part in seen.items() if name != "clouds")
-    changed = (shown["clouds"] != seen["clouds"]).flatten(1).any(dim=1)
+    assert all(torch.equal(part, shown[name]) for name, part in window.items() if name != "clouds")
+    changed = (shown["clouds"] != window["clouds"]).flatten(1).any(dim=1)
     assert 20 <= changed.sum() <= 44
-    away = (shown["clouds"][changed] - seen["clouds"][changed]).norm(dim=-1)
+    away = (shown["clouds"][changed] - window["clouds"][changed]).norm(dim=-1)
     assert away.max() < 1.0
-    noise = spoilt(seen, Spoiling(clouds=0.999, noise=0.01), generator())["clouds"]
-    gap = torch.cdist(noise.double(), seen["clouds"].double()).amin(dim=-1)
+    noise = spoilt(window, Spoiling(clouds=0.999, noise=0.01), generator())["clouds"]
+    gap = torch.cdist(noise.double(), window["clouds"].double()).amin(dim=-1)
     assert 0 < gap.median() < 0.02
     assert gap.max() < 0.06
-    dropped = spoilt(seen, Spoiling(clouds=0.999, drop=0.5), generator())["clouds"]
-    assert torch.cdist(dropped.double(), seen["clouds"].double()).amin(dim=-1).max() < 1e-6  # none is new
+    dropped = spoilt(window, Spoiling(clouds=0.999, drop=0.5), generator())["clouds"]
+    assert torch.cdist(dropped.double(), window["clouds"].double()).amin(dim=-1).max() < 1e-6  # none is new
     left = [len(torch.unique(cloud, dim=0)) for cloud in dropped[:, 0]]
     assert min(left) >= POINTS // 2
     assert min(left) < 0.6 * POINTS < 0.9 * POINTS < max(left)
-    wild = spoilt(seen, Spoiling(clouds=0.999, outliers=0.4), generator())["clouds"]
-    new = torch.cdist(wild.double(), seen["clouds"].double()).amin(dim=-1) > 1e-6
+    wild = spoilt(window, Spoiling(clouds=0.999, outliers=0.4), generator())["clouds"]
+    new = torch.cdist(wild.double(), window["clouds"].double()).amin(dim=-1) > 1e-6
     assert 0.15 < new.float().mean() < 0.25  # half of the largest share, on average
-
-
-def test_spoilt_histories(seen):
-    other = spoilt(seen, Spoiling(seen=0.5), generator())
-    high = other["past_triangles"][:, :, 0, 0, 0, 2].mean(dim=1) > 5
-    assert 20 <= high.sum() <= 44
-    assert torch.equal(other["past_triangles"][high], seen["seen_triangles"][high])
-    assert torch.equal(other["past_triangles"][~high], seen["past_triangles"][~high])
-    lost = spoilt(seen, Spoiling(lost=0.5), generator())
-    gone = ~lost["past_present"].flatten(1).any(dim=1)
-    assert 0.3 < gone.float().mean() < 0.7
-    assert all(not lost[name][gone].any() for name in PAST)
-    assert all(torch.equal(lost[name][~gone], seen[name][~gone]) for name in PAST)
-    false = spoilt(seen, Spoiling(false=0.5), generator())
-    for slot in (0, 3):  # taken, and free
-        flickers = false["past_present"][:, :, slot].float().mean(dim=1)
-        made = (flickers > 0) & (flickers < 1)
-        assert 0.3 < made.float().mean() < 0.7
-        assert 0.2 < flickers[made].mean() < 0.45
-        assert flickers[made].max() < 0.9
-        there = false["past_present"][made][:, :, slot]
-        beside = false["past_triangles"][made][:, :, slot, 0, 0] - seen["grippers"][made].mean(dim=2)
-        assert 0.1 < beside[there].std(dim=0).mean() < 0.3  # leaping
-        assert beside[there].mean(dim=0).norm() < 0.3  # about these grippers
-        assert (false["past_death"][made][:, :, slot][there] > 0).all()
-        assert not false["past_triangles"][made][:, :, slot][~there].any()
-    for name in ("triangles", "present", "clouds"):
-        assert torch.equal(false[name], seen[name])
 
 
 def test_a_model_is_shown_the_spoilt_window_and_held_against_the_clean_one(tmp_path, monkeypatch):

@@ -60,12 +60,11 @@ class _Episode:
     actions: NDArray[np.int16]
     held: NDArray[np.bool_]  # (T,)
     tracked: _Tracked
-    seen: _Tracked | None = None
 
     @property
     def nbytes(self) -> int:
-        own, *tracked = (vars(part) for part in (self, self.tracked, self.seen) if part is not None)
-        return sum(part.nbytes for parts in (own, *tracked) for part in parts.values() if isinstance(part, np.ndarray))
+        parts = [*vars(self).values(), *vars(self.tracked).values()]
+        return sum(part.nbytes for part in parts if isinstance(part, np.ndarray))
 
 
 class _Memory:
@@ -110,7 +109,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     ``step``           (k, S)             Hausdorff distance to the previous appearance, 0 where new
     ``present``        (k, S) bool        where it is False, all of the above are 0
     ``past_...``       (h, S, ...)        the same six for the history
-    ``seen_...``       (h, S, ...)        and those of `seen_labels`, if any; their slots have identities of their own
     ``episode``        int64              number of the episode
     ``frame``          int64              t
     ``garment``        int64              place in `Dataset.garments`
@@ -126,8 +124,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         One part of `Dataset.split`, so that no episode is in two parts; all labelled ones when not given.
     labels : str
         Which set of labels.
-    seen_labels : str, optional
-        A second set, for what a tracker sees of the history with fewer points (`topokit label --observation observed`).
     history, horizon : int
         h and k.
     n_points : int
@@ -150,7 +146,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         episodes: Iterable[int] | None = None,
         *,
         labels: str = "full",
-        seen_labels: str | None = None,
         history: int = HISTORY,
         horizon: int = HORIZON,
         n_points: int = 128,
@@ -164,24 +159,20 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
             if type(value) is not int or value < 1:
                 raise ValueError(f"{name} must be a whole number, at least 1, not {value!r}")
         self.dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
-        self.labels, self.seen_labels, self.observe = labels, seen_labels, observe
+        self.labels, self.observe = labels, observe
         self.history, self.horizon, self.n_points, self.slots = history, horizon, n_points, slots
         self._memory = _Memory(memory)
         self.episodes = self.dataset.labelled(labels) if episodes is None else np.unique([*map(int, episodes)])
-        self._check_labelled()
+        missing = np.setdiff1d(self.episodes, self.dataset.labelled(labels))
+        if len(missing):
+            lack = f"{len(missing)} episodes have no labels {labels!r}, the first is {missing[0]}"
+            raise ValueError(f"{lack}: topokit label makes them")
         lengths = [self.dataset.group.records[int(i)].frames for i in self.episodes]
         frames = [np.arange(history - 1, length - horizon, stride) for length in lengths]
         counts = [len(span) for span in frames]
         if not any(counts):
             raise ValueError(f"no episode has the {history + horizon} frames of a window (of {len(lengths)} episodes)")
         self.index = np.column_stack([np.repeat(self.episodes, counts), np.concatenate(frames)])
-
-    def _check_labelled(self) -> None:
-        for name in filter(None, (self.labels, self.seen_labels)):
-            missing = np.setdiff1d(self.episodes, self.dataset.labelled(name))
-            if len(missing):
-                lack = f"{len(missing)} episodes have no labels {name!r}, the first is {missing[0]}"
-                raise ValueError(f"{lack}: topokit label makes them")
 
     def __len__(self) -> int:
         return len(self.index)
@@ -195,13 +186,15 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         episode = self._memory.get(number, self._decode)
         past = slice(frame - self.history + 1, frame + 1)
         future = slice(frame + 1, frame + self.horizon + 1)
+        order = self._identities(episode.tracked, past, future)
         parts: dict[str, Any] = {
             "clouds": episode.clouds[past] * _UNIT,
             "grippers": episode.grippers[past] * _UNIT,
             "held": episode.held[past].copy(),
             "actions": episode.actions[future] * _UNIT,
             "actions_held": episode.held[future].copy(),
-            **self._states(episode, past, future),
+            **_by_identity(episode.tracked, order, future),
+            **{f"past_{name}": part for name, part in _by_identity(episode.tracked, order, past).items()},
             "episode": np.int64(number),
             "frame": np.int64(frame),
             "garment": np.int64(self.dataset.garments.index(self.dataset.group.records[number].garment)),
@@ -231,16 +224,6 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         chosen.episodes = np.unique(chosen.index[:, 0])
         return chosen
 
-    def _states(self, episode: _Episode, past: slice, future: slice) -> dict[str, Any]:
-        """The labels of the two spans, by identity, and what else was seen of the first."""
-        order = self._identities(episode.tracked, past, future)
-        parts = _by_identity(episode.tracked, order, future)
-        parts |= {f"past_{name}": part for name, part in _by_identity(episode.tracked, order, past).items()}
-        if episode.seen is not None:
-            order = self._identities(episode.seen, past, slice(0, 0))
-            parts |= {f"seen_{name}": part for name, part in _by_identity(episode.seen, order, past).items()}
-        return parts
-
     def _identities(self, tracked: _Tracked, past: slice, future: slice) -> NDArray[np.int64]:
         """(S,) who has which slot; -2 for nobody."""
         ids, numbers = tracked.ids[past], tracked.numbers[past]
@@ -257,21 +240,16 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         stored = decode(group, group.document(number), ("points", "observed", "actions", "grippers", "held"))
         clouds = observed(stored)
         if self.observe is None:
-            tracked = self._labelled(self.labels, number, stored)
+            labels = self.dataset.labels(self.labels)
+            found = decode(labels, labels.document(number), ("id", "simplices", "values"))
+            tracked = _Tracked.of(found, cloud_of(stored, labels.manifest))
         else:
             clouds = pack("clouds", self.observe(number, unpack(clouds[:, : self.n_points]).astype(np.float64)))
             slots = self.dataset.labels(self.labels).manifest["slots"]
             states = track(unpack(clouds), n_jobs=1, **RECOMMENDED)
             tracked = _Tracked.of(arrays_of(states, slots), clouds)
-        seen = None if self.seen_labels is None else self._labelled(self.seen_labels, number, stored)
         clouds = clouds[:, np.arange(self.n_points) % clouds.shape[1]]
-        return _Episode(clouds, stored["grippers"], stored["actions"], stored["held"].astype(bool), tracked, seen)
-
-    def _labelled(self, name: str, number: int, stored: Mapping[str, NDArray[Any]]) -> _Tracked:
-        """The labels of a name, in the coordinates of the cloud that they are of."""
-        labels = self.dataset.labels(name)
-        found = decode(labels, labels.document(number), ("id", "simplices", "values"))
-        return _Tracked.of(found, cloud_of(stored, labels.manifest))
+        return _Episode(clouds, stored["grippers"], stored["actions"], stored["held"].astype(bool), tracked)
 
 
 def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> dict[str, NDArray[Any]]:

@@ -148,7 +148,7 @@ def _untrained(name: str, config: EvaluationConfig) -> Forecaster:
 
 def _forecast(model: PredictiveModel, window: Mapping[str, Tensor]) -> States:
     states, _ = model(window)
-    return states.float()
+    return states.each(Tensor.float)
 
 
 def _entries(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._base import PAST, Normalisation, PredictiveModel, Shape
+    from ._baselines import Normalisation, PredictiveModel, Shape
     from ._checkpoint import MODELS, build, load_model, load_tensors
     from ._config import Spoiling, TrainConfig, Windows, load_config, open_windows
     from ._predictor import Forecast, PredictedLoop, Predictor

@@ -1,12 +1,13 @@
-"""Predictors to beat: hold, carry and ridge, which start from the last tracked states, and the two networks of the paper.
+"""What all predictors have in common, their units and the three parts of a forward pass; and hold, carry and ridge.
 
-Source: Hoerl and Kennard 1970 (ridge regression); Antonova et al. 2021, section 5; Qi, Su, Mo, Guibas 2017, *PointNet* (a network
-shared by all points, then the maximum over them), without its transforms of the input. Taught in chapter 10.
+These three are to be beaten: they start from the last tracked states, and need no network.
+Source: Hoerl and Kennard 1970 (ridge regression). Taught in chapter 10.
 """
 
 from __future__ import annotations
 
-import itertools
+import dataclasses
+from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
@@ -14,12 +15,119 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from topokit._config import Count, checked
+from topokit._validate import positive
+from topokit.io import HISTORY, HORIZON
 from topokit.state import TopologicalState
 
-from ._base import PAST, Context, Normalisation, PredictiveModel, Shape, maximum
-from ._states import NUMBERS, States, Window, past_states, target_states
+from ._states import NUMBERS, PAST, States, Window, past_states, target_states
 
-HIDDEN, POINTS = (512, 512, 256, 128), (64, 64, 96)  # units of the paper's hidden layers, and of those for every point
+Context = dict[str, Tensor]
+
+
+@checked
+class Shape:
+    """Sizes of a window."""
+
+    history: Count = HISTORY  #: frames that are seen
+    horizon: Count = HORIZON  #: frames that are forecast
+    points: Count = 128  #: of a cloud
+    slots: Count = 4  #: loops that are forecast at most
+
+
+@checked
+class Normalisation:
+    """Where coordinates and filtration values lie in the training split; models see (x - origin) / scale."""
+
+    origin: tuple[float, float, float] = (0.0, 0.0, 1.0)  #: mean of the clouds, metres
+    scale: float = 0.2  #: root mean square distance from it along an axis, metres
+    value: float = 0.05  #: mean death of the loops, metres
+
+
+class PredictiveModel(nn.Module, ABC):
+    """From a window (the dict of tensors of `topokit.data.WindowDataset`, a leading axis of B) to its states.
+
+    Three parts: `encode_frames` looks at single frames, so that a frame of a stream is encoded once; `gather` puts a history of
+    them together, so that all plans share it; `decode` reads a plan of actions and gives the states of all steps.
+
+    Parameters
+    ----------
+    shape : Shape
+    normalisation : Normalisation
+    """
+
+    learns = True  # by gradient descent
+    inputs: tuple[str, ...] = ("clouds",)  # what is read of each frame of a window's history
+    tracked = False  # whether `gather` is given what a tracker saw, too: `PAST`, of all frames
+    plans_at_once = 250  # of many: so that weights are read seldom, and what lies between layers stays in the cache
+
+    def __init__(self, shape: Shape, normalisation: Normalisation) -> None:
+        super().__init__()
+        self.shape, self.normalisation = shape, normalisation
+        self.frames = list(range(shape.history))  # how many frames back is looked, the newest first
+        self.register_buffer("origin", torch.tensor(normalisation.origin), persistent=False)
+        self.origin: Tensor
+
+    def encode_frames(self, frames: Context) -> Context:
+        """What is kept of N frames, each alone; the `inputs` of a window with a leading axis of N."""
+        return frames
+
+    @abstractmethod
+    def gather(self, kept: Context) -> Context:
+        """What the forecast needs of the frames kept, (B, F, ...), and of the tracked states, (B, history, ...) newest first."""
+
+    @abstractmethod
+    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
+        """Forecast the states of all steps.
+
+        Parameters
+        ----------
+        context : dict of Tensor
+            Of `gather`, for B windows.
+        actions : (C, horizon, 2, 3)
+            Planned targets of the grippers, metres. C is B, or any number when B is 1: one history under C plans.
+        held : (C, horizon) bool
+        """
+
+    def present_states(self, context: Context) -> States | None:
+        """Return the estimate of the present state that the model makes on its way, (B, 1, slots); None when it makes none."""
+        return None
+
+    def encode(self, window: Window) -> Context:
+        """Everything that does not depend on the plan."""
+        look = [self.shape.history - 1 - back for back in self.frames]
+        frames = {name: window[name][:, look] for name in self.inputs}
+        sizes = next(iter(frames.values())).shape[:2]
+        kept = self.encode_frames({name: part.flatten(0, 1) for name, part in frames.items()})
+        kept = {name: part.unflatten(0, sizes) for name, part in kept.items()}
+        if self.tracked:
+            kept |= {name: window[name].flip(1) for name in PAST}
+        return self.gather(kept)
+
+    def forward(self, window: Window) -> tuple[States, States | None]:
+        """The forecast, and the present state when the model estimates it."""
+        context = self.encode(window)
+        return self.decode(context, window["actions"], window["actions_held"]), self.present_states(context)
+
+    def normalise(self, points: Tensor) -> Tensor:
+        """Coordinates in metres to about the unit cube."""
+        return (points - self.origin) / self.normalisation.scale
+
+    def _states(self, numbers: Tensor, about: Tensor) -> States:
+        """The last layer of a network (..., NUMBERS) as states: corners are `scale` times the first 24, about places (..., 3)."""
+        corners, positive = numbers[..., :24].unflatten(-1, (8, 3)), self._positive(numbers[..., 24:31])
+        return States(
+            corners=torch.add(about, corners, alpha=self.normalisation.scale),
+            neighbour_values=positive[..., :4],
+            birth=positive[..., 4],
+            death=positive[..., 4] + positive[..., 5],
+            step=positive[..., 6],
+            presence=numbers[..., 31],
+        )
+
+    def _positive(self, raw: Tensor) -> Tensor:
+        """Values that are positive whatever the network says, at half the cost of a softplus."""
+        return self.normalisation.value / 2 * (raw + (raw.square() + 1).sqrt())
 
 
 class Hold(PredictiveModel):
@@ -30,11 +138,20 @@ class Hold(PredictiveModel):
     tracked = True
 
     def gather(self, kept: Context) -> Context:
-        return last_appearance(kept) | {"grippers": kept["grippers"][:, 0]}
+        """Each slot as it was last tracked, and the grippers then; one that never was has its corners between the grippers."""
+        present = kept["past_present"]  # (B, h, slots), the newest frame first
+        last = present.int().argmax(dim=1)  # (B, slots); 0 of one that was never tracked
+        batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])
+        loops = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
+        known, grippers = present.any(dim=1), kept["grippers"][:, 0]
+        corners = torch.where(known[..., None, None], loops.corners, grippers.mean(dim=1)[:, None, None])
+        loops = loops.replace(corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
+        return vars(loops) | {"known": known, "grippers": grippers, "grippers_then": kept["grippers"][batch, last]}
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
         moved = self._moved(context, actions, held)  # (C, K, slots or 1, 3)
-        still = States.among(context).each(lambda part: part[:, None].expand(*actions.shape[:2], *part.shape[1:]))
+        last = States(*(context[part.name] for part in dataclasses.fields(States)))
+        still = last.each(lambda part: part[:, None].expand(*actions.shape[:2], *part.shape[1:]))
         step = moved.diff(dim=1, prepend=torch.zeros_like(moved[:, :1])).norm(dim=-1)
         return still.replace(corners=still.corners + moved[..., None, :], step=step.expand_as(still.step))
 
@@ -64,9 +181,7 @@ class Ridge(Hold):
 
     def __init__(self, shape: Shape, normalisation: Normalisation, penalty: float = 100.0) -> None:
         super().__init__(shape, normalisation)
-        if not penalty > 0:
-            raise ValueError(f"penalty must be more than zero, not {penalty!r}")
-        self.penalty = penalty
+        self.penalty = positive(penalty, "penalty", zero=False)
         inputs = 1 + 24 + 4 + 4 + 9 + 7 * shape.horizon + shape.slots
         self.coefficients = nn.Parameter(torch.zeros(inputs, shape.horizon * NUMBERS), requires_grad=False)
 
@@ -118,96 +233,22 @@ class Ridge(Hold):
         return torch.cat([each, state, kept["neighbour_values"] / value, values, flags, name], dim=-1)
 
 
-class MLP(PredictiveModel):
-    """Fully connected network of `hidden` units, in the coordinates of the room.
-
-    Of each cloud the first `cloud_points` points are read: clouds come in farthest-point order.
-    """
-
-    def __init__(
-        self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN, cloud_points: int = 32
-    ) -> None:
-        super().__init__(shape, normalisation)
-        self.cloud_points = min(cloud_points, shape.points)
-        self.history_layer = nn.Linear(shape.history * self._frame_size(), hidden[0])
-        self.action_layer = nn.Linear(7 * shape.horizon, hidden[0], bias=False)
-        last = nn.Linear(hidden[-1], shape.horizon * shape.slots * NUMBERS)
-        self.rest = nn.Sequential(nn.ReLU(), *_layers(hidden), last)
-
-    def _frame_size(self) -> int:
-        return 3 * self.cloud_points
-
-    def encode_frames(self, frames: Context) -> Context:
-        return {"frame": self.normalise(frames["clouds"][:, : self.cloud_points]).flatten(1)}
-
-    def gather(self, kept: Context) -> Context:
-        return {"first": self.history_layer(kept["frame"].flatten(1))}
-
-    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
-        plan = torch.cat([self.normalise(actions).flatten(1), held.to(actions)], dim=1)
-        numbers = self.rest(context["first"] + self.action_layer(plan))
-        return self._states(numbers.unflatten(1, (self.shape.horizon, self.shape.slots, NUMBERS)), self.origin)
-
-
-class PointNet(MLP):
-    """PointNet a cloud, of `per_point` units, shared by all frames, in front of the fully connected network."""
-
-    def __init__(
-        self,
-        shape: Shape,
-        normalisation: Normalisation,
-        hidden: Sequence[int] = HIDDEN,
-        per_point: Sequence[int] = POINTS,
-    ) -> None:
-        self.code = per_point[-1]
-        super().__init__(shape, normalisation, hidden)
-        self.points = nn.Sequential(*_layers((3, *per_point)))
-
-    def _frame_size(self) -> int:
-        return self.code
-
-    def encode_frames(self, frames: Context) -> Context:
-        return {"frame": maximum(self.points(self.normalise(frames["clouds"])))}
-
-
-def _layers(widths: Sequence[int]) -> list[nn.Module]:
-    return [layer for n_in, n_out in itertools.pairwise(widths) for layer in (nn.Linear(n_in, n_out), nn.ReLU())]
-
-
-def last_appearance(kept: Context) -> Context:
-    """Each slot as it was last tracked, and the grippers then; one that never was has its corners between the grippers."""
-    present = kept["past_present"]  # (B, h, slots), the newest frame first
-    last = present.int().argmax(dim=1)  # (B, slots); 0 of one that was never tracked
-    batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])
-    loops = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
-    known = present.any(dim=1)
-    middle = kept["past_grippers"][:, 0].mean(dim=1)[:, None, None]
-    corners = torch.where(known[..., None, None], loops.corners, middle)
-    loops = loops.replace(corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
-    return vars(loops) | {"known": known, "grippers_then": kept["past_grippers"][batch, last]}
-
-
 def past_window(states: Sequence[TopologicalState], slots: int) -> dict[str, Tensor]:
     """The `past_` fields of a window (1, h, ...) from tracked states: slots by mean lifetime over the history, longest first."""
     total: defaultdict[int, float] = defaultdict(float)
     for loop in (loop for state in states for loop in state.loops):
         total[loop.id] += loop.lifetime
     longest = sorted(total, key=total.__getitem__, reverse=True)[:slots]
-    slot_of = {identity: slot for slot, identity in enumerate(longest)}
-    size = len(states), slots
-    past = {
-        "triangles": np.zeros((*size, 6, 3, 3), np.float32),
-        "values": np.zeros((*size, 6), np.float32),
-        **{name: np.zeros(size, np.float32) for name in ("birth", "death", "step")},
-        "present": np.zeros(size, bool),
-    }
+    numbers = [(name, np.float32) for name in ("birth", "death", "step")]
+    kind = [("triangles", np.float32, (6, 3, 3)), ("values", np.float32, 6), *numbers, ("present", bool)]
+    past = np.zeros((len(states), slots), np.dtype(kind))
     for frame, state in enumerate(states):
-        for loop in (loop for loop in state.loops if loop.id in slot_of):
-            place, n = (frame, slot_of[loop.id]), 2 + len(loop.neighbours)
-            past["triangles"][place] = loop.killer_triangles[0]  # stands for neighbours that are absent
-            past["triangles"][place][:n] = np.concatenate([loop.killer_triangles, loop.neighbours])
-            past["values"][place][:n] = np.concatenate([loop.killer_values, loop.neighbour_values])
-            for name in ("birth", "death", "step"):
-                past[name][place] = np.nan_to_num(getattr(loop, name))
-            past["present"][place] = True
-    return {f"past_{name}": torch.from_numpy(part)[None] for name, part in past.items()}
+        for loop in (loop for loop in state.loops if loop.id in longest):
+            place, n = past[frame, longest.index(loop.id)], 2 + len(loop.neighbours)
+            place["triangles"] = loop.killer_triangles[0]  # stands for neighbours that are absent
+            place["triangles"][:n] = np.concatenate([loop.killer_triangles, loop.neighbours])
+            place["values"][:n] = np.concatenate([loop.killer_values, loop.neighbour_values])
+            for name, _ in numbers:
+                place[name] = np.nan_to_num(getattr(loop, name))
+            place["present"] = True
+    return {name: torch.from_numpy(past[name.removeprefix("past_")].copy())[None] for name in PAST}

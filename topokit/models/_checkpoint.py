@@ -23,21 +23,14 @@ import topokit
 from topokit._archive import FormatError, atomic_file
 from topokit._config import from_mapping
 
-from ._base import Normalisation, PredictiveModel, Shape
-from ._baselines import MLP, Carry, Hold, PointNet, Ridge
-from ._loopcast import LoopCast
+from ._baselines import Carry, Hold, Normalisation, PredictiveModel, Ridge, Shape
+from ._networks import MLP, LoopCast, PointNet
 
 SCHEMA = 1
 _KIND = "topokit-checkpoint"
 
-MODELS: Mapping[str, type[PredictiveModel]] = {
-    "hold": Hold,
-    "carry": Carry,
-    "ridge": Ridge,
-    "mlp": MLP,
-    "pointnet": PointNet,
-    "loopcast": LoopCast,
-}
+_KINDS: tuple[type[PredictiveModel], ...] = (Hold, Carry, Ridge, MLP, PointNet, LoopCast)
+MODELS: Mapping[str, type[PredictiveModel]] = {kind.__name__.lower(): kind for kind in _KINDS}
 
 
 def build(
@@ -55,7 +48,7 @@ def build(
     normalisation : Normalisation
     options : mapping, optional
         Of "ridge" `penalty`, on squared coefficients; of "mlp" `hidden` units and `cloud_points` read; of "pointnet" `hidden` and
-        `per_point` units; of "loopcast" `width` of codes, `step_width` of a step's, and whether it is given what is `tracked`.
+        `per_point` units; of "loopcast" `width` of codes, `step_width` of a step's.
 
     Raises
     ------
@@ -84,9 +77,8 @@ def describe(model: PredictiveModel, name: str, options: Mapping[str, Any], **mo
     }
 
 
-def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> Path:
+def save_tensors(path: Path, tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> Path:
     """Write tensors and their description (JSON) to one file, checksummed."""
-    path = Path(path)
     if path.suffix != ".safetensors":
         raise ValueError(f"{path}: the name of a checkpoint ends in .safetensors")
     whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
@@ -137,12 +129,11 @@ def load_model(path: str | Path) -> tuple[PredictiveModel, dict[str, Any]]:
         When the description or the weights do not fit a model of this topokit; says which and where.
     """
     description, tensors = load_tensors(path)
-    weights = {name: part.float() for name, part in part_of(tensors, "model.").items()}
     try:
         shape = from_mapping(Shape, description["shape"], "shape")
         normalisation = from_mapping(Normalisation, description["normalisation"], "normalisation")
         model = build(description["model"], shape, normalisation, description["options"])
-        model.load_state_dict(weights)
+        model.load_state_dict({name: part.float() for name, part in part_of(tensors, "model.").items()})
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{path}: describes no model that this topokit can build: {error}") from error
     except RuntimeError as error:  # of torch: it lists every weight

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,6 @@ def add(commands: Any) -> None:
 
 
 def _train(options: argparse.Namespace) -> int:
-    from dataclasses import replace
-
     from . import load_config, open_windows, train
 
     changes = {name: value for name, value in (("seed", options.seed), ("out", options.out)) if value is not None}
@@ -70,7 +69,8 @@ def _predict(options: argparse.Namespace) -> int:
     forecast = predictor.predict(episode.actions[ahead], episode.held[ahead])
     if options.json:
         about = {name: predictor.description.get(name) for name in ("model", "dataset", "topokit")}
-        print(json.dumps({"episode": str(options.episode), "frame": t, **about, **forecast.as_dict()}))
+        steps = [[loop.as_dict() for loop in forecast[step]] for step in range(len(forecast))]
+        print(json.dumps({"episode": str(options.episode), "frame": t, **about, "steps": steps}))
         return 0
     print(f"{predictor.description.get('model')} at frame {t} of {options.episode}: loops that are forecast")
     print(f"{'frame':>6} {'slot':>5} {'present':>8} {'lifetime':>9}   mean of the mixture (m)")

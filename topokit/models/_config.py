@@ -1,7 +1,7 @@
 """What is trained on: a configuration (JSON or TOML), the windows of two splits that it names, and more made of them.
 
 Scenes are alike left and right of the plane x = 0 in which the targets stand: the mirror image of an episode could have happened.
-Histories are also shown worse than the labels' tracker saw them, which is what a real camera does.
+Clouds are also shown worse than the labels' tracker saw them, which is what a real camera does.
 """
 
 from __future__ import annotations
@@ -19,28 +19,22 @@ from torch.utils.data import default_collate
 from topokit._config import Count, NotNegative, Positive, checked, load
 from topokit.data import spoil
 
-from ._base import PAST, Normalisation, Shape
+from ._baselines import Normalisation, Shape
 from ._checkpoint import MODELS
 from ._states import LossWeights, Window, target_states
 
 Natural = Annotated[int, Field(ge=0)]
 _Part = Annotated[float, Field(ge=0, lt=1)]
-_PLACES = ("clouds", "grippers", "actions", "triangles", "past_triangles", "seen_triangles")
-_PAIRS = ("grippers", "actions")
 
 
 @checked
 class Spoiling:
-    """How much worse a model sees the history in training than the labels' tracker did; nothing, when not said."""
+    """How much worse a model sees the clouds in training than the labels' tracker did; nothing, when not said."""
 
     clouds: _Part = 0.0  #: share of windows whose clouds are spoilt, each by an amount of its own, up to the next three
     noise: _Part = 0.0  #: standard deviation on every coordinate, metres
     outliers: _Part = 0.0  #: share of points that are anywhere in the cloud's box and 10 cm around it
     drop: _Part = 0.0  #: share of points that are missing; others stand twice in their place
-    seen: _Part = 0.0  #: share of windows whose tracked states are the `seen_` ones
-    lost: _Part = 0.0  #: share of windows of which nothing is tracked
-    #: Share of slots, taken or not, that hold a false loop: another window's, flickering, each time elsewhere by some 10 cm.
-    false: _Part = 0.0
 
 
 @checked
@@ -48,7 +42,7 @@ class TrainConfig:
     """What `topokit train` does. An entry that is unknown or refused is a ValueError that names it."""
 
     model: str  #: a name of `topokit.models.MODELS`
-    dataset: str = ""  #: directory of a dataset, relative to the configuration's file
+    dataset: str = "."  #: directory of a dataset, relative to the configuration's file
     out: str = "run"  #: directory for checkpoints and logs, relative to the configuration's file
     options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
     windows: dict[str, Any] = field(default_factory=dict)  #: of `topokit.data.WindowDataset`: labels, stride
@@ -63,7 +57,7 @@ class TrainConfig:
     learning_rate: Positive = 1e-3  #: of AdamW; rises over the first 2 % of steps, falls along a cosine to a hundredth
     weight_decay: NotNegative = 1e-4  #: of AdamW
     clip: Positive = 1.0  #: largest norm of a gradient
-    spoil: Spoiling = field(default_factory=Spoiling)  #: how much worse the history is seen than by the labels' tracker
+    spoil: Spoiling = field(default_factory=Spoiling)  #: how much worse clouds are seen than by the labels' tracker
     patience: Count = 5  #: stop after so many epochs without a smaller validation loss
     minutes_between_checkpoints: Positive = 5.0  #: within an epoch; one more at its end
     workers: Natural = 0  #: processes that read windows beside the one that trains
@@ -73,14 +67,12 @@ class TrainConfig:
     def __post_init__(self) -> None:
         if self.model not in MODELS:
             raise ValueError(f"model must be one of {', '.join(MODELS)}, not {self.model!r}")
-        if self.spoil.seen and not self.windows.get("seen_labels"):
-            raise ValueError("spoil.seen needs windows.seen_labels: which labels hold what was seen")
 
 
 def load_config(path: str | Path) -> TrainConfig:
     """Read a configuration; paths in it are then relative to the working directory."""
     config, home = load(TrainConfig, path), Path(path).parent
-    return replace(config, dataset=config.dataset and str(home / config.dataset), out=str(home / config.out))
+    return replace(config, dataset=str(home / config.dataset), out=str(home / config.out))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,17 +85,9 @@ class Windows:
 
 
 def open_windows(config: TrainConfig) -> Windows:
-    """The windows of a dataset that `topokit generate` made, split by episode or as `config.split` says.
-
-    Raises
-    ------
-    ValueError
-        When the configuration names no dataset.
-    """
+    """The windows of a dataset that `topokit generate` made, split by episode or as `config.split` says."""
     from topokit.data import Dataset, WindowDataset  # which need what the extra `learn` has not
 
-    if not config.dataset:
-        raise ValueError("the configuration names no dataset")
     episodes, sizes = Dataset(config.dataset), asdict(config.shape)
     parts, points = episodes.split(**config.split), sizes.pop("points")
     train, validation = (
@@ -113,9 +97,9 @@ def open_windows(config: TrainConfig) -> Windows:
     return Windows(train, validation, episodes.checksum())
 
 
-def normalisation_of(data: Any, most: int = 200) -> Normalisation:
+def normalisation_of(data: Any) -> Normalisation:
     """Where the coordinates and filtration values of some windows lie."""
-    window = default_collate([data[i] for i in spread(len(data), most)])
+    window = default_collate([data[i] for i in spread(len(data), 200)])
     clouds, target = window["clouds"], target_states(window)
     origin = clouds.mean(dim=(0, 1, 2))
     deaths = target.death[target.presence > 0]
@@ -137,9 +121,10 @@ def spread(n: int, most: int) -> list[int]:
 def mirrored(window: Window, which: Tensor) -> dict[str, Tensor]:
     """A batch of windows, those where `which` (B,) is true seen in the mirror x -> -x, where the grippers change names."""
     flipped = dict(window)
-    for name in (name for name in _PLACES if name in window):
-        image = window[name] * window[name].new_tensor([-1.0, 1.0, 1.0])
-        flipped[name] = _chosen(which, image.flip(-2) if name in _PAIRS else image, window[name])
+    for name in ("clouds", "grippers", "actions", "triangles", "past_triangles"):
+        image = window[name][which] * window[name].new_tensor([-1.0, 1.0, 1.0])
+        flipped[name] = window[name].clone()
+        flipped[name][which] = image.flip(-2) if name in ("grippers", "actions") else image
     return flipped
 
 
@@ -148,48 +133,10 @@ def spoilt(window: Window, how: Spoiling, generator: torch.Generator) -> dict[st
     shown, n = dict(window), len(window["clouds"])
     chosen = torch.rand(n, generator=generator) < how.clouds
     if chosen.any():
+        clouds = window["clouds"][chosen]
+        rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
+        noise, outliers, drop = (most * rng.random((len(clouds), 1)) for most in (how.noise, how.outliers, how.drop))
+        worse = spoil(clouds.cpu().numpy(), rng, noise=noise, outliers=outliers, keep=1 - drop)
         shown["clouds"] = window["clouds"].clone()
-        shown["clouds"][chosen] = _spoilt_clouds(window["clouds"][chosen], how, generator)
-    if how.seen or how.lost or how.false:
-        shown |= _spoilt_tracks(window, how, generator)
+        shown["clouds"][chosen] = torch.from_numpy(worse).to(clouds)
     return shown
-
-
-def _spoilt_clouds(clouds: Tensor, how: Spoiling, generator: torch.Generator) -> Tensor:
-    """Clouds (n, h, P, 3) with points missing, noise, and outliers, every window by amounts of its own."""
-    rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
-    noise, outliers, drop = (most * rng.random((len(clouds), 1)) for most in (how.noise, how.outliers, how.drop))
-    return torch.from_numpy(spoil(clouds.cpu().numpy(), rng, noise=noise, outliers=outliers, keep=1 - drop)).to(clouds)
-
-
-def _spoilt_tracks(window: Window, how: Spoiling, generator: torch.Generator) -> dict[str, Tensor]:
-    """What is tracked in the history: by a worse tracker, nothing at all, or false loops."""
-    n, _, slots = window["past_present"].shape
-    tracked = {name: window[name] for name in PAST}
-    worse = torch.rand(n, generator=generator) < how.seen
-    if worse.any():
-        tracked = {name: _chosen(worse, window[name.replace("past_", "seen_")], part) for name, part in tracked.items()}
-    false = _false_loops(tracked, window["grippers"], generator)
-    wrong = torch.rand(n, 1, slots, generator=generator) < how.false
-    kept = torch.rand(n, generator=generator) >= how.lost
-    return {
-        name: _chosen(kept, _chosen(wrong, false[name], part), torch.zeros_like(part)) for name, part in tracked.items()
-    }
-
-
-def _false_loops(tracked: Window, grippers: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
-    """In each slot the first loop of the window before, about these grippers, flickering and leaping."""
-    size = tracked["past_present"].shape  # (n, h, slots)
-    others = {name: part[:, :, :1].roll(1, dims=0).expand_as(part) for name, part in tracked.items()}
-    often = 0.6 * torch.rand(size[0], 1, size[2], generator=generator)
-    there = others["past_present"] & (torch.rand(size, generator=generator) < often).to(grippers.device)
-    middle = grippers.mean(dim=2)
-    beside = (middle - middle.roll(1, dims=0))[:, :, None]
-    leaps = (0.1 * torch.randn(*size, 3, generator=generator)).to(grippers)
-    others["past_triangles"] = others["past_triangles"] + (beside + leaps)[..., None, None, :]
-    return {name: _chosen(there, part, torch.zeros_like(part)) for name, part in others.items()}
-
-
-def _chosen(which: Tensor, part: Tensor, other: Tensor) -> Tensor:
-    """One of two parts of windows, as `which` says for their leading axes."""
-    return torch.where(which.reshape(*which.shape, *(1,) * (part.dim() - which.dim())).to(part.device), part, other)

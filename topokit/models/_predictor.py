@@ -19,8 +19,7 @@ from topokit.sampling import farthest_point_sample
 from topokit.seqph import RECOMMENDED, SeqPH
 from topokit.state import TopologicalState
 
-from ._base import PredictiveModel
-from ._baselines import past_window
+from ._baselines import PredictiveModel, past_window
 from ._checkpoint import load_model
 from ._states import TRIANGLES, States
 
@@ -55,6 +54,12 @@ class PredictedLoop:
         """Where the loop is, as `topokit.loop_mixture` says."""
         return loop_mixture(self, noise)
 
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and lists, for JSON."""
+        numbers = {name: getattr(self, name) for name in ("slot", "birth", "death", "lifetime")}
+        places = {"mean": self.mixture().mean.tolist(), "killer_triangles": self.killer_triangles.tolist()}
+        return numbers | places | {"presence": round(self.presence, 4)}
+
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
@@ -76,11 +81,6 @@ class Forecast:
         """Of a model's output (C, K, S), on the CPU."""
         return cls(*(part.numpy() for part in vars(states.replace(presence=states.presence.sigmoid())).values()))
 
-    @property
-    def plans(self) -> int | None:
-        """C, or None of a single plan."""
-        return len(self.birth) if self.birth.ndim == 3 else None
-
     def plan(self, index: int) -> Forecast:
         """The forecast under one of many plans.
 
@@ -89,7 +89,7 @@ class Forecast:
         IndexError
             When there is but one.
         """
-        if self.plans is None:
+        if self.birth.ndim < 3:
             raise IndexError("this is the forecast of a single plan")
         return Forecast(*(part[index] for part in vars(self).values()))
 
@@ -122,18 +122,12 @@ class Forecast:
 
     def __getitem__(self, step: int) -> tuple[PredictedLoop, ...]:
         """Return the loops of a step, 0 for the next frame: those more likely there than not, longest lifetime first."""
-        if self.plans is not None:
+        if self.birth.ndim > 2:
             raise IndexError("this is a forecast of many plans: choose one first, forecast.plan(i)[step]")
         longest = np.argsort(-self.lifetime[step], kind="stable")
-        return tuple(self.loop(step, int(slot)) for slot in longest if self.presence[step, slot] > 0.5)
+        return tuple(self._loop(step, int(slot)) for slot in longest if self.presence[step, slot] > 0.5)
 
-    def loop(self, step: int, slot: int) -> PredictedLoop:
-        """Return one loop of a single plan, there or not.
-
-        Parameters
-        ----------
-        step, slot : int
-        """
+    def _loop(self, step: int, slot: int) -> PredictedLoop:
         triangles = self.corners[step, slot][np.array(TRIANGLES)]
         near, death = self.neighbour_values[step, slot], self.death[step, slot]
         return PredictedLoop(
@@ -144,22 +138,6 @@ class Forecast:
             killer_values=np.repeat(death, 2),
             neighbour_values=near[near > 0],
         )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists, for JSON: of every step the loops that are there."""
-        return {"steps": [[_as_dict(loop) for loop in self[step]] for step in range(len(self))]}
-
-
-def _as_dict(loop: PredictedLoop) -> dict[str, Any]:
-    return {
-        "slot": loop.slot,
-        "presence": round(loop.presence, 4),
-        "birth": loop.birth,
-        "death": loop.death,
-        "lifetime": loop.lifetime,
-        "mean": loop.mixture().mean.tolist(),
-        "killer_triangles": loop.killer_triangles.tolist(),
-    }
 
 
 class Predictor:
@@ -184,7 +162,7 @@ class Predictor:
     def reset(self) -> None:
         """Forget everything observed."""
         self._kept: deque[dict[str, Tensor]] = deque(maxlen=self.model.shape.history)
-        self._tracked: deque[tuple[TopologicalState, Tensor]] = deque(maxlen=self.model.shape.history)
+        self._states: deque[TopologicalState] = deque(maxlen=self.model.shape.history)
         self._tracker = SeqPH(**RECOMMENDED) if self.model.tracked else None
         self._context: dict[str, Tensor] | None = None
 
@@ -206,10 +184,13 @@ class Predictor:
         ValueError
             When an array has another shape or holds a value that is not finite, or the model needs the grippers.
         """
-        cloud = as_points(points)
+        cloud, n = as_points(points), self.model.shape.points
         if cloud.shape[1] != 3 or not len(cloud):
             raise ValueError(f"points must be an (n, 3) array of one point at least, not of shape {cloud.shape}")
-        frame = {"clouds": torch.from_numpy(_spread(cloud, self.model.shape.points))[None]}
+        chosen = cloud[farthest_point_sample(cloud, n)[0]] if len(cloud) > n else cloud
+        frame = {
+            "clouds": torch.from_numpy(np.resize(chosen, (1, n, 3)).astype(np.float32))
+        }  # repeated if they are few
         if "grippers" in self.model.inputs:
             if grippers is None:
                 raise ValueError("this model needs to know where the grippers are: observe(points, grippers)")
@@ -218,7 +199,7 @@ class Predictor:
                 raise ValueError(f"grippers must be a (2, 3) array, not of shape {place.shape}")
             frame |= {"grippers": torch.from_numpy(place).float()[None], "held": torch.tensor([bool(held)])}
         if self._tracker is not None:
-            self._tracked.append((self._tracker.update(cloud), frame["grippers"]))
+            self._states.append(self._tracker.update(cloud))
         self._kept.append(self.model.encode_frames({name: frame[name] for name in self.model.inputs}))
         self._context = None
 
@@ -249,8 +230,7 @@ class Predictor:
             look = [back[frames] for frames in self.model.frames]
             kept = {name: torch.stack([self._kept[i][name] for i in look], dim=1) for name in self._kept[0]}
             if self._tracker is not None:
-                states, grippers = zip(*self._tracked, strict=True)
-                past = past_window(states, self.model.shape.slots) | {"past_grippers": torch.stack(grippers, dim=1)}
+                past = past_window(self._states, self.model.shape.slots)
                 kept |= {name: part[:, back] for name, part in past.items()}
             self._context = self.model.gather(kept)
         return self._context
@@ -266,10 +246,3 @@ class Predictor:
         if holds.shape != plans.shape[:-2]:
             raise ValueError(f"held must be {plans.shape[:-2]}, as the actions, not {holds.shape}")
         return torch.from_numpy(plans).reshape(-1, steps, 2, 3), torch.from_numpy(holds).reshape(-1, steps)
-
-
-def _spread(points: NDArray[np.float64], n: int) -> Array:
-    """`n` farthest points, or all of them and then the first ones again."""
-    if len(points) > n:
-        points = points[farthest_point_sample(points, n)[0]]
-    return np.resize(points, (n, 3)).astype(np.float32)

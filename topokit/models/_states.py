@@ -4,8 +4,7 @@ Idea: the two killer triangles share the killer edge, and a neighbour shares an 
 eight corners: the ends x, y of the killer edge, the apexes z1 (thick), z2, and an apex a neighbour. Predicting corners keeps
 triangles that share an edge together and is half the size.
 
-Source: Antonova et al. 2021, section 5 (the L2 loss) and equation 1; slots are matched as in Carion et al. 2020 (DETR). Taught in
-chapters 9 and 10.
+Source: Antonova et al. 2021, section 5 (the L2 loss) and equation 1; slots as in Carion et al. 2020. Taught in chapters 9, 10.
 """
 
 from __future__ import annotations
@@ -28,6 +27,7 @@ TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  
 _OTHER_WAY = ([1, 0, 2, 3, 5, 4, 7, 6], [1, 0, 3, 2])  # corners and neighbours when x and y change places
 NUMBERS = 32  # of a loop: 8 corners, 4 neighbour values, birth, lifetime, step, presence
 POSITION, VALUE = 0.1, 0.02  # metres that count as one in the losses: of places, and of filtration values
+PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "step", "present"))
 Window = Mapping[str, Tensor]  # a batch of windows, as of `topokit.data.WindowDataset`
 
 
@@ -65,18 +65,9 @@ class States:
         values = self.neighbour_values[..., neighbours]
         return self.replace(corners=self.corners[..., corners, :], neighbour_values=values)
 
-    @classmethod
-    def among(cls, parts: Mapping[str, Tensor]) -> States:
-        """Those that stand under the names of the fields among other tensors."""
-        return cls(*(parts[part.name] for part in dataclasses.fields(cls)))
-
     def replace(self, **parts: Tensor) -> States:
         """A copy with other parts."""
         return dataclasses.replace(self, **parts)
-
-    def float(self) -> States:
-        """All parts in 32 bits."""
-        return self.each(Tensor.float)
 
     def __getitem__(self, index: Any) -> States:
         """Index all parts alike, along the leading dimensions."""
@@ -97,8 +88,7 @@ def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
 
     Labels list the neighbours without gaps, so the outer edge says which it is. The apex of an absent one is that edge's middle.
     """
-    x, y = triangles[..., 0, 0, :], triangles[..., 0, 1, :]
-    corners = torch.stack([x, y, triangles[..., 0, 2, :], triangles[..., 1, 2, :]], dim=-2)
+    corners = torch.cat([triangles[..., 0, :, :], triangles[..., 1, 2:, :]], dim=-2)  # x y z1, z2
     edges = torch.tensor([triangle[:2] for triangle in TRIANGLES[2:]], device=triangles.device)
     outer = corners[..., edges, :]  # (..., 4 edges, 2, 3)
     found = triangles[..., 2:, :, :]  # (..., 4 neighbours, 3, 3)
@@ -111,29 +101,16 @@ def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     return torch.cat([corners, apexes], dim=-2), neighbour_values
 
 
-def cheapest_order(cost: Tensor) -> Tensor:
-    """(B, S) which of S each of S shall have, for costs (B, S, S) of each having each: all orders are tried."""
-    slots = cost.shape[-1]
-    orders = torch.tensor(list(itertools.permutations(range(slots))), device=cost.device)  # (S!, S)
-    totals = cost[:, torch.arange(slots, device=cost.device), orders].sum(dim=-1)  # (B, S!)
-    return orders[totals.argmin(dim=-1)]
-
-
 def target_states(window: Window) -> States:
     """What should be predicted for a batch of windows."""
-    return _states(window, "")
+    step, presence = torch.nan_to_num(window["step"]), torch.where(window["present"], 20.0, -20.0)
+    corners, neighbour_values = corners_of(window["triangles"], window["values"])
+    return States(corners, neighbour_values, window["birth"], window["death"], step, presence)
 
 
 def past_states(window: Window) -> States:
     """What the tracker saw in the history of a batch of windows."""
-    return _states(window, "past_")
-
-
-def _states(window: Window, prefix: str) -> States:
-    corners, neighbour_values = corners_of(window[f"{prefix}triangles"], window[f"{prefix}values"])
-    birth, death, step = (window[f"{prefix}{name}"] for name in ("birth", "death", "step"))
-    presence = torch.where(window[f"{prefix}present"], 20.0, -20.0)
-    return States(corners, neighbour_values, birth, death, torch.nan_to_num(step), presence)
+    return target_states({name.removeprefix("past_"): window[name] for name in PAST})
 
 
 def loop_mixtures(triangles: Tensor, values: Tensor, noise: float = 1e-4) -> MixtureSameFamily:
@@ -194,12 +171,12 @@ def forecast_loss(
         The batch, labels included.
     weights : LossWeights
     present : States, optional
-        A model's estimate of the present state, or a few of them, as steps.
+        A model's estimate of the present state, as the one step.
     generator : torch.Generator, optional
         Draws the eight steps on which the log-likelihood is taken.
     """
     target = target_states(window)
-    past = past_states(window)[:, [-1] * (1 if present is None else present.birth.shape[1])]
+    past = past_states(window)[:, -1:]
     if weights.match:
         order = match_slots(predicted, target)
         target, past = target.slots(order), past.slots(order)
@@ -232,7 +209,11 @@ def match_slots(predicted: States, target: States) -> Tensor:
     apart = torch.cdist(predicted.mean, target.mean) / POSITION  # (B, K, predicted, target)
     logit = predicted.presence[..., :, None]
     wrong = functional.softplus(logit) - logit * there[..., None, :]  # cross-entropy of every pair
-    return cheapest_order((apart.clamp_max(5.0) * there[..., None, :] + wrong).mean(dim=1))
+    cost = (apart.clamp_max(5.0) * there[..., None, :] + wrong).mean(dim=1)  # (B, predicted, target)
+    slots = cost.shape[-1]
+    orders = torch.tensor(list(itertools.permutations(range(slots))), device=cost.device)  # (S!, S)
+    totals = cost[:, torch.arange(slots, device=cost.device), orders].sum(dim=-1)  # (B, S!)
+    return orders[totals.argmin(dim=-1)]
 
 
 def _features(predicted: States, target: States, there: Tensor) -> Tensor:

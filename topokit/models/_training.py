@@ -14,6 +14,7 @@ import math
 import time
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,7 @@ from tqdm import tqdm
 from topokit._archive import FormatError
 from topokit._config import from_mapping
 
-from ._base import Normalisation
-from ._baselines import Ridge
+from ._baselines import Normalisation, Ridge
 from ._checkpoint import build, describe, load_tensors, part_of, save_tensors
 from ._config import TrainConfig, Windows, epoch_order, mirrored, normalisation_of, spoilt, spread
 from ._states import Window, forecast_loss
@@ -84,7 +84,10 @@ class Progress:
 class _Training:
     def __init__(self, config: TrainConfig, windows: Windows, show: bool) -> None:
         self.config, self.windows, self.show, self.out = config, windows, show, Path(config.out)
-        self.fabric, self.progress = _fabric(config), Progress()
+        self.progress = Progress()
+        module = "lightning_fabric" if find_spec("lightning_fabric") else "lightning.fabric"  # as conda-forge has it
+        fabric = import_module(module).Fabric
+        self.fabric = fabric(accelerator=config.accelerator, devices=1, precision=config.precision)
         saved = load_tensors(self.out / LAST) if (self.out / LAST).exists() else None
         if saved is None:
             normalisation = normalisation_of(windows.train)
@@ -107,16 +110,12 @@ class _Training:
         if not self.progress.finished and self.model.learns:
             self._descend(self.progress.step + stop_after if stop_after else None)
         elif not self.progress.finished:
-            self._solve()
+            if isinstance(self.model, Ridge):
+                self.model.fit(self._batches())
+            self._validate()
+            self.progress.finished = True
+            self._save(LAST)
         return self._summary()
-
-    def _solve(self) -> None:
-        """A model without gradient descent: fit what is to be fitted, and validate once."""
-        if isinstance(self.model, Ridge):
-            self.model.fit(self._batches())
-        self._validate()
-        self.progress.finished = True
-        self._save(LAST)
 
     def _descend(self, stop: int | None) -> None:
         """Epochs until the end, early or not, or until a step."""
@@ -161,9 +160,11 @@ class _Training:
         """Of a batch, as it is shown to the model: in 32 bits whatever the model computes in. The seed draws steps."""
         with self.fabric.autocast():
             predicted, present = self.model(shown)
-        present = None if present is None else present.float()
+        present = None if present is None else present.each(Tensor.float)
         generator = torch.Generator().manual_seed(seed)
-        return forecast_loss(predicted.float(), window, self.config.loss, present=present, generator=generator)
+        return forecast_loss(
+            predicted.each(Tensor.float), window, self.config.loss, present=present, generator=generator
+        )
 
     @torch.no_grad()
     def _validate(self) -> None:
@@ -270,11 +271,3 @@ def learning_rate_share(step: int, steps: int) -> float:
 def _add(sums: dict[str, float], parts: Window, weight: int = 1) -> None:
     for name, part in parts.items():
         sums[name] = sums.get(name, 0.0) + weight * float(part)
-
-
-def _fabric(config: TrainConfig) -> Any:
-    try:
-        Fabric = import_module("lightning_fabric").Fabric
-    except ModuleNotFoundError:  # conda-forge has it as a part of `lightning`
-        Fabric = import_module("lightning.fabric").Fabric
-    return Fabric(accelerator=config.accelerator, devices=1, precision=config.precision)
