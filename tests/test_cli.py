@@ -162,7 +162,7 @@ def test_a_mistake_in_the_code_shows_where(episode, monkeypatch):
     def broken(*_: object, **__: object) -> None:
         raise TypeError("unsupported operand")
 
-    monkeypatch.setattr("topokit._commands.track", broken)
+    monkeypatch.setattr("topokit.cli.track", broken)
     with pytest.raises(TypeError, match="unsupported operand"):
         main(["track", str(episode)])
 

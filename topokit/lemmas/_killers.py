@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._validate import positive
 from ._measures import Beta, State
-from ._step import Step, observed_state, observed_step
-from ._verdict import Check, LoopCheck, Verdict, compared
+from ._step import Check, LoopCheck, Step, Verdict, compared, observed_state, observed_step
 
 MORE_THAN_TWICE = 2.001  # alpha must exceed 2 epsilon in Assumption 2; a larger alpha than measured is still one
 
@@ -44,7 +43,7 @@ def recovering_killers(state: ArrayLike, observed: ArrayLike) -> Check:
 
 
 def check_recovering_killers(step: Step) -> Check:
-    s, alpha = step.before, step.alpha
+    s, alpha = step.before, step.before.alpha
     everywhere = s.beta_all(alpha, alpha, alpha)
     betas = {"paper": everywhere, "corrected": s.beta_critical(alpha, alpha, 0.0)}
     rows = _loop_checks(step, ("S_t", "O_t"), [_bounds(f, betas) for f in range(len(everywhere.value))])
@@ -72,9 +71,9 @@ def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.
     return check_regularity(observed_step(before, None, after, None), positive(alpha, "alpha"))
 
 
-def check_regularity(step: Step, alpha: float) -> Check:
+def check_regularity(step: Step, alpha: float = 0.0) -> Check:
     s, epsilon, delta = step.before, step.epsilon, step.distortion
-    alpha = max(alpha, MORE_THAN_TWICE * epsilon)
+    alpha = max(alpha, step.alpha, MORE_THAN_TWICE * epsilon)
     betas = {
         "paper": s.beta_all(alpha, alpha, alpha),
         "corrected": s.beta_critical(2 * epsilon, 0.0, epsilon),

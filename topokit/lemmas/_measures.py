@@ -10,6 +10,7 @@ Source: Antonova et al. 2021, Assumptions 1 and 3. Taught in chapters 3 and 5.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -85,18 +86,14 @@ class State:
         d = self.distances[edges[:, :, None], edge]  # (m, 2, 2)
         return np.asarray(np.maximum(d.min(axis=2).max(axis=1), d.min(axis=1).max(axis=1)))
 
-    def beta_all(self, min_lifetime: float, below: float, above: float) -> Beta:
-        """Rivals among all edges of half length in [death - below, death + above]."""
-        return self._farthest_edges(min_lifetime, below, above, None, False)
-
     def beta_critical(self, min_lifetime: float, alpha: float, epsilon: float, *, nearest: bool = False) -> Beta:
         """Rivals among critical edges, as `beta_critical`."""
-        return self._farthest_edges(min_lifetime, 2 * epsilon, alpha + 2 * epsilon, (alpha, epsilon), nearest)
+        return self.beta_all(min_lifetime, 2 * epsilon, alpha + 2 * epsilon, (alpha, epsilon), nearest)
 
-    def _farthest_edges(
-        self, min_lifetime: float, below: float, above: float, critical: tuple[float, float] | None, nearest: bool
+    def beta_all(
+        self, min_lifetime: float, below: float, above: float, critical: Sequence[float] = (), nearest: bool = False
     ) -> Beta:
-        """The edges, or the critical ones, of half length in [death - below, death + above] farthest from the killers."""
+        """Rivals among the edges, all or the critical ones, of half length in [death - below, death + above]."""
         n_loops = int((self.diagram.lifetime > min_lifetime).sum())
         killers = self.diagram.killer_edge[:n_loops]
         value, edge = np.zeros(n_loops), killers.copy()
@@ -112,7 +109,7 @@ class State:
             for j in np.argsort(-away, kind="stable"):  # farthest first
                 x, y = rivals[j].tolist()
                 # The killer is a rival of itself, but a lune may hold together by rounding alone.
-                if critical is None or is_critical(self.distances, x, y, *critical):
+                if not critical or is_critical(self.distances, x, y, *critical):
                     value[i], edge[i] = away[j], rivals[j]
                     break
         return Beta(value, edge)

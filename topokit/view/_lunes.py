@@ -35,9 +35,7 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
     ----------
     points : (n, 2) array_like
     edge : (2,) sequence of int
-        Its two ends.
-    ax : matplotlib Axes, optional
-        A new figure's when not given.
+    ax : matplotlib Axes, default a new figure's
     """
     cloud = planar(points, "points")
     x, y = _ends(edge, len(cloud))
@@ -74,11 +72,9 @@ def plot_lens(
     ----------
     points : (n, 2) array_like
     edge : (2,) sequence of int
-        Its two ends.
     alpha, epsilon : float
         Covering radius of the observations and largest displacement, in the unit of the points.
-    ax : matplotlib Axes, optional
-        A new figure's when not given.
+    ax : matplotlib Axes, default a new figure's
     """
     cloud, alpha, epsilon = planar(points, "points"), positive(alpha, "alpha"), positive(epsilon, "epsilon")
     x, y = _ends(edge, len(cloud))

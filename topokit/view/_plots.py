@@ -7,7 +7,6 @@ of a cloth shows is checked once, by `Scene`, for this module and for `_render`.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
@@ -36,21 +35,23 @@ def loop_colour(loop_id: int) -> str:
     return OKABE_ITO[int(loop_id) % len(OKABE_ITO)]
 
 
-def appearances(states: Sequence[TopologicalState]) -> dict[int, Ids]:
-    """Return for every identity the positions in `states` at which it is there, identities in order of first appearance."""
-    places: defaultdict[int, list[int]] = defaultdict(list)
+def lifetimes(states: Sequence[TopologicalState]) -> dict[int, Array]:
+    """For every identity, in order of first appearance, its lifetime in each of the states, nan where it is not there."""
+    table: dict[int, Array] = {}
     for position, state in enumerate(states):
         for loop in state.loops:
-            places[loop.id].append(position)
-    return {loop_id: np.array(positions, dtype=np.int64) for loop_id, positions in places.items()}
+            table.setdefault(loop.id, np.full(len(states), np.nan))[position] = loop.lifetime
+    return table
+
+
+def appearances(states: Sequence[TopologicalState]) -> dict[int, Ids]:
+    """Return for every identity the positions in `states` at which it is there, identities in order of first appearance."""
+    return {loop_id: np.flatnonzero(~np.isnan(values)) for loop_id, values in lifetimes(states).items()}
 
 
 def long_lived(states: Sequence[TopologicalState]) -> tuple[int, ...]:
     """Identities worth a name in a picture, the weightiest first; each weighs the sum of its lifetimes over the states."""
-    weight: defaultdict[int, float] = defaultdict(float)
-    for state in states:
-        for loop in state.loops:
-            weight[loop.id] += loop.lifetime
+    weight = {loop_id: float(np.nansum(values)) for loop_id, values in lifetimes(states).items()}
     least = 0.2 * max(weight.values(), default=0.0)
     return tuple(sorted((i for i in weight if weight[i] >= least), key=lambda i: (-weight[i], i)))
 
@@ -134,8 +135,7 @@ def plot_cloth(points: ArrayLike, faces: ArrayLike = (), *, ax: Axes | None = No
     ----------
     points, faces : (N, 3) and (F, 3) array_like
         As of `Scene`.
-    ax : matplotlib Axes of projection "3d", optional
-        A new figure's when not given.
+    ax : matplotlib Axes of projection "3d", default a new figure's
     **scene
         What else is drawn, and from where: the other parameters of `Scene`.
 
@@ -236,8 +236,7 @@ def plot_diagram(diagram: Diagram | TopologicalState, ax: Axes | None = None, *,
     diagram : Diagram or TopologicalState
         The loops of a state have the colour of their identity and, when they live longer than the rest, its name; those
         of a diagram have no identity and are drawn in one colour.
-    ax : matplotlib Axes, optional
-        A new figure's when not given.
+    ax : matplotlib Axes, default a new figure's
     alpha : float, optional
         Lifetime below which loops are dropped, drawn as a dashed line; that of the state when not given.
     """
@@ -276,21 +275,16 @@ def plot_tracks(states: Sequence[TopologicalState], ax: Axes | None = None) -> A
     Parameters
     ----------
     states : sequence of TopologicalState
-        In order.
-    ax : matplotlib Axes, optional
-        A new figure's when not given.
+    ax : matplotlib Axes, default a new figure's
     """
     axes = new_axes(ax)
     times = np.array([state.time for state in states])
     named = long_lived(states)
-    lifetimes: dict[int, Array] = {}
-    for position, state in enumerate(states):
-        for loop in state.loops:
-            lifetimes.setdefault(loop.id, np.full(len(states), np.nan))[position] = loop.lifetime
-    for loop_id in sorted(lifetimes, key=lambda i: i in named):
-        _draw_track(axes, times, lifetimes[loop_id], loop_id, bold=loop_id in named)
+    table = lifetimes(states)
+    for loop_id in sorted(table, key=lambda i: i in named):
+        _draw_track(axes, times, table[loop_id], loop_id, bold=loop_id in named)
     axes.set(xlabel="time (s)", ylabel="lifetime (m)")
-    axes.set_ylim(0.0, 1.25 * max((np.nanmax(v) for v in lifetimes.values()), default=0.8))
+    axes.set_ylim(0.0, 1.25 * max((np.nanmax(v) for v in table.values()), default=0.8))
     return axes
 
 
