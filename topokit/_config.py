@@ -21,7 +21,6 @@ T = TypeVar("T")
 Count = Annotated[int, Field(ge=1)]
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
 
 
 @dataclass_transform(frozen_default=True)
@@ -77,9 +76,8 @@ def _told(error: ValidationError, kind: Any) -> str:
     found = error.errors(include_url=False)
     first = next((one for one in found if one["type"] == "unexpected_keyword_argument"), found[0])
     head, *rest = first["loc"] or ("",)
-    place = ".".join(
-        str(part) for part in (known[head] if isinstance(head, int) and head < len(known) else head, *rest)
-    )
+    name_of: dict[Any, str] = dict(enumerate(known))  # arguments may be given by place
+    place = ".".join(map(str, (name_of.get(head, head), *rest)))
     if first["type"] == "unexpected_keyword_argument":
         return f"there is no {place!r}" + (f"; there are {', '.join(known)}" if not rest else "")
     if first["type"] == "missing":

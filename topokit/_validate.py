@@ -18,10 +18,8 @@ def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False) ->
         array = np.asarray(points)
     except ValueError as error:  # ragged nested lists
         raise ValueError(f"{name} must be an (n, d) array of coordinates; its rows differ in length") from error
-    if array.dtype == object or not (np.issubdtype(array.dtype, np.number) or array.dtype == bool):
+    if array.dtype.kind not in "biuf":
         raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}")
-    if np.iscomplexobj(array):
-        raise WrongKindError(f"{name} must hold real numbers, not complex ones")
     if array.ndim != 2 or array.shape[1] == 0:
         raise ValueError(
             f"{name} must be an (n, d) array, one row a point, not an array of shape {array.shape}"

@@ -33,8 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command with `arguments` (those of the process when None) and return its exit code."""
     options = _parser().parse_args(arguments)
     try:
-        code: int = options.run(options)
-        return code
+        return int(options.run(options))
     except (ValueError, OSError, ImportError) as error:  # any other is a mistake of ours, and shows where
         print(f"topokit {options.command}: error: {error}", file=sys.stderr)
         return 2
@@ -111,17 +110,10 @@ def _simulate(options: argparse.Namespace) -> int:
         raise ValueError(f"--out {options.out}: the name of an episode ends in .npz")
     episode = _simulated(options)
     path = save_episode(options.out, episode)
-    answer = {
-        "episode": str(path),
-        "task": episode.task,
-        "seed": episode.seed,
-        "garment": episode.garment,
-        "target": episode.target,
-        "frames": len(episode),
-        "vertices": episode.points.shape[1],
-        "observed": episode.observed.shape[1],
-        "success": episode.success,
-    }
+    answer: dict[str, Any] = {"episode": str(path)}
+    answer |= {name: getattr(episode, name) for name in ("task", "seed", "garment", "target")}
+    answer |= {"frames": len(episode), "vertices": episode.points.shape[1], "observed": episode.observed.shape[1]}
+    answer |= {"success": episode.success}
     outcome = "it hangs" if episode.success else "it does not hang"
     words = "{episode}: {garment} to {target}, {frames} frames, {vertices} vertices".format(**answer)
     print(json.dumps(answer) if options.json else f"{words}; {outcome}")

@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..rips import Diagram
-from ._matching import Matching, longest_unmatched, match_diagrams
+from ._matching import Array, Matching, longest_unmatched, match_diagrams
 from ._step import Check, Step, Verdict, compared, observed_state, observed_step
-
-Array = NDArray[np.float64]
 
 
 def feature_approximation(state: ArrayLike, observed: ArrayLike) -> Check:

@@ -1,9 +1,7 @@
 """A state with its observation, and what the lemmas assume of it: alpha, how far from a killer its rivals lie, how far apart
 loops are.
 
-Idea of a critical edge: the killer of a loop seen through samples is an edge whose lune falls apart there. An edge is critical
-when two points of its lune, seen with all slack that sampling and motion allow, are not joined through the points that are
-surely in the lune, with steps that surely survive. Only such edges can be seen as killers.
+Idea of a critical edge: the killer of a loop seen through samples is an edge whose lune falls apart there, see `beta_critical`.
 
 Source: Antonova et al. 2021, Assumptions 1 and 3. Taught in chapters 3 and 5.
 """
@@ -22,9 +20,8 @@ from scipy.spatial.distance import cdist
 from .._validate import as_points, positive
 from ..rips import Diagram, rips_persistence
 from ..sampling import covering_radius
-from ._matching import Matching, match_diagrams
+from ._matching import Array, Matching, match_diagrams
 
-Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 ROUNDING = 1e-12  # relative; rounding may only add rivals and make more edges critical
 

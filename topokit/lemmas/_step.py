@@ -10,18 +10,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from .._matching import hausdorff_table
 from .._validate import as_points
 from ..rips import Diagram
-from ._matching import Matching, match_diagrams
-from ._measures import State
+from ._matching import Array, Matching, match_diagrams
+from ._measures import Ids, State
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 STORED = 1e-4  # how far a coordinate may be from its vertex: episodes are stored with 16 bits
 
 
@@ -189,8 +187,6 @@ class Step:
 def observed_state(state: ArrayLike, observed: ArrayLike) -> Step:
     """A state with what is observed of it, checked, as a step in which nothing moves."""
     points = as_points(state, "state")
-    if len(points) == 0:
-        raise ValueError("state has no points")
     still = State(points, vertex_ids(points, observed))
     return Step(still, still)
 

@@ -14,16 +14,15 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._validate import as_sequence
 from ._diagrams import check_feature_approximation, check_gates, check_observability, check_temporal_persistence
 from ._killers import check_converse, check_corollary, check_recovering_killers, check_regularity
-from ._measures import State
+from ._matching import Array
+from ._measures import Ids, State
 from ._step import Check, Step, observed_step, vertex_ids
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 _CHECKS: dict[str, Callable[[Step], Check]] = {
     "feature approximation": check_feature_approximation,
     "observability": check_observability,

@@ -17,10 +17,8 @@ from scipy.spatial.distance import cdist
 
 from topokit._validate import positive
 from topokit.view._pages import planar
-from topokit.view._plots import OKABE_ITO, new_axes
+from topokit.view._plots import OKABE_ITO, Array, Ids, new_axes
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 _EDGE, *_COMPONENTS = OKABE_ITO
 _BLOCKED, _PATH = OKABE_ITO[3], OKABE_ITO[2]
 
@@ -113,11 +111,10 @@ def _finished(axes: Axes, ends: Array, title: str) -> Axes:
 
 def _ends(edge: Sequence[int], n: int) -> tuple[int, int]:
     ends = np.asarray(edge)
-    if ends.shape != (2,) or not np.issubdtype(ends.dtype, np.integer):
-        raise ValueError(f"edge must be two vertex ids, not {edge!r}")
-    x, y = sorted(ends.tolist())
-    if x == y or x < 0 or y >= n:
-        raise ValueError(f"edge must join two different vertices from 0 to {n - 1}, not {x} and {y}")
+    pair = ends.shape == (2,) and np.issubdtype(ends.dtype, np.integer)
+    x, y = sorted(ends.tolist()) if pair else (0, 0)
+    if not 0 <= x < y < n:
+        raise ValueError(f"edge must be the ids of two different vertices from 0 to {n - 1}, not {edge!r}")
     return x, y
 
 

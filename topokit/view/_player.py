@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
 from topokit.view._pages import Framed, framed
-from topokit.view._plots import as_line, lifetimes, long_lived, one_a_frame, rod_radius, subdivide
+from topokit.view._plots import lifetimes, long_lived, one_a_frame, rod_radius, subdivide, triples
 
 
 def pack(array: NDArray[Any]) -> dict[str, Any]:
@@ -101,7 +101,7 @@ def _scene(episode: Episode) -> dict[str, Any]:
         "arrays": {
             "points": pack_coordinates(points),
             "faces": pack(np.asarray(episode.faces).reshape(-1, 3)),
-            "line": pack_coordinates(subdivide(as_line(episode.centre_line, "centre_line"))),
+            "line": pack_coordinates(subdivide(triples(episode.centre_line, "centre_line"))),
             "grippers": pack_coordinates(episode.grippers),
             "held": pack(np.asarray(episode.held, dtype=bool)),
         },

@@ -82,32 +82,23 @@ class Scene:
     focus: Any = None  #: (3,) array_like, the middle of the picture; the middle of everything when not given
 
     def __post_init__(self) -> None:
-        self.points = as_points(self.points)
-        if self.points.shape[1] != 3:
-            raise ValueError(f"points must lie in space, (N, 3), not of shape {self.points.shape}")
-        self.faces = _as_faces(self.faces, len(self.points))
+        self.points = triples(as_points(self.points), "points")
+        self.faces = triples(self.faces, "faces", np.int64)
+        outside = self.faces[(self.faces < 0) | (self.faces >= len(self.points))]
+        if len(outside):
+            raise ValueError(f"faces names vertex {outside[0]}; points has {len(self.points)}, numbered from 0")
         self.cycles = [self.points[np.append(ids, np.asarray(ids)[:1])] for ids in self.true_loops]
-        line = as_line(self.centre_line, "centre_line")
-        capsules = [(as_line(np.array(ends), "rods"), radius) for *ends, radius in self.rods]
+        line = triples(self.centre_line, "centre_line")
+        capsules = [(triples(np.array(ends), "rods"), radius) for *ends, radius in self.rods]
         self.capsules = capsules or [(line, self.thickness)] * (len(line) > 1)
         self.everything = np.concatenate([self.points, line, *(rod for rod, _ in capsules)])
 
 
-def _as_faces(faces: ArrayLike, n_points: int) -> Ids:
-    array = np.asarray(faces, dtype=np.int64) if np.size(faces) else np.zeros((0, 3), np.int64)
+def triples(values: ArrayLike | None, name: str, kind: type[np.generic] = np.float64) -> NDArray[Any]:
+    """Points in space or triangles as (K, 3), K = 0 for None or nothing; ValueError when they are none."""
+    array = np.zeros((0, 3), kind) if values is None or not np.size(values) else np.asarray(values, kind)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"faces must be an (F, 3) array of vertex ids, not of shape {array.shape}")
-    outside = array[(array < 0) | (array >= n_points)]
-    if len(outside):
-        raise ValueError(f"faces names vertex {outside[0]}; points has {n_points}, numbered from 0")
-    return array
-
-
-def as_line(line: ArrayLike | None, name: str) -> Array:
-    """A polyline as (K, 3), K = 0 for None; ValueError when it is none."""
-    array = np.zeros((0, 3)) if line is None else np.asarray(line, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name} must be a (K, 3) array of points in space, not of shape {array.shape}")
+        raise ValueError(f"{name} must be a (K, 3) array, not of shape {array.shape}")
     return array
 
 
@@ -138,21 +129,16 @@ def plot_cloth(points: ArrayLike, faces: ArrayLike = (), *, ax: Axes | None = No
     ax : matplotlib Axes of projection "3d", default a new figure's
     **scene
         What else is drawn, and from where: the other parameters of `Scene`.
-
-    Raises
-    ------
-    ValueError
-        When `ax` is flat, or anything else is not of its kind.
     """
     checked = Scene(points, faces, **scene)
     axes = new_axes(ax, projection="3d")
-    if not hasattr(axes, "add_collection3d"):
-        raise ValueError("ax must be a 3D one: plt.figure().add_subplot(projection='3d')")
     draw_cloth(axes, checked)
     return axes
 
 
 def draw_cloth(axes: Any, scene: Scene) -> None:
+    if not hasattr(axes, "add_collection3d"):
+        raise ValueError("ax must be a 3D one: plt.figure().add_subplot(projection='3d')")
     axes.set_autoscale_on(False)  # `_fit` sets the limits
     axes.computed_zorder = False
     # Matplotlib sorts by depth only inside a collection; it would pad faces of several lengths with what is in memory.
