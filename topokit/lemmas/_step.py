@@ -274,6 +274,5 @@ def _nearest_vertices(state: Array, cloud: Array, name: str) -> Ids:
     distance, nearest = cKDTree(state).query(cloud)
     if distance.max() > STORED:
         far = int(np.argmax(distance))
-        nearest_one = f"point {far} is {distance[far]:.3g} from the nearest one"
-        raise ValueError(f"{name} must be vertices of the state: {nearest_one}; take a subsample of the vertices")
+        raise ValueError(f"{name} must be vertices of the state: point {far} is {distance[far]:.3g} from the nearest one")
     return np.asarray(nearest)

@@ -52,8 +52,7 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
             longer = np.linalg.norm(part[:, None] - cloud[[x, y]], axis=2).max(axis=1)
             triangle = np.vstack([cloud[[x, y]], part[np.argmin(longer)]])
             axes.fill(*triangle.T, facecolor=_EDGE, alpha=0.22, zorder=1)
-    count = len(components)
-    title = "empty" if count == 0 else "connected" if count == 1 else f"{count} components"
+    title = {0: "empty", 1: "connected"}.get(len(components), f"{len(components)} components")
     return _finished(axes, cloud[[x, y]], title)
 
 
