@@ -274,5 +274,5 @@ def _nearest_vertices(state: Array, cloud: Array, name: str) -> Ids:
     distance, nearest = cKDTree(state).query(cloud)
     if distance.max() > STORED:
         far = int(np.argmax(distance))
-        raise ValueError(f"{name} must be vertices of the state: point {far} is {distance[far]:.3g} from the nearest one")
+        raise ValueError(f"{name} must be vertices of the state: point {far} is {distance[far]:.3g} from the nearest")
     return np.asarray(nearest)
