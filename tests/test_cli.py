@@ -162,7 +162,7 @@ def test_a_mistake_in_the_code_shows_where(episode, monkeypatch):
     def broken(*_: object, **__: object) -> None:
         raise TypeError("unsupported operand")
 
-    monkeypatch.setattr("topokit._commands.track", broken)
+    monkeypatch.setattr("topokit.cli.track", broken)
     with pytest.raises(TypeError, match="unsupported operand"):
         main(["track", str(episode)])
 
@@ -172,4 +172,4 @@ def test_arrays_that_hold_no_numbers_are_bad_input():
     np.save(stream, np.zeros((5, 3), dtype=complex))
     done = live(stream.getvalue())
     assert done.returncode == 2
-    assert done.stderr.decode().strip() == "topokit track: error: frame 0 must hold real numbers, not complex ones"
+    assert done.stderr.decode().strip() == "topokit track: error: frame 0 must hold real numbers, not complex128"

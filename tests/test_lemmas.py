@@ -422,7 +422,7 @@ def test_a_verdict_with_nothing_to_say():
         (lambda s: lemmas.verify_episode([s, s[:-1]], [0, 1]), "differ in shape"),
         (lambda s: lemmas.verify_episode([s, s], [[0, 1]]), "observed has 1 frames, points 2"),
         (lambda s: lemmas.verify_episode([s, s], [[0, 1], [0, 77]]), r"observed\[1\] names vertex 77"),
-        (lambda s: lemmas.feature_approximation(np.zeros((0, 2)), [0]), "state has no points"),
+        (lambda s: lemmas.feature_approximation(np.zeros((0, 2)), [0]), "names vertex 0; the state has 0"),
     ],
 )
 def test_bad_input_is_explained(call, message):

@@ -157,7 +157,7 @@ def test_cloth_holds_faces_rod_and_killers(episode, states):
 @pytest.mark.parametrize(
     ("points", "faces", "message"),
     [
-        (np.zeros((4, 2)), [], "points must lie in space"),
+        (np.zeros((4, 2)), [], r"points must be a \(K, 3\) array"),
         (np.zeros((4, 3)), [[0, 1, 4]], "faces names vertex 4"),
         (np.zeros((4, 3)), [[0, 1, -1]], "faces names vertex -1"),
         (np.zeros((4, 3)), [[0, 1]], "faces must be"),

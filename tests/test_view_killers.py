@@ -183,8 +183,8 @@ def test_the_path_that_a_lens_shows_survives():
     ("points", "edge", "alpha", "message"),
     [
         (np.eye(3), (0, 1), 0.1, r"points must lie in the plane"),
-        (SQUARE, (0, 4), 0.1, "edge must join two different vertices from 0 to 3"),
-        (SQUARE, (0, 1.5), 0.1, "edge must be two vertex ids"),
+        (SQUARE, (0, 4), 0.1, "ids of two different vertices from 0 to 3"),
+        (SQUARE, (0, 1.5), 0.1, "edge must be the ids of two different vertices from 0 to 3, not"),
         (SQUARE, (0, 2), -0.1, "alpha must be zero or more"),
     ],
 )

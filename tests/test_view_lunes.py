@@ -70,10 +70,10 @@ def test_only_disconnected_lunes_kill():
     ("points", "edge", "message"),
     [
         (np.eye(3), (0, 1), "points must lie in the plane, not in 3 dimensions"),
-        (np.eye(2), (0, 0), "two different vertices from 0 to 1, not 0 and 0"),
-        (np.eye(2), (0, 2), "two different vertices from 0 to 1, not 0 and 2"),
-        (np.eye(2), (0, 1, 1), "two vertex ids"),
-        (np.eye(2), (0.0, 1.0), "two vertex ids"),
+        (np.eye(2), (0, 0), r"two different vertices from 0 to 1, not \(0, 0\)"),
+        (np.eye(2), (0, 2), r"two different vertices from 0 to 1, not \(0, 2\)"),
+        (np.eye(2), (0, 1, 1), r"ids of two different vertices from 0 to 1, not \(0, 1, 1\)"),
+        (np.eye(2), (0.0, 1.0), r"ids of two different vertices from 0 to 1, not \(0.0, 1.0\)"),
     ],
 )
 def test_refuses_what_has_no_lune(points, edge, message):

@@ -21,7 +21,6 @@ T = TypeVar("T")
 Count = Annotated[int, Field(ge=1)]
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
 
 
 @dataclass_transform(frozen_default=True)
@@ -41,13 +40,7 @@ def checked(kind: type[T]) -> type[T]:
 
 
 def from_mapping(kind: type[T], entries: Any, where: str) -> T:
-    """Return a checked dataclass from plain numbers, strings, lists and dicts, nested ones too.
-
-    Raises
-    ------
-    ValueError
-        Naming `where` and the entry, when it is not known, missing, or refused.
-    """
+    """A checked dataclass from plain numbers, strings, lists and dicts, nested ones too; errors name `where` and the entry."""
     if not isinstance(entries, Mapping):
         raise ValueError(f"{where} must be an object with named entries, not {entries!r}")
     try:
@@ -57,36 +50,24 @@ def from_mapping(kind: type[T], entries: Any, where: str) -> T:
 
 
 def load(kind: type[T], path: str | Path) -> T:
-    """Read a checked dataclass from a JSON file, or from TOML when the name says so.
-
-    Raises
-    ------
-    FileNotFoundError
-        When there is no such file.
-    ValueError
-        When it is neither, or an entry is refused; the message names the file and the entry.
-    """
+    """A checked dataclass from a JSON file, or from TOML when the name says so; errors name the file and the entry."""
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: there is no such file")
-    return from_mapping(kind, _parsed(path), str(path))
+    language, parse = ("TOML", _parse_toml) if path.suffix == ".toml" else ("JSON", json.loads)
+    try:
+        entries = parse(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path}: not {language}: {error}") from error
+    return from_mapping(kind, entries, str(path))
 
 
-def _parsed(path: Path) -> Any:
-    text = path.read_text(encoding="utf-8")
-    if path.suffix != ".toml":
-        try:
-            return json.loads(text)
-        except ValueError as error:
-            raise ValueError(f"{path}: not JSON: {error}") from error
+def _parse_toml(text: str) -> Any:
     try:
         import tomllib
-    except ImportError as error:  # Python 3.10
-        raise ValueError(f"{path}: TOML needs Python 3.11; write the configuration as JSON") from error
-    try:
-        return tomllib.loads(text)
-    except ValueError as error:
-        raise ValueError(f"{path}: not TOML: {error}") from error
+    except ImportError as error:
+        raise ImportError("TOML needs Python 3.11; write the configuration as JSON") from error
+    return tomllib.loads(text)
 
 
 def _told(error: ValidationError, kind: Any) -> str:
@@ -95,9 +76,8 @@ def _told(error: ValidationError, kind: Any) -> str:
     found = error.errors(include_url=False)
     first = next((one for one in found if one["type"] == "unexpected_keyword_argument"), found[0])
     head, *rest = first["loc"] or ("",)
-    place = ".".join(
-        str(part) for part in (known[head] if isinstance(head, int) and head < len(known) else head, *rest)
-    )
+    name_of: dict[Any, str] = dict(enumerate(known))  # arguments may be given by place
+    place = ".".join(map(str, (name_of.get(head, head), *rest)))
     if first["type"] == "unexpected_keyword_argument":
         return f"there is no {place!r}" + (f"; there are {', '.join(known)}" if not rest else "")
     if first["type"] == "missing":

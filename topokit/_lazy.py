@@ -17,14 +17,9 @@ def shown(path: str) -> dict[str, str]:
 
 
 def attach(package: str, path: str, extra: str) -> tuple[Callable[[str], Any], list[str]]:
-    """Return `__getattr__` and `__all__` for a package: what it imports under ``if TYPE_CHECKING:`` is imported when used.
+    """`__getattr__` and `__all__` of a package: what it imports under ``if TYPE_CHECKING:`` is imported when used.
 
-    Parameters
-    ----------
-    package, path : str
-        Its `__name__` and `__file__`.
-    extra : str
-        What to install when a package that it needs is missing: ``pip install 'topokit[extra]'``.
+    When something is missing that it needs, the error tells to ``pip install 'topokit[extra]'``.
     """
     where = shown(path)
 

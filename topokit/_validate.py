@@ -13,31 +13,13 @@ class WrongKindError(TypeError, ValueError):
 
 
 def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False) -> NDArray[np.float64]:
-    """Return `points` as a C-contiguous (n, d) float64 array, or say why it is not a point cloud.
-
-    Parameters
-    ----------
-    points : (n, d) array_like
-    name : str
-        What the messages call it.
-    copy : bool
-        Whether the answer must not share memory with `points`: whoever keeps it copies it.
-
-    Raises
-    ------
-    TypeError
-        When the values are not real numbers.
-    ValueError
-        When the array is not two-dimensional, has no columns, or holds a value that is not finite.
-    """
+    """A C-contiguous (n, d) float64 array of finite numbers, no memory shared when it is a `copy`, or why it is none."""
     try:
         array = np.asarray(points)
     except ValueError as error:  # ragged nested lists
         raise ValueError(f"{name} must be an (n, d) array of coordinates; its rows differ in length") from error
-    if array.dtype == object or not (np.issubdtype(array.dtype, np.number) or array.dtype == bool):
+    if array.dtype.kind not in "biuf":
         raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}")
-    if np.iscomplexobj(array):
-        raise WrongKindError(f"{name} must hold real numbers, not complex ones")
     if array.ndim != 2 or array.shape[1] == 0:
         raise ValueError(
             f"{name} must be an (n, d) array, one row a point, not an array of shape {array.shape}"
@@ -57,10 +39,7 @@ def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False) ->
 def as_sequence(
     sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence", *, copy: bool = False
 ) -> list[NDArray[np.float64]]:
-    """Return a sequence of point clouds as a list of (n_t, d) float64 arrays; errors name the frame. See `as_points`.
-
-    Clouds may differ in their number of points (a camera sees what it sees), not in their dimension.
-    """
+    """A list of (n_t, d) float64 arrays: a camera sees as many points as it sees, but always in as many dimensions."""
     if isinstance(sequence, np.ndarray) and sequence.ndim != 3:
         raise ValueError(
             f"{name} must be a (T, n, d) array or a list of (n, d) arrays, not an array of shape {sequence.shape}"

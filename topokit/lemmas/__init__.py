@@ -22,8 +22,7 @@ from ._diagrams import feature_approximation, gates, observability, temporal_per
 from ._killers import converse, corollary, recovering_killers, regularity_of_killers
 from ._matching import killer_jumps, match_diagrams
 from ._measures import beta_all, beta_critical, feature_separation
-from ._step import distortion, max_displacement, vertex_ids
-from ._verdict import Check, LoopCheck, Verdict, Witness
+from ._step import Check, LoopCheck, Verdict, Witness, distortion, max_displacement, vertex_ids
 from ._verify import COUNTEREXAMPLES, STATEMENTS, Counterexample, StepCheck, verify_episode, verify_step
 
 __all__ = sorted(shown(__file__))

@@ -9,11 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..rips import Diagram
-from ._matching import Matching, longest_unmatched, match_diagrams
-from ._step import Step, observed_state, observed_step
-from ._verdict import Check, Verdict, compared
-
-Array = NDArray[np.float64]
+from ._matching import Array, Matching, longest_unmatched, match_diagrams
+from ._step import Check, Step, Verdict, compared, observed_state, observed_step
 
 
 def feature_approximation(state: ArrayLike, observed: ArrayLike) -> Check:
@@ -39,13 +36,14 @@ def feature_approximation(state: ArrayLike, observed: ArrayLike) -> Check:
 
 
 def check_feature_approximation(step: Step) -> Check:
-    versions = {"paper": _some_loop_of_o(step), "corrected": _rank_inequality(step, step.alpha)}
-    return Check("feature approximation", versions, step.alpha)
+    alpha = step.before.alpha
+    versions = {"paper": _some_loop_of_o(step, alpha), "corrected": _rank_inequality(step, alpha)}
+    return Check("feature approximation", versions, alpha)
 
 
-def _some_loop_of_o(step: Step) -> Verdict:
+def _some_loop_of_o(step: Step, alpha: float) -> Verdict:
     """Where S has a loop at r, O has one at r + alpha: checked at the values of r where that may begin to be false."""
-    s, o, alpha, tolerance = step.diagram("S_t"), step.diagram("O_t"), step.alpha, step.tolerance
+    s, o, tolerance = step.diagram("S_t"), step.diagram("O_t"), step.tolerance
     if len(s) == 0:
         return Verdict(0.0, 0.0, True)
     radii = np.concatenate([s.birth, o.death - alpha])
@@ -109,7 +107,7 @@ def observability(state: ArrayLike, observed: ArrayLike) -> Check:
 
 
 def check_observability(step: Step) -> Check:
-    alpha = step.alpha
+    alpha = step.before.alpha
     versions = {
         "paper": _unmatched(step, "O_t", alpha, "no counterpart within [0, alpha]"),
         "corrected": _bottleneck(step, "S_t", "O_t", step.before.matching, alpha, alpha + step.tolerance),

@@ -3,10 +3,8 @@
 Source: Antonova et al. 2021, section 4. Taught in chapter 5.
 
 Edges, each its two end points, are compared by Hausdorff distance, and edges that could be taken for the killer are assumed
-to lie within beta of it. The paper's Assumption 3 asks this of all edges of about the killer's length. Two loops that die within
-alpha of each other are then rivals, within beta, and the same assumption wants them more than 2 alpha + beta + epsilon apart:
-it cannot hold. Assumption 3' asks it of critical edges only, see `beta_critical`. The killers of other loops are critical too,
-so where several loops die at about the same time only the distance to the nearest of their killers can be small: `converse`.
+to lie within beta of it: all edges of about its length by the paper's Assumption 3, see `converse` for where that cannot hold,
+and critical ones by Assumption 3', see `beta_critical`.
 """
 
 from __future__ import annotations
@@ -15,12 +13,11 @@ from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._validate import positive
-from ._measures import Beta, State
-from ._step import Step, observed_state, observed_step
-from ._verdict import Check, LoopCheck, Verdict, compared
+from ._measures import Beta
+from ._step import Check, LoopCheck, Step, Verdict, compared, observed_state, observed_step
 
 MORE_THAN_TWICE = 2.001  # alpha must exceed 2 epsilon in Assumption 2; a larger alpha than measured is still one
 
@@ -44,7 +41,7 @@ def recovering_killers(state: ArrayLike, observed: ArrayLike) -> Check:
 
 
 def check_recovering_killers(step: Step) -> Check:
-    s, alpha = step.before, step.alpha
+    s, alpha = step.before, step.before.alpha
     everywhere = s.beta_all(alpha, alpha, alpha)
     betas = {"paper": everywhere, "corrected": s.beta_critical(alpha, alpha, 0.0)}
     rows = _loop_checks(step, ("S_t", "O_t"), [_bounds(f, betas) for f in range(len(everywhere.value))])
@@ -72,9 +69,9 @@ def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.
     return check_regularity(observed_step(before, None, after, None), positive(alpha, "alpha"))
 
 
-def check_regularity(step: Step, alpha: float) -> Check:
+def check_regularity(step: Step, alpha: float = 0.0) -> Check:
     s, epsilon, delta = step.before, step.epsilon, step.distortion
-    alpha = max(alpha, MORE_THAN_TWICE * epsilon)
+    alpha = max(alpha, step.alpha, MORE_THAN_TWICE * epsilon)
     betas = {
         "paper": s.beta_all(alpha, alpha, alpha),
         "corrected": s.beta_critical(2 * epsilon, 0.0, epsilon),
@@ -160,7 +157,8 @@ def converse(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, ob
     """Check that observed killers which are close belong to the same loop: what tracking needs, the corollary's converse.
 
     The paper concludes it from killers in S_t that are more than 2 alpha + beta + epsilon apart, which its Assumption 3 rules
-    out where loops die within alpha of each other. Even where they do not, each observed killer may be beta off.
+    out where loops die within alpha of each other: their killers are rivals, within beta. Even where they do not, each observed
+    killer may be beta off. The killers of other loops are critical too, so only the distance to the nearest can be small.
 
     Corrected: let every critical edge in the window of some loop with a lifetime above alpha + 2 epsilon lie within beta of the
     *nearest* killer of such a loop, and let these killers be more than 4 beta + 2 epsilon apart. Then each observed killer has
@@ -213,7 +211,8 @@ def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
     edges = [step.killers(place, n_loops) for place in ("O_t", "O_t+1")]
     if np.min(edges) < 0:  # against the theorem
         return Verdict(reach, 0.0, False, True, n_loops, step.witness("S_t", 0, "a loop is not seen"))
-    same = np.equal.outer(*(_nearest_loops(s, of_a_time, n_loops) for of_a_time in edges))
+    killers = s.diagram.killer_edge[:n_loops]
+    same = np.equal.outer(*(np.argmin([s.edge_distances(seen, k) for k in killers], axis=0) for seen in edges))
     distance = step.apart("O_t", "O_t+1", n_loops)
     least, most = float(distance[~same].min(initial=np.inf)), float(distance[same].max(initial=0.0))
     holds = least > reach - step.tolerance and most <= reach + step.tolerance
@@ -221,9 +220,3 @@ def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
     what = f"killers of one place up to {most:.6g} apart, of different ones down to {least:.6g}"
     separated = s.separation(min_lifetime) > 2 * reach
     return Verdict(reach, least, holds, separated, n_loops, step.witness("S_t", loop, what))
-
-
-def _nearest_loops(s: State, edges: NDArray[np.int64], n_loops: int) -> NDArray[np.int64]:
-    """For each edge of S_t the loop whose killer is nearest."""
-    killers = s.diagram.killer_edge[:n_loops]
-    return np.argmin([s.edge_distances(edges, killer) for killer in killers], axis=0)

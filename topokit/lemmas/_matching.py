@@ -20,7 +20,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from .._curves import curve_centroid
-from .._validate import as_points, positive
+from .._validate import as_points
 from ..rips import Diagram, rips_persistence
 from ..sampling import hausdorff
 
@@ -138,22 +138,18 @@ class Jump:
     cycle: float  #: distance of the centroids of tight cycles at birth
 
 
-def killer_jumps(before: ArrayLike, after: ArrayLike, min_lifetime: float = 0.0) -> list[Jump]:
+def killer_jumps(before: ArrayLike, after: ArrayLike) -> list[Jump]:
     """Measure how stable the places of the loops are that an optimal matching of two clouds pairs, longest lifetime first.
 
     Parameters
     ----------
     before, after : (n, d) and (m, d) array_like
         Two clouds of one object: a moment later, or sampled again. They need not have the same points.
-    min_lifetime : float
-        Only loops of `before` with a lifetime above it.
-
     """
     clouds = as_points(before, "before"), as_points(after, "after")
     first, second = (rips_persistence(cloud) for cloud in clouds)
     partner = match_diagrams(first, second).partner
-    kept = (first.lifetime > positive(min_lifetime, "min_lifetime")) & (partner >= 0)
-    return [_jump(*clouds, first, second, i, int(partner[i])) for i in np.flatnonzero(kept).tolist()]
+    return [_jump(*clouds, first, second, i, j) for i, j in enumerate(partner.tolist()) if j >= 0]
 
 
 def _jump(a: Array, b: Array, first: Diagram, second: Diagram, i: int, j: int) -> Jump:

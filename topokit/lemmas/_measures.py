@@ -1,15 +1,14 @@
 """A state with its observation, and what the lemmas assume of it: alpha, how far from a killer its rivals lie, how far apart
 loops are.
 
-Idea of a critical edge: the killer of a loop seen through samples is an edge whose lune falls apart there. An edge is critical
-when two points of its lune, seen with all slack that sampling and motion allow, are not joined through the points that are
-surely in the lune, with steps that surely survive. Only such edges can be seen as killers.
+Idea of a critical edge: the killer of a loop seen through samples is an edge whose lune falls apart there, see `beta_critical`.
 
 Source: Antonova et al. 2021, Assumptions 1 and 3. Taught in chapters 3 and 5.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,9 +20,8 @@ from scipy.spatial.distance import cdist
 from .._validate import as_points, positive
 from ..rips import Diagram, rips_persistence
 from ..sampling import covering_radius
-from ._matching import Matching, match_diagrams
+from ._matching import Array, Matching, match_diagrams
 
-Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 ROUNDING = 1e-12  # relative; rounding may only add rivals and make more edges critical
 
@@ -85,18 +83,14 @@ class State:
         d = self.distances[edges[:, :, None], edge]  # (m, 2, 2)
         return np.asarray(np.maximum(d.min(axis=2).max(axis=1), d.min(axis=1).max(axis=1)))
 
-    def beta_all(self, min_lifetime: float, below: float, above: float) -> Beta:
-        """Rivals among all edges of half length in [death - below, death + above]."""
-        return self._farthest_edges(min_lifetime, below, above, None, False)
-
     def beta_critical(self, min_lifetime: float, alpha: float, epsilon: float, *, nearest: bool = False) -> Beta:
         """Rivals among critical edges, as `beta_critical`."""
-        return self._farthest_edges(min_lifetime, 2 * epsilon, alpha + 2 * epsilon, (alpha, epsilon), nearest)
+        return self.beta_all(min_lifetime, 2 * epsilon, alpha + 2 * epsilon, (alpha, epsilon), nearest)
 
-    def _farthest_edges(
-        self, min_lifetime: float, below: float, above: float, critical: tuple[float, float] | None, nearest: bool
+    def beta_all(
+        self, min_lifetime: float, below: float, above: float, critical: Sequence[float] = (), nearest: bool = False
     ) -> Beta:
-        """The edges, or the critical ones, of half length in [death - below, death + above] farthest from the killers."""
+        """Rivals among the edges, all or the critical ones, of half length in [death - below, death + above]."""
         n_loops = int((self.diagram.lifetime > min_lifetime).sum())
         killers = self.diagram.killer_edge[:n_loops]
         value, edge = np.zeros(n_loops), killers.copy()
@@ -112,7 +106,7 @@ class State:
             for j in np.argsort(-away, kind="stable"):  # farthest first
                 x, y = rivals[j].tolist()
                 # The killer is a rival of itself, but a lune may hold together by rounding alone.
-                if critical is None or is_critical(self.distances, x, y, *critical):
+                if not critical or is_critical(self.distances, x, y, *critical):
                     value[i], edge[i] = away[j], rivals[j]
                     break
         return Beta(value, edge)

@@ -6,7 +6,7 @@ Taught in chapter 5.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from itertools import pairwise
@@ -14,27 +14,26 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._validate import as_sequence
 from ._diagrams import check_feature_approximation, check_gates, check_observability, check_temporal_persistence
 from ._killers import check_converse, check_corollary, check_recovering_killers, check_regularity
-from ._measures import State
-from ._step import Step, observed_step, vertex_ids
-from ._verdict import Check
+from ._matching import Array
+from ._measures import Ids, State
+from ._step import Check, Step, observed_step, vertex_ids
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
-STATEMENTS = (
-    "feature approximation",
-    "observability",
-    "temporal persistence",
-    "gates",
-    "recovering killers",
-    "regularity of killers",
-    "corollary",
-    "converse",
-)
+_CHECKS: dict[str, Callable[[Step], Check]] = {
+    "feature approximation": check_feature_approximation,
+    "observability": check_observability,
+    "temporal persistence": check_temporal_persistence,
+    "gates": check_gates,
+    "recovering killers": check_recovering_killers,
+    "regularity of killers": check_regularity,
+    "corollary": check_corollary,
+    "converse": check_converse,
+}
+STATEMENTS = tuple(_CHECKS)
 
 
 @dataclass(frozen=True)
@@ -67,18 +66,7 @@ def verify_step(
 
 
 def _checks(step: Step) -> dict[str, Check]:
-    still = Step(step.before, step.before)
-    checks = (
-        check_feature_approximation(still),
-        check_observability(still),
-        check_temporal_persistence(step),
-        check_gates(step),
-        check_recovering_killers(still),
-        check_regularity(step, step.alpha),
-        check_corollary(step),
-        check_converse(step),
-    )
-    return {check.statement: check for check in checks}
+    return {name: check(step) for name, check in _CHECKS.items()}
 
 
 def verify_episode(

@@ -17,10 +17,8 @@ from scipy.spatial.distance import cdist
 
 from topokit._validate import positive
 from topokit.view._pages import planar
-from topokit.view._plots import OKABE_ITO, new_axes
+from topokit.view._plots import OKABE_ITO, Array, Ids, new_axes
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 _EDGE, *_COMPONENTS = OKABE_ITO
 _BLOCKED, _PATH = OKABE_ITO[3], OKABE_ITO[2]
 
@@ -35,9 +33,7 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
     ----------
     points : (n, 2) array_like
     edge : (2,) sequence of int
-        Its two ends.
-    ax : matplotlib Axes, optional
-        A new figure's when not given.
+    ax : matplotlib Axes, default a new figure's
     """
     cloud = planar(points, "points")
     x, y = _ends(edge, len(cloud))
@@ -56,8 +52,7 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
             longer = np.linalg.norm(part[:, None] - cloud[[x, y]], axis=2).max(axis=1)
             triangle = np.vstack([cloud[[x, y]], part[np.argmin(longer)]])
             axes.fill(*triangle.T, facecolor=_EDGE, alpha=0.22, zorder=1)
-    count = len(components)
-    title = "empty" if count == 0 else "connected" if count == 1 else f"{count} components"
+    title = {0: "empty", 1: "connected"}.get(len(components), f"{len(components)} components")
     return _finished(axes, cloud[[x, y]], title)
 
 
@@ -74,11 +69,9 @@ def plot_lens(
     ----------
     points : (n, 2) array_like
     edge : (2,) sequence of int
-        Its two ends.
     alpha, epsilon : float
         Covering radius of the observations and largest displacement, in the unit of the points.
-    ax : matplotlib Axes, optional
-        A new figure's when not given.
+    ax : matplotlib Axes, default a new figure's
     """
     cloud, alpha, epsilon = planar(points, "points"), positive(alpha, "alpha"), positive(epsilon, "epsilon")
     x, y = _ends(edge, len(cloud))
@@ -117,11 +110,10 @@ def _finished(axes: Axes, ends: Array, title: str) -> Axes:
 
 def _ends(edge: Sequence[int], n: int) -> tuple[int, int]:
     ends = np.asarray(edge)
-    if ends.shape != (2,) or not np.issubdtype(ends.dtype, np.integer):
-        raise ValueError(f"edge must be two vertex ids, not {edge!r}")
-    x, y = sorted(ends.tolist())
-    if x == y or x < 0 or y >= n:
-        raise ValueError(f"edge must join two different vertices from 0 to {n - 1}, not {x} and {y}")
+    pair = ends.shape == (2,) and np.issubdtype(ends.dtype, np.integer)
+    x, y = sorted(ends.tolist()) if pair else (0, 0)
+    if not 0 <= x < y < n:
+        raise ValueError(f"edge must be the ids of two different vertices from 0 to {n - 1}, not {edge!r}")
     return x, y
 
 

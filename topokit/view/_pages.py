@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -74,17 +75,10 @@ def _text(file: str) -> str:
     return resources.files("topokit.view").joinpath(file).read_text(encoding="utf-8")
 
 
-# name of the stage -> what leaves it, in the words of the chapters
-STAGES = {
-    "cloth": "vertices",
-    "cloud": "points",
-    "loops": "birth, death, killers",
-    "tracks": "identities",
-    "mixture": "where",
-    "model": "what comes next",
-    "plan": "what to do",
-}
-_WIDTH, _HEIGHT, _GAP = 92, 46, 24
+STAGES = ("cloth", "cloud", "loops", "tracks", "mixture", "model", "plan")
+# how the box of a stage looks, and its name
+_LIT = (f'fill="{OKABE_ITO[1]}" stroke="{OKABE_ITO[1]}"', 'fill="#ffffff" font-weight="600"')
+_UNLIT = ('fill="none" stroke="currentColor" opacity="0.55"', 'opacity="0.75"')
 
 
 @dataclass(frozen=True)
@@ -107,28 +101,10 @@ def data_flow(*lit: str) -> DataFlow:
     """
     for name in set(lit) - set(STAGES):
         raise ValueError(f"no stage {name!r}; there are {', '.join(STAGES)}")
-    parts = [_stage(column, name, name in lit) for column, name in enumerate(STAGES)]
-    width = len(STAGES) * (_WIDTH + _GAP) - _GAP + 4
-    label = f"From cloth to plan in seven stages; this chapter is about {', '.join(lit) or 'none of them'}."
-    return DataFlow(
-        f'<svg viewBox="0 0 {width} {_HEIGHT + 30}" role="img" aria-label="{label}" '
-        'style="width:100%;max-width:820px;height:auto;display:block" font-family="system-ui,sans-serif" '
-        f'fill="currentColor" text-anchor="middle">{"".join(parts)}</svg>'
-    )
-
-
-def _stage(column: int, name: str, lit: bool) -> str:
-    x, middle = 2 + column * (_WIDTH + _GAP), 2 + _HEIGHT / 2
-    blue = OKABE_ITO[1]
-    fill = f'fill="{blue}" stroke="{blue}"' if lit else 'fill="none" stroke="currentColor" opacity="0.55"'
-    ink = 'fill="#ffffff" font-weight="600"' if lit else 'opacity="0.75"'
-    arrow = f"M{x - _GAP + 3} {middle}H{x - 7}m-5 -4l5 4l-5 4"
-    return (
-        (f'<path d="{arrow}" fill="none" stroke="currentColor" opacity="0.6"/>' if column else "")
-        + f'<rect x="{x}" y="2" width="{_WIDTH}" height="{_HEIGHT}" rx="7" {fill}/>'
-        + f'<text x="{x + _WIDTH / 2}" y="{middle + 5}" font-size="15" {ink}>{name}</text>'
-        + f'<text x="{x + _WIDTH / 2}" y="{_HEIGHT + 20}" font-size="11" opacity="0.8">{STAGES[name]}</text>'
-    )
+    looks = {"lit": ", ".join(lit) or "none of them"}
+    for name in STAGES:
+        looks[f"{name}_box"], looks[f"{name}_ink"] = _LIT if name in lit else _UNLIT
+    return DataFlow(Template(_text("data_flow.html")).substitute(looks))
 
 
 def growth(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
 from topokit.view._pages import Framed, framed
-from topokit.view._plots import as_line, long_lived, one_a_frame, rod_radius, subdivide
+from topokit.view._plots import lifetimes, long_lived, one_a_frame, rod_radius, subdivide, triples
 
 
 def pack(array: NDArray[Any]) -> dict[str, Any]:
@@ -83,9 +83,8 @@ def player(
 
 def telling_frame(states: Sequence[TopologicalState]) -> int:
     """The frame at which the weightiest identity has its longest lifetime; 0 when there are no loops."""
-    first = long_lived(states)[:1]
-    lifetimes = [max((loop.lifetime for loop in state.loops if loop.id in first), default=-1.0) for state in states]
-    return int(np.argmax(lifetimes)) if states else 0
+    weightiest = long_lived(states)[:1]
+    return int(np.nanargmax(lifetimes(states)[weightiest[0]])) if weightiest else 0
 
 
 def _scene(episode: Episode) -> dict[str, Any]:
@@ -102,7 +101,7 @@ def _scene(episode: Episode) -> dict[str, Any]:
         "arrays": {
             "points": pack_coordinates(points),
             "faces": pack(np.asarray(episode.faces).reshape(-1, 3)),
-            "line": pack_coordinates(subdivide(as_line(episode.centre_line, "centre_line"))),
+            "line": pack_coordinates(subdivide(triples(episode.centre_line, "centre_line"))),
             "grippers": pack_coordinates(episode.grippers),
             "held": pack(np.asarray(episode.held, dtype=bool)),
         },

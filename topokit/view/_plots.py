@@ -7,7 +7,6 @@ of a cloth shows is checked once, by `Scene`, for this module and for `_render`.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
@@ -36,21 +35,23 @@ def loop_colour(loop_id: int) -> str:
     return OKABE_ITO[int(loop_id) % len(OKABE_ITO)]
 
 
-def appearances(states: Sequence[TopologicalState]) -> dict[int, Ids]:
-    """Return for every identity the positions in `states` at which it is there, identities in order of first appearance."""
-    places: defaultdict[int, list[int]] = defaultdict(list)
+def lifetimes(states: Sequence[TopologicalState]) -> dict[int, Array]:
+    """For every identity, in order of first appearance, its lifetime in each of the states, nan where it is not there."""
+    table: dict[int, Array] = {}
     for position, state in enumerate(states):
         for loop in state.loops:
-            places[loop.id].append(position)
-    return {loop_id: np.array(positions, dtype=np.int64) for loop_id, positions in places.items()}
+            table.setdefault(loop.id, np.full(len(states), np.nan))[position] = loop.lifetime
+    return table
+
+
+def appearances(states: Sequence[TopologicalState]) -> dict[int, Ids]:
+    """Return for every identity the positions in `states` at which it is there, identities in order of first appearance."""
+    return {loop_id: np.flatnonzero(~np.isnan(values)) for loop_id, values in lifetimes(states).items()}
 
 
 def long_lived(states: Sequence[TopologicalState]) -> tuple[int, ...]:
     """Identities worth a name in a picture, the weightiest first; each weighs the sum of its lifetimes over the states."""
-    weight: defaultdict[int, float] = defaultdict(float)
-    for state in states:
-        for loop in state.loops:
-            weight[loop.id] += loop.lifetime
+    weight = {loop_id: float(np.nansum(values)) for loop_id, values in lifetimes(states).items()}
     least = 0.2 * max(weight.values(), default=0.0)
     return tuple(sorted((i for i in weight if weight[i] >= least), key=lambda i: (-weight[i], i)))
 
@@ -81,32 +82,23 @@ class Scene:
     focus: Any = None  #: (3,) array_like, the middle of the picture; the middle of everything when not given
 
     def __post_init__(self) -> None:
-        self.points = as_points(self.points)
-        if self.points.shape[1] != 3:
-            raise ValueError(f"points must lie in space, (N, 3), not of shape {self.points.shape}")
-        self.faces = _as_faces(self.faces, len(self.points))
+        self.points = triples(as_points(self.points), "points")
+        self.faces = triples(self.faces, "faces", np.int64)
+        outside = self.faces[(self.faces < 0) | (self.faces >= len(self.points))]
+        if len(outside):
+            raise ValueError(f"faces names vertex {outside[0]}; points has {len(self.points)}, numbered from 0")
         self.cycles = [self.points[np.append(ids, np.asarray(ids)[:1])] for ids in self.true_loops]
-        line = as_line(self.centre_line, "centre_line")
-        capsules = [(as_line(np.array(ends), "rods"), radius) for *ends, radius in self.rods]
+        line = triples(self.centre_line, "centre_line")
+        capsules = [(triples(np.array(ends), "rods"), radius) for *ends, radius in self.rods]
         self.capsules = capsules or [(line, self.thickness)] * (len(line) > 1)
         self.everything = np.concatenate([self.points, line, *(rod for rod, _ in capsules)])
 
 
-def _as_faces(faces: ArrayLike, n_points: int) -> Ids:
-    array = np.asarray(faces, dtype=np.int64) if np.size(faces) else np.zeros((0, 3), np.int64)
+def triples(values: ArrayLike | None, name: str, kind: type[np.generic] = np.float64) -> NDArray[Any]:
+    """Points in space or triangles as (K, 3), K = 0 for None or nothing; ValueError when they are none."""
+    array = np.zeros((0, 3), kind) if values is None or not np.size(values) else np.asarray(values, kind)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"faces must be an (F, 3) array of vertex ids, not of shape {array.shape}")
-    outside = array[(array < 0) | (array >= n_points)]
-    if len(outside):
-        raise ValueError(f"faces names vertex {outside[0]}; points has {n_points}, numbered from 0")
-    return array
-
-
-def as_line(line: ArrayLike | None, name: str) -> Array:
-    """A polyline as (K, 3), K = 0 for None; ValueError when it is none."""
-    array = np.zeros((0, 3)) if line is None else np.asarray(line, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name} must be a (K, 3) array of points in space, not of shape {array.shape}")
+        raise ValueError(f"{name} must be a (K, 3) array, not of shape {array.shape}")
     return array
 
 
@@ -134,25 +126,19 @@ def plot_cloth(points: ArrayLike, faces: ArrayLike = (), *, ax: Axes | None = No
     ----------
     points, faces : (N, 3) and (F, 3) array_like
         As of `Scene`.
-    ax : matplotlib Axes of projection "3d", optional
-        A new figure's when not given.
+    ax : matplotlib Axes of projection "3d", default a new figure's
     **scene
         What else is drawn, and from where: the other parameters of `Scene`.
-
-    Raises
-    ------
-    ValueError
-        When `ax` is flat, or anything else is not of its kind.
     """
     checked = Scene(points, faces, **scene)
     axes = new_axes(ax, projection="3d")
-    if not hasattr(axes, "add_collection3d"):
-        raise ValueError("ax must be a 3D one: plt.figure().add_subplot(projection='3d')")
     draw_cloth(axes, checked)
     return axes
 
 
 def draw_cloth(axes: Any, scene: Scene) -> None:
+    if not hasattr(axes, "add_collection3d"):
+        raise ValueError("ax must be a 3D one: plt.figure().add_subplot(projection='3d')")
     axes.set_autoscale_on(False)  # `_fit` sets the limits
     axes.computed_zorder = False
     # Matplotlib sorts by depth only inside a collection; it would pad faces of several lengths with what is in memory.
@@ -236,8 +222,7 @@ def plot_diagram(diagram: Diagram | TopologicalState, ax: Axes | None = None, *,
     diagram : Diagram or TopologicalState
         The loops of a state have the colour of their identity and, when they live longer than the rest, its name; those
         of a diagram have no identity and are drawn in one colour.
-    ax : matplotlib Axes, optional
-        A new figure's when not given.
+    ax : matplotlib Axes, default a new figure's
     alpha : float, optional
         Lifetime below which loops are dropped, drawn as a dashed line; that of the state when not given.
     """
@@ -276,21 +261,16 @@ def plot_tracks(states: Sequence[TopologicalState], ax: Axes | None = None) -> A
     Parameters
     ----------
     states : sequence of TopologicalState
-        In order.
-    ax : matplotlib Axes, optional
-        A new figure's when not given.
+    ax : matplotlib Axes, default a new figure's
     """
     axes = new_axes(ax)
     times = np.array([state.time for state in states])
     named = long_lived(states)
-    lifetimes: dict[int, Array] = {}
-    for position, state in enumerate(states):
-        for loop in state.loops:
-            lifetimes.setdefault(loop.id, np.full(len(states), np.nan))[position] = loop.lifetime
-    for loop_id in sorted(lifetimes, key=lambda i: i in named):
-        _draw_track(axes, times, lifetimes[loop_id], loop_id, bold=loop_id in named)
+    table = lifetimes(states)
+    for loop_id in sorted(table, key=lambda i: i in named):
+        _draw_track(axes, times, table[loop_id], loop_id, bold=loop_id in named)
     axes.set(xlabel="time (s)", ylabel="lifetime (m)")
-    axes.set_ylim(0.0, 1.25 * max((np.nanmax(v) for v in lifetimes.values()), default=0.8))
+    axes.set_ylim(0.0, 1.25 * max((np.nanmax(v) for v in table.values()), default=0.8))
     return axes
 
 

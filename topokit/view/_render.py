@@ -25,9 +25,8 @@ from PIL import Image
 from topokit._archive import atomic_file
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
-from topokit.view._plots import INK, ROD, Scene, direction, draw_cloth, loop_colour, one_a_frame
+from topokit.view._plots import INK, ROD, Array, Scene, direction, draw_cloth, loop_colour, one_a_frame
 
-Array = NDArray[np.float64]
 _PROBE = """
 import sys
 sys.path[:] = filter(None, sys.path)  # what lies in the working directory is not imported

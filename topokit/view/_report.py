@@ -26,10 +26,8 @@ def plot_accuracy(condition: Mapping[str, Any], horizons: Sequence[str], ax: Axe
 
     Parameters
     ----------
-    condition : mapping
-        One of the `conditions` of the results, or one garment of it.
-    horizons : sequence of str
-        Those of the results.
+    condition : mapping, one of the `conditions` of the results or one garment of it
+    horizons : sequence of str, those of the results
     ax : Axes
     """
     rows = condition["hull_accuracy"]
@@ -50,10 +48,8 @@ def plot_by_horizon(condition: Mapping[str, Any], measure: str, ax: Axes) -> Axe
 
     Parameters
     ----------
-    condition : mapping
-        One of the `conditions` of the results.
-    measure : str
-        A name of its `curves`.
+    condition : mapping, one of the `conditions` of the results
+    measure : str, a name of its `curves`
     ax : Axes
     """
     scale = 1 if measure.endswith("cm") else 100
@@ -75,8 +71,7 @@ def plot_conditions(results: Mapping[str, Any], ax: Axes) -> Axes:
 
     Parameters
     ----------
-    results : mapping
-        The whole file.
+    results : mapping, the whole file
     ax : Axes
     """
     tables = [condition["hull_accuracy"] for condition in results["conditions"].values()]
@@ -103,8 +98,7 @@ def plot_treatments(condition: Mapping[str, Any], ax: Axes) -> Axes:
 
     Parameters
     ----------
-    condition : mapping
-        The first of the `conditions` of the results.
+    condition : mapping, the first of the `conditions` of the results
     ax : Axes
     """
     ways = {name: rows for name, rows in condition["hull_treatments"].items() if name not in _NOT_DRAWN}
