@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import functools
 import math
+import pickle
 import platform
 import sys
 import tempfile
@@ -20,8 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topokit._archive import load_archive, save_archive
-from topokit._config import from_mapping
 from topokit._validate import positive
 from topokit.io import FEWEST_FRAMES, Episode
 from topokit.sampling import farthest_point_sample
@@ -39,8 +38,6 @@ Report = Callable[[int], None]
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
 _JOB = "topokit.sim._episode:record_job"
-_RUN, _RECORDING = "topokit-run", "topokit-recording"
-_ERRORS: dict[str, type[Exception]] = {kind.__name__: kind for kind in (SimulationError, ValueError, ImportError)}
 
 
 def simulate(
@@ -238,42 +235,26 @@ def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> 
             report(frame)
 
     with tempfile.TemporaryDirectory() as folder, contextlib.closing(Forge(_JOB, once=True)) as forge:
-        _save_run(Path(folder, "run.npz"), run)
-        result = forge.run({"folder": folder}, math.inf, silence=time_limit, report=note)
+        path = Path(folder, "run")
+        path.write_bytes(pickle.dumps(run))
+        result = forge.run({"path": str(path)}, math.inf, silence=time_limit, report=note)
         if "error" in result:
             raise SimulationError(f"{stage}: {result['message']}")
-        text, arrays = load_archive(Path(folder, "recording.npz"), _RECORDING)
-    if "error" in text:
-        raise _ERRORS[text["error"]](text["message"])
-    return Recording(**arrays)
+        outcome: Recording | Exception = pickle.loads(path.read_bytes())
+    if isinstance(outcome, Exception):
+        raise outcome
+    return outcome
 
 
 def record_job(job: dict[str, str], report: Report) -> None:
-    """What the fresh process does: simulate and save the recording, or the error."""
-    text: dict[str, str] = {}
-    arrays: dict[str, NDArray[Any]] = {}
+    """What the fresh process does: simulate, and put the recording or the error in the place of the run."""
+    path = Path(job["path"])
+    outcome: Recording | Exception
     try:
-        arrays = vars(record(_load_run(Path(job["folder"], "run.npz")), report))
-    except tuple(_ERRORS.values()) as error:
-        text = {"error": type(error).__name__, "message": str(error)}
-    save_archive(Path(job["folder"], "recording.npz"), _RECORDING, text, arrays)
-
-
-def _save_run(path: Path, run: Run) -> None:
-    arrays = {name: getattr(run.garment, name) for name in ("vertices", "faces", "grips")} | {"goals": run.goals}
-    arrays["rods"] = np.array([[*start, *end, radius] for start, end, radius in run.rods]).reshape(-1, 7)
-    text: dict[str, Any] = {name: getattr(run, name) for name in ("release", "n_observed", "noise")}
-    text |= {"config": dataclasses.asdict(run.config), "cameras": [dataclasses.asdict(one) for one in run.cameras]}
-    save_archive(path, _RUN, text, arrays)
-
-
-def _load_run(path: Path) -> Run:
-    text, arrays = load_archive(path, _RUN)
-    garment = Garment("", arrays["vertices"], arrays["faces"], (), arrays["grips"])
-    rods = [(rod[:3], rod[3:6], float(rod[6])) for rod in arrays["rods"]]
-    config = from_mapping(SimulationConfig, text.pop("config"), "config")
-    cameras = tuple(from_mapping(Camera, camera, "camera") for camera in text.pop("cameras"))
-    return Run(garment, rods, arrays["goals"], config=config, cameras=cameras, **text)
+        outcome = record(pickle.loads(path.read_bytes()), report)
+    except (SimulationError, ValueError, ImportError) as error:
+        outcome = error
+    path.write_bytes(pickle.dumps(outcome))
 
 
 class StretchCheck:
