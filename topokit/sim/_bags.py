@@ -24,15 +24,8 @@ def tote(
 
     A tote has as many classes as handles: the bag closes its open top. One handle runs over the top from side to side; of
     two, each stands on its own panel, `handle_span` between the middles of its ends. A true loop is the border of the
-    opening under a handle. The grips are on the one handle, or one on each of the two.
-
-    Parameters
-    ----------
-    handles : int
-    spacing, width, height, depth : float
-    handle_length : float, optional
-        When not given 0.72 m of one handle and 0.50 m of each of two.
-    handle_width, handle_span : float
+    opening under a handle. The grips are on the one handle, or one on each of the two. When `handle_length` is not given, one
+    handle is 0.72 m long, and each of two 0.50 m.
     """
     handle_length = (0.72 if handles == 1 else 0.50) if handle_length is None else handle_length
     sizes = check_sizes(locals(), without=("handle_span",) if handles == 1 else ())
@@ -91,10 +84,6 @@ def backpack(
     The straps join the sides of the back at its top and just above the box, and are folded by `strap_angle` from the plane
     of the back towards +y. There are two classes; each true loop is the border of the opening between a strap and the back,
     the left one (x < 0) first. There is one grip on each strap.
-
-    Parameters
-    ----------
-    spacing, width, height, depth, box_height, strap_length, strap_width, strap_angle : float
     """
     sizes = check_sizes(locals())
     half, low = width / 2, -height

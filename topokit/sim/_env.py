@@ -155,9 +155,11 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ValueError(f"an action is seven finite numbers, not {action!r}")
         points, linked, distance = self._points, self._linked, self._distance
         self._advance(self.max_step * move[:6].reshape(2, 3), release=move[6] > 0.5)
-        torn = self._is_torn()
-        if torn:
-            self._points = points  # the last that made sense
+        torn = False
+        try:
+            self._check(self._points, f"step {self._steps}")
+        except SimulationError:
+            torn, self._points = True, points  # the last that made sense
         observation = self._observe()
         speed = np.linalg.norm(self._points - points, axis=1).mean() / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
@@ -239,13 +241,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self.task.every:
             return sum(on) / len(self.task.loops), float(np.mean(gaps))
         return float(any(on)), min(gaps)
-
-    def _is_torn(self) -> bool:
-        try:
-            self._check(self._points, f"step {self._steps}")
-        except SimulationError:
-            return True
-        return False
 
     def _info(self, **outcome: bool) -> dict[str, Any]:
         return {**_OUTCOME, **outcome, "linked": self._linked, "distance": self._distance}

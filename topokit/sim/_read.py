@@ -86,9 +86,7 @@ def _stl(data: bytes) -> tuple[Array, Polygons]:
             raise ValueError(f"cut off or damaged: {facets} facets have {len(rows)} corners, or endsolid is missing")
         corners = np.array(rows, dtype=np.float64).reshape(-1, 3)
     else:
-        raise ValueError(
-            f"neither ASCII STL nor whole binary STL: {len(data)} bytes, its header counts {count} triangles"
-        )
+        raise ValueError(f"neither ASCII STL nor whole binary STL: {len(data)} bytes; it counts {count} triangles")
     return corners.astype(np.float64), np.arange(len(corners)).reshape(-1, 3).tolist()
 
 
@@ -105,7 +103,10 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
     take = _taker(body, orders[kind])
     rows: dict[str, list[dict[str, Array]]] = {"vertex": [], "face": []}
     for name, count, properties in _ply_elements(header):
-        rows[name] = _ply_rows(take, name, count, properties)
+        try:
+            rows[name] = [{key: take(*types) for key, types in properties} for _ in range(count)]
+        except ValueError as error:
+            raise ValueError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
     try:
         vertices = np.array([[row[axis][0] for axis in "xyz"] for row in rows["vertex"]]).reshape(-1, 3)
         lists = [row["vertex_index"] if "vertex_index" in row else row["vertex_indices"] for row in rows["face"]]
@@ -131,13 +132,6 @@ def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
     except (IndexError, KeyError, ValueError) as error:
         raise ValueError(f"a line of the PLY header is not understood: {' '.join(line)!r}") from error
     return elements
-
-
-def _ply_rows(take: Callable[..., Array], name: str, count: int, properties: Properties) -> list[dict[str, Array]]:
-    try:
-        return [{key: take(*types) for key, types in properties} for _ in range(count)]
-    except ValueError as error:
-        raise ValueError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
 
 
 def _taker(body: bytes, order: str) -> Callable[..., Array]:

@@ -22,6 +22,11 @@ def half_edges(faces: Ids) -> Ids:
     return np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
 
 
+def edge_lengths(vertices: Array, edges: Ids) -> Array:
+    """(E,) lengths of edges (E, 2) between vertices (N, 3)."""
+    return np.asarray(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1))
+
+
 def wind(faces: Ids) -> tuple[Ids, int, bool]:
     """Turn faces so that neighbours run through their common edge in opposite directions.
 
@@ -86,8 +91,7 @@ class EdgeGraph:
     """The vertices (N, 3) and the edges (E, 2) of a mesh, weighted by length."""
 
     def __init__(self, vertices: Array, edges: Ids) -> None:
-        length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-        self._graph = csr_matrix((length, edges.T), shape=(len(vertices),) * 2)
+        self._graph = csr_matrix((edge_lengths(vertices, edges), edges.T), shape=(len(vertices),) * 2)
 
     def distances(self, ids: Ids) -> Array:
         """(k, k) lengths of the shortest paths between vertices."""
@@ -184,7 +188,7 @@ def check_mesh(vertices: Array, faces: Ids) -> None:
     parts = components(faces).max() + 1
     if parts > 1:  # PyBullet never returns from loading one that hangs together by a vertex
         raise ValueError(f"the mesh has {parts} components that no edge joins; weld or keep one of them")
-    length = np.linalg.norm(np.diff(vertices[edges], axis=1)[:, 0], axis=1)
+    length = edge_lengths(vertices, edges)
     if length.min() <= 0:
         raise ValueError(f"edge {edges[np.argmin(length)].tolist()} has length 0; weld its two vertices")
 

@@ -20,27 +20,22 @@ THIRDS = np.array([1 / 3, 2 / 3])
 
 def check_sizes(given: Mapping[str, float | None], without: Sequence[str] = ()) -> dict[str, float]:
     """The sizes among a function's arguments, each a positive number; an angle lies between 0 and 80 degrees."""
-    skip = {"loops", "handles", "holes", *without}
-    sizes = {
-        name: positive(value, name, zero=name.endswith("_angle"))  # type: ignore[arg-type]
-        for name, value in given.items()
-        if name not in skip
-    }
-    for name, value in sizes.items():
-        if name.endswith("_angle") and value > 80:
-            raise ValueError(f"{name} must be 0 to 80 degrees, not {value}")
+    sizes = {}
+    for name in [name for name in given if name not in {"loops", "handles", "holes", *without}]:
+        angle = name.endswith("_angle")
+        sizes[name] = positive(given[name], name, zero=angle)  # type: ignore[arg-type]
+        demand(not angle or sizes[name] <= 80, f"{name} must be 0 to 80 degrees, not {sizes[name]}")
     return sizes
 
 
 def numbered(kind: str, number: int, name: str) -> str:
-    if number not in (1, 2):
-        raise ValueError(f"{name} must be 1 or 2, not {number!r}")
+    demand(number in (1, 2), f"{name} must be 1 or 2, not {number!r}")
     return kind if number == 1 else f"{kind}{number}"
 
 
 def demand(holds: bool, otherwise: str) -> None:
     if not holds:
-        raise ValueError(f"{otherwise} (metres)")
+        raise ValueError(otherwise)
 
 
 def apron(
@@ -61,12 +56,6 @@ def apron(
     It hangs in the plane y = 0 with the top of its bib at z = 0. The true loop is the border of the neck opening. With
     `loops=2` a second strap closes behind the waist (towards +y), and the second true loop runs along its upper border and
     across the apron. The grips are on the neck strap, at a third of its length from either end.
-
-    Parameters
-    ----------
-    loops : int
-    spacing, body_width, body_height, bib_width, bib_height : float
-    strap_length, strap_width, waist_strap_length, waist_strap_width : float
     """
     sizes = check_sizes(locals(), without=("waist_strap_length", "waist_strap_width") if loops == 1 else ())
     name = numbered("apron", loops, "loops")
@@ -125,10 +114,6 @@ def shirt(
 
     The loops are its four openings: neck, right sleeve (x > 0), left sleeve, hem. They make three classes: any three are
     independent, the fourth is their sum. The sleeves fall by `sleeve_angle`. The grips are on the shoulders of the front.
-
-    Parameters
-    ----------
-    spacing, width, length, depth, neck_width, neck_depth, sleeve_length, sleeve_width, sleeve_angle : float
     """
     sizes = check_sizes(locals())
     half, neck, angle = width / 2, neck_width / 2, np.radians(sleeve_angle)
@@ -158,10 +143,6 @@ def vest(
 
     The loops are its four openings: neck, right armhole (x > 0), left armhole, hem. They make three classes: any three are
     independent, the fourth is their sum. The grips are on the shoulders of the front.
-
-    Parameters
-    ----------
-    spacing, width, length, depth, neck_width, neck_depth, shoulder_width, armhole_depth : float
     """
     sizes = check_sizes(locals())
     half, neck = width / 2, neck_width / 2
@@ -214,10 +195,6 @@ def mask(
     The cloth is cupped by `depth` towards -y and its sides bow out by `bow`; `strap_span` lies between the middles of a
     strap's ends. There are two classes; the true loops are the borders of the openings, the upper one first. The grips are
     on the upper ear loop.
-
-    Parameters
-    ----------
-    spacing, width, height, depth, bow, strap_length, strap_width, strap_span : float
     """
     sizes = check_sizes(locals())
     half, low = width / 2, -height
@@ -254,11 +231,6 @@ def sheet(
 
     The middles of the holes lie `hole_drop` below the upper edge, z = 0; the true loops are their borders, the left one
     (x < 0) first. The grips are the upper corners.
-
-    Parameters
-    ----------
-    holes : int
-    spacing, width, height, hole_radius, hole_drop, hole_distance : float
     """
     sizes = check_sizes(locals(), without=("hole_distance",) if holes == 1 else ())
     name = numbered("sheet", holes, "holes")
