@@ -16,7 +16,7 @@ import numpy as np
 
 from topokit._validate import as_points
 
-from . import _bags, _mesh, _wardrobe
+from . import _mesh, _wardrobe
 from ._surface import Array, Ids, as_ids, check_loop, check_mesh, edge_lengths, half_edges
 
 Sizes = ParamSpec("Sizes")
@@ -84,8 +84,8 @@ class Garment:
         return edge_lengths(self.vertices, self.edges)
 
     apron = staticmethod(_sewn(_wardrobe.apron))
-    tote = staticmethod(_sewn(_bags.tote))
-    backpack = staticmethod(_sewn(_bags.backpack))
+    tote = staticmethod(_sewn(_wardrobe.tote))
+    backpack = staticmethod(_sewn(_wardrobe.backpack))
     shirt = staticmethod(_sewn(_wardrobe.shirt))
     vest = staticmethod(_sewn(_wardrobe.vest))
     mask = staticmethod(_sewn(_wardrobe.mask))

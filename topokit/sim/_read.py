@@ -102,11 +102,12 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
         raise ValueError(f"PLY format {kind!r}; expected one of {', '.join(orders)}")
     take = _taker(body, orders[kind])
     rows: dict[str, list[dict[str, Array]]] = {"vertex": [], "face": []}
-    for name, count, properties in _ply_elements(header):
-        try:
+    elements = _ply_elements(header)
+    try:
+        for name, count, properties in elements:
             rows[name] = [{key: take(*types) for key, types in properties} for _ in range(count)]
-        except ValueError as error:
-            raise ValueError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
+    except ValueError as error:
+        raise ValueError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
     try:
         vertices = np.array([[row[axis][0] for axis in "xyz"] for row in rows["vertex"]]).reshape(-1, 3)
         lists = [row["vertex_index"] if "vertex_index" in row else row["vertex_indices"] for row in rows["face"]]
