@@ -22,13 +22,13 @@ from topokit.rips import rips_persistence
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
-from ._episode import AT_REST, StretchCheck
+from ._episode import AT_REST
 from ._garments import Garment
 from ._process import SimulationError
 from ._surface import Array, simple_cycles
 from ._targets import Target
 from ._tasks import Task, task_named
-from ._world import SimulationConfig, World, observe
+from ._world import SimulationConfig, StretchCheck, World, observe
 
 Observation = dict[str, Any]
 REWARDS = ("sparse", "dense", "topological", "topological-observed")

@@ -15,19 +15,7 @@ from topokit._curves import side_lengths
 from topokit._validate import positive
 
 from ._read import read_mesh
-from ._surface import (
-    Array,
-    EdgeGraph,
-    Ids,
-    as_ids,
-    border_cycles,
-    close_loop,
-    components,
-    edge_lengths,
-    half_edges,
-    joined,
-    wind,
-)
+from ._surface import Array, EdgeGraph, Ids, as_ids, border_cycles, components, edge_lengths, half_edges, joined, wind
 
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
@@ -215,9 +203,7 @@ def _carry(given: ArrayLike, new: Ids, name: str) -> Ids:
     """What the vertices of a loop or the grips are now, `new` of the file's."""
     ids = as_ids(given, name, len(new))
     if ids.ndim != 1:
-        raise ValueError(
-            f"{name} must be a list of vertex ids, and loops a list of lists; one loop is a list of one list"
-        )
+        raise ValueError(f"{name} must be a list of vertex ids; loops is a list of lists, of one loop, too")
     lost = new[ids] < 0
     if lost.any():
         raise ValueError(f"{name} names vertex {ids[np.argmax(lost)]}, which is in no face of the garment's component")
@@ -267,7 +253,7 @@ def _closed(vertices: Array, faces: Ids, names: Ids, loops: Sequence[Ids], said:
     cycles = []
     for i, loop in enumerate(loops):
         try:
-            cycle, how = close_loop(graph, loop.tolist(), names)
+            cycle, how = graph.close(loop.tolist(), names)
         except ValueError as error:
             raise ValueError(f"loops[{i}] cannot be followed along the mesh: {error}") from error
         if how:

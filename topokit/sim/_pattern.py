@@ -135,29 +135,18 @@ def cut(
     return Panel(vertices, faces, sides, tuple(borders[1:]))
 
 
-@dataclass(frozen=True)
-class Band:
-    """A straight strip in x from 0 to its length and in z from minus its width to 0, and the ids along its borders."""
+def band(lengths: Sequence[float], widths: Sequence[float], spacing: float) -> tuple[Panel, Ids, Ids, Ids, Ids]:
+    """A straight strip in x from 0 to its length and in z from minus its width to 0, with joints after these.
 
-    panel: Panel
-    low: Ids  # along z = -width, x growing
-    high: Ids  # along z = 0, x growing
-    start: Ids  # along x = 0, z growing
-    end: Ids
-
-    @classmethod
-    def cut(cls, lengths: Sequence[float], widths: Sequence[float], spacing: float) -> Band:
-        """Cut a band whose borders have joints after these lengths and widths."""
-        x, z = np.cumsum([0.0, *lengths]), np.cumsum([-sum(widths), *widths])
-        z[-1] = 0.0
-        corners = [(x0, z[0]) for x0 in x] + [(x[-1], z0) for z0 in z[1:]] + [(x0, 0) for x0 in x[-2::-1]]
-        outline = polyline(*corners, *((0, z0) for z0 in z[-2::-1]))
-        panel = cut(outline, [], spacing)
-        m, k = len(lengths), len(widths)
-        low, end, high, start = (
-            chain(*panel.sides[a:b]) for a, b in ((0, m), (m, m + k), (m + k, 2 * m + k), (2 * m + k, None))
-        )
-        return cls(panel, low, high[::-1], start[::-1], end)
+    Returned are also the ids along its borders: low and high (z = 0) with x growing, start (x = 0) and end with z growing.
+    """
+    x, z = np.cumsum([0.0, *lengths]), np.cumsum([-sum(widths), *widths])
+    z[-1] = 0.0
+    corners = [(x0, z[0]) for x0 in x] + [(x[-1], z0) for z0 in z[1:]] + [(x0, 0) for x0 in x[-2::-1]]
+    panel = cut(polyline(*corners, *((0, z0) for z0 in z[-2::-1])), [], spacing)
+    joints = itertools.pairwise(np.cumsum([0, *(len(lengths), len(widths)) * 2]))
+    low, end, high, start = (chain(*panel.sides[a:b]) for a, b in joints)
+    return panel, low, high[::-1], start[::-1], end
 
 
 def inflate(panel: Panel, seams: Sequence[int], depth: float, top: float = np.inf) -> Panel:

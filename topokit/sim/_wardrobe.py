@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ._pattern import Arch, Band, Panel, chain, check_sizes, cut, demand, inflate, mirror, numbered, polyline, ring, sew
+from ._pattern import Arch, Panel, band, chain, check_sizes, cut, demand, inflate, mirror, numbered, polyline, ring, sew
 from ._surface import Array, EdgeGraph, Ids, half_edges
 
 Fields = tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float]]
@@ -66,12 +66,12 @@ def _with_waist_strap(front: Panel, sizes: Mapping[str, float]) -> tuple[Array, 
     """Vertices and faces of an apron with a strap behind, and the loop along the strap and across the apron."""
     length, waist = sizes["waist_strap_length"], -sizes["bib_height"]
     around = Arch.of_length(sizes["body_width"], length, "waist_strap_length")
-    strap = Band.cut([length], [sizes["waist_strap_width"]], sizes["spacing"])
-    share = strap.panel.vertices[:, 0] / length
-    cloth = strap.panel.placed(lambda v: np.column_stack([around.points(share), waist + v[:, 2]]))
-    ends = [(0, front.sides[1], 1, strap.start), (0, front.sides[5][::-1], 1, strap.end)]
+    strap, _, high, start, end = band([length], [sizes["waist_strap_width"]], sizes["spacing"])
+    share = strap.vertices[:, 0] / length
+    cloth = strap.placed(lambda v: np.column_stack([around.points(share), waist + v[:, 2]]))
+    ends = [(0, front.sides[1], 1, start), (0, front.sides[5][::-1], 1, end)]
     vertices, faces, (_, ids) = sew([front, cloth], ends)
-    behind = ids[strap.high]  # from the right side to the left one
+    behind = ids[high]  # from the right side to the left one
     across = EdgeGraph(vertices, half_edges(front.faces)).path(int(behind[-1]), int(behind[0]))
     return vertices, faces, np.concatenate([behind[:-1], across[:-1]])
 
@@ -257,16 +257,16 @@ def tote(
     panel = cut([*sides, *top], [], spacing)
     front = inflate(panel, (0, 1, 2), depth / 2)
     arch = Arch.of_length(width, handle_length, "handle_length")
-    strap = Band.cut([handle_length], [handle_width / 2, handle_width / 2], spacing)
-    grips = strap.panel.nearest(np.column_stack([handle_length * THIRDS, [-handle_width / 2] * 2]))
-    over = arch.points(strap.panel.vertices[:, 0] / handle_length)
-    cloth = strap.panel.placed(lambda v: np.column_stack([over[:, 0], v[:, 2] + handle_width / 2, over[:, 1]]))
-    half_end = len(strap.start) // 2
+    strap, low, _, start, end = band([handle_length], [handle_width / 2, handle_width / 2], spacing)
+    grips = strap.nearest(np.column_stack([handle_length * THIRDS, [-handle_width / 2] * 2]))
+    over = arch.points(strap.vertices[:, 0] / handle_length)
+    cloth = strap.placed(lambda v: np.column_stack([over[:, 0], v[:, 2] + handle_width / 2, over[:, 1]]))
+    half_end = len(start) // 2
     seams = [(0, panel.sides[i], 1, panel.sides[i]) for i in range(3)]
-    seams += [(0, panel.sides[3][::-1], 2, strap.start[: half_end + 1]), (1, panel.sides[3], 2, strap.start[half_end:])]
-    seams += [(0, panel.sides[5], 2, strap.end[: half_end + 1]), (1, panel.sides[5][::-1], 2, strap.end[half_end:])]
+    seams += [(0, panel.sides[3][::-1], 2, start[: half_end + 1]), (1, panel.sides[3], 2, start[half_end:])]
+    seams += [(0, panel.sides[5], 2, end[: half_end + 1]), (1, panel.sides[5][::-1], 2, end[half_end:])]
     vertices, faces, (a, _, c) = sew([front, front.mirrored(), cloth], seams)
-    return name, vertices, faces, (ring(c[strap.low], a[panel.sides[4]]),), c[grips], sizes
+    return name, vertices, faces, (ring(c[low], a[panel.sides[4]]),), c[grips], sizes
 
 
 def _tote_of_two(sizes: dict[str, float], sides: list[Array]) -> Fields:
@@ -326,15 +326,15 @@ def backpack(
     grips = back.nearest(np.concatenate([held * [-1, 1], held]))
     back = back.placed(lambda v: _folded(v, half, np.radians(strap_angle)))
     edge = chain(back.sides[0][::-1], back.sides[-1][::-1], back.sides[-2][::-1])
-    gusset = Band.cut([box_height, width, box_height], [depth], spacing)
+    gusset, low_edge, high_edge, *_ = band([box_height, width, box_height], [depth], spacing)
     way = np.array([[half, rim], [half, low], [-half, low], [-half, rim]])
     at = np.cumsum([0, box_height, width, box_height])
-    x, z = (np.interp(gusset.panel.vertices[:, 0], at, way[:, i]) for i in range(2))
-    sides = gusset.panel.placed(lambda v: np.column_stack([x, v[:, 2], z]))
+    x, z = (np.interp(gusset.vertices[:, 0], at, way[:, i]) for i in range(2))
+    sides = gusset.placed(lambda v: np.column_stack([x, v[:, 2], z]))
     front = cut(polyline((-half, rim), (-half, low), (half, low), (half, rim), (-half, rim)), [], spacing)
     front_edge = chain(*(front.sides[i] for i in range(3)))[::-1]
     front = inflate(front, (0, 1, 2), depth / 4).placed(lambda v: v - [0, depth, 0])
-    seams = [(2, edge, 1, gusset.high), (0, front_edge, 1, gusset.low)]
+    seams = [(2, edge, 1, high_edge), (0, front_edge, 1, low_edge)]
     vertices, faces, (*_, a) = sew([front, sides, back], seams)
     return "backpack", vertices, faces, (a[back.holes[1]], a[back.holes[0]]), a[grips], sizes
 

@@ -1,4 +1,4 @@
-"""One PyBullet world: a cloth, two grippers that hold it, rods to hang it on, a floor; and its numbers."""
+"""One PyBullet world: a cloth, two grippers that hold it, rods to hang it on, a floor; and whether its cloth is physical."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
 from ._garments import Garment
-from ._surface import Array
+from ._process import SimulationError
+from ._surface import Array, edge_lengths
 
 _GRAVITY = 9.8  # m/s^2
 Stretch = Annotated[float, Field(gt=1)]
@@ -269,6 +270,30 @@ def observe(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Gene
         raise ValueError(f"no cloth is in view of the cameras at {places}; move them or widen their fov")
     chosen = farthest_point_sample(points, min(n, len(points)))[0]
     return np.asarray(points[np.resize(chosen, n)])
+
+
+class StretchCheck:
+    """Refuses frames that are not physical."""
+
+    def __init__(self, garment: Garment, config: SimulationConfig) -> None:
+        self._edges, self._rest, self._config = garment.edges, garment.edge_lengths, config
+
+    def __call__(self, points: Array, where: str) -> tuple[float, float]:
+        lost = ~np.isfinite(points).all(axis=1)
+        if lost.any():
+            vertex = int(np.argmax(lost))
+            raise SimulationError(f"{where}: vertex {vertex} is at {points[vertex]}: the cloth exploded")
+        stretch = edge_lengths(points, self._edges) / self._rest
+        most, worst = float(np.percentile(stretch, 99)), int(np.argmax(stretch))
+        edge = f"most of all {self._edges[worst].tolist()}, {stretch[worst]:.2f} times its length"
+        for name, what, value in (
+            ("max_stretch", "one edge in a hundred is", most),
+            ("max_edge_stretch", "an edge is", stretch[worst]),
+        ):
+            limit = getattr(self._config, name)
+            if value > limit:
+                raise SimulationError(f"{where}: {what} stretched beyond the limit ({name} is {limit:g}), {edge}")
+        return most, float(stretch[worst])
 
 
 def _turn_z_to(axis: Array) -> list[float]:
