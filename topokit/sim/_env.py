@@ -27,7 +27,7 @@ from ._garments import Garment
 from ._process import SimulationError
 from ._surface import Array, simple_cycles
 from ._targets import Target
-from ._tasks import Task, task_named
+from ._tasks import Task, as_task
 from ._world import SimulationConfig, StretchCheck, World, observe
 
 Observation = dict[str, Any]
@@ -101,7 +101,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ValueError(f"reward must be one of {', '.join(REWARDS)}, not {reward!r}")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
-        self.task = task_named(task) if isinstance(task, str) else task
+        self.task = as_task(task)
         self.garment, self.target = garment or self.task.garment(), target or self.task.target
         self.config = config or SimulationConfig(self_collision=False)
         if not 1 <= n_points <= len(self.garment.vertices):

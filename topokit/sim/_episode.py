@@ -34,13 +34,14 @@ from ._garments import Garment
 from ._process import Forge, SimulationError
 from ._surface import Array
 from ._targets import Hook, Rod, Target
-from ._tasks import Task, task_for, task_named
+from ._tasks import Task, as_task, task_for
 from ._world import SimulationConfig, StretchCheck, World, observe
 
 PURPOSES = ("path", "physics", "cameras", "noise")
 Bounds = tuple[float, float]
 _CONFIGURED = ("stiffness", "bending", "damping", "friction", "mass")
 Report = Callable[[int], None]
+Recording = dict[str, NDArray[Any]]
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
 _JOB = "topokit.sim._episode:record_job"
@@ -95,10 +96,7 @@ def simulate(
     ValueError
         When `n_observed` exceeds the number of vertices, `task` is not known, or no camera sees any cloth in some frame.
     """
-    if task is None:
-        task = task_for(garment or Garment.apron(), target or Hook())
-    elif isinstance(task, str):
-        task = task_named(task)
+    task = task_for(garment or Garment.apron(), target or Hook()) if task is None else as_task(task)
     garment, target, config = garment or task.garment(), target or task.target, config or SimulationConfig()
     drawn: dict[str, Any] | None = None
     if randomisation is not None:
@@ -125,24 +123,25 @@ def simulate(
 def _episode(
     run: Run, recording: Recording, task: Task, target: Target, seed: int, randomisation: dict[str, Any] | None
 ) -> Episode:
-    garment, config, points = run.garment, run.config, recording.points
+    garment, config, points = run.garment, run.config, recording["points"]
     held = np.arange(len(points)) * config.steps_per_frame < run.release
-    hangs = not held[-1] and _at_rest(points, config) and task.hangs(points[-1], garment.loops, target)
+    speed = float(np.linalg.norm(points[-1] - points[-2:][0], axis=1).mean()) / config.frame_time
+    rests = len(points) > 1 and not held[-1] and speed < AT_REST  # a loop that flies past the arm links it, too
     physics = {
         "config": dataclasses.asdict(config),
         "elastic_stiffness": config.elastic_stiffness(len(garment.vertices)),
         "garment": dict(garment.parameters),
         "target": {**dataclasses.asdict(target), "position": [0.0, target.distance, 0.0]},
         "randomisation": randomisation,
-        "stretch": dict(zip(("p99", "worst"), recording.stretch.max(axis=0).tolist(), strict=True)),
+        "stretch": dict(zip(("p99", "worst"), recording["stretch"].max(axis=0).tolist(), strict=True)),
     }
     views = [dataclasses.asdict(camera) for camera in run.cameras]
     samples = [frame[farthest_point_sample(frame, run.n_observed)[0]] for frame in points if not views]
     return Episode(
         points=points,
-        observed=recording.observed if views else np.array(samples),
+        observed=recording["observed"] if views else np.array(samples),
         actions=run.goals[:: config.steps_per_frame].astype(np.float32),
-        grippers=recording.grippers,
+        grippers=recording["grippers"],
         held=held,
         faces=garment.faces.astype(np.int32),
         loops=tuple(loop.astype(np.int32) for loop in garment.loops),
@@ -150,20 +149,13 @@ def _episode(
         garment=garment.name,
         target=target.name,
         task=task.name,
-        success=bool(hangs),
+        success=bool(rests and task.hangs(points[-1], garment.loops, target)),
         seed=seed,
         dt=config.frame_time,
         observation={"kind": "cameras" if views else "vertices", "cameras": views},
         physics=physics,
         provenance={**{name: _version(name) for name in ("topokit", "pybullet")}, "machine": platform.machine()},
     )
-
-
-def _at_rest(points: NDArray[np.float32], config: SimulationConfig) -> bool:
-    """A loop that flies past the arm links it too, hence the rest."""
-    if len(points) < 2:
-        return False
-    return float(np.linalg.norm(points[-1] - points[-2], axis=1).mean()) / config.frame_time < AT_REST
 
 
 def _version(package: str) -> str:
@@ -192,16 +184,12 @@ class Run:
     noise: int  # seed of the noise of the cameras
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Recording:
-    points: NDArray[np.float32]  # (T, N, 3)
-    grippers: NDArray[np.float32]  # (T, 2, 3)
-    observed: NDArray[np.float32]  # (T, M, 3), and M is 0 without cameras
-    stretch: Array  # (T, 2) the 99th percentile and the maximum of edge length over rest length
-
-
 def record(run: Run, report: Report | None = None) -> Recording:
-    """Simulate in this process; `report` is called with -1 now and then while the cloth settles, and with every frame."""
+    """Simulate in this process; `report` is called with -1 now and then while the cloth settles, and with every frame.
+
+    Returned are points (T, N, 3), grippers (T, 2, 3), what cameras observed (T, M, 3), if any, and stretch (T, 2): the 99th
+    percentile and the maximum of edge length over rest length.
+    """
     garment, config = run.garment, run.config
     report = report or (lambda _: None)
     check = StretchCheck(garment, config)
@@ -226,8 +214,8 @@ def record(run: Run, report: Report | None = None) -> Recording:
                     observed.append(observe(world, run.cameras, run.n_observed, noise))
                 report(len(points) - 1)
             world.step(goal)
-    views = np.array(observed, dtype=np.float32) if observed else np.empty((len(points), 0, 3), np.float32)
-    return Recording(np.array(points, np.float32), np.array(grippers, np.float32), views, np.array(stretch))
+    places = {"points": points, "grippers": grippers, "observed": observed}
+    return {name: np.array(frames, np.float32) for name, frames in places.items()} | {"stretch": np.array(stretch)}
 
 
 def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> Recording:

@@ -254,10 +254,10 @@ TASKS: Mapping[str, Task] = {task.name: task for task in _tasks()}
 """Every task by its name: garment, hyphen, target."""
 
 
-def task_named(name: str) -> Task:
-    if name not in TASKS:
-        raise ValueError(f"there is no task {name!r}; there are {', '.join(TASKS)}")
-    return TASKS[name]
+def as_task(task: str | Task) -> Task:
+    if isinstance(task, str) and task not in TASKS:
+        raise ValueError(f"there is no task {task!r}; there are {', '.join(TASKS)}")
+    return TASKS[task] if isinstance(task, str) else task
 
 
 def task_for(garment: Garment, target: Target) -> Task:
