@@ -28,14 +28,13 @@ from ._process import SimulationError
 from ._surface import Array, simple_cycles
 from ._targets import Target
 from ._tasks import Task, as_task
-from ._world import SimulationConfig, StretchCheck, World, observe
+from ._world import SimulationConfig, World, check_stretch, observe
 
 Observation = dict[str, Any]
 REWARDS = ("sparse", "dense", "topological", "topological-observed")
 _ROOM = 4.0  # metres: nothing that is observed is farther from the origin along an axis
 _SPEED = 1.2  # m/s of the grippers' goals along each axis, at most
 _LEASH = 0.2  # metres by which a goal may lead its gripper along an axis: taut cloth holds a gripper back
-_OUTCOME = {"success": False, "dropped": False, "torn": False}
 _REST_AFTER = 0.5  # s after the release: cloth that is not held by the target is fast by then
 
 
@@ -109,7 +108,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.reward, self.n_points, self.cameras, self.render_mode = reward, n_points, tuple(cameras), render_mode
         self.max_step = _SPEED * self.config.frame_time
         self.max_steps = int(positive(max_steps, "max_steps", zero=False))
-        self._check = StretchCheck(self.garment, self.config)
         self._world: World | None = None
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
         sizes = {"points": n_points, "grippers": 2, "target": len(self.target.centre_line)}
@@ -157,7 +155,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._advance(self.max_step * move[:6].reshape(2, 3), release=move[6] > 0.5)
         torn = False
         try:
-            self._check(self._points, f"step {self._steps}")
+            check_stretch(self.garment, self.config, self._points, f"step {self._steps}")
         except SimulationError:
             torn, self._points = True, points  # the last that made sense
         observation = self._observe()
@@ -242,8 +240,9 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             return sum(on) / len(self.task.loops), float(np.mean(gaps))
         return float(any(on)), min(gaps)
 
-    def _info(self, **outcome: bool) -> dict[str, Any]:
-        return {**_OUTCOME, **outcome, "linked": self._linked, "distance": self._distance}
+    def _info(self, success: bool = False, dropped: bool = False, torn: bool = False) -> dict[str, Any]:
+        progress = {"linked": self._linked, "distance": self._distance}
+        return {"success": success, "dropped": dropped, "torn": torn, **progress}
 
 
 def _shaded(world: World, camera: Camera) -> NDArray[np.uint8]:

@@ -35,13 +35,15 @@ from ._process import Forge, SimulationError
 from ._surface import Array
 from ._targets import Hook, Rod, Target
 from ._tasks import Task, as_task, task_for
-from ._world import SimulationConfig, StretchCheck, World, observe
+from ._world import SimulationConfig, World, check_stretch, observe
 
 PURPOSES = ("path", "physics", "cameras", "noise")
 Bounds = tuple[float, float]
 _CONFIGURED = ("stiffness", "bending", "damping", "friction", "mass")
 Report = Callable[[int], None]
-Recording = dict[str, NDArray[Any]]
+Recording = dict[
+    str, NDArray[Any]
+]  # points (T, N, 3), grippers (T, 2, 3), observed (T, M, 3) by cameras, stretch (T, 2)
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
 _JOB = "topokit.sim._episode:record_job"
@@ -185,14 +187,9 @@ class Run:
 
 
 def record(run: Run, report: Report | None = None) -> Recording:
-    """Simulate in this process; `report` is called with -1 now and then while the cloth settles, and with every frame.
-
-    Returned are points (T, N, 3), grippers (T, 2, 3), what cameras observed (T, M, 3), if any, and stretch (T, 2): the 99th
-    percentile and the maximum of edge length over rest length.
-    """
+    """Simulate in this process; `report` is called with -1 now and then while the cloth settles, and with every frame."""
     garment, config = run.garment, run.config
     report = report or (lambda _: None)
-    check = StretchCheck(garment, config)
     offset = run.goals[0].mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
     noise = np.random.default_rng(run.noise)
     points, grippers, observed, stretch = [], [], [], []
@@ -200,7 +197,7 @@ def record(run: Run, report: Report | None = None) -> Recording:
         world.add_rods(run.rods)
         for step in range(round(config.settle / config.dt)):
             if step % _CHECK_WHILE_SETTLING == 0 and step:
-                check(world.vertices(), "settling")
+                check_stretch(garment, config, world.vertices(), "settling")
                 report(-1)
             world.step(run.goals[0])
         for step, goal in enumerate(run.goals):
@@ -208,7 +205,7 @@ def record(run: Run, report: Report | None = None) -> Recording:
                 world.release()
             if step % config.steps_per_frame == 0:
                 points.append(world.vertices())
-                stretch.append(check(points[-1], f"frame {len(points) - 1}"))
+                stretch.append(check_stretch(garment, config, points[-1], f"frame {len(points) - 1}"))
                 grippers.append(world.grippers())
                 if run.cameras:
                     observed.append(observe(world, run.cameras, run.n_observed, noise))

@@ -267,8 +267,7 @@ def _grips(vertices: Array, names: Ids, said: list[str]) -> Ids:
     x, _, z = vertices.T
     for share in (0.1, 0.3, 1.0):
         top = np.flatnonzero(z >= z.max() - share * np.ptp(z))
-        order = top[np.lexsort((-z[top], x[top]))]
-        left, right = order[0], top[np.lexsort((-z[top], -x[top]))][0]
+        left, right = (top[np.lexsort((-z[top], side * x[top]))][0] for side in (1, -1))
         if x[right] - x[left] > 0.1 * np.ptp(x):
             break
     if left == right:

@@ -47,18 +47,18 @@ class GripperPath:
     def __post_init__(self) -> None:
         if len(self.vias) < 2:
             raise ValueError(f"a path needs two places at least, not {len(self.vias)}")
-        table = np.column_stack([self._times, self._places])
-        for name, values, shape in (("vias", table, (len(self.vias), 5)), ("spread", np.asarray(self.spread), (2, 3))):
+        table, spread = self._table, np.asarray(self.spread)
+        for name, values, shape in (("vias", table, (len(self.vias), 5)), ("spread", spread, (2, 3))):
             if values.shape != shape or not np.isfinite(values).all():
                 raise ValueError(f"{name} must be finite numbers of shape {shape}, not {values.tolist()}")
-        if not ((np.diff(self._times) > 0).all() and (self._places[:, 3] > 0).all()):
+        if not ((np.diff(table[:, 0]) > 0).all() and (table[:, 4] > 0).all()):
             raise ValueError(f"times must increase and openings be more than zero: {self.vias}")
         if not self.end >= self.release >= 0:
             raise ValueError(f"the end ({self.end} s) must come after the release ({self.release} s), and that after 0")
 
     def at(self, time: ArrayLike) -> Array:
         """(..., 2, 3) where the two grippers should be at these times (...)."""
-        t, times, places = np.asarray(time, dtype=np.float64), self._times, self._places
+        t, times, places = np.asarray(time, dtype=np.float64), self._table[:, 0], self._table[:, 1:]
         velocities, accelerations = self._derivatives
         i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
         h = (times[i + 1] - times[i])[..., None]
@@ -73,27 +73,23 @@ class GripperPath:
         return np.asarray(value[..., None, :3] + value[..., None, 3:] * self.spread)
 
     @functools.cached_property
-    def _times(self) -> Array:
-        return np.array([via.time for via in self.vias], dtype=np.float64)
-
-    @functools.cached_property
-    def _places(self) -> Array:
-        """(k, 4) middle and opening."""
-        return np.array([[*np.asarray(via.place, dtype=np.float64), via.opening] for via in self.vias])
+    def _table(self) -> Array:
+        """(k, 5) times, middles, openings."""
+        return np.array([[via.time, *np.asarray(via.place, dtype=np.float64), via.opening] for via in self.vias])
 
     @functools.cached_property
     def _derivatives(self) -> tuple[Array, Array]:
         """(k, 4) velocities and accelerations at the places: 0 at a rest, the minimum-jerk spline's between two rests."""
-        velocities, accelerations = np.zeros_like(self._places), np.zeros_like(self._places)
+        times, places = self._table[:, 0], self._table[:, 1:]
+        velocities, accelerations = np.zeros_like(places), np.zeros_like(places)
         still = ([(1, np.zeros(4)), (2, np.zeros(4))],) * 2
         rests = [0, *(i for i in range(1, len(self.vias) - 1) if self.vias[i].rest), len(self.vias) - 1]
         for first, last in itertools.pairwise(rests):
             if last - first > 1:
                 stroke = slice(first, last + 1)
-                spline = make_interp_spline(self._times[stroke], self._places[stroke], k=5, bc_type=still)
+                spline = make_interp_spline(times[stroke], places[stroke], k=5, bc_type=still)
                 inner = slice(first + 1, last)
-                velocities[inner] = spline(self._times[inner], 1)
-                accelerations[inner] = spline(self._times[inner], 2)
+                velocities[inner], accelerations[inner] = spline(times[inner], 1), spline(times[inner], 2)
         return velocities, accelerations
 
 
