@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from topokit.io import FEWEST_FRAMES, HISTORY, Episode
 from topokit.rips import rips_persistence
 from topokit.sim import TASKS
-from topokit.sim._randomise import generator
+from topokit.sim._episode import generator
 from topokit.state import Loop, TopologicalState
 
 from ._recipe import DatasetConfig

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 from ._camera import Camera, DepthNoise, cameras_around
-from ._episode import simulate
+from ._episode import Randomisation, simulate
 from ._garments import WARDROBE, Garment
 from ._process import SimulationError
-from ._randomise import Randomisation
 from ._targets import Hanger, Hook, Mannequin, Target
 from ._tasks import TASKS, GripperPath, Task, Via, task_for
 from ._world import SimulationConfig, World, observe

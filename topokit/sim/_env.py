@@ -22,20 +22,19 @@ from topokit.rips import rips_persistence
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
-from ._episode import AT_REST, StretchCheck
+from ._episode import AT_REST
 from ._garments import Garment
 from ._process import SimulationError
 from ._surface import Array, simple_cycles
 from ._targets import Target
-from ._tasks import Task, task_named
-from ._world import SimulationConfig, World, observe
+from ._tasks import Task, as_task
+from ._world import SimulationConfig, World, check_stretch, observe
 
 Observation = dict[str, Any]
 REWARDS = ("sparse", "dense", "topological", "topological-observed")
 _ROOM = 4.0  # metres: nothing that is observed is farther from the origin along an axis
 _SPEED = 1.2  # m/s of the grippers' goals along each axis, at most
 _LEASH = 0.2  # metres by which a goal may lead its gripper along an axis: taut cloth holds a gripper back
-_OUTCOME = {"success": False, "dropped": False, "torn": False}
 _REST_AFTER = 0.5  # s after the release: cloth that is not held by the target is fast by then
 
 
@@ -101,7 +100,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ValueError(f"reward must be one of {', '.join(REWARDS)}, not {reward!r}")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
-        self.task = task_named(task) if isinstance(task, str) else task
+        self.task = as_task(task)
         self.garment, self.target = garment or self.task.garment(), target or self.task.target
         self.config = config or SimulationConfig(self_collision=False)
         if not 1 <= n_points <= len(self.garment.vertices):
@@ -109,7 +108,6 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.reward, self.n_points, self.cameras, self.render_mode = reward, n_points, tuple(cameras), render_mode
         self.max_step = _SPEED * self.config.frame_time
         self.max_steps = int(positive(max_steps, "max_steps", zero=False))
-        self._check = StretchCheck(self.garment, self.config)
         self._world: World | None = None
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
         sizes = {"points": n_points, "grippers": 2, "target": len(self.target.centre_line)}
@@ -155,9 +153,11 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ValueError(f"an action is seven finite numbers, not {action!r}")
         points, linked, distance = self._points, self._linked, self._distance
         self._advance(self.max_step * move[:6].reshape(2, 3), release=move[6] > 0.5)
-        torn = self._is_torn()
-        if torn:
-            self._points = points  # the last that made sense
+        torn = False
+        try:
+            check_stretch(self.garment, self.config, self._points, f"step {self._steps}")
+        except SimulationError:
+            torn, self._points = True, points  # the last that made sense
         observation = self._observe()
         speed = np.linalg.norm(self._points - points, axis=1).mean() / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
@@ -240,15 +240,9 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             return sum(on) / len(self.task.loops), float(np.mean(gaps))
         return float(any(on)), min(gaps)
 
-    def _is_torn(self) -> bool:
-        try:
-            self._check(self._points, f"step {self._steps}")
-        except SimulationError:
-            return True
-        return False
-
-    def _info(self, **outcome: bool) -> dict[str, Any]:
-        return {**_OUTCOME, **outcome, "linked": self._linked, "distance": self._distance}
+    def _info(self, success: bool = False, dropped: bool = False, torn: bool = False) -> dict[str, Any]:
+        progress = {"linked": self._linked, "distance": self._distance}
+        return {"success": success, "dropped": dropped, "torn": torn, **progress}
 
 
 def _shaded(world: World, camera: Camera) -> NDArray[np.uint8]:

@@ -1,6 +1,8 @@
 """Record an episode: two grippers carry a garment to a target, hang it there and let go.
 
-Source: Antonova et al. 2021, section 6. Taught in chapters 0 and 7.
+What varies between episodes is drawn from declared ranges, with a generator for every purpose, and recorded.
+
+Source: Antonova et al. 2021, section 6 (stiffness and paths are randomised). Taught in chapters 0 and 7.
 """
 
 from __future__ import annotations
@@ -9,19 +11,20 @@ import contextlib
 import dataclasses
 import functools
 import math
+import pickle
 import platform
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator
 
-from topokit._archive import load_archive, save_archive
-from topokit._config import from_mapping
+from topokit._config import NotNegative, Positive, checked
 from topokit._validate import positive
 from topokit.io import FEWEST_FRAMES, Episode
 from topokit.sampling import farthest_point_sample
@@ -29,18 +32,21 @@ from topokit.sampling import farthest_point_sample
 from ._camera import Camera
 from ._garments import Garment
 from ._process import Forge, SimulationError
-from ._randomise import Randomisation, generator
 from ._surface import Array
 from ._targets import Hook, Rod, Target
-from ._tasks import Task, task_for, task_named
-from ._world import SimulationConfig, World, observe
+from ._tasks import Task, as_task, task_for
+from ._world import SimulationConfig, World, check_stretch, observe
 
+PURPOSES = ("path", "physics", "cameras", "noise")
+Bounds = tuple[float, float]
+_CONFIGURED = ("stiffness", "bending", "damping", "friction", "mass")
 Report = Callable[[int], None]
+Recording = dict[
+    str, NDArray[Any]
+]  # points (T, N, 3), grippers (T, 2, 3), observed (T, M, 3) by cameras, stretch (T, 2)
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
 _JOB = "topokit.sim._episode:record_job"
-_RUN, _RECORDING = "topokit-run", "topokit-recording"
-_ERRORS: dict[str, type[Exception]] = {kind.__name__: kind for kind in (SimulationError, ValueError, ImportError)}
 
 
 def simulate(
@@ -92,10 +98,7 @@ def simulate(
     ValueError
         When `n_observed` exceeds the number of vertices, `task` is not known, or no camera sees any cloth in some frame.
     """
-    if task is None:
-        task = task_for(garment or Garment.apron(), target or Hook())
-    elif isinstance(task, str):
-        task = task_named(task)
+    task = task_for(garment or Garment.apron(), target or Hook()) if task is None else as_task(task)
     garment, target, config = garment or task.garment(), target or task.target, config or SimulationConfig()
     drawn: dict[str, Any] | None = None
     if randomisation is not None:
@@ -122,24 +125,25 @@ def simulate(
 def _episode(
     run: Run, recording: Recording, task: Task, target: Target, seed: int, randomisation: dict[str, Any] | None
 ) -> Episode:
-    garment, config, points = run.garment, run.config, recording.points
+    garment, config, points = run.garment, run.config, recording["points"]
     held = np.arange(len(points)) * config.steps_per_frame < run.release
-    hangs = not held[-1] and _at_rest(points, config) and task.hangs(points[-1], garment.loops, target)
+    speed = float(np.linalg.norm(points[-1] - points[-2:][0], axis=1).mean()) / config.frame_time
+    rests = len(points) > 1 and not held[-1] and speed < AT_REST  # a loop that flies past the arm links it, too
     physics = {
         "config": dataclasses.asdict(config),
         "elastic_stiffness": config.elastic_stiffness(len(garment.vertices)),
         "garment": dict(garment.parameters),
         "target": {**dataclasses.asdict(target), "position": [0.0, target.distance, 0.0]},
         "randomisation": randomisation,
-        "stretch": dict(zip(("p99", "worst"), recording.stretch.max(axis=0).tolist(), strict=True)),
+        "stretch": dict(zip(("p99", "worst"), recording["stretch"].max(axis=0).tolist(), strict=True)),
     }
     views = [dataclasses.asdict(camera) for camera in run.cameras]
     samples = [frame[farthest_point_sample(frame, run.n_observed)[0]] for frame in points if not views]
     return Episode(
         points=points,
-        observed=recording.observed if views else np.array(samples),
+        observed=recording["observed"] if views else np.array(samples),
         actions=run.goals[:: config.steps_per_frame].astype(np.float32),
-        grippers=recording.grippers,
+        grippers=recording["grippers"],
         held=held,
         faces=garment.faces.astype(np.int32),
         loops=tuple(loop.astype(np.int32) for loop in garment.loops),
@@ -147,20 +151,13 @@ def _episode(
         garment=garment.name,
         target=target.name,
         task=task.name,
-        success=bool(hangs),
+        success=bool(rests and task.hangs(points[-1], garment.loops, target)),
         seed=seed,
         dt=config.frame_time,
         observation={"kind": "cameras" if views else "vertices", "cameras": views},
         physics=physics,
         provenance={**{name: _version(name) for name in ("topokit", "pybullet")}, "machine": platform.machine()},
     )
-
-
-def _at_rest(points: NDArray[np.float32], config: SimulationConfig) -> bool:
-    """A loop that flies past the arm links it too, hence the rest."""
-    if len(points) < 2:
-        return False
-    return float(np.linalg.norm(points[-1] - points[-2], axis=1).mean()) / config.frame_time < AT_REST
 
 
 def _version(package: str) -> str:
@@ -189,19 +186,10 @@ class Run:
     noise: int  # seed of the noise of the cameras
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Recording:
-    points: NDArray[np.float32]  # (T, N, 3)
-    grippers: NDArray[np.float32]  # (T, 2, 3)
-    observed: NDArray[np.float32]  # (T, M, 3), and M is 0 without cameras
-    stretch: Array  # (T, 2) the 99th percentile and the maximum of edge length over rest length
-
-
 def record(run: Run, report: Report | None = None) -> Recording:
     """Simulate in this process; `report` is called with -1 now and then while the cloth settles, and with every frame."""
     garment, config = run.garment, run.config
     report = report or (lambda _: None)
-    check = StretchCheck(garment, config)
     offset = run.goals[0].mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
     noise = np.random.default_rng(run.noise)
     points, grippers, observed, stretch = [], [], [], []
@@ -209,7 +197,7 @@ def record(run: Run, report: Report | None = None) -> Recording:
         world.add_rods(run.rods)
         for step in range(round(config.settle / config.dt)):
             if step % _CHECK_WHILE_SETTLING == 0 and step:
-                check(world.vertices(), "settling")
+                check_stretch(garment, config, world.vertices(), "settling")
                 report(-1)
             world.step(run.goals[0])
         for step, goal in enumerate(run.goals):
@@ -217,14 +205,14 @@ def record(run: Run, report: Report | None = None) -> Recording:
                 world.release()
             if step % config.steps_per_frame == 0:
                 points.append(world.vertices())
-                stretch.append(check(points[-1], f"frame {len(points) - 1}"))
+                stretch.append(check_stretch(garment, config, points[-1], f"frame {len(points) - 1}"))
                 grippers.append(world.grippers())
                 if run.cameras:
                     observed.append(observe(world, run.cameras, run.n_observed, noise))
                 report(len(points) - 1)
             world.step(goal)
-    views = np.array(observed, dtype=np.float32) if observed else np.empty((len(points), 0, 3), np.float32)
-    return Recording(np.array(points, np.float32), np.array(grippers, np.float32), views, np.array(stretch))
+    places = {"points": points, "grippers": grippers, "observed": observed}
+    return {name: np.array(frames, np.float32) for name, frames in places.items()} | {"stretch": np.array(stretch)}
 
 
 def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> Recording:
@@ -238,64 +226,107 @@ def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> 
             report(frame)
 
     with tempfile.TemporaryDirectory() as folder, contextlib.closing(Forge(_JOB, once=True)) as forge:
-        _save_run(Path(folder, "run.npz"), run)
-        result = forge.run({"folder": folder}, math.inf, silence=time_limit, report=note)
+        path = Path(folder, "run")
+        path.write_bytes(pickle.dumps(run))
+        result = forge.run({"path": str(path)}, math.inf, silence=time_limit, report=note)
         if "error" in result:
             raise SimulationError(f"{stage}: {result['message']}")
-        text, arrays = load_archive(Path(folder, "recording.npz"), _RECORDING)
-    if "error" in text:
-        raise _ERRORS[text["error"]](text["message"])
-    return Recording(**arrays)
+        outcome: Recording | Exception = pickle.loads(path.read_bytes())
+    if isinstance(outcome, Exception):
+        raise outcome
+    return outcome
 
 
 def record_job(job: dict[str, str], report: Report) -> None:
-    """What the fresh process does: simulate and save the recording, or the error."""
-    text: dict[str, str] = {}
-    arrays: dict[str, NDArray[Any]] = {}
+    """What the fresh process does: simulate, and put the recording or the error in the place of the run."""
+    path = Path(job["path"])
+    outcome: Recording | Exception
     try:
-        arrays = vars(record(_load_run(Path(job["folder"], "run.npz")), report))
-    except tuple(_ERRORS.values()) as error:
-        text = {"error": type(error).__name__, "message": str(error)}
-    save_archive(Path(job["folder"], "recording.npz"), _RECORDING, text, arrays)
+        outcome = record(pickle.loads(path.read_bytes()), report)
+    except (SimulationError, ValueError, ImportError) as error:
+        outcome = error
+    path.write_bytes(pickle.dumps(outcome))
 
 
-def _save_run(path: Path, run: Run) -> None:
-    arrays = {name: getattr(run.garment, name) for name in ("vertices", "faces", "grips")} | {"goals": run.goals}
-    arrays["rods"] = np.array([[*start, *end, radius] for start, end, radius in run.rods]).reshape(-1, 7)
-    text: dict[str, Any] = {name: getattr(run, name) for name in ("release", "n_observed", "noise")}
-    text |= {"config": dataclasses.asdict(run.config), "cameras": [dataclasses.asdict(one) for one in run.cameras]}
-    save_archive(path, _RUN, text, arrays)
+def _ordered(bounds: Bounds) -> Bounds:
+    if bounds[0] > bounds[1]:
+        raise ValueError("a range is its low end before its high one")
+    return bounds
 
 
-def _load_run(path: Path) -> Run:
-    text, arrays = load_archive(path, _RUN)
-    garment = Garment("", arrays["vertices"], arrays["faces"], (), arrays["grips"])
-    rods = [(rod[:3], rod[3:6], float(rod[6])) for rod in arrays["rods"]]
-    config = from_mapping(SimulationConfig, text.pop("config"), "config")
-    cameras = tuple(from_mapping(Camera, camera, "camera") for camera in text.pop("cameras"))
-    return Run(garment, rods, arrays["goals"], config=config, cameras=cameras, **text)
+Range = Annotated[Bounds, AfterValidator(_ordered)]
+PositiveRange = Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
+NotNegativeRange = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_ordered)]
 
 
-class StretchCheck:
-    """Refuses frames that are not physical."""
+def generator(seed: int, purpose: str) -> np.random.Generator:
+    """Return the random generator of an episode for one purpose; the purposes are independent of each other."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(PURPOSES.index(purpose),)))
 
-    def __init__(self, garment: Garment, config: SimulationConfig) -> None:
-        self._edges, self._rest, self._config = garment.edges, garment.edge_lengths, config
 
-    def __call__(self, points: Array, where: str) -> tuple[float, float]:
-        lost = ~np.isfinite(points).all(axis=1)
-        if lost.any():
-            vertex = int(np.argmax(lost))
-            raise SimulationError(f"{where}: vertex {vertex} is at {points[vertex]}: the cloth exploded")
-        ends = points[self._edges]
-        stretch = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / self._rest
-        most, worst = float(np.percentile(stretch, 99)), int(np.argmax(stretch))
-        edge = f"most of all {self._edges[worst].tolist()}, {stretch[worst]:.2f} times its length"
-        for name, what, value in (
-            ("max_stretch", "one edge in a hundred is", most),
-            ("max_edge_stretch", "an edge is", stretch[worst]),
-        ):
-            limit = getattr(self._config, name)
-            if value > limit:
-                raise SimulationError(f"{where}: {what} stretched beyond the limit ({name} is {limit:g}), {edge}")
-        return most, float(stretch[worst])
+@checked
+class Randomisation:
+    """Ranges (low, high) from which every episode draws its physics, size and cameras; None leaves a number as it is."""
+
+    stiffness: PositiveRange | None = (0.6, 1.0)  #: (2,)
+    bending: PositiveRange | None = (0.0001, 0.003)  #: (2,) drawn on a logarithmic scale
+    damping: NotNegativeRange | None = (0.15, 0.4)  #: (2,)
+    friction: NotNegativeRange | None = (0.6, 1.4)  #: (2,)
+    mass: PositiveRange | None = (0.2, 0.4)  #: (2,)
+    scale: PositiveRange | None = (0.92, 1.08)  #: (2,) factor on all sizes of the garment
+    camera_distance: PositiveRange | None = (0.9, 1.1)  #: (2,) factor on a camera's distance from the place it looks at
+    camera_turn: Range | None = (-15.0, 15.0)  #: (2,) degrees about the vertical through that place
+    camera_tilt: Range | None = (-8.0, 8.0)  #: (2,) degrees by which a camera is raised
+
+    version = 1  # of the meaning of these numbers; recorded with them
+
+    def draw(
+        self, seed: int, config: SimulationConfig, garment: Garment, cameras: Sequence[Camera] = ()
+    ) -> tuple[SimulationConfig, Garment, tuple[Camera, ...], dict[str, Any]]:
+        """Return config, garment and cameras of the episode `seed`, and the numbers drawn.
+
+        Every number has its own draw, made whether or not its range is None: leaving one out does not move the others.
+
+        Parameters
+        ----------
+        seed : int
+        config : SimulationConfig
+        garment : Garment
+        cameras : sequence of Camera
+        """
+        drawn: dict[str, Any] = {}
+        shares = generator(seed, "physics").random(len(_CONFIGURED) + 1)
+        for name, share in zip((*_CONFIGURED, "scale"), shares, strict=True):
+            bounds = getattr(self, name)
+            if bounds is not None:
+                drawn[name] = _between(bounds, share, logarithmic=name == "bending")
+        config = dataclasses.replace(config, **{name: drawn[name] for name in _CONFIGURED if name in drawn})
+        if "scale" in drawn:
+            parameters = {**garment.parameters, "scale": drawn["scale"]}
+            garment = dataclasses.replace(garment, vertices=drawn["scale"] * garment.vertices, parameters=parameters)
+        rng = generator(seed, "cameras")
+        moved = tuple(self._moved(camera, *rng.random(3)) for camera in cameras)
+        if cameras:
+            drawn["camera_eyes"] = [list(camera.eye) for camera in moved]
+        return config, garment, moved, drawn
+
+    def _moved(self, camera: Camera, *shares: float) -> Camera:
+        """The camera moved on the sphere about the place it looks at; it is never raised to the zenith."""
+        ranges = (self.camera_distance or (1.0, 1.0), self.camera_turn or (0.0, 0.0), self.camera_tilt or (0.0, 0.0))
+        distance, turn, tilt = map(_between, ranges, shares)
+        x, y, z = np.subtract(camera.eye, camera.target)
+        radius = distance * float(np.sqrt(x * x + y * y + z * z))
+        azimuth = np.arctan2(y, x) + np.radians(turn)
+        elevation = np.clip(np.arctan2(z, np.hypot(x, y)) + np.radians(tilt), -1.5, 1.5)
+        flat = np.cos(elevation)
+        eye = camera.target + radius * np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+        return dataclasses.replace(camera, eye=tuple(eye.tolist()))
+
+    def describe(self) -> dict[str, Any]:
+        """Return the version and the ranges, as an episode records them."""
+        return {"version": self.version, "ranges": {k: v and list(v) for k, v in dataclasses.asdict(self).items()}}
+
+
+def _between(bounds: Bounds, share: float, logarithmic: bool = False) -> float:
+    low, high = bounds
+    return float(low * (high / low) ** share if logarithmic else low + share * (high - low))

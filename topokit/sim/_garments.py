@@ -7,6 +7,7 @@ alike in every direction, and the border of an opening keeps its order: it is th
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ParamSpec
@@ -15,19 +16,23 @@ import numpy as np
 
 from topokit._validate import as_points
 
-from . import _bags, _mesh, _wardrobe
-from ._surface import Array, Ids, as_ids, check_loop, check_mesh, half_edges
+from . import _mesh, _wardrobe
+from ._surface import Array, Ids, as_ids, check_loop, check_mesh, edge_lengths, half_edges
 
 Sizes = ParamSpec("Sizes")
 
 
 def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]:
-    """A function that makes a garment of what a pattern returns, its fields in their order."""
+    """A function that makes a garment of what a pattern returns, its fields in their order; its docstring names its sizes."""
 
     @functools.wraps(pattern)
     def garment(*arguments: Sizes.args, **sizes: Sizes.kwargs) -> Garment:
         return Garment(*pattern(*arguments, **sizes))
 
+    words = inspect.cleandoc(pattern.__doc__ or "")
+    if "Parameters\n" not in words:
+        told = [f"{name} : {size.annotation}" for name, size in inspect.signature(pattern).parameters.items()]
+        garment.__doc__ = "\n".join([words, "", "Parameters", "-" * 10, *told])
     return garment
 
 
@@ -76,12 +81,11 @@ class Garment:
     @property
     def edge_lengths(self) -> Array:
         """(E,) rest lengths in metres, in the order of `edges`."""
-        ends = self.vertices[self.edges]
-        return np.asarray(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+        return edge_lengths(self.vertices, self.edges)
 
     apron = staticmethod(_sewn(_wardrobe.apron))
-    tote = staticmethod(_sewn(_bags.tote))
-    backpack = staticmethod(_sewn(_bags.backpack))
+    tote = staticmethod(_sewn(_wardrobe.tote))
+    backpack = staticmethod(_sewn(_wardrobe.backpack))
     shirt = staticmethod(_sewn(_wardrobe.shirt))
     vest = staticmethod(_sewn(_wardrobe.vest))
     mask = staticmethod(_sewn(_wardrobe.mask))

@@ -15,7 +15,7 @@ from topokit._curves import side_lengths
 from topokit._validate import positive
 
 from ._read import read_mesh
-from ._surface import Array, EdgeGraph, Ids, as_ids, border_cycles, close_loop, components, half_edges, joined, wind
+from ._surface import Array, EdgeGraph, Ids, as_ids, border_cycles, components, edge_lengths, half_edges, joined, wind
 
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
@@ -78,14 +78,14 @@ def from_mesh(
     vertices, polygons = read_mesh(path)
     said: list[str] = []
     try:
-        given, held = _asked(loops, grips, len(vertices))
         faces, vertex_of, names = _repaired(vertices, polygons, weld, said)
         if len(names) > max_vertices:
             raise ValueError(f"{len(names)} vertices after repair; more than {max_vertices}; decimate the mesh")
         new = np.full(len(vertices), -1)
         new[names] = np.arange(len(names))
+        given = [] if loops == "borders" else loops
         carried = [_carry(loop, new[vertex_of], f"loops[{i}]") for i, loop in enumerate(given)]
-        ends = None if held is None else _carry(held, new[vertex_of], "grips")
+        ends = None if grips is None else _carry(grips, new[vertex_of], "grips")
         turned = _upright(vertices[names], ends, up, said)
         placed, factor = _scaled(turned, size, scale, said)
         _say_short(placed, faces, names, said)
@@ -96,16 +96,6 @@ def from_mesh(
     for repair in said:
         _log.warning("%s: %s", path, repair)
     return Path(path).stem, placed, faces, cycles, ends, {"scale": factor}, tuple(said)
-
-
-def _asked(loops: Sequence[ArrayLike] | str, grips: ArrayLike | None, n_vertices: int) -> tuple[list[Ids], Ids | None]:
-    given = [] if isinstance(loops, str) else [as_ids(loop, f"loops[{i}]", n_vertices) for i, loop in enumerate(loops)]
-    if any(loop.ndim != 1 for loop in given):
-        raise ValueError("loops must be a list of lists of vertex ids; one loop is a list of one list")
-    held = None if grips is None else as_ids(grips, "grips", n_vertices)
-    if held is not None and held.shape != (2,):
-        raise ValueError(f"grips must be two vertex ids, not of shape {held.shape}")
-    return given, held
 
 
 def _note(said: list[str], count: int, what: str) -> None:
@@ -203,20 +193,22 @@ def _one_component(vertices: Array, faces: Ids, said: list[str]) -> Ids:
 def _say_short(vertices: Array, faces: Ids, names: Ids, said: list[str]) -> None:
     """A very short edge is legal, but the engine's collision margin follows the shortest one."""
     edges = np.unique(half_edges(faces), axis=0)
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    length = edge_lengths(vertices, edges)
     if length.min() < 0.05 * np.median(length):
         a, b = names[edges[np.argmin(length)]]
-        said.append(
-            f"vertices {a} and {b} are only {length.min():.2g} m apart, so thin is the cloth to collisions; weld them"
-        )
+        said.append(f"vertices {a} and {b} are only {length.min():.2g} m apart; weld them, or collisions are as thin")
 
 
-def _carry(ids: Ids, new: Ids, name: str) -> Ids:
+def _carry(given: ArrayLike, new: Ids, name: str) -> Ids:
+    """What the vertices of a loop or the grips are now, `new` of the file's."""
+    ids = as_ids(given, name, len(new))
+    if ids.ndim != 1:
+        raise ValueError(f"{name} must be a list of vertex ids; loops is a list of lists, of one loop, too")
     lost = new[ids] < 0
     if lost.any():
         raise ValueError(f"{name} names vertex {ids[np.argmax(lost)]}, which is in no face of the garment's component")
-    if name == "grips" and new[ids[0]] == new[ids[1]]:
-        raise ValueError(f"grips {ids} are one vertex after welding; give two that lie apart")
+    if name == "grips" and (len(ids) != 2 or new[ids[0]] == new[ids[1]]):
+        raise ValueError(f"grips must be two vertex ids that are not one vertex after welding, not {ids.tolist()}")
     return new[ids]
 
 
@@ -261,7 +253,7 @@ def _closed(vertices: Array, faces: Ids, names: Ids, loops: Sequence[Ids], said:
     cycles = []
     for i, loop in enumerate(loops):
         try:
-            cycle, how = close_loop(graph, loop.tolist(), names)
+            cycle, how = graph.close(loop.tolist(), names)
         except ValueError as error:
             raise ValueError(f"loops[{i}] cannot be followed along the mesh: {error}") from error
         if how:
@@ -275,8 +267,7 @@ def _grips(vertices: Array, names: Ids, said: list[str]) -> Ids:
     x, _, z = vertices.T
     for share in (0.1, 0.3, 1.0):
         top = np.flatnonzero(z >= z.max() - share * np.ptp(z))
-        order = top[np.lexsort((-z[top], x[top]))]
-        left, right = order[0], top[np.lexsort((-z[top], -x[top]))][0]
+        left, right = (top[np.lexsort((-z[top], side * x[top]))][0] for side in (1, -1))
         if x[right] - x[left] > 0.1 * np.ptp(x):
             break
     if left == right:

@@ -7,7 +7,7 @@ relaxed and triangulated. Two pieces sewn together share the vertices of their s
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,8 @@ from scipy.optimize import brentq
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay, cKDTree
+
+from topokit._validate import positive
 
 from ._surface import Array, Ids, half_edges, joined, strangers, wind
 
@@ -133,29 +135,18 @@ def cut(
     return Panel(vertices, faces, sides, tuple(borders[1:]))
 
 
-@dataclass(frozen=True)
-class Band:
-    """A straight strip in x from 0 to its length and in z from minus its width to 0, and the ids along its borders."""
+def band(lengths: Sequence[float], widths: Sequence[float], spacing: float) -> tuple[Panel, Ids, Ids, Ids, Ids]:
+    """A straight strip in x from 0 to its length and in z from minus its width to 0, with joints after these.
 
-    panel: Panel
-    low: Ids  # along z = -width, x growing
-    high: Ids  # along z = 0, x growing
-    start: Ids  # along x = 0, z growing
-    end: Ids
-
-    @classmethod
-    def cut(cls, lengths: Sequence[float], widths: Sequence[float], spacing: float) -> Band:
-        """Cut a band whose borders have joints after these lengths and widths."""
-        x, z = np.cumsum([0.0, *lengths]), np.cumsum([-sum(widths), *widths])
-        z[-1] = 0.0
-        corners = [(x0, z[0]) for x0 in x] + [(x[-1], z0) for z0 in z[1:]] + [(x0, 0) for x0 in x[-2::-1]]
-        outline = polyline(*corners, *((0, z0) for z0 in z[-2::-1]))
-        panel = cut(outline, [], spacing)
-        m, k = len(lengths), len(widths)
-        low, end, high, start = (
-            chain(*panel.sides[a:b]) for a, b in ((0, m), (m, m + k), (m + k, 2 * m + k), (2 * m + k, None))
-        )
-        return cls(panel, low, high[::-1], start[::-1], end)
+    Returned are also the ids along its borders: low and high (z = 0) with x growing, start (x = 0) and end with z growing.
+    """
+    x, z = np.cumsum([0.0, *lengths]), np.cumsum([-sum(widths), *widths])
+    z[-1] = 0.0
+    corners = [(x0, z[0]) for x0 in x] + [(x[-1], z0) for z0 in z[1:]] + [(x0, 0) for x0 in x[-2::-1]]
+    panel = cut(polyline(*corners, *((0, z0) for z0 in z[-2::-1])), [], spacing)
+    joints = itertools.pairwise(np.cumsum([0, *(len(lengths), len(widths)) * 2]))
+    low, end, high, start = (chain(*panel.sides[a:b]) for a, b in joints)
+    return panel, low, high[::-1], start[::-1], end
 
 
 def inflate(panel: Panel, seams: Sequence[int], depth: float, top: float = np.inf) -> Panel:
@@ -279,3 +270,23 @@ def _inside(points: Array, borders: Sequence[Array]) -> NDArray[np.bool_]:
         rise = np.where(y1 == y0, 1.0, y1 - y0)
         crossings += (spans & (x < x0 + (y - y0) / rise * (x1 - x0))).sum(axis=1)
     return crossings % 2 == 1
+
+
+def check_sizes(given: Mapping[str, float | None], without: Sequence[str] = ()) -> dict[str, float]:
+    """The sizes among a function's arguments, each a positive number; an angle lies between 0 and 80 degrees."""
+    sizes = {}
+    for name in [name for name in given if name not in {"loops", "handles", "holes", *without}]:
+        angle = name.endswith("_angle")
+        sizes[name] = positive(given[name], name, zero=angle)  # type: ignore[arg-type]
+        demand(not angle or sizes[name] <= 80, f"{name} must be 0 to 80 degrees, not {sizes[name]}")
+    return sizes
+
+
+def numbered(kind: str, number: int, name: str) -> str:
+    demand(number in (1, 2), f"{name} must be 1 or 2, not {number!r}")
+    return kind if number == 1 else f"{kind}{number}"
+
+
+def demand(holds: bool, otherwise: str) -> None:
+    if not holds:
+        raise ValueError(otherwise)

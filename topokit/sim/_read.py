@@ -6,8 +6,10 @@ a file for a whole one. Here everything but places and polygons is passed over, 
 
 from __future__ import annotations
 
+import io
 import itertools
 import re
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,9 +21,8 @@ from ._surface import Array, as_ids
 
 Polygons = list[list[int]]
 Properties = list[tuple[str, list[str]]]  # names, and one type or the two of a list
-_PLY_CODES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
-_PLY_TYPES = dict(zip(("char", "uchar", "short", "ushort", "int", "uint", "float", "double"), _PLY_CODES, strict=True))
-_PLY_TYPES |= {np.dtype(code).name: code for code in _PLY_CODES}
+_PLY_TYPES = dict(zip(("char", "uchar", "short", "ushort", "int", "uint", "float", "double"), "bBhHiIfd", strict=True))
+_PLY_TYPES |= {np.dtype(code).name: code for code in "bBhHiIfd"}
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -86,9 +87,7 @@ def _stl(data: bytes) -> tuple[Array, Polygons]:
             raise ValueError(f"cut off or damaged: {facets} facets have {len(rows)} corners, or endsolid is missing")
         corners = np.array(rows, dtype=np.float64).reshape(-1, 3)
     else:
-        raise ValueError(
-            f"neither ASCII STL nor whole binary STL: {len(data)} bytes, its header counts {count} triangles"
-        )
+        raise ValueError(f"neither ASCII STL nor whole binary STL: {len(data)} bytes; it counts {count} triangles")
     return corners.astype(np.float64), np.arange(len(corners)).reshape(-1, 3).tolist()
 
 
@@ -103,9 +102,13 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
     if kind not in orders:
         raise ValueError(f"PLY format {kind!r}; expected one of {', '.join(orders)}")
     take = _taker(body, orders[kind])
-    rows: dict[str, list[dict[str, Array]]] = {"vertex": [], "face": []}
-    for name, count, properties in _ply_elements(header):
-        rows[name] = _ply_rows(take, name, count, properties)
+    rows: dict[str, list[dict[str, list[float]]]] = {"vertex": [], "face": []}
+    elements = _ply_elements(header)
+    try:
+        for name, count, properties in elements:
+            rows[name] = [{key: _ply_numbers(take, *types) for key, types in properties} for _ in range(count)]
+    except (ValueError, StopIteration, struct.error) as error:
+        raise ValueError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
     try:
         vertices = np.array([[row[axis][0] for axis in "xyz"] for row in rows["vertex"]]).reshape(-1, 3)
         lists = [row["vertex_index"] if "vertex_index" in row else row["vertex_indices"] for row in rows["face"]]
@@ -114,7 +117,7 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
     short = next((i for i, polygon in enumerate(lists) if len(polygon) < 3), None)
     if short is not None:
         raise ValueError(f"face {short} has {len(lists[short])} corners; three at least make a face")
-    return vertices, [polygon.astype(np.int64).tolist() for polygon in lists]
+    return vertices, [list(map(int, polygon)) for polygon in lists]
 
 
 def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
@@ -133,31 +136,15 @@ def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
     return elements
 
 
-def _ply_rows(take: Callable[..., Array], name: str, count: int, properties: Properties) -> list[dict[str, Array]]:
-    try:
-        return [{key: take(*types) for key, types in properties} for _ in range(count)]
-    except ValueError as error:
-        raise ValueError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
+def _ply_numbers(take: Callable[[str], float], *types: str) -> list[float]:
+    """The next number, or the next list: of two types the first is that of its length."""
+    return [take(types[-1]) for _ in range(int(take(types[0])) if len(types) == 2 else 1)]
 
 
-def _taker(body: bytes, order: str) -> Callable[..., Array]:
-    """A function that takes the next number of a type, or list of two types, of a body: binary of a byte order, or text."""
-    at, words = 0, body.split() if not order else []
-    binary = body.split(b"\n", 1)[-1]
-
-    def take(*types: str) -> Array:
-        nonlocal at
-        count = 1 if len(types) == 1 else int(take(types[0])[0])
-        if count < 0:
-            raise ValueError(f"a list of {count} numbers")
-        if order:
-            values = np.frombuffer(binary, order + types[-1], count, at)
-            at += values.nbytes
-        else:
-            values = np.array(words[at : at + count])
-            at += count
-            if len(values) < count:
-                raise ValueError("the file ends too early")
-        return values.astype(np.float64)
-
-    return take
+def _taker(body: bytes, order: str) -> Callable[[str], float]:
+    """A function that takes the next number of a type from a body: binary of a byte order, or text."""
+    if not order:
+        words = iter(body.split())
+        return lambda _: float(next(words))
+    stream = io.BytesIO(body.split(b"\n", 1)[-1])
+    return lambda code: float(struct.unpack(order + code, stream.read(struct.calcsize(order + code)))[0])

@@ -22,6 +22,11 @@ def half_edges(faces: Ids) -> Ids:
     return np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
 
 
+def edge_lengths(vertices: Array, edges: Ids) -> Array:
+    """(E,) lengths of edges (E, 2) between vertices (N, 3)."""
+    return np.asarray(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1))
+
+
 def wind(faces: Ids) -> tuple[Ids, int, bool]:
     """Turn faces so that neighbours run through their common edge in opposite directions.
 
@@ -86,8 +91,7 @@ class EdgeGraph:
     """The vertices (N, 3) and the edges (E, 2) of a mesh, weighted by length."""
 
     def __init__(self, vertices: Array, edges: Ids) -> None:
-        length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-        self._graph = csr_matrix((length, edges.T), shape=(len(vertices),) * 2)
+        self._graph = csr_matrix((edge_lengths(vertices, edges), edges.T), shape=(len(vertices),) * 2)
 
     def distances(self, ids: Ids) -> Array:
         """(k, k) lengths of the shortest paths between vertices."""
@@ -107,36 +111,35 @@ class EdgeGraph:
     def around(self, ids: Sequence[int]) -> list[list[int]]:
         return [self.path(a, b) for a, b in zip(ids, [*ids[1:], ids[0]], strict=True)]
 
+    def close(self, ids: Sequence[int], names: Ids) -> tuple[Ids, str]:
+        """Make a simple closed cycle along edges of the vertices of a loop, in order or not; say in words what it took.
 
-def close_loop(graph: EdgeGraph, ids: Sequence[int], names: Ids) -> tuple[Ids, str]:
-    """Make a simple closed cycle along edges of the vertices of a loop, in order or not; say in words what it took.
-
-    Idea: in order, gaps of a few edges are closed by shortest paths. Without order (most neighbours far apart), or where the
-    order runs into itself, the cycle is the one around the longest-lived loop of these vertices, with distances along the
-    mesh: persistence again. `names` are what messages call the vertices.
-    """
-    given = [a for a, b in zip(ids, [*ids[1:], ids[0]], strict=True) if a != b]
-    members = np.unique(given)
-    if len(members) < 3:
-        raise ValueError(f"it has {len(members)} different vertices; three at least make a loop")
-    paths = graph.around(given)
-    gaps = sum(len(path) > 2 for path in paths)
-    widest = max(paths, key=len)
-    closed = _walk(paths)
-    if 2 * gaps <= len(paths) and len(widest) <= _GAP + 1 and len(set(closed)) == len(closed):
-        return np.array(closed), f"{gaps} gaps between its vertices were closed along the mesh" if gaps else ""
-    diagram = rips_persistence(graph.distances(members), metric="precomputed")
-    if not len(diagram) or diagram.death[0] < 1.5 * diagram.birth[0]:
-        raise ValueError(
-            f"its vertices {names[widest[0]]} and {names[widest[-1]]} follow each other but are {len(widest) - 1} edges apart"
+        Idea: in order, gaps of a few edges are closed by shortest paths. Without order (most neighbours far apart), or where the
+        order runs into itself, the cycle is the one around the longest-lived loop of these vertices, with distances along the
+        mesh: persistence again. `names` are what messages call the vertices.
+        """
+        given = [a for a, b in zip(ids, [*ids[1:], ids[0]], strict=True) if a != b]
+        members = np.unique(given)
+        if len(members) < 3:
+            raise ValueError(f"it has {len(members)} different vertices; three at least make a loop")
+        paths = self.around(given)
+        gaps = sum(len(path) > 2 for path in paths)
+        widest = max(paths, key=len)
+        closed = _walk(paths)
+        if 2 * gaps <= len(paths) and len(widest) <= _GAP + 1 and len(set(closed)) == len(closed):
+            return np.array(closed), f"{gaps} gaps between its vertices were closed along the mesh" if gaps else ""
+        diagram = rips_persistence(self.distances(members), metric="precomputed")
+        if not len(diagram) or diagram.death[0] < 1.5 * diagram.birth[0]:
+            raise ValueError(
+                f"its vertices {names[widest[0]]} and {names[widest[-1]]} follow each other but are {len(widest) - 1} edges apart"
+            )
+        end = min(diagram.death[0], 2 * diagram.birth[0])  # halfway there is a tighter cycle than the one at birth
+        tight = members[tighten(diagram, diagram.cycle(0), radius=(diagram.birth[0] + end) / 2)].tolist()
+        closed = max(simple_cycles(_walk(self.around(tight))), key=len)
+        return np.array(closed), (
+            f"its {len(members)} vertices are in no order along the mesh; the cycle they lie around, {len(closed)} vertices, "
+            f"{len(set(closed) & set(given))} of them its own, was found by persistence"
         )
-    end = min(diagram.death[0], 2 * diagram.birth[0])  # halfway there is a tighter cycle than the one at birth
-    tight = members[tighten(diagram, diagram.cycle(0), radius=(diagram.birth[0] + end) / 2)].tolist()
-    closed = max(simple_cycles(_walk(graph.around(tight))), key=len)
-    return np.array(closed), (
-        f"its {len(members)} vertices are in no order along the mesh; the cycle they lie around, {len(closed)} vertices, "
-        f"{len(set(closed) & set(given))} of them its own, was found by persistence"
-    )
 
 
 def _walk(paths: Sequence[Sequence[int]]) -> list[int]:
@@ -184,7 +187,7 @@ def check_mesh(vertices: Array, faces: Ids) -> None:
     parts = components(faces).max() + 1
     if parts > 1:  # PyBullet never returns from loading one that hangs together by a vertex
         raise ValueError(f"the mesh has {parts} components that no edge joins; weld or keep one of them")
-    length = np.linalg.norm(np.diff(vertices[edges], axis=1)[:, 0], axis=1)
+    length = edge_lengths(vertices, edges)
     if length.min() <= 0:
         raise ValueError(f"edge {edges[np.argmin(length)].tolist()} has length 0; weld its two vertices")
 

@@ -49,9 +49,9 @@ class Target(ABC):
         """(3,) the middle of where a strap should come to rest."""
 
     @property
-    @abstractmethod
     def lowest(self) -> float:
-        """The z below which a loop does not hang any more, though it may still be around the target: it slid down."""
+        """The z, if not its seat's, below which a loop around the target does not hang any more: it slid down."""
+        return float(self.seat[2])
 
     def holds(self, loop: ArrayLike) -> bool:
         """Whether a closed curve (L, 3) winds around the target: its linking number with the closed centre line is not 0."""
@@ -85,10 +85,6 @@ class Hook(Target):
     @property
     def rods(self) -> list[Rod]:
         return _tube(self.centre_line, self.radius)
-
-    @property
-    def lowest(self) -> float:
-        return self.height
 
 
 @checked
@@ -220,14 +216,11 @@ class Mannequin(Target):
 
     def holds(self, loop: ArrayLike) -> bool:
         """Whether a closed curve (L, 3) is around the axis and below the middle of the head, or around a shoulder."""
-        curve = as_points(loop, "loop")
+        curve, foot = as_points(loop, "loop"), self.centre_line[0]
         if curve[:, 2].mean() < self.head_centre[2] and super().holds(curve):
             return True
         ends = {side: self.shoulder * [side, 1, 1] for side in (-1, 1)}  # out through the shoulders
-        foot = self.centre_line[0]
-        return _linked(
-            curve, *(close_far([foot, end * [0, 1, 1], end], end=(side, 0, 0)) for side, end in ends.items())
-        )
+        return _linked(curve, *(close_far([foot, x * [0, 1, 1], x], end=(side, 0, 0)) for side, x in ends.items()))
 
 
 def _linked(loop: ArrayLike, *lines: Array) -> bool:

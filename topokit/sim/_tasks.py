@@ -47,21 +47,18 @@ class GripperPath:
     def __post_init__(self) -> None:
         if len(self.vias) < 2:
             raise ValueError(f"a path needs two places at least, not {len(self.vias)}")
-        places, times, spread = self._places, self._times, np.asarray(self.spread)
-        if not np.isfinite(places).all() or places.shape[1] != 4:
-            raise ValueError(f"the places of a path must be (3,) and finite, its openings finite: {list(self.vias)}")
-        if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
-            raise ValueError(f"the times of a path must increase, not {times.tolist()}")
-        if places[:, 3].min() <= 0:
-            raise ValueError(f"openings must be more than zero, not {places[:, 3].tolist()}")
-        if spread.shape != (2, 3) or not np.isfinite(spread).all():
-            raise ValueError(f"spread must be a finite (2, 3) array, not of shape {spread.shape}")
+        table, spread = self._table, np.asarray(self.spread)
+        for name, values, shape in (("vias", table, (len(self.vias), 5)), ("spread", spread, (2, 3))):
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ValueError(f"{name} must be finite numbers of shape {shape}, not {values.tolist()}")
+        if not ((np.diff(table[:, 0]) > 0).all() and (table[:, 4] > 0).all()):
+            raise ValueError(f"times must increase and openings be more than zero: {self.vias}")
         if not self.end >= self.release >= 0:
             raise ValueError(f"the end ({self.end} s) must come after the release ({self.release} s), and that after 0")
 
     def at(self, time: ArrayLike) -> Array:
         """(..., 2, 3) where the two grippers should be at these times (...)."""
-        t, times, places = np.asarray(time, dtype=np.float64), self._times, self._places
+        t, times, places = np.asarray(time, dtype=np.float64), self._table[:, 0], self._table[:, 1:]
         velocities, accelerations = self._derivatives
         i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
         h = (times[i + 1] - times[i])[..., None]
@@ -76,27 +73,23 @@ class GripperPath:
         return np.asarray(value[..., None, :3] + value[..., None, 3:] * self.spread)
 
     @functools.cached_property
-    def _times(self) -> Array:
-        return np.array([via.time for via in self.vias], dtype=np.float64)
-
-    @functools.cached_property
-    def _places(self) -> Array:
-        """(k, 4) middle and opening."""
-        return np.array([[*np.asarray(via.place, dtype=np.float64), via.opening] for via in self.vias])
+    def _table(self) -> Array:
+        """(k, 5) times, middles, openings."""
+        return np.array([[via.time, *np.asarray(via.place, dtype=np.float64), via.opening] for via in self.vias])
 
     @functools.cached_property
     def _derivatives(self) -> tuple[Array, Array]:
         """(k, 4) velocities and accelerations at the places: 0 at a rest, the minimum-jerk spline's between two rests."""
-        velocities, accelerations = np.zeros_like(self._places), np.zeros_like(self._places)
+        times, places = self._table[:, 0], self._table[:, 1:]
+        velocities, accelerations = np.zeros_like(places), np.zeros_like(places)
         still = ([(1, np.zeros(4)), (2, np.zeros(4))],) * 2
         rests = [0, *(i for i in range(1, len(self.vias) - 1) if self.vias[i].rest), len(self.vias) - 1]
         for first, last in itertools.pairwise(rests):
             if last - first > 1:
                 stroke = slice(first, last + 1)
-                spline = make_interp_spline(self._times[stroke], self._places[stroke], k=5, bc_type=still)
+                spline = make_interp_spline(times[stroke], places[stroke], k=5, bc_type=still)
                 inner = slice(first + 1, last)
-                velocities[inner] = spline(self._times[inner], 1)
-                accelerations[inner] = spline(self._times[inner], 2)
+                velocities[inner], accelerations[inner] = spline(times[inner], 1), spline(times[inner], 2)
         return velocities, accelerations
 
 
@@ -140,11 +133,10 @@ def hang_by_strap(
     aside, below = _opening(garment, opening)
     tip, seat, radius = target.centre_line[-1], target.seat, target.rods[0][2]
     over = np.array([-aside, seat[1], tip[2] + radius + 0.04 + below])
-    start = over * [1, 0, 1] + [0, tip[1] - _reach(garment), 0]
-    start = start + _uniform(rng, (-0.12, 0.12), (-0.42, -0.32), (-0.06, 0.10))
-    before = over * [1, 0, 1] + [0, tip[1], 0] + _uniform(rng, (-0.015, 0.015), (-0.14, -0.10), (0.0, 0.02))
-    middle = (start + before) / 2 + _uniform(rng, (-0.05, 0.05), (-0.03, 0.03), (-0.04, 0.04))
-    over += _uniform(rng, (-0.015, 0.015), (-0.01, 0.01), (0, 0))
+    start = _about(rng, [over[0], tip[1] - _reach(garment), over[2]], (-0.12, 0.12), (-0.42, -0.32), (-0.06, 0.10))
+    before = _about(rng, [over[0], tip[1], over[2]], (-0.015, 0.015), (-0.14, -0.10), (0.0, 0.02))
+    middle = _about(rng, (start + before) / 2, (-0.05, 0.05), (-0.03, 0.03), (-0.04, 0.04))
+    over = _about(rng, over, (-0.015, 0.015), (-0.01, 0.01), (0, 0))
     down = over * [1, 1, 0] + [0, 0, seat[2] + radius + 0.005]
     approach = [Via(0.1, start), Via(0.7, middle, (1 + opening) / 2), Via(1.2, before, opening)]
     vias = [*approach, Via(1.8, over, opening, rest=True), Via(2.35, down, opening)]
@@ -156,11 +148,10 @@ def pull_over_head(garment: Garment, target: Target, rng: np.random.Generator) -
     dummy, spread, below = _mannequin(target), _spread(garment), _opening(garment)[1]
     wide = max(1.0, (2 * dummy.head_radius + 0.06) / float(np.linalg.norm(spread[0] - spread[1])))
     top, axis = dummy.height + below, dummy.distance
-    start = np.array([0, axis - dummy.depth / 2 - 0.1 - _reach(garment), dummy.height])
-    start = start + _uniform(rng, (-0.1, 0.1), (-0.4, -0.3), (-0.15, 0.05))
-    before = np.array([0, axis - 0.12, top + 0.06]) + _uniform(rng, (-0.02, 0.02), (-0.03, 0.0), (0.0, 0.02))
-    over = np.array([0, axis + dummy.head_radius + 0.05, top + 0.03])
-    over = over + _uniform(rng, (-0.01, 0.01), (0, 0.02), (0, 0.02))
+    far = axis - dummy.depth / 2 - 0.1 - _reach(garment)
+    start = _about(rng, [0, far, dummy.height], (-0.1, 0.1), (-0.4, -0.3), (-0.15, 0.05))
+    before = _about(rng, [0, axis - 0.12, top + 0.06], (-0.02, 0.02), (-0.03, 0.0), (0.0, 0.02))
+    over = _about(rng, [0, axis + dummy.head_radius + 0.05, top + 0.03], (-0.01, 0.01), (0, 0.02), (0, 0.02))
     behind = np.array([over[0], over[1], dummy.head_centre[2] - 0.02])
     nape = np.array([over[0], axis + dummy.neck_radius + 0.04, dummy.shoulder_height + 0.06])
     stations = zip((1.2, 2.1, 2.8, 3.4), (before, over, behind, nape), strict=True)
@@ -174,9 +165,9 @@ def put_on_shoulders(garment: Garment, target: Target, rng: np.random.Generator)
     x, y, z = dummy.shoulder
     half = float(np.linalg.norm(spread[0] - spread[1])) / 2
     wide, narrow = (x + 0.11) / half, (x - 0.08) / half
-    start = np.array([0, y - 0.45, z + 0.10]) + _uniform(rng, (-0.08, 0.08), (-0.25, -0.15), (-0.1, 0.1))
-    before = np.array([0, y - 0.10, z + 0.11]) + _uniform(rng, (-0.01, 0.01), (-0.02, 0.0), (0.0, 0.02))
-    past = np.array([0, y + 0.13, z + 0.11]) + _uniform(rng, (-0.01, 0.01), (-0.005, 0.005), (0.0, 0.01))
+    start = _about(rng, [0, y - 0.45, z + 0.10], (-0.08, 0.08), (-0.25, -0.15), (-0.1, 0.1))
+    before = _about(rng, [0, y - 0.10, z + 0.11], (-0.01, 0.01), (-0.02, 0.0), (0.0, 0.02))
+    past = _about(rng, [0, y + 0.13, z + 0.11], (-0.01, 0.01), (-0.005, 0.005), (0.0, 0.01))
     approach = [Via(0.1, start), Via(1.2, before, wide), Via(2.0, past, wide, rest=True)]
     vias = [*approach, Via(2.5, past, narrow, rest=True), Via(3.1, past + [0, -0.03, -0.18], narrow)]
     return GripperPath(vias, spread, release=3.15, end=4.3)
@@ -187,10 +178,10 @@ def dress(garment: Garment, target: Target, rng: np.random.Generator) -> Gripper
     dummy = _mannequin(target)
     top, axis = dummy.height, dummy.distance
     length = float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min())
-    start = np.array([0, axis, top + length + 0.10]) + _uniform(rng, (-0.08, 0.08), (-0.45, -0.35), (-0.05, 0.05))
-    above = np.array([0, axis, top + length + 0.06]) + _uniform(rng, (-0.01, 0.01), (-0.01, 0.01), (0, 0.03))
-    head = np.array([0, axis, top + 0.03]) + _uniform(rng, (-0.01, 0.01), (-0.01, 0.01), (0, 0))
-    down = np.array([0, axis, dummy.shoulder_height + 0.03])
+    start = _about(rng, [0, axis, top + length + 0.10], (-0.08, 0.08), (-0.45, -0.35), (-0.05, 0.05))
+    above = _about(rng, [0, axis, top + length + 0.06], (-0.01, 0.01), (-0.01, 0.01), (0, 0.03))
+    head = _about(rng, [0, axis, top + 0.03], (-0.01, 0.01), (-0.01, 0.01), (0, 0))
+    down = [0, axis, dummy.shoulder_height + 0.03]
     vias = [Via(0.1, start), Via(1.2, above, rest=True), Via(2.8, head), Via(3.9, down)]
     return GripperPath(vias, _spread(garment), release=4.0, end=5.2)
 
@@ -231,8 +222,9 @@ def _opening(garment: Garment, opening: float = 1.0) -> tuple[float, float]:
     return aside, max(-float(curve[:, 2].max()), 0.0) + slope + float(np.sqrt(3 / 8 * chord * max(arc - chord, 0)))
 
 
-def _uniform(rng: np.random.Generator, *ranges: tuple[float, float]) -> Array:
-    return np.array([rng.uniform(low, high) for low, high in ranges])
+def _about(rng: np.random.Generator, place: ArrayLike, *ranges: tuple[float, float]) -> Array:
+    """A place moved along each axis by a draw from its range."""
+    return np.asarray(place + rng.uniform(*np.transpose(ranges)))
 
 
 def _tasks() -> Iterator[Task]:
@@ -258,10 +250,10 @@ TASKS: Mapping[str, Task] = {task.name: task for task in _tasks()}
 """Every task by its name: garment, hyphen, target."""
 
 
-def task_named(name: str) -> Task:
-    if name not in TASKS:
-        raise ValueError(f"there is no task {name!r}; there are {', '.join(TASKS)}")
-    return TASKS[name]
+def as_task(task: str | Task) -> Task:
+    if isinstance(task, str) and task not in TASKS:
+        raise ValueError(f"there is no task {task!r}; there are {', '.join(TASKS)}")
+    return TASKS[task] if isinstance(task, str) else task
 
 
 def task_for(garment: Garment, target: Target) -> Task:

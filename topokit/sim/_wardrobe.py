@@ -1,4 +1,4 @@
-"""The patterns of the garments that are not bags: which pieces are cut, how they are placed in space and sewn together.
+"""The patterns of the garments: which pieces are cut, how they are placed in space and sewn together.
 
 Every function returns the fields of a `Garment`; its sizes are in metres, angles in degrees.
 """
@@ -9,38 +9,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from topokit._validate import positive
-
-from ._pattern import Arch, Band, Panel, cut, inflate, mirror, polyline, ring, sew
+from ._pattern import Arch, Panel, band, chain, check_sizes, cut, demand, inflate, mirror, numbered, polyline, ring, sew
 from ._surface import Array, EdgeGraph, Ids, half_edges
 
 Fields = tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float]]
 THIRDS = np.array([1 / 3, 2 / 3])
-
-
-def check_sizes(given: Mapping[str, float | None], without: Sequence[str] = ()) -> dict[str, float]:
-    """The sizes among a function's arguments, each a positive number; an angle lies between 0 and 80 degrees."""
-    skip = {"loops", "handles", "holes", *without}
-    sizes = {
-        name: positive(value, name, zero=name.endswith("_angle"))  # type: ignore[arg-type]
-        for name, value in given.items()
-        if name not in skip
-    }
-    for name, value in sizes.items():
-        if name.endswith("_angle") and value > 80:
-            raise ValueError(f"{name} must be 0 to 80 degrees, not {value}")
-    return sizes
-
-
-def numbered(kind: str, number: int, name: str) -> str:
-    if number not in (1, 2):
-        raise ValueError(f"{name} must be 1 or 2, not {number!r}")
-    return kind if number == 1 else f"{kind}{number}"
-
-
-def demand(holds: bool, otherwise: str) -> None:
-    if not holds:
-        raise ValueError(f"{otherwise} (metres)")
 
 
 def apron(
@@ -61,12 +34,6 @@ def apron(
     It hangs in the plane y = 0 with the top of its bib at z = 0. The true loop is the border of the neck opening. With
     `loops=2` a second strap closes behind the waist (towards +y), and the second true loop runs along its upper border and
     across the apron. The grips are on the neck strap, at a third of its length from either end.
-
-    Parameters
-    ----------
-    loops : int
-    spacing, body_width, body_height, bib_width, bib_height : float
-    strap_length, strap_width, waist_strap_length, waist_strap_width : float
     """
     sizes = check_sizes(locals(), without=("waist_strap_length", "waist_strap_width") if loops == 1 else ())
     name = numbered("apron", loops, "loops")
@@ -99,12 +66,12 @@ def _with_waist_strap(front: Panel, sizes: Mapping[str, float]) -> tuple[Array, 
     """Vertices and faces of an apron with a strap behind, and the loop along the strap and across the apron."""
     length, waist = sizes["waist_strap_length"], -sizes["bib_height"]
     around = Arch.of_length(sizes["body_width"], length, "waist_strap_length")
-    strap = Band.cut([length], [sizes["waist_strap_width"]], sizes["spacing"])
-    share = strap.panel.vertices[:, 0] / length
-    cloth = strap.panel.placed(lambda v: np.column_stack([around.points(share), waist + v[:, 2]]))
-    ends = [(0, front.sides[1], 1, strap.start), (0, front.sides[5][::-1], 1, strap.end)]
+    strap, _, high, start, end = band([length], [sizes["waist_strap_width"]], sizes["spacing"])
+    share = strap.vertices[:, 0] / length
+    cloth = strap.placed(lambda v: np.column_stack([around.points(share), waist + v[:, 2]]))
+    ends = [(0, front.sides[1], 1, start), (0, front.sides[5][::-1], 1, end)]
     vertices, faces, (_, ids) = sew([front, cloth], ends)
-    behind = ids[strap.high]  # from the right side to the left one
+    behind = ids[high]  # from the right side to the left one
     across = EdgeGraph(vertices, half_edges(front.faces)).path(int(behind[-1]), int(behind[0]))
     return vertices, faces, np.concatenate([behind[:-1], across[:-1]])
 
@@ -125,10 +92,6 @@ def shirt(
 
     The loops are its four openings: neck, right sleeve (x > 0), left sleeve, hem. They make three classes: any three are
     independent, the fourth is their sum. The sleeves fall by `sleeve_angle`. The grips are on the shoulders of the front.
-
-    Parameters
-    ----------
-    spacing, width, length, depth, neck_width, neck_depth, sleeve_length, sleeve_width, sleeve_angle : float
     """
     sizes = check_sizes(locals())
     half, neck, angle = width / 2, neck_width / 2, np.radians(sleeve_angle)
@@ -158,10 +121,6 @@ def vest(
 
     The loops are its four openings: neck, right armhole (x > 0), left armhole, hem. They make three classes: any three are
     independent, the fourth is their sum. The grips are on the shoulders of the front.
-
-    Parameters
-    ----------
-    spacing, width, length, depth, neck_width, neck_depth, shoulder_width, armhole_depth : float
     """
     sizes = check_sizes(locals())
     half, neck = width / 2, neck_width / 2
@@ -214,10 +173,6 @@ def mask(
     The cloth is cupped by `depth` towards -y and its sides bow out by `bow`; `strap_span` lies between the middles of a
     strap's ends. There are two classes; the true loops are the borders of the openings, the upper one first. The grips are
     on the upper ear loop.
-
-    Parameters
-    ----------
-    spacing, width, height, depth, bow, strap_length, strap_width, strap_span : float
     """
     sizes = check_sizes(locals())
     half, low = width / 2, -height
@@ -254,11 +209,6 @@ def sheet(
 
     The middles of the holes lie `hole_drop` below the upper edge, z = 0; the true loops are their borders, the left one
     (x < 0) first. The grips are the upper corners.
-
-    Parameters
-    ----------
-    holes : int
-    spacing, width, height, hole_radius, hole_drop, hole_distance : float
     """
     sizes = check_sizes(locals(), without=("hole_distance",) if holes == 1 else ())
     name = numbered("sheet", holes, "holes")
@@ -275,3 +225,121 @@ def sheet(
     panel = cut(polyline((-half, low), (half, low), (half, 0), (-half, 0), (-half, low)), rings, spacing)
     grips = np.array([panel.sides[3][0], panel.sides[2][0]])
     return name, panel.vertices, panel.faces, panel.holes, grips, sizes
+
+
+def tote(
+    *,
+    handles: int = 1,
+    spacing: float = 0.03,
+    width: float = 0.36,
+    height: float = 0.38,
+    depth: float = 0.10,
+    handle_length: float | None = None,
+    handle_width: float = 0.052,
+    handle_span: float = 0.20,
+) -> Fields:
+    """Return a bag open at its top, whose panels bulge to `depth`, with one handle or two.
+
+    A tote has as many classes as handles: the bag closes its open top. One handle runs over the top from side to side; of
+    two, each stands on its own panel, `handle_span` between the middles of its ends. A true loop is the border of the
+    opening under a handle. The grips are on the one handle, or one on each of the two. When `handle_length` is not given, one
+    handle is 0.72 m long, and each of two 0.50 m.
+    """
+    handle_length = (0.72 if handles == 1 else 0.50) if handle_length is None else handle_length
+    sizes = check_sizes(locals(), without=("handle_span",) if handles == 1 else ())
+    name, half = numbered("tote", handles, "handles"), width / 2
+    sides = polyline((-half, 0), (-half, -height), (half, -height), (half, 0))
+    if handles == 2:
+        return _tote_of_two(sizes, sides)
+    fits = handle_width <= width - 2 * spacing
+    demand(fits, f"handle_width {handle_width} must be less than width {width} by twice the spacing {spacing}")
+    top = polyline((half, 0), (half - handle_width / 2, 0), (handle_width / 2 - half, 0), (-half, 0))
+    panel = cut([*sides, *top], [], spacing)
+    front = inflate(panel, (0, 1, 2), depth / 2)
+    arch = Arch.of_length(width, handle_length, "handle_length")
+    strap, low, _, start, end = band([handle_length], [handle_width / 2, handle_width / 2], spacing)
+    grips = strap.nearest(np.column_stack([handle_length * THIRDS, [-handle_width / 2] * 2]))
+    over = arch.points(strap.vertices[:, 0] / handle_length)
+    cloth = strap.placed(lambda v: np.column_stack([over[:, 0], v[:, 2] + handle_width / 2, over[:, 1]]))
+    half_end = len(start) // 2
+    seams = [(0, panel.sides[i], 1, panel.sides[i]) for i in range(3)]
+    seams += [(0, panel.sides[3][::-1], 2, start[: half_end + 1]), (1, panel.sides[3], 2, start[half_end:])]
+    seams += [(0, panel.sides[5], 2, end[: half_end + 1]), (1, panel.sides[5][::-1], 2, end[half_end:])]
+    vertices, faces, (a, _, c) = sew([front, front.mirrored(), cloth], seams)
+    return name, vertices, faces, (ring(c[low], a[panel.sides[4]]),), c[grips], sizes
+
+
+def _tote_of_two(sizes: dict[str, float], sides: list[Array]) -> Fields:
+    half, spacing = sizes["width"] / 2, sizes["spacing"]
+    span, width = sizes["handle_span"], sizes["handle_width"]
+    fits = 2 * spacing <= span - width and span + width <= 2 * half - 2 * spacing
+    demand(fits, f"handle_span {span} must leave room for handles of handle_width {width} in width {2 * half}")
+    arch = Arch.of_length(span, sizes["handle_length"], "handle_length")
+    outer, opening, middle = arch.strap(width, spacing, sizes["handle_length"])
+    top = [*polyline((half, 0), outer[0]), outer, *polyline(outer[-1], (-half, 0))]
+    panel = cut([*sides, *top], [opening], spacing, middle)
+    front = inflate(panel, (0, 1, 2), sizes["depth"] / 2, top=0.0)
+    seams = [(0, panel.sides[i], 1, panel.sides[i]) for i in range(3)]
+    vertices, faces, (a, b) = sew([front, front.mirrored()], seams)
+    held = panel.nearest(arch.points(np.array([0.42, 0.58])))  # one on each handle, so that both stay up
+    loops = a[panel.holes[0]], b[panel.holes[0]]
+    return "tote2", vertices, faces, loops, np.array([a[held[0]], b[held[1]]]), sizes
+
+
+def backpack(
+    *,
+    spacing: float = 0.03,
+    width: float = 0.24,
+    height: float = 0.60,
+    depth: float = 0.12,
+    box_height: float = 0.30,
+    strap_length: float = 0.66,
+    strap_width: float = 0.05,
+    strap_angle: float = 40.0,
+) -> Fields:
+    """Return a backpack open at its top: a back, a box below its lower half, two straps.
+
+    The straps join the sides of the back at its top and just above the box, and are folded by `strap_angle` from the plane
+    of the back towards +y. There are two classes; each true loop is the border of the opening between a strap and the back,
+    the left one (x < 0) first. There is one grip on each strap.
+    """
+    sizes = check_sizes(locals())
+    half, low = width / 2, -height
+    rim = low + box_height
+    span = -rim - 2 * strap_width
+    opens = span - strap_width >= 2 * spacing
+    demand(opens, f"height {height} is too low for straps of strap_width {strap_width} above box_height {box_height}")
+    arch = Arch.of_length(span, strap_length)
+
+    def aside(line: Array) -> Array:
+        """From above the origin to the right side of the back."""
+        return line[:, ::-1] * [1, -1] + [half, rim / 2]
+
+    outer, hole, middle = arch.strap(strap_width, spacing, strap_length)
+    outer, hole, middle = aside(outer), [aside(line) for line in hole], aside(middle)
+    right = [*polyline((half, low), (half, rim), outer[0]), outer, *polyline(outer[-1], (half, 0))]
+    top, bottom = polyline((half, 0), (-half, 0)), polyline((-half, low), (half, low))
+    outline = [*right, *top, *(mirror(line) for line in right[::-1]), *bottom]
+    holes = [hole, [mirror(line) for line in hole]]
+    back = cut(outline, holes, spacing, np.concatenate([middle, mirror(middle)]))
+    held = aside(arch.points(np.array([0.6])))
+    grips = back.nearest(np.concatenate([held * [-1, 1], held]))
+    back = back.placed(lambda v: _folded(v, half, np.radians(strap_angle)))
+    edge = chain(back.sides[0][::-1], back.sides[-1][::-1], back.sides[-2][::-1])
+    gusset, low_edge, high_edge, *_ = band([box_height, width, box_height], [depth], spacing)
+    way = np.array([[half, rim], [half, low], [-half, low], [-half, rim]])
+    at = np.cumsum([0, box_height, width, box_height])
+    x, z = (np.interp(gusset.vertices[:, 0], at, way[:, i]) for i in range(2))
+    sides = gusset.placed(lambda v: np.column_stack([x, v[:, 2], z]))
+    front = cut(polyline((-half, rim), (-half, low), (half, low), (half, rim), (-half, rim)), [], spacing)
+    front_edge = chain(*(front.sides[i] for i in range(3)))[::-1]
+    front = inflate(front, (0, 1, 2), depth / 4).placed(lambda v: v - [0, depth, 0])
+    seams = [(2, edge, 1, high_edge), (0, front_edge, 1, low_edge)]
+    vertices, faces, (*_, a) = sew([front, sides, back], seams)
+    return "backpack", vertices, faces, (a[back.holes[1]], a[back.holes[0]]), a[grips], sizes
+
+
+def _folded(vertices: Array, half: float, angle: float) -> Array:
+    beyond = np.maximum(np.abs(vertices[:, 0]) - half, 0)
+    x = np.sign(vertices[:, 0]) * (np.minimum(np.abs(vertices[:, 0]), half) + beyond * np.cos(angle))
+    return np.column_stack([x, vertices[:, 1] + beyond * np.sin(angle), vertices[:, 2]])

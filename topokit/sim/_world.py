@@ -1,4 +1,4 @@
-"""One PyBullet world: a cloth, two grippers that hold it, rods to hang it on, a floor; and its numbers."""
+"""One PyBullet world: a cloth, two grippers that hold it, rods to hang it on, a floor; and whether its cloth is physical."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
 from ._garments import Garment
-from ._surface import Array
+from ._process import SimulationError
+from ._surface import Array, edge_lengths
 
 _GRAVITY = 9.8  # m/s^2
 Stretch = Annotated[float, Field(gt=1)]
@@ -269,6 +270,24 @@ def observe(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Gene
         raise ValueError(f"no cloth is in view of the cameras at {places}; move them or widen their fov")
     chosen = farthest_point_sample(points, min(n, len(points)))[0]
     return np.asarray(points[np.resize(chosen, n)])
+
+
+def check_stretch(garment: Garment, config: SimulationConfig, points: Array, where: str) -> tuple[float, float]:
+    """The 99th percentile and the maximum of edge length over rest length; a SimulationError when they are not physical."""
+    lost = ~np.isfinite(points).all(axis=1)
+    if lost.any():
+        vertex = int(np.argmax(lost))
+        raise SimulationError(f"{where}: vertex {vertex} is at {points[vertex]}: the cloth exploded")
+    edges = garment.edges
+    stretch = edge_lengths(points, edges) / edge_lengths(garment.vertices, edges)
+    most, worst = float(np.percentile(stretch, 99)), float(stretch.max())
+    edge = f"most of all {edges[np.argmax(stretch)].tolist()}, {worst:.2f} times its length"
+    limits = (("max_stretch", "one edge in a hundred is", most), ("max_edge_stretch", "an edge is", worst))
+    for name, what, value in limits:
+        if value > getattr(config, name):
+            limit = f"{name} is {getattr(config, name):g}"
+            raise SimulationError(f"{where}: {what} stretched beyond the limit ({limit}), {edge}")
+    return most, worst
 
 
 def _turn_z_to(axis: Array) -> list[float]:
