@@ -24,7 +24,7 @@ from ._matching import Candidates, Matching, hausdorff_table, within_gates
 from ._validate import as_points, as_sequence, positive
 from .rips import Diagram, rips_persistence, rips_persistence_many
 from .sampling import hausdorff, spacing
-from .state import Loop, TopologicalState
+from .state import Loop, TopologicalState, loop_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -271,32 +271,22 @@ def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
 
 def _loop(diagram: Diagram, i: int, cloud: Array, identity: int, before: Loop | None) -> Loop:
     """Gather what the state keeps of loop `i` of a diagram."""
-    killers, neighbours = diagram.killer_triangles[i], diagram.neighbours(i)
-    edge, step = cloud[diagram.killer_edge[i]], float("nan")
+    edge, neighbours, step = diagram.killer_edge[i], diagram.neighbours(i), float("nan")
     if before is not None:
-        step = float(hausdorff_table(edge[None], before.killer_edge_points[None])[0, 0])
-    return Loop(
+        step = float(hausdorff_table(cloud[edge][None], before.killer_edge_points[None])[0, 0])
+    return loop_of(
+        cloud,
+        partial(diagram.cycle, i),
         id=identity,
         birth=float(diagram.birth[i]),
         death=float(diagram.death[i]),
-        birth_edge=diagram.birth_edge[i],
-        killer_edge=diagram.killer_edge[i],
-        killer_triangle_ids=killers,
-        neighbour_ids=neighbours,
-        killer_edge_points=edge,
-        killer_triangles=cloud[killers],
-        neighbours=cloud[neighbours],
-        killer_values=np.full(2, diagram.death[i]),  # their longest edge is the killer edge
-        neighbour_values=_values(cloud[neighbours]),
         step=step,
-        _curve=partial(_curve, diagram, i, cloud),
+        birth_edge=diagram.birth_edge[i],
+        killer_edge=edge,
+        killer_triangle_ids=diagram.killer_triangles[i],
+        neighbour_ids=neighbours,
+        neighbour_values=_values(cloud[neighbours]),
     )
-
-
-def _curve(diagram: Diagram, i: int, cloud: Array) -> tuple[NDArray[np.int64], Array]:
-    """The representative cycle of a loop, as vertex ids and as points."""
-    ids = diagram.cycle(i)
-    return ids, cloud[ids]
 
 
 def _values(triangles: Array) -> Array:

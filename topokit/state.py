@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 from ._validate import own_arrays
 
 __all__ = ["Loop", "TopologicalState", "as_table"]
+
+
+ClosedCurve = tuple[NDArray[np.int64], NDArray[np.float64]]  # vertex ids of a closed walk, and their places
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,7 @@ class Loop:
     neighbour_values: NDArray[np.float64]  #: (m,) filtration values of the neighbours
     #: Hausdorff distance between this loop's killer edge and that of its previous appearance; nan when the loop is new
     step: float = float("nan")
-    _curve: Callable[[], tuple[NDArray[np.int64], NDArray[np.float64]]] | None = field(default=None, repr=False)
+    _curve: Callable[[], ClosedCurve] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         own_arrays(self)
@@ -71,7 +74,7 @@ class Loop:
         return self._closed_curve[1]
 
     @cached_property
-    def _closed_curve(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def _closed_curve(self) -> ClosedCurve:
         if self._curve is None:
             raise LookupError(
                 f"loop {self.id} knows no cloud to find its cycle in: track the cloud, topokit.track(...)"
@@ -89,6 +92,23 @@ class Loop:
         apex = ~np.isin(self.killer_triangle_ids, self.killer_edge)
         (x, y), (z1, z2) = self.killer_edge_points, self.killer_triangles[apex]
         return np.array([x, z1, y, z2])
+
+
+def loop_of(cloud: NDArray[np.float64], cycle: Callable[[], NDArray[np.int64]], **told: Any) -> Loop:
+    """A loop from its cloud, its numbers, and the vertex ids of its simplices; `cycle` finds its closed walk when asked for."""
+    return Loop(
+        **told,
+        killer_edge_points=cloud[told["killer_edge"]],
+        killer_triangles=cloud[told["killer_triangle_ids"]],
+        neighbours=cloud[told["neighbour_ids"]],
+        killer_values=np.full(2, told["death"]),  # their longest edge is the killer edge
+        _curve=partial(_curve_of, cloud, cycle),
+    )
+
+
+def _curve_of(cloud: NDArray[np.float64], cycle: Callable[[], NDArray[np.int64]]) -> ClosedCurve:
+    ids = cycle()
+    return ids, cloud[ids]
 
 
 @dataclass(frozen=True, eq=False)
