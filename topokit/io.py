@@ -88,12 +88,7 @@ def save_episode(path: str | Path, episode: Episode) -> Path:
     path : path
         It ends in .npz.
     episode : Episode
-
-    Raises
-    ------
-    ValueError
-        When the arrays disagree in their number of frames, a loop names a vertex that is not there, a coordinate is not
-        finite, or packing to 16 bits would cost more than 0.1 mm (a coordinate is far outside the scene).
+        What `check_episode` finds whole, with no coordinate so far outside that 16 bits would cost more than 0.1 mm.
     """
     check_episode(episode)
     arrays: dict[str, NDArray[Any]] = {}
@@ -217,11 +212,6 @@ def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
         It ends in .npz.
     states : sequence of TopologicalState
         The cycles of their loops are found and stored with them.
-
-    Raises
-    ------
-    ValueError
-        When `path` does not end in .npz.
     """
     loops = [loop for state in states for loop in state.loops]
     arrays = {name: np.array([getattr(loop, name) for loop in loops]) for name in _LOOP_NUMBERS + _LOOP_ARRAYS}

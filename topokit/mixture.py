@@ -191,8 +191,7 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
     Raises
     ------
     ValueError
-        When `noise` is not positive, the prior does not fit the dimension, the loop's arrays do not fit each other, or its
-        filtration values are negative or all zero.
+        When the loop's arrays do not fit each other, or its filtration values are negative or all zero.
 
     Examples
     --------
