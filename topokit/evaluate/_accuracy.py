@@ -55,9 +55,6 @@ class TrueCurves:
     closing: tuple[Array, ...] = ()  #: of each the ends (K, 2, 3) of the edges of the full cloud that end its class
     present: tuple[NDArray[np.bool_], ...] = ()  #: (K,) whether it is there; all are when not given
 
-    def there(self, k: int) -> list[int]:
-        return [loop for loop in range(len(self.curves)) if not self.present or self.present[loop][k]]
-
     def hull(self, loop: int, k: int) -> Array:
         """(n, 3) points whose convex hull counts as the loop's."""
         curve = self.curves[loop][k]
@@ -67,9 +64,8 @@ class TrueCurves:
     def extents(self) -> tuple[Array, Array]:
         """(K, loops, 3) centroids of the curves, by length, and (K, loops) largest distances from them."""
         found = [[extent(curve) for curve in loops] for loops in zip(*self.curves, strict=True)]
-        return np.array([[one[0] for one in frame] for frame in found]), np.array(
-            [[one[1] for one in frame] for frame in found]
-        )
+        centres, radii = ([[one[part] for one in frame] for frame in found] for part in (0, 1))
+        return np.array(centres), np.array(radii)
 
     def beside(self, loop: int, k: int, point: Array) -> float:
         """At most 1 when the point lies in a curve's outline, seen along the normal, and near enough to its plane."""
@@ -125,7 +121,8 @@ class _Sample:
 
     @cached_property
     def loops(self) -> list[int]:
-        return self.truth.there(self.k)
+        curves, present = self.truth.curves, self.truth.present
+        return [loop for loop in range(len(curves)) if not present or present[loop][self.k]]
 
     @cached_property
     def asked(self) -> int:

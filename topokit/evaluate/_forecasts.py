@@ -171,11 +171,8 @@ def _failures(prepared: PreparedCondition, samples: Samples, tolerance: float) -
 
 
 def _worst(samples: Samples, tolerance: float) -> list[int]:
-    """Of each garment the sample that our first seed puts farthest outside at the last step; the farthest first.
-
-    Loops that are said to be absent count, too: where nothing is forecast there would be nothing to be seen.
-    """
-    reach = samples.columns["ours"]["outside_anyway"][0, :, -1]
+    """Of each garment the sample that our first seed puts farthest outside at the last step; the farthest first."""
+    reach = samples.columns["ours"]["outside_anyway"][0, :, -1]  # elsewhere nothing is forecast, and nothing to be seen
     reach = np.where(np.isfinite(reach), reach, -1)
     ranked = np.argsort(-reach, kind="stable")
     _, first = np.unique(samples.garment[ranked], return_index=True)  # of each garment the farthest

@@ -70,8 +70,8 @@ class TrackSummary:
 
 def summarise_tracks(
     states: Sequence[TopologicalState],
-    points: NDArray[np.floating] | None = None,
-    loops: Sequence[NDArray[np.integer]] = (),
+    points: NDArray[np.floating],
+    loops: Sequence[NDArray[np.integer]],
     *,
     tolerance: float = 0.0,
 ) -> list[TrackSummary]:
@@ -80,10 +80,10 @@ def summarise_tracks(
     Parameters
     ----------
     states : sequence of TopologicalState
-    points : (T, N, 3) array, optional
+    points : (T, N, 3) array
         Positions of the garment's vertices, a row a frame of `states`.
     loops : sequence of (L,) int arrays
-        True loops as vertex ids into `points`.
+        True loops as vertex ids into `points`; there may be none.
     tolerance : float
         How far outside the hull still counts as in it, metres: that of a nearly flat loop has no thickness.
 
@@ -92,8 +92,8 @@ def summarise_tracks(
     ValueError
         When `points` and `states` differ in their number of frames.
     """
-    if loops and (points is None or len(points) != len(states)):
-        raise ValueError(f"points has {0 if points is None else len(points)} frames, states {len(states)}")
+    if len(points) != len(states):
+        raise ValueError(f"points has {len(points)} frames, states {len(states)}")
     tracks: dict[int, list[int]] = {}
     for row, state in enumerate(states):
         for loop in state.loops:
@@ -101,9 +101,7 @@ def summarise_tracks(
     summaries = []
     for identity, rows in tracks.items():
         found = [states[row][identity] for row in rows]
-        where = -1, float("nan"), float("nan")
-        if loops and points is not None:
-            where = _nearest_loop(np.array([loop.centre for loop in found]), points[rows], loops, tolerance)
+        where = _nearest_loop(np.array([loop.centre for loop in found]), points[rows], loops, tolerance)
         lifetime = float(np.mean([loop.lifetime for loop in found]))
         first, last = states[rows[0]].frame, states[rows[-1]].frame
         summaries.append(TrackSummary(identity, first, last, len(rows), lifetime, *where))
@@ -113,6 +111,8 @@ def summarise_tracks(
 def _nearest_loop(
     centres: Array, points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]], tolerance: float
 ) -> tuple[int, float, float]:
+    if not loops:
+        return -1, float("nan"), float("nan")
     away = [np.linalg.norm(points[:, loop].mean(axis=1) - centres, axis=1).mean() for loop in loops]
     nearest = int(np.argmin(away))
     hulls = points[:, loops[nearest]]
@@ -133,7 +133,7 @@ class TrueLoops:
 def true_loops(
     points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]], *, alpha: float | None = None
 ) -> list[TrueLoops]:
-    """Find out, frame by frame, where the true loops are and which of them are there.
+    """Return, frame by frame, where the true loops are and which of them are there.
 
     Parameters
     ----------
