@@ -108,10 +108,8 @@ def load_episode(path: str | Path) -> Episode:
 
     Raises
     ------
-    FileNotFoundError
-        When there is no such file.
-    FormatError
-        When the file is empty, truncated, damaged, of another format or of a newer schema; the message says which.
+    FileNotFoundError, FormatError
+        When there is no such file, or it is empty, damaged, of another format or of a newer schema; the message says which.
     """
     text, arrays = _load(path, _KIND, (SCHEMA,), "record it again")
     try:
@@ -162,11 +160,10 @@ def _pack(name: str, values: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[
     """Return 16-bit integers and (step, low x, low y, low z) so that values = low + step * integers, to within step / 2."""
     values = np.asarray(values, dtype=np.float64)
     low = values.reshape(-1, 3).min(axis=0) if values.size else np.zeros(3)
-    step = max(float((values - low).max()) if values.size else 0.0, 1e-9) / 65535
+    span = max(float((values - low).max()) if values.size else 0.0, 1e-9)
+    step = span / 65535
     if step / 2 > _MAX_PACKING_ERROR:
-        raise ValueError(
-            f"{name} spans {step * 65535:.1f} m: 16 bits would cost {1e3 * step / 2:.2f} mm, more than 0.1 mm"
-        )
+        raise ValueError(f"{name} spans {span:.1f} m: 16 bits would cost {1e3 * step / 2:.2f} mm, more than 0.1 mm")
     return np.round((values - low) / step).astype(np.uint16), np.array([step, *low])
 
 
@@ -181,9 +178,7 @@ def _load(
     text, arrays = load_archive(path, kind)
     if text.get("schema") not in schemas:
         known = " and ".join(map(str, schemas))
-        raise FormatError(
-            f"{path}: of schema {text.get('schema')}, this topokit reads schema {known}: update topokit or {remedy}"
-        )
+        raise FormatError(f"{path}: of schema {text.get('schema')}, not {known}: update topokit or {remedy}")
     return text, arrays
 
 

@@ -56,7 +56,7 @@ def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     for curve, name in ((curve_a, "curve_a"), (curve_b, "curve_b")):
         if isinstance(curve, np.ndarray) and curve.ndim == 3:
             raise ValueError(
-                f"{name} is a batch of curves, of shape {curve.shape}; topokit.linking.linking_numbers takes it"
+                f"{name} is a batch of curves, of shape {curve.shape}: call topokit.linking.linking_numbers"
             )
     numbers, _ = _link(as_points(curve_a, "curve_a")[None], as_points(curve_b, "curve_b")[None], "curve_a", "curve_b")
     return int(numbers[0])
@@ -164,9 +164,7 @@ def _batch(curves: ArrayLike, name: str) -> Array:
     try:
         array = np.asarray(curves)
     except ValueError as error:  # ragged nested lists
-        raise ValueError(
-            f"the curves of {name} must have equally many corners; link the others by themselves"
-        ) from error
+        raise ValueError(f"the curves of {name} must have equally many corners; link others alone") from error
     if array.ndim == 2:
         return as_points(array, name)[None]
     if array.ndim != 3 or not len(array):
@@ -210,17 +208,13 @@ def _check_curve(curve: Array, name: str) -> None:
     same = np.flatnonzero((curve[order[1:]] == curve[order[:-1]]).all(axis=1))
     if len(same):
         i, j = sorted(order[same[0] : same[0] + 2].tolist())
+        both = f"corners {i} and {j} are both {curve[i].tolist()}"
         closes = " (the last joins the first by itself: leave it out)" if (i, j) == (0, len(curve) - 1) else ""
-        raise ValueError(
-            f"{name} passes through a corner twice: corners {i} and {j} are both {curve[i].tolist()}{closes}"
-        )
+        raise ValueError(f"{name} passes through a corner twice: {both}{closes}")
 
 
 def _scaled(a: Array, b: Array) -> tuple[Array, Array, float]:
-    """Both curves about one origin and in one unit, so that products of lengths neither overflow nor vanish.
-
-    Also the distance, in that unit, at which they touch.
-    """
+    """Both curves about one origin, in a unit in which no product overflows or vanishes, and how near they touch in it."""
     exponent = np.frexp(max(np.abs(a).max(), np.abs(b).max()))[1]
     a, b = np.ldexp(a, -exponent), np.ldexp(b, -exponent)  # exact; the largest coordinate is now 1/2 to 1
     middle = a[0]
@@ -252,11 +246,9 @@ def _dot(u: Array, v: Array) -> Array:
 
 
 def _touching_pair(a: Array, b: Array, touch: float) -> tuple[int, int] | None:
-    """A segment of the polyline `a` and one of the closed curve `b` that are nearer than `touch`, if there are such.
-
-    Two segments whose middles are farther apart than half their lengths together cannot be: few pairs are measured.
-    """
+    """A segment of the polyline `a` and one of the closed curve `b` that are nearer than `touch`, if there are such."""
     starts, ends, heads, tails = a[:-1], a[1:], b, np.roll(b, -1, axis=0)
+    # Where the middles are farther apart than half the lengths together, nothing needs to be measured: nearly everywhere.
     gap = np.linalg.norm((starts + ends)[:, None] - (heads + tails)[None], axis=-1)
     reach = np.linalg.norm(ends - starts, axis=-1)[:, None] + np.linalg.norm(tails - heads, axis=-1)
     i, j = np.nonzero(gap <= reach + 4 * touch)
@@ -268,16 +260,9 @@ def _touching_pair(a: Array, b: Array, touch: float) -> tuple[int, int] | None:
 
 
 def _segment_distances(a: Array, a_end: Array, b: Array, b_end: Array) -> Array:
-    """(k,) distances between the segments (a, a_end) and (b, b_end), each (k, 3).
-
-    The minimum is taken at an end of one segment, or inside both where the joining line is orthogonal to the two.
-    """
-    ends = [
-        _to_segment(a, b, b_end),
-        _to_segment(a_end, b, b_end),
-        _to_segment(b, a, a_end),
-        _to_segment(b_end, a, a_end),
-    ]
+    """(k,) distances between segments, each (k, 3): from an end of one, or inside both along a line orthogonal to them."""
+    ends = [_to_segment(point, b, b_end) for point in (a, a_end)]
+    ends += [_to_segment(point, a, a_end) for point in (b, b_end)]
     u, v, w = a_end - a, b_end - b, b - a
     uu, vv, uv, uw, vw = _dot(u, u), _dot(v, v), _dot(u, v), _dot(u, w), _dot(v, w)
     determinant = uu * vv - uv**2

@@ -63,9 +63,7 @@ class InverseWishart:
         scale = np.asarray(self.scale, dtype=np.float64)
         scale = scale * np.eye(d) if scale.ndim == 0 else scale
         if scale.shape != (d, d) or not np.allclose(scale, scale.T) or np.linalg.eigvalsh(scale)[0] <= 0:
-            raise ValueError(
-                f"scale must be a positive number or a positive definite ({d}, {d}) matrix, not {self.scale!r}"
-            )
+            raise ValueError(f"scale must be positive, or a positive definite ({d}, {d}) matrix, not {self.scale!r}")
         return np.asarray((scale + scatter) / (dof + 1 - d))
 
 
@@ -207,9 +205,7 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
         raise ValueError(f"a mixture needs (m, 3, d) triangles and m values, not {triangles.shape} and {values.shape}")
     as_points(triangles.reshape(len(triangles), -1), "triangles")
     if not (np.isfinite(values).all() and (values >= 0).all() and values.sum() > 0):
-        raise ValueError(
-            f"filtration values must be finite and not negative, and one of them positive: {values.tolist()}"
-        )
+        raise ValueError(f"filtration values must be finite and not negative, one of them positive: {values.tolist()}")
     means, scatter = moments(triangles)
     if prior is None:
         covariances = scatter / 2 + positive(noise, "noise", zero=False) * np.eye(triangles.shape[2])

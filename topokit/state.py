@@ -61,10 +61,7 @@ class Loop:
     def cycle(self) -> NDArray[np.int64]:
         """(length,) vertex ids of a closed walk, tight around the loop at its birth: `Diagram.cycle`, found when asked for.
 
-        Raises
-        ------
-        LookupError
-            When it was read from a file of states of 0.1.0, or put together by hand: it knows no cloud to find its cycle in.
+        A LookupError when it was read from a file of states of 0.1.0, or put together by hand: it knows no cloud.
         """
         return self._closed_curve[0]
 
@@ -76,9 +73,7 @@ class Loop:
     @cached_property
     def _closed_curve(self) -> ClosedCurve:
         if self._curve is None:
-            raise LookupError(
-                f"loop {self.id} knows no cloud to find its cycle in: track the cloud, topokit.track(...)"
-            )
+            raise LookupError(f"loop {self.id} knows no cloud to find its cycle in: track the cloud (topokit.track)")
         return self._curve()
 
     @property
@@ -148,16 +143,9 @@ def as_table(states: Iterable[TopologicalState]) -> Any:
 
     Columns are frame, time, id, birth, death, lifetime, step, the centre (x, y, z, or x0 to x[d-1] when d is not 3) and the
     killer edge's vertex ids (killer_a, killer_b).
-
-    Raises
-    ------
-    ImportError
-        When pandas is not installed.
     """
-    try:
-        import pandas as pd
-    except ImportError as error:
-        raise ImportError("as_table needs pandas: pip install pandas") from error
+    import pandas as pd
+
     numbers, axes, rows = ("id", "birth", "death", "lifetime", "step"), ["x", "y", "z"], []
     for state in states:
         for loop in state.loops:

@@ -7,7 +7,6 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -179,5 +178,5 @@ def _index_problems(group: Group, records: Records) -> Iterator[Problem]:
     except FormatError as error:
         yield Problem("index.json", str(error))
         return
-    for index, _ in sorted(known.items() - records.items(), key=itemgetter(0)):
+    for index in sorted(index for index, record in known.items() if records.get(index) != record):
         yield Problem("index.json", f"episode {index} is not what its record says: remove the index, it is made again")

@@ -79,9 +79,7 @@ def parse(content: bytes, where: str) -> tuple[Record, dict[str, Any]]:
         if not isinstance(document["objects"], dict):
             raise ValueError("its objects have no names")
     except (ValueError, KeyError, TypeError) as error:
-        raise FormatError(
-            f"{where}: not a whole record ({error}); remove it and give the same command again"
-        ) from error
+        raise FormatError(f"{where}: not a whole record ({error}); remove it, the same command goes on") from error
     return record, document
 
 
@@ -234,10 +232,8 @@ def refuse_another(old: Any, new: Any, where: str, name: str = "") -> None:
         for key in sorted({*old, *new} - ({"episodes"} if not name else set())):
             refuse_another(old.get(key), new.get(key), where, f"{name}.{key}" if name else key)
     elif old != new:
-        cure = "the bytes might differ: use the same versions" if name.startswith("versions") else "give the same one"
-        raise ValueError(
-            f"{where} was begun with {name} = {old!r}, this is {name} = {new!r}; {cure}, or name a new folder"
-        )
+        cure = "bytes might differ: use the same versions" if name.startswith("versions") else "give the same"
+        raise ValueError(f"{where} was begun with {name} = {old!r}, this is {name} = {new!r}; {cure}, or a new folder")
 
 
 def compact(folder: Path) -> Group:
