@@ -208,19 +208,17 @@ def _loop(stored: Mapping[str, NDArray[Any]], where: tuple[int, int], frame: _Fr
     ids = {name: simplices[part] for name, part in SIMPLICES.items()}
     neighbours = ids["neighbours"].reshape(4, 3)
     neighbours = neighbours[neighbours[:, 0] != ABSENT]
-    birth, death, step, *neighbour_values = stored["values"][where].tolist()
+    values = stored["values"][where].tolist()
     return loop_of(
         frame.points,
         partial(frame.cycle, simplices[:4].tolist()),
         id=int(stored["id"][where]),
-        birth=birth,
-        death=death,
-        step=step,
+        **dict(zip(("birth", "death", "step"), values[:3], strict=True)),
         birth_edge=ids["birth_edge"],
         killer_edge=ids["killer_edge"],
         killer_triangle_ids=ids["killer_triangles"].reshape(2, 3),
         neighbour_ids=neighbours,
-        neighbour_values=np.array(neighbour_values[: len(neighbours)]),
+        neighbour_values=np.array(values[3 : 3 + len(neighbours)]),
     )
 
 

@@ -1,11 +1,8 @@
 """How good forecasts are, sample by sample: a window of an episode, at some of the steps ahead.
 
-A forecast names some loops; the simulator knows where the true ones are, and persistence on the full cloud which of them are
-there (`topokit.evaluate.true_loops`). With L of them the first k = min(L, 2) forecast loops count, longest lifetime
-first, as in the paper; which is compared with which true loop is chosen in their favour.
-
-A true loop is marked by one curve of its class, and others are as true: before a skirt, it may go straight across the skirt or
-behind a tie. So its hull is that of the marked curve and of the edge of the full cloud that ends its class.
+Idea: where L true loops are there (`topokit.evaluate.true_loops`), the first k = min(L, 2) forecast loops count, longest lifetime
+first, as in the paper; which is compared with which is chosen in their favour. A true loop is marked by one curve of its class,
+and others are as true (straight across a skirt, or behind a tie), so its hull takes in the edge that ends its class, too.
 
 Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 11.
 """
@@ -125,10 +122,6 @@ class _Sample:
         return [loop for loop in range(len(curves)) if not present or present[loop][self.k]]
 
     @cached_property
-    def asked(self) -> int:
-        return min(len(self.loops), MOST)
-
-    @cached_property
     def away(self) -> Array:
         """(S, loops) how far the means are from the centres of the true loops."""
         return np.linalg.norm(self.means[:, None] - self.truth.extents[0][self.k], axis=2)
@@ -143,8 +136,9 @@ class _Sample:
     @cached_property
     def pairs(self) -> list[tuple[int, int]]:
         """The slots that count, and the true loops that they are compared with; none when there are too few."""
-        chosen = self.longest(self.asked)
-        if len(chosen) < self.asked:
+        asked = min(len(self.loops), MOST)
+        chosen = self.longest(asked)
+        if len(chosen) < asked:
             return []
         orders = itertools.permutations(self.loops, len(chosen))
         best = min(orders, key=lambda order: float(self.away[chosen, list(order)].sum()))
@@ -161,11 +155,12 @@ class _Sample:
 
     def places(self) -> dict[str, float]:
         """The columns of places; only the marked curves are asked for where no true loop is there."""
-        truth, k, asked, loops = self.truth, self.k, self.asked, self.loops
+        truth, k, loops = self.truth, self.k, self.loops
         marked, everything = [curve[k] for curve in truth.curves], min(len(truth.curves), MOST)
         values = {"outside_marked": self.outside(self.longest(everything), marked, everything)}
-        if not asked:
+        if not loops:
             return values
+        asked = min(len(loops), MOST)
         hulls, chosen = [truth.hull(loop, k) for loop in loops], self.longest(asked)
         anyway = _first(asked, self.lifetimes * self.presence, self.lifetimes > 0)
         values["outside"] = self.outside(chosen, hulls, asked)

@@ -39,8 +39,7 @@ def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
 
     Parameters
     ----------
-    point : (d,) array_like
-    points : (n, d) array_like
+    point, points : (d,) and (n, d) array_like
     """
     from scipy.optimize import nnls
 
@@ -170,8 +169,7 @@ def by_place(truth: TrueLoops, state: TopologicalState) -> Array:
 
     Parameters
     ----------
-    truth : TrueLoops
-    state : TopologicalState
+    truth, state : TrueLoops and TopologicalState
         Of the same frame.
     """
     centres = np.array([loop.centre for loop in state.loops]).reshape(-1, truth.centres.shape[1])
@@ -186,8 +184,7 @@ def by_killer(truth: TrueLoops, state: TopologicalState) -> Array:
 
     Parameters
     ----------
-    truth : TrueLoops
-    state : TopologicalState
+    truth, state : TrueLoops and TopologicalState
         Of the same frame.
     """
     killers = np.array([loop.killer_edge for loop in state.loops]).reshape(-1, 2)
@@ -205,8 +202,7 @@ def compare(
 
     Parameters
     ----------
-    states : sequence of TopologicalState
-    truth : sequence of TrueLoops
+    states, truth : sequences of TopologicalState and TrueLoops
         Of the same frames.
     similarity : callable
         `by_place` or `by_killer`.
@@ -218,16 +214,15 @@ def compare(
     """
     if len(states) != len(truth):
         raise ValueError(f"states has {len(states)} frames, truth {len(truth)}; track the same sequence")
-    overlaps = []
-    for state, true in zip(states, truth, strict=True):
-        table = similarity(true, state)
-        pairs = assign(1 - table, table >= THRESHOLD)
-        aside = [k for i, k in pairs if not true.present[i]]
-        kept = np.setdiff1d(np.arange(len(state.loops)), aside)
-        ids = np.array([loop.id for loop in state.loops], dtype=np.int64)
-        objects = np.flatnonzero(true.present)
-        overlaps.append(Overlap(objects, ids[kept], table[np.ix_(objects, kept)]))
-    return overlaps
+    return [_overlap(true, state, similarity(true, state)) for true, state in zip(truth, states, strict=True)]
+
+
+def _overlap(true: TrueLoops, state: TopologicalState, table: Array) -> Overlap:
+    aside = [k for i, k in assign(1 - table, table >= THRESHOLD) if not true.present[i]]
+    kept = np.setdiff1d(np.arange(len(state.loops)), aside)
+    ids = np.array([loop.id for loop in state.loops], dtype=np.int64)
+    objects = np.flatnonzero(true.present)
+    return Overlap(objects, ids[kept], table[np.ix_(objects, kept)])
 
 
 def by_diagram(loops: Candidates) -> list[tuple[int, int]]:
