@@ -121,7 +121,7 @@ class SeqPH:
     def update(
         self, points: ArrayLike, *, time: float | None = None, diagram: Diagram | None = None
     ) -> TopologicalState:
-        """Take the next frame and return its state. When it raises, the tracker is as it was before the call.
+        """Take the next frame and return its state. One that cannot follow is refused, and the tracker stays as it was.
 
         Parameters
         ----------
@@ -131,13 +131,6 @@ class SeqPH:
             Seconds, for all frames or for none; the frame's number when not given.
         diagram : Diagram, optional
             The persistence of these points, when it is known already; computed when not given. All its loops must die.
-
-        Raises
-        ------
-        TypeError, ValueError
-            When the cloud is empty, not finite, of another dimension or in other units than the one before, its time is not
-            later or there is none where there was one, or the diagram is of another number of points or has a loop without
-            a killer; the message names the frame.
         """
         cloud = as_points(points, f"frame {self._frame}", copy=True)
         check_follows(self._frame, (self._cloud, self._time), (cloud, time))
@@ -213,11 +206,6 @@ def track(
         Count the frames done on stderr.
     **options
         Those of `SeqPH`.
-
-    Returns
-    -------
-    list of TopologicalState
-        One a frame.
 
     Raises
     ------

@@ -272,8 +272,5 @@ def _check_unseen(about: Mapping[str, Any], windows: WindowDataset, condition: C
             f"training or validation part; test on the part it did not see{'' if same else f', or {word}'}"
         )
     if not same:
-        warnings.warn(
-            f"{where} was trained on a dataset with another checksum. None of the tested episodes was in its training part "
-            "if the two number their episodes alike, as a dataset and its cut do; that was not checked",
-            stacklevel=2,
-        )
+        alike = "they share no episode if both number theirs alike, as a dataset and its cut do; that was not checked"
+        warnings.warn(f"{where} was trained on a dataset with another checksum: {alike}", stacklevel=2)
