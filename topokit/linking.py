@@ -27,16 +27,13 @@ _NOT_AN_INTEGER = 1e-3  # a Gauss integral that misses its integer by more has l
 def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     """Return the linking number of two disjoint closed polygonal curves.
 
+    Its sign changes when one curve is reversed, and not when the two are exchanged.
+
     Parameters
     ----------
     curve_a, curve_b : (n, 3), (m, 3) array_like
         Corners in order, three at least; the last joins the first, which is not repeated. A curve with ends, such as a
         hook, is closed by `close_far` first.
-
-    Returns
-    -------
-    int
-        Its sign changes when one curve is reversed, and not when the two are exchanged.
 
     Raises
     ------
@@ -63,20 +60,15 @@ def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
 
 
 def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[np.int64], Array]:
-    """Return the linking numbers of many pairs of curves at once, and how far each integral was from its integer.
+    """Return the linking numbers (B,) of many pairs of curves at once, and how far each Gauss integral was from its integer.
+
+    That rounding error, (B,), is about 1e-14 for a hundred segments that keep their distance.
 
     Parameters
     ----------
     curves_a : (B, n, 3) or (n, 3) array_like
     curves_b : (B, m, 3) or (m, 3) array_like
         Closed curves as in `linking_number`. A single curve is linked with each of the others.
-
-    Returns
-    -------
-    numbers : (B,) int64
-    errors : (B,) float64
-        Gauss integral minus linking number: the rounding error, about 1e-14 for a hundred segments that keep their
-        distance.
 
     Raises
     ------
@@ -104,12 +96,12 @@ def close_far(
     end: ArrayLike = (0.0, 0.0, 1.0),
     far: float = 100.0,
 ) -> Array:
-    """Close an open curve, such as the centre line of a hook or a pole, far away and always in the same way.
+    """Return an open curve, such as the centre line of a hook or a pole, closed far away and always in the same way.
 
-    The first corner is led off along `start` and the last along `end`, each by `far` times the size of the curve; from
-    there both go as far again along start x end (any direction orthogonal to the two when they are parallel), where they
-    are joined. All that is added, but for the two straight leads, keeps that distance from the curve. So what the curve
-    is linked with decides, if it is small against `far`, and the side on which it is closed does not.
+    Of four more corners the first continues the curve along `end` and the last its start along `start`, by `far` times its
+    size; from there both go as far again along start x end (any direction orthogonal to the two when they are parallel),
+    where they are joined. All that is added, but for the two straight leads, keeps that distance from the curve. So what
+    the curve is linked with decides, if it is small against `far`, and the side on which it is closed does not.
 
     Parameters
     ----------
@@ -119,11 +111,6 @@ def close_far(
         Directions, of any length but zero.
     far : float
         In sizes of the curve, its longest extent along an axis.
-
-    Returns
-    -------
-    (n + 4, 3) float64
-        A closed curve for `linking_number`.
 
     Raises
     ------

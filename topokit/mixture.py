@@ -134,7 +134,9 @@ class LoopMixture:
         return np.asarray(answer if points.ndim == 2 else answer[0])
 
     def density(self, n: int = 48, *, extent: float = 3.0) -> tuple[tuple[Array, ...], Array]:
-        """Evaluate on a grid.
+        """Evaluate on a grid: return coordinates along each of the d axes, (n,), and the density at them, (n,) * d.
+
+        Its order is that of ``numpy.meshgrid(*axes, indexing="ij")``.
 
         Parameters
         ----------
@@ -142,13 +144,6 @@ class LoopMixture:
             Places along each axis.
         extent : float
             Standard deviations of every component that the grid covers.
-
-        Returns
-        -------
-        axes : d arrays (n,)
-            Coordinates along each axis.
-        values : (n,) * d array
-            Density at `axes`, in the order of `numpy.meshgrid(*axes, indexing="ij")`.
         """
         reach = extent * np.sqrt(np.einsum("mii->mi", self.covariances))
         low, high = (self.means - reach).min(axis=0), (self.means + reach).max(axis=0)

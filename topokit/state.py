@@ -80,9 +80,9 @@ class Loop:
     def quadrilateral(self) -> NDArray[np.float64]:
         """(4, d) the closed curve x, z1, y, z2 around the two killer triangles: the killer edge's ends and the apexes.
 
-        Just before the loop dies this curve is in its class: its own coarse outline. That is its class among the points, which
-        know nothing of a hook: edges as long as the killer may have passed through a thin one. Around a target that fills
-        the opening the outline links as the loop does; around a hook link `cycle_points`, which is tight.
+        Just before the loop dies this curve is in its class among the points, which know nothing of a hook: edges as long as
+        the killer may pass through a thin one. Around a target that fills the opening it links as the loop does; around a
+        hook link `cycle_points`, which is tight.
         """
         apex = ~np.isin(self.killer_triangle_ids, self.killer_edge)
         (x, y), (z1, z2) = self.killer_edge_points, self.killer_triangles[apex]

@@ -56,12 +56,9 @@ def record_path(index: int) -> str:
 
 
 def commit(folder: Path, document: Mapping[str, Any], objects: Iterable[tuple[str, bytes]] = ()) -> None:
-    """Put the objects of an episode in place, each whole, and then its record.
-
-    None is there before all are written, so that a full disk leaves nothing; what a kill leaves without a record is replaced.
-    """
+    """Put the objects of an episode in place, each whole, and then its record: what has none is made again."""
     sums = {}
-    with contextlib.ExitStack() as stack:
+    with contextlib.ExitStack() as stack:  # none is there before all are written: a full disk leaves nothing
         for path, content in objects:
             stack.enter_context(atomic_file(folder / path)).write(content)
             sums[path] = hashlib.sha256(content).hexdigest()

@@ -46,13 +46,12 @@ ABSENT = 65535
 
 @dataclass(frozen=True)
 class Field:
-    """An array of the store, without its first axis, the episode.
-
-    `shape` is what the largest episode needs; smaller ones fill a corner of it, whose extent their records give.
-    """
+    """An array of the store, without its first axis, the episode."""
 
     name: str
-    shape: tuple[int, ...]
+    shape: tuple[
+        int, ...
+    ]  # what the largest episode needs; others fill a corner of it, whose extent their records give
     dtype: str
     axes: tuple[str, ...]
     attributes: Mapping[str, Any] = field(default_factory=dict)
@@ -268,10 +267,7 @@ def _create(store: dict[str, Any], f: Field, episodes: int) -> Any:
 
 
 def room(config: DatasetConfig) -> dict[str, int]:
-    """Return what the largest episode of a configuration needs, in numbers of frames, vertices, faces and so on.
-
-    Numbers of vertices do not vary within a garment, nor does the length of a path within a task.
-    """
+    """Return how many frames, vertices, faces and so on the largest episode of a configuration has: its tasks decide."""
     garments = [config.garment(task) for task in config.tasks]
     tasks = [TASKS[task] for task in config.tasks]
     frames, loops = config.simulation.frames, [loop for garment in garments for loop in garment.loops]

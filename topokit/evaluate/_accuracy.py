@@ -76,18 +76,14 @@ class TrueCurves:
 
 def measure_forecasts(
     states: States,
-    target: States,
-    past: States,
+    target: States,  # what the tracker saw at all steps
+    past: States,  # and at the last frame before them
     truth: Sequence[TrueCurves],
     steps: Sequence[int],
-    fine: Sequence[int],
+    fine: Sequence[int],  # of these, where likelihood and coverage are taken, which are dear
     rng: np.random.Generator,
 ) -> dict[str, Array]:
-    """Measure forecasts `states` of B windows at K `steps` ahead, as (B, K) columns; nan where there is nothing to measure.
-
-    `target` and `past` are what the tracker saw at all steps, and at the last frame before them. Likelihood and coverage are
-    dear: they are taken at the `fine` steps.
-    """
+    """Measure forecasts of B windows at K steps ahead, as (B, K) columns; nan where there is nothing to measure."""
     at = torch.tensor([step - 1 for step in steps])
     some = states[:, at]
     numbers = some.mean, some.death - some.birth, some.presence.double().sigmoid()
@@ -134,19 +130,19 @@ class _Sample:
         return {loop: slot for slot, loop in assign(self.away, near)}
 
     @cached_property
+    def ranked(self) -> list[int]:
+        """The slots that can count: of those that are more likely there than not the longest-lived."""
+        return _first(self.lifetimes, self.presence > 0.5)
+
+    @cached_property
     def pairs(self) -> list[tuple[int, int]]:
         """The slots that count, and the true loops that they are compared with; none when there are too few."""
-        asked = min(len(self.loops), MOST)
-        chosen = self.longest(asked)
-        if len(chosen) < asked:
+        chosen = self.ranked[: len(self.loops)]
+        if len(chosen) < min(len(self.loops), MOST):
             return []
         orders = itertools.permutations(self.loops, len(chosen))
         best = min(orders, key=lambda order: float(self.away[chosen, list(order)].sum()))
         return list(zip(chosen, best, strict=True))
-
-    def longest(self, count: int) -> list[int]:
-        """The slots that count: of those that are more likely there than not the longest-lived."""
-        return _first(count, self.lifetimes, self.presence > 0.5)
 
     def kept(self, first: _Sample) -> float:
         """The share of the true loops found at the first step and still there that are found by the same slot."""
@@ -156,38 +152,38 @@ class _Sample:
     def places(self) -> dict[str, float]:
         """The columns of places; only the marked curves are asked for where no true loop is there."""
         truth, k, loops = self.truth, self.k, self.loops
-        marked, everything = [curve[k] for curve in truth.curves], min(len(truth.curves), MOST)
-        values = {"outside_marked": self.outside(self.longest(everything), marked, everything)}
+        values = {"outside_marked": self.outside(self.ranked, [curve[k] for curve in truth.curves])}
         if not loops:
             return values
-        asked = min(len(loops), MOST)
-        hulls, chosen = [truth.hull(loop, k) for loop in loops], self.longest(asked)
-        anyway = _first(asked, self.lifetimes * self.presence, self.lifetimes > 0)
-        values["outside"] = self.outside(chosen, hulls, asked)
-        values["outside_anyway"] = self.outside(anyway, hulls, asked)
-        flat = [[truth.beside(loop, k, self.means[slot]) for loop in loops] for slot in chosen]
-        values["in_plane"] = _least_worst(flat, asked) <= 1
-        share = (self.away / truth.extents[1][k])[chosen][:, loops]
-        values["in_opening"] = _least_worst(share.tolist(), asked) <= 1
+        hulls = [truth.hull(loop, k) for loop in loops]
+        values["outside"] = self.outside(self.ranked, hulls)
+        values["outside_anyway"] = self.outside(_first(self.lifetimes * self.presence, self.lifetimes > 0), hulls)
+        flat = [[truth.beside(loop, k, self.means[slot]) for loop in loops] for slot in self.ranked]
+        values["in_plane"] = _least_worst(flat, len(loops)) <= 1
+        share = (self.away / truth.extents[1][k])[self.ranked][:, loops]
+        values["in_opening"] = _least_worst(share.tolist(), len(loops)) <= 1
         if self.pairs:
             values["distance"] = float(np.mean([self.away[pair] for pair in self.pairs]))
         return values
 
-    def outside(self, slots: Sequence[int], hulls: Sequence[Array], asked: int) -> float:
-        return _least_worst([[distance_to_hull(self.means[slot], hull) for hull in hulls] for slot in slots], asked)
+    def outside(self, slots: Sequence[int], hulls: Sequence[Array]) -> float:
+        return _least_worst(
+            [[distance_to_hull(self.means[slot], hull) for hull in hulls] for slot in slots], len(hulls)
+        )
 
 
-def _first(count: int, rank: Array, which: NDArray[np.bool_]) -> list[int]:
+def _first(rank: Array, which: NDArray[np.bool_]) -> list[int]:
     ranked = np.argsort(-rank, kind="stable")
-    return ranked[which[ranked]][:count].tolist()
+    return ranked[which[ranked]][:MOST].tolist()
 
 
-def _least_worst(table: Sequence[Sequence[float]], asked: int) -> float:
+def _least_worst(table: Sequence[Sequence[float]], loops: int) -> float:
     """The worst pair of the assignment whose worst pair is best: below a threshold iff all can be below it, one each."""
+    asked = min(loops, MOST)
     if len(table) < asked:
         return float("inf")
-    orders = itertools.permutations(range(len(table[0])), asked)
-    return min(max(row[loop] for row, loop in zip(table, order, strict=True)) for order in orders)
+    orders = itertools.permutations(range(loops), asked)
+    return min(max(row[loop] for row, loop in zip(table[:asked], order, strict=True)) for order in orders)
 
 
 def opening_points(curve: Array, n: int, rng: np.random.Generator) -> Array:
