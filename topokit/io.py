@@ -119,10 +119,9 @@ def load_episode(path: str | Path) -> Episode:
         packed = {name: _unpack(arrays.pop(name), arrays.pop(f"{name}_scale")) for name in _PACKED}
         parts: dict[str, Any] = {**packed, **arrays, **text}
         episode = Episode(loops=loops, **parts)
+        check_episode(episode)
     except (KeyError, TypeError) as error:
         raise FormatError(f"{path}: an episode with a missing or an unknown part: {error}; record it again") from error
-    try:
-        check_episode(episode)
     except ValueError as error:
         raise FormatError(f"{path}: {error}") from error
     return episode

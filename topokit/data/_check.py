@@ -35,11 +35,10 @@ class Problem:
 
 
 def check_dataset(url: str | Path, *, progress: bool = False) -> list[Problem]:
-    """Return all that is wrong with a dataset; nothing when it is whole.
+    """Return all that is wrong with a dataset; nothing when it is whole. Episodes that are still to be made are named too.
 
-    Compared are: every array's shape, type, unit and layout with what the configuration asks for; every record with its
-    episode's number, task and seed; every object with its SHA-256 and its number; every episode's arrays with each other;
-    the index with the records; labels with the episodes they are of. Episodes that are still to be made are named too.
+    Arrays are compared with the configuration and with each other, records with what was drawn, objects with their SHA-256,
+    the index with the records, and labels with the episodes they are of.
 
     Parameters
     ----------

@@ -148,12 +148,11 @@ def label_fields(frames: int, slots: int) -> tuple[Field, ...]:
         "columns": {name: [part.start, part.stop] for name, part in SIMPLICES.items()},
         "description": f"ids into the cloud that was tracked; {ABSENT}: no neighbour",
     }
-    values = {"units": "m", "columns": VALUES}
     parameters = {"units": "m, dropped: 1", "columns": PARAMETERS}
     return (
         Field("id", (frames, slots), "int32", axes[:2], identity, -1),
         Field("simplices", (frames, slots, 22), "uint16", axes, simplices),
-        Field("values", (frames, slots, len(VALUES)), "float32", axes, values),
+        Field("values", (frames, slots, len(VALUES)), "float32", axes, {"units": "m", "columns": VALUES}),
         Field("parameters", (frames, len(PARAMETERS)), "float32", ("frame", "column"), parameters),
     )
 
