@@ -9,8 +9,6 @@ computing the linking number of links*, 2013. Taught in chapter 7.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -164,25 +162,30 @@ def _link(a: Array, b: Array, name_a: str, name_b: str) -> tuple[NDArray[np.int6
     for curves, name in ((a, name_a), (b, name_b)):
         for i, curve in enumerate(curves):
             _check_curve(curve, name.format(i))
-    integral = np.zeros(max(len(a), len(b)))
-    for k in range(len(integral)):
-        i, j = k % len(a), k % len(b)
-        first, second, touch = _scaled(a[i], b[j])
-        for row, block in _blocks(first, len(second)):
-            pair = _touching_pair(block, second, touch)
-            if pair is not None:
-                raise ValueError(
-                    f"the curves touch: segment {row + pair[0]} of {name_a.format(i)} meets segment {pair[1]} of "
-                    f"{name_b.format(j)}; no linking number exists"
-                )
-            integral[k] += _half_solid_angles(block, np.vstack([second, second[:1]])) / (2 * np.pi)
-        if abs(integral[k] - np.rint(integral[k])) > _NOT_AN_INTEGER:
-            raise ValueError(
-                f"{name_a.format(i)} and {name_b.format(j)} come too close: their Gauss integral is {integral[k]:.6f} in "
-                "this arithmetic, no integer; move them apart or subdivide long segments"
-            )
+    pairs = [(k % len(a), k % len(b)) for k in range(max(len(a), len(b)))]
+    integral = np.array([_gauss_integral(a[i], b[j], name_a.format(i), name_b.format(j)) for i, j in pairs])
     numbers = np.rint(integral).astype(np.int64)
     return numbers, integral - numbers
+
+
+def _gauss_integral(a: Array, b: Array, name_a: str, name_b: str) -> float:
+    """The integral over two closed curves, by runs of segments of the first that fit into memory; near enough an integer."""
+    first, second, touch = _scaled(a, b)
+    rows, total = max(1, _PAIRS_AT_ONCE // len(second)), 0.0
+    first, closed = np.vstack([first, first[:1]]), np.vstack([second, second[:1]])
+    for row in range(0, len(a), rows):
+        block = first[row : row + rows + 1]
+        pair = _touching_pair(block, second, touch)
+        if pair is not None:
+            where = f"segment {row + pair[0]} of {name_a} meets segment {pair[1]} of {name_b}"
+            raise ValueError(f"the curves touch: {where}; no linking number exists")
+        total += _half_solid_angles(block, closed) / (2 * np.pi)
+    if abs(total - np.rint(total)) > _NOT_AN_INTEGER:
+        raise ValueError(
+            f"{name_a} and {name_b} come too close: their Gauss integral is {total:.6f} in this arithmetic, no integer; "
+            "move them apart or subdivide long segments"
+        )
+    return total
 
 
 def _check_curve(curve: Array, name: str) -> None:
@@ -207,14 +210,6 @@ def _scaled(a: Array, b: Array) -> tuple[Array, Array, float]:
     middle = a[0]
     size = max(float(np.abs(a - middle).max()), float(np.abs(b - middle).max()))
     return (a - middle) / size, (b - middle) / size, _TOUCH + 4 * float(np.finfo(float).eps) / size
-
-
-def _blocks(curve: Array, width: int) -> Iterator[tuple[int, Array]]:
-    """Runs of consecutive segments of a closed curve (their first segment, their corners), of bounded size."""
-    closed = np.vstack([curve, curve[:1]])
-    rows = max(1, _PAIRS_AT_ONCE // width)
-    for i in range(0, len(curve), rows):
-        yield i, closed[i : i + rows + 1]
 
 
 def _half_solid_angles(a: Array, b: Array) -> float:
