@@ -16,8 +16,18 @@ from distributed import KilledWorker
 from topokit import track
 from topokit._archive import FormatError
 from topokit.cli import main
-from topokit.data import Dataset, DatasetConfig, _generate, check_dataset, generate_dataset, label_dataset, make_episode
+from topokit.data import (
+    Dataset,
+    DatasetConfig,
+    _generate,
+    _layout,
+    check_dataset,
+    generate_dataset,
+    label_dataset,
+    make_episode,
+)
 from topokit.data._layout import arrays_of, states_of
+from topokit.rips import rips_persistence
 from topokit.seqph import RECOMMENDED
 
 from small_datasets import SEED, TINY, without_dask
@@ -118,6 +128,19 @@ def test_a_stored_loop_finds_its_cycle(made):
                 assert set(a.birth_edge.tolist()) == {a.cycle[0], a.cycle[-1]}
                 np.testing.assert_array_equal(a.cycle_points, cloud[one.frame][a.cycle])
     assert asked > 4
+
+
+def test_the_cycles_of_a_frame_share_its_persistence(made, monkeypatch):
+    calls, episode = [], Dataset(made)[0]
+    monkeypatch.setattr(_layout, "rips_persistence", lambda points: calls.append(points) or rips_persistence(points))
+    states = track(episode.points[:2], alpha=0.0)
+    found = states_of(arrays_of(states, 8), episode.points[:2], episode.dt)
+    assert calls == []
+    for one, other in zip(found, states, strict=True):
+        assert len(one) > 1
+        for a, b in zip(one.loops, other.loops, strict=False):
+            assert a.cycle.tolist() == b.cycle.tolist()
+    assert len(calls) == 2
 
 
 def test_loops_without_a_slot_are_counted(made):

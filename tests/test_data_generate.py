@@ -14,7 +14,7 @@ import pytest
 
 from topokit import _archive
 from topokit.cli import main
-from topokit.data import Dataset, _generate, _group, _parallel, check_dataset, generate_dataset, make_episode
+from topokit.data import Dataset, _generate, _group, check_dataset, generate_dataset, make_episode
 from topokit.data._group import index_bytes, read_index
 from topokit.data._layout import encode, episode_arrays, episode_fields, room
 from topokit.sim import _process
@@ -282,7 +282,7 @@ def test_the_index_is_brought_up_to_the_records(undisturbed):
 
 
 def test_a_scheduler_that_is_not_there(tmp_path, monkeypatch):
-    monkeypatch.setattr(_parallel, "_PATIENCE", 0.5)
+    monkeypatch.setattr(_generate, "_PATIENCE", 0.5)
     with pytest.raises(ConnectionError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         generate_dataset(TINY, tmp_path / "data", 1, SEED, scheduler="tcp://127.0.0.1:9", progress=False)
 

@@ -224,5 +224,5 @@ def test_a_value_of_zero_weighs_nothing():
     "scale", [np.diag([1.0, 1.0, 0.0]), np.diag([-1.0, 1.0, 1.0]), np.array([[1.0, 2, 0]] * 3), np.eye(2), 0.0]
 )
 def test_a_prior_needs_a_positive_definite_scale(scale):
-    with pytest.raises(ValueError, match="scale must be a positive number or a positive definite"):
+    with pytest.raises(ValueError, match="scale must be positive, or a positive definite"):
         loop_mixture(given([1.0, 1.0]), prior=InverseWishart(scale))

@@ -35,12 +35,10 @@ def save_archive(path: str | Path, kind: str, text: dict[str, Any], arrays: dict
     document["sha256"] = _digest(arrays, document)
     parts = {**arrays, "json": np.frombuffer(json.dumps(document, sort_keys=True).encode(), dtype=np.uint8)}
     with atomic_file(path) as handle, zipfile.ZipFile(handle, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in sorted(
-            parts
-        ):  # np.savez stamps the time of day into the file; a fixed one keeps the bytes the same
+        for name in sorted(parts):
             buffer = io.BytesIO()
             np.lib.format.write_array(buffer, np.ascontiguousarray(parts[name]), allow_pickle=False)
-            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))  # np.savez stamps the time of day
             entry.compress_type = zipfile.ZIP_DEFLATED
             archive.writestr(entry, buffer.getvalue())
     return path
@@ -51,24 +49,18 @@ def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str,
     path = Path(path)
     what = kind.replace("topokit-", "topokit ")
     if not path.is_file():
-        raise FileNotFoundError(
-            f"{path}: there is no such file" if not path.exists() else f"{path}: a folder, not a file"
-        )
+        raise FileNotFoundError(f"{path}: {'a folder, not a file' if path.exists() else 'there is no such file'}")
     if path.stat().st_size == 0:
         raise FormatError(f"{path}: the file is empty (0 bytes)")
-    try:
-        with path.open("rb") as handle:
-            if handle.read(4) != b"PK\x03\x04":
-                raise FormatError(f"{path}: not a {what}: the file is no .npz archive")
-            handle.seek(0)
+    with path.open("rb") as handle:
+        if handle.read(4) != b"PK\x03\x04":
+            raise FormatError(f"{path}: not a {what}: the file is no .npz archive")
+        handle.seek(0)
+        try:
             with np.load(handle, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
-    except FormatError:
-        raise
-    except (
-        Exception
-    ) as error:  # a damaged archive fails in a dozen ways: bad zip, bad deflate, unknown compression, ...
-        raise FormatError(f"{path}: the file is truncated or damaged ({error}); copy or record it again") from error
+        except Exception as error:  # damage shows in a dozen ways: bad zip, bad deflate, unknown compression
+            raise FormatError(f"{path}: the file is truncated or damaged ({error}); copy or record it again") from error
     try:
         document = json.loads(arrays.pop("json").tobytes())
         found, digest = document["kind"], document.pop("sha256")
@@ -79,9 +71,7 @@ def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str,
     if found != kind:
         raise FormatError(f"{path}: holds a {str(found).replace('topokit-', 'topokit ')}, not a {what}")
     if whole != digest:
-        raise FormatError(
-            f"{path}: the checksum does not match: the file was changed or damaged; copy or record it again"
-        )
+        raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy or record it again")
     return document, arrays
 
 

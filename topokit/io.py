@@ -88,12 +88,7 @@ def save_episode(path: str | Path, episode: Episode) -> Path:
     path : path
         It ends in .npz.
     episode : Episode
-
-    Raises
-    ------
-    ValueError
-        When the arrays disagree in their number of frames, a loop names a vertex that is not there, a coordinate is not
-        finite, or packing to 16 bits would cost more than 0.1 mm (a coordinate is far outside the scene).
+        What `check_episode` finds whole, with no coordinate so far outside that 16 bits would cost more than 0.1 mm.
     """
     check_episode(episode)
     arrays: dict[str, NDArray[Any]] = {}
@@ -113,10 +108,8 @@ def load_episode(path: str | Path) -> Episode:
 
     Raises
     ------
-    FileNotFoundError
-        When there is no such file.
-    FormatError
-        When the file is empty, truncated, damaged, of another format or of a newer schema; the message says which.
+    FileNotFoundError, FormatError
+        When there is no such file, or it is empty, damaged, of another format or of a newer schema; the message says which.
     """
     text, arrays = _load(path, _KIND, (SCHEMA,), "record it again")
     try:
@@ -126,10 +119,9 @@ def load_episode(path: str | Path) -> Episode:
         packed = {name: _unpack(arrays.pop(name), arrays.pop(f"{name}_scale")) for name in _PACKED}
         parts: dict[str, Any] = {**packed, **arrays, **text}
         episode = Episode(loops=loops, **parts)
+        check_episode(episode)
     except (KeyError, TypeError) as error:
         raise FormatError(f"{path}: an episode with a missing or an unknown part: {error}; record it again") from error
-    try:
-        check_episode(episode)
     except ValueError as error:
         raise FormatError(f"{path}: {error}") from error
     return episode
@@ -167,11 +159,10 @@ def _pack(name: str, values: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[
     """Return 16-bit integers and (step, low x, low y, low z) so that values = low + step * integers, to within step / 2."""
     values = np.asarray(values, dtype=np.float64)
     low = values.reshape(-1, 3).min(axis=0) if values.size else np.zeros(3)
-    step = max(float((values - low).max()) if values.size else 0.0, 1e-9) / 65535
+    span = max(float((values - low).max()) if values.size else 0.0, 1e-9)
+    step = span / 65535
     if step / 2 > _MAX_PACKING_ERROR:
-        raise ValueError(
-            f"{name} spans {step * 65535:.1f} m: 16 bits would cost {1e3 * step / 2:.2f} mm, more than 0.1 mm"
-        )
+        raise ValueError(f"{name} spans {span:.1f} m: 16 bits would cost {1e3 * step / 2:.2f} mm, more than 0.1 mm")
     return np.round((values - low) / step).astype(np.uint16), np.array([step, *low])
 
 
@@ -186,9 +177,7 @@ def _load(
     text, arrays = load_archive(path, kind)
     if text.get("schema") not in schemas:
         known = " and ".join(map(str, schemas))
-        raise FormatError(
-            f"{path}: of schema {text.get('schema')}, this topokit reads schema {known}: update topokit or {remedy}"
-        )
+        raise FormatError(f"{path}: of schema {text.get('schema')}, not {known}: update topokit or {remedy}")
     return text, arrays
 
 
@@ -217,11 +206,6 @@ def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
         It ends in .npz.
     states : sequence of TopologicalState
         The cycles of their loops are found and stored with them.
-
-    Raises
-    ------
-    ValueError
-        When `path` does not end in .npz.
     """
     loops = [loop for state in states for loop in state.loops]
     arrays = {name: np.array([getattr(loop, name) for loop in loops]) for name in _LOOP_NUMBERS + _LOOP_ARRAYS}

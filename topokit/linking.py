@@ -9,8 +9,6 @@ computing the linking number of links*, 2013. Taught in chapter 7.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -27,16 +25,13 @@ _NOT_AN_INTEGER = 1e-3  # a Gauss integral that misses its integer by more has l
 def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     """Return the linking number of two disjoint closed polygonal curves.
 
+    Its sign changes when one curve is reversed, and not when the two are exchanged.
+
     Parameters
     ----------
     curve_a, curve_b : (n, 3), (m, 3) array_like
         Corners in order, three at least; the last joins the first, which is not repeated. A curve with ends, such as a
         hook, is closed by `close_far` first.
-
-    Returns
-    -------
-    int
-        Its sign changes when one curve is reversed, and not when the two are exchanged.
 
     Raises
     ------
@@ -56,27 +51,22 @@ def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     for curve, name in ((curve_a, "curve_a"), (curve_b, "curve_b")):
         if isinstance(curve, np.ndarray) and curve.ndim == 3:
             raise ValueError(
-                f"{name} is a batch of curves, of shape {curve.shape}; topokit.linking.linking_numbers takes it"
+                f"{name} is a batch of curves, of shape {curve.shape}: call topokit.linking.linking_numbers"
             )
     numbers, _ = _link(as_points(curve_a, "curve_a")[None], as_points(curve_b, "curve_b")[None], "curve_a", "curve_b")
     return int(numbers[0])
 
 
 def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[np.int64], Array]:
-    """Return the linking numbers of many pairs of curves at once, and how far each integral was from its integer.
+    """Return the linking numbers (B,) of many pairs of curves at once, and how far each Gauss integral was from its integer.
+
+    That rounding error, (B,), is about 1e-14 for a hundred segments that keep their distance.
 
     Parameters
     ----------
     curves_a : (B, n, 3) or (n, 3) array_like
     curves_b : (B, m, 3) or (m, 3) array_like
         Closed curves as in `linking_number`. A single curve is linked with each of the others.
-
-    Returns
-    -------
-    numbers : (B,) int64
-    errors : (B,) float64
-        Gauss integral minus linking number: the rounding error, about 1e-14 for a hundred segments that keep their
-        distance.
 
     Raises
     ------
@@ -104,12 +94,12 @@ def close_far(
     end: ArrayLike = (0.0, 0.0, 1.0),
     far: float = 100.0,
 ) -> Array:
-    """Close an open curve, such as the centre line of a hook or a pole, far away and always in the same way.
+    """Return an open curve, such as the centre line of a hook or a pole, closed far away and always in the same way.
 
-    The first corner is led off along `start` and the last along `end`, each by `far` times the size of the curve; from
-    there both go as far again along start x end (any direction orthogonal to the two when they are parallel), where they
-    are joined. All that is added, but for the two straight leads, keeps that distance from the curve. So what the curve
-    is linked with decides, if it is small against `far`, and the side on which it is closed does not.
+    Of four more corners the first continues the curve along `end` and the last its start along `start`, by `far` times its
+    size; from there both go as far again along start x end (any direction orthogonal to the two when they are parallel),
+    where they are joined. All that is added, but for the two straight leads, keeps that distance from the curve. So what
+    the curve is linked with decides, if it is small against `far`, and the side on which it is closed does not.
 
     Parameters
     ----------
@@ -119,11 +109,6 @@ def close_far(
         Directions, of any length but zero.
     far : float
         In sizes of the curve, its longest extent along an axis.
-
-    Returns
-    -------
-    (n + 4, 3) float64
-        A closed curve for `linking_number`.
 
     Raises
     ------
@@ -164,9 +149,7 @@ def _batch(curves: ArrayLike, name: str) -> Array:
     try:
         array = np.asarray(curves)
     except ValueError as error:  # ragged nested lists
-        raise ValueError(
-            f"the curves of {name} must have equally many corners; link the others by themselves"
-        ) from error
+        raise ValueError(f"the curves of {name} must have equally many corners; link others alone") from error
     if array.ndim == 2:
         return as_points(array, name)[None]
     if array.ndim != 3 or not len(array):
@@ -179,25 +162,30 @@ def _link(a: Array, b: Array, name_a: str, name_b: str) -> tuple[NDArray[np.int6
     for curves, name in ((a, name_a), (b, name_b)):
         for i, curve in enumerate(curves):
             _check_curve(curve, name.format(i))
-    integral = np.zeros(max(len(a), len(b)))
-    for k in range(len(integral)):
-        i, j = k % len(a), k % len(b)
-        first, second, touch = _scaled(a[i], b[j])
-        for row, block in _blocks(first, len(second)):
-            pair = _touching_pair(block, second, touch)
-            if pair is not None:
-                raise ValueError(
-                    f"the curves touch: segment {row + pair[0]} of {name_a.format(i)} meets segment {pair[1]} of "
-                    f"{name_b.format(j)}; no linking number exists"
-                )
-            integral[k] += _half_solid_angles(block, np.vstack([second, second[:1]])) / (2 * np.pi)
-        if abs(integral[k] - np.rint(integral[k])) > _NOT_AN_INTEGER:
-            raise ValueError(
-                f"{name_a.format(i)} and {name_b.format(j)} come too close: their Gauss integral is {integral[k]:.6f} in "
-                "this arithmetic, no integer; move them apart or subdivide long segments"
-            )
+    pairs = [(k % len(a), k % len(b)) for k in range(max(len(a), len(b)))]
+    integral = np.array([_gauss_integral(a[i], b[j], name_a.format(i), name_b.format(j)) for i, j in pairs])
     numbers = np.rint(integral).astype(np.int64)
     return numbers, integral - numbers
+
+
+def _gauss_integral(a: Array, b: Array, name_a: str, name_b: str) -> float:
+    """The integral over two closed curves, by runs of segments of the first that fit into memory; near enough an integer."""
+    first, second, touch = _scaled(a, b)
+    rows, total = max(1, _PAIRS_AT_ONCE // len(second)), 0.0
+    first, closed = np.vstack([first, first[:1]]), np.vstack([second, second[:1]])
+    for row in range(0, len(a), rows):
+        block = first[row : row + rows + 1]
+        pair = _touching_pair(block, second, touch)
+        if pair is not None:
+            where = f"segment {row + pair[0]} of {name_a} meets segment {pair[1]} of {name_b}"
+            raise ValueError(f"the curves touch: {where}; no linking number exists")
+        total += _half_solid_angles(block, closed) / (2 * np.pi)
+    if abs(total - np.rint(total)) > _NOT_AN_INTEGER:
+        raise ValueError(
+            f"{name_a} and {name_b} come too close: their Gauss integral is {total:.6f} in this arithmetic, no integer; "
+            "move them apart or subdivide long segments"
+        )
+    return total
 
 
 def _check_curve(curve: Array, name: str) -> None:
@@ -210,30 +198,18 @@ def _check_curve(curve: Array, name: str) -> None:
     same = np.flatnonzero((curve[order[1:]] == curve[order[:-1]]).all(axis=1))
     if len(same):
         i, j = sorted(order[same[0] : same[0] + 2].tolist())
+        both = f"corners {i} and {j} are both {curve[i].tolist()}"
         closes = " (the last joins the first by itself: leave it out)" if (i, j) == (0, len(curve) - 1) else ""
-        raise ValueError(
-            f"{name} passes through a corner twice: corners {i} and {j} are both {curve[i].tolist()}{closes}"
-        )
+        raise ValueError(f"{name} passes through a corner twice: {both}{closes}")
 
 
 def _scaled(a: Array, b: Array) -> tuple[Array, Array, float]:
-    """Both curves about one origin and in one unit, so that products of lengths neither overflow nor vanish.
-
-    Also the distance, in that unit, at which they touch.
-    """
+    """Both curves about one origin, in a unit in which no product overflows or vanishes, and how near they touch in it."""
     exponent = np.frexp(max(np.abs(a).max(), np.abs(b).max()))[1]
     a, b = np.ldexp(a, -exponent), np.ldexp(b, -exponent)  # exact; the largest coordinate is now 1/2 to 1
     middle = a[0]
     size = max(float(np.abs(a - middle).max()), float(np.abs(b - middle).max()))
     return (a - middle) / size, (b - middle) / size, _TOUCH + 4 * float(np.finfo(float).eps) / size
-
-
-def _blocks(curve: Array, width: int) -> Iterator[tuple[int, Array]]:
-    """Runs of consecutive segments of a closed curve (their first segment, their corners), of bounded size."""
-    closed = np.vstack([curve, curve[:1]])
-    rows = max(1, _PAIRS_AT_ONCE // width)
-    for i in range(0, len(curve), rows):
-        yield i, closed[i : i + rows + 1]
 
 
 def _half_solid_angles(a: Array, b: Array) -> float:
@@ -252,11 +228,9 @@ def _dot(u: Array, v: Array) -> Array:
 
 
 def _touching_pair(a: Array, b: Array, touch: float) -> tuple[int, int] | None:
-    """A segment of the polyline `a` and one of the closed curve `b` that are nearer than `touch`, if there are such.
-
-    Two segments whose middles are farther apart than half their lengths together cannot be: few pairs are measured.
-    """
+    """A segment of the polyline `a` and one of the closed curve `b` that are nearer than `touch`, if there are such."""
     starts, ends, heads, tails = a[:-1], a[1:], b, np.roll(b, -1, axis=0)
+    # Where the middles are farther apart than half the lengths together, nothing needs to be measured: nearly everywhere.
     gap = np.linalg.norm((starts + ends)[:, None] - (heads + tails)[None], axis=-1)
     reach = np.linalg.norm(ends - starts, axis=-1)[:, None] + np.linalg.norm(tails - heads, axis=-1)
     i, j = np.nonzero(gap <= reach + 4 * touch)
@@ -268,16 +242,9 @@ def _touching_pair(a: Array, b: Array, touch: float) -> tuple[int, int] | None:
 
 
 def _segment_distances(a: Array, a_end: Array, b: Array, b_end: Array) -> Array:
-    """(k,) distances between the segments (a, a_end) and (b, b_end), each (k, 3).
-
-    The minimum is taken at an end of one segment, or inside both where the joining line is orthogonal to the two.
-    """
-    ends = [
-        _to_segment(a, b, b_end),
-        _to_segment(a_end, b, b_end),
-        _to_segment(b, a, a_end),
-        _to_segment(b_end, a, a_end),
-    ]
+    """(k,) distances between segments, each (k, 3): from an end of one, or inside both along a line orthogonal to them."""
+    ends = [_to_segment(point, b, b_end) for point in (a, a_end)]
+    ends += [_to_segment(point, a, a_end) for point in (b, b_end)]
     u, v, w = a_end - a, b_end - b, b - a
     uu, vv, uv, uw, vw = _dot(u, u), _dot(v, v), _dot(u, v), _dot(u, w), _dot(v, w)
     determinant = uu * vv - uv**2

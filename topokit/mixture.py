@@ -63,9 +63,7 @@ class InverseWishart:
         scale = np.asarray(self.scale, dtype=np.float64)
         scale = scale * np.eye(d) if scale.ndim == 0 else scale
         if scale.shape != (d, d) or not np.allclose(scale, scale.T) or np.linalg.eigvalsh(scale)[0] <= 0:
-            raise ValueError(
-                f"scale must be a positive number or a positive definite ({d}, {d}) matrix, not {self.scale!r}"
-            )
+            raise ValueError(f"scale must be positive, or a positive definite ({d}, {d}) matrix, not {self.scale!r}")
         return np.asarray((scale + scatter) / (dof + 1 - d))
 
 
@@ -136,7 +134,9 @@ class LoopMixture:
         return np.asarray(answer if points.ndim == 2 else answer[0])
 
     def density(self, n: int = 48, *, extent: float = 3.0) -> tuple[tuple[Array, ...], Array]:
-        """Evaluate on a grid.
+        """Evaluate on a grid: return coordinates along each of the d axes, (n,), and the density at them, (n,) * d.
+
+        Its order is that of ``numpy.meshgrid(*axes, indexing="ij")``.
 
         Parameters
         ----------
@@ -144,13 +144,6 @@ class LoopMixture:
             Places along each axis.
         extent : float
             Standard deviations of every component that the grid covers.
-
-        Returns
-        -------
-        axes : d arrays (n,)
-            Coordinates along each axis.
-        values : (n,) * d array
-            Density at `axes`, in the order of `numpy.meshgrid(*axes, indexing="ij")`.
         """
         reach = extent * np.sqrt(np.einsum("mii->mi", self.covariances))
         low, high = (self.means - reach).min(axis=0), (self.means + reach).max(axis=0)
@@ -191,8 +184,7 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
     Raises
     ------
     ValueError
-        When `noise` is not positive, the prior does not fit the dimension, the loop's arrays do not fit each other, or its
-        filtration values are negative or all zero.
+        When the loop's arrays do not fit each other, or its filtration values are negative or all zero.
 
     Examples
     --------
@@ -208,9 +200,7 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
         raise ValueError(f"a mixture needs (m, 3, d) triangles and m values, not {triangles.shape} and {values.shape}")
     as_points(triangles.reshape(len(triangles), -1), "triangles")
     if not (np.isfinite(values).all() and (values >= 0).all() and values.sum() > 0):
-        raise ValueError(
-            f"filtration values must be finite and not negative, and one of them positive: {values.tolist()}"
-        )
+        raise ValueError(f"filtration values must be finite and not negative, one of them positive: {values.tolist()}")
     means, scatter = moments(triangles)
     if prior is None:
         covariances = scatter / 2 + positive(noise, "noise", zero=False) * np.eye(triangles.shape[2])

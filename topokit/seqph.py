@@ -24,7 +24,7 @@ from ._matching import Candidates, Matching, hausdorff_table, within_gates
 from ._validate import as_points, as_sequence, positive
 from .rips import Diagram, rips_persistence, rips_persistence_many
 from .sampling import hausdorff, spacing
-from .state import Loop, TopologicalState
+from .state import Loop, TopologicalState, loop_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -121,7 +121,7 @@ class SeqPH:
     def update(
         self, points: ArrayLike, *, time: float | None = None, diagram: Diagram | None = None
     ) -> TopologicalState:
-        """Take the next frame and return its state. When it raises, the tracker is as it was before the call.
+        """Take the next frame and return its state. One that cannot follow is refused, and the tracker stays as it was.
 
         Parameters
         ----------
@@ -131,13 +131,6 @@ class SeqPH:
             Seconds, for all frames or for none; the frame's number when not given.
         diagram : Diagram, optional
             The persistence of these points, when it is known already; computed when not given. All its loops must die.
-
-        Raises
-        ------
-        TypeError, ValueError
-            When the cloud is empty, not finite, of another dimension or in other units than the one before, its time is not
-            later or there is none where there was one, or the diagram is of another number of points or has a loop without
-            a killer; the message names the frame.
         """
         cloud = as_points(points, f"frame {self._frame}", copy=True)
         check_follows(self._frame, (self._cloud, self._time), (cloud, time))
@@ -214,11 +207,6 @@ def track(
     **options
         Those of `SeqPH`.
 
-    Returns
-    -------
-    list of TopologicalState
-        One a frame.
-
     Raises
     ------
     TypeError, ValueError
@@ -271,32 +259,22 @@ def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
 
 def _loop(diagram: Diagram, i: int, cloud: Array, identity: int, before: Loop | None) -> Loop:
     """Gather what the state keeps of loop `i` of a diagram."""
-    killers, neighbours = diagram.killer_triangles[i], diagram.neighbours(i)
-    edge, step = cloud[diagram.killer_edge[i]], float("nan")
+    edge, neighbours, step = diagram.killer_edge[i], diagram.neighbours(i), float("nan")
     if before is not None:
-        step = float(hausdorff_table(edge[None], before.killer_edge_points[None])[0, 0])
-    return Loop(
+        step = float(hausdorff_table(cloud[edge][None], before.killer_edge_points[None])[0, 0])
+    return loop_of(
+        cloud,
+        partial(diagram.cycle, i),
         id=identity,
         birth=float(diagram.birth[i]),
         death=float(diagram.death[i]),
-        birth_edge=diagram.birth_edge[i],
-        killer_edge=diagram.killer_edge[i],
-        killer_triangle_ids=killers,
-        neighbour_ids=neighbours,
-        killer_edge_points=edge,
-        killer_triangles=cloud[killers],
-        neighbours=cloud[neighbours],
-        killer_values=np.full(2, diagram.death[i]),  # their longest edge is the killer edge
-        neighbour_values=_values(cloud[neighbours]),
         step=step,
-        _curve=partial(_curve, diagram, i, cloud),
+        birth_edge=diagram.birth_edge[i],
+        killer_edge=edge,
+        killer_triangle_ids=diagram.killer_triangles[i],
+        neighbour_ids=neighbours,
+        neighbour_values=_values(cloud[neighbours]),
     )
-
-
-def _curve(diagram: Diagram, i: int, cloud: Array) -> tuple[NDArray[np.int64], Array]:
-    """The representative cycle of a loop, as vertex ids and as points."""
-    ids = diagram.cycle(i)
-    return ids, cloud[ids]
 
 
 def _values(triangles: Array) -> Array:

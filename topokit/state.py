@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 from ._validate import own_arrays
 
 __all__ = ["Loop", "TopologicalState", "as_table"]
+
+
+ClosedCurve = tuple[NDArray[np.int64], NDArray[np.float64]]  # vertex ids of a closed walk, and their places
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,7 @@ class Loop:
     neighbour_values: NDArray[np.float64]  #: (m,) filtration values of the neighbours
     #: Hausdorff distance between this loop's killer edge and that of its previous appearance; nan when the loop is new
     step: float = float("nan")
-    _curve: Callable[[], tuple[NDArray[np.int64], NDArray[np.float64]]] | None = field(default=None, repr=False)
+    _curve: Callable[[], ClosedCurve] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         own_arrays(self)
@@ -58,10 +61,7 @@ class Loop:
     def cycle(self) -> NDArray[np.int64]:
         """(length,) vertex ids of a closed walk, tight around the loop at its birth: `Diagram.cycle`, found when asked for.
 
-        Raises
-        ------
-        LookupError
-            When it was read from a file of states of 0.1.0, or put together by hand: it knows no cloud to find its cycle in.
+        A LookupError when it was read from a file of states of 0.1.0, or put together by hand: it knows no cloud.
         """
         return self._closed_curve[0]
 
@@ -71,24 +71,39 @@ class Loop:
         return self._closed_curve[1]
 
     @cached_property
-    def _closed_curve(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def _closed_curve(self) -> ClosedCurve:
         if self._curve is None:
-            raise LookupError(
-                f"loop {self.id} knows no cloud to find its cycle in: track the cloud, topokit.track(...)"
-            )
+            raise LookupError(f"loop {self.id} knows no cloud to find its cycle in: track the cloud (topokit.track)")
         return self._curve()
 
     @property
     def quadrilateral(self) -> NDArray[np.float64]:
         """(4, d) the closed curve x, z1, y, z2 around the two killer triangles: the killer edge's ends and the apexes.
 
-        Just before the loop dies this curve is in its class: its own coarse outline. That is its class among the points, which
-        know nothing of a hook: edges as long as the killer may have passed through a thin one. Around a target that fills
-        the opening the outline links as the loop does; around a hook link `cycle_points`, which is tight.
+        Just before the loop dies this curve is in its class among the points, which know nothing of a hook: edges as long as
+        the killer may pass through a thin one. Around a target that fills the opening it links as the loop does; around a
+        hook link `cycle_points`, which is tight.
         """
         apex = ~np.isin(self.killer_triangle_ids, self.killer_edge)
         (x, y), (z1, z2) = self.killer_edge_points, self.killer_triangles[apex]
         return np.array([x, z1, y, z2])
+
+
+def loop_of(cloud: NDArray[np.float64], cycle: Callable[[], NDArray[np.int64]], **told: Any) -> Loop:
+    """A loop from its cloud, its numbers, and the vertex ids of its simplices; `cycle` finds its closed walk when asked for."""
+    return Loop(
+        **told,
+        killer_edge_points=cloud[told["killer_edge"]],
+        killer_triangles=cloud[told["killer_triangle_ids"]],
+        neighbours=cloud[told["neighbour_ids"]],
+        killer_values=np.full(2, told["death"]),  # their longest edge is the killer edge
+        _curve=partial(_curve_of, cloud, cycle),
+    )
+
+
+def _curve_of(cloud: NDArray[np.float64], cycle: Callable[[], NDArray[np.int64]]) -> ClosedCurve:
+    ids = cycle()
+    return ids, cloud[ids]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,16 +143,9 @@ def as_table(states: Iterable[TopologicalState]) -> Any:
 
     Columns are frame, time, id, birth, death, lifetime, step, the centre (x, y, z, or x0 to x[d-1] when d is not 3) and the
     killer edge's vertex ids (killer_a, killer_b).
-
-    Raises
-    ------
-    ImportError
-        When pandas is not installed.
     """
-    try:
-        import pandas as pd
-    except ImportError as error:
-        raise ImportError("as_table needs pandas: pip install pandas") from error
+    import pandas as pd
+
     numbers, axes, rows = ("id", "birth", "death", "lifetime", "step"), ["x", "y", "z"], []
     for state in states:
         for loop in state.loops:

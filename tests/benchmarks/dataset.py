@@ -31,8 +31,8 @@ from typing import Any
 import numpy as np
 
 from topokit.data import Dataset, DatasetConfig, generate_dataset
+from topokit.data._generate import Cluster, run_jobs
 from topokit.data._group import Record, index_bytes
-from topokit.data._parallel import Cluster, run_jobs
 
 WANTED = 23_000
 

@@ -7,7 +7,6 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +35,10 @@ class Problem:
 
 
 def check_dataset(url: str | Path, *, progress: bool = False) -> list[Problem]:
-    """Return all that is wrong with a dataset; nothing when it is whole.
+    """Return all that is wrong with a dataset; nothing when it is whole. Episodes that are still to be made are named too.
 
-    Compared are: every array's shape, type, unit and layout with what the configuration asks for; every record with its
-    episode's number, task and seed; every object with its SHA-256 and its number; every episode's arrays with each other;
-    the index with the records; labels with the episodes they are of. Episodes that are still to be made are named too.
+    Arrays are compared with the configuration and with each other, records with what was drawn, objects with their SHA-256,
+    the index with the records, and labels with the episodes they are of.
 
     Parameters
     ----------
@@ -179,5 +177,5 @@ def _index_problems(group: Group, records: Records) -> Iterator[Problem]:
     except FormatError as error:
         yield Problem("index.json", str(error))
         return
-    for index, _ in sorted(known.items() - records.items(), key=itemgetter(0)):
+    for index in sorted(index for index, record in known.items() if records.get(index) != record):
         yield Problem("index.json", f"episode {index} is not what its record says: remove the index, it is made again")

@@ -33,8 +33,7 @@ def add(commands: Any) -> None:
     option("--episodes", type=int, required=True, metavar="N", help="how many; more than last time adds some")
     option("--seed", type=int, default=0, help="of the dataset (default 0)")
     option("--config", type=Path, metavar="FILE", help="a DatasetConfig, as JSON or TOML; the rest has its default")
-    seconds = "stop an episode after so many seconds of processor time (default 600)"
-    option("--time-limit", type=float, default=600.0, metavar="S", help=seconds)
+    option("--time-limit", type=float, default=600.0, metavar="S", help="seconds of an episode's processor time (600)")
     option("--retry-failed", action="store_true", help="try failed episodes again")
 
     option = command("label", _label, "track the loops of every episode; goes on where it stopped", workers)

@@ -134,7 +134,7 @@ class Dataset:
         seed: int = 0,
         held_out: Sequence[str] = (),
     ) -> dict[str, Ids]:
-        """Divide the episodes into parts, never within an episode: neighbouring frames are nearly the same.
+        """Divide the numbers of the episodes into parts, never within an episode: neighbouring frames are nearly the same.
 
         Parts are cut in one order, however `shares` names them: "train" first, "test" last, others between them by name.
 
@@ -148,11 +148,6 @@ class Dataset:
         seed : int
         held_out : sequence of str
             By garment: exactly these make the last part, for example ``["apron", "apron2"]``, which are alike.
-
-        Returns
-        -------
-        dict of str to (n,) int64
-            Numbers of episodes, ascending.
 
         Raises
         ------

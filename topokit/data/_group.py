@@ -56,12 +56,9 @@ def record_path(index: int) -> str:
 
 
 def commit(folder: Path, document: Mapping[str, Any], objects: Iterable[tuple[str, bytes]] = ()) -> None:
-    """Put the objects of an episode in place, each whole, and then its record.
-
-    None is there before all are written, so that a full disk leaves nothing; what a kill leaves without a record is replaced.
-    """
+    """Put the objects of an episode in place, each whole, and then its record: what has none is made again."""
     sums = {}
-    with contextlib.ExitStack() as stack:
+    with contextlib.ExitStack() as stack:  # none is there before all are written: a full disk leaves nothing
         for path, content in objects:
             stack.enter_context(atomic_file(folder / path)).write(content)
             sums[path] = hashlib.sha256(content).hexdigest()
@@ -79,9 +76,7 @@ def parse(content: bytes, where: str) -> tuple[Record, dict[str, Any]]:
         if not isinstance(document["objects"], dict):
             raise ValueError("its objects have no names")
     except (ValueError, KeyError, TypeError) as error:
-        raise FormatError(
-            f"{where}: not a whole record ({error}); remove it and give the same command again"
-        ) from error
+        raise FormatError(f"{where}: not a whole record ({error}); remove it, the same command goes on") from error
     return record, document
 
 
@@ -234,10 +229,8 @@ def refuse_another(old: Any, new: Any, where: str, name: str = "") -> None:
         for key in sorted({*old, *new} - ({"episodes"} if not name else set())):
             refuse_another(old.get(key), new.get(key), where, f"{name}.{key}" if name else key)
     elif old != new:
-        cure = "the bytes might differ: use the same versions" if name.startswith("versions") else "give the same one"
-        raise ValueError(
-            f"{where} was begun with {name} = {old!r}, this is {name} = {new!r}; {cure}, or name a new folder"
-        )
+        cure = "bytes might differ: use the same versions" if name.startswith("versions") else "give the same"
+        raise ValueError(f"{where} was begun with {name} = {old!r}, this is {name} = {new!r}; {cure}, or a new folder")
 
 
 def compact(folder: Path) -> Group:

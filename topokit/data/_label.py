@@ -18,10 +18,9 @@ import numpy as np
 
 from topokit.seqph import RECOMMENDED, SeqPH, track
 
-from ._generate import make_missing, manifest_here
+from ._generate import Cluster, make_missing, manifest_here
 from ._group import Group, commit, locked, open_episodes, prepare, record_path, tracked_cloud, versions_of
 from ._layout import arrays_of, encode, label_fields
-from ._parallel import Cluster
 
 _OBSERVATIONS = ("full", "observed", "camera")
 _SLOTS = 8  # of a frame

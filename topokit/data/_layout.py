@@ -15,17 +15,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from topokit.io import FEWEST_FRAMES, HISTORY, Episode
-from topokit.rips import rips_persistence
+from topokit.rips import Diagram, rips_persistence
 from topokit.sim import TASKS
 from topokit.sim._episode import generator
-from topokit.state import Loop, TopologicalState
+from topokit.state import Loop, TopologicalState, loop_of
 
 from ._recipe import DatasetConfig
 
@@ -46,13 +46,12 @@ ABSENT = 65535
 
 @dataclass(frozen=True)
 class Field:
-    """An array of the store, without its first axis, the episode.
-
-    `shape` is what the largest episode needs; smaller ones fill a corner of it, whose extent their records give.
-    """
+    """An array of the store, without its first axis, the episode."""
 
     name: str
-    shape: tuple[int, ...]
+    shape: tuple[
+        int, ...
+    ]  # what the largest episode needs; others fill a corner of it, whose extent their records give
     dtype: str
     axes: tuple[str, ...]
     attributes: Mapping[str, Any] = field(default_factory=dict)
@@ -149,12 +148,11 @@ def label_fields(frames: int, slots: int) -> tuple[Field, ...]:
         "columns": {name: [part.start, part.stop] for name, part in SIMPLICES.items()},
         "description": f"ids into the cloud that was tracked; {ABSENT}: no neighbour",
     }
-    values = {"units": "m", "columns": VALUES}
     parameters = {"units": "m, dropped: 1", "columns": PARAMETERS}
     return (
         Field("id", (frames, slots), "int32", axes[:2], identity, -1),
         Field("simplices", (frames, slots, 22), "uint16", axes, simplices),
-        Field("values", (frames, slots, len(VALUES)), "float32", axes, values),
+        Field("values", (frames, slots, len(VALUES)), "float32", axes, {"units": "m", "columns": VALUES}),
         Field("parameters", (frames, len(PARAMETERS)), "float32", ("frame", "column"), parameters),
     )
 
@@ -176,47 +174,50 @@ def arrays_of(states: list[TopologicalState], slots: int) -> dict[str, NDArray[A
     return arrays
 
 
+@dataclass(frozen=True)
+class _Frame:
+    """A tracked cloud, whose persistence is computed once: when the first of its loops is asked for its cycle."""
+
+    points: NDArray[np.float64]
+
+    @cached_property
+    def diagram(self) -> Diagram:
+        return rips_persistence(self.points)
+
+    def cycle(self, edges: list[int]) -> NDArray[np.int64]:
+        """That of the loop with those birth and killer edges."""
+        pairs = np.column_stack([self.diagram.birth_edge, self.diagram.killer_edge])
+        return self.diagram.cycle(pairs.tolist().index(edges))
+
+
 def states_of(stored: Mapping[str, NDArray[Any]], cloud: NDArray[np.float32], dt: float) -> list[TopologicalState]:
     """Return the tracked states that labels hold, in the coordinates of the cloud that was tracked."""
     states = []
-    for frame, points in enumerate(cloud.astype(np.float64)):
-        slots = np.flatnonzero(stored["id"][frame] >= 0).tolist()
-        loops = tuple(_loop(stored, (frame, slot), points) for slot in slots)
-        parameters = dict(zip(PARAMETERS, stored["parameters"][frame].tolist(), strict=True))
-        states.append(TopologicalState(frame, frame * dt, loops, parameters))
+    for number, points in enumerate(cloud.astype(np.float64)):
+        slots, frame = np.flatnonzero(stored["id"][number] >= 0).tolist(), _Frame(points)
+        loops = tuple(_loop(stored, (number, slot), frame) for slot in slots)
+        parameters = dict(zip(PARAMETERS, stored["parameters"][number].tolist(), strict=True))
+        states.append(TopologicalState(number, number * dt, loops, parameters))
     return states
 
 
-def _loop(stored: Mapping[str, NDArray[Any]], where: tuple[int, int], points: NDArray[np.float64]) -> Loop:
-    ids = {name: stored["simplices"][where][part].astype(np.int64) for name, part in SIMPLICES.items()}
-    born, edge, killers = ids["birth_edge"], ids["killer_edge"], ids["killer_triangles"].reshape(2, 3)
+def _loop(stored: Mapping[str, NDArray[Any]], where: tuple[int, int], frame: _Frame) -> Loop:
+    simplices = stored["simplices"][where].astype(np.int64)
+    ids = {name: simplices[part] for name, part in SIMPLICES.items()}
     neighbours = ids["neighbours"].reshape(4, 3)
     neighbours = neighbours[neighbours[:, 0] != ABSENT]
-    birth, death, step, *neighbour_values = stored["values"][where].tolist()
-    return Loop(
+    values = stored["values"][where].tolist()
+    return loop_of(
+        frame.points,
+        partial(frame.cycle, simplices[:4].tolist()),
         id=int(stored["id"][where]),
-        birth=birth,
-        death=death,
-        birth_edge=born,
-        killer_edge=edge,
-        killer_triangle_ids=killers,
+        **dict(zip(("birth", "death", "step"), values[:3], strict=True)),
+        birth_edge=ids["birth_edge"],
+        killer_edge=ids["killer_edge"],
+        killer_triangle_ids=ids["killer_triangles"].reshape(2, 3),
         neighbour_ids=neighbours,
-        killer_edge_points=points[edge],
-        killer_triangles=points[killers],
-        neighbours=points[neighbours],
-        killer_values=np.array([death, death]),
-        neighbour_values=np.array(neighbour_values[: len(neighbours)]),
-        step=step,
-        _curve=partial(_curve, points, [*born.tolist(), *edge.tolist()]),
+        neighbour_values=np.array(values[3 : 3 + len(neighbours)]),
     )
-
-
-def _curve(points: NDArray[np.float64], edges: list[int]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The cycle of a stored loop, by ids and by places: the loop of the tracked cloud with those birth and killer edges."""
-    diagram = rips_persistence(points)
-    pairs = np.column_stack([diagram.birth_edge, diagram.killer_edge])
-    ids = diagram.cycle(pairs.tolist().index(edges))
-    return ids, points[ids]
 
 
 def skeleton(fields: Iterable[Field], manifest: Mapping[str, Any]) -> dict[str, bytes]:
@@ -265,10 +266,7 @@ def _create(store: dict[str, Any], f: Field, episodes: int) -> Any:
 
 
 def room(config: DatasetConfig) -> dict[str, int]:
-    """Return what the largest episode of a configuration needs, in numbers of frames, vertices, faces and so on.
-
-    Numbers of vertices do not vary within a garment, nor does the length of a path within a task.
-    """
+    """Return how many frames, vertices, faces and so on the largest episode of a configuration has: its tasks decide."""
     garments = [config.garment(task) for task in config.tasks]
     tasks = [TASKS[task] for task in config.tasks]
     frames, loops = config.simulation.frames, [loop for garment in garments for loop in garment.loops]

@@ -20,10 +20,10 @@ from topokit.sim import TASKS, DepthNoise, Garment, Randomisation, SimulationCon
 
 
 class Draw(NamedTuple):
-    """What an episode is before it is simulated: its task and its own seed, of 63 bits."""
+    """What an episode is before it is simulated."""
 
     task: str
-    seed: int
+    seed: int  # its own, of 63 bits
 
 
 def _ranges(values: Any) -> Any:
@@ -96,10 +96,8 @@ class DatasetConfig:
 
         Parameters
         ----------
-        seed : int
-            Of the dataset.
-        index : int
-            Number of the episode, from 0.
+        seed, index : int
+            Of the dataset, and number of the episode, from 0.
         """
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
         names, weights = list(self.tasks), np.cumsum(list(self.tasks.values()))
@@ -127,10 +125,8 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
     Parameters
     ----------
     config : DatasetConfig
-    seed : int
-        Of the dataset.
-    index : int
-        Number of the episode, from 0.
+    seed, index : int
+        Of the dataset, and number of the episode, from 0.
     time_limit : float, optional
         As in `topokit.sim.simulate`: None simulates in this process, which must then be a fresh one for the same bytes.
     """

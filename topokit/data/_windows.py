@@ -68,10 +68,7 @@ class _Episode:
 
 
 class _Memory:
-    """Decoded episodes, the one that was used last at the end: at most so many bytes, and one at least.
-
-    Copies of a `WindowDataset` share it. It travels empty to processes that are spawned.
-    """
+    """Decoded episodes, the one used last at the end: at most so many bytes, one at least; none for a spawned process."""
 
     def __init__(self, most: float) -> None:
         self.most, self.nbytes = most, 0
@@ -290,9 +287,8 @@ def spoil(
         their order, stand for the others.
     """
     clouds = np.asarray(clouds, dtype=np.float64)
-    noise, outliers, keep = (
-        np.broadcast_to(amount, clouds.shape[:-2])[..., None] for amount in (noise, outliers, keep)
-    )
+    each = [np.broadcast_to(amount, clouds.shape[:-2])[..., None] for amount in (noise, outliers, keep)]
+    noise, outliers, keep = each
     places = np.broadcast_to(np.arange(clouds.shape[-2]), clouds.shape[:-1])
     left = np.maximum(np.round(keep * clouds.shape[-2]), 1).astype(np.int64)
     order = np.argsort(rng.permuted(places, axis=-1) >= left, axis=-1, kind="stable")  # kept ones first, as they were

@@ -1,11 +1,8 @@
 """How good forecasts are, sample by sample: a window of an episode, at some of the steps ahead.
 
-A forecast names some loops; the simulator knows where the true ones are, and persistence on the full cloud which of them are
-there (`topokit.evaluate.true_loops`). With L of them the first k = min(L, 2) forecast loops count, longest lifetime
-first, as in the paper; which is compared with which true loop is chosen in their favour.
-
-A true loop is marked by one curve of its class, and others are as true: before a skirt, it may go straight across the skirt or
-behind a tie. So its hull is that of the marked curve and of the edge of the full cloud that ends its class.
+Idea: where L true loops are there (`topokit.evaluate.true_loops`), the first k = min(L, 2) forecast loops count, longest lifetime
+first, as in the paper; which is compared with which is chosen in their favour. A true loop is marked by one curve of its class,
+and others are as true (straight across a skirt, or behind a tie), so its hull takes in the edge that ends its class, too.
 
 Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 11.
 """
@@ -55,9 +52,6 @@ class TrueCurves:
     closing: tuple[Array, ...] = ()  #: of each the ends (K, 2, 3) of the edges of the full cloud that end its class
     present: tuple[NDArray[np.bool_], ...] = ()  #: (K,) whether it is there; all are when not given
 
-    def there(self, k: int) -> list[int]:
-        return [loop for loop in range(len(self.curves)) if not self.present or self.present[loop][k]]
-
     def hull(self, loop: int, k: int) -> Array:
         """(n, 3) points whose convex hull counts as the loop's."""
         curve = self.curves[loop][k]
@@ -67,9 +61,8 @@ class TrueCurves:
     def extents(self) -> tuple[Array, Array]:
         """(K, loops, 3) centroids of the curves, by length, and (K, loops) largest distances from them."""
         found = [[extent(curve) for curve in loops] for loops in zip(*self.curves, strict=True)]
-        return np.array([[one[0] for one in frame] for frame in found]), np.array(
-            [[one[1] for one in frame] for frame in found]
-        )
+        centres, radii = ([[one[part] for one in frame] for frame in found] for part in (0, 1))
+        return np.array(centres), np.array(radii)
 
     def beside(self, loop: int, k: int, point: Array) -> float:
         """At most 1 when the point lies in a curve's outline, seen along the normal, and near enough to its plane."""
@@ -83,18 +76,14 @@ class TrueCurves:
 
 def measure_forecasts(
     states: States,
-    target: States,
-    past: States,
+    target: States,  # what the tracker saw at all steps
+    past: States,  # and at the last frame before them
     truth: Sequence[TrueCurves],
     steps: Sequence[int],
-    fine: Sequence[int],
+    fine: Sequence[int],  # of these, where likelihood and coverage are taken, which are dear
     rng: np.random.Generator,
 ) -> dict[str, Array]:
-    """Measure forecasts `states` of B windows at K `steps` ahead, as (B, K) columns; nan where there is nothing to measure.
-
-    `target` and `past` are what the tracker saw at all steps, and at the last frame before them. Likelihood and coverage are
-    dear: they are taken at the `fine` steps.
-    """
+    """Measure forecasts of B windows at K steps ahead, as (B, K) columns; nan where there is nothing to measure."""
     at = torch.tensor([step - 1 for step in steps])
     some = states[:, at]
     numbers = some.mean, some.death - some.birth, some.presence.double().sigmoid()
@@ -125,11 +114,8 @@ class _Sample:
 
     @cached_property
     def loops(self) -> list[int]:
-        return self.truth.there(self.k)
-
-    @cached_property
-    def asked(self) -> int:
-        return min(len(self.loops), MOST)
+        curves, present = self.truth.curves, self.truth.present
+        return [loop for loop in range(len(curves)) if not present or present[loop][self.k]]
 
     @cached_property
     def away(self) -> Array:
@@ -144,18 +130,19 @@ class _Sample:
         return {loop: slot for slot, loop in assign(self.away, near)}
 
     @cached_property
+    def ranked(self) -> list[int]:
+        """The slots that can count: of those that are more likely there than not the longest-lived."""
+        return _first(self.lifetimes, self.presence > 0.5)
+
+    @cached_property
     def pairs(self) -> list[tuple[int, int]]:
         """The slots that count, and the true loops that they are compared with; none when there are too few."""
-        chosen = self.longest(self.asked)
-        if len(chosen) < self.asked:
+        chosen = self.ranked[: len(self.loops)]
+        if len(chosen) < min(len(self.loops), MOST):
             return []
         orders = itertools.permutations(self.loops, len(chosen))
         best = min(orders, key=lambda order: float(self.away[chosen, list(order)].sum()))
         return list(zip(chosen, best, strict=True))
-
-    def longest(self, count: int) -> list[int]:
-        """The slots that count: of those that are more likely there than not the longest-lived."""
-        return _first(count, self.lifetimes, self.presence > 0.5)
 
     def kept(self, first: _Sample) -> float:
         """The share of the true loops found at the first step and still there that are found by the same slot."""
@@ -164,38 +151,39 @@ class _Sample:
 
     def places(self) -> dict[str, float]:
         """The columns of places; only the marked curves are asked for where no true loop is there."""
-        truth, k, asked, loops = self.truth, self.k, self.asked, self.loops
-        marked, everything = [curve[k] for curve in truth.curves], min(len(truth.curves), MOST)
-        values = {"outside_marked": self.outside(self.longest(everything), marked, everything)}
-        if not asked:
+        truth, k, loops = self.truth, self.k, self.loops
+        values = {"outside_marked": self.outside(self.ranked, [curve[k] for curve in truth.curves])}
+        if not loops:
             return values
-        hulls, chosen = [truth.hull(loop, k) for loop in loops], self.longest(asked)
-        anyway = _first(asked, self.lifetimes * self.presence, self.lifetimes > 0)
-        values["outside"] = self.outside(chosen, hulls, asked)
-        values["outside_anyway"] = self.outside(anyway, hulls, asked)
-        flat = [[truth.beside(loop, k, self.means[slot]) for loop in loops] for slot in chosen]
-        values["in_plane"] = _least_worst(flat, asked) <= 1
-        share = (self.away / truth.extents[1][k])[chosen][:, loops]
-        values["in_opening"] = _least_worst(share.tolist(), asked) <= 1
+        hulls = [truth.hull(loop, k) for loop in loops]
+        values["outside"] = self.outside(self.ranked, hulls)
+        values["outside_anyway"] = self.outside(_first(self.lifetimes * self.presence, self.lifetimes > 0), hulls)
+        flat = [[truth.beside(loop, k, self.means[slot]) for loop in loops] for slot in self.ranked]
+        values["in_plane"] = _least_worst(flat, len(loops)) <= 1
+        share = (self.away / truth.extents[1][k])[self.ranked][:, loops]
+        values["in_opening"] = _least_worst(share.tolist(), len(loops)) <= 1
         if self.pairs:
             values["distance"] = float(np.mean([self.away[pair] for pair in self.pairs]))
         return values
 
-    def outside(self, slots: Sequence[int], hulls: Sequence[Array], asked: int) -> float:
-        return _least_worst([[distance_to_hull(self.means[slot], hull) for hull in hulls] for slot in slots], asked)
+    def outside(self, slots: Sequence[int], hulls: Sequence[Array]) -> float:
+        return _least_worst(
+            [[distance_to_hull(self.means[slot], hull) for hull in hulls] for slot in slots], len(hulls)
+        )
 
 
-def _first(count: int, rank: Array, which: NDArray[np.bool_]) -> list[int]:
+def _first(rank: Array, which: NDArray[np.bool_]) -> list[int]:
     ranked = np.argsort(-rank, kind="stable")
-    return ranked[which[ranked]][:count].tolist()
+    return ranked[which[ranked]][:MOST].tolist()
 
 
-def _least_worst(table: Sequence[Sequence[float]], asked: int) -> float:
+def _least_worst(table: Sequence[Sequence[float]], loops: int) -> float:
     """The worst pair of the assignment whose worst pair is best: below a threshold iff all can be below it, one each."""
+    asked = min(loops, MOST)
     if len(table) < asked:
         return float("inf")
-    orders = itertools.permutations(range(len(table[0])), asked)
-    return min(max(row[loop] for row, loop in zip(table, order, strict=True)) for order in orders)
+    orders = itertools.permutations(range(loops), asked)
+    return min(max(row[loop] for row, loop in zip(table[:asked], order, strict=True)) for order in orders)
 
 
 def opening_points(curve: Array, n: int, rng: np.random.Generator) -> Array:

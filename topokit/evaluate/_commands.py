@@ -13,8 +13,7 @@ def add(commands: Any) -> None:
     evaluate = commands.add_parser("evaluate", help="measure predictors on held-out episodes; goes on where it stopped")
     option = evaluate.add_argument
     option("evaluation", type=Path, metavar="EVALUATION", help="datasets, checkpoints and conditions (.json)")
-    results = "where the results go, after each condition (.json)"
-    option("--out", type=Path, required=True, metavar="RESULTS", help=results)
+    option("--out", type=Path, required=True, metavar="RESULTS", help="results, written after each condition (.json)")
     option("--clips", type=Path, metavar="DIR", help="also save the frames of a few failures, to be looked at (.npz)")
     option("--threads", type=int, default=2, help="processor cores to use at most (default 2)")
     option("--quiet", action="store_true", help="no progress")
@@ -23,8 +22,7 @@ def add(commands: Any) -> None:
 
     report = commands.add_parser("report", help="make tables and figures of the results of an evaluation")
     report.add_argument("results", type=Path, metavar="RESULTS", help="what topokit evaluate wrote (.json)")
-    folder = "folder for the tables (.md) and figures (.svg)"
-    report.add_argument("--out", type=Path, required=True, metavar="DIR", help=folder)
+    report.add_argument("--out", type=Path, required=True, metavar="DIR", help="for tables (.md) and figures (.svg)")
     report.add_argument("--json", action="store_true", help="print the list of files as JSON")
     report.set_defaults(run=_report)
 

@@ -128,7 +128,9 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
         observe = spoilt_observer(condition.clouds, config.seed)
         observed = WindowDataset(dataset, windows.episodes, observe=observe, **options).select(rows)
     shown = {config.ours: "ours"}
-    forecasters = {shown.get(name, name): [_untrained(name, config)] for name in UNTRAINED}
+    untrained: dict[str, Forecaster] = {"seqph": target_states}
+    untrained |= {name: partial(_forecast, build(name, config.shape, Normalisation()).eval()) for name in UNTRAINED[1:]}
+    forecasters = {shown.get(name, name): [one] for name, one in untrained.items()}
     checkpoints = {}
     for name, paths in (config.models if condition.models is None else condition.models).items():
         found = [_load(config, name, folder / path, path) for path in paths]
@@ -139,11 +141,6 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
             _check_unseen(one, clean, condition)
         forecasters[shown.get(name, name)] = [partial(_forecast, model) for model, _ in found]
     return PreparedCondition(clean, observed, forecasters, _entries(config, condition, clean, checkpoints))
-
-
-def _untrained(name: str, config: EvaluationConfig) -> Forecaster:
-    """SeqPH looks at the future."""
-    return target_states if name == "seqph" else partial(_forecast, build(name, config.shape, Normalisation()).eval())
 
 
 def _forecast(model: PredictiveModel, window: Mapping[str, Tensor]) -> States:
@@ -275,8 +272,5 @@ def _check_unseen(about: Mapping[str, Any], windows: WindowDataset, condition: C
             f"training or validation part; test on the part it did not see{'' if same else f', or {word}'}"
         )
     if not same:
-        warnings.warn(
-            f"{where} was trained on a dataset with another checksum. None of the tested episodes was in its training part "
-            "if the two number their episodes alike, as a dataset and its cut do; that was not checked",
-            stacklevel=2,
-        )
+        alike = "they share no episode if both number theirs alike, as a dataset and its cut do; that was not checked"
+        warnings.warn(f"{where} was trained on a dataset with another checksum: {alike}", stacklevel=2)

@@ -68,7 +68,8 @@ def evaluate_forecasts(
         prepared = prepare_condition(config, condition, folder)
         known = done.get(condition.name)
         if known is None or known["made_from"] != prepared.entries["made_from"]:
-            known = _table(config, condition, prepared, progress)
+            samples = _measured(config, condition, prepared, progress)
+            known = _table(config, prepared, samples, condition is config.conditions[0])
         tables[condition.name] = known
         results["hull_accuracy"] = tables[config.conditions[0].name]["hull_accuracy"]
         results["complete"] = len(tables) == len(config.conditions)
@@ -81,14 +82,10 @@ def evaluate_forecasts(
     return results
 
 
-def _table(
-    config: EvaluationConfig, condition: Condition, prepared: PreparedCondition, progress: bool
-) -> dict[str, Any]:
-    samples = _measured(config, condition, prepared, progress)
-    table = summarise(samples, config, condition is config.conditions[0])
+def _table(config: EvaluationConfig, prepared: PreparedCondition, samples: Samples, thorough: bool) -> dict[str, Any]:
     spoilt = prepared.observed is not prepared.clean  # no dataset holds spoilt clouds
-    failures = [] if spoilt or "ours" not in samples.columns else _failures(prepared, samples, config.tolerance)
-    return {**prepared.entries, **table, "failures": failures}
+    failures = [] if spoilt or "ours" not in samples.columns else _failures(prepared, samples, config)
+    return {**prepared.entries, **summarise(samples, config, thorough), "failures": failures}
 
 
 def _measured(config: EvaluationConfig, condition: Condition, prepared: PreparedCondition, progress: bool) -> Samples:
@@ -116,7 +113,7 @@ def _measured(config: EvaluationConfig, condition: Condition, prepared: Prepared
         }
         for name, seeds in parts.items()
     }
-    return Samples(columns, clean.index[:, 0], garments_of(clean), steps, fine)
+    return Samples(columns, clean.index[:, 0], garments_of(clean))
 
 
 def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
@@ -148,9 +145,9 @@ def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:
     }
 
 
-def _failures(prepared: PreparedCondition, samples: Samples, tolerance: float) -> list[dict[str, Any]]:
+def _failures(prepared: PreparedCondition, samples: Samples, config: EvaluationConfig) -> list[dict[str, Any]]:
     """The worst samples, with what models said about the last step: loops by lifetime times presence, metres."""
-    chosen, step = _worst(samples, tolerance), samples.steps[-1]
+    chosen, step = _worst(samples, config.tolerance), steps_of(config.shape.horizon)[-1]
     if not chosen:
         return []
     window = default_collate([prepared.clean[row] for row in chosen])
@@ -171,11 +168,8 @@ def _failures(prepared: PreparedCondition, samples: Samples, tolerance: float) -
 
 
 def _worst(samples: Samples, tolerance: float) -> list[int]:
-    """Of each garment the sample that our first seed puts farthest outside at the last step; the farthest first.
-
-    Loops that are said to be absent count, too: where nothing is forecast there would be nothing to be seen.
-    """
-    reach = samples.columns["ours"]["outside_anyway"][0, :, -1]
+    """Of each garment the sample that our first seed puts farthest outside at the last step; the farthest first."""
+    reach = samples.columns["ours"]["outside_anyway"][0, :, -1]  # elsewhere nothing is forecast, and nothing to be seen
     reach = np.where(np.isfinite(reach), reach, -1)
     ranked = np.argsort(-reach, kind="stable")
     _, first = np.unique(samples.garment[ranked], return_index=True)  # of each garment the farthest

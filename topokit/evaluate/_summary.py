@@ -137,13 +137,11 @@ class Samples:
     columns: Mapping[str, Mapping[str, Array]]  #: model, then a name of `COLUMNS`: (seeds, n, K)
     episode: NDArray[np.int64]  #: (n,)
     garment: NDArray[np.str_]  #: (n,)
-    steps: tuple[int, ...]  #: the K steps
-    horizons: tuple[int, ...]  #: those of the tables
 
     def of(self, garment: str) -> Samples:
         rows = self.garment == garment
         some = {model: {name: part[:, rows] for name, part in table.items()} for model, table in self.columns.items()}
-        return Samples(some, self.episode[rows], self.garment[rows], self.steps, self.horizons)
+        return Samples(some, self.episode[rows], self.garment[rows])
 
 
 def horizons_of(horizon: int) -> tuple[int, ...]:
@@ -183,8 +181,8 @@ class _Table:
         self.samples, self.tolerance = samples, config.tolerance
         self.bootstrap = Bootstrap(samples.episode, config.samples, config.seed, strata=samples.garment)
         self.models = sorted(samples.columns, key=lambda name: ([*_ORDER, name].index(name), name))
-        self.steps = {str(step): k for k, step in enumerate(samples.steps)}
-        self.horizons = {str(step): self.steps[str(step)] for step in samples.horizons}
+        self.steps = {str(step): k for k, step in enumerate(steps_of(config.shape.horizon))}
+        self.horizons = {str(step): self.steps[str(step)] for step in horizons_of(config.shape.horizon)}
 
     def hits(self, model: str, tolerance: float | None = None, column: str = "outside") -> Array:
         """(seeds, n, K) whether the means are in their hulls; nan where no true loop is there."""

@@ -39,8 +39,7 @@ def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
 
     Parameters
     ----------
-    point : (d,) array_like
-    points : (n, d) array_like
+    point, points : (d,) and (n, d) array_like
     """
     from scipy.optimize import nnls
 
@@ -70,8 +69,8 @@ class TrackSummary:
 
 def summarise_tracks(
     states: Sequence[TopologicalState],
-    points: NDArray[np.floating] | None = None,
-    loops: Sequence[NDArray[np.integer]] = (),
+    points: NDArray[np.floating],
+    loops: Sequence[NDArray[np.integer]],
     *,
     tolerance: float = 0.0,
 ) -> list[TrackSummary]:
@@ -80,10 +79,10 @@ def summarise_tracks(
     Parameters
     ----------
     states : sequence of TopologicalState
-    points : (T, N, 3) array, optional
+    points : (T, N, 3) array
         Positions of the garment's vertices, a row a frame of `states`.
     loops : sequence of (L,) int arrays
-        True loops as vertex ids into `points`.
+        True loops as vertex ids into `points`; there may be none.
     tolerance : float
         How far outside the hull still counts as in it, metres: that of a nearly flat loop has no thickness.
 
@@ -92,8 +91,8 @@ def summarise_tracks(
     ValueError
         When `points` and `states` differ in their number of frames.
     """
-    if loops and (points is None or len(points) != len(states)):
-        raise ValueError(f"points has {0 if points is None else len(points)} frames, states {len(states)}")
+    if len(points) != len(states):
+        raise ValueError(f"points has {len(points)} frames, states {len(states)}")
     tracks: dict[int, list[int]] = {}
     for row, state in enumerate(states):
         for loop in state.loops:
@@ -101,9 +100,7 @@ def summarise_tracks(
     summaries = []
     for identity, rows in tracks.items():
         found = [states[row][identity] for row in rows]
-        where = -1, float("nan"), float("nan")
-        if loops and points is not None:
-            where = _nearest_loop(np.array([loop.centre for loop in found]), points[rows], loops, tolerance)
+        where = _nearest_loop(np.array([loop.centre for loop in found]), points[rows], loops, tolerance)
         lifetime = float(np.mean([loop.lifetime for loop in found]))
         first, last = states[rows[0]].frame, states[rows[-1]].frame
         summaries.append(TrackSummary(identity, first, last, len(rows), lifetime, *where))
@@ -113,6 +110,8 @@ def summarise_tracks(
 def _nearest_loop(
     centres: Array, points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]], tolerance: float
 ) -> tuple[int, float, float]:
+    if not loops:
+        return -1, float("nan"), float("nan")
     away = [np.linalg.norm(points[:, loop].mean(axis=1) - centres, axis=1).mean() for loop in loops]
     nearest = int(np.argmin(away))
     hulls = points[:, loops[nearest]]
@@ -133,7 +132,7 @@ class TrueLoops:
 def true_loops(
     points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]], *, alpha: float | None = None
 ) -> list[TrueLoops]:
-    """Find out, frame by frame, where the true loops are and which of them are there.
+    """Return, frame by frame, where the true loops are and which of them are there.
 
     Parameters
     ----------
@@ -170,8 +169,7 @@ def by_place(truth: TrueLoops, state: TopologicalState) -> Array:
 
     Parameters
     ----------
-    truth : TrueLoops
-    state : TopologicalState
+    truth, state : TrueLoops and TopologicalState
         Of the same frame.
     """
     centres = np.array([loop.centre for loop in state.loops]).reshape(-1, truth.centres.shape[1])
@@ -186,8 +184,7 @@ def by_killer(truth: TrueLoops, state: TopologicalState) -> Array:
 
     Parameters
     ----------
-    truth : TrueLoops
-    state : TopologicalState
+    truth, state : TrueLoops and TopologicalState
         Of the same frame.
     """
     killers = np.array([loop.killer_edge for loop in state.loops]).reshape(-1, 2)
@@ -205,8 +202,7 @@ def compare(
 
     Parameters
     ----------
-    states : sequence of TopologicalState
-    truth : sequence of TrueLoops
+    states, truth : sequences of TopologicalState and TrueLoops
         Of the same frames.
     similarity : callable
         `by_place` or `by_killer`.
@@ -218,16 +214,15 @@ def compare(
     """
     if len(states) != len(truth):
         raise ValueError(f"states has {len(states)} frames, truth {len(truth)}; track the same sequence")
-    overlaps = []
-    for state, true in zip(states, truth, strict=True):
-        table = similarity(true, state)
-        pairs = assign(1 - table, table >= THRESHOLD)
-        aside = [k for i, k in pairs if not true.present[i]]
-        kept = np.setdiff1d(np.arange(len(state.loops)), aside)
-        ids = np.array([loop.id for loop in state.loops], dtype=np.int64)
-        objects = np.flatnonzero(true.present)
-        overlaps.append(Overlap(objects, ids[kept], table[np.ix_(objects, kept)]))
-    return overlaps
+    return [_overlap(true, state, similarity(true, state)) for true, state in zip(truth, states, strict=True)]
+
+
+def _overlap(true: TrueLoops, state: TopologicalState, table: Array) -> Overlap:
+    aside = [k for i, k in assign(1 - table, table >= THRESHOLD) if not true.present[i]]
+    kept = np.setdiff1d(np.arange(len(state.loops)), aside)
+    ids = np.array([loop.id for loop in state.loops], dtype=np.int64)
+    objects = np.flatnonzero(true.present)
+    return Overlap(objects, ids[kept], table[np.ix_(objects, kept)])
 
 
 def by_diagram(loops: Candidates) -> list[tuple[int, int]]:

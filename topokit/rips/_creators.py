@@ -74,9 +74,7 @@ def add_in_creators(data, axes, rows, label, graph, a, b, column, stack):
             continue
         z = _lune_vertex(data, axes, rows, label, a, b)
         if z < 0:
-            raise AssertionError(
-                "an edge with an empty lune was passed over: this is an error of topokit; please report the cloud"
-            )
+            raise AssertionError("an edge with an empty lune was passed over: please report this cloud to topokit")
         if top + 2 >= len(stack):
             stack = np.concatenate((stack, stack))
         stack[top + 1, 0], stack[top + 1, 1] = a, z
