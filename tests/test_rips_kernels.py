@@ -189,6 +189,62 @@ def test_a_camera_that_sends_zeros_for_what_it_did_not_see():
     np.testing.assert_array_equal(found.killer_triangles, ids[once.killer_triangles])
 
 
+def test_any_change_of_a_kernel_file_makes_compiled_kernels_stale(tmp_path):
+    folder = Path(_jit.__file__).parent
+    kernels = [path for path in folder.glob("*.py") if "njit" in path.read_text()]
+    assert {"kernel.py", "_edges.py", "_tree.py", "_lunes.py", "_cycles.py", "_creators.py"} <= {
+        path.name for path in kernels
+    }
+    for path in kernels:
+        shutil.copy(path, tmp_path)
+    before = _jit.source_digest(tmp_path)
+    assert before == _jit.source_digest(folder)
+    for path in tmp_path.glob("*.py"):
+        source = path.read_bytes()
+        path.write_bytes(source + b" ")
+        assert _jit.source_digest(tmp_path) != before
+        path.write_bytes(source)
+    assert _jit.source_digest(tmp_path) == before
+
+
+@compiled
+def test_a_kernel_that_uses_another_file_is_compiled_anew_when_that_changes(tmp_path):
+    package = tmp_path / "kernels"
+    package.mkdir()
+    shutil.copy(_jit.__file__, package / "_jit.py")
+    (package / "__init__.py").write_text("")
+    (package / "outer.py").write_text(
+        "from ._jit import njit\nfrom .inner import inner\n\n"
+        "@njit()\ndef outer():\n    return inner()\n\nprint(outer(), sum(outer.stats.cache_hits.values()))\n"
+    )
+    printed = []
+    for number in (1, 1, 2):
+        (package / "inner.py").write_text(f"from ._jit import njit\n@njit()\ndef inner():\n    return {number}\n")
+        command = [sys.executable, "-c", "import kernels.outer"]
+        printed.append(subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout)
+    assert printed == ["1 0\n", "1 1\n", "2 0\n"]  # what it gives, and how often it was read from the disk
+
+
+@compiled
+def test_ring_of_thousands_of_points():
+    rng = np.random.default_rng(0)
+    angle = 2 * np.pi * rng.random(5000)
+    ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(5000)]) * (1 + 0.05 * rng.random((5000, 1)))
+    diagram = rips_persistence(ring)
+    assert diagram.death[0] == pytest.approx(np.sqrt(3) / 2, rel=0.01)  # the inner rim has radius 1
+    assert (diagram.lifetime[1:] < 0.05).all()
+
+
+def test_clusters_far_apart_and_late_loops():
+    """Loops born by edges far longer than all deaths before them: the stopping rule must not miss them."""
+    far = np.vstack([polygon(6, 0.01) + 100 * corner for corner in polygon(5)])
+    diagram = rips_persistence(far)
+    assert diagram.death[0] == pytest.approx(100 * np.sin(2 * np.pi / 5), rel=1e-3)
+    np.testing.assert_allclose(
+        sorted_pairs(np.column_stack([diagram.birth, diagram.death])), gudhi_pairs(far), rtol=1e-9, atol=1e-9
+    )
+
+
 @pytest.mark.parametrize("scale", [1e-200, 1e-30, 1e30, 1e150])
 def test_units_do_not_matter(scale):
     cloud = np.random.default_rng(1).random((60, 3))
