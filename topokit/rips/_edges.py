@@ -126,14 +126,25 @@ def _comes_before(key, length, other_key, other_length, label):
 
 @njit()
 def _sort_slice(keys, lengths, label):
-    """Put edges in the total order, however many have almost the same length: by their ends, then stably by length."""
-    ends = np.empty(len(keys), np.int64)
-    for e in range(len(keys)):
-        x, y, _ = ends_of(keys[e])
-        ends[e] = min(label[x], label[y]) << _BITS | max(label[x], label[y])
-    order = np.argsort(ends, kind="mergesort")
-    order = order[np.argsort(lengths[order], kind="mergesort")]
-    keys[:], lengths[:] = keys[order], lengths[order]
+    """Put edges in the total order, however many have almost the same length: a heap, whose last edge leaves it first."""
+    size = len(keys)
+    for step in range(size + (size >> 1)):
+        if step < size >> 1:
+            parent, end = (size >> 1) - 1 - step, size
+        else:
+            parent, end = 0, size - 1 - (step - (size >> 1))
+            keys[0], keys[end] = keys[end], keys[0]
+            lengths[0], lengths[end] = lengths[end], lengths[0]
+        key, length = keys[parent], lengths[parent]
+        child = 2 * parent + 1
+        while child < end:
+            if child + 1 < end and _comes_before(keys[child], lengths[child], keys[child + 1], lengths[child + 1], label):
+                child += 1
+            if not _comes_before(key, length, keys[child], lengths[child], label):
+                break
+            keys[parent], lengths[parent] = keys[child], lengths[child]
+            parent, child = child, 2 * child + 1
+        keys[parent], lengths[parent] = key, length
 
 
 @njit()

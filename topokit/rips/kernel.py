@@ -91,15 +91,13 @@ def is_connected(rows, lune, z, left):
         while not left[w]:
             w += 1
         v = (w << 6) + lowest(left[w])
-        shared = np.uint64(0)
+        shared, some = np.uint64(0), np.uint64(0)
         for w in range(words):
             shared |= lune[w] & rows[v, w] & ~left[w]
-        if not shared:
-            return False
-        some = np.uint64(0)
-        for w in range(words):
             left[w] &= ~rows[v, w]
             some |= left[w]
+        if not shared:
+            return False
     return True
 
 
@@ -156,7 +154,8 @@ def _kill(data, axes, rows, label, graph, loops, x, y, search, stack):
         loop = reduce_column(loops.column, loops.columns, loops.killed)
         if loop >= 0:
             start, words = first_word(loop), (loop >> 6) + 1
-            loops.columns[start : start + words] = loops.column[:words]
+            for w in range(words):
+                loops.columns[start + w] = loops.column[w]
             killed = loops.killed[loop]
             killed[0], killed[1], killed[2], killed[3] = x, y, first, further
             dead += 1
