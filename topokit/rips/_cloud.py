@@ -140,10 +140,10 @@ def _run(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np
         raise MemoryError(f"{bits / 1e9:.1f} GB for a bit for each pair of points")
     spare = MEMORY - bits
     room = getattr(_kept, "room", None)
-    if room is None or EDGE_BYTES * len(room[0]) > spare // 2:
+    if room is None or EDGE_BYTES * len(room.found) > spare // 2:
         room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
     room, created, killed = pair_edges(data, cloud.axes, tree, max_length, room, spare)
-    _kept.room = room if len(room[0]) <= WINDOW else None
+    _kept.room = room if len(room.found) <= WINDOW else None
     label = np.append(tree.label, -1)  # of what is not there
     created, killed = label[created], label[killed]
     return np.sort(created), np.hstack([np.sort(killed[:, :2]), killed[:, 2:]])

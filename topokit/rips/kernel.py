@@ -196,11 +196,12 @@ def pair_edges(data, axes, tree, max_length, room, spare):
     last = -1.0  # the length of the last edge with an empty lune, once it is known
     shortest, longest, greatest = 0.0, first_window(data, axes, tree), greatest_length(data, axes, tree)
     done = greatest == 0
+    room.waiting[0] = 0
     while not done:
         room, m, longest = edges_between(data, axes, tree, shortest, longest, room, spare // (2 * EDGE_BYTES))
         for e in range(m):
-            x, y, middle = ends_of(room[2][e])
-            length = room[3][e]
+            x, y, middle = ends_of(room.keys[e])
+            length = room.lengths[e]
             if length > max_length or (alive == 0 and 0 <= last < length):
                 done = True
                 break
