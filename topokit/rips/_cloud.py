@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import pdist, squareform
 
 from .._validate import as_points
 
@@ -45,9 +44,13 @@ class Cloud:
         scale = 2.0 ** -min(max(exponent, -1000), 1000)
         scaled = array * scale
         if array.shape[1] <= 3:
-            return cls(np.pad(scaled, ((0, 0), (0, 3 - array.shape[1]))), (0, 0, 0), scale)
+            return cls(np.hstack([scaled, np.zeros((len(array), 3 - array.shape[1]))]), (0, 0, 0), scale)
         if 8 * len(array) ** 2 > MEMORY:
-            raise _too_large(len(array), f"{8e-9 * len(array) ** 2:.1f} GB for distances in {array.shape[1]} dimensions")
+            raise _too_large(
+                len(array), f"{8e-9 * len(array) ** 2:.1f} GB for distances in {array.shape[1]} dimensions"
+            )
+        from scipy.spatial.distance import pdist, squareform  # SciPy takes a while to import
+
         return cls(squareform(pdist(scaled)) / scale, (), 1.0)
 
     def __len__(self) -> int:

@@ -119,28 +119,32 @@ def between_boxes(tree, a, b):
     return least, most
 
 
-@njit(forceinline=True)
+@njit()
 def centre(tree, a, b, place):
     """Put the middle between two boxes into `place`; return how far from it the midpoint of an edge may be."""
-    spread = 0.0
+    low, high, spread = tree.low, tree.high, 0.0
     for k in range(len(tree.axes)):
-        place[k] = 0.25 * (tree.low[a, k] + tree.high[a, k] + tree.low[b, k] + tree.high[b, k])
-        spread += (tree.high[a, k] - tree.low[a, k] + tree.high[b, k] - tree.low[b, k]) ** 2
+        place[k] = 0.25 * (low[a, k] + high[a, k] + low[b, k] + high[b, k])
+        spread += (high[a, k] - low[a, k] + high[b, k] - low[b, k]) ** 2
     return 0.25 * np.sqrt(spread)
 
 
-@njit(forceinline=True)
+@njit()
 def nearby_point(tree, place):
     """A point near a place, and its squared distance: the nearest of the leaf that always taking the nearer box leads to."""
-    node = 0
+    points, low, high, node = tree.points, tree.low, tree.high, 0
     while node < tree.first_leaf:
-        left, right = 2 * node + 1, 2 * node + 2
-        node = left if nearest_in_box(tree, place, left) <= nearest_in_box(tree, place, right) else right
+        node = 2 * node + 1
+        to_left, to_right = 0.0, 0.0
+        for k in range(len(tree.axes)):
+            to_left += max(low[node, k] - place[k], place[k] - high[node, k], 0.0) ** 2
+            to_right += max(low[node + 1, k] - place[k], place[k] - high[node + 1, k], 0.0) ** 2
+        node += to_right < to_left
     best, bound = -1, np.inf
     for z in range(tree.start[node], tree.end[node]):
         square = 0.0
         for k in range(len(tree.axes)):
-            step = tree.points[z, k] - place[k]
+            step = points[z, k] - place[k]
             square += step * step
         if square < bound:
             best, bound = z, square
