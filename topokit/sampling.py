@@ -123,17 +123,17 @@ def spacing(points: ArrayLike | cKDTree) -> float:
     1.0
     """
     tree = as_tree(points)
-    if len(np.unique(tree.data.sum(axis=1))) < tree.n:  # some may be repeated
+    if len(np.unique(sum(tree.data.T))) < tree.n:  # some may be repeated
         tree = as_tree(np.unique(tree.data + 0.0, axis=0))  # -0.0 and 0.0 are one place
     if tree.n < 2:
         return 0.0
-    cloud = tree.data[tree.indices]  # what is near in the tree's order is near in space
-    bounds = np.full(tree.n, np.inf)
-    for k in range(1, min(5, tree.n)):
-        apart = np.linalg.norm(cloud[k:] - cloud[:-k], axis=1)
-        np.minimum(bounds[k:], apart, out=bounds[k:])
-        np.minimum(bounds[:-k], apart, out=bounds[:-k])
-    return _farthest([(tree, cloud)], bounds, 2) / 2
+    axes = np.take(tree.data.T, tree.indices, axis=1)  # what is near in the tree's order is near in space
+    squares = np.full(tree.n, np.inf)
+    for k in range(1, min(7, tree.n)):
+        apart = ((axes[:, k:] - axes[:, :-k]) ** 2).sum(axis=0)
+        np.minimum(squares[k:], apart, out=squares[k:])
+        np.minimum(squares[:-k], apart, out=squares[:-k])
+    return _farthest([(tree, axes.T)], np.sqrt(squares), 2) / 2
 
 
 def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = False) -> cKDTree:
@@ -145,7 +145,7 @@ def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = F
 
 def _farthest(searches: list[tuple[cKDTree, NDArray[np.float64]]], bounds: NDArray[np.float64], k: int) -> float:
     """The largest distance from a place to its k-th nearest point of a tree; as none exceeds its bound, few are searched for."""
-    first = bounds.argmax()
-    found = max(float(tree.query(places[first], k=[k])[0][0]) for tree, places in searches)
+    likely = bounds.argsort()[-32:]
+    found = max(tree.query(places[likely], k=[k])[0].max() for tree, places in searches)
     left = bounds * (1 + 1e-12) > found  # bounds are not rounded as the tree's distances are
     return max(float(tree.query(places[left], k=[k])[0].max(initial=found)) for tree, places in searches)
