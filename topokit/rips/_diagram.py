@@ -65,14 +65,13 @@ class Diagram:
         self._check_index(i)
         if np.isinf(self.death[i]):
             return np.empty((0, 3), dtype=np.int64)
-        vertices = np.append(self.killer_edge[i], self.killer_triangles[i, :, 2])
-        to = self._cloud.lengths(vertices[:, None], np.arange(self.n_points))  # (4, n)
-        a, b, _ = _OUTER.T
-        triangles = vertices[_OUTER]
+        vertices = self.killer_triangles[i].ravel()[[0, 1, 2, 5]]
+        to = self._cloud.lengths(vertices[:, None], slice(None)).reshape(4, -1)
+        (a, b, _), each, triangles = _OUTER.T, np.arange(4), vertices[_OUTER]
         enters = np.maximum(np.maximum(to[a], to[b]), to[a, triangles[:, 1], None])
-        np.put_along_axis(enters, triangles, np.inf, axis=1)
+        enters[each[:, None], triangles] = np.inf
         triangles[:, 2] = enters.argmin(axis=1)
-        return triangles[enters.min(axis=1) <= 2 * self.death[i]]
+        return triangles[enters[each, triangles[:, 2]] <= 2 * self.death[i]]
 
     def cycle(self, i: int) -> NDArray[np.int64]:
         """A closed walk around loop `i`, tight at its birth: the birth edge and the shortest path around it.
