@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 from topokit import covering_radius, farthest_point_sample, hausdorff
 from topokit.sampling import spacing
@@ -77,3 +78,19 @@ def test_clouds_that_cannot_be_compared_are_named(dense, sample, says):
 )
 def test_spacing_is_half_the_widest_gap_between_different_points(cloud, half):
     assert spacing(np.array(cloud)) == half
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 5, 9])
+@pytest.mark.parametrize("motion", [0.0, 0.01, 1.0])
+def test_distances_that_search_for_few_points_are_those_of_all(d, motion):
+    rng = np.random.default_rng(0)
+    for n, power in ((2, 1), (7, 1), (300, 3), (300, 1), (1000, 0)):
+        before = rng.normal(size=(n, d)) ** power + np.arange(n)[:, None] * (power == 0)  # evenly on a line, when 0
+        after = before + motion * rng.random((n, d))
+        for a, b in ((before, after), (before, rng.permutation(after)), (before, after[: n // 2])):
+            apart = cdist(a, b)
+            expected = max(apart.min(axis=0).max(), apart.min(axis=1).max())
+            assert hausdorff(a, b) == pytest.approx(expected, rel=1e-14)
+        own = cdist(after, after) + np.diag(np.full(n, np.inf))
+        for cloud in (after, np.concatenate([after, after[: n // 2]])):
+            assert spacing(cloud) == pytest.approx(own.min(axis=1).max() / 2, rel=1e-14)

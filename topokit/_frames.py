@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from numpy.typing import NDArray
 
 from .rips import Diagram
 from .sampling import spacing
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
 _OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
 
 
-def check_follows(frame: int, before: tuple[Array | None, float | None], after: tuple[Array, float | None]) -> None:
-    """Raise ValueError unless a cloud and its time can follow those before."""
-    (cloud_before, time_before), (cloud, time) = before, after
-    if len(cloud) == 0:
+def check_follows(frame: int, before: tuple[cKDTree | None, float | None], after: tuple[cKDTree, float | None]) -> None:
+    """Raise ValueError unless a cloud, as a tree, and its time can follow those before."""
+    (tree_before, time_before), (tree, time) = before, after
+    if tree.n == 0:
         raise ValueError(f"frame {frame} has no points: nothing seen is not the same as no loops; skip the frame")
     if time is not None and not np.isfinite(time):
         raise ValueError(f"frame {frame} has time {time}; it must be a finite number of seconds")
-    if cloud_before is None:
+    if tree_before is None:
         return
     _check_time(frame, time_before, time)
-    if cloud.shape[1] != cloud_before.shape[1]:
-        raise ValueError(f"frame {frame} has {cloud.shape[1]} dimensions, the frames before it {cloud_before.shape[1]}")
-    size, size_before = (float(np.ptp(points, axis=0).max()) for points in (cloud, cloud_before))
-    if _differ_in_units(size, size_before) and _differ_in_units(spacing(cloud), spacing(cloud_before)):
+    if tree.m != tree_before.m:
+        raise ValueError(f"frame {frame} has {tree.m} dimensions, the frames before it {tree_before.m}")
+    size, size_before = (float((one.maxes - one.mins).max()) for one in (tree, tree_before))
+    if _differ_in_units(size, size_before) and _differ_in_units(spacing(tree), spacing(tree_before)):
         raise ValueError(
             f"frame {frame} is {size:.4g} across, the frame before it {size_before:.4g}, and its points are as much farther "
             "apart or nearer: is it in other units? Convert it, or start a new tracker"

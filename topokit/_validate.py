@@ -26,9 +26,9 @@ def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False) ->
             + ("; for a sequence of clouds use topokit.track" if array.ndim == 3 else "")
         )
     array = np.array(array, dtype=np.float64, order="C", copy=copy or None)
-    finite = np.isfinite(array).all(axis=1)
+    finite = np.isfinite(array)
     if not finite.all():
-        bad = np.flatnonzero(~finite)
+        bad = np.flatnonzero(~finite.all(axis=1))
         raise ValueError(
             f"{name} has {len(bad)} of {len(array)} points with a NaN or infinite coordinate, the first at row {bad[0]}: "
             f"{array[bad[0]].tolist()}; drop them first, for example {name}[np.isfinite({name}).all(axis=1)]"

@@ -61,7 +61,7 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int = 0) -> tuple[ND
     return idx, float(np.sqrt(nearest.max()))
 
 
-def covering_radius(dense: ArrayLike, sample: ArrayLike) -> float:
+def covering_radius(dense: ArrayLike, sample: ArrayLike | cKDTree) -> float:
     """Return the largest distance from a point of `dense` to its nearest point of `sample`: the paper's alpha.
 
     This is the directed Hausdorff distance, in the unit of the points.
@@ -69,7 +69,7 @@ def covering_radius(dense: ArrayLike, sample: ArrayLike) -> float:
     Parameters
     ----------
     dense, sample : (n, d), (m, d) array_like
-        One point each at least.
+        One point each at least; `sample` may be a tree of its points.
 
     Raises
     ------
@@ -81,15 +81,15 @@ def covering_radius(dense: ArrayLike, sample: ArrayLike) -> float:
     >>> covering_radius([[0.0], [1.0], [3.0]], [[0.0]])
     3.0
     """
-    everything, some = as_points(dense, "dense"), as_points(sample, "sample")
-    if len(everything) == 0 or len(some) == 0:
+    everything, some = as_points(dense, "dense"), as_tree(sample, "sample")
+    if len(everything) == 0 or some.n == 0:
         raise ValueError("dense and sample need at least one point each")
-    if everything.shape[1] != some.shape[1]:
-        raise ValueError(f"dense has {everything.shape[1]} dimensions, sample {some.shape[1]}")
-    return float(_tree(some).query(everything)[0].max())
+    if everything.shape[1] != some.m:
+        raise ValueError(f"dense has {everything.shape[1]} dimensions, sample {some.m}")
+    return float(some.query(everything)[0].max())
 
 
-def hausdorff(a: ArrayLike, b: ArrayLike) -> float:
+def hausdorff(a: ArrayLike | cKDTree, b: ArrayLike | cKDTree) -> float:
     """Return the Hausdorff distance between two finite point sets, in the unit of the points.
 
     For two edges this is the paper's distance between killer edges: each taken as the set of its two end points.
@@ -97,39 +97,55 @@ def hausdorff(a: ArrayLike, b: ArrayLike) -> float:
     Parameters
     ----------
     a, b : (n, d), (m, d) array_like
-        One point each at least.
+        One point each at least, or trees of them.
 
     Examples
     --------
     >>> hausdorff([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.0], [1.0, 2.0]])
     2.0
     """
-    return max(covering_radius(a, b), covering_radius(b, a))
+    one, other = as_tree(a, "a"), as_tree(b, "b")
+    if one.n == 0 or one.data.shape != other.data.shape:
+        return max(covering_radius(one.data, other), covering_radius(other.data, one))
+    # A point is no farther from the other cloud than from its point of the same number: in a film, the same particle.
+    bounds = np.linalg.norm(one.data - other.data, axis=1)
+    return _farthest([(other, one.data), (one, other.data)], bounds, 1)
 
 
-def spacing(points: ArrayLike) -> float:
+def spacing(points: ArrayLike | cKDTree) -> float:
     """Return half the largest distance from a point to its nearest other one; repeated points count once.
 
-    No smaller covering radius is possible when no piece of the scene is a single point.
+    No smaller covering radius is possible when no piece of the scene is a single point. A tree of the points will do.
 
     Examples
     --------
     >>> spacing([[0.0], [1.0], [3.0], [3.0]])
     1.0
     """
-    cloud = as_points(points)
-    if len(cloud) < 2:
+    tree = as_tree(points)
+    if len(np.unique(sum(tree.data.T))) < tree.n:  # some may be repeated
+        tree = as_tree(np.unique(tree.data + 0.0, axis=0))  # -0.0 and 0.0 are one place
+    if tree.n < 2:
         return 0.0
-    nearest = _tree(cloud).query(cloud, k=2)[0][:, 1]
-    if not nearest.all():  # some are repeated
-        cloud = np.unique(cloud + 0.0, axis=0)  # -0.0 and 0.0 are one place
-        if len(cloud) < 2:
-            return 0.0
-        nearest = _tree(cloud).query(cloud, k=2)[0][:, 1]
-    return float(nearest.max()) / 2
+    axes = np.take(tree.data.T, tree.indices, axis=1)  # what is near in the tree's order is near in space
+    squares = np.full(tree.n, np.inf)
+    for k in range(1, min(7, tree.n)):
+        apart = ((axes[:, k:] - axes[:, :-k]) ** 2).sum(axis=0)
+        np.minimum(squares[k:], apart, out=squares[k:])
+        np.minimum(squares[:-k], apart, out=squares[:-k])
+    return _farthest([(tree, axes.T)], np.sqrt(squares), 2) / 2
 
 
-def _tree(points: NDArray[np.float64]) -> cKDTree:
+def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = False) -> cKDTree:
+    """A tree of checked points, or the one that is given: built once, it answers for several distances."""
     from scipy.spatial import cKDTree  # here, because importing topokit must be quick
 
-    return cKDTree(points)
+    return points if isinstance(points, cKDTree) else cKDTree(as_points(points, name, copy=copy))
+
+
+def _farthest(searches: list[tuple[cKDTree, NDArray[np.float64]]], bounds: NDArray[np.float64], k: int) -> float:
+    """The largest distance from a place to its k-th nearest point of a tree; as none exceeds its bound, few are searched for."""
+    likely = bounds.argsort()[-32:]
+    found = max(tree.query(places[likely], k=[k])[0].max() for tree, places in searches)
+    left = bounds * (1 + 1e-12) > found  # bounds are not rounded as the tree's distances are
+    return max(float(tree.query(places[left], k=[k])[0].max(initial=found)) for tree, places in searches)

@@ -21,13 +21,15 @@ from numpy.typing import ArrayLike, NDArray
 from ._curves import curve_centroid
 from ._frames import check_diagram, check_follows
 from ._matching import Candidates, Matching, hausdorff_table, within_gates
-from ._validate import as_points, as_sequence, positive
+from ._validate import as_sequence, positive
 from .rips import Diagram, rips_persistence, rips_persistence_many
-from .sampling import hausdorff, spacing
+from .sampling import as_tree, hausdorff, spacing
 from .state import Loop, TopologicalState, loop_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    from scipy.spatial import cKDTree
 
 __all__ = ["RECOMMENDED", "Candidates", "SeqPH", "place", "track"]
 
@@ -115,7 +117,7 @@ class SeqPH:
         self._match = partial(within_gates, gates) if match is None else match
         self._frame, self._next_id = 0, 0
         self._time: float | None = None
-        self._cloud: Array | None = None
+        self._tree: cKDTree | None = None  # of the frame before
         self._known: list[_Known] = []
 
     def update(
@@ -132,13 +134,13 @@ class SeqPH:
         diagram : Diagram, optional
             The persistence of these points, when it is known already; computed when not given. All its loops must die.
         """
-        cloud = as_points(points, f"frame {self._frame}", copy=True)
-        check_follows(self._frame, (self._cloud, self._time), (cloud, time))
+        tree = as_tree(points, f"frame {self._frame}", copy=True)
+        check_follows(self._frame, (self._tree, self._time), (tree, time))
         if diagram is None:
-            diagram = rips_persistence(cloud)
+            diagram = rips_persistence(tree.data)
         else:
-            check_diagram(self._frame, diagram, len(cloud))
-        return self._advance(cloud, diagram, time)
+            check_diagram(self._frame, diagram, tree.n)
+        return self._advance(tree, diagram, time)
 
     def stream(self, frames: Iterable[ArrayLike]) -> Iterator[TopologicalState]:
         """Yield the state of every frame as it comes; nothing is kept but what the next frame needs.
@@ -152,11 +154,11 @@ class SeqPH:
         for points in frames:
             yield self.update(points)
 
-    def _advance(self, cloud: Array, diagram: Diagram, time: float | None) -> TopologicalState:
+    def _advance(self, tree: cKDTree, diagram: Diagram, time: float | None) -> TopologicalState:
         """Take a checked frame whose persistence is known."""
-        alpha = spacing(cloud) if self.alpha is None else self.alpha
-        found = [i for i in range(len(diagram)) if diagram.lifetime[i] >= alpha]
-        epsilon, beta = self._motion(cloud, diagram, found)
+        cloud, alpha = tree.data, spacing(tree) if self.alpha is None else self.alpha
+        found = np.flatnonzero(diagram.lifetime >= alpha).tolist()
+        epsilon, beta = self._motion(tree, diagram, found)
         known = [replace(k, motion=k.motion + epsilon, missed=k.missed + 1) for k in self._known]
         places = [place(diagram, i, cloud, self.identity) for i in found]
         matched: dict[int, int] = {}
@@ -172,14 +174,14 @@ class SeqPH:
         taken = set(matched.values())
         kept = [k for j, k in enumerate(known) if j not in taken and k.missed <= self.memory]
         self._known = [_Known(loop, place) for loop, place in zip(loops, places, strict=True)] + kept
-        self._cloud, self._next_id, self._frame, self._time = cloud, next_id, self._frame + 1, time
+        self._tree, self._next_id, self._frame, self._time = tree, next_id, self._frame + 1, time
         return state
 
-    def _motion(self, cloud: Array, diagram: Diagram, found: list[int]) -> tuple[float, float]:
+    def _motion(self, tree: cKDTree, diagram: Diagram, found: list[int]) -> tuple[float, float]:
         """Epsilon and beta of this step, given or estimated."""
         epsilon, beta = self.epsilon, self.beta
         if epsilon is None:
-            epsilon = 0.0 if self._cloud is None else hausdorff(cloud, self._cloud)
+            epsilon = 0.0 if self._tree is None else hausdorff(tree, self._tree)
         if beta is None:
             beta = 2 * max([*diagram.death[found], *(known.loop.death for known in self._known)], default=0.0)
         return epsilon, float(beta)
@@ -217,11 +219,11 @@ def track(
     if len(stamps) != len(clouds):
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
     tracker = SeqPH(**options)
-    frames = list(zip(clouds, stamps, strict=True))
+    frames = [(as_tree(cloud), stamp) for cloud, stamp in zip(clouds, stamps, strict=True)]
     for number, frame in enumerate(frames):
         check_follows(number, frames[number - 1] if number else (None, None), frame)
     diagrams = rips_persistence_many(clouds, n_jobs, progress=progress)
-    return [tracker._advance(*frame) for frame in zip(clouds, diagrams, stamps, strict=True)]
+    return [tracker._advance(tree, diagram, time) for (tree, time), diagram in zip(frames, diagrams, strict=True)]
 
 
 def _candidates(
@@ -279,5 +281,5 @@ def _loop(diagram: Diagram, i: int, cloud: Array, identity: int, before: Loop | 
 
 def _values(triangles: Array) -> Array:
     """(m,) half the longest side of triangles (m, 3, d)."""
-    sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2)
+    sides = np.linalg.norm(triangles - triangles[:, [2, 0, 1]], axis=2)
     return np.asarray(sides.max(axis=1, initial=0.0) / 2)

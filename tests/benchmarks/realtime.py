@@ -29,6 +29,7 @@ from topokit import seqph
 from topokit.io import load_episode
 
 PARTS = {
+    "as_tree": "tree of neighbours",
     "rips_persistence": "persistence",
     "spacing": "alpha",
     "hausdorff": "epsilon",

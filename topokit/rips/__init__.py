@@ -61,8 +61,8 @@ def rips_persistence(
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
     cloud = Cloud.of(points, metric)
     created, killed, birth, death = pairs(cloud, cutoff)
-    keep = np.flatnonzero((death > birth) & (death - birth >= shortest))
-    keep = keep[np.lexsort((created[keep, 1], created[keep, 0], birth[keep], -(death - birth)[keep]))]
+    keep = np.argsort(birth - death, kind="stable")  # births come in the total order, which decides ties
+    keep = keep[(death > birth)[keep] & (death - birth >= shortest)[keep]]
     return Diagram(
         birth=birth[keep],
         death=death[keep],

@@ -98,7 +98,8 @@ def pairs(cloud: Cloud, max_radius: float) -> Pairs:
     if len(cloud) < 4 or on_a_line:
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
     created, killed = _within_memory(cloud, cloud.key_of(2 * max_radius))
-    birth, death = (cloud.lengths(edges[:, 0], edges[:, 1]) / 2 for edges in (created, killed))
+    ends = np.stack([created, killed[:, :2]])
+    birth, death = cloud.lengths(ends[..., 0], ends[..., 1]) / 2
     death[(killed[:, 0] < 0) | (death > max_radius)] = np.inf
     killed[np.isinf(death)] = -1
     inside = birth <= max_radius

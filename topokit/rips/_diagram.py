@@ -16,6 +16,8 @@ from ._cloud import Cloud, pairs
 if TYPE_CHECKING:
     from ._cycles import Homology
 
+_OUTER = np.array([[0, 2, 1], [2, 1, 0], [0, 3, 1], [3, 1, 0]])  # edges of the killer triangles, and the third vertex
+
 
 @dataclass(frozen=True, eq=False)
 class Diagram:
@@ -61,18 +63,15 @@ class Diagram:
             Outer edge and apex, the thick triangle's first. Triangles that come after the loop's death are left out.
         """
         self._check_index(i)
-        found: list[tuple[int, int, int]] = []
         if np.isinf(self.death[i]):
             return np.empty((0, 3), dtype=np.int64)
-        for x, y, apex in self.killer_triangles[i].tolist():
-            for a, b, opposite in ((x, apex, y), (apex, y, x)):
-                to_a, to_b = (self._cloud.lengths(v, slice(None)) for v in (a, b))
-                enters = np.maximum(np.maximum(to_a, to_b), to_a[b])
-                enters[[a, b, opposite]] = np.inf
-                c = int(np.argmin(enters))
-                if enters[c] <= 2 * self.death[i]:
-                    found.append((a, b, c))
-        return np.array(found, dtype=np.int64).reshape(-1, 3)
+        vertices = self.killer_triangles[i].ravel()[[0, 1, 2, 5]]
+        to = self._cloud.lengths(vertices[:, None], slice(None)).reshape(4, -1)
+        (a, b, _), each, triangles = _OUTER.T, np.arange(4), vertices[_OUTER]
+        enters = np.maximum(np.maximum(to[a], to[b]), to[a, triangles[:, 1], None])
+        enters[each[:, None], triangles] = np.inf
+        triangles[:, 2] = enters.argmin(axis=1)
+        return triangles[enters[each, triangles[:, 2]] <= 2 * self.death[i]]
 
     def cycle(self, i: int) -> NDArray[np.int64]:
         """A closed walk around loop `i`, tight at its birth: the birth edge and the shortest path around it.
