@@ -66,6 +66,17 @@ def positive(value: float, name: str, *, zero: bool = True, infinite: bool = Fal
     return number
 
 
+def as_ids(values: object, name: str, n_vertices: int) -> NDArray[np.int64]:
+    """Vertex ids as int64; a TypeError or ValueError names one that is none."""
+    ids = np.asarray(values)
+    if not np.issubdtype(ids.dtype, np.integer):
+        raise WrongKindError(f"{name} must hold whole numbers (vertex ids), not {ids.dtype}")
+    outside = ids[(ids < 0) | (ids >= n_vertices)]
+    if len(outside):
+        raise ValueError(f"{name} names vertex {outside[0]}; there are {n_vertices}, numbered from 0")
+    return ids.astype(np.int64)
+
+
 def own_arrays(record: object) -> None:
     """Replace the arrays of a frozen dataclass by copies that nobody can write to, so that it shares none with its maker."""
     for name, value in vars(record).items():

@@ -40,8 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except RuntimeError as error:  # the input was right, the work failed: a simulation that exploded
         print(f"topokit {options.command}: failed: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print(f"topokit {options.command}: stopped; nothing was written", file=sys.stderr)
+    except KeyboardInterrupt as stopped:
+        print(f"topokit {options.command}: {stopped or 'stopped; nothing was written'}", file=sys.stderr)
         return 130
 
 
@@ -203,8 +203,7 @@ def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
             frames += 1
             print(json.dumps(state.as_dict()), flush=True)
     except KeyboardInterrupt:
-        print(f"topokit track: stopped after {frames} frames, which were printed", file=sys.stderr)
-        return 130
+        raise KeyboardInterrupt(f"stopped after {frames} frames, which were printed") from None
     return 0
 
 

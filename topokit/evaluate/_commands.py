@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +45,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     except (KeyboardInterrupt, SystemError) as error:
         if not _interrupted(error):
             raise
-        print(f"topokit evaluate: stopped; {options.out} has what was done, the same command goes on", file=sys.stderr)
-        return 130
+        words = f"stopped; {options.out} has what was done, the same command goes on"
+        raise KeyboardInterrupt(words) from None
     if options.json:
         print(json.dumps({"results": str(options.out), "hull_accuracy": results["hull_accuracy"]}))
         return 0

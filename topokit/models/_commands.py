@@ -38,8 +38,7 @@ def _train(options: argparse.Namespace) -> int:
         show = sys.stderr.isatty() and not (options.json or options.quiet)
         answer = train(config, open_windows(config), progress=show)
     except KeyboardInterrupt:
-        print(f"topokit train: stopped; the same command goes on from {config.out}/last.safetensors", file=sys.stderr)
-        return 130
+        raise KeyboardInterrupt(f"stopped; the same command goes on from {config.out}/last.safetensors") from None
     if options.json:
         print(json.dumps(answer))
     else:

@@ -41,9 +41,8 @@ PURPOSES = ("path", "physics", "cameras", "noise")
 Bounds = tuple[float, float]
 _CONFIGURED = ("stiffness", "bending", "damping", "friction", "mass")
 Report = Callable[[int], None]
-Recording = dict[
-    str, NDArray[Any]
-]  # points (T, N, 3), grippers (T, 2, 3), observed (T, M, 3) by cameras, stretch (T, 2)
+# points (T, N, 3), grippers (T, 2, 3), observed (T, M, 3) by cameras, stretch (T, 2)
+Recording = dict[str, NDArray[Any]]
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
 _JOB = "topokit.sim._episode:record_job"

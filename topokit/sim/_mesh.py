@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from topokit._curves import side_lengths
-from topokit._validate import positive
+from topokit._validate import as_ids, positive
 
 from ._read import read_mesh
-from ._surface import Array, EdgeGraph, Ids, as_ids, border_cycles, components, edge_lengths, half_edges, joined, wind
+from ._surface import Array, EdgeGraph, Ids, border_cycles, components, edge_lengths, half_edges, joined, wind
 
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
