@@ -21,10 +21,8 @@ def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False) ->
     if array.dtype.kind not in "biuf":
         raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}")
     if array.ndim != 2 or array.shape[1] == 0:
-        raise ValueError(
-            f"{name} must be an (n, d) array, one row a point, not an array of shape {array.shape}"
-            + ("; for a sequence of clouds use topokit.track" if array.ndim == 3 else "")
-        )
+        more = "; for a sequence of clouds use topokit.track" if array.ndim == 3 else ""
+        raise ValueError(f"{name} must be an (n, d) array, one row a point, not of shape {array.shape}{more}")
     array = np.array(array, dtype=np.float64, order="C", copy=copy or None)
     finite = np.isfinite(array).all(axis=1)
     if not finite.all():
@@ -41,16 +39,13 @@ def as_sequence(
 ) -> list[NDArray[np.float64]]:
     """A list of (n_t, d) float64 arrays: a camera sees as many points as it sees, but always in as many dimensions."""
     if isinstance(sequence, np.ndarray) and sequence.ndim != 3:
-        raise ValueError(
-            f"{name} must be a (T, n, d) array or a list of (n, d) arrays, not an array of shape {sequence.shape}"
-        )
+        raise ValueError(f"{name} must be a (T, n, d) array or a list of (n, d) arrays, not of shape {sequence.shape}")
     clouds: list[NDArray[np.float64]] = []
     for frame, cloud in enumerate(sequence):  # type: ignore[arg-type]
         array = as_points(cloud, f"{name}[{frame}]", copy=copy)
         if clouds and array.shape[1] != clouds[0].shape[1]:
-            raise ValueError(
-                f"{name}[{frame}] has points in {array.shape[1]} dimensions where the frames before it have {clouds[0].shape[1]}"
-            )
+            before = clouds[0].shape[1]
+            raise ValueError(f"{name}[{frame}] has {array.shape[1]} dimensions, the frames before it {before}")
         clouds.append(array)
     return clouds
 

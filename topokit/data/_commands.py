@@ -16,7 +16,6 @@ def add(commands: Any) -> None:
     """Add the sub-parsers."""
     output = argparse.ArgumentParser(add_help=False)
     output.add_argument("--quiet", action="store_true", help="no progress bar")
-    output.add_argument("--json", action="store_true", help="print the answer as JSON")
     workers = argparse.ArgumentParser(add_help=False)
     workers.add_argument("--workers", type=int, metavar="W", help="processes on this machine (default: one a core)")
     workers.add_argument("--scheduler", metavar="TCP", help="a Dask scheduler whose workers see the same folder")

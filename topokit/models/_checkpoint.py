@@ -47,8 +47,8 @@ def build(
     shape : Shape
     normalisation : Normalisation
     options : mapping, optional
-        Of "ridge" `penalty`, on squared coefficients; of "mlp" `hidden` units and `cloud_points` read; of "pointnet" `hidden` and
-        `per_point` units; of "loopcast" `width` of codes, `step_width` of a step's.
+        Of "ridge" `penalty`, on squared coefficients; of "mlp" and "pointnet" `hidden` units; of "loopcast" `width` of codes,
+        `step_width` of a step's.
 
     Raises
     ------

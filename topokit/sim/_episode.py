@@ -16,7 +16,7 @@ import platform
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from importlib import metadata
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator
 
+from topokit import __version__
 from topokit._config import NotNegative, Positive, checked
 from topokit._validate import positive
 from topokit.io import FEWEST_FRAMES, Episode
@@ -63,6 +64,8 @@ def simulate(
 ) -> Episode:
     """Record one episode: a garment hung between two grippers, carried to a target, let go there.
 
+    It is a success when, after release, the loops of the task are on the target and the garment is at rest there.
+
     Parameters
     ----------
     garment, target : optional
@@ -84,11 +87,6 @@ def simulate(
         in a program. None: in this process, repeatable bit by bit only as its first simulation.
     progress : bool
         Write the share done to stderr.
-
-    Returns
-    -------
-    Episode
-        With `success` when, after release, the loops of the task are on the target and the garment is at rest there.
 
     Raises
     ------
@@ -155,15 +153,8 @@ def _episode(
         dt=config.frame_time,
         observation={"kind": "cameras" if views else "vertices", "cameras": views},
         physics=physics,
-        provenance={**{name: _version(name) for name in ("topokit", "pybullet")}, "machine": platform.machine()},
+        provenance={"topokit": __version__, "pybullet": version("pybullet"), "machine": platform.machine()},
     )
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:  # run from a source tree that is not installed
-        return "0+unknown"
 
 
 def _show(frames: int, frame: int) -> None:
