@@ -47,7 +47,9 @@ class Cloud:
         if array.shape[1] <= 3:
             return cls(np.pad(scaled, ((0, 0), (0, 3 - array.shape[1]))), (0, 0, 0), scale)
         if 8 * len(array) ** 2 > MEMORY:
-            raise _too_large(len(array), f"{8e-9 * len(array) ** 2:.1f} GB for distances in {array.shape[1]} dimensions")
+            raise _too_large(
+                len(array), f"{8e-9 * len(array) ** 2:.1f} GB for distances in {array.shape[1]} dimensions"
+            )
         return cls(squareform(pdist(scaled)) / scale, (), 1.0)
 
     def __len__(self) -> int:

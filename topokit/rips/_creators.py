@@ -130,7 +130,9 @@ def with_loop(loops, born, x, y, spare):
         columns = np.empty(first_word(2 * born), np.uint64)
         for w in range(len(loops.columns)):
             columns[w] = loops.columns[w]
-        loops = Loops(twice_as_long(loops.created), twice_as_long(loops.killed), columns, np.zeros(born >> 5, np.uint64))
+        loops = Loops(
+            twice_as_long(loops.created), twice_as_long(loops.killed), columns, np.zeros(born >> 5, np.uint64)
+        )
     loops.created[born, 0], loops.created[born, 1] = x, y
     for k in range(4):
         loops.killed[born, k] = -1

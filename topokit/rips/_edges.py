@@ -184,7 +184,9 @@ def _sort_slice(keys, lengths, label):
         key, length = keys[parent], lengths[parent]
         child = 2 * parent + 1
         while child < end:
-            if child + 1 < end and _comes_before(keys[child], lengths[child], keys[child + 1], lengths[child + 1], label):
+            if child + 1 < end and _comes_before(
+                keys[child], lengths[child], keys[child + 1], lengths[child + 1], label
+            ):
                 child += 1
             if not _comes_before(key, length, keys[child], lengths[child], label):
                 break
@@ -196,7 +198,13 @@ def _sort_slice(keys, lengths, label):
 @njit()
 def _sort(room, m, label):
     """Put m edges in the total order: a slice of lengths holds about one edge, and insertion does the rest."""
-    keys, lengths, sorted_keys, sorted_lengths, start = room.found, room.found_lengths, room.keys, room.lengths, room.start
+    keys, lengths, sorted_keys, sorted_lengths, start = (
+        room.found,
+        room.found_lengths,
+        room.keys,
+        room.lengths,
+        room.start,
+    )
     shortest, longest = np.inf, 0.0
     for e in range(m):
         shortest, longest = min(shortest, lengths[e]), max(longest, lengths[e])

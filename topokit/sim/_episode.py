@@ -16,7 +16,7 @@ import platform
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from importlib.metadata import version
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator
 
-from topokit import __version__
 from topokit._config import NotNegative, Positive, checked
 from topokit._validate import positive
 from topokit.io import FEWEST_FRAMES, Episode
@@ -153,8 +152,15 @@ def _episode(
         dt=config.frame_time,
         observation={"kind": "cameras" if views else "vertices", "cameras": views},
         physics=physics,
-        provenance={"topokit": __version__, "pybullet": version("pybullet"), "machine": platform.machine()},
+        provenance={**{name: _version(name) for name in ("topokit", "pybullet")}, "machine": platform.machine()},
     )
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:  # run from a source tree that is not installed
+        return "0+unknown"
 
 
 def _show(frames: int, frame: int) -> None:
