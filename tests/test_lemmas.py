@@ -411,7 +411,7 @@ def test_a_verdict_with_nothing_to_say():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda s: lemmas.observability(s, [99]), "names vertex 99; the state has 14"),
+        (lambda s: lemmas.observability(s, [99]), "names vertex 99; there are 14"),
         (lambda s: lemmas.observability(s, [-1]), "names vertex -1"),
         (lambda s: lemmas.observability(s, []), "is empty"),
         (lambda s: lemmas.observability(s, s[:3] + 0.01), "must be vertices of the state: point"),
@@ -422,7 +422,7 @@ def test_a_verdict_with_nothing_to_say():
         (lambda s: lemmas.verify_episode([s, s[:-1]], [0, 1]), "differ in shape"),
         (lambda s: lemmas.verify_episode([s, s], [[0, 1]]), "observed has 1 frames, points 2"),
         (lambda s: lemmas.verify_episode([s, s], [[0, 1], [0, 77]]), r"observed\[1\] names vertex 77"),
-        (lambda s: lemmas.feature_approximation(np.zeros((0, 2)), [0]), "names vertex 0; the state has 0"),
+        (lambda s: lemmas.feature_approximation(np.zeros((0, 2)), [0]), "names vertex 0; there are 0"),
     ],
 )
 def test_bad_input_is_explained(call, message):

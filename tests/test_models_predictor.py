@@ -38,8 +38,8 @@ from windows import HISTORY, HORIZON, POINTS, SLOTS, RingWindows
 SHAPE = Shape(points=POINTS, slots=SLOTS)
 UNITS = Normalisation((0.0, 0.0, 0.85), 0.1, 0.08)
 SMALL = {
-    "mlp": {"hidden": [32, 16], "cloud_points": 8},
-    "pointnet": {"hidden": [32, 16], "per_point": [8, 16]},
+    "mlp": {"hidden": [32, 16]},
+    "pointnet": {"hidden": [32, 16]},
     "loopcast": {"width": 16, "step_width": 8},
 }
 NETWORKS = tuple(SMALL)

@@ -68,7 +68,7 @@ def log(out):
     ("model", "options", "loss"),
     [
         ("mlp", {"hidden": [64, 32]}, LossWeights()),
-        ("pointnet", {"hidden": [64, 32], "per_point": [16, 32]}, LossWeights()),
+        ("pointnet", {"hidden": [64, 32]}, LossWeights()),
         ("loopcast", {"width": 32, "step_width": 16}, OURS),
     ],
 )

@@ -102,7 +102,6 @@ LAYERS = [
     {"models"},
     {"view"},
     {"evaluate"},
-    {"_commands"},
     {"cli", "__main__"},
 ]
 

@@ -119,7 +119,7 @@ def test_bad_sequences_name_the_frame():
     bad[4, 1] = np.inf
     with pytest.raises(ValueError, match=r"sequence\[2\].*row 4"):
         track([good, good, bad])
-    with pytest.raises(ValueError, match=r"sequence\[1\] has points in 3 dimensions"):
+    with pytest.raises(ValueError, match=r"sequence\[1\] has 3 dimensions"):
         track([good, np.zeros((5, 3))])
     with pytest.raises(ValueError, match="shape"):
         track(good)

@@ -47,8 +47,8 @@ def test_pages_are_whole_small_and_ask_nothing_of_the_network(figure, tmp_path):
         (lambda: view.coverage(np.zeros((5, 3)), [0]), ValueError, "points must lie in the plane, not in 3 dimensions"),
         (lambda: view.coverage(np.zeros((61, 2)), [0]), ValueError, "points must be 1 to 60 points, not 61"),
         (lambda: view.coverage(SQUARE, []), ValueError, "observed is empty"),
-        (lambda: view.coverage(SQUARE, [0.5]), TypeError, "observed must be vertex ids"),
-        (lambda: view.coverage(SQUARE, [1, 4]), ValueError, "observed names vertex 4; the state has 4"),
+        (lambda: view.coverage(SQUARE, [0.5]), TypeError, "observed must hold whole numbers"),
+        (lambda: view.coverage(SQUARE, [1, 4]), ValueError, "observed names vertex 4; there are 4"),
         (lambda: view.motion(np.zeros((5, 3)), 1), ValueError, "points must lie in the plane"),
         (lambda: view.motion(SQUARE, 0), ValueError, "epsilon must be more than zero"),
         (

@@ -26,6 +26,13 @@ class FormatError(ValueError):
     """A file that is not a whole one of the kind and schema asked for. The message says which and what is wrong."""
 
 
+def existing(path: str | Path) -> Path:
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: {'a folder, not a file' if path.exists() else 'there is no such file'}")
+    return path
+
+
 def save_archive(path: str | Path, kind: str, text: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Path:
     """Write arrays and a JSON document to one `.npz`, both checksummed; same input, same bytes."""
     path = Path(path)
@@ -46,10 +53,7 @@ def save_archive(path: str | Path, kind: str, text: dict[str, Any], arrays: dict
 
 def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read what `save_archive` wrote: the JSON document (without kind and checksum) and the arrays."""
-    path = Path(path)
-    what = kind.replace("topokit-", "topokit ")
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: {'a folder, not a file' if path.exists() else 'there is no such file'}")
+    path, what = existing(path), kind.replace("topokit-", "topokit ")
     if path.stat().st_size == 0:
         raise FormatError(f"{path}: the file is empty (0 bytes)")
     with path.open("rb") as handle:

@@ -16,6 +16,8 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from typing_extensions import dataclass_transform
 
+from ._archive import existing
+
 T = TypeVar("T")
 
 Count = Annotated[int, Field(ge=1)]
@@ -51,9 +53,7 @@ def from_mapping(kind: type[T], entries: Any, where: str) -> T:
 
 def load(kind: type[T], path: str | Path) -> T:
     """A checked dataclass from a JSON file, or from TOML when the name says so; errors name the file and the entry."""
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: there is no such file")
+    path = existing(path)
     language, parse = ("TOML", _parse_toml) if path.suffix == ".toml" else ("JSON", json.loads)
     try:
         entries = parse(path.read_text(encoding="utf-8"))

@@ -21,10 +21,8 @@ def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False) ->
     if array.dtype.kind not in "biuf":
         raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}")
     if array.ndim != 2 or array.shape[1] == 0:
-        raise ValueError(
-            f"{name} must be an (n, d) array, one row a point, not an array of shape {array.shape}"
-            + ("; for a sequence of clouds use topokit.track" if array.ndim == 3 else "")
-        )
+        more = "; for a sequence of clouds use topokit.track" if array.ndim == 3 else ""
+        raise ValueError(f"{name} must be an (n, d) array, one row a point, not of shape {array.shape}{more}")
     array = np.array(array, dtype=np.float64, order="C", copy=copy or None)
     finite = np.isfinite(array)
     if not finite.all():
@@ -41,16 +39,13 @@ def as_sequence(
 ) -> list[NDArray[np.float64]]:
     """A list of (n_t, d) float64 arrays: a camera sees as many points as it sees, but always in as many dimensions."""
     if isinstance(sequence, np.ndarray) and sequence.ndim != 3:
-        raise ValueError(
-            f"{name} must be a (T, n, d) array or a list of (n, d) arrays, not an array of shape {sequence.shape}"
-        )
+        raise ValueError(f"{name} must be a (T, n, d) array or a list of (n, d) arrays, not of shape {sequence.shape}")
     clouds: list[NDArray[np.float64]] = []
     for frame, cloud in enumerate(sequence):  # type: ignore[arg-type]
         array = as_points(cloud, f"{name}[{frame}]", copy=copy)
         if clouds and array.shape[1] != clouds[0].shape[1]:
-            raise ValueError(
-                f"{name}[{frame}] has points in {array.shape[1]} dimensions where the frames before it have {clouds[0].shape[1]}"
-            )
+            before = clouds[0].shape[1]
+            raise ValueError(f"{name}[{frame}] has {array.shape[1]} dimensions, the frames before it {before}")
         clouds.append(array)
     return clouds
 
@@ -64,6 +59,17 @@ def positive(value: float, name: str, *, zero: bool = True, infinite: bool = Fal
         bound = "zero or more" if zero else "more than zero"
         raise ValueError(f"{name} must be {bound}{'' if infinite else ' and finite'}, not {value!r}")
     return number
+
+
+def as_ids(values: object, name: str, n_vertices: int) -> NDArray[np.int64]:
+    """Vertex ids as int64; a TypeError or ValueError names one that is none."""
+    ids = np.asarray(values)
+    if not np.issubdtype(ids.dtype, np.integer):
+        raise WrongKindError(f"{name} must hold whole numbers (vertex ids), not {ids.dtype}")
+    outside = ids[(ids < 0) | (ids >= n_vertices)]
+    if len(outside):
+        raise ValueError(f"{name} names vertex {outside[0]}; there are {n_vertices}, numbered from 0")
+    return ids.astype(np.int64)
 
 
 def own_arrays(record: object) -> None:

@@ -40,8 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except RuntimeError as error:  # the input was right, the work failed: a simulation that exploded
         print(f"topokit {options.command}: failed: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print(f"topokit {options.command}: stopped; nothing was written", file=sys.stderr)
+    except KeyboardInterrupt as stopped:
+        print(f"topokit {options.command}: {stopped or 'stopped; nothing was written'}", file=sys.stderr)
         return 130
 
 
@@ -57,6 +57,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_track(commands)
     for part in (data, models, evaluate):
         part.add(commands)
+    for command in commands.choices.values():
+        command.add_argument("--json", action="store_true", help="print the answer as JSON")
     return parser
 
 
@@ -77,7 +79,6 @@ def _add_simulate(commands: Any) -> None:
     option("--observed", type=int, metavar="N", help="points of an observation (default 500, or all vertices if fewer)")
     patience = "stop a simulation that shows no sign of life for so many seconds (default 60)"
     option("--time-limit", type=float, default=60.0, metavar="S", help=patience)
-    option("--json", action="store_true", help="print the answer as JSON")
     simulate.set_defaults(run=_simulate)
 
 
@@ -98,8 +99,6 @@ def _add_track(commands: Any) -> None:
     option("--identity", choices=("killer-edge", "killer-triangles", "cycle"), default="killer-edge", help=identity)
     memory = "how long a missed loop is remembered (default 0)"
     option("--memory", type=int, default=0, metavar="FRAMES", help=memory)
-    option("--tolerance", type=float, default=0.0, help="metres beside the hull that count as in it")
-    option("--json", action="store_true", help="print the answer as JSON")
     tracker.set_defaults(run=_track)
 
 
@@ -153,7 +152,7 @@ def _track(options: argparse.Namespace) -> int:
     episode = load_episode(options.episode)
     loud = sys.stderr.isatty() and not options.json
     states = track(getattr(episode, options.cloud), times=episode.times, progress=loud, **how)
-    summaries = summarise_tracks(states, episode.points, episode.loops, tolerance=options.tolerance)
+    summaries = summarise_tracks(states, episode.points, episode.loops)
     save_states(out, states)
     if options.plot:
         options.plot.parent.mkdir(parents=True, exist_ok=True)
@@ -203,8 +202,7 @@ def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
             frames += 1
             print(json.dumps(state.as_dict()), flush=True)
     except KeyboardInterrupt:
-        print(f"topokit track: stopped after {frames} frames, which were printed", file=sys.stderr)
-        return 130
+        raise KeyboardInterrupt(f"stopped after {frames} frames, which were printed") from None
     return 0
 
 

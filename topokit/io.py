@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._archive import FormatError, load_archive, save_archive
+from ._validate import as_ids
 from .state import Loop, TopologicalState
 
 __all__ = [
@@ -27,7 +28,6 @@ __all__ = [
     "SCHEMA",
     "Episode",
     "FormatError",
-    "check_episode",
     "load_episode",
     "load_states",
     "save_episode",
@@ -128,13 +128,7 @@ def load_episode(path: str | Path) -> Episode:
 
 
 def check_episode(episode: Episode) -> None:
-    """Check that the parts of an episode fit each other.
-
-    Raises
-    ------
-    ValueError
-        When they do not; the message says which and where.
-    """
+    """Raise ValueError unless the parts of an episode fit each other; the message says which do not, and where."""
     frames, vertices = episode.points.shape[:2] if episode.points.ndim == 3 else (0, 0)
     if episode.points.ndim == 3 and frames == 0:
         raise ValueError("points holds no frame")
@@ -151,8 +145,7 @@ def check_episode(episode: Episode) -> None:
     if not np.isfinite(episode.dt) or episode.dt <= 0:
         raise ValueError(f"dt must be the seconds between two frames, not {episode.dt}")
     for name, ids in (("faces", episode.faces), *((f"loops[{i}]", loop) for i, loop in enumerate(episode.loops))):
-        if len(ids) and (np.min(ids) < 0 or np.max(ids) >= vertices):
-            raise ValueError(f"{name} names vertex {int(np.max(ids))}; the garment has {vertices}, numbered from 0")
+        as_ids(ids, name, vertices)
 
 
 def _pack(name: str, values: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.float64]]:

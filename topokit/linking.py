@@ -50,9 +50,7 @@ def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     """
     for curve, name in ((curve_a, "curve_a"), (curve_b, "curve_b")):
         if isinstance(curve, np.ndarray) and curve.ndim == 3:
-            raise ValueError(
-                f"{name} is a batch of curves, of shape {curve.shape}: call topokit.linking.linking_numbers"
-            )
+            raise ValueError(f"{name} is a batch of curves, of shape {curve.shape}: call linking.linking_numbers")
     numbers, _ = _link(as_points(curve_a, "curve_a")[None], as_points(curve_b, "curve_b")[None], "curve_a", "curve_b")
     return int(numbers[0])
 
@@ -181,19 +179,15 @@ def _gauss_integral(a: Array, b: Array, name_a: str, name_b: str) -> float:
             raise ValueError(f"the curves touch: {where}; no linking number exists")
         total += _half_solid_angles(block, closed) / (2 * np.pi)
     if abs(total - np.rint(total)) > _NOT_AN_INTEGER:
-        raise ValueError(
-            f"{name_a} and {name_b} come too close: their Gauss integral is {total:.6f} in this arithmetic, no integer; "
-            "move them apart or subdivide long segments"
-        )
+        close = f"{name_a} and {name_b} come too close: their Gauss integral is {total:.6f}, no integer"
+        raise ValueError(f"{close}; move them apart or subdivide long segments")
     return total
 
 
 def _check_curve(curve: Array, name: str) -> None:
     if curve.shape[1] != 3 or len(curve) < 3:
-        raise ValueError(
-            f"{name} must be an (n, 3) array of at least 3 corners, not of shape {curve.shape}; close an open curve first, "
-            "for example by topokit.linking.close_far"
-        )
+        wrong = f"{name} must be an (n, 3) array of at least 3 corners, not of shape {curve.shape}"
+        raise ValueError(f"{wrong}; close an open curve first, for example by topokit.linking.close_far")
     order = np.lexsort(curve.T)
     same = np.flatnonzero((curve[order[1:]] == curve[order[:-1]]).all(axis=1))
     if len(same):

@@ -16,7 +16,6 @@ def add(commands: Any) -> None:
     """Add the sub-parsers."""
     output = argparse.ArgumentParser(add_help=False)
     output.add_argument("--quiet", action="store_true", help="no progress bar")
-    output.add_argument("--json", action="store_true", help="print the answer as JSON")
     workers = argparse.ArgumentParser(add_help=False)
     workers.add_argument("--workers", type=int, metavar="W", help="processes on this machine (default: one a core)")
     workers.add_argument("--scheduler", metavar="TCP", help="a Dask scheduler whose workers see the same folder")
@@ -65,15 +64,11 @@ def _label(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace, make: Callable[..., Any], *what: Any, **how: Any) -> int:
-    """Do what Ctrl-C may stop without loss, and say what there is then."""
+    """Make what Ctrl-C may stop without loss, and say what there is then."""
     if options.workers is not None and options.workers < 1:
         raise ValueError(f"--workers {options.workers}: one at least")
     how |= {"scheduler": options.scheduler, "n_workers": options.workers, "dashboard": options.dashboard}
-    try:
-        group = make(*what, progress=not options.quiet, **how)
-    except KeyboardInterrupt as stopped:
-        print(f"topokit {options.command}: {stopped or 'stopped'}", file=sys.stderr)
-        return 130
+    group = make(*what, progress=not options.quiet, **how)
     counts = Counter(record.status for record in group.records.values())
     answer = {"out": group.url, "episodes": len(group.records), **counts, "checksum": group.checksum()}
     if options.json:

@@ -49,9 +49,7 @@ class Field:
     """An array of the store, without its first axis, the episode."""
 
     name: str
-    shape: tuple[
-        int, ...
-    ]  # what the largest episode needs; others fill a corner of it, whose extent their records give
+    shape: tuple[int, ...]  # what the largest episode needs; others fill a corner, whose extent their records give
     dtype: str
     axes: tuple[str, ...]
     attributes: Mapping[str, Any] = field(default_factory=dict)

@@ -167,9 +167,8 @@ class _Sample:
         return values
 
     def outside(self, slots: Sequence[int], hulls: Sequence[Array]) -> float:
-        return _least_worst(
-            [[distance_to_hull(self.means[slot], hull) for hull in hulls] for slot in slots], len(hulls)
-        )
+        away = [[distance_to_hull(self.means[slot], hull) for hull in hulls] for slot in slots]
+        return _least_worst(away, len(hulls))
 
 
 def _first(rank: Array, which: NDArray[np.bool_]) -> list[int]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,11 @@ def add(commands: Any) -> None:
     option("--clips", type=Path, metavar="DIR", help="also save the frames of a few failures, to be looked at (.npz)")
     option("--threads", type=int, default=2, help="processor cores to use at most (default 2)")
     option("--quiet", action="store_true", help="no progress")
-    option("--json", action="store_true", help="print hull_accuracy as JSON")
     evaluate.set_defaults(run=_evaluate)
 
     report = commands.add_parser("report", help="make tables and figures of the results of an evaluation")
     report.add_argument("results", type=Path, metavar="RESULTS", help="what topokit evaluate wrote (.json)")
     report.add_argument("--out", type=Path, required=True, metavar="DIR", help="for tables (.md) and figures (.svg)")
-    report.add_argument("--json", action="store_true", help="print the list of files as JSON")
     report.set_defaults(run=_report)
 
 
@@ -46,8 +43,8 @@ def _evaluate(options: argparse.Namespace) -> int:
     except (KeyboardInterrupt, SystemError) as error:
         if not _interrupted(error):
             raise
-        print(f"topokit evaluate: stopped; {options.out} has what was done, the same command goes on", file=sys.stderr)
-        return 130
+        words = f"stopped; {options.out} has what was done, the same command goes on"
+        raise KeyboardInterrupt(words) from None
     if options.json:
         print(json.dumps({"results": str(options.out), "hull_accuracy": results["hull_accuracy"]}))
         return 0

@@ -108,9 +108,7 @@ def _measured(config: EvaluationConfig, condition: Condition, prepared: Prepared
                     part.append(measure_forecasts(forecaster(window), target, past, truth, steps, fine, rng))
                     bar.update(len(rows))
     columns = {
-        name: {
-            column: np.array([np.concatenate([some[column] for some in part]) for part in seeds]) for column in COLUMNS
-        }
+        name: {key: np.array([np.concatenate([some[key] for some in part]) for part in seeds]) for key in COLUMNS}
         for name, seeds in parts.items()
     }
     return Samples(columns, clean.index[:, 0], garments_of(clean))

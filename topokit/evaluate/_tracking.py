@@ -64,15 +64,13 @@ class TrackSummary:
     lifetime: float  #: mean lifetime, metres
     true_loop: int  #: which of the episode's loops it is nearest to, on the mean over its frames; -1 when there is none
     distance: float  #: mean distance of the mean of its killer triangles from the mean of that loop's vertices, metres
-    in_hull: float  #: share of its frames in which that mean is in the loop's convex hull, or within `tolerance` of it
+    in_hull: float  #: share of its frames in which that mean is in the loop's convex hull
 
 
 def summarise_tracks(
     states: Sequence[TopologicalState],
     points: NDArray[np.floating],
     loops: Sequence[NDArray[np.integer]],
-    *,
-    tolerance: float = 0.0,
 ) -> list[TrackSummary]:
     """Summarise every identity, the one seen in most frames first.
 
@@ -83,8 +81,6 @@ def summarise_tracks(
         Positions of the garment's vertices, a row a frame of `states`.
     loops : sequence of (L,) int arrays
         True loops as vertex ids into `points`; there may be none.
-    tolerance : float
-        How far outside the hull still counts as in it, metres: that of a nearly flat loop has no thickness.
 
     Raises
     ------
@@ -100,7 +96,7 @@ def summarise_tracks(
     summaries = []
     for identity, rows in tracks.items():
         found = [states[row][identity] for row in rows]
-        where = _nearest_loop(np.array([loop.centre for loop in found]), points[rows], loops, tolerance)
+        where = _nearest_loop(np.array([loop.centre for loop in found]), points[rows], loops)
         lifetime = float(np.mean([loop.lifetime for loop in found]))
         first, last = states[rows[0]].frame, states[rows[-1]].frame
         summaries.append(TrackSummary(identity, first, last, len(rows), lifetime, *where))
@@ -108,7 +104,7 @@ def summarise_tracks(
 
 
 def _nearest_loop(
-    centres: Array, points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]], tolerance: float
+    centres: Array, points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]]
 ) -> tuple[int, float, float]:
     if not loops:
         return -1, float("nan"), float("nan")
@@ -116,7 +112,7 @@ def _nearest_loop(
     nearest = int(np.argmin(away))
     hulls = points[:, loops[nearest]]
     outside = [distance_to_hull(centre, hull) for centre, hull in zip(centres, hulls, strict=True)]
-    return nearest, float(away[nearest]), float(np.mean(np.array(outside) <= max(tolerance, 1e-9)))
+    return nearest, float(away[nearest]), float(np.mean(np.array(outside) <= 1e-9))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,5 @@
 """The paper's statements, checked on data: as the paper has them, and as they are true.
 
-    >>> from topokit import lemmas
-    >>> print(lemmas.feature_approximation([[0, 0], [1, 0], [1, 1], [0, 1]], [0, 1, 2]))
-    feature approximation: alpha 1, epsilon 0, distortion 0
-      paper: 1 <= 0 FAILS, 1 loops
-        at r = 0.5 S has a loop, O at r + alpha has 0: loop 0 of S_t, edge (0, 2)
-      corrected: 0.2071 <= 1 holds, 1 loops
-
 One function a statement; each takes the state S (all points, row i the same point at both times) and what is observed of it
 (ids of its points, or their coordinates), measures the constants and the two sides of the inequality, and returns a `Check`.
 Throughout, corresponding loops are those that an optimal bottleneck matching pairs.

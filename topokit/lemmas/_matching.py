@@ -55,8 +55,11 @@ def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, 
     """
     pair, alone, others_alone = _costs(first, second, one_sided, tolerance)
     limits = np.unique(np.concatenate([pair[np.isfinite(pair)], alone, others_alone, [0.0]]))
-    low = bisect_left(limits, True, key=lambda c: _is_enough(pair, alone, others_alone, c))
-    cost = float(limits[low])
+
+    def is_enough(c: float) -> bool:
+        return _saturates((pair <= c)[alone > c]) and _saturates((pair <= c).T[others_alone > c])
+
+    cost = float(limits[bisect_left(limits, True, key=is_enough)])
     partner = _cheapest(pair, alone, others_alone, cost)
     return Matching(partner, cost, _worst(pair, alone, others_alone, partner))
 
@@ -86,11 +89,6 @@ def _costs(first: Diagram, second: Diagram, one_sided: bool, tolerance: float) -
     pair = np.maximum(np.maximum(births, deaths), 0.0)
     pair[np.minimum(births, deaths) < -tolerance] = np.inf
     return pair, first.lifetime, second.lifetime
-
-
-def _is_enough(pair: Array, alone: Array, others_alone: Array, c: float) -> bool:
-    allowed = pair <= c
-    return _saturates(allowed[alone > c]) and _saturates(allowed.T[others_alone > c])
 
 
 def _saturates(allowed: NDArray[np.bool_]) -> bool:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from .._matching import hausdorff_table
-from .._validate import as_points
+from .._validate import as_ids, as_points
 from ..rips import Diagram
 from ._matching import Array, Matching, match_diagrams
 from ._measures import Ids, State
@@ -169,12 +169,9 @@ class Step:
 
     def apart(self, place: str, other: str, n_loops: int) -> Array:
         """(n, n) Hausdorff distances of the killers that the longest-lived loops of S_t have in two places; inf for none."""
-        ends = (self._coordinates(end, self.killers(end, n_loops)) for end in (place, other))
+        points = (np.pad(self.state(end).points, ((0, 1), (0, 0)), constant_values=np.nan) for end in (place, other))
+        ends = (p[self.killers(end, n_loops)] for end, p in zip((place, other), points, strict=True))
         return np.nan_to_num(hausdorff_table(*ends), nan=np.inf)
-
-    def _coordinates(self, place: str, ids: Ids) -> Array:
-        points = self.state(place).points
-        return np.vstack([points, np.full(points.shape[1], np.nan)])[ids]
 
     def witness(self, place: str, loop: int, what: str) -> Witness | None:
         """A loop of a place as a witness, None for the loop -1."""
@@ -260,12 +257,7 @@ def vertex_ids(points: ArrayLike, observed: ArrayLike, name: str = "observed") -
         raise ValueError(f"{name} is empty; a state without a single observed point has no covering radius")
     if ids.ndim != 1:
         return np.unique(_nearest_vertices(state, as_points(observed, name), name)).astype(np.int64)
-    if not np.issubdtype(ids.dtype, np.integer):
-        raise TypeError(f"{name} must be vertex ids (integers) or an (m, d) array of points, not {ids.dtype}")
-    outside = ids[(ids < 0) | (ids >= len(state))]
-    if len(outside):
-        raise ValueError(f"{name} names vertex {outside[0]}; the state has {len(state)}, numbered from 0")
-    return np.unique(ids).astype(np.int64)
+    return np.unique(as_ids(ids, name, len(state)))
 
 
 def _nearest_vertices(state: Array, cloud: Array, name: str) -> Ids:

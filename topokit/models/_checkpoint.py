@@ -20,7 +20,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 import topokit
-from topokit._archive import FormatError, atomic_file
+from topokit._archive import FormatError, atomic_file, existing
 from topokit._config import from_mapping
 
 from ._baselines import Carry, Hold, Normalisation, PredictiveModel, Ridge, Shape
@@ -47,8 +47,8 @@ def build(
     shape : Shape
     normalisation : Normalisation
     options : mapping, optional
-        Of "ridge" `penalty`, on squared coefficients; of "mlp" `hidden` units and `cloud_points` read; of "pointnet" `hidden` and
-        `per_point` units; of "loopcast" `width` of codes, `step_width` of a step's.
+        Of "ridge" `penalty`, on squared coefficients; of "mlp" and "pointnet" `hidden` units; of "loopcast" `width` of codes,
+        `step_width` of a step's.
 
     Raises
     ------
@@ -94,14 +94,10 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
 
     Raises
     ------
-    FileNotFoundError
-        When there is no such file.
     FormatError
         When it is damaged, was not written by topokit, or is of another schema; says which.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: {'a folder, not a file' if path.is_dir() else 'there is no such file'}")
+    path = existing(path)
     try:
         with safe_open(str(path), framework="pt") as archive:
             metadata = archive.metadata() or {}

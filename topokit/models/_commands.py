@@ -25,9 +25,6 @@ def add(commands: Any) -> None:
     predict.add_argument("--frame", type=int, default=15, metavar="T", help="the last frame that is seen (default 15)")
     predict.set_defaults(run=_predict)
 
-    for command in (train, predict):
-        command.add_argument("--json", action="store_true", help="print the answer as JSON")
-
 
 def _train(options: argparse.Namespace) -> int:
     from . import load_config, open_windows, train
@@ -38,8 +35,7 @@ def _train(options: argparse.Namespace) -> int:
         show = sys.stderr.isatty() and not (options.json or options.quiet)
         answer = train(config, open_windows(config), progress=show)
     except KeyboardInterrupt:
-        print(f"topokit train: stopped; the same command goes on from {config.out}/last.safetensors", file=sys.stderr)
-        return 130
+        raise KeyboardInterrupt(f"stopped; the same command goes on from {config.out}/last.safetensors") from None
     if options.json:
         print(json.dumps(answer))
     else:

@@ -27,6 +27,7 @@ from ._baselines import Context, Normalisation, PredictiveModel, Shape
 from ._states import NUMBERS, States
 
 HIDDEN, POINTS = (512, 512, 256, 128), (64, 64, 96)  # units of the paper's hidden layers, and of those for every point
+FIRST = 32  # points of a cloud that the fully connected network reads: clouds come in farthest-point order
 FRAMES = (0, 3, 8, 15)  # that are looked at, counted back from the present
 HEADS = 8  # one a corner
 FRAME = 10  # numbers of a frame beside its cloud: the grippers from their middle, that middle in the room, held
@@ -38,26 +39,20 @@ def maximum(codes: Tensor) -> Tensor:
 
 
 class MLP(PredictiveModel):
-    """Fully connected network of `hidden` units, in the coordinates of the room.
+    """Fully connected network of `hidden` units, in the coordinates of the room."""
 
-    Of each cloud the first `cloud_points` points are read: clouds come in farthest-point order.
-    """
-
-    def __init__(
-        self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN, cloud_points: int = 32
-    ) -> None:
+    def __init__(self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN) -> None:
         super().__init__(shape, normalisation)
-        self.cloud_points = min(cloud_points, shape.points)
         self.history_layer = nn.Linear(shape.history * self._frame_size(), hidden[0])
         self.action_layer = nn.Linear(7 * shape.horizon, hidden[0], bias=False)
         last = nn.Linear(hidden[-1], shape.horizon * shape.slots * NUMBERS)
         self.rest = nn.Sequential(nn.ReLU(), *_layers(hidden), last)
 
     def _frame_size(self) -> int:
-        return 3 * self.cloud_points
+        return 3 * min(FIRST, self.shape.points)
 
     def encode_frames(self, frames: Context) -> Context:
-        return {"frame": self.normalise(frames["clouds"][:, : self.cloud_points]).flatten(1)}
+        return {"frame": self.normalise(frames["clouds"][:, :FIRST]).flatten(1)}
 
     def gather(self, kept: Context) -> Context:
         return {"first": self.history_layer(kept["frame"].flatten(1))}
@@ -69,21 +64,14 @@ class MLP(PredictiveModel):
 
 
 class PointNet(MLP):
-    """PointNet a cloud, of `per_point` units, shared by all frames, in front of the fully connected network."""
+    """PointNet a cloud, shared by all frames, in front of the fully connected network."""
 
-    def __init__(
-        self,
-        shape: Shape,
-        normalisation: Normalisation,
-        hidden: Sequence[int] = HIDDEN,
-        per_point: Sequence[int] = POINTS,
-    ) -> None:
-        self.code = per_point[-1]
+    def __init__(self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN) -> None:
         super().__init__(shape, normalisation, hidden)
-        self.points = nn.Sequential(*_layers((3, *per_point)))
+        self.points = nn.Sequential(*_layers((3, *POINTS)))
 
     def _frame_size(self) -> int:
-        return self.code
+        return POINTS[-1]
 
     def encode_frames(self, frames: Context) -> Context:
         return {"frame": maximum(self.points(self.normalise(frames["clouds"])))}

@@ -188,9 +188,8 @@ class Predictor:
         if cloud.shape[1] != 3 or not len(cloud):
             raise ValueError(f"points must be an (n, 3) array of one point at least, not of shape {cloud.shape}")
         chosen = cloud[farthest_point_sample(cloud, n)[0]] if len(cloud) > n else cloud
-        frame = {
-            "clouds": torch.from_numpy(np.resize(chosen, (1, n, 3)).astype(np.float32))
-        }  # repeated if they are few
+        repeated = np.resize(chosen, (1, n, 3)).astype(np.float32)  # where there are few
+        frame = {"clouds": torch.from_numpy(repeated)}
         if "grippers" in self.model.inputs:
             if grippers is None:
                 raise ValueError("this model needs to know where the grippers are: observe(points, grippers)")

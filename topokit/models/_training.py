@@ -58,10 +58,8 @@ def train(
     """
     n, held_back = len(windows.train), len(windows.validation)
     if n < config.batch or not held_back:
-        raise ValueError(
-            f"{n} windows to train on and {held_back} to validate with; a batch has {config.batch}, and one is needed to "
-            "validate: add episodes or make the batch smaller"
-        )
+        few = f"{n} windows to train on and {held_back} to validate with; a batch has {config.batch}"
+        raise ValueError(f"{few}, and one is needed to validate: add episodes or make the batch smaller")
     Path(config.out).mkdir(parents=True, exist_ok=True)
     return _Training(config, windows, progress).run(stop_after)
 

@@ -51,7 +51,7 @@ def _is_near_middle(data, axes, x, y, z, length):
     With z at distance b from the line through x and y, and a from their midpoint along it, the farthest such place is on the
     lune's rim: a^2 + (sqrt(3)/2 L + b)^2 < L^2.
     """
-    if len(axes) == 0 or length == 0.0 or z == x or z == y:
+    if len(axes) == 0 or length == 0.0 or z in (x, y):
         return False
     along, apart = 0.0, 0.0
     for k in range(len(axes)):

@@ -134,10 +134,9 @@ def cameras_around(
     n: int = 3,
     *,
     distance: float = 1.6,
-    elevation: float = 20.0,
     noise: DepthNoise | None = None,
 ) -> tuple[Camera, ...]:
-    """Return `n` cameras evenly around a place, the first in front of it (towards -y), all looking at it.
+    """Return `n` cameras evenly around a place, 20 degrees over its horizon, the first in front of it (towards -y).
 
     Parameters
     ----------
@@ -145,14 +144,12 @@ def cameras_around(
     n : int
     distance : float
         From the place, metres.
-    elevation : float
-        Of the cameras over the horizon, degrees.
     noise : DepthNoise, optional
         Of every camera.
     """
     middle = np.asarray(place, dtype=np.float64)
     turn = 2 * np.pi * np.arange(n) / n - np.pi / 2
-    tilt = np.radians(elevation)
+    tilt = np.radians(20)
     around = np.column_stack([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.full(n, np.sin(tilt))])
     x, y, z = middle.tolist()
     return tuple(Camera(tuple(eye), (x, y, z), noise=noise) for eye in (middle + distance * around).tolist())

@@ -41,9 +41,8 @@ PURPOSES = ("path", "physics", "cameras", "noise")
 Bounds = tuple[float, float]
 _CONFIGURED = ("stiffness", "bending", "damping", "friction", "mass")
 Report = Callable[[int], None]
-Recording = dict[
-    str, NDArray[Any]
-]  # points (T, N, 3), grippers (T, 2, 3), observed (T, M, 3) by cameras, stretch (T, 2)
+# points (T, N, 3), grippers (T, 2, 3), observed (T, M, 3) by cameras, stretch (T, 2)
+Recording = dict[str, NDArray[Any]]
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
 _JOB = "topokit.sim._episode:record_job"
@@ -63,6 +62,8 @@ def simulate(
     progress: bool = False,
 ) -> Episode:
     """Record one episode: a garment hung between two grippers, carried to a target, let go there.
+
+    It is a success when, after release, the loops of the task are on the target and the garment is at rest there.
 
     Parameters
     ----------
@@ -85,11 +86,6 @@ def simulate(
         in a program. None: in this process, repeatable bit by bit only as its first simulation.
     progress : bool
         Write the share done to stderr.
-
-    Returns
-    -------
-    Episode
-        With `success` when, after release, the loops of the task are on the target and the garment is at rest there.
 
     Raises
     ------

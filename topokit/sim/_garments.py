@@ -14,10 +14,10 @@ from typing import Any, ParamSpec
 
 import numpy as np
 
-from topokit._validate import as_points
+from topokit._validate import as_ids, as_points
 
 from . import _mesh, _wardrobe
-from ._surface import Array, Ids, as_ids, check_loop, check_mesh, edge_lengths, half_edges
+from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, half_edges
 
 Sizes = ParamSpec("Sizes")
 

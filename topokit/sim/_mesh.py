@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from topokit._curves import side_lengths
-from topokit._validate import positive
+from topokit._validate import as_ids, positive
 
 from ._read import read_mesh
-from ._surface import Array, EdgeGraph, Ids, as_ids, border_cycles, components, edge_lengths, half_edges, joined, wind
+from ._surface import Array, EdgeGraph, Ids, border_cycles, components, edge_lengths, half_edges, joined, wind
 
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
@@ -89,7 +89,11 @@ def from_mesh(
         turned = _upright(vertices[names], ends, up, said)
         placed, factor = _scaled(turned, size, scale, said)
         _say_short(placed, faces, names, said)
-        cycles = _borders(placed, faces, said) if loops == "borders" else _closed(placed, faces, names, carried, said)
+        if loops == "borders":
+            cycles = tuple(sorted(border_cycles(faces), key=lambda cycle: -side_lengths(placed[cycle]).sum()))
+            said.append(f"{len(cycles)} borders were taken for loops, the longest first")
+        else:
+            cycles = _closed(placed, faces, names, carried, said)
         ends = _grips(placed, names, said) if ends is None else ends
     except ValueError as error:
         raise type(error)(f"{path}: {error}") from error
@@ -231,21 +235,14 @@ def _scaled(vertices: Array, size: float | None, scale: float | None, said: list
         low, high = _METRES
         scale, unit = next(((f, unit) for f, unit in _UNITS if low <= f * largest <= high), (1 / largest, "no unit"))
         if unit != "metres":
-            said.append(
-                f"its largest extent, {largest:.4g}, was taken for {unit}: {scale * largest:.3g} m; give size or scale"
-            )
+            metres = f"{unit}: {scale * largest:.3g} m; give size or scale"
+            said.append(f"its largest extent, {largest:.4g}, was taken for {metres}")
     vertices = scale * vertices
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     if np.linalg.norm(middle) > 10 * scale * largest:  # single precision in the engine would blur it
         said.append(f"it lay {np.linalg.norm(middle):.3g} m from the origin, and was moved there")
         vertices = vertices - middle
     return vertices, float(scale)
-
-
-def _borders(vertices: Array, faces: Ids, said: list[str]) -> tuple[Ids, ...]:
-    cycles = border_cycles(faces)
-    said.append(f"{len(cycles)} borders were taken for loops, the longest first")
-    return tuple(sorted(cycles, key=lambda cycle: -side_lengths(vertices[cycle]).sum()))
 
 
 def _closed(vertices: Array, faces: Ids, names: Ids, loops: Sequence[Ids], said: list[str]) -> tuple[Ids, ...]:

@@ -84,9 +84,7 @@ class Arch:
         """Outer border (181, 2), the opening below (its inner border and the way back) and inner vertices of a strap."""
         narrowest = min(self.half_span**2 / self.height, self.height**2 / self.half_span)  # radius of curvature
         if width / 2 >= narrowest:
-            raise ValueError(
-                f"a strap so long ({length}) and bent must be less wide than {2 * narrowest:.3f}, not {width}"
-            )
+            raise ValueError(f"a strap so long ({length}) and bent must be less wide than {2 * narrowest:.3f}: {width}")
         share = np.linspace(0, 1, 181)
         outer, inner = self.points(share, width / 2), self.points(share, -width / 2)
         opening = [inner, *polyline(inner[-1], inner[0])]

@@ -15,9 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from topokit._archive import FormatError
+from topokit._archive import FormatError, existing
+from topokit._validate import as_ids
 
-from ._surface import Array, as_ids
+from ._surface import Array
 
 Polygons = list[list[int]]
 Properties = list[tuple[str, list[str]]]  # names, and one type or the two of a list
@@ -31,9 +32,7 @@ def read_mesh(path: str | Path) -> tuple[Array, Polygons]:
 
     An STL file has no vertex ids: corner k of triangle i is vertex 3 i + k.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: {'a folder, not a file' if path.exists() else 'there is no such file'}")
+    path = existing(path)
     readers: dict[str, Callable[[bytes], tuple[Array, Polygons]]] = {".obj": _obj, ".ply": _ply, ".stl": _stl}
     if path.suffix.lower() not in readers:
         raise FormatError(f"{path}: a mesh file ends in {', '.join(readers)}, not in {path.suffix!r}; export it as one")

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from topokit._validate import WrongKindError
 from topokit.rips import rips_persistence, tighten
 
 Array = NDArray[np.float64]
@@ -163,17 +162,6 @@ def _split(walk: Sequence[int]) -> tuple[list[list[int]], list[int]]:
             path = path[:start]
         path.append(vertex)
     return parts, path
-
-
-def as_ids(values: object, name: str, n_vertices: int) -> Ids:
-    """Vertex ids as int64; a TypeError or ValueError names the first that is none."""
-    ids = np.asarray(values)
-    if not np.issubdtype(ids.dtype, np.integer):
-        raise WrongKindError(f"{name} must hold whole numbers (vertex ids), not {ids.dtype}")
-    if ids.size and (ids.min() < 0 or ids.max() >= n_vertices):
-        bad = int(ids.min()) if ids.min() < 0 else int(ids.max())
-        raise ValueError(f"{name} names vertex {bad}; there are {n_vertices}, numbered from 0")
-    return ids.astype(np.int64)
 
 
 def check_mesh(vertices: Array, faces: Ids) -> None:

@@ -19,7 +19,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points
+from topokit._validate import as_ids, as_points
 from topokit.io import Episode
 from topokit.rips import Diagram
 from topokit.state import Loop, TopologicalState
@@ -83,10 +83,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         self.points = triples(as_points(self.points), "points")
-        self.faces = triples(self.faces, "faces", np.int64)
-        outside = self.faces[(self.faces < 0) | (self.faces >= len(self.points))]
-        if len(outside):
-            raise ValueError(f"faces names vertex {outside[0]}; points has {len(self.points)}, numbered from 0")
+        self.faces = as_ids(triples(self.faces, "faces", np.int64), "faces", len(self.points))
         self.cycles = [self.points[np.append(ids, np.asarray(ids)[:1])] for ids in self.true_loops]
         line = triples(self.centre_line, "centre_line")
         capsules = [(triples(np.array(ends), "rods"), radius) for *ends, radius in self.rods]
