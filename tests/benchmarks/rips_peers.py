@@ -152,9 +152,9 @@ def ripser_told() -> Bars:
     return bars
 
 
-def ours(data: Array, is_matrix: bool) -> tk.rips.Diagram:
+def ours(data: Array, is_matrix: bool, **options: float) -> tk.rips.Diagram:
     """topokit's own answer."""
-    return tk.rips_persistence(data, metric="precomputed" if is_matrix else "euclidean")
+    return tk.rips_persistence(data, metric="precomputed" if is_matrix else "euclidean", **options)
 
 
 def last_death(data: Array, is_matrix: bool = False) -> float:

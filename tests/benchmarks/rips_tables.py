@@ -33,6 +33,7 @@ def line(entry: Entry) -> str:
     sizes = " x ".join(f"{entry[k]:,}" for k in ("clouds", "points") if k in entry)
     told = {
         "floor_ms": "{:.2f} ms the floor",
+        "fixed_ms": "{:.2f} ms fixed",
         "pairs": "{:,} pairs",
         "one_by_one_ms": "{:.1f} ms one by one",
         "plain_ms": "{:.1f} ms without",
