@@ -25,7 +25,7 @@ WORK = ROOT / "runs" / "mutation"
 PARTS = {
     "tracking": (
         ("seqph.py", "_matching.py", "_frames.py", "sampling.py", "linking.py", "mixture.py", "data/_windows.py"),
-        ("seqph", "sampling", "linking", "mixture", "data_windows"),
+        ("seqph", "sampling", "linking", "mixture", "data_windows", "data_spoil"),
     ),
     "rips": (("rips/*",), ("rips", "rips_properties", "reduction", "cycles")),
 }

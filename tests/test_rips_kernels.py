@@ -45,19 +45,14 @@ def test_sorting_edges_of_nearly_equal_length_takes_few_moves(spread, monkeypatc
     x, y = np.triu_indices(n, 1)
     lengths = 1 + spread * np.linspace(1, -1, len(x))
     m, label = len(x), np.arange(n)[::-1].copy()
-    room = (
-        (y << 21 | x).astype(np.int64),
-        lengths,
-        np.empty(m, np.int64).view(Counting),
-        np.empty(m),
-        np.empty(m + 2, np.int32),
-    )
+    room = plain(_edges.new_room)(m)._replace(keys=np.empty(m, np.int64).view(Counting))
+    room.found[:], room.found_lengths[:] = y << 21 | x, lengths
     monkeypatch.setattr(_edges, "_sort_slice", plain(_edges._sort_slice), raising=False)
     monkeypatch.setattr(Counting, "writes", 0)
     plain(_edges._sort)(room, m, label)
     assert Counting.writes <= m * (2 + np.log2(m))
     ends = sorted((length, *sorted((label[i], label[j]))) for length, i, j in zip(lengths, x, y, strict=True))
-    found = [(sorted((label[key & 31], label[key >> 21]))) for key in room[2].tolist()]
+    found = [(sorted((label[key & 31], label[key >> 21]))) for key in room.keys.tolist()]
     assert found == [[a, b] for _, a, b in ends]
 
 
@@ -146,8 +141,8 @@ def test_windows_of_edges_are_bounded_and_leave_none_out():
     room, shortest, count, before = _edges.new_room(1 << 16), 0.0, 0, -1.0
     while shortest < 4:
         room, m, bound = _edges.edges_between(tree.points, cloud.axes, tree, shortest, 5.0, room, 1 << 40)
-        lengths = room[3][:m]
-        assert m <= len(room[0]) == _edges.WINDOW
+        lengths = room.lengths[:m]
+        assert m <= len(room.found) == _edges.WINDOW
         assert before <= lengths[0]
         assert (np.diff(lengths) >= 0).all()
         assert shortest <= lengths[0] <= lengths[-1] < bound

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import pdist, squareform
 
 from .._validate import as_points
 
@@ -27,8 +28,8 @@ class Cloud:
     A power of two saves squares from overflow and underflow, and costs no digit.
     """
 
-    data: NDArray[np.float64]  # (n, d) coordinates times `scale`, d >= 3; or (n, n) distances
-    axes: tuple[int, ...]  # d zeros; none for distances
+    data: NDArray[np.float64]  # (n, 3) coordinates times `scale`; or (n, n) distances
+    axes: tuple[int, ...]  # three zeros; none for distances, as which more than three dimensions are read
     scale: float
 
     @classmethod
@@ -42,9 +43,12 @@ class Cloud:
             return cls(array.copy(), (), 1.0)
         exponent = int(np.frexp(np.abs(array).max(initial=0.0))[1])
         scale = 2.0 ** -min(max(exponent, -1000), 1000)
-        flat = np.zeros((len(array), max(3 - array.shape[1], 0)))  # in space: fewer kernels to compile
-        data = np.hstack([array * scale, flat])
-        return cls(data, (0,) * data.shape[1], scale)
+        scaled = array * scale
+        if array.shape[1] <= 3:
+            return cls(np.pad(scaled, ((0, 0), (0, 3 - array.shape[1]))), (0, 0, 0), scale)
+        if 8 * len(array) ** 2 > MEMORY:
+            raise _too_large(len(array), f"{8e-9 * len(array) ** 2:.1f} GB for distances in {array.shape[1]} dimensions")
+        return cls(squareform(pdist(scaled)) / scale, (), 1.0)
 
     def __len__(self) -> int:
         return len(self.data)
@@ -103,10 +107,14 @@ def _within_memory(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], 
         _compile(cloud.axes)
         return _run(cloud, max_length)
     except MemoryError as error:
-        raise MemoryError(
-            f"persistence may take {MEMORY / 1e9:.1f} GB for one cloud, and these {len(cloud)} points need {error}; "
-            "take a subset (topokit.farthest_point_sample)"
-        ) from error
+        raise _too_large(len(cloud), str(error)) from error
+
+
+def _too_large(n: int, what: str) -> MemoryError:
+    return MemoryError(
+        f"persistence may take {MEMORY / 1e9:.1f} GB for one cloud, and these {n} points need {what}; "
+        "take a subset (topokit.farthest_point_sample)"
+    )
 
 
 def _run(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -132,10 +140,10 @@ def _run(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np
         raise MemoryError(f"{bits / 1e9:.1f} GB for a bit for each pair of points")
     spare = MEMORY - bits
     room = getattr(_kept, "room", None)
-    if room is None or EDGE_BYTES * len(room[0]) > spare // 2:
+    if room is None or EDGE_BYTES * len(room.found) > spare // 2:
         room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
     room, created, killed = pair_edges(data, cloud.axes, tree, max_length, room, spare)
-    _kept.room = room if len(room[0]) <= WINDOW else None
+    _kept.room = room if len(room.found) <= WINDOW else None
     label = np.append(tree.label, -1)  # of what is not there
     created, killed = label[created], label[killed]
     return np.sort(created), np.hstack([np.sort(killed[:, :2]), killed[:, 2:]])
@@ -146,7 +154,7 @@ def _compile(axes: tuple[int, ...]) -> None:
     with _compiling:
         if axes in _ready:
             return
-        what = f"points in {len(axes)} dimensions" if axes else "matrices of distances"
+        what = "points in space" if axes else "matrices of distances"
         message = f"topokit: compiling the persistence kernel for {what} (once; kept for the next time)"
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()

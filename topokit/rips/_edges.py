@@ -7,19 +7,27 @@ all compiled code asks it, and `_cloud.squares` is its like in NumPy, the same t
 
 from __future__ import annotations
 
+from collections import namedtuple
+
 import numpy as np
 
 from ._jit import njit
 from ._tree import LEAF, between_boxes, centre, nearby_point
 
 WINDOW = 1 << 22  # edges at a time, unless more have one length
-EDGE_BYTES = 76  # of room for an edge while it is sorted
+FEW_POINTS = 2048  # so few that edges too long for a window are kept for the next one
+EDGE_BYTES = 108  # of room for an edge while it is sorted
 # A lune lies within sqrt(3)/2 of its edge's length from the midpoint: what is within the rest is joined to all of it.
 CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)
 ROUNDING = 4e-16  # of a place that is a mean of coordinates, which are at most 1
 FEW = 8  # edges that insertion sorts as quickly as anything
 _BITS = 21  # of an int64 for a vertex, three times: two million vertices
 _MASK = (1 << _BITS) - 1
+
+
+# Edges as they are found, and in order: `keys` for `ends_of`, and lengths. How many are before a slice of lengths. Edges that
+# wait for a later window, and their number.
+Room = namedtuple("Room", "found found_lengths keys lengths start later later_lengths waiting")
 
 
 @njit(forceinline=True)
@@ -45,14 +53,27 @@ def precedes(length, a, b, other, x, y):
 
 @njit()
 def new_room(capacity):
-    """Arrays for `edges_between`, handed on as fresh memory is slow; the third and fourth get the edges and their lengths."""
-    return (
+    """Arrays for `edges_between`, handed on as fresh memory is slow."""
+    return Room(
         np.empty(capacity, np.int64),
         np.empty(capacity),
         np.empty(capacity, np.int64),
         np.empty(capacity),
         np.empty(capacity + 2, np.int32),
+        np.empty(capacity, np.int64),
+        np.empty(capacity),
+        np.zeros(1, np.int64),
     )
+
+
+@njit()
+def _larger(room, capacity):
+    """More room, with the edges that wait."""
+    more = new_room(capacity)
+    more.waiting[0] = room.waiting[0]
+    for e in range(room.waiting[0]):
+        more.later[e], more.later_lengths[e] = room.later[e], room.later_lengths[e]
+    return more
 
 
 @njit(forceinline=True)
@@ -71,11 +92,16 @@ def _middle(tree, a, b, shortest, place):
 
 
 @njit()
-def _edges_of_points(tree, shortest, longest, keys, lengths):
-    """Find all edges with shortest <= squared length < longest by walking pairs of boxes; their number, -1 if room is short."""
+def _edges_of_points(tree, shortest, longest, room):
+    """Find all edges with shortest <= squared length < longest by walking pairs of boxes; their number, -1 if room is short.
+
+    Of few points, two leaves are looked at once: when the window reaches their nearest places. Their longer edges wait.
+    """
     points, axes, start, end = tree.points, tree.axes, tree.start, tree.end
-    pairs, top, size = np.zeros((272, 2), dtype=np.int64), 0, 0
+    found, lengths, later, later_lengths = room.found, room.found_lengths, room.later, room.later_lengths
+    pairs, top, size, waiting = np.zeros((272, 2), dtype=np.int64), 0, 0, room.waiting[0]
     place = np.empty(len(axes))
+    once = len(points) <= FEW_POINTS
     while top >= 0:
         a, b = pairs[top, 0], pairs[top, 1]
         top -= 1
@@ -89,15 +115,35 @@ def _edges_of_points(tree, shortest, longest, keys, lengths):
                         top += 1
                         pairs[top, 0], pairs[top, 1] = 2 * a + i, 2 * b + j
             continue
-        if size + LEAF * LEAF > len(keys):
+        if once and least < shortest:
+            continue
+        if max(size, waiting) + LEAF * LEAF > len(found):
             return -1
         middle = _middle(tree, a, b, max(least, shortest), place) << (2 * _BITS)
         for x in range(start[a], end[a]):
             for y in range(x + 1 if a == b else start[b], end[b]):
                 length = edge_length(points, x, y, axes)
-                keys[size] = middle | (y << _BITS) | x
-                lengths[size] = length
+                found[size] = later[waiting] = middle | (y << _BITS) | x
+                lengths[size] = later_lengths[waiting] = length
                 size += (shortest <= length) & (length < longest)  # no branch: it could not be foreseen
+                waiting += once & (length >= longest)
+    return _take_waiting(room, longest, size, waiting) if once else size
+
+
+@njit()
+def _take_waiting(room, longest, size, waiting):
+    """Move the edges that have waited for this window, of `waiting` in all, behind `size` others; -1 if room is short."""
+    if size + room.waiting[0] > len(room.found):
+        return -1
+    still = 0
+    for e in range(waiting):
+        key, length = room.later[e], room.later_lengths[e]
+        if e < room.waiting[0]:  # the others are of this window's leaves, and too long for it
+            room.found[size], room.found_lengths[size] = key, length
+            size += length < longest
+        room.later[still], room.later_lengths[still] = key, length
+        still += length >= longest
+    room.waiting[0] = still
     return size
 
 
@@ -126,20 +172,31 @@ def _comes_before(key, length, other_key, other_length, label):
 
 @njit()
 def _sort_slice(keys, lengths, label):
-    """Put edges in the total order, however many have almost the same length: by their ends, then stably by length."""
-    ends = np.empty(len(keys), np.int64)
-    for e in range(len(keys)):
-        x, y, _ = ends_of(keys[e])
-        ends[e] = min(label[x], label[y]) << _BITS | max(label[x], label[y])
-    order = np.argsort(ends, kind="mergesort")
-    order = order[np.argsort(lengths[order], kind="mergesort")]
-    keys[:], lengths[:] = keys[order], lengths[order]
+    """Put edges in the total order, however many have almost the same length: a heap, whose last edge leaves it first."""
+    size = len(keys)
+    for step in range(size + (size >> 1)):
+        if step < size >> 1:
+            parent, end = (size >> 1) - 1 - step, size
+        else:
+            parent, end = 0, size - 1 - (step - (size >> 1))
+            keys[0], keys[end] = keys[end], keys[0]
+            lengths[0], lengths[end] = lengths[end], lengths[0]
+        key, length = keys[parent], lengths[parent]
+        child = 2 * parent + 1
+        while child < end:
+            if child + 1 < end and _comes_before(keys[child], lengths[child], keys[child + 1], lengths[child + 1], label):
+                child += 1
+            if not _comes_before(key, length, keys[child], lengths[child], label):
+                break
+            keys[parent], lengths[parent] = keys[child], lengths[child]
+            parent, child = child, 2 * child + 1
+        keys[parent], lengths[parent] = key, length
 
 
 @njit()
 def _sort(room, m, label):
     """Put m edges in the total order: a slice of lengths holds about one edge, and insertion does the rest."""
-    keys, lengths, sorted_keys, sorted_lengths, start = room
+    keys, lengths, sorted_keys, sorted_lengths, start = room.found, room.found_lengths, room.keys, room.lengths, room.start
     shortest, longest = np.inf, 0.0
     for e in range(m):
         shortest, longest = min(shortest, lengths[e]), max(longest, lengths[e])
@@ -171,17 +228,17 @@ def edges_between(data, axes, tree, shortest, longest, room, most):
     """Put the edges with shortest <= length < longest, or a smaller bound, in order; return `room`, their number, the bound."""
     while True:
         if len(axes) == 0:
-            m = _edges_of_matrix(data, shortest, longest, room[0], room[1])
+            m = _edges_of_matrix(data, shortest, longest, room.found, room.found_lengths)
         else:
-            m = _edges_of_points(tree, shortest, longest, room[0], room[1])
+            m = _edges_of_points(tree, shortest, longest, room)
         if m >= 0:
             _sort(room, m, tree.label)
             return room, m, longest
         middle = shortest + 0.5 * (longest - shortest)
-        if len(room[0]) >= min(WINDOW, most) and shortest < middle < longest:
+        if len(room.found) >= min(WINDOW, most) and shortest < middle < longest:
             longest = middle
-        elif len(room[0]) < most:
-            room = new_room(min(2 * len(room[0]), most))
+        elif len(room.found) < most:
+            room = _larger(room, min(2 * len(room.found), most))
         else:
             raise MemoryError("more than that: there are very many edges of the same length")
 

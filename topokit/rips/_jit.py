@@ -35,7 +35,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         if hasattr(dispatcher, "enable_caching"):  # not when NUMBA_DISABLE_JIT is set
             dispatcher.enable_caching()  # in the folder that numba chooses, and under our digest
             cache = dispatcher._cache
-            cache._cache_file = IndexDataCacheFile(cache.cache_path, cache._impl.filename_base, _DIGEST)  # type: ignore[no-untyped-call]
+            cache._cache_file = IndexDataCacheFile(cache.cache_path, f"{cache._impl.filename_base}-{_DIGEST[:16]}", _DIGEST)  # type: ignore[no-untyped-call]
         return dispatcher
 
     return compiled

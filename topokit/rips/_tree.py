@@ -45,7 +45,8 @@ def _select(points, order, start, end, middle, axis):
 @njit()
 def _bound(points, order, start, end, low, high):
     """Write the corners of the box of points order[start:end] into `low` and `high`; return its longest axis."""
-    low[:], high[:] = np.inf, -np.inf
+    for k in range(len(low)):
+        low[k], high[k] = np.inf, -np.inf
     for i in range(start, end):
         for k in range(len(low)):
             value = points[order[i], k]
@@ -77,7 +78,11 @@ def build_tree(points, axes):
             _select(points, order, start[node], end[node], middle, axis)
             start[2 * node + 1], end[2 * node + 1] = start[node], middle
             start[2 * node + 2], end[2 * node + 2] = middle, end[node]
-    return Tree(points[order], order, start, end, low, high, first_leaf, axes)
+    ordered = np.empty((n, d))
+    for i in range(n):
+        for k in range(d):
+            ordered[i, k] = points[order[i], k]
+    return Tree(ordered, order, start, end, low, high, first_leaf, axes)
 
 
 @njit()

@@ -91,15 +91,13 @@ def is_connected(rows, lune, z, left):
         while not left[w]:
             w += 1
         v = (w << 6) + lowest(left[w])
-        shared = np.uint64(0)
+        shared, some = np.uint64(0), np.uint64(0)
         for w in range(words):
             shared |= lune[w] & rows[v, w] & ~left[w]
-        if not shared:
-            return False
-        some = np.uint64(0)
-        for w in range(words):
             left[w] &= ~rows[v, w]
             some |= left[w]
+        if not shared:
+            return False
     return True
 
 
@@ -156,7 +154,8 @@ def _kill(data, axes, rows, label, graph, loops, x, y, search, stack):
         loop = reduce_column(loops.column, loops.columns, loops.killed)
         if loop >= 0:
             start, words = first_word(loop), (loop >> 6) + 1
-            loops.columns[start : start + words] = loops.column[:words]
+            for w in range(words):
+                loops.columns[start + w] = loops.column[w]
             killed = loops.killed[loop]
             killed[0], killed[1], killed[2], killed[3] = x, y, first, further
             dead += 1
@@ -197,11 +196,12 @@ def pair_edges(data, axes, tree, max_length, room, spare):
     last = -1.0  # the length of the last edge with an empty lune, once it is known
     shortest, longest, greatest = 0.0, first_window(data, axes, tree), greatest_length(data, axes, tree)
     done = greatest == 0
+    room.waiting[0] = 0
     while not done:
         room, m, longest = edges_between(data, axes, tree, shortest, longest, room, spare // (2 * EDGE_BYTES))
         for e in range(m):
-            x, y, middle = ends_of(room[2][e])
-            length = room[3][e]
+            x, y, middle = ends_of(room.keys[e])
+            length = room.lengths[e]
             if length > max_length or (alive == 0 and 0 <= last < length):
                 done = True
                 break
