@@ -3,8 +3,8 @@
 Peers that are not installed are left out and named: pip install 'topokit[bench]'. Times are of the processor, medians of
 `--repeat` runs after one that is not counted; what takes longer than 5 s is run once. Ratios are of times from the same run, and
 topokit's include birth edges, killer edges and killer triangles. A peer is left out of a cloud when a quarter of its points say
-that it would take longer than `--patience`. The floor computes the lengths of all pairs up to the last death, and nothing else; what is
-fixed is a call that stops before the first edge: checks, boxes, Python.
+that it would take longer than `--patience`. The floor computes the lengths of all pairs up to the last death, and nothing else;
+what is fixed is a call that stops before the first edge: checks, boxes, Python.
 
     python tests/benchmarks/rips.py --json book/results/rips.json    # every row; --rows NAME... replaces some
     python tests/benchmarks/rips.py --readme                         # puts that file into README's tables
