@@ -107,6 +107,10 @@ def ugly(n: int = 3000) -> dict[str, tuple[Cloud, Cloud]]:
     beside = np.r_[half, half + [2.7, 0, 0]]
     return {
         "a quarter of the points in one place": (np.r_[ring[:some], np.zeros((n - some, 3))], ring),
+        "a quarter of the points nearly in one place": (
+            np.r_[ring[:some], 1e-9 * rng.normal(size=(n - some, 3))],
+            ring,
+        ),
         "points repeated": (twice, ring),
         "points nearly repeated": (twice + 1e-9 * rng.normal(size=twice.shape), ring),
         "two clusters, a million diameters apart": (np.r_[half, half + [2.7e6, 0, 0]], beside),
