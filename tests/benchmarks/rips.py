@@ -1,8 +1,13 @@
-"""Degree-1 Rips persistence: topokit against its peers, one core, one run. python tests/benchmarks/rips.py --help
+"""Degree-1 Rips persistence on one core: topokit, its peers in the same run, and the floor.
 
-Peers that are not installed are left out and named: pip install 'topokit[bench]'. Every cloud is timed `--repeat` times after a
-run that is not counted; the table gives the median, and ratios of medians from the same run. For topokit the time includes birth
-edges, killer edges and killer triangles.
+Peers that are not installed are left out and named: pip install 'topokit[bench]'. Times are of the processor, medians of
+`--repeat` runs after one that is not counted; what takes longer than 5 s is run once. Ratios are of times from the same run, and
+topokit's include birth edges, killer edges and killer triangles. A peer is left out of a cloud when a quarter of its points say
+that it would take longer than `--patience`. The floor computes the lengths of all pairs up to the last death, and nothing else;
+what is fixed is a call that stops before the first edge: checks, boxes, Python.
+
+    python tests/benchmarks/rips.py --json book/results/rips.json    # every row; --rows NAME... replaces some
+    python tests/benchmarks/rips.py --readme                         # puts that file into README's tables
 """
 
 from __future__ import annotations
@@ -10,152 +15,327 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable
-from importlib.util import find_spec
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
-for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "RAYON_NUM_THREADS"):
     os.environ.setdefault(name, "1")
 
 import numpy as np
-from scipy.spatial.distance import pdist, squareform
 
 import topokit as tk
+from topokit.seqph import RECOMMENDED
 
-SHAPES = ("apron", "torus", "sphere", "cube")
+sys.path.append(str(Path(__file__).parent))
+import realtime
+import rips_clouds as clouds
+import rips_peers
+import rips_tables
 
-
-PEERS = ("redzed-tda", "giotto-ph", "GUDHI", "ripser.py")
-
-
-def apron(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Farthest-point samples of a waving sheet with the outline of the recorded apron (above 4,096: random points of it)."""
-    from topokit.io import load_episode
-
-    episode = load_episode(Path(__file__).parents[2] / "data_small" / "apron_hook_0.npz")
-    corners = episode.points[60][episode.faces].astype(float)
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    many = 6 * n if n <= 4096 else n
-    u, v = np.sort(rng.random((2, many)), axis=0)
-    weights = np.column_stack([u, v - u, 1 - v])
-    points = np.einsum("ik,ikd->id", weights, corners[rng.choice(len(area), many, p=area / area.sum())])
-    return points[tk.farthest_point_sample(points, n)[0]] if many > n else points
+ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "book" / "results" / "rips.json"
+FASTEST = ("redzed-tda", "tda")  # what batches are run against
+Entry = dict[str, Any]
+Diagrams = Sequence[tk.rips.Diagram]
 
 
-def cloud(shape: str, n: int) -> np.ndarray:
-    """A benchmark cloud; the same for every run."""
-    rng = np.random.default_rng(0)
-    if shape == "apron":
-        return apron(n, rng)
-    if shape == "torus":
-        a, b = 2 * np.pi * rng.random((2, n))
-        return np.column_stack(
-            [(1 + 0.35 * np.cos(b)) * np.cos(a), (1 + 0.35 * np.cos(b)) * np.sin(a), 0.35 * np.sin(b)]
-        )
-    if shape == "sphere":
-        points = rng.normal(size=(n, 3))
-        return points / np.linalg.norm(points, axis=1, keepdims=True)
-    return rng.random((n, 3))
+def many(batch: Sequence[np.ndarray]) -> Diagrams:
+    """Diagrams of clouds that have nothing to do with each other."""
+    return tk.rips_persistence_many(batch, n_jobs=1)
 
 
-def peers() -> dict[str, Callable[[np.ndarray], object]]:
-    """What is installed of the libraries to compare with, each as a function of the points."""
-    found: dict[str, Callable[[np.ndarray], object]] = {}
-    if find_spec("redzed_tda"):
-        import redzed_tda
-
-        found["redzed-tda"] = lambda points: redzed_tda.rips(squareform(pdist(points)), 1)
-    if find_spec("gph"):
-        from gph import ripser_parallel
-
-        found["giotto-ph"] = lambda points: ripser_parallel(points, maxdim=1, n_threads=1)
-    if find_spec("gudhi"):
-        import gudhi
-
-        def edge_collapse(points: np.ndarray) -> object:
-            tree = gudhi.RipsComplex(points=points).create_simplex_tree(max_dimension=1)
-            tree.collapse_edges()
-            tree.expansion(2)
-            return tree.persistence(homology_coeff_field=2)
-
-        found["GUDHI"] = edge_collapse
-    if find_spec("ripser"):
-        import ripser
-
-        found["ripser.py"] = lambda points: ripser.ripser(points, maxdim=1)
-    return found
+def film(frames: Sequence[np.ndarray]) -> Diagrams:
+    """Diagrams of consecutive frames of the same points."""
+    return tk.rips_persistence_many(frames, n_jobs=1)
 
 
-def median_ms(function: Callable[[np.ndarray], object], points: np.ndarray, repeat: int) -> float:
-    """Median of timed runs after one that is not counted, `repeat` of them at least and half a second of them; milliseconds."""
-    times = []
-    while len(times) < repeat + 1 or (sum(times[1:]) < 500 and len(times) < 200):
-        start = time.perf_counter()
-        function(points)
-        times.append(1e3 * (time.perf_counter() - start))
-        if times[0] > 5e3:
-            return times[0]  # once is enough for what takes seconds
-    return statistics.median(times[1:])
+def longest(points: np.ndarray, k: int) -> object:
+    """The `k` longest loops."""
+    return tk.rips_persistence(points).lifetime[:k]
+
+
+class Race:
+    """How times are taken, and against whom."""
+
+    def __init__(self, repeat: int, patience: float, wanted: Sequence[str]) -> None:
+        self.repeat, self.patience = repeat, patience
+        self.peers = {name: bars for name, bars in rips_peers.installed().items() if name in wanted}
+
+    def timed(self, function: Callable[[], Any]) -> tuple[float, Any]:
+        """Median milliseconds of the processor after a run that is not counted, half a second of runs at least; the answer."""
+        times: list[float] = []
+        while len(times) < self.repeat + 1 or (sum(times[1:]) < 500 and len(times) < 50):
+            start = time.process_time()
+            answer = function()
+            times.append(1e3 * (time.process_time() - start))
+            if times[0] > 5e3:
+                return times[0], answer
+        return statistics.median(times[1:]), answer
+
+    def ms(self, function: Callable[[], object]) -> float:
+        """The milliseconds alone."""
+        return self.timed(function)[0]
+
+    def against(self, data: np.ndarray, is_matrix: bool = False, only: Sequence[str] = rips_peers.NAMES) -> Entry:
+        """One cloud: topokit, the floor and the peers, all of which must find the same last death."""
+        rips_peers.ours(data[:9, :9] if is_matrix else data[:9], is_matrix)  # compiled, before the first run is timed
+        ms, diagram = self.timed(lambda: rips_peers.ours(data, is_matrix))
+        end = float(2 * diagram.death.max(initial=0.0))
+        floor = rips_peers.floor(data, is_matrix, end)
+        entry: Entry = {
+            "points": len(data),
+            "loops": len(diagram),
+            "ms": ms,
+            "fixed_ms": self.ms(lambda: rips_peers.ours(data, is_matrix, max_radius=1e-9 * end)),
+            "pairs": floor(),
+            "floor_ms": self.ms(floor),
+            "peers": {},
+        }
+        for name in [name for name in self.peers if name in only]:
+            bars = self.peers[name]
+            if self._expected(bars, data, is_matrix) < self.patience:
+                ms, found = self.timed(lambda bars=bars: bars(data, is_matrix))
+                if not np.isclose(found[np.isfinite(found[:, 1]), 1].max(initial=0.0), end, rtol=1e-4):
+                    raise AssertionError(f"{name} and topokit differ in the last death")
+                entry["peers"][name] = ms
+        return entry
+
+    @staticmethod
+    def _expected(bars: rips_peers.Bars, data: np.ndarray, is_matrix: bool) -> float:
+        """Seconds that a peer would take if time grew with the cube of the number of points, from a quarter of them."""
+        few = len(data) // 4
+        start = time.process_time()
+        bars(data[:few, :few].copy() if is_matrix else data[:few], is_matrix)
+        return (time.process_time() - start) * (len(data) / few) ** 3
+
+    def batch(self, batch: Sequence[np.ndarray], together: Callable[[Sequence[np.ndarray]], Diagrams]) -> Entry:
+        """Clouds together, one by one, and by the fastest peers one by one; milliseconds of all."""
+        alone = [tk.rips_persistence(points) for points in batch]
+        for one, other in zip(alone, together(batch), strict=True):
+            if not all(
+                np.array_equal(getattr(one, k), getattr(other, k)) for k in ("birth", "death", "killer_triangles")
+            ):
+                raise AssertionError("clouds together have other diagrams than one by one")
+        return {
+            "clouds": len(batch),
+            "points": len(batch[0]),
+            "ms": self.ms(lambda: together(batch)),
+            "one_by_one_ms": self.ms(lambda: [tk.rips_persistence(points) for points in batch]),
+            "peers": {
+                name: self.ms(lambda bars=bars: [bars(points, False) for points in batch])
+                for name, bars in self.peers.items()
+                if name in FASTEST
+            },
+        }
+
+
+def single(race: Race) -> Iterator[Entry]:
+    """Single clouds of four shapes."""
+    for shape in ("apron", "torus", "sphere", "cube"):
+        for n in (500, 1000, 2000):
+            yield {"what": shape, **race.against(clouds.cloud(shape, n))}
+
+
+def film_row(race: Race) -> Iterator[Entry]:
+    """Consecutive frames."""
+    yield {"what": "a film of the apron", **race.batch(realtime.film(1000, 96), film)}
+
+
+def small(race: Race) -> Iterator[Entry]:
+    """Many small clouds."""
+    yield {"what": "clouds of all shapes", **race.batch(clouds.small_clouds(1000), many)}
+
+
+def plans(race: Race) -> Iterator[Entry]:
+    """Clouds that differ little."""
+    yield {"what": "one scene under as many plans", **race.batch(clouds.plans(1000), many)}
+
+
+LARGE = (
+    ("torus", 10_000),
+    ("torus", 20_000),
+    ("sheet", 20_000),
+    ("sheet", 50_000),
+    ("apron", 20_000),
+    ("cube", 50_000),
+)
+
+
+def large(race: Race) -> Iterator[Entry]:
+    """Large clouds with peak memory, each in a process of its own; the fastest peer when it can within `--patience`."""
+    for shape, n in LARGE:
+        entry = child(LARGE_CODE, shape, n, "ours")
+        entry["peers"] = {}
+        if "redzed-tda" in race.peers and n <= 10_000:
+            try:
+                theirs = child(LARGE_CODE, shape, n, "redzed-tda", patience=race.patience)
+                entry["peers"] = {"redzed-tda": theirs["ms"]}
+            except subprocess.TimeoutExpired:
+                entry["gave_up"] = {"redzed-tda": race.patience}
+        yield {"what": shape, **entry}
+
+
+LARGE_CODE = """
+shape, n, engine = sys.argv[2], int(sys.argv[3]), sys.argv[4]
+points = rips_clouds.cloud(shape, n)
+bars = rips_peers.installed()[engine] if engine != "ours" else rips_peers.ours
+bars(points[:300], False)
+start = time.process_time()
+found = bars(points, False)
+entry = {"points": n, "loops": len(found), "ms": 1e3 * (time.process_time() - start)}
+entry["gb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+if engine == "ours":
+    floor = rips_peers.floor(points, False, float(2 * found.death.max()))
+    floor()
+    start = time.process_time()
+    entry |= {"pairs": floor(), "floor_ms": 1e3 * (time.process_time() - start)}
+print(json.dumps(entry))
+"""
+FIRST_CODE = """
+tk.farthest_point_sample(np.eye(3), 2)
+for axes in map(int, sys.argv[2:]):
+    data = rips_clouds.projective_plane(100) if axes == 0 else rips_clouds.in_dimension(axes, 200)
+    start = time.process_time()
+    rips_peers.ours(data, axes == 0)
+    entry = {"ms": 1e3 * (time.process_time() - start)}
+print(json.dumps(entry))
+"""
+
+
+def child(code: str, *arguments: object, patience: float | None = None, **environment: str) -> Entry:
+    """What a fresh process prints as its last line."""
+    start = "import json, resource, sys, time; sys.path.insert(0, sys.argv[1])\n"
+    start += "import numpy as np, rips_clouds, rips_peers, topokit as tk\n"
+    command = [sys.executable, "-c", start + code, str(Path(__file__).parent), *map(str, arguments)]
+    done = subprocess.run(
+        command, check=True, stdout=subprocess.PIPE, text=True, timeout=patience, env=os.environ | environment
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def ugly(race: Race) -> Iterator[Entry]:
+    """Repeated points, far clusters and grids, against clouds of as many points without them."""
+    for what, (bad, plain) in clouds.ugly().items():
+        entry = race.against(bad, only=FASTEST[:1])
+        yield {"what": what, **entry, "plain_ms": race.ms(lambda plain=plain: tk.rips_persistence(plain))}
+
+
+def dimensions(race: Race) -> Iterator[Entry]:
+    """Points in many dimensions, once compiled."""
+    for axes in (4, 9, 24):
+        yield {"what": f"a torus in {axes} dimensions", **race.against(clouds.in_dimension(axes))}
+
+
+def first(race: Race) -> Iterator[Entry]:
+    """The first call of a fresh process: on a new machine, then from numba's cache; and in a dimension new to the cache."""
+    for axes, what in (
+        (3, "points in space"),
+        (9, "points in 9 dimensions"),
+        (24, "points in 24 dimensions"),
+        (0, "a matrix"),
+    ):
+        with tempfile.TemporaryDirectory() as cache:
+            empty, cached = (child(FIRST_CODE, axes, NUMBA_CACHE_DIR=cache)["ms"] for _ in range(2))
+        yield {"what": f"first call, {what}, nothing compiled", "ms": empty, "cached_ms": cached}
+    with tempfile.TemporaryDirectory() as cache:
+        child(FIRST_CODE, 3, 5, NUMBA_CACHE_DIR=cache)
+        for axes in (9, 24):
+            entry = child(FIRST_CODE, axes, NUMBA_CACHE_DIR=cache)
+            yield {"what": f"first call in {axes} dimensions after calls in 3 and 5", "ms": entry["ms"]}
+
+
+def spaces(race: Race) -> Iterator[Entry]:
+    """Rotations, and the projective plane as a matrix."""
+    yield {"what": "random rotations, in 9 dimensions", **race.against(clouds.rotations())}
+    yield {"what": "the projective plane, as a matrix", **race.against(clouds.projective_plane(), is_matrix=True)}
+
+
+def update(race: Race) -> Iterator[Entry]:
+    """A frame of the tracker, end to end, and what of it is persistence."""
+    frames = realtime.film(1000, 90)
+    realtime.milliseconds(frames, dict(RECOMMENDED))
+    times = [ms for _ in range(race.repeat) for ms, _ in realtime.milliseconds(frames, dict(RECOMMENDED))]
+    alone = race.ms(lambda: [tk.rips_persistence(points) for points in frames]) / len(frames)
+    yield {
+        "what": "SeqPH.update, recommended options",
+        "points": 1000,
+        "ms": statistics.median(times),
+        "persistence_ms": alone,
+    }
+
+
+def bounded(race: Race) -> Iterator[Entry]:
+    """The longest loop alone, and loops of at least half its lifetime, against all loops."""
+    for shape in ("apron", "torus", "cube"):
+        points = clouds.cloud(shape, 2000)
+        bound = float(tk.rips_persistence(points).lifetime[0]) / 2
+        everything = race.ms(lambda points=points: tk.rips_persistence(points))
+        for what, function in (
+            ("the longest loop", lambda points=points: longest(points, 1)),
+            (
+                "loops half as long as it",
+                lambda points=points, bound=bound: tk.rips_persistence(points, min_lifetime=bound),
+            ),
+        ):
+            yield {"what": f"{shape}: {what}", "points": 2000, "ms": race.ms(function), "all_ms": everything}
+
+
+ROWS: dict[str, Callable[[Race], Iterable[Entry]]] = {
+    "single": single,
+    "film": film_row,
+    "small": small,
+    "plans": plans,
+    "large": large,
+    "ugly": ugly,
+    "dimensions": dimensions,
+    "first": first,
+    "spaces": spaces,
+    "update": update,
+    "bounded": bounded,
+}
 
 
 def main() -> int:
-    """Print the table."""
+    """Run the rows and print them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sizes", type=int, nargs="+", default=[500, 1000, 2000])
-    parser.add_argument("--shapes", nargs="+", choices=SHAPES, default=list(SHAPES))
+    parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
     parser.add_argument("--repeat", type=int, default=5)
-    parser.add_argument("--peers", nargs="*", metavar="NAME", help=f"against these only, of {', '.join(PEERS)}")
+    parser.add_argument("--patience", type=float, default=30, help="seconds that a peer may take for a cloud")
+    parser.add_argument("--peers", nargs="*", choices=rips_peers.NAMES, default=list(rips_peers.NAMES))
+    parser.add_argument("--json", type=Path, help="also write the figures there, row by row")
     parser.add_argument(
-        "--large", type=int, nargs="*", metavar="N", help="large clouds, topokit alone, with peak memory"
+        "--readme", action="store_true", help="put the recorded run into README's tables, and run nothing"
     )
-    parser.add_argument("--json", type=Path, help="also write the numbers there")
     options = parser.parse_args()
+    if options.readme:
+        page = ROOT / "README.md"
+        page.write_text(rips_tables.in_page(page.read_text(), json.loads(RESULTS.read_text())))
+        return 0
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    if options.large is not None:
-        return large(options.shapes, options.large or [10_000])
-    wanted = PEERS if options.peers is None else options.peers
-    others = {name: function for name, function in peers().items() if name in wanted}
-    missing = set(wanted) - set(others)
-    if missing:
+    race = Race(options.repeat, options.patience, options.peers)
+    if missing := set(options.peers) - set(race.peers):
         print(f"not installed: {', '.join(sorted(missing))}", file=sys.stderr)
-    rows = []
-    print(f"{'cloud':>8} {'points':>6} {'topokit':>9}" + "".join(f"{name:>20}" for name in others))
-    for shape in options.shapes:
-        for n in options.sizes:
-            points = cloud(shape, n)
-            ours = median_ms(tk.rips_persistence, points, options.repeat)
-            theirs = {name: median_ms(function, points, options.repeat) for name, function in others.items()}
-            rows.append({"cloud": shape, "points": n, "topokit_ms": ours, **{f"{k}_ms": v for k, v in theirs.items()}})
-            cells = "".join(f"{f'{ms:.1f} ms ({ms / ours:.1f}x)':>20}" for ms in theirs.values())
-            print(f"{shape:>8} {n:>6} {ours:>6.1f} ms{cells}", flush=True)
-    for shape in options.shapes if len(options.sizes) > 1 else ():
-        ms = [row["topokit_ms"] for row in rows if row["cloud"] == shape]
-        print(f"{shape}: time grows as n^{np.polyfit(np.log(options.sizes), np.log(ms), 1)[0]:.2f}")
-    if options.json:
-        options.json.write_text(
-            json.dumps({"machine": platform.processor() or platform.machine(), "rows": rows}, indent=2) + "\n"
-        )
-    return 0
-
-
-def large(shapes: list[str], sizes: list[int]) -> int:
-    """Time and peak memory of single large clouds, each in a process of its own."""
-    code = (
-        "import sys, time; sys.path.insert(0, sys.argv[3]); import numpy as np, rips, resource, topokit as tk\n"
-        "points = rips.cloud(sys.argv[1], int(sys.argv[2])); tk.rips_persistence(points[:300])\n"
-        "start = time.perf_counter(); diagram = tk.rips_persistence(points); seconds = time.perf_counter() - start\n"
-        "print(f'{sys.argv[1]}, {len(points)} points: {seconds:.2f} s, {len(diagram)} loops, peak memory',"
-        " f'{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB', diagram.lifetime[:3].round(4))"
-    )
-    for shape in shapes:
-        for n in sizes:
-            subprocess.run([sys.executable, "-c", code, shape, str(n), str(Path(__file__).parent)], check=True)
+    command = " ".join(["python", "tests/benchmarks/rips.py", *sys.argv[1:]])
+    for name in options.rows:
+        print(f"{name}: {ROWS[name].__doc__}")
+        entries = []
+        for entry in ROWS[name](race):
+            entries.append(rips_tables.rounded(entry))
+            print(rips_tables.line(entries[-1]), flush=True)
+        if name == "single":
+            print(
+                *(f"  {shape}, {library}: n^{power:.2f}" for shape, library, power in rips_tables.growth(entries)),
+                sep="\n",
+            )
+        if options.json:
+            rips_tables.store(options.json, name, entries, command)
     return 0
 
 

@@ -1,0 +1,207 @@
+"""What the benchmark of persistence compares with: the libraries that are installed, and the floor that none can pass.
+
+Every peer is a function of the points, or of a matrix of distances, and returns the bars of degree 1 as lengths of edges. Each is
+called in the way that is fastest for it: with a matrix made by SciPy where it would make its own more slowly, and up to the
+radius at which the complex is a cone, unless it finds that itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import version
+from importlib.util import find_spec
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.spatial.distance import pdist, squareform
+
+import topokit as tk
+
+Array = NDArray[np.float64]
+Bars = Callable[[Array, bool], Array]
+PACKAGES = {
+    "redzed-tda": "redzed_tda",
+    "tda": "tda",
+    "holos-tda": "holos_tda",
+    "giotto-ph": "gph",
+    "GUDHI, collapsed": "gudhi",
+    "ripser.py": "ripser",
+    "Ripser, sparse": "ripser",
+    "Ripser, told the end": "ripser",
+}
+
+
+NAMES = tuple(PACKAGES)
+
+
+def installed() -> dict[str, Bars]:
+    """Peers by name, the fastest first."""
+    makers = (redzed, rust_tda, holos, giotto, gudhi_collapsed, ripser_dense, ripser_sparse, ripser_told)
+    return {name: make() for (name, module), make in zip(PACKAGES.items(), makers, strict=True) if find_spec(module)}
+
+
+def versions() -> dict[str, str]:
+    """Of topokit, what it needs, and the peers that are installed."""
+    names = ["topokit", "numpy", "scipy", "numba", *(("giotto-ph" if m == "gph" else m) for m in PACKAGES.values())]
+    return {
+        name: tk.__version__ if name == "topokit" else version(name)
+        for name in dict.fromkeys(names)
+        if find_spec("gph" if name == "giotto-ph" else name)
+    }
+
+
+def distances(data: Array, is_matrix: bool) -> Array:
+    """The square matrix."""
+    return data if is_matrix else squareform(pdist(data))
+
+
+def enclosing_radius(matrix: Array) -> float:
+    """From where on one point is joined to all others: no loop is alive any more."""
+    return float(matrix.max(axis=1).min())
+
+
+def redzed() -> Bars:
+    import redzed_tda
+
+    return lambda data, is_matrix: redzed_tda.rips(distances(data, is_matrix), 1)[1]
+
+
+def rust_tda() -> Bars:
+    import tda
+
+    def bars(data: Array, is_matrix: bool) -> Array:
+        single = data.astype(np.float32)
+        return tda.persistent_homology(single, 1, distance_matrix=is_matrix, parallel=False)[1]
+
+    return bars
+
+
+def holos() -> Bars:
+    import holos_tda
+
+    def bars(data: Array, is_matrix: bool) -> Array:
+        found = holos_tda.rips_condensed(squareform(data), 1) if is_matrix else holos_tda.rips_points(data, 1)
+        return np.array([bar[1:3] for bar in found if bar[0] == 1]).reshape(-1, 2)
+
+    return bars
+
+
+def giotto() -> Bars:
+    from gph import ripser_parallel
+
+    def bars(data: Array, is_matrix: bool) -> Array:
+        metric = "precomputed" if is_matrix else "euclidean"
+        return ripser_parallel(data, maxdim=1, n_threads=1, metric=metric)["dgms"][1]
+
+    return bars
+
+
+def gudhi_collapsed() -> Bars:
+    import gudhi
+
+    def bars(data: Array, is_matrix: bool) -> Array:
+        matrix = distances(data, is_matrix)
+        rips = gudhi.RipsComplex(distance_matrix=matrix, max_edge_length=enclosing_radius(matrix))
+        tree = rips.create_simplex_tree(max_dimension=1)
+        tree.collapse_edges()
+        tree.expansion(2)
+        tree.compute_persistence(homology_coeff_field=2)
+        return tree.persistence_intervals_in_dimension(1)
+
+    return bars
+
+
+def ripser_dense() -> Bars:
+    import ripser
+
+    return lambda data, is_matrix: ripser.ripser(data, maxdim=1, distance_matrix=is_matrix)["dgms"][1]
+
+
+def _sparse_bars(matrix: Array, longest: float) -> Array:
+    """By Ripser, which clears, on a sparse matrix of the edges that are short enough."""
+    import ripser
+
+    i, j = np.nonzero(np.triu(matrix <= longest, 1))
+    edges = coo_matrix((matrix[i, j], (i, j)), matrix.shape)
+    return ripser.ripser(edges, maxdim=1, distance_matrix=True)["dgms"][1]
+
+
+def ripser_sparse() -> Bars:
+    """Up to the enclosing radius."""
+
+    def bars(data: Array, is_matrix: bool) -> Array:
+        matrix = distances(data, is_matrix)
+        return _sparse_bars(matrix, enclosing_radius(matrix))
+
+    return bars
+
+
+def ripser_told() -> Bars:
+    """Up to the last death, which nobody knows beforehand: asked of topokit once for each cloud, outside of the time."""
+    known: dict[bytes, float] = {}
+
+    def bars(data: Array, is_matrix: bool) -> Array:
+        key = data.tobytes()
+        if key not in known:
+            known[key] = last_death(data, is_matrix) * (1 + 1e-6)
+        return _sparse_bars(distances(data, is_matrix), known[key])
+
+    return bars
+
+
+def ours(data: Array, is_matrix: bool, **options: float) -> tk.rips.Diagram:
+    """topokit's own answer."""
+    return tk.rips_persistence(data, metric="precomputed" if is_matrix else "euclidean", **options)
+
+
+def last_death(data: Array, is_matrix: bool = False) -> float:
+    """The length of the edge that kills the last loop."""
+    return float(2 * ours(data, is_matrix).death.max(initial=0.0))
+
+
+@numba.njit
+def _read_matrix(matrix: Array, longest: float) -> int:
+    count = 0
+    for i in range(len(matrix)):
+        for j in range(i + 1, len(matrix)):
+            count += matrix[i, j] <= longest
+    return count
+
+
+@numba.njit
+def _read_points(columns: Array, ends: Any, longest: float) -> int:
+    """`columns` (d, n), in the order of the first; the points that can be near enough to the i-th end before `ends[i]`."""
+    count, square = 0, longest * longest
+    if len(columns) == 3:
+        x, y, z = columns
+        for i in range(len(x)):
+            for j in range(i + 1, ends[i]):
+                count += (x[j] - x[i]) ** 2 + (y[j] - y[i]) ** 2 + (z[j] - z[i]) ** 2 <= square
+        return count
+    total = np.empty(columns.shape[1])
+    for i in range(columns.shape[1]):
+        total[i + 1 : ends[i]] = 0.0
+        for k in range(len(columns)):
+            column = columns[k]
+            for j in range(i + 1, ends[i]):
+                total[j] += (column[j] - column[i]) ** 2
+        for j in range(i + 1, ends[i]):
+            count += total[j] <= square
+    return count
+
+
+def floor(data: Array, is_matrix: bool, longest: float) -> Callable[[], int]:
+    """A pass that computes the length of every pair that may be as short as `longest`, and nothing else; it counts them.
+
+    A sweep along the longest axis leaves out what is too far apart along it; what sorting them costs is not in the pass.
+    """
+    if is_matrix:
+        return lambda: _read_matrix(data, longest)
+    points = data[:, np.argsort(-np.ptp(data, axis=0))]
+    points = points[np.argsort(points[:, 0])]
+    ends = np.searchsorted(points[:, 0], points[:, 0] + longest, side="right")
+    columns = np.ascontiguousarray(points.T)
+    return lambda: _read_points(columns, ends, longest)
