@@ -15,7 +15,7 @@ from ._jit import njit
 from ._tree import LEAF, between_boxes, centre, nearby_point
 
 WINDOW = 1 << 22  # edges at a time, unless more have one length
-FEW_POINTS = 2048  # so few that edges too long for a window are kept for the next one
+FEW_POINTS = 4096  # so few that edges too long for a window are kept for the next one
 EDGE_BYTES = 108  # of room for an edge while it is sorted
 # A lune lies within sqrt(3)/2 of its edge's length from the midpoint: what is within the rest is joined to all of it.
 CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)
@@ -256,7 +256,7 @@ def edges_between(data, axes, tree, shortest, longest, room, most):
 @njit()
 def next_window(data, axes, shortest, longest, m):
     """The bound of the window after one with m edges: as many again or more, and not too many more."""
-    growth = 0.5 * longest if len(axes) == 0 else longest
+    growth = 0.5 * longest if len(axes) == 0 or len(data) <= FEW_POINTS else longest
     ratio = max(1.0, 0.5 * WINDOW / (m + 1))
     return longest + max(min(growth, ratio * (longest - shortest)), 1e-6 * longest)
 
