@@ -47,7 +47,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="mutants, with wildcards: topokit.seqph*")
     parser.add_argument("--fresh", action="store_true", help="forget what an earlier run found")
     parser.add_argument("--processes", type=int, default=os.cpu_count(), help="at a time")
-    options = parser.parse_args()
+    options = parser.parse_intermixed_args()
     work = WORK / options.part
     if options.fresh:
         shutil.rmtree(work, ignore_errors=True)

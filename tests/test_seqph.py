@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from topokit import SeqPH, TopologicalState, farthest_point_sample, hausdorff, rips_persistence, track
-from topokit._matching import assign, within_gates
+from topokit._matching import assign, hausdorff_table, within_gates
 from topokit.sampling import spacing
-from topokit.seqph import Candidates
+from topokit.seqph import Candidates, place
 from topokit.state import as_table
 
 from conftest import polygon
@@ -48,11 +48,28 @@ def test_loop_holds_what_the_paper_asks_for():
     np.testing.assert_array_equal(loop.killer_triangles, (cloud + [0, 0, 0.02])[loop.killer_triangle_ids])
     np.testing.assert_allclose(loop.killer_values, loop.death)
     assert (loop.neighbour_values <= loop.death).all()
+    sides = np.linalg.norm(loop.neighbours[:, :, None] - loop.neighbours[:, None], axis=-1)
+    np.testing.assert_allclose(loop.neighbour_values, sides.max(axis=(1, 2)) / 2)
     assert hausdorff(loop.killer_edge_points[:1], loop.killer_edge_points[1:]) / 2 == pytest.approx(loop.death)
     with pytest.raises(ValueError, match="read-only"):
         loop.killer_triangles[0, 0, 0] = 1.0
     with pytest.raises(KeyError, match="has no loop 9"):
         second[9]
+
+
+def test_where_a_loop_is():
+    cloud = two_circles(0.0)
+    diagram = rips_persistence(cloud)
+    np.testing.assert_array_equal(place(diagram, 0, cloud, "killer-edge"), cloud[diagram.killer_edge[0]])
+    thick = cloud[diagram.killer_triangles[0, 0]].mean(axis=0)
+    np.testing.assert_array_equal(place(diagram, 0, cloud, "killer-triangles"), thick[None])
+    np.testing.assert_allclose(place(diagram, 0, cloud, "cycle"), [[0.0, 0.0]], atol=1e-12)
+
+
+def test_distances_of_places_look_both_ways():
+    pairs = np.random.default_rng(0).normal(size=(2, 5, 2, 3))
+    table = hausdorff_table(*pairs)
+    assert table == pytest.approx(np.array([[hausdorff(a, b) for b in pairs[1]] for a in pairs[0]]))
 
 
 def test_an_identity_is_never_used_again():
@@ -373,12 +390,12 @@ def test_all_frames_have_a_time_or_none(times, says):
 
 @pytest.mark.parametrize(
     ("gates", "gate", "bound"),
-    [("paper", 2 * 0.1 + 0.05, 2 * 0.1 + 0.3 + 0.05), ("proved", 0.1 + 0.05, 2 * 0.3 + 0.05)],
+    [("paper", 2 * 0.125 + 0.0625, 2 * 0.125 + 0.25 + 0.0625), ("proved", 0.125 + 0.0625, 2 * 0.25 + 0.0625)],
 )
 def test_gates_are_as_wide_as_they_are_said_to_be(gates, gate, bound):
-    """Just inside is the same loop, just outside is not: for births, deaths and places."""
+    """Just inside is the same loop; on the bound and just outside is not: for births, deaths and places."""
     for size, change in ((gate, "birth"), (gate, "death"), (bound, "place")):
-        for factor, wanted in ((0.999, [(0, 0)]), (1.001, [])):
+        for factor, wanted in ((0.999, [(0, 0)]), (1.0, []), (1.001, [])):
             moved = {"birth": 1.0, "death": 2.0, "place": 0.0} | {change: 3.0 + factor * size}
             base = {"birth": 1.0, "death": 2.0, "place": 0.0} | {change: 3.0}
             loops = Candidates(
@@ -386,9 +403,9 @@ def test_gates_are_as_wide_as_they_are_said_to_be(gates, gate, bound):
                 np.array([[[moved["place"]]]]),
                 *(np.array([base[name]]) for name in ("birth", "death")),
                 np.array([[[base["place"]]]]),
-                motion=np.array([0.05]),
-                alpha=0.1,
-                beta=0.3,
+                motion=np.array([0.0625]),
+                alpha=0.125,
+                beta=0.25,
             )
             assert within_gates(gates, loops) == wanted, (change, factor)
 
