@@ -46,8 +46,9 @@ def rips_persistence(
     ------
     MemoryError
         When the tables would take more than 4.3 GB. They hold a bit for each pair of points (0.3 GB for 50,000 points), a
-        sixteenth of a byte for each pair of loops, however short, and 76 bytes for each of the edges sorted at a time: four
-        million, or as many as have the same length. Take a subset then (`farthest_point_sample`).
+        sixteenth of a byte for each pair of loops, however short, and 108 bytes for each of the edges sorted at a time: four
+        million, or as many as have the same length. More than three dimensions are read as distances, 8 bytes for each two
+        points. Take a subset then (`farthest_point_sample`).
 
     Examples
     --------
