@@ -203,6 +203,19 @@ def test_any_change_of_a_kernel_file_makes_compiled_kernels_stale(tmp_path):
 
 
 @compiled
+def test_what_an_older_version_compiled_is_passed_over(tmp_path):
+    """Its list names a type that is gone; that must not end a program."""
+    kernel_file = tmp_path / "kernels.py"
+    (tmp_path / "_jit.py").write_text(Path(_jit.__file__).read_text())
+    source = "from collections import namedtuple\nfrom _jit import njit\n\n{0} = namedtuple('{0}', 'size')\n\n@njit()\n"
+    source += "def double(pair):\n    return 2 * pair.size\n\nprint(double({0}(4)))\n"
+    for name in ("Older", "Newer"):
+        kernel_file.write_text(source.format(name))
+        ran = subprocess.run([sys.executable, "kernels.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert ran.stdout == "8\n", ran.stderr
+
+
+@compiled
 def test_a_kernel_that_uses_another_file_is_compiled_anew_when_that_changes(tmp_path):
     package = tmp_path / "kernels"
     package.mkdir()

@@ -131,7 +131,7 @@ def _run(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np
         data = tree.points
         if repeats(
             tree
-        ):  # edges of a second copy are cones over the first one, and the edge between them joins two components
+        ):  # the edges of a second copy are cones over the first one, and that between them closes nothing
             first = np.sort(np.unique(cloud.data + 0.0, axis=0, return_index=True)[1])
             created, killed = _run(Cloud(cloud.data[first], cloud.axes, cloud.scale), max_length)
             once = np.append(first, -1)
@@ -150,7 +150,9 @@ def _run(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np
     _kept.room = room if len(room.found) <= WINDOW else None
     label = np.append(tree.label, -1)  # of what is not there
     created, killed = label[created], label[killed]
-    return np.sort(created), np.hstack([np.sort(killed[:, :2]), killed[:, 2:]])
+    created.sort()
+    killed[:, :2].sort()
+    return created, killed
 
 
 def _compile(axes: tuple[int, ...]) -> None:
