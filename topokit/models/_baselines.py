@@ -145,7 +145,7 @@ class Hold(PredictiveModel):
         loops = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
         known, grippers = present.any(dim=1), kept["grippers"][:, 0]
         corners = torch.where(known[..., None, None], loops.corners, grippers.mean(dim=1)[:, None, None])
-        loops = dataclasses.replace(loops, corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
+        loops = loops.replace(corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
         return vars(loops) | {"known": known, "grippers": grippers, "grippers_then": kept["grippers"][batch, last]}
 
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
@@ -153,7 +153,7 @@ class Hold(PredictiveModel):
         last = States(*(context[part.name] for part in dataclasses.fields(States)))
         still = last.each(lambda part: part[:, None].expand(*actions.shape[:2], *part.shape[1:]))
         step = moved.diff(dim=1, prepend=torch.zeros_like(moved[:, :1])).norm(dim=-1)
-        return dataclasses.replace(still, corners=still.corners + moved[..., None, :], step=step.expand_as(still.step))
+        return still.replace(corners=still.corners + moved[..., None, :], step=step.expand_as(still.step))
 
     def _moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
         """How far each loop has gone by each step."""
@@ -189,7 +189,7 @@ class Ridge(Hold):
         kept = {name: part.expand(len(actions), *part.shape[1:]) for name, part in context.items()}
         numbers = (self._inputs(kept, actions, held) @ self.coefficients).unflatten(-1, (self.shape.horizon, NUMBERS))
         states = self._states(numbers.transpose(1, 2), kept["corners"][:, None])
-        return dataclasses.replace(states, presence=12 * (states.presence - 0.5))
+        return states.replace(presence=12 * (states.presence - 0.5))
 
     def _positive(self, raw: Tensor) -> Tensor:
         return self.normalisation.value * raw.clamp_min(0)

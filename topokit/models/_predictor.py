@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +79,7 @@ class Forecast:
     @classmethod
     def from_states(cls, states: States) -> Forecast:
         """Of a model's output (C, K, S), on the CPU."""
-        return cls(*(part.numpy() for part in vars(replace(states, presence=states.presence.sigmoid())).values()))
+        return cls(*(part.numpy() for part in vars(states.replace(presence=states.presence.sigmoid())).values()))
 
     def plan(self, index: int) -> Forecast:
         """The forecast under one of many plans.

@@ -63,7 +63,11 @@ class States:
         """The same loops with the ends of their killer edges the other way round."""
         corners, neighbours = _OTHER_WAY
         values = self.neighbour_values[..., neighbours]
-        return dataclasses.replace(self, corners=self.corners[..., corners, :], neighbour_values=values)
+        return self.replace(corners=self.corners[..., corners, :], neighbour_values=values)
+
+    def replace(self, **parts: Tensor) -> States:
+        """A copy with other parts."""
+        return dataclasses.replace(self, **parts)
 
     def __getitem__(self, index: Any) -> States:
         """Index all parts alike, along the leading dimensions."""
