@@ -90,7 +90,7 @@ assert [state.loops[0].id for state in states] == [0, 0]
 
 # Data flows downwards in this list; nothing imports from a line below its own.
 LAYERS = [
-    {"_validate", "_archive", "_cores", "_curves", "_lazy", "_matching"},
+    {"_validate", "_archive", "_cores", "_lazy", "_matching"},
     {"sampling", "linking", "rips"},
     {"state", "mixture", "_frames"},
     {"seqph"},

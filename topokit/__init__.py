@@ -7,8 +7,6 @@ Loops of point clouds by exact Vietoris-Rips persistence, located by the edge th
     Diagram(1 loops of 4 points, longest lifetime 0.4142)
 """
 
-from __future__ import annotations
-
 from .linking import linking_number
 from .mixture import LoopMixture, loop_mixture
 from .rips import Diagram, rips_persistence, rips_persistence_many

@@ -1,7 +1,5 @@
 """How many processor cores there are to run on."""
 
-from __future__ import annotations
-
 import os
 
 

@@ -1,7 +1,5 @@
 """Packages that import their parts when they are used: PyTorch, Zarr, Dask and PyBullet are not needed for everything."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable
 from importlib import import_module

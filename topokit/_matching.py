@@ -35,13 +35,7 @@ Matching = Callable[[Candidates], Iterable[tuple[int, int]]]
 
 
 def hausdorff_table(a: Array, b: Array) -> Array:
-    """(m, k) Hausdorff distances between small sets of points, each of a (m, p, d) and each of b (k, q, d).
-
-    Examples
-    --------
-    >>> hausdorff_table(np.array([[[0.0], [1.0]]]), np.array([[[0.0], [3.0]], [[1.0], [0.0]]]))
-    array([[2., 0.]])
-    """
+    """(m, k) Hausdorff distances between small sets of points, each of a (m, p, d) and each of b (k, q, d)."""
     apart = np.linalg.norm(a[:, None, :, None] - b[None, :, None], axis=-1)  # (m, k, p, q)
     return np.asarray(np.maximum(apart.min(axis=3).max(axis=2), apart.min(axis=2).max(axis=2)))
 
@@ -51,11 +45,6 @@ def assign(cost: Array, allowed: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
     A forbidden pair costs more than all allowed ones together, so the Hungarian algorithm takes one only where it has no
     choice, and those are dropped: unlike infinite entries this cannot make the problem infeasible.
-
-    Examples
-    --------
-    >>> assign(np.array([[1.0, 2.0], [1.0, 9.0]]), np.array([[True, True], [True, False]]))
-    [(0, 1), (1, 0)]
     """
     from scipy.optimize import linear_sum_assignment
 

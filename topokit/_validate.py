@@ -1,7 +1,5 @@
 """Checks that turn bad input into an error that says what was wrong, where, and what to do."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -116,8 +116,10 @@ def load_episode(path: str | Path) -> Episode:
         ends = np.cumsum(arrays.pop("loop_lengths"))[:-1]
         vertices = arrays.pop("loop_vertices")
         loops = tuple(np.split(vertices, ends)) if len(vertices) else ()
-        packed = {name: _unpack(arrays.pop(name), arrays.pop(f"{name}_scale")) for name in _PACKED}
-        parts: dict[str, Any] = {**packed, **arrays, **text}
+        for name in _PACKED:
+            step, *low = arrays.pop(f"{name}_scale")
+            arrays[name] = np.asarray(arrays[name] * step + low, dtype=np.float32)
+        parts: dict[str, Any] = {**arrays, **text}
         episode = Episode(loops=loops, **parts)
         check_episode(episode)
     except (KeyError, TypeError) as error:
@@ -157,10 +159,6 @@ def _pack(name: str, values: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[
     if step / 2 > _MAX_PACKING_ERROR:
         raise ValueError(f"{name} spans {span:.1f} m: 16 bits would cost {1e3 * step / 2:.2f} mm, more than 0.1 mm")
     return np.round((values - low) / step).astype(np.uint16), np.array([step, *low])
-
-
-def _unpack(packed: NDArray[np.uint16], scale: NDArray[np.float64]) -> NDArray[np.float32]:
-    return np.asarray(packed * scale[0] + scale[1:], dtype=np.float32)
 
 
 def _load(

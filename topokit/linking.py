@@ -22,6 +22,17 @@ _TOUCH = 1e-12  # curves nearer than this share of their size touch; far from th
 _NOT_AN_INTEGER = 1e-3  # a Gauss integral that misses its integer by more has lost its digits
 
 
+def side_lengths(curve: Array) -> Array:
+    """Lengths of the sides of closed curves, (..., n) of (..., n, d); the last side joins the last corner to the first."""
+    return np.asarray(np.linalg.norm(np.roll(curve, -1, axis=-2) - curve, axis=-1))
+
+
+def curve_centroid(curve: Array) -> Array:
+    """(d,) centroid of a closed curve (n, d) by length: its corners may crowd on one side."""
+    middles = (curve + np.roll(curve, -1, axis=0)) / 2
+    return np.asarray(np.average(middles, axis=0, weights=side_lengths(curve)))
+
+
 def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     """Return the linking number of two disjoint closed polygonal curves.
 

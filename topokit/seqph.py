@@ -10,7 +10,7 @@ l; it needs the whole distance matrix, so it follows both loops here. Taught in 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -18,17 +18,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._curves import curve_centroid
 from ._frames import check_diagram, check_follows
 from ._matching import Candidates, Matching, hausdorff_table, within_gates
 from ._validate import as_sequence, positive
+from .linking import curve_centroid
 from .rips import Diagram, rips_persistence, rips_persistence_many
 from .sampling import as_tree, hausdorff, spacing
 from .state import Loop, TopologicalState, loop_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from scipy.spatial import cKDTree
 
 __all__ = ["RECOMMENDED", "Candidates", "SeqPH", "place", "track"]
@@ -264,6 +262,7 @@ def _loop(diagram: Diagram, i: int, cloud: Array, identity: int, before: Loop | 
     edge, neighbours, step = diagram.killer_edge[i], diagram.neighbours(i), float("nan")
     if before is not None:
         step = float(hausdorff_table(cloud[edge][None], before.killer_edge_points[None])[0, 0])
+    sides = np.linalg.norm(cloud[neighbours] - cloud[neighbours[:, [2, 0, 1]]], axis=2)
     return loop_of(
         cloud,
         partial(diagram.cycle, i),
@@ -275,11 +274,5 @@ def _loop(diagram: Diagram, i: int, cloud: Array, identity: int, before: Loop | 
         killer_edge=edge,
         killer_triangle_ids=diagram.killer_triangles[i],
         neighbour_ids=neighbours,
-        neighbour_values=_values(cloud[neighbours]),
+        neighbour_values=sides.max(axis=1, initial=0.0) / 2,
     )
-
-
-def _values(triangles: Array) -> Array:
-    """(m,) half the longest side of triangles (m, 3, d)."""
-    sides = np.linalg.norm(triangles - triangles[:, [2, 0, 1]], axis=2)
-    return np.asarray(sides.max(axis=1, initial=0.0) / 2)

@@ -3,8 +3,6 @@
 Source: Antonova et al. 2021, section 6 (23,000 trajectories). Taught in chapter 8.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from topokit._lazy import attach

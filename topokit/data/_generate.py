@@ -34,7 +34,6 @@ _TRIES = 3
 _SIMULATE = "topokit.data._generate:simulate_and_commit"
 _NEEDS = ("pybullet", "zarr.codecs", "zarr.storage", "scipy.spatial", "fsspec")
 Job = Callable[[int], dict[str, Any]]
-Identity = Callable[[int], dict[str, Any]]
 PACKAGES = ("numpy", "scipy", "pybullet", "zarr", "numcodecs")
 _PATIENCE = 20.0  # seconds for a scheduler to answer
 _SHORT = 30.0  # seconds for which a worker of ours may be gone; its nanny needs about two to replace it
@@ -127,7 +126,7 @@ def _manifest(config: DatasetConfig, episodes: int, seed: int) -> dict[str, Any]
 
 
 def make_missing(
-    folder: Path, numbers: Sequence[int], job: Job, identity: Identity, cluster: Cluster, progress: bool
+    folder: Path, numbers: Sequence[int], job: Job, identity: Job, cluster: Cluster, progress: bool
 ) -> Group:
     """Do a job for every episode without a record, which begins with its identity; return the group as it is then."""
     done = Group(folder).records
@@ -162,7 +161,7 @@ def _note(folder: Path, outcomes: Iterable[dict[str, Any]], todo: int, wanted: i
             bar.update()
 
 
-def _kept(folder: Path, identity: Identity, index: int, outcome: Any) -> dict[str, Any]:
+def _kept(folder: Path, identity: Job, index: int, outcome: Any) -> dict[str, Any]:
     """What goes into the log; an episode whose workers died under it again and again is recorded first."""
     from distributed import KilledWorker
 

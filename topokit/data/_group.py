@@ -4,8 +4,6 @@ An episode counts once its record is in place: a small JSON file that names the 
 is renamed into place after they are. Nothing in it depends on when, where or in which order it was made.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

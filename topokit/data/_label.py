@@ -76,7 +76,8 @@ def label_dataset(
         return make_missing(target, group.whole.tolist(), job, partial(_identity, group), cluster, progress)
 
 
-def _check_request(group: Group, observation: str, n_points: int | None) -> None:
+def _manifest(group: Group, observation: str, n_points: int | None, options: Mapping[str, Any]) -> dict[str, Any]:
+    """What the group of the labels says it is; a ValueError when that cannot be."""
     cameras = group.manifest["config"]["cameras"]
     if observation not in _OBSERVATIONS:
         raise ValueError(f"observation must be one of {', '.join(_OBSERVATIONS)}, not {observation!r}")
@@ -84,11 +85,6 @@ def _check_request(group: Group, observation: str, n_points: int | None) -> None
         raise ValueError(f"{group.url} was made without cameras: label `observed`")
     if n_points is not None and (observation != "observed" or cameras or n_points < 4):
         raise ValueError(f"n_points = {n_points}: a number of points, at least 4, of an observation of vertices")
-
-
-def _manifest(group: Group, observation: str, n_points: int | None, options: Mapping[str, Any]) -> dict[str, Any]:
-    """What the group of the labels says it is."""
-    _check_request(group, observation, n_points)
     return {
         "format": "topokit-labels",
         "version": 1,

@@ -4,8 +4,6 @@ Scores of trackers need the core alone. Forecasts need `pip install topokit[lear
 nothing here imports them before they are used.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from topokit._lazy import attach

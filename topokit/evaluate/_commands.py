@@ -1,7 +1,5 @@
 """The commands `topokit evaluate` and `report`. What they need is imported when they run."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

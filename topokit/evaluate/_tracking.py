@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._curves import curve_centroid, side_lengths
 from topokit._matching import assign
 from topokit._validate import as_points, as_sequence
+from topokit.linking import curve_centroid, side_lengths
 from topokit.rips import rips_persistence
 from topokit.sampling import spacing
 from topokit.seqph import Candidates, SeqPH

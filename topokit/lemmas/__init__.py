@@ -7,8 +7,6 @@ Throughout, corresponding loops are those that an optimal bottleneck matching pa
 Source: Antonova et al. 2021, section 4. Taught in chapters 3 to 5.
 """
 
-from __future__ import annotations
-
 from topokit._lazy import shown
 
 from ._diagrams import feature_approximation, gates, observability, temporal_persistence

@@ -19,8 +19,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from .._curves import curve_centroid
 from .._validate import as_points
+from ..linking import curve_centroid
 from ..rips import Diagram, rips_persistence
 from ..sampling import hausdorff
 

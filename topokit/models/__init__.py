@@ -4,8 +4,6 @@ Needs `pip install topokit[learn]`; nothing here imports torch before it is used
 Source: Antonova et al. 2021, section 5. Taught in chapter 10.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from topokit._lazy import attach

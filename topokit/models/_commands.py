@@ -1,7 +1,5 @@
 """The commands `topokit train` and `predict`. What they need is imported when they run."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -14,8 +14,6 @@ over them), without its transforms of the input; attention as in Vaswani et al. 
 Carion et al. 2020. Taught in chapter 10.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

@@ -3,8 +3,6 @@
 Source: Antonova et al. 2021, section 6. Taught in chapters 0 and 7.
 """
 
-from __future__ import annotations
-
 import importlib.util
 from typing import TYPE_CHECKING
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from topokit._curves import side_lengths
 from topokit._validate import as_ids, positive
+from topokit.linking import side_lengths
 
 from ._read import read_mesh
 from ._surface import Array, EdgeGraph, Ids, border_cycles, components, edge_lengths, half_edges, joined, wind

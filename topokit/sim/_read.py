@@ -4,8 +4,6 @@ General readers (trimesh, for one) split, merge and drop vertices, and then an i
 a file for a whole one. Here everything but places and polygons is passed over, and what is not whole is refused.
 """
 
-from __future__ import annotations
-
 import io
 import itertools
 import re

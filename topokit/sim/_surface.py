@@ -1,7 +1,5 @@
 """Triangle meshes as surfaces: their edges, their winding, their borders, and closed cycles along their edges."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 Everything here needs Matplotlib; `render_cloth` draws better with PyVista, which is imported only there.
 """
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 
 if find_spec("matplotlib") is None:

@@ -236,18 +236,13 @@ def plot_diagram(diagram: Diagram | TopologicalState, ax: Axes | None = None, *,
         axes.plot([0, high - alpha], [alpha, high], color="0.55", linewidth=1, linestyle="--", label="lifetime = alpha")
     longest = max((death - birth for birth, death, _, _ in points), default=0.0)
     for birth, death, colour, name in points:
-        _draw_loop(axes, birth, death, high, colour, name)
+        marker, height = ("o", death) if np.isfinite(death) else ("^", high)  # no edge has ended it yet
+        style: dict[str, Any] = {"color": colour, "markersize": 7 if name else 5, "alpha": 1.0 if name else 0.8}
+        axes.plot(birth, height, marker, markeredgecolor="white", mew=0.4, **style)
         if name and death - birth >= longest / 2:
             axes.annotate(name, (birth, death), xytext=(8, 0), textcoords="offset points", va="center")
     axes.set(xlabel="birth (m)", ylabel="death (m)", xlim=(0, high), ylim=(0, high), aspect="equal")
     return axes
-
-
-def _draw_loop(axes: Axes, birth: float, death: float, high: float, colour: str, name: str) -> None:
-    """A loop that no edge has ended yet stands on the upper border."""
-    alive = not np.isfinite(death)
-    style: dict[str, Any] = {"color": colour, "markersize": 7 if name else 5, "alpha": 1.0 if name else 0.8}
-    axes.plot(birth, high if alive else death, "^" if alive else "o", markeredgecolor="white", mew=0.4, **style)
 
 
 def plot_tracks(states: Sequence[TopologicalState], ax: Axes | None = None) -> Axes:
