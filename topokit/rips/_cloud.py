@@ -94,8 +94,7 @@ def _check_distances(matrix: NDArray[np.float64]) -> None:
 
 def pairs(cloud: Cloud, max_radius: float) -> Pairs:
     """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,)."""
-    on_a_line = bool(cloud.axes) and not cloud.data[:, 1:].any()
-    if len(cloud) < 4 or on_a_line:
+    if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # on a line
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
     created, killed = _within_memory(cloud, cloud.key_of(2 * max_radius))
     ends = np.stack([created, killed[:, :2]])

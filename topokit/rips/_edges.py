@@ -23,8 +23,6 @@ ROUNDING = 4e-16  # of a place that is a mean of coordinates, which are at most 
 FEW = 8  # edges that insertion sorts as quickly as anything
 _BITS = 21  # of an int64 for a vertex, three times: two million vertices
 _MASK = (1 << _BITS) - 1
-
-
 # Edges as they are found, and in order: `keys` for `ends_of`, and lengths. How many are before a slice of lengths. Edges that
 # wait for a later window, and their number.
 Room = namedtuple("Room", "found found_lengths keys lengths start later later_lengths waiting")
