@@ -211,7 +211,9 @@ def test_what_an_older_version_compiled_is_passed_over(tmp_path):
     source += "def double(pair):\n    return 2 * pair.size\n\nprint(double({0}(4)))\n"
     for name in ("Older", "Newer"):
         kernel_file.write_text(source.format(name))
-        ran = subprocess.run([sys.executable, "-c", "import kernels"], cwd=tmp_path, capture_output=True, text=True, check=False)
+        ran = subprocess.run(
+            [sys.executable, "-c", "import kernels"], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
         assert ran.stdout == "8\n", ran.stderr
 
 
