@@ -27,7 +27,26 @@ PARTS = {
         ("seqph.py", "_matching.py", "_frames.py", "sampling.py", "linking.py", "mixture.py", "data/_windows.py"),
         ("seqph", "sampling", "linking", "mixture", "data_windows", "data_spoil"),
     ),
-    "rips": (("rips/*",), ("rips", "rips_properties", "reduction", "cycles")),
+    "rips": (
+        (
+            "rips/__init__.py",
+            *(
+                f"rips/{name}.py"
+                for name in (
+                    "_cloud",
+                    "_creators",
+                    "_cycles",
+                    "_diagram",
+                    "_edges",
+                    "_lunes",
+                    "_tree",
+                    "kernel",
+                    "reduction",
+                )
+            ),
+        ),
+        ("rips", "rips_kernels", "rips_properties", "reduction", "cycles"),
+    ),
 }
 CONFIGURATION = """
 [tool.mutmut]
@@ -62,7 +81,7 @@ def prepare(work: Path, mutated: tuple[str, ...], tests: tuple[str, ...]) -> Non
     """Copy the repository; where the kernels are mutated, as plain functions."""
     for name in ("topokit", "tests", "data_small"):
         shutil.copytree(ROOT / name, work / name, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
-    if "rips/*" in mutated:
+    if "rips/kernel.py" in mutated:
         for path in (work / "topokit" / "rips").glob("*.py"):
             path.write_text(re.sub(r"^@njit\b.*\n", "", path.read_text(), flags=re.MULTILINE))
     only = json.dumps([f"topokit/{name}" for name in mutated])

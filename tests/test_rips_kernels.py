@@ -135,6 +135,7 @@ def test_places_decide_as_the_distances_do(shape):
 
 
 @compiled
+@compiled
 def test_windows_of_edges_are_bounded_and_leave_none_out():
     cloud = _cloud.Cloud.of(np.random.default_rng(12).random((3100, 2)))
     tree = _tree.build_tree(cloud.data, cloud.axes)
