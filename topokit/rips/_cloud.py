@@ -45,13 +45,14 @@ class Cloud:
         scaled = array * scale
         if array.shape[1] <= 3:
             return cls(np.hstack([scaled, np.zeros((len(array), 3 - array.shape[1]))]), (0, 0, 0), scale)
-        if 8 * len(array) ** 2 > MEMORY:
-            raise _too_large(
-                len(array), f"{8e-9 * len(array) ** 2:.1f} GB for distances in {array.shape[1]} dimensions"
-            )
+        size = 8 * len(array) ** 2
+        if size > MEMORY:
+            raise _too_large(len(array), f"{size / 1e9:.1f} GB for distances in {array.shape[1]} dimensions")
         from scipy.spatial.distance import pdist, squareform  # SciPy takes a while to import
 
-        return cls(squareform(pdist(scaled)) / scale, (), 1.0)
+        distances = pdist(scaled)
+        distances /= scale  # in place and once for each two points
+        return cls(squareform(distances), (), 1.0)
 
     def __len__(self) -> int:
         return len(self.data)
@@ -128,15 +129,14 @@ def _run(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np
     if cloud.axes:
         tree = build_tree(cloud.data, cloud.axes)
         data = tree.points
-        if repeats(
-            tree
-        ):  # the edges of a second copy are cones over the first one, and that between them closes nothing
+        if repeats(tree):  # edges of a second copy are cones over the first, and that between them closes nothing
             first = np.sort(np.unique(cloud.data + 0.0, axis=0, return_index=True)[1])
             created, killed = _run(Cloud(cloud.data[first], cloud.axes, cloud.scale), max_length)
             once = np.append(first, -1)
             return once[created], once[killed]
     else:
-        tree = build_tree(np.zeros((1, 1)), (0,))._replace(label=np.arange(len(cloud)))
+        tree = build_tree(np.zeros((1, 3)), (0, 0, 0))  # in space, for which it is compiled anyway
+        tree = tree._replace(label=np.arange(len(cloud)))
         data = cloud.data
     bits = len(cloud) * ((len(cloud) + 63) // 64) * 8
     if bits > MEMORY:
