@@ -57,7 +57,7 @@ def load(kind: type[T], path: str | Path) -> T:
     language, parse = ("TOML", _parse_toml) if path.suffix == ".toml" else ("JSON", json.loads)
     try:
         entries = parse(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:  # nested a thousand deep
         raise ValueError(f"{path}: not {language}: {error}") from error
     return from_mapping(kind, entries, str(path))
 

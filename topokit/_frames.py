@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ._validate import WrongKindError
 from .rips import Diagram
 from .sampling import spacing
 
@@ -20,7 +21,7 @@ def check_follows(frame: int, before: tuple[cKDTree | None, float | None], after
     (tree_before, time_before), (tree, time) = before, after
     if tree.n == 0:
         raise ValueError(f"frame {frame} has no points: nothing seen is not the same as no loops; skip the frame")
-    if time is not None and not np.isfinite(time):
+    if time is not None and not (isinstance(time, (int, float, np.number)) and abs(time) < 1e300):
         raise ValueError(f"frame {frame} has time {time}; it must be a finite number of seconds")
     if tree_before is None:
         return
@@ -48,6 +49,10 @@ def _check_time(frame: int, before: float | None, time: float | None) -> None:
 
 
 def check_diagram(frame: int, diagram: Diagram, n_points: int) -> None:
+    if not isinstance(diagram, Diagram):
+        raise WrongKindError(
+            f"frame {frame}: diagram must be what rips_persistence gives, not {type(diagram).__name__}"
+        )
     if diagram.n_points != n_points:
         raise ValueError(f"frame {frame} has {n_points} points, its diagram is of {diagram.n_points}")
     still_open = int(np.isinf(diagram.death).sum())
