@@ -174,7 +174,7 @@ def _pack(name: str, values: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[
 
 
 def _unpack(name: str, values: NDArray[Any], scale: NDArray[Any]) -> NDArray[np.float32]:
-    if values.shape[-1:] != (3,) or scale.shape != (4,) or {values.dtype.kind, scale.dtype.kind} > set("uf"):
+    if values.shape[-1:] != (3,) or scale.shape != (4,) or not {values.dtype.kind, scale.dtype.kind} <= set("uf"):
         raise ValueError(f"{name} has shape {values.shape}, its scale {scale.shape}; expected (..., 3) and (4,)")
     with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused
         return np.asarray(values * scale[0] + scale[1:], dtype=np.float32)

@@ -19,6 +19,8 @@ from ._surface import Array, EdgeGraph, Ids, border_cycles, components, edge_len
 
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
+_FARTHEST = 1e100  # squares of distances overflow not far beyond
+_PAIRS = 10**7  # of vertices near each other, at most
 _METRES = (0.15, 2.5)  # largest extent of a garment in metres
 _UNITS = ((1.0, "metres"), (0.001, "millimetres"), (0.01, "centimetres"))
 
@@ -76,6 +78,12 @@ def from_mesh(
     if size is not None and scale is not None:
         raise ValueError("give size or scale, not both")
     vertices, polygons = read_mesh(path)
+    effort = sum(len(polygon) ** 2 for polygon in polygons)  # so long it takes to cut them
+    if effort > 2 * max(max_vertices, 1000) ** 2:
+        most = max(map(len, polygons))
+        raise ValueError(
+            f"{path}: {len(polygons)} faces of up to {most} corners, too many for {max_vertices} vertices; decimate it"
+        )
     said: list[str] = []
     try:
         faces, vertex_of, names = _repaired(vertices, polygons, weld, said)
@@ -113,10 +121,12 @@ def _repaired(
     """Faces of the one component that is the cloth; for each vertex of the file the one it is now; those that are left."""
     _note(said, sum(len(corners) > 3 for corners in polygons), "faces of four corners or more were cut into triangles")
     faces = np.array([triangle for polygon in polygons for triangle in _ears(vertices, list(polygon))], dtype=np.int64)
-    lost = ~np.isfinite(vertices[faces]).all(axis=2)  # a vertex in no face may be anywhere, and is dropped later
+    lost = ~(np.abs(vertices[faces]) < _FARTHEST).all(axis=2)  # others may be anywhere, and are dropped later
     if lost.any():
         vertex = faces[lost][0]
-        raise ValueError(f"vertex {vertex} is at {vertices[vertex].tolist()}; every vertex of a face needs a place")
+        raise ValueError(
+            f"vertex {vertex} is at {vertices[vertex].tolist()}; every vertex of a face needs a place, below {_FARTHEST:g}"
+        )
     vertex_of = _weld(vertices, _rounding(vertices, faces) if weld is None else weld, said)
     faces = _one_component(vertices, _clean(vertex_of[faces], said), said)
     names, flat = np.unique(faces, return_inverse=True)
@@ -154,8 +164,13 @@ def _rounding(vertices: Array, faces: Ids) -> float:
 def _weld(vertices: Array, distance: float, said: list[str]) -> Ids:
     """(n,) for each vertex the first of those at its place."""
     places, at, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    finite = at[np.isfinite(places).all(axis=1)]
-    near = finite[cKDTree(vertices[finite]).query_pairs(distance, output_type="ndarray")]
+    finite = at[(np.abs(places) < _FARTHEST).all(axis=1)]
+    tree = cKDTree(vertices[finite])
+    if tree.count_neighbors(tree, distance) > _PAIRS:
+        raise ValueError(
+            f"more than {_PAIRS} pairs of vertices lie within {distance:.2g} of each other; give a smaller weld"
+        )
+    near = finite[tree.query_pairs(distance, output_type="ndarray")]
     pairs = np.concatenate([near, np.column_stack([np.arange(len(vertices)), at[same.ravel()]])])
     _, first, inverse = np.unique(joined(pairs, len(vertices)), return_index=True, return_inverse=True)
     what = f"vertices within {distance:.2g} of another one (in the file's units) were welded to it"

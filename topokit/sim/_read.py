@@ -82,7 +82,10 @@ def _stl(data: bytes) -> tuple[Array, Polygons]:
         facets = len(re.findall(r"\bfacet\s+normal", text))
         if len(rows) != 3 * facets or "endsolid" not in text:
             raise ValueError(f"cut off or damaged: {facets} facets have {len(rows)} corners, or endsolid is missing")
-        corners = np.array(rows, dtype=np.float64).reshape(-1, 3)
+        try:
+            corners = np.array([[float(word) for word in row] for row in rows]).reshape(-1, 3)
+        except ValueError as error:
+            raise ValueError(f"a corner is no place: {error}") from error
     else:
         raise ValueError(f"neither ASCII STL nor whole binary STL: {len(data)} bytes; it counts {count} triangles")
     return corners.astype(np.float64), np.arange(len(corners)).reshape(-1, 3).tolist()
@@ -99,22 +102,32 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
     if kind not in orders:
         raise ValueError(f"PLY format {kind!r}; expected one of {', '.join(orders)}")
     take = _taker(body, orders[kind])
-    rows: dict[str, list[dict[str, list[float]]]] = {"vertex": [], "face": []}
-    elements = _ply_elements(header)
-    try:
-        for name, count, properties in elements:
-            rows[name] = [{key: _ply_numbers(take, *types) for key, types in properties} for _ in range(count)]
-    except (ValueError, StopIteration, struct.error) as error:
-        raise ValueError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
-    try:
-        vertices = np.array([[row[axis][0] for axis in "xyz"] for row in rows["vertex"]]).reshape(-1, 3)
-        lists = [row["vertex_index"] if "vertex_index" in row else row["vertex_indices"] for row in rows["face"]]
-    except KeyError as error:
-        raise ValueError("its vertices have no x, y and z, or its faces no list vertex_indices") from error
-    short = next((i for i, polygon in enumerate(lists) if len(polygon) < 3), None)
-    if short is not None:
-        raise ValueError(f"face {short} has {len(lists[short])} corners; three at least make a face")
-    return vertices, [list(map(int, polygon)) for polygon in lists]
+    vertices: list[list[float]] = []
+    polygons: Polygons = []
+    for name, count, properties in _ply_elements(header):
+        if not 0 <= count <= (len(body) if properties else 0):  # a row of anything takes a byte or more
+            raise ValueError(f"its element {name!r} counts {count} rows, in {len(body)} bytes after the header")
+        try:
+            for _ in range(count):
+                row = {key: _ply_numbers(take, *types) for key, types in properties}
+                if name == "vertex":
+                    vertices.append([row[axis][0] for axis in "xyz"])
+                elif name == "face":
+                    polygons.append(_polygon(row, len(polygons)))
+        except KeyError as error:
+            raise ValueError("its vertices have no x, y and z, or its faces no list vertex_indices") from error
+        except (ValueError, IndexError, OverflowError, StopIteration, struct.error) as error:
+            where = f"cut off or damaged among the {count} rows of its element {name!r}"
+            raise ValueError(f"{where}: {str(error) or 'the file ends there'}") from error
+    return np.array(vertices).reshape(-1, 3), polygons
+
+
+def _polygon(row: dict[str, list[float]], face: int) -> list[int]:
+    """The corners of a face, or what is wrong with them."""
+    corners = row["vertex_index"] if "vertex_index" in row else row["vertex_indices"]
+    if len(corners) < 3:
+        raise ValueError(f"face {face} has {len(corners)} corners; three at least make a face")
+    return [int(corner) for corner in corners]
 
 
 def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
@@ -126,8 +139,8 @@ def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
             if line[:1] == ["element"]:
                 elements.append((line[1], int(line[2]), []))
             elif line[:1] == ["property"]:
-                types = line[2:4] if line[1] == "list" else line[1:2]
-                elements[-1][2].append((line[-1], [_PLY_TYPES[kind] for kind in types]))
+                _, *types, name = line if line[1] != "list" or len(line) < 5 else line[1:]
+                elements[-1][2].append((name, [_PLY_TYPES[kind] for kind in types]))
     except (IndexError, KeyError, ValueError) as error:
         raise ValueError(f"a line of the PLY header is not understood: {' '.join(line)!r}") from error
     return elements
