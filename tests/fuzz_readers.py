@@ -1,6 +1,6 @@
 """Coverage-guided fuzz of everything that reads a file or a stream of a stranger, by Atheris.
 
-    pip install 'topokit[fuzz]'
+    pip install atheris                                   # CPython on Linux
     python tests/fuzz_readers.py ply --runs 200000        # one of READERS
     python tests/fuzz_readers.py states crash-1234        # again what was found
 

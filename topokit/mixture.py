@@ -61,7 +61,7 @@ class InverseWishart:
         if not dof > d - 1:
             raise ValueError(f"dof must be above {d - 1} in {d} dimensions, not {dof:g}")
         scale = as_reals(self.scale, "scale").astype(np.float64)
-        scale = scale * np.eye(d) if scale.ndim == 0 else scale
+        scale = np.diag(np.full(d, scale)) if scale.ndim == 0 else scale
         if (
             scale.shape != (d, d)
             or not np.isfinite(scale).all()
