@@ -7,11 +7,10 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
-from conftest import DATA, hear_ctrl_c
+from conftest import hear_ctrl_c
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
 COMMAND = [sys.executable, "-m", "topokit"]
@@ -89,13 +88,3 @@ sys.exit(__main__.run())
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.npz")], capture_output=True, text=True)
     assert done.returncode == 128 + signal.SIGTERM, done.stderr
     assert not list(tmp_path.iterdir())
-
-
-def test_the_episode_that_is_there_is_tracked_as_before(tmp_path):
-    done = subprocess.run(
-        [*COMMAND, "track", str(Path(DATA, "apron_hook_0.npz")), "--out", str(tmp_path / "no.txt")],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 2
-    assert "ends in .npz" in done.stderr

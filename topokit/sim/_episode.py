@@ -44,6 +44,7 @@ Report = Callable[[int], None]
 Recording = dict[str, NDArray[Any]]
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
+_MOST_STEPS, _MOST_PLACES = 10_000_000, 100_000_000
 _JOB = "topokit.sim._episode:record_job"
 # What a fresh process refuses to do, or has not the means for: the same error here.
 _REFUSALS = {"SimulationError": SimulationError, "ValueError": ValueError, "ImportError": ImportError}
@@ -80,8 +81,8 @@ def simulate(
     cameras : sequence of Camera, optional
         What the observer has. Without any it sees all sides: farthest-point samples of the vertices.
     n_observed : int, optional
-        Points of the observation in each frame: 500, or all vertices of a garment that has fewer, when not given. Without
-        cameras it may not exceed them.
+        Points of the observation in each frame: 500, or all vertices of a garment that has fewer, when not given. It may not
+        exceed the vertices, nor the pixels of the cameras.
     time_limit : float, optional
         Seconds for loading, settling and each frame in a fresh process; the same call then gives the same bytes anywhere
         in a program. None: in this process, repeatable bit by bit only as its first simulation.
@@ -103,11 +104,17 @@ def simulate(
         drawn = {**randomisation.describe(), "drawn": numbers}
     if n_observed is None:
         n_observed = 500 if cameras else min(500, len(garment.vertices))
-    if n_observed < 1 or (n_observed > len(garment.vertices) and not cameras):
-        raise ValueError(f"n_observed must be 1 to {len(garment.vertices)}, the garment's vertices, not {n_observed}")
+    most = sum(camera.width * camera.height for camera in cameras) or len(garment.vertices)
+    if not 1 <= n_observed <= most:
+        what = "pixels of the cameras" if cameras else "vertices of the garment"
+        raise ValueError(f"n_observed must be 1 to {most}, the {what}, not {n_observed}")
     path = task.plan(garment, target, generator(seed, "path"))
-    frames = config.frames or max(FEWEST_FRAMES, math.ceil(path.end / config.frame_time))
+    frames = config.frames or max(FEWEST_FRAMES, math.ceil(min(path.end / config.frame_time, _MOST_STEPS)))
     config = dataclasses.replace(config, frames=frames)
+    steps, places = frames * config.steps_per_frame, frames * (len(garment.vertices) + n_observed)
+    if steps > _MOST_STEPS or places > _MOST_PLACES:
+        bounds = f"at most {_MOST_STEPS:,} steps and {_MOST_PLACES:,} places of points fit into the memory"
+        raise ValueError(f"{frames:,} frames of {steps:,} steps and {places:,} places of points: {bounds}")
     goals = path.at(np.arange(frames * config.steps_per_frame) * config.dt)
     noise = int(generator(seed, "noise").integers(2**63))
     run = Run(garment, target.rods, goals, round(path.release / config.dt), config, tuple(cameras), n_observed, noise)
