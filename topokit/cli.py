@@ -45,7 +45,7 @@ _TRACKER = ("alpha", "beta", "epsilon", "gates", "identity", "memory")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command with `arguments` (those of the process when None) and return its exit code."""
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     try:
         code = int(options.run(options))
         print(end="", flush=True)  # here, where it can still be told that the output was not taken
@@ -77,27 +77,25 @@ def _output_failed(error: BaseException) -> bool:
 def _words(error: BaseException) -> str:
     """What an error says, and what to do where Python does not say it."""
     if isinstance(error, OSError) and error.errno in _REMEDY:
-        return ": ".join(
-            [*([str(error.filename)] if error.filename else []), f"{error.strerror}; {_REMEDY[error.errno]}"]
-        )
+        return f"{error.filename or ''}: {error.strerror}; {_REMEDY[error.errno]}".removeprefix(": ")
     return str(error) or "not enough memory for so much at a time"
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
     from .data import _commands as data
     from .evaluate import _commands as evaluate
     from .models import _commands as models
 
-    parser = argparse.ArgumentParser(prog="topokit", description="Sequential topology for deformable objects.")
-    parser.add_argument("--version", action="version", version=f"topokit {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    whole = argparse.ArgumentParser(prog="topokit", description="Sequential topology for deformable objects.")
+    whole.add_argument("--version", action="version", version=f"topokit {__version__}")
+    commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_simulate(commands)
     _add_track(commands)
     for part in (data, models, evaluate):
         part.add(commands)
     for command in commands.choices.values():
         command.add_argument("--json", action="store_true", help="print the answer as JSON")
-    return parser
+    return whole
 
 
 def _add_simulate(commands: Any) -> None:

@@ -41,10 +41,12 @@ _KIND = "topokit-episode"
 _STATES_KIND, _STATES_SCHEMA = "topokit-states", 2
 _MAX_PACKING_ERROR = 1e-4  # metres
 _PACKED = ("points", "observed", "actions", "grippers", "centre_line")
-_KINDS: dict[str, Any] = {"loops": list | tuple, "success": bool, "seed": int, "dt": int | float}
-_KINDS |= dict.fromkeys((*_PACKED, "held", "faces"), np.ndarray) | dict.fromkeys(("garment", "target", "task"), str)
-_KINDS |= dict.fromkeys(("observation", "physics", "provenance"), dict)
-_TEXT = ("garment", "target", "task", "success", "seed", "dt", "observation", "physics", "provenance", "schema")
+_TEXT: dict[str, type] = dict.fromkeys(("garment", "target", "task"), str) | {
+    "success": bool,
+    "seed": int,
+    "schema": int,
+}
+_TEXT |= {"dt": float, **dict.fromkeys(("observation", "physics", "provenance"), dict)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,27 +118,29 @@ def load_episode(path: str | Path) -> Episode:
     """
     text, arrays = _load(path, _KIND, (SCHEMA,), "record it again")
     try:
-        loops = tuple(_split(arrays.pop("loop_vertices"), arrays.pop("loop_lengths"), "loop_lengths"))
+        check_layout(arrays, _EPISODE_LAYOUT)
+        vertices, lengths = arrays.pop("loop_vertices"), arrays.pop("loop_lengths")
+        loops = tuple(_split(vertices, lengths, "loop_vertices")) if len(vertices) else ()
         for name in _PACKED:
-            arrays[name] = _unpack(name, arrays[name], arrays.pop(f"{name}_scale"))
+            step, *low = scale = arrays.pop(f"{name}_scale")
+            if not (0 < step <= 1 and np.abs(scale).max() < 1e30):
+                raise ValueError(f"{name} cannot be unpacked: its step and its lowest values are {scale.tolist()}")
+            arrays[name] = np.asarray(arrays[name] * step + low, dtype=np.float32)
         parts: dict[str, Any] = {**arrays, **text}
         episode = Episode(loops=loops, **parts)
         check_episode(episode)
-    except ValueError as error:
-        raise FormatError(f"{path}: {error}") from error
     except (KeyError, TypeError) as error:
         raise FormatError(f"{path}: an episode with a missing or an unknown part: {error}; record it again") from error
+    except ValueError as error:
+        raise FormatError(f"{path}: {error}") from error
     return episode
 
 
 def check_episode(episode: Episode) -> None:
     """Raise ValueError unless the parts of an episode fit each other; the message says which do not, and where."""
-    for name, kind in _KINDS.items():
-        value = getattr(episode, name)
-        if not isinstance(value, kind):
-            raise WrongKindError(f"{name} must be {getattr(kind, '__name__', kind)}, not {repr(value)[:80]}")
-    for name in (*_PACKED, "held"):
-        as_reals(getattr(episode, name), name)
+    for name in (*_PACKED, "held", "faces"):
+        if not isinstance(as_reals(getattr(episode, name), name), type(getattr(episode, name))):
+            raise WrongKindError(f"{name} must be an array, not {type(getattr(episode, name)).__name__}")
     frames, vertices = episode.points.shape[:2] if episode.points.ndim == 3 else (0, 0)
     if episode.points.ndim == 3 and frames == 0:
         raise ValueError("points holds no frame")
@@ -144,18 +148,21 @@ def check_episode(episode: Episode) -> None:
         shape = getattr(episode, name).shape
         if len(shape) != 3 or shape != (frames, rows or shape[1], 3):
             raise ValueError(f"{name} has shape {shape}; expected ({frames or 'T'}, {rows or 'N'}, 3), a row a frame")
-    for name in ("faces", "centre_line"):
-        shape = getattr(episode, name).shape
-        if len(shape) != 2 or shape[1] != 3:
-            raise ValueError(f"{name} has shape {shape}; expected (K, 3)")
     if episode.held.shape != (frames,):
         raise ValueError(f"held has shape {episode.held.shape}; expected ({frames},)")
+    for name in ("centre_line", "faces"):
+        if np.shape(getattr(episode, name))[1:] != (3,):
+            raise ValueError(f"{name} has shape {np.shape(getattr(episode, name))}; expected rows of three")
     for name in _PACKED:
-        finite = np.isfinite(getattr(episode, name)).all(axis=-1)
+        finite = np.isfinite(getattr(episode, name)).reshape(len(getattr(episode, name)), -1).all(axis=1)
         if not finite.all():
-            where = "corner" if name == "centre_line" else "frame"
-            raise ValueError(f"{name} has a NaN or infinite coordinate in {where} {np.argwhere(~finite)[0, 0]}")
-    if not 0 < episode.dt < np.inf:
+            where = f"{'row' if name == 'centre_line' else 'frame'} {np.flatnonzero(~finite)[0]}"
+            raise ValueError(f"{name} has a NaN or infinite coordinate in {where}")
+    for name, kind in _TEXT.items():
+        value = getattr(episode, name)
+        if type(value) is not kind and not (kind is float and type(value) is int):
+            raise WrongKindError(f"{name} must be a {kind.__name__}, not {value!r:.80}")
+    if not np.isfinite(episode.dt) or episode.dt <= 0:
         raise ValueError(f"dt must be the seconds between two frames, not {episode.dt}")
     for name, ids in (("faces", episode.faces), *((f"loops[{i}]", loop) for i, loop in enumerate(episode.loops))):
         if as_ids(ids, name, vertices).ndim != 1 + (name == "faces"):
@@ -173,22 +180,6 @@ def _pack(name: str, values: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[
     return np.round((values - low) / step).astype(np.uint16), np.array([step, *low])
 
 
-def _unpack(name: str, values: NDArray[Any], scale: NDArray[Any]) -> NDArray[np.float32]:
-    if values.shape[-1:] != (3,) or scale.shape != (4,) or not {values.dtype.kind, scale.dtype.kind} <= set("uf"):
-        raise ValueError(f"{name} has shape {values.shape}, its scale {scale.shape}; expected (..., 3) and (4,)")
-    with np.errstate(over="ignore", invalid="ignore"):  # what is infinite is refused
-        return np.asarray(values * scale[0] + scale[1:], dtype=np.float32)
-
-
-def _split(values: NDArray[Any], counts: NDArray[Any], name: str) -> list[NDArray[Any]]:
-    """Runs of rows, as many as there are counts."""
-    if not len(counts):
-        counts = np.zeros(0, np.int64)  # an array of nothing has no type
-    if counts.ndim != 1 or counts.dtype.kind not in "iu" or (counts < 0).any() or sum(counts.tolist()) != len(values):
-        raise ValueError(f"{name} must be counts that sum to {len(values)}")
-    return np.split(values, np.cumsum(counts)[:-1]) if len(counts) else []
-
-
 def _load(
     path: str | Path, kind: str, schemas: tuple[int, ...], remedy: str
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -200,12 +191,32 @@ def _load(
     return text, arrays
 
 
-# What the loops of states hold: the type and the axes of each array, n loops in d dimensions.
-_LOOP = {
-    "id": "i n",
-    "birth": "f n",
-    "death": "f n",
-    "step": "f n",
+def check_layout(arrays: dict[str, NDArray[Any]], layout: dict[str, str]) -> None:
+    """Raise ValueError unless all arrays of a layout are of its kind of number and its shape; a letter is one size throughout."""
+    sizes: dict[str, int] = {}
+    for name, told in layout.items():
+        (kind, *letters), array = told.split(), arrays[name]
+        known = zip(letters, array.shape, strict=False)
+        shape = tuple(int(one) if one.isdigit() else sizes.setdefault(one, size) for one, size in known)
+        if array.shape != (0,) and (array.dtype.kind != kind or array.shape != shape or len(letters) != array.ndim):
+            raise ValueError(f"{name} is of type {array.dtype} and shape {array.shape}, and does not fit")
+
+
+def _split(rows: NDArray[Any], counts: NDArray[Any], name: str) -> list[NDArray[Any]]:
+    """Rows that belong to one thing after another, so many to each."""
+    if (counts < 0).any() or counts.sum() != len(rows):
+        raise ValueError(f"{name} has {len(rows)} rows, and they are counted otherwise")
+    return np.split(rows, np.cumsum(counts)[:-1])
+
+
+_EPISODE_LAYOUT = {
+    **{"points": "u T N 3", "observed": "u T M 3", "actions": "u T 2 3", "grippers": "u T 2 3", "centre_line": "u K 3"},
+    **{f"{name}_scale": "f 4" for name in _PACKED},
+    **{"held": "b T", "faces": "i F 3", "loop_vertices": "i V", "loop_lengths": "i L"},
+}
+# What the loops of states hold: numbers, arrays of one shape, and arrays whose length varies.
+_LOOP_NUMBERS = {"id": "i n", "birth": "f n", "death": "f n", "step": "f n"}
+_LOOP_ARRAYS = {
     "birth_edge": "i n 2",
     "killer_edge": "i n 2",
     "killer_triangle_ids": "i n 2 3",
@@ -213,11 +224,13 @@ _LOOP = {
     "killer_triangles": "f n 2 3 d",
     "killer_values": "f n 2",
 }
-# The same of arrays whose length varies from loop to loop, by the name of the counts.
 _LOOP_LISTS = {
-    "n_neighbours": {"neighbour_ids": "i m 3", "neighbours": "f m 3 d", "neighbour_values": "f m"},
-    "n_cycle": {"cycle": "i k", "cycle_points": "f k d"},
+    "n_neighbours": ("neighbour_ids", "neighbours", "neighbour_values"),
+    "n_cycle": ("cycle", "cycle_points"),
 }
+_FRAMES = {"n_loops": "i t", "frame": "i t", "time": "f t"}
+_NEIGHBOURS = {"n_neighbours": "i n", "neighbour_ids": "i m 3", "neighbours": "f m 3 d", "neighbour_values": "f m"}
+_CYCLES = {"n_cycle": "i n", "cycle": "i c", "cycle_points": "f c d"}
 
 
 def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
@@ -231,11 +244,11 @@ def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
         The cycles of their loops are found and stored with them.
     """
     loops = [loop for state in states for loop in state.loops]
-    arrays = {name: np.array([getattr(loop, name) for loop in loops]) for name in _LOOP}
+    arrays = {name: np.array([getattr(loop, name) for loop in loops]) for name in _LOOP_NUMBERS | _LOOP_ARRAYS}
     for count, names in _LOOP_LISTS.items():
         for name in names:
             arrays[name] = np.concatenate([getattr(loop, name) for loop in loops] or [np.empty(0)])
-        arrays[count] = np.array([len(getattr(loop, next(iter(names)))) for loop in loops], dtype=np.int64)
+        arrays[count] = np.array([len(getattr(loop, names[0])) for loop in loops], dtype=np.int64)
     arrays["n_loops"] = np.array([len(state) for state in states], dtype=np.int64)
     arrays["frame"] = np.array([state.frame for state in states], dtype=np.int64)
     arrays["time"] = np.array([state.time for state in states], dtype=np.float64)
@@ -254,31 +267,27 @@ def load_states(path: str | Path) -> list[TopologicalState]:
     text, arrays = _load(path, _STATES_KIND, (1, _STATES_SCHEMA), "track them again")
     try:
         loops = _loops(arrays, with_cycles=text["schema"] != 1)
-        groups = _split(np.arange(len(loops)), arrays["n_loops"], "n_loops")
-        rows = zip(arrays["frame"].tolist(), arrays["time"].tolist(), text["parameters"], groups, strict=True)
+        if not all(isinstance(parameters, dict) for parameters in text["parameters"]):
+            raise TypeError("parameters that have no names")
+        ends = np.cumsum(arrays["n_loops"]).tolist()
+        _split(arrays["id"], arrays["n_loops"], "id")
+        rows = zip(arrays["frame"].tolist(), arrays["time"].tolist(), text["parameters"], strict=True)
         return [
-            TopologicalState(int(frame), float(time), tuple(loops[i] for i in group), dict(parameters))
-            for frame, time, parameters, group in rows
+            TopologicalState(frame, time, tuple(loops[start:end]), parameters)
+            for (frame, time, parameters), start, end in zip(rows, [0, *ends][:-1], ends, strict=True)
         ]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, IndexError) as error:
         raise FormatError(f"{path}: states with a missing or an unknown part: {error}; track them again") from error
 
 
 def _loops(arrays: dict[str, NDArray[Any]], with_cycles: bool) -> list[Loop]:
     """All loops of all frames; those of the first schema know no cycle."""
-    lists = {count: names for count, names in _LOOP_LISTS.items() if with_cycles or count != "n_cycle"}
-    number, sizes = len(arrays["id"]), {"2": 2, "3": 3}
-    columns: dict[str, Any] = {}
-    for name, (kind, *axes) in {
-        name: form.split() for names in (_LOOP, *lists.values()) for name, form in names.items()
-    }.items():
-        array = arrays[name]
-        shape = tuple(sizes.setdefault(axis, length) for axis, length in zip(axes, array.shape, strict=False))
-        if number and (array.dtype.kind != kind or array.ndim != len(axes) or array.shape != shape):
-            raise ValueError(f"{name} holds {array.dtype} of shape {array.shape}; expected ({', '.join(axes)})")
-        columns[name] = array.tolist() if axes == ["n"] else array
-    for count, names in lists.items():
-        columns |= {name: _split(arrays[name], arrays[count], count) for name in names}
+    check_layout(arrays, _LOOP_NUMBERS | _LOOP_ARRAYS | _NEIGHBOURS | (_CYCLES if with_cycles else {}) | _FRAMES)
+    columns = {name: arrays[name].tolist() for name in _LOOP_NUMBERS} | {name: arrays[name] for name in _LOOP_ARRAYS}
+    for count, names in _LOOP_LISTS.items():
+        if count != "n_cycle" or with_cycles:
+            columns |= {name: _split(arrays[name], arrays[count], name) for name in names}
+    number = len(arrays["id"])
     curves: list[Any] = [None] * number
     if with_cycles:
         pairs = zip(columns.pop("cycle"), columns.pop("cycle_points"), strict=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -19,8 +20,6 @@ from ._surface import Array, EdgeGraph, Ids, border_cycles, components, edge_len
 
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
-_FARTHEST = 1e100  # squares of distances overflow not far beyond
-_PAIRS = 10**7  # of vertices near each other, at most
 _METRES = (0.15, 2.5)  # largest extent of a garment in metres
 _UNITS = ((1.0, "metres"), (0.001, "millimetres"), (0.01, "centimetres"))
 
@@ -78,12 +77,8 @@ def from_mesh(
     if size is not None and scale is not None:
         raise ValueError("give size or scale, not both")
     vertices, polygons = read_mesh(path)
-    effort = sum(len(polygon) ** 2 for polygon in polygons)  # so long it takes to cut them
-    if effort > 2 * max(max_vertices, 1000) ** 2:
-        most = max(map(len, polygons))
-        raise ValueError(
-            f"{path}: {len(polygons)} faces of up to {most} corners, too many for {max_vertices} vertices; decimate it"
-        )
+    if sum(len(polygon) ** 2 for polygon in polygons) > 3e7:  # some seconds of cutting them into triangles
+        raise ValueError(f"{path}: {len(polygons)} faces are more than can be cut into triangles; decimate it")
     said: list[str] = []
     try:
         faces, vertex_of, names = _repaired(vertices, polygons, weld, said)
@@ -120,13 +115,11 @@ def _repaired(
 ) -> tuple[Ids, Ids, Ids]:
     """Faces of the one component that is the cloth; for each vertex of the file the one it is now; those that are left."""
     _note(said, sum(len(corners) > 3 for corners in polygons), "faces of four corners or more were cut into triangles")
+    named = np.unique(list(itertools.chain(*polygons)))  # a vertex in no face may be anywhere, and is dropped later
+    lost = named[~(np.abs(vertices[named]) < 1e100).all(axis=1)]
+    if len(lost):
+        raise ValueError(f"vertex {lost[0]} is at {vertices[lost[0]].tolist()}; every vertex of a face needs a place")
     faces = np.array([triangle for polygon in polygons for triangle in _ears(vertices, list(polygon))], dtype=np.int64)
-    lost = ~(np.abs(vertices[faces]) < _FARTHEST).all(axis=2)  # others may be anywhere, and are dropped later
-    if lost.any():
-        vertex = faces[lost][0]
-        raise ValueError(
-            f"vertex {vertex} is at {vertices[vertex].tolist()}; every vertex of a face needs a place, below {_FARTHEST:g}"
-        )
     vertex_of = _weld(vertices, _rounding(vertices, faces) if weld is None else weld, said)
     faces = _one_component(vertices, _clean(vertex_of[faces], said), said)
     names, flat = np.unique(faces, return_inverse=True)
@@ -164,12 +157,10 @@ def _rounding(vertices: Array, faces: Ids) -> float:
 def _weld(vertices: Array, distance: float, said: list[str]) -> Ids:
     """(n,) for each vertex the first of those at its place."""
     places, at, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    finite = at[(np.abs(places) < _FARTHEST).all(axis=1)]
+    finite = at[(np.abs(places) < 1e100).all(axis=1)]
     tree = cKDTree(vertices[finite])
-    if tree.count_neighbors(tree, distance) > _PAIRS:
-        raise ValueError(
-            f"more than {_PAIRS} pairs of vertices lie within {distance:.2g} of each other; give a smaller weld"
-        )
+    if tree.count_neighbors(tree, distance) > 100 * len(vertices):  # all pairs would fill the memory
+        raise ValueError(f"most vertices lie within {distance:.2g} of a hundred others; weld less, or mend the mesh")
     near = finite[tree.query_pairs(distance, output_type="ndarray")]
     pairs = np.concatenate([near, np.column_stack([np.arange(len(vertices)), at[same.ravel()]])])
     _, first, inverse = np.unique(joined(pairs, len(vertices)), return_index=True, return_inverse=True)
@@ -213,8 +204,10 @@ def _say_short(vertices: Array, faces: Ids, names: Ids, said: list[str]) -> None
     """A very short edge is legal, but the engine's collision margin follows the shortest one."""
     edges = np.unique(half_edges(faces), axis=0)
     length = edge_lengths(vertices, edges)
+    a, b = names[edges[np.argmin(length)]]
+    if length.min() == 0:
+        raise ValueError(f"vertices {a} and {b} are at one place; weld them")
     if length.min() < 0.05 * np.median(length):
-        a, b = names[edges[np.argmin(length)]]
         said.append(f"vertices {a} and {b} are only {length.min():.2g} m apart; weld them, or collisions are as thin")
 
 
@@ -244,6 +237,8 @@ def _upright(vertices: Array, grips: Ids | None, up: str | None, said: list[str]
 
 def _scaled(vertices: Array, size: float | None, scale: float | None, said: list[str]) -> tuple[Array, float]:
     largest = float(np.ptp(vertices, axis=0).max())
+    if largest < 1e-100:
+        raise ValueError(f"its largest extent is {largest:.3g}, which is too small to measure its edges; scale it up")
     if size is not None:
         scale = size / largest
     elif scale is None:

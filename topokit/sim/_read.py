@@ -22,6 +22,7 @@ Polygons = list[list[int]]
 Properties = list[tuple[str, list[str]]]  # names, and one type or the two of a list
 _PLY_TYPES = dict(zip(("char", "uchar", "short", "ushort", "int", "uint", "float", "double"), "bBhHiIfd", strict=True))
 _PLY_TYPES |= {np.dtype(code).name: code for code in "bBhHiIfd"}
+_MOST_CORNERS = 1000  # of a face: cutting it into triangles takes their square
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -42,6 +43,8 @@ def read_mesh(path: str | Path) -> tuple[Array, Polygons]:
         if not polygons:
             raise ValueError(f"{len(vertices)} vertices and no faces; a garment needs a surface")
         as_ids(list(itertools.chain(*polygons)), "a face", len(vertices))
+        if max(map(len, polygons)) > _MOST_CORNERS:
+            raise ValueError(f"a face of {max(map(len, polygons))} corners; cut those of more than {_MOST_CORNERS}")
     except ValueError as error:
         raise FormatError(f"{path}: {error}") from error
     return vertices, polygons
@@ -105,10 +108,10 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
     vertices: list[list[float]] = []
     polygons: Polygons = []
     for name, count, properties in _ply_elements(header):
-        if not 0 <= count <= (len(body) if properties else 0):  # a row of anything takes a byte or more
-            raise ValueError(f"its element {name!r} counts {count} rows, in {len(body)} bytes after the header")
         try:
-            for _ in range(count):
+            if properties and not 0 <= count <= len(body):  # a row of anything takes a byte or more
+                raise ValueError(f"the file has {len(body)} bytes for them")
+            for _ in range(count if properties else 0):
                 row = {key: _ply_numbers(take, *types) for key, types in properties}
                 if name == "vertex":
                     vertices.append([row[axis][0] for axis in "xyz"])
@@ -127,7 +130,10 @@ def _polygon(row: dict[str, list[float]], face: int) -> list[int]:
     corners = row["vertex_index"] if "vertex_index" in row else row["vertex_indices"]
     if len(corners) < 3:
         raise ValueError(f"face {face} has {len(corners)} corners; three at least make a face")
-    return [int(corner) for corner in corners]
+    try:
+        return [int(corner) for corner in corners]
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"a face names a vertex by no whole number: {error}") from error
 
 
 def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
