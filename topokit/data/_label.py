@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from topokit.seqph import RECOMMENDED, SeqPH, track
+from topokit.seqph import SeqPH, track
 
 from ._generate import Cluster, make_missing, manifest_here
 from ._group import Group, commit, locked, open_episodes, prepare, record_path, tracked_cloud, versions_of
@@ -33,7 +33,7 @@ def label_dataset(
     *,
     name: str | None = None,
     n_points: int | None = None,
-    options: Mapping[str, Any] = RECOMMENDED,
+    options: Mapping[str, Any] | None = None,
     scheduler: str | None = None,
     n_workers: int | None = None,
     dashboard: str | None = None,
@@ -53,8 +53,8 @@ def label_dataset(
         Of this set of labels; that of the observation when not given.
     n_points : int, optional
         Track so many points of an observation of vertices, a farthest-point sample.
-    options : mapping
-        Of `topokit.SeqPH`.
+    options : mapping, optional
+        Of `topokit.SeqPH`; its own when not given.
     scheduler, n_workers, dashboard, progress
         As in `generate_dataset`.
 
@@ -65,7 +65,7 @@ def label_dataset(
     """
     folder = Path(dataset)
     group = open_episodes(folder)
-    manifest = _manifest(group, observation, n_points, options)
+    manifest = _manifest(group, observation, n_points, options or {})
     name = name or observation + (f"-{n_points}" if n_points else "")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
         raise ValueError(f"name {name!r}: letters, digits, dots, hyphens and underscores only")

@@ -1,0 +1,52 @@
+"""Which bars are loops: what one diagram says, and what a film adds.
+
+Idea: a bar of the scene is long beside the distances between neighbouring points, and dies at many times the radius of its
+birth; the more points there are, the more chances has noise. One number holds all three, and says loop where it is above 1.
+Its logarithm is the evidence of a frame. Along a track evidence adds up and is slowly forgotten, so that a loop that has been
+seen well is kept through frames in which it is hardly seen, and a chance bar does not become one.
+
+Source: death / birth as what tells loops from noise, and the count of bars in its threshold, are from Bobrowski and Skraba 2023
+(*A universal null-distribution for topological data analysis*); the sum of evidence is Wald's sequential test. The constants
+were chosen on simulated films that no table of the book scores. Taught in chapter 6.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .rips import Diagram
+
+Array = NDArray[np.float64]
+WEAKEST = -2.5  # evidence of a bar that is looked at at all
+MISSED = -1.0  # evidence of a frame in which nothing is found
+_FEW, _MANY = 128, 1000  # below the first number of points the rule was not tried; at the second it is in plain units
+_FRAME, _FORGET, _LEAST = (
+    3.0,
+    0.8,
+    -5.0,
+)  # the most that a frame says, what is left of it a frame later, the least belief
+
+
+def significance(diagram: Diagram, spacing: float, n_points: int) -> Array:
+    """(m,) how much each bar stands out from the sampling: a loop above 1.
+
+    It is lifetime / spacing * sqrt(log(death / birth)) * (1000 / n)^(3/4), whatever the unit of length; `spacing` is the median
+    distance of a point from its fifth nearest neighbour, which tells gaps between points that lie at random from holes.
+    """
+    if spacing == 0:
+        return np.zeros(len(diagram))
+    with np.errstate(divide="ignore"):
+        times = np.sqrt(np.log(diagram.death / diagram.birth))
+    return np.asarray(diagram.lifetime / spacing * times * (_MANY / max(n_points, _FEW)) ** 0.75)
+
+
+def evidence(diagram: Diagram, spacing: float, n_points: int) -> Array:
+    """(m,) what this frame says for each bar's being a loop, in natural logarithms of odds."""
+    with np.errstate(divide="ignore"):
+        return np.clip(5 * np.log(significance(diagram, spacing, n_points)), -_FRAME, _FRAME)
+
+
+def believe(belief: float, evidence: float) -> float:
+    """What is believed of a bar, in natural logarithms of odds, once a frame has said something about it."""
+    return max(_FORGET * belief + evidence, _LEAST)
