@@ -39,11 +39,19 @@ core:
 	$(CORE_BIN)/python -m pip install --quiet . $(PINS) gudhi hypothesis 'pytest<10' scikit-learn
 	$(CORE_BIN)/pytest -o addopts= --import-mode=append $(CORE_TESTS:%=tests/test_%.py)
 
+EXTRAS_TOOLS := pandas psutil pyyaml trimesh
 TOOLS := .venv-tools
 $(TOOLS)/ready: Makefile
 	$(PYTHON) -m venv --clear $(TOOLS)
 	$(TOOLS)/bin/python -m pip install --quiet cyclonedx-bom==7.5.0 pip-audit==2.10.1 pip-licenses==5.5.5 uv==0.13.9
 	@touch $@
+
+# The tests' own tools are today's. PyBullet and zarr have wheels for Python 3.11 in common.
+lowest: $(TOOLS)/ready
+	$(TOOLS)/bin/uv pip compile --quiet --no-header --no-annotate --resolution lowest-direct --python $(PYTHON) \
+	  $(EXTRAS:%=--extra %) pyproject.toml --output-file $(TOOLS)/lowest.txt
+	$(MAKE) core PINS="--requirement $(TOOLS)/lowest.txt $(if $(EXTRAS),$(EXTRAS_TOOLS))" \
+	  $(if $(EXTRAS),CORE_TESTS="$(patsubst tests/test_%.py,%,$(filter-out %_repository.py %_docstrings.py,$(wildcard tests/test_*.py)))")
 
 # torch stays outside: its builds (CPU, CUDA) come from several indexes, each with hashes of its own.
 hashes: $(TOOLS)/ready
