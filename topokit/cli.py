@@ -34,6 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     try:
         return int(options.run(options))
+    except ModuleNotFoundError as error:  # of a part of ours that needs more than the core
+        wanted = f"{error.name} is needed, and is not there: pip install 'topokit[all]'"
+        print(f"topokit {options.command}: error: {wanted}", file=sys.stderr)
+        return 2
     except (ValueError, OSError, ImportError) as error:  # any other is a mistake of ours, and shows where
         print(f"topokit {options.command}: error: {error}", file=sys.stderr)
         return 2
