@@ -555,7 +555,7 @@ def test_a_heap_of_vertices_at_nearly_one_place_is_refused(tmp_path):
     """Its pairs, two million here, would be welded one by one."""
     heap = "".join(f"v {1e-9 * i} 0 0\n" for i in range(2000))
     (tmp_path / "a.obj").write_text(TRIANGLE + heap)
-    with pytest.raises(ValueError, match="most vertices lie within .* of a hundred others"):
+    with pytest.raises(ValueError, match=r"most vertices lie within .* of a hundred others"):
         Garment.from_mesh(tmp_path / "a.obj")
 
 

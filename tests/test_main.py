@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from conftest import hear_ctrl_c
+from conftest import DATA, hear_ctrl_c
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
 COMMAND = [sys.executable, "-m", "topokit"]
@@ -88,3 +88,25 @@ sys.exit(__main__.run())
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.npz")], capture_output=True, text=True)
     assert done.returncode == 128 + signal.SIGTERM, done.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("package", "use"),
+    [
+        ("pydantic", "from topokit.sim import SimulationConfig"),
+        ("gymnasium", "from topokit.sim import HangEnv"),
+        ("torch", "from topokit.models import Predictor"),
+        ("torch", "from topokit.evaluate import evaluate_forecasts"),
+        ("zarr", f"from topokit.data import Dataset; Dataset({str(DATA / 'dataset')!r})"),
+        ("matplotlib", "import topokit.view"),
+        (
+            "dask",
+            "from topokit.__main__ import run; sys.argv[1:] = ['generate', '--out', 'x', '--episodes', '1']; run()",
+        ),
+    ],
+)
+def test_what_is_missing_is_named_with_the_extra_that_brings_it(package, use, tmp_path):
+    code = f"import sys\nsys.modules[{package!r}] = None\n{use}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert "pip install 'topokit[" in done.stderr.splitlines()[-1]
+    assert package in done.stderr.splitlines()[-1]

@@ -10,8 +10,8 @@ from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._camera import Camera, DepthNoise, cameras_around
-    from ._episode import Randomisation, simulate
     from ._env import HangEnv
+    from ._episode import Randomisation, simulate
     from ._garments import WARDROBE, Garment
     from ._process import SimulationError
     from ._targets import Hanger, Hook, Mannequin, Target
