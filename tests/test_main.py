@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from conftest import DATA, hear_ctrl_c
+from conftest import hear_ctrl_c
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
 COMMAND = [sys.executable, "-m", "topokit"]
@@ -97,7 +97,6 @@ sys.exit(__main__.run())
         ("gymnasium", "from topokit.sim import HangEnv"),
         ("torch", "from topokit.models import Predictor"),
         ("torch", "from topokit.evaluate import evaluate_forecasts"),
-        ("zarr", f"from topokit.data import Dataset; Dataset({str(DATA / 'dataset')!r})"),
         ("matplotlib", "import topokit.view"),
         (
             "dask",
