@@ -525,6 +525,13 @@ PLY += "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 0 1\
         ("a.ply", PLY.replace("3 0 1 2", "3 0 1 7"), "names vertex 7"),
         ("a.ply", PLY.replace("3 0 1 2", "3 0 1"), "cut off or damaged among the 1 rows of its element 'face'"),
         ("a.ply", PLY.replace("1 0 0", "1 zero 0"), "cut off or damaged among the 3 rows of its element 'vertex'"),
+        ("a.obj", TRIANGLE.replace("v 1 0 0", "v 1e200 0 0"), r"vertex 1 is at \[1e\+200"),
+        ("a.obj", TRIANGLE.replace(" 1", " 1e-120").replace("f 1e-120", "f 1"), "largest extent is 1e-120"),
+        ("a.obj", TRIANGLE + "f" + 400 * " 1 2 3" + "\n", "a face of 1200 corners; cut those of more than 1000"),
+        ("a.ply", PLY.replace("vertex 3", "vertex 2000000000"), "among the 2000000000 rows of its element 'vertex'"),
+        ("a.ply", PLY.replace("vertex 3", "vertex -3"), "among the -3 rows of its element 'vertex'"),
+        ("a.ply", PLY.replace("3 0 1 2", "inf 0 1 2"), "cut off or damaged among the 1 rows of its element 'face'"),
+        ("a.ply", PLY.replace("3 0 1 2", "3 0 1 nan"), "a face names a vertex by no whole number"),
         ("a.stl", "no stl at all", "neither ASCII STL nor whole binary STL"),
         ("a.stl", "solid x\nendsolid x\n", "no faces"),
         ("a.stl", "solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n", "cut off or damaged"),
@@ -537,6 +544,19 @@ def test_files_that_are_refused(tmp_path, name, content, says):
     with pytest.raises(ValueError, match=says) as raised:
         Garment.from_mesh(path)
     assert str(path) in str(raised.value)
+
+
+def test_an_element_without_properties_takes_no_memory(tmp_path):
+    (tmp_path / "a.ply").write_text(PLY.replace("element face", "element evil 2000000000\nelement face"))
+    assert len(Garment.from_mesh(tmp_path / "a.ply").vertices) == 3
+
+
+def test_a_heap_of_vertices_at_nearly_one_place_is_refused(tmp_path):
+    """Its pairs, two million here, would be welded one by one."""
+    heap = "".join(f"v {1e-9 * i} 0 0\n" for i in range(2000))
+    (tmp_path / "a.obj").write_text(TRIANGLE + heap)
+    with pytest.raises(ValueError, match=r"most vertices lie within .* of a hundred others"):
+        Garment.from_mesh(tmp_path / "a.obj")
 
 
 def test_no_file_or_a_folder(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import tracemalloc
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from topokit import track
+from topokit import _archive, track
 from topokit._archive import _digest, load_archive, save_archive
 from topokit.io import Episode, FormatError, load_episode, load_states, save_episode, save_states
 
@@ -133,9 +134,10 @@ def test_other_archives(tmp_path):
     states = save_states(tmp_path / "states.npz", track([polygon(9)], alpha=0.1))
     with pytest.raises(FormatError, match="holds a topokit states, not a topokit episode"):
         load_episode(states)
-    np.savez(tmp_path / "objects.npz", points=np.array([{}], dtype=object))
+    with np.load(states) as archive:
+        np.savez(tmp_path / "objects.npz", json=archive["json"], birth=np.array([{}], dtype=object))
     with pytest.raises(FormatError, match="pickle"):
-        load_episode(tmp_path / "objects.npz")
+        load_states(tmp_path / "objects.npz")
     with pytest.raises(FileNotFoundError, match="no such file"):
         load_episode(tmp_path / "nowhere.npz")
     with pytest.raises(FileNotFoundError, match="a folder"):
@@ -186,6 +188,138 @@ def test_no_states_round_trip(tmp_path):
     assert [len(s) for s in load_states(save_states(tmp_path / "states.npz", track([np.zeros((2, 2))])))] == [0]
 
 
+# -- archives that claim more than they are --------------------------------------------------------------------------------------
+
+
+def claim(path: Path, name: str, size: int) -> None:
+    """Let the directory of an archive say another size of an entry."""
+    raw, entry = path.read_bytes(), f"{name}.npy".encode()
+    at = raw.rindex(entry) - 46  # in the directory, which comes last; 46 bytes before a name begins its record
+    path.write_bytes(raw[: at + 24] + size.to_bytes(4, "little") + raw[at + 28 :])
+
+
+def peak_while_refused(path: Path, says: str) -> int:
+    tracemalloc.start()
+    try:
+        with pytest.raises(FormatError, match=says) as caught:
+            load_episode(path)
+        assert str(path) in str(caught.value)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_the_kind_is_looked_at_before_an_array_is_unpacked(tmp_path):
+    np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros(20_000_000, np.uint8))
+    assert peak_while_refused(tmp_path / "bomb.npz", "topokit did not write") < 1_000_000
+    words = np.frombuffer(json.dumps({"kind": "topokit-states"}).encode(), np.uint8)
+    np.savez_compressed(tmp_path / "bomb.npz", json=words, points=np.zeros(20_000_000, np.uint8))
+    assert peak_while_refused(tmp_path / "bomb.npz", "holds a topokit states") < 1_000_000
+
+
+def test_an_archive_that_would_unpack_to_far_more_than_it_is_is_refused(tmp_path):
+    words = np.frombuffer(json.dumps({"kind": "topokit-episode"}).encode(), np.uint8)
+    np.savez_compressed(tmp_path / "bomb.npz", json=words, points=np.zeros(80_000_000, np.uint8))
+    assert peak_while_refused(tmp_path / "bomb.npz", r"bytes claim to hold 8\d{7}") < 1_000_000
+
+
+@pytest.mark.parametrize("name", ["points", "json"])
+def test_an_entry_that_claims_another_size_is_refused(tmp_path, name):
+    path = save_episode(tmp_path / "ring.npz", small_episode())
+    for size, says in ((0xFFFFFFF0, "claim to hold"), (40, "truncated or damaged|did not write")):
+        claim(path, name, size)
+        assert peak_while_refused(path, says) < 2_000_000
+
+
+def test_an_array_that_claims_another_shape_is_refused(tmp_path):
+    path = save_episode(tmp_path / "ring.npz", small_episode())
+    with zipfile.ZipFile(path) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    entries["points.npy"] = entries["points.npy"].replace(b"(5, 12, 3), }         ", b"(5000000000, 12, 3), }")
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in entries.items():
+            archive.writestr(name, content)
+    with pytest.raises(FormatError, match="truncated or damaged"):
+        load_episode(path)
+
+
+def test_packings_that_unpack_without_bound_are_refused(tmp_path):
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("json.npy", bytes(1000))
+    with pytest.raises(FormatError, match=r"json\.npy is packed by another method than deflate"):
+        load_episode(tmp_path / "bomb.npz")
+
+
+def test_words_too_deep_to_read_are_refused(tmp_path):
+    np.savez(tmp_path / "deep.npz", json=np.frombuffer(b"[" * 100_000, np.uint8))
+    with pytest.raises(FormatError, match="topokit did not write"):
+        load_episode(tmp_path / "deep.npz")
+
+
+def test_what_is_so_dense_that_it_looks_like_a_bomb_is_read_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(_archive, "_PLENTY", 10_000)
+    still = np.zeros((500, 100, 3), np.float32)
+    flat = dataclasses.replace(
+        small_episode(500), points=still, observed=still, actions=still[:, :2], grippers=still[:, :2], loops=()
+    )
+    path = save_episode(tmp_path / "still.npz", flat)
+    assert not load_episode(path).points.any()
+    assert path.stat().st_size > 600_000  # it is not packed
+
+
+# -- archives whose checksum is right and whose parts are not --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("points", np.zeros((5, 12, 3)), "points is of type float64"),
+        ("points", np.zeros((10**9, 0, 3), np.uint16), r"points is empty and claims the shape \(1000000000, 0, 3\)"),
+        ("points_scale", np.zeros((10**9, 0)), "points_scale is empty and claims"),
+        ("points_scale", np.full(4, 1e308), "points cannot be unpacked"),
+        ("points_scale", np.array([0.0, 0, 0, 0]), "points cannot be unpacked"),
+        ("held", np.ones(5), "held is of type float64"),
+        ("faces", np.zeros(6, np.int32), r"faces is of type int32 and shape \(6,\)"),
+        ("centre_line", np.zeros((2, 2), np.uint16), "centre_line is of type uint16"),
+        ("loop_lengths", np.array([12, 4], np.int32), "loop_vertices has 15 rows, and they are counted otherwise"),
+        ("loop_lengths", np.array([18, -3], np.int32), "loop_vertices has 15 rows, and they are counted otherwise"),
+        ("success", "yes", "success must be a bool, not 'yes'"),
+        ("seed", True, "seed must be a int, not True"),
+        ("garment", ["apron"], "garment must be a str"),
+        ("dt", "0.04", "dt must be"),
+        ("physics", [], "physics must be a dict"),
+    ],
+)
+def test_parts_of_an_episode_that_do_not_fit_are_named(tmp_path, name, value, says):
+    text, arrays = load_archive(save_episode(tmp_path / "ring.npz", small_episode()), "topokit-episode")
+    changed = [text | {name: value}, arrays] if name in text else [text, arrays | {name: value}]
+    save_archive(tmp_path / "ring.npz", "topokit-episode", *changed)
+    with pytest.raises(FormatError, match=says):
+        load_episode(tmp_path / "ring.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        ("id", np.zeros((10**9, 0)), "id is empty and claims"),
+        ("id", np.zeros(2), "id is of type float64"),
+        ("birth", np.array(["0.1", "0.1"]), "birth is of type <U3"),
+        ("killer_triangles", np.zeros((2, 2, 3, 3)), "killer_triangles is of type float64"),
+        ("killer_edge", np.zeros((3, 2), int), r"killer_edge is of type int64 and shape \(3, 2\)"),
+        ("n_cycle", np.array([2, -1]), "cycle has 40 rows, and they are counted otherwise"),
+        ("n_loops", np.array([2, 1]), "id has 2 rows, and they are counted otherwise"),
+        ("parameters", [1, 2], "parameters that have no names"),
+    ],
+)
+def test_parts_of_states_that_do_not_fit_are_named(tmp_path, name, value, says):
+    path = save_states(tmp_path / "states.npz", track([polygon(20), polygon(20)], alpha=0.1))
+    text, arrays = load_archive(path, "topokit-states")
+    changed = [text | {name: value}, arrays] if name in text else [text, arrays | {name: value}]
+    save_archive(path, "topokit-states", *changed)
+    with pytest.raises(FormatError, match=says):
+        load_states(path)
+
+
 # -- what the checksum covers ----------------------------------------------------------------------------------------------------
 
 
@@ -212,6 +346,22 @@ def test_changed_words_of_states_are_noticed(tmp_path):
     path = save_states(tmp_path / "states.npz", track([polygon(20)], alpha=0.1))
     with pytest.raises(FormatError, match="checksum does not match"):
         load_states(edited(path, parameters=[{"alpha": 9.0}]))
+
+
+def test_a_changed_byte_never_gives_other_states(tmp_path):
+    path = save_states(tmp_path / "states.npz", track([polygon(20), polygon(20)], alpha=0.1))
+    raw, whole = path.read_bytes(), [state.as_dict() for state in load_states(path)]
+    rng = np.random.default_rng(0)
+    refused, places = 0, rng.choice(len(raw), 400, replace=False).tolist()
+    for at in places:
+        path.write_bytes(raw[:at] + bytes([raw[at] ^ 1 << rng.integers(8)]) + raw[at + 1 :])
+        try:
+            again = load_states(path)
+        except FormatError:
+            refused += 1
+        else:
+            assert [state.as_dict() for state in again] == whole
+    assert refused > 0.5 * len(places)
 
 
 def test_files_of_the_first_version_still_read(tmp_path):

@@ -30,7 +30,7 @@ from topokit.models import (
     target_states,
 )
 from topokit.models._baselines import past_window
-from topokit.models._checkpoint import describe, save_tensors
+from topokit.models._checkpoint import _digest, describe, save_tensors
 from topokit.seqph import RECOMMENDED
 
 from windows import HISTORY, HORIZON, POINTS, SLOTS, RingWindows
@@ -394,3 +394,105 @@ assert main(["predict", "c.safetensors", "e.npz"]) == 2
 @pytest.mark.parametrize("name", ["ridge", *NETWORKS])
 def test_a_checkpoint_in_16_bits_takes_less_than_5_mb(name):
     assert sum(part.numel() for part in build(name, Shape(), UNITS).parameters()) < 2_450_000
+
+
+# -- what a stranger's checkpoint may say ----------------------------------------------------------------------------------------
+
+
+def rewritten(path, change):
+    """Change the description of a checkpoint in its file, and nothing else."""
+    raw = path.read_bytes()
+    size = int.from_bytes(raw[:8], "little")
+    header = json.loads(raw[8 : 8 + size])
+    header["__metadata__"]["topokit"] = change(header["__metadata__"]["topokit"])
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    path.write_bytes(len(text).to_bytes(8, "little") + text + raw[8 + size :])
+    return path
+
+
+def test_one_bit_of_the_description_is_noticed(tmp_path):
+    path = save(tmp_path / "c.safetensors")
+    with pytest.raises(FormatError, match="checksum does not match"):
+        Predictor.load(rewritten(path, lambda text: text.replace('"scale": 0.1', '"scale": 0.3')))
+
+
+def test_checkpoints_of_the_first_schema_still_read(tmp_path):
+    """Their checksum covered the tensors alone, and lent itself to no other schema."""
+    weights = load_tensors(save(tmp_path / "c.safetensors"))[1]
+    old = {
+        "kind": "topokit-checkpoint",
+        "schema": 1,
+        "sha256": _digest(weights, None),
+        **describe(make("mlp"), "mlp", SMALL["mlp"]),
+    }
+    content = safetensors.torch.save(weights, metadata={"topokit": json.dumps(old, sort_keys=True)})
+    (tmp_path / "old.safetensors").write_bytes(content)
+    assert load_model(tmp_path / "old.safetensors")[1]["model"] == "mlp"
+    with pytest.raises(FormatError, match="checksum does not match"):
+        Predictor.load(rewritten(tmp_path / "c.safetensors", lambda text: text.replace('"schema": 2', '"schema": 1')))
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"normalisation": {"scale": 0.0}}, r"normalisation: scale: .* greater than or equal to 0.000001, not 0.0"),
+        ({"normalisation": {"scale": float("nan")}}, "normalisation: scale: "),
+        ({"normalisation": {"scale": "0.1"}}, "normalisation: scale: "),
+        ({"normalisation": {"value": -1.0}}, "normalisation: value: "),
+        ({"normalisation": {"origin": [0.0, float("nan"), 1.0]}}, "normalisation: origin.1: "),
+        ({"normalisation": {"origin": [0.0, 1e300, 1.0]}}, "normalisation: origin.1: "),
+        ({"normalisation": []}, "normalisation must be an object"),
+        ({"shape": {"points": 10**9}}, "shape: points: .* less than or equal to 100000"),
+        ({"shape": {"history": 10**9}}, "shape: history: "),
+        ({"shape": {"horizon": 0}}, "shape: horizon: "),
+        ({"options": {"hidden": [10**9, 10**9]}}, "hidden must be numbers of units"),
+        ({"options": {"hidden": [100_000, 100_000]}}, "weights of another shape"),
+        ({"options": {"hidden": []}}, "hidden must be numbers of units"),
+        ({"options": {"hidden": "1"}}, "hidden must be numbers of units"),
+        ({"options": 3}, "describes no model"),
+        ({"model": ["mlp"]}, "describes no model"),
+        ({"model": "ridge", "options": {"penalty": float("nan")}}, "penalty must be more than zero"),
+        ({"model": "loopcast", "options": {"width": -1}}, "width and step_width must be numbers of units"),
+    ],
+)
+def test_descriptions_that_make_no_sense_are_refused_before_memory_is_taken(tmp_path, changes, says):
+    """Their checksums are right: whoever wrote them meant it."""
+    path = save(tmp_path / "c.safetensors", **changes)
+    with pytest.raises(FormatError, match=says) as caught:
+        Predictor.load(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_description_too_deep_to_read_is_refused(tmp_path):
+    path = rewritten(save(tmp_path / "c.safetensors"), lambda _: "[" * 100_000)
+    with pytest.raises(FormatError, match="topokit did not write"):
+        Predictor.load(path)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_weights_that_are_no_numbers_are_refused(tmp_path, bad):
+    weights = load_tensors(save(tmp_path / "c.safetensors"))[1]
+    weights["model.rest.1.bias"][3] = bad
+    path = save_tensors(tmp_path / "bad.safetensors", weights, describe(make("mlp"), "mlp", SMALL["mlp"]))
+    with pytest.raises(FormatError, match=r"rest\.1\.bias hold a NaN or an infinite number"):
+        Predictor.load(path)
+
+
+def test_a_changed_byte_never_gives_another_model(tmp_path, window):
+    path = save(tmp_path / "c.safetensors")
+    raw, whole = path.read_bytes(), load_model(path)
+    header = 8 + int.from_bytes(raw[:8], "little")
+    rng = np.random.default_rng(0)
+    places = [*range(8), *rng.integers(8, header, 250).tolist(), *rng.integers(header, len(raw), 30).tolist()]
+    refused = 0
+    for at in places:
+        path.write_bytes(raw[:at] + bytes([raw[at] ^ 1 << rng.integers(8)]) + raw[at + 1 :])
+        try:
+            model, description = load_model(path)
+        except FormatError:
+            refused += 1
+        else:  # a blank of the header, or a place where JSON says the same in other words
+            assert description == whole[1]
+            assert all(torch.equal(part, model.state_dict()[name]) for name, part in whole[0].state_dict().items())
+    assert refused > 0.9 * len(places)

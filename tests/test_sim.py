@@ -12,7 +12,7 @@ pytest.importorskip("pybullet")
 
 from topokit import rips_persistence
 from topokit.io import load_episode
-from topokit.sim import Garment, Hook, SimulationConfig, SimulationError, simulate
+from topokit.sim import Camera, Garment, Hook, SimulationConfig, SimulationError, _process, cameras_around, simulate
 
 from conftest import polygon
 
@@ -96,6 +96,38 @@ def test_bad_configuration(option):
 def test_too_large_an_observation():
     with pytest.raises(ValueError, match="n_observed must be 1 to"):
         simulate(Garment.apron(**COARSE), n_observed=5000)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (
+            {"cameras": cameras_around(n=2), "n_observed": 10**9},
+            "n_observed must be 1 to 32768, the pixels of the cameras",
+        ),
+        ({"config": SimulationConfig(frames=10**9)}, "1,000,000,000 frames of .* fit into the memory"),
+        ({"config": SimulationConfig(frames=200_000, steps_per_frame=1)}, "200,000 frames of .* fit into the memory"),
+        ({"config": SimulationConfig(steps_per_frame=10**9)}, "frames of .* fit into the memory"),
+        ({"config": SimulationConfig(dt=1e-300)}, "frames of .* fit into the memory"),
+    ],
+)
+def test_what_does_not_fit_into_the_memory_is_refused_before_it_is_taken(options, says):
+    with pytest.raises(ValueError, match=says):
+        simulate(**options)
+
+
+def test_pictures_and_rings_of_cameras_have_a_largest_size():
+    with pytest.raises(ValueError, match=r"width: .* less than or equal to 4096"):
+        Camera(width=10**9)
+    with pytest.raises(ValueError, match="0 to 100 cameras, not 1000000000"):
+        cameras_around(n=10**9)
+
+
+def test_a_simulation_without_memory_says_so(monkeypatch):
+    short = "import numpy\ndef default_rng(seed): raise MemoryError\nnumpy.random.default_rng = default_rng\n"
+    monkeypatch.setattr(_process, "_MAIN", short + _process._MAIN)
+    with pytest.raises(SimulationError, match=r"loading the garment: MemoryError \("):
+        simulate(Garment.apron(**COARSE), n_observed=50)
 
 
 def test_episode_is_whole_and_repeats_bit_by_bit_in_fresh_processes(tmp_path):

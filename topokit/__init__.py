@@ -7,14 +7,20 @@ Loops of point clouds by exact Vietoris-Rips persistence, located by the edge th
     Diagram(1 loops of 4 points, longest lifetime 0.4142)
 """
 
-from .linking import linking_number
-from .mixture import LoopMixture, loop_mixture
-from .rips import Diagram, rips_persistence, rips_persistence_many
-from .sampling import covering_radius, farthest_point_sample, hausdorff
-from .seqph import SeqPH, track
-from .state import Loop, TopologicalState
+from typing import TYPE_CHECKING
+
+from ._lazy import attach
+
+if TYPE_CHECKING:
+    from .linking import linking_number
+    from .mixture import LoopMixture, loop_mixture
+    from .rips import Diagram, rips_persistence, rips_persistence_many
+    from .sampling import covering_radius, farthest_point_sample, hausdorff
+    from .seqph import SeqPH, track
+    from .state import Loop, TopologicalState
 
 __version__ = "0.2.0"
+__getattr__, _ = attach(__name__, __file__)  # so that the command hears Ctrl-C before NumPy is imported
 
 __all__ = [
     "Diagram",

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _VERSION = 2  # of the checksum: the first covered the arrays alone, and still reads
+_PLENTY, _RATIO = 1 << 26, 50  # bytes that any archive may hold; times its own size that a larger one may
 
 
 class FormatError(ValueError):
@@ -41,42 +42,73 @@ def save_archive(path: str | Path, kind: str, text: dict[str, Any], arrays: dict
     document = {**text, "kind": kind, "archive": _VERSION}
     document["sha256"] = _digest(arrays, document)
     parts = {**arrays, "json": np.frombuffer(json.dumps(document, sort_keys=True).encode(), dtype=np.uint8)}
-    with atomic_file(path) as handle, zipfile.ZipFile(handle, "w", zipfile.ZIP_DEFLATED) as archive:
+    with atomic_file(path) as handle:
+        _write(handle, parts, zipfile.ZIP_DEFLATED)
+        if 2 * sum(part.nbytes for part in parts.values()) > max(_PLENTY, _RATIO * handle.tell()):
+            handle.seek(0)
+            handle.truncate()
+            _write(handle, parts, zipfile.ZIP_STORED)  # so dense, it would not be read
+    return path
+
+
+def _write(handle: IO[bytes], parts: dict[str, NDArray[Any]], method: int) -> None:
+    with zipfile.ZipFile(handle, "w") as archive:
         for name in sorted(parts):
             buffer = io.BytesIO()
             np.lib.format.write_array(buffer, np.ascontiguousarray(parts[name]), allow_pickle=False)
             entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))  # np.savez stamps the time of day
-            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.compress_type = method
             archive.writestr(entry, buffer.getvalue())
-    return path
 
 
 def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read what `save_archive` wrote: the JSON document (without kind and checksum) and the arrays."""
-    path, what = existing(path), kind.replace("topokit-", "topokit ")
+    path = existing(path)
     if path.stat().st_size == 0:
         raise FormatError(f"{path}: the file is empty (0 bytes)")
     with path.open("rb") as handle:
         if handle.read(4) != b"PK\x03\x04":
-            raise FormatError(f"{path}: not a {what}: the file is no .npz archive")
+            raise FormatError(f"{path}: not a {kind.replace('topokit-', 'topokit ')}: the file is no .npz archive")
         handle.seek(0)
         try:
             with np.load(handle, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
+                _check_size(archive.zip.infolist(), path.stat().st_size)
+                document = _document(archive, path, kind)
+                arrays = {name: archive[name] for name in archive.files if name != "json"}
+        except FormatError:
+            raise
         except Exception as error:  # damage shows in a dozen ways: bad zip, bad deflate, unknown compression
             raise FormatError(f"{path}: the file is truncated or damaged ({error}); copy or record it again") from error
+    for name, part in arrays.items():
+        if part.size == 0 and max(part.shape) > _PLENTY // 64:  # lists made of its nothings would fill the memory
+            raise FormatError(f"{path}: {name} is empty and claims the shape {part.shape}")
+    digest = document.pop("sha256", None)
+    if _digest(arrays, document if "archive" in document else None) != digest:
+        raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy or record it again")
+    return {name: value for name, value in document.items() if name not in ("kind", "archive")}, arrays
+
+
+def _check_size(entries: list[zipfile.ZipInfo], size: int) -> None:
+    """Whether an archive of so many bytes may hold these entries."""
+    whole = sum(entry.file_size for entry in entries)
+    if whole > max(_PLENTY, _RATIO * size):
+        raise ValueError(f"its {size} bytes claim to hold {whole}")
+    for entry in entries:
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # the others unpack without bound
+            raise ValueError(f"{entry.filename} is packed by another method than deflate")
+
+
+def _document(archive: Any, path: Path, kind: str) -> dict[str, Any]:
+    """The JSON of an archive of a kind, looked at before its arrays."""
+    what = kind.replace("topokit-", "topokit ")
     try:
-        document = json.loads(arrays.pop("json").tobytes())
-        found, digest = document["kind"], document.pop("sha256")
-        whole = _digest(arrays, document if "archive" in document else None)
-        document = {name: value for name, value in document.items() if name not in ("kind", "archive")}
-    except (KeyError, ValueError, AttributeError, TypeError) as error:
+        document: dict[str, Any] = json.loads(archive["json"].tobytes())
+        found = document["kind"]
+    except (KeyError, ValueError, AttributeError, TypeError, RecursionError) as error:
         raise FormatError(f"{path}: not a {what}: an .npz archive that topokit did not write") from error
     if found != kind:
         raise FormatError(f"{path}: holds a {str(found).replace('topokit-', 'topokit ')}, not a {what}")
-    if whole != digest:
-        raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy or record it again")
-    return document, arrays
+    return document
 
 
 @contextlib.contextmanager

@@ -14,14 +14,16 @@ def shown(path: str) -> dict[str, str]:
     return {alias.name: node.module or "" for node in imports for alias in node.names}
 
 
-def attach(package: str, path: str, extra: str) -> tuple[Callable[[str], Any], list[str]]:
+def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], Any], list[str]]:
     """`__getattr__` and `__all__` of a package: what it imports under ``if TYPE_CHECKING:`` is imported when used.
 
     When something is missing that it needs, the error tells to ``pip install 'topokit[extra]'``.
     """
-    where = shown(path)
+    where, wanted = shown(path), f"topokit[{extra}]" if extra else "topokit"
 
     def __getattr__(name: str) -> Any:
+        if name in where.values():
+            return import_module(f".{name}", package)
         if name not in where:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         try:
@@ -29,6 +31,6 @@ def attach(package: str, path: str, extra: str) -> tuple[Callable[[str], Any], l
         except ModuleNotFoundError as error:
             if (error.name or "").startswith("topokit"):
                 raise
-            raise ImportError(f"{package}.{name} needs {error.name}: pip install 'topokit[{extra}]'") from error
+            raise ImportError(f"{package}.{name} needs {error.name}: pip install '{wanted}'") from error
 
     return __getattr__, sorted(where)

@@ -31,9 +31,13 @@ _TRACKER = ("alpha", "beta", "epsilon", "gates", "identity", "memory")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command with `arguments` (those of the process when None) and return its exit code."""
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     try:
         return int(options.run(options))
+    except ModuleNotFoundError as error:  # of a part of ours that needs more than the core
+        wanted = f"{error.name} is needed, and is not there: pip install 'topokit[all]'"
+        print(f"topokit {options.command}: error: {wanted}", file=sys.stderr)
+        return 2
     except (ValueError, OSError, ImportError) as error:  # any other is a mistake of ours, and shows where
         print(f"topokit {options.command}: error: {error}", file=sys.stderr)
         return 2
@@ -45,21 +49,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
     from .data import _commands as data
     from .evaluate import _commands as evaluate
     from .models import _commands as models
 
-    parser = argparse.ArgumentParser(prog="topokit", description="Sequential topology for deformable objects.")
-    parser.add_argument("--version", action="version", version=f"topokit {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    whole = argparse.ArgumentParser(prog="topokit", description="Sequential topology for deformable objects.")
+    whole.add_argument("--version", action="version", version=f"topokit {__version__}")
+    commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_simulate(commands)
     _add_track(commands)
     for part in (data, models, evaluate):
         part.add(commands)
     for command in commands.choices.values():
         command.add_argument("--json", action="store_true", help="print the answer as JSON")
-    return parser
+    return whole
 
 
 def _add_simulate(commands: Any) -> None:

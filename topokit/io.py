@@ -41,7 +41,12 @@ _KIND = "topokit-episode"
 _STATES_KIND, _STATES_SCHEMA = "topokit-states", 2
 _MAX_PACKING_ERROR = 1e-4  # metres
 _PACKED = ("points", "observed", "actions", "grippers", "centre_line")
-_TEXT = ("garment", "target", "task", "success", "seed", "dt", "observation", "physics", "provenance", "schema")
+_TEXT: dict[str, type] = dict.fromkeys(("garment", "target", "task"), str) | {
+    "success": bool,
+    "seed": int,
+    "schema": int,
+}
+_TEXT |= {"dt": float, **dict.fromkeys(("observation", "physics", "provenance"), dict)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,11 +118,13 @@ def load_episode(path: str | Path) -> Episode:
     """
     text, arrays = _load(path, _KIND, (SCHEMA,), "record it again")
     try:
-        ends = np.cumsum(arrays.pop("loop_lengths"))[:-1]
-        vertices = arrays.pop("loop_vertices")
-        loops = tuple(np.split(vertices, ends)) if len(vertices) else ()
+        check_layout(arrays, _EPISODE_LAYOUT)
+        vertices, lengths = arrays.pop("loop_vertices"), arrays.pop("loop_lengths")
+        loops = tuple(_split(vertices, lengths, "loop_vertices")) if len(vertices) else ()
         for name in _PACKED:
-            step, *low = arrays.pop(f"{name}_scale")
+            step, *low = scale = arrays.pop(f"{name}_scale")
+            if not (0 < step <= 1 and np.abs(scale).max() < 1e30):
+                raise ValueError(f"{name} cannot be unpacked: its step and its lowest values are {scale.tolist()}")
             arrays[name] = np.asarray(arrays[name] * step + low, dtype=np.float32)
         parts: dict[str, Any] = {**arrays, **text}
         episode = Episode(loops=loops, **parts)
@@ -140,10 +147,18 @@ def check_episode(episode: Episode) -> None:
             raise ValueError(f"{name} has shape {shape}; expected ({frames or 'T'}, {rows or 'N'}, 3), a row a frame")
     if episode.held.shape != (frames,):
         raise ValueError(f"held has shape {episode.held.shape}; expected ({frames},)")
-    for name in ("points", "observed", "actions", "grippers"):
-        finite = np.isfinite(getattr(episode, name)).all(axis=(1, 2))
+    for name in ("centre_line", "faces"):
+        if np.shape(getattr(episode, name))[1:] != (3,):
+            raise ValueError(f"{name} has shape {np.shape(getattr(episode, name))}; expected rows of three")
+    for name in _PACKED:
+        finite = np.isfinite(getattr(episode, name)).reshape(len(getattr(episode, name)), -1).all(axis=1)
         if not finite.all():
-            raise ValueError(f"{name} has a NaN or infinite coordinate in frame {np.flatnonzero(~finite)[0]}")
+            where = f"{'row' if name == 'centre_line' else 'frame'} {np.flatnonzero(~finite)[0]}"
+            raise ValueError(f"{name} has a NaN or infinite coordinate in {where}")
+    for name, kind in _TEXT.items():
+        value = getattr(episode, name)
+        if type(value) is not kind and not (kind is float and type(value) is int):
+            raise TypeError(f"{name} must be a {kind.__name__}, not {value!r:.80}")
     if not np.isfinite(episode.dt) or episode.dt <= 0:
         raise ValueError(f"dt must be the seconds between two frames, not {episode.dt}")
     for name, ids in (("faces", episode.faces), *((f"loops[{i}]", loop) for i, loop in enumerate(episode.loops))):
@@ -172,20 +187,46 @@ def _load(
     return text, arrays
 
 
+def check_layout(arrays: dict[str, NDArray[Any]], layout: dict[str, str]) -> None:
+    """Raise ValueError unless all arrays of a layout are of its kind of number and its shape; a letter is one size throughout."""
+    sizes: dict[str, int] = {}
+    for name, told in layout.items():
+        (kind, *letters), array = told.split(), arrays[name]
+        known = zip(letters, array.shape, strict=False)
+        shape = tuple(int(one) if one.isdigit() else sizes.setdefault(one, size) for one, size in known)
+        if array.shape != (0,) and (array.dtype.kind != kind or array.shape != shape or len(letters) != array.ndim):
+            raise ValueError(f"{name} is of type {array.dtype} and shape {array.shape}, and does not fit")
+
+
+def _split(rows: NDArray[Any], counts: NDArray[Any], name: str) -> list[NDArray[Any]]:
+    """Rows that belong to one thing after another, so many to each."""
+    if (counts < 0).any() or counts.sum() != len(rows):
+        raise ValueError(f"{name} has {len(rows)} rows, and they are counted otherwise")
+    return np.split(rows, np.cumsum(counts)[:-1])
+
+
+_EPISODE_LAYOUT = {
+    **{"points": "u T N 3", "observed": "u T M 3", "actions": "u T 2 3", "grippers": "u T 2 3", "centre_line": "u K 3"},
+    **{f"{name}_scale": "f 4" for name in _PACKED},
+    **{"held": "b T", "faces": "i F 3", "loop_vertices": "i V", "loop_lengths": "i L"},
+}
 # What the loops of states hold: numbers, arrays of one shape, and arrays whose length varies.
-_LOOP_NUMBERS = ("id", "birth", "death", "step")
-_LOOP_ARRAYS = (
-    "birth_edge",
-    "killer_edge",
-    "killer_triangle_ids",
-    "killer_edge_points",
-    "killer_triangles",
-    "killer_values",
-)
+_LOOP_NUMBERS = {"id": "i n", "birth": "f n", "death": "f n", "step": "f n"}
+_LOOP_ARRAYS = {
+    "birth_edge": "i n 2",
+    "killer_edge": "i n 2",
+    "killer_triangle_ids": "i n 2 3",
+    "killer_edge_points": "f n 2 d",
+    "killer_triangles": "f n 2 3 d",
+    "killer_values": "f n 2",
+}
 _LOOP_LISTS = {
     "n_neighbours": ("neighbour_ids", "neighbours", "neighbour_values"),
     "n_cycle": ("cycle", "cycle_points"),
 }
+_FRAMES = {"n_loops": "i t", "frame": "i t", "time": "f t"}
+_NEIGHBOURS = {"n_neighbours": "i n", "neighbour_ids": "i m 3", "neighbours": "f m 3 d", "neighbour_values": "f m"}
+_CYCLES = {"n_cycle": "i n", "cycle": "i c", "cycle_points": "f c d"}
 
 
 def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
@@ -199,7 +240,7 @@ def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
         The cycles of their loops are found and stored with them.
     """
     loops = [loop for state in states for loop in state.loops]
-    arrays = {name: np.array([getattr(loop, name) for loop in loops]) for name in _LOOP_NUMBERS + _LOOP_ARRAYS}
+    arrays = {name: np.array([getattr(loop, name) for loop in loops]) for name in _LOOP_NUMBERS | _LOOP_ARRAYS}
     for count, names in _LOOP_LISTS.items():
         for name in names:
             arrays[name] = np.concatenate([getattr(loop, name) for loop in loops] or [np.empty(0)])
@@ -222,11 +263,14 @@ def load_states(path: str | Path) -> list[TopologicalState]:
     text, arrays = _load(path, _STATES_KIND, (1, _STATES_SCHEMA), "track them again")
     try:
         loops = _loops(arrays, with_cycles=text["schema"] != 1)
-        starts = np.concatenate([[0], np.cumsum(arrays["n_loops"])]).tolist()
+        if not all(isinstance(parameters, dict) for parameters in text["parameters"]):
+            raise TypeError("parameters that have no names")
+        ends = np.cumsum(arrays["n_loops"]).tolist()
+        _split(arrays["id"], arrays["n_loops"], "id")
         rows = zip(arrays["frame"].tolist(), arrays["time"].tolist(), text["parameters"], strict=True)
         return [
             TopologicalState(frame, time, tuple(loops[start:end]), parameters)
-            for (frame, time, parameters), start, end in zip(rows, starts[:-1], starts[1:], strict=True)
+            for (frame, time, parameters), start, end in zip(rows, [0, *ends][:-1], ends, strict=True)
         ]
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise FormatError(f"{path}: states with a missing or an unknown part: {error}; track them again") from error
@@ -234,10 +278,11 @@ def load_states(path: str | Path) -> list[TopologicalState]:
 
 def _loops(arrays: dict[str, NDArray[Any]], with_cycles: bool) -> list[Loop]:
     """All loops of all frames; those of the first schema know no cycle."""
+    check_layout(arrays, _LOOP_NUMBERS | _LOOP_ARRAYS | _NEIGHBOURS | (_CYCLES if with_cycles else {}) | _FRAMES)
     columns = {name: arrays[name].tolist() for name in _LOOP_NUMBERS} | {name: arrays[name] for name in _LOOP_ARRAYS}
     for count, names in _LOOP_LISTS.items():
         if count != "n_cycle" or with_cycles:
-            columns |= {name: np.split(arrays[name], np.cumsum(arrays[count])[:-1]) for name in names}
+            columns |= {name: _split(arrays[name], arrays[count], name) for name in names}
     number = len(arrays["id"])
     curves: list[Any] = [None] * number
     if with_cycles:

@@ -21,7 +21,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from topokit._cores import n_cores
+from topokit._cores import n_cores, safe_path
 from topokit._validate import positive
 from topokit.sim import SimulationError
 from topokit.sim._process import Forge
@@ -318,7 +318,7 @@ def _local_cluster(count: int, dashboard: str | None) -> Iterator[Any]:
         "distributed.worker.profile.enabled": bool(dashboard),  # it would take 3 % of a core
         "distributed.admin.low-level-log-length": 100,
     }
-    with dask.config.set(settings):
+    with dask.config.set(settings), safe_path():
         try:
             local = LocalCluster(
                 n_workers=count,

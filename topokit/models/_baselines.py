@@ -10,12 +10,14 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from typing import Annotated
 
 import numpy as np
 import torch
+from pydantic import Field
 from torch import Tensor, nn
 
-from topokit._config import Count, checked
+from topokit._config import checked
 from topokit._validate import positive
 from topokit.io import HISTORY, HORIZON
 from topokit.state import TopologicalState
@@ -23,25 +25,27 @@ from topokit.state import TopologicalState
 from ._states import NUMBERS, PAST, States, Window, past_states, target_states
 
 Context = dict[str, Tensor]
+_Place = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Size = Annotated[float, Field(ge=1e-6, le=1e6)]  # models divide by it, in 32 bits
 
 
 @checked
 class Shape:
     """Sizes of a window."""
 
-    history: Count = HISTORY  #: frames that are seen
-    horizon: Count = HORIZON  #: frames that are forecast
-    points: Count = 128  #: of a cloud
-    slots: Count = 4  #: loops that are forecast at most
+    history: Annotated[int, Field(ge=1, le=1000)] = HISTORY  #: frames that are seen
+    horizon: Annotated[int, Field(ge=1, le=1000)] = HORIZON  #: frames that are forecast
+    points: Annotated[int, Field(ge=1, le=100_000)] = 128  #: of a cloud
+    slots: Annotated[int, Field(ge=1, le=32)] = 4  #: loops that are forecast at most
 
 
 @checked
 class Normalisation:
     """Where coordinates and filtration values lie in the training split; models see (x - origin) / scale."""
 
-    origin: tuple[float, float, float] = (0.0, 0.0, 1.0)  #: mean of the clouds, metres
-    scale: float = 0.2  #: root mean square distance from it along an axis, metres
-    value: float = 0.05  #: mean death of the loops, metres
+    origin: tuple[_Place, _Place, _Place] = (0.0, 0.0, 1.0)  #: mean of the clouds, metres
+    scale: _Size = 0.2  #: root mean square distance from it along an axis, metres
+    value: _Size = 0.05  #: mean death of the loops, metres
 
 
 class PredictiveModel(nn.Module, ABC):

@@ -26,7 +26,8 @@ from topokit._config import from_mapping
 from ._baselines import Carry, Hold, Normalisation, PredictiveModel, Ridge, Shape
 from ._networks import MLP, LoopCast, PointNet
 
-SCHEMA = 1
+SCHEMA = 2
+_KNOWN = (1, SCHEMA)  # the checksum of the first covered the tensors alone
 _KIND = "topokit-checkpoint"
 
 _KINDS: tuple[type[PredictiveModel], ...] = (Hold, Carry, Ridge, MLP, PointNet, LoopCast)
@@ -60,7 +61,7 @@ def build(
     options = dict(options or {})
     try:
         return MODELS[name](shape, normalisation, **options)
-    except TypeError as error:
+    except (TypeError, OverflowError) as error:
         raise ValueError(f"model {name!r} with options {options}: {error}") from error
 
 
@@ -82,7 +83,8 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], description: Mapping
     if path.suffix != ".safetensors":
         raise ValueError(f"{path}: the name of a checkpoint ends in .safetensors")
     whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    document = {"kind": _KIND, "schema": SCHEMA, "sha256": _digest(whole), **description}
+    document = {"kind": _KIND, "schema": SCHEMA, **description}
+    document["sha256"] = _digest(whole, document)
     content = safetensors.torch.save(whole, metadata={"topokit": json.dumps(document, sort_keys=True)})
     with atomic_file(path) as handle:
         handle.write(content)
@@ -106,13 +108,15 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         raise FormatError(f"{path}: no checkpoint, or a truncated or damaged one ({error}); copy it again") from error
     try:
         document = json.loads(metadata["topokit"])
-        kind, schema, digest = (document.pop(name) for name in ("kind", "schema", "sha256"))
-    except (KeyError, ValueError, AttributeError) as error:
+        digest, schema = document.pop("sha256"), document["schema"]
+        whole = _digest(tensors, None if schema == 1 else document)
+        kind = document.pop("kind"), document.pop("schema")
+    except (KeyError, ValueError, AttributeError, TypeError, RecursionError) as error:
         raise FormatError(f"{path}: topokit did not write this safetensors file: its header names no model") from error
-    if kind != _KIND or schema != SCHEMA:
-        raise FormatError(f"{path}: a {kind} of schema {schema}; this topokit reads a {_KIND} of schema {SCHEMA}")
-    if _digest(tensors) != digest:
-        raise FormatError(f"{path}: the checksum does not match: the weights were changed or damaged; copy it again")
+    if kind not in [(_KIND, known) for known in _KNOWN]:
+        raise FormatError(f"{path}: a {kind[0]} of schema {schema}; this topokit reads a {_KIND} of schema {SCHEMA}")
+    if whole != digest:
+        raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy it again")
     return document, tensors
 
 
@@ -125,15 +129,21 @@ def load_model(path: str | Path) -> tuple[PredictiveModel, dict[str, Any]]:
         When the description or the weights do not fit a model of this topokit; says which and where.
     """
     description, tensors = load_tensors(path)
+    weights = {name: part.float() for name, part in part_of(tensors, "model.").items()}
     try:
         shape = from_mapping(Shape, description["shape"], "shape")
         normalisation = from_mapping(Normalisation, description["normalisation"], "normalisation")
-        model = build(description["model"], shape, normalisation, description["options"])
-        model.load_state_dict({name: part.float() for name, part in part_of(tensors, "model.").items()})
+        with torch.device("meta"):  # no memory is taken for what the description claims
+            model = build(description["model"], shape, normalisation, description["options"])
+        model.load_state_dict(weights, assign=True)
+        model.origin = torch.tensor(normalisation.origin)
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{path}: describes no model that this topokit can build: {error}") from error
     except RuntimeError as error:  # of torch: it lists every weight
         raise FormatError(f"{path}: weights of another shape: {textwrap.shorten(str(error), 300)}") from error
+    for name, part in weights.items():
+        if not part.isfinite().all():
+            raise FormatError(f"{path}: the weights {name} hold a NaN or an infinite number; train it again")
     return model.eval(), description
 
 
@@ -142,11 +152,13 @@ def part_of(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): part for name, part in tensors.items() if name.startswith(prefix)}
 
 
-def _digest(tensors: Mapping[str, Tensor]) -> str:
-    """SHA-256 over names, types, shapes and values."""
+def _digest(tensors: Mapping[str, Tensor], document: dict[str, Any] | None) -> str:
+    """SHA-256 over names, types, shapes and values, and over the document, if any."""
     digest = hashlib.sha256()
     for name in sorted(tensors):
         tensor = tensors[name]
         digest.update(f"{name}|{tensor.dtype}|{tuple(tensor.shape)}|".encode())
         digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data if tensor.numel() else b"")
+    if document is not None:
+        digest.update(json.dumps(document, sort_keys=True).encode())
     return digest.hexdigest()

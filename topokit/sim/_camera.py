@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, Field
 
-from topokit._config import Count, NotNegative, Positive, checked
+from topokit._config import NotNegative, Positive, checked
 
 from ._surface import Array
 
 Mask = NDArray[np.bool_]
+Pixels = Annotated[int, Field(ge=1, le=4096)]
 
 
 def _as_tuple(place: Any) -> Any:
@@ -57,8 +58,8 @@ class Camera:
     target: Place = (0.0, 0.0, 1.0)  #: (3,) the place in the middle of its picture
     up: Place = (0.0, 0.0, 1.0)  #: (3,) the direction that points up in the picture, not along the view
     fov: Annotated[float, Field(gt=0, lt=180)] = 50.0  #: vertical angle of view, degrees
-    width: Count = 128  #: of the picture, pixels
-    height: Count = 128  #: of the picture, pixels
+    width: Pixels = 128  #: of the picture, pixels
+    height: Pixels = 128  #: of the picture, pixels
     near: Positive = 0.1  #: nothing nearer is seen
     far: Positive = 6.0  #: nothing farther is seen
     noise: DepthNoise | None = None  #: added by `observe`; none when not given
@@ -146,7 +147,14 @@ def cameras_around(
         From the place, metres.
     noise : DepthNoise, optional
         Of every camera.
+
+    Raises
+    ------
+    ValueError
+        When there would be more than a hundred.
     """
+    if not 0 <= n <= 100:
+        raise ValueError(f"n must be 0 to 100 cameras, not {n}")
     middle = np.asarray(place, dtype=np.float64)
     turn = 2 * np.pi * np.arange(n) / n - np.pi / 2
     tilt = np.radians(20)

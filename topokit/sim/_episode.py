@@ -7,24 +7,23 @@ Source: Antonova et al. 2021, section 6 (stiffness and paths are randomised). Ta
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import dataclasses
 import functools
+import io
 import math
-import pickle
 import platform
 import sys
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator
 
-from topokit._config import NotNegative, Positive, checked
+from topokit._config import NotNegative, Positive, checked, from_mapping
 from topokit._validate import positive
 from topokit.io import FEWEST_FRAMES, Episode
 from topokit.sampling import farthest_point_sample
@@ -45,7 +44,10 @@ Report = Callable[[int], None]
 Recording = dict[str, NDArray[Any]]
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
+_MOST_STEPS, _MOST_PLACES = 10_000_000, 100_000_000
 _JOB = "topokit.sim._episode:record_job"
+# What a fresh process refuses to do, or has not the means for: the same error here.
+_REFUSALS = {"SimulationError": SimulationError, "ValueError": ValueError, "ImportError": ImportError}
 
 
 def simulate(
@@ -79,8 +81,8 @@ def simulate(
     cameras : sequence of Camera, optional
         What the observer has. Without any it sees all sides: farthest-point samples of the vertices.
     n_observed : int, optional
-        Points of the observation in each frame: 500, or all vertices of a garment that has fewer, when not given. Without
-        cameras it may not exceed them.
+        Points of the observation in each frame: 500, or all vertices of a garment that has fewer, when not given. It may not
+        exceed the vertices, nor the pixels of the cameras.
     time_limit : float, optional
         Seconds for loading, settling and each frame in a fresh process; the same call then gives the same bytes anywhere
         in a program. None: in this process, repeatable bit by bit only as its first simulation.
@@ -102,11 +104,17 @@ def simulate(
         drawn = {**randomisation.describe(), "drawn": numbers}
     if n_observed is None:
         n_observed = 500 if cameras else min(500, len(garment.vertices))
-    if n_observed < 1 or (n_observed > len(garment.vertices) and not cameras):
-        raise ValueError(f"n_observed must be 1 to {len(garment.vertices)}, the garment's vertices, not {n_observed}")
+    most = sum(camera.width * camera.height for camera in cameras) or len(garment.vertices)
+    if not 1 <= n_observed <= most:
+        what = "pixels of the cameras" if cameras else "vertices of the garment"
+        raise ValueError(f"n_observed must be 1 to {most}, the {what}, not {n_observed}")
     path = task.plan(garment, target, generator(seed, "path"))
-    frames = config.frames or max(FEWEST_FRAMES, math.ceil(path.end / config.frame_time))
+    frames = config.frames or max(FEWEST_FRAMES, math.ceil(min(path.end / config.frame_time, _MOST_STEPS)))
     config = dataclasses.replace(config, frames=frames)
+    steps, places = frames * config.steps_per_frame, frames * (len(garment.vertices) + n_observed)
+    if steps > _MOST_STEPS or places > _MOST_PLACES:
+        bounds = f"at most {_MOST_STEPS:,} steps and {_MOST_PLACES:,} places of points fit into the memory"
+        raise ValueError(f"{frames:,} frames of {steps:,} steps and {places:,} places of points: {bounds}")
     goals = path.at(np.arange(frames * config.steps_per_frame) * config.dt)
     noise = int(generator(seed, "noise").integers(2**63))
     run = Run(garment, target.rods, goals, round(path.release / config.dt), config, tuple(cameras), n_observed, noise)
@@ -221,27 +229,53 @@ def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> 
         if report is not None:
             report(frame)
 
-    with tempfile.TemporaryDirectory() as folder, contextlib.closing(Forge(_JOB, once=True)) as forge:
-        path = Path(folder, "run")
-        path.write_bytes(pickle.dumps(run))
-        result = forge.run({"path": str(path)}, math.inf, silence=time_limit, report=note)
-        if "error" in result:
-            raise SimulationError(f"{stage}: {result['message']}")
-        outcome: Recording | Exception = pickle.loads(path.read_bytes())
-    if isinstance(outcome, Exception):
-        raise outcome
-    return outcome
+    with contextlib.closing(Forge(_JOB, once=True)) as forge:
+        result = forge.run(_as_job(run), math.inf, silence=time_limit, report=note)
+    if "answer" not in result:
+        raise SimulationError(f"{stage}: {result['message']}")
+    if "error" in result["answer"]:
+        raise _REFUSALS[result["answer"]["error"]](result["answer"]["message"])
+    return _unpacked(result["answer"]["recording"])
 
 
-def record_job(job: dict[str, str], report: Report) -> None:
-    """What the fresh process does: simulate, and put the recording or the error in the place of the run."""
-    path = Path(job["path"])
-    outcome: Recording | Exception
+def record_job(job: dict[str, Any], report: Report) -> dict[str, str]:
+    """What the fresh process does: simulate, and answer with the recording or the error."""
     try:
-        outcome = record(pickle.loads(path.read_bytes()), report)
-    except (SimulationError, ValueError, ImportError) as error:
-        outcome = error
-    path.write_bytes(pickle.dumps(outcome))
+        return {"recording": _packed(record(_as_run(job), report))}
+    except tuple(_REFUSALS.values()) as error:
+        name = next(name for name, kind in _REFUSALS.items() if isinstance(error, kind))
+        return {"error": name, "message": str(error)}
+
+
+def _as_job(run: Run) -> dict[str, Any]:
+    """A run as JSON, all its arrays as one `.npz`; not its garment's names of sizes, which the physics does not ask for."""
+    garment, (starts, ends, radii) = run.garment, zip(*run.rods, strict=True)
+    cloth = {name: getattr(garment, name) for name in ("vertices", "faces", "grips")}
+    arrays = _packed({**cloth, "starts": starts, "ends": ends, "radii": radii, "goals": run.goals})
+    text = {name: getattr(run, name) for name in ("release", "n_observed", "noise")}
+    cameras = [dataclasses.asdict(camera) for camera in run.cameras]
+    return {"arrays": arrays, "config": dataclasses.asdict(run.config), "cameras": cameras, **text}
+
+
+def _as_run(job: dict[str, Any]) -> Run:
+    arrays = _unpacked(job.pop("arrays"))
+    garment = Garment("", arrays["vertices"], arrays["faces"], (), arrays["grips"])
+    rods = tuple(zip(arrays["starts"], arrays["ends"], arrays["radii"].tolist(), strict=True))
+    config = from_mapping(SimulationConfig, job.pop("config"), "config")
+    cameras = tuple(from_mapping(Camera, camera, "cameras") for camera in job.pop("cameras"))
+    return Run(garment, rods, arrays["goals"], config=config, cameras=cameras, **job)
+
+
+def _packed(arrays: Mapping[str, ArrayLike]) -> str:
+    """An `.npz` as text."""
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    return base64.b64encode(buffer.getvalue()).decode()
+
+
+def _unpacked(text: str) -> Recording:
+    with np.load(io.BytesIO(base64.b64decode(text)), allow_pickle=False) as archive:
+        return dict(archive)
 
 
 def _ordered(bounds: Bounds) -> Bounds:

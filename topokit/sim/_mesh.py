@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -112,11 +113,11 @@ def _repaired(
 ) -> tuple[Ids, Ids, Ids]:
     """Faces of the one component that is the cloth; for each vertex of the file the one it is now; those that are left."""
     _note(said, sum(len(corners) > 3 for corners in polygons), "faces of four corners or more were cut into triangles")
+    named = np.unique(list(itertools.chain(*polygons)))  # a vertex in no face may be anywhere, and is dropped later
+    lost = named[~(np.abs(vertices[named]) < 1e100).all(axis=1)]
+    if len(lost):
+        raise ValueError(f"vertex {lost[0]} is at {vertices[lost[0]].tolist()}; every vertex of a face needs a place")
     faces = np.array([triangle for polygon in polygons for triangle in _ears(vertices, list(polygon))], dtype=np.int64)
-    lost = ~np.isfinite(vertices[faces]).all(axis=2)  # a vertex in no face may be anywhere, and is dropped later
-    if lost.any():
-        vertex = faces[lost][0]
-        raise ValueError(f"vertex {vertex} is at {vertices[vertex].tolist()}; every vertex of a face needs a place")
     vertex_of = _weld(vertices, _rounding(vertices, faces) if weld is None else weld, said)
     faces = _one_component(vertices, _clean(vertex_of[faces], said), said)
     names, flat = np.unique(faces, return_inverse=True)
@@ -154,8 +155,11 @@ def _rounding(vertices: Array, faces: Ids) -> float:
 def _weld(vertices: Array, distance: float, said: list[str]) -> Ids:
     """(n,) for each vertex the first of those at its place."""
     places, at, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    finite = at[np.isfinite(places).all(axis=1)]
-    near = finite[cKDTree(vertices[finite]).query_pairs(distance, output_type="ndarray")]
+    finite = at[(np.abs(places) < 1e100).all(axis=1)]
+    tree = cKDTree(vertices[finite])
+    if tree.count_neighbors(tree, distance) > 100 * len(vertices):  # all pairs would fill the memory
+        raise ValueError(f"most vertices lie within {distance:.2g} of a hundred others; weld less, or mend the mesh")
+    near = finite[tree.query_pairs(distance, output_type="ndarray")]
     pairs = np.concatenate([near, np.column_stack([np.arange(len(vertices)), at[same.ravel()]])])
     _, first, inverse = np.unique(joined(pairs, len(vertices)), return_index=True, return_inverse=True)
     what = f"vertices within {distance:.2g} of another one (in the file's units) were welded to it"
@@ -198,8 +202,10 @@ def _say_short(vertices: Array, faces: Ids, names: Ids, said: list[str]) -> None
     """A very short edge is legal, but the engine's collision margin follows the shortest one."""
     edges = np.unique(half_edges(faces), axis=0)
     length = edge_lengths(vertices, edges)
+    a, b = names[edges[np.argmin(length)]]
+    if length.min() == 0:
+        raise ValueError(f"vertices {a} and {b} are at one place; weld them")
     if length.min() < 0.05 * np.median(length):
-        a, b = names[edges[np.argmin(length)]]
         said.append(f"vertices {a} and {b} are only {length.min():.2g} m apart; weld them, or collisions are as thin")
 
 
@@ -229,6 +235,8 @@ def _upright(vertices: Array, grips: Ids | None, up: str | None, said: list[str]
 
 def _scaled(vertices: Array, size: float | None, scale: float | None, said: list[str]) -> tuple[Array, float]:
     largest = float(np.ptp(vertices, axis=0).max())
+    if largest < 1e-100:
+        raise ValueError(f"its largest extent is {largest:.3g}, which is too small to measure its edges; scale it up")
     if size is not None:
         scale = size / largest
     elif scale is None:

@@ -13,6 +13,7 @@ import math
 import os
 import queue
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -68,8 +69,8 @@ class Forge:
         try:
             process = self._started(math.inf if silence is None else silence)
             silence = _PATIENCE * time_limit if silence is None else silence
-            with contextlib.suppress(BrokenPipeError):
-                print(json.dumps(call), file=process.stdin, flush=True)
+            # A child that hangs does not read, and would keep us from counting its silence.
+            threading.Thread(target=_send, args=(process.stdin, json.dumps(call)), daemon=True).start()
             while line := self._line(silence):
                 told: Answer = json.loads(line)
                 if "report" not in told:
@@ -98,6 +99,7 @@ class Forge:
             with contextlib.suppress(BrokenPipeError):
                 self._process.stdin.close()
         self._errors.close()
+        self._folder.cleanup()
         self._process = None
 
     def _started(self, silence: float) -> subprocess.Popen[str]:
@@ -109,8 +111,9 @@ class Forge:
         for _ in range(_STARTS):
             self.close()
             self._errors = tempfile.TemporaryFile("a+", errors="replace")  # noqa: SIM115 (closed by close)
+            self._folder = tempfile.TemporaryDirectory(prefix="topokit-", ignore_cleanup_errors=True)
             self._process = process = subprocess.Popen(
-                [sys.executable, "-c", _MAIN, *self._arguments],
+                [sys.executable, "-c", _MAIN, self._folder.name, *self._arguments],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._errors,
@@ -142,14 +145,20 @@ def _read(stream: IO[str], lines: queue.Queue[str]) -> None:
     lines.put("")
 
 
+def _send(stream: IO[str], line: str) -> None:
+    with contextlib.suppress(BrokenPipeError, ValueError):  # its reader is gone; or the forge was closed meanwhile
+        print(line, file=stream, flush=True)
+
+
 def _fate(code: int, errors: str) -> str:
     if code < 0:
         return f"{signal.Signals(-code).name}: a crash inside PyBullet, or out of memory"
     return f"exit code {code}" + "".join(f": {line}" for line in errors.strip().splitlines()[-1:])
 
 
-def serve(function: str, *needs: str) -> None:
-    """What the forge does: read jobs from standard input, answer where standard output was."""
+def serve(folder: str, function: str, *needs: str) -> None:
+    """What the forge does: read jobs from standard input, answer where standard output was; temporary files in a folder."""
+    tempfile.tempdir = folder
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # PyBullet writes there
     for needed in needs:
@@ -157,17 +166,14 @@ def serve(function: str, *needs: str) -> None:
     module, _, name = function.partition(":")
     work = getattr(import_module(module), name)
     print(_READY, end="", file=answers, flush=True)
-    for line in iter(sys.stdin.buffer.readline, b""):
-        call = json.loads(line)
-        if not hasattr(os, "fork"):
-            return _perform(work, call, answers)
-        fate = _fork(work, call, answers)
-        if fate is not None:
-            print(json.dumps({"error": "crash", "message": fate}), file=answers, flush=True)
-    return None
+    try:
+        for line in iter(sys.stdin.buffer.readline, b""):
+            (_fork if hasattr(os, "fork") else _perform)(work, json.loads(line), answers)
+    finally:  # our owner is gone, and could not
+        shutil.rmtree(folder, ignore_errors=True)
 
 
-def _fork(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> str | None:
+def _fork(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> None:
     """Do a job in a fork, and end it when our owner is gone; say how it ended when it gave no answer."""
     import resource  # there is none on Windows
 
@@ -188,11 +194,12 @@ def _fork(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> s
         os.kill(child, signal.SIGKILL)
     os.close(alive)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    if answered:
-        return None
-    if code == -signal.SIGXCPU:
-        return f"stopped after {call['time_limit']:g} s of processor time"
-    return _fate(code, os.pread(2, os.fstat(2).st_size, 0).decode(errors="replace")) if code else None
+    if answered or not code:
+        return
+    fate = f"stopped after {call['time_limit']:g} s of processor time"
+    if code != -signal.SIGXCPU:
+        fate = _fate(code, os.pread(2, os.fstat(2).st_size, 0).decode(errors="replace"))
+    print(json.dumps({"error": "crash", "message": fate}), file=answers, flush=True)
 
 
 def _perform(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -> None:
@@ -204,5 +211,5 @@ def _perform(work: Callable[..., Any], call: dict[str, Any], answers: IO[str]) -
         tell({"answer": work(call["job"], *reports)})
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
-        message = f"{error} ({os.path.basename(place.filename)}, line {place.lineno})"
+        message = f"{str(error) or type(error).__name__} ({os.path.basename(place.filename)}, line {place.lineno})"
         tell({"error": type(error).__name__, "message": message, "errno": getattr(error, "errno", None)})

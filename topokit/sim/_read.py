@@ -22,6 +22,7 @@ Polygons = list[list[int]]
 Properties = list[tuple[str, list[str]]]  # names, and one type or the two of a list
 _PLY_TYPES = dict(zip(("char", "uchar", "short", "ushort", "int", "uint", "float", "double"), "bBhHiIfd", strict=True))
 _PLY_TYPES |= {np.dtype(code).name: code for code in "bBhHiIfd"}
+_MOST_CORNERS = 1000  # of a face: cutting it into triangles takes their square
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -42,6 +43,8 @@ def read_mesh(path: str | Path) -> tuple[Array, Polygons]:
         if not polygons:
             raise ValueError(f"{len(vertices)} vertices and no faces; a garment needs a surface")
         as_ids(list(itertools.chain(*polygons)), "a face", len(vertices))
+        if max(map(len, polygons)) > _MOST_CORNERS:
+            raise ValueError(f"a face of {max(map(len, polygons))} corners; cut those of more than {_MOST_CORNERS}")
     except ValueError as error:
         raise FormatError(f"{path}: {error}") from error
     return vertices, polygons
@@ -103,8 +106,13 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
     elements = _ply_elements(header)
     try:
         for name, count, properties in elements:
-            rows[name] = [{key: _ply_numbers(take, *types) for key, types in properties} for _ in range(count)]
-    except (ValueError, StopIteration, struct.error) as error:
+            row = sum(struct.calcsize(types[0]) if orders[kind] else 2 for _, types in properties)  # bytes, at least
+            if not 0 <= count * row <= len(body) + 1:
+                raise ValueError(f"the file has {len(body)} bytes for them")
+            rows[name] = [
+                {key: _ply_numbers(take, *types) for key, types in properties} for _ in range(count if row else 0)
+            ]
+    except (ValueError, OverflowError, StopIteration, struct.error) as error:
         raise ValueError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
     try:
         vertices = np.array([[row[axis][0] for axis in "xyz"] for row in rows["vertex"]]).reshape(-1, 3)
@@ -114,7 +122,10 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
     short = next((i for i, polygon in enumerate(lists) if len(polygon) < 3), None)
     if short is not None:
         raise ValueError(f"face {short} has {len(lists[short])} corners; three at least make a face")
-    return vertices, [list(map(int, polygon)) for polygon in lists]
+    try:
+        return vertices, [list(map(int, polygon)) for polygon in lists]
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"a face names a vertex by no whole number: {error}") from error
 
 
 def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
