@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from topokit import rips_persistence, rips_persistence_many
-from topokit.rips import _cloud, _edges, _jit, _tree, kernel
+from topokit.rips import _cloud, _edges, _jit, _tree, kernel, tighten
 
 from clouds import compiled, gudhi_pairs, sorted_pairs
 from conftest import polygon
@@ -71,6 +71,44 @@ def test_coordinates_at_the_ends_of_floating_point(size):
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * size
     assert rips_persistence(square).killer_edge.tolist() == [[0, 2]]
     assert rips_persistence(square - size).killer_edge.tolist() == [[0, 2]]
+
+
+@pytest.mark.parametrize("metric", ["euclidean", "precomputed"])
+@pytest.mark.parametrize("exponent", [-1070, -1022, -1000, -540, 510, 1000, 1019])
+def test_a_cloud_at_any_scale_is_the_same_cloud(metric, exponent):
+    """Also where births and deaths lose their digits, as tiny numbers do."""
+    data = np.random.default_rng(3).integers(0, 16, (24, 3)).astype(float)
+    if metric == "precomputed":
+        data = np.rint(4 * np.sqrt(_cloud.squares(data[:, None], data[None]))) / (1 if exponent < 0 else 16)
+    one, other = rips_persistence(data, metric=metric), rips_persistence(np.ldexp(data, exponent), metric=metric)
+    assert len(one) > 2
+    for name in ("birth", "death"):
+        np.testing.assert_array_equal(getattr(other, name), np.ldexp(getattr(one, name), exponent))
+    for name in ("birth_edge", "killer_edge", "killer_triangles"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(one, name))
+    for i in range(len(one)):
+        assert other.neighbours(i).tolist() == one.neighbours(i).tolist()
+        assert other.cycle(i).tolist() == one.cycle(i).tolist()
+        assert tighten(other, other.cycle(i)).tolist() == tighten(one, one.cycle(i)).tolist()
+
+
+def test_half_a_length_that_is_a_number_is_an_answer():
+    wide = rips_persistence([[-1e308, 0], [1e308, 0], [0, 1e308], [0, -1e308]])
+    assert wide.death.tolist() == [1e308]
+    assert wide.killer_edge.tolist() == [[0, 1]]
+    assert len(wide.neighbours(0)) == 4
+    with pytest.raises(ValueError, match=r"points reach 1\.7e\+308, and half their distances overflow"):
+        rips_persistence([[-1.7e308] * 3, [1.7e308] * 3, [0] * 3, [1] * 3])
+
+
+def test_what_differs_too_much_for_one_unit_is_refused():
+    with pytest.raises(ValueError, match=r"points\[1\] and points\[3\] are nearer to each other"):
+        rips_persistence([[0, 1], [1e-200, 0], [1, 1], [0, 0]])
+    assert len(rips_persistence([[0, 1], [1, 1e-200], [1, 1], [0, 1e-170]])) == 1
+    matrix = (1.0 - np.eye(5)) * 1e300
+    matrix[1, 2] = matrix[2, 1] = 1e-100
+    with pytest.raises(ValueError, match=r"holds 1e-100 and 1e\+300"):
+        rips_persistence(matrix, metric="precomputed")
 
 
 def test_max_radius_whose_square_overflows():

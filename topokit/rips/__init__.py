@@ -61,12 +61,12 @@ def rips_persistence(
     cutoff = positive(max_radius, "max_radius", infinite=True)
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
     cloud = Cloud.of(points, metric)
-    created, killed, birth, death = pairs(cloud, cutoff)
+    created, killed, birth, death = pairs(cloud, cutoff * cloud.scale)
     keep = np.argsort(birth - death, kind="stable")  # births come in the total order, which decides ties
-    keep = keep[(death > birth)[keep] & (death - birth >= shortest)[keep]]
+    keep = keep[(death > birth)[keep] & (death - birth >= shortest * cloud.scale)[keep]]
     return Diagram(
-        birth=birth[keep],
-        death=death[keep],
+        birth=birth[keep] / cloud.scale,
+        death=death[keep] / cloud.scale,
         birth_edge=created[keep],
         killer_edge=killed[keep, :2],
         killer_triangles=killed[keep][:, [[0, 1, 3], [0, 1, 2]]],

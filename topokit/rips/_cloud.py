@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from .._validate import as_points
 
 MEMORY = 4 << 30  # bytes that the tables for one cloud may take
+_SMALLEST = 2.0**-1022  # of the numbers with all their digits
+_TINY = 2.0**-450  # of the largest coordinate: squares of larger differences have all their digits
 _PATIENCE = 3.0  # seconds of compiling before it is said
 _ready: set[tuple[int, ...]] = set()
 _compiling = threading.Lock()
@@ -24,10 +26,10 @@ Pairs = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray
 class Cloud:
     """Points or distances. Squared lengths order edges of points: roots may hide a difference.
 
-    A power of two saves squares from overflow and underflow, and costs no digit.
+    A power of two brings all of them to at most 1, saves squares from overflow and underflow, and costs no digit.
     """
 
-    data: NDArray[np.float64]  # (n, 3) coordinates times `scale`; or (n, n) distances
+    data: NDArray[np.float64]  # (n, 3) coordinates times `scale`; or (n, n) distances times `scale`
     axes: tuple[int, ...]  # three zeros; none for distances, as which more than three dimensions are read
     scale: float
 
@@ -39,10 +41,23 @@ class Cloud:
         array = as_points(points)
         if metric == "precomputed":
             _check_distances(array)
-            return cls(array.copy(), (), 1.0)
-        exponent = int(np.frexp(np.abs(array).max(initial=0.0))[1])
-        scale = 2.0 ** -min(max(exponent, -1000), 1000)
+        sizes = array if metric == "precomputed" else np.abs(array)
+        largest = sizes.max(initial=0.0)
+        scale = 2.0 ** -max(int(np.frexp(largest)[1]), -1022)
         scaled = array * scale
+        if metric == "precomputed":
+            if scale < 1 and np.count_nonzero(scaled < _SMALLEST) > np.count_nonzero(array == 0):
+                least = array[array > 0].min()
+                raise ValueError(
+                    f"the matrix of distances holds {least:.3g} and {largest:.3g}: beside the one the other cannot be told from "
+                    "0; give distances so small as 0"
+                )
+            return cls(scaled, (), scale)
+        if largest > 1e307 and np.linalg.norm(np.ptp(array / 4, axis=0) / 2**1000) > 2**23:
+            raise ValueError(f"points reach {largest:.3g}, and half their distances overflow; divide them by ten")
+        tiny = sizes < _TINY * largest
+        if np.count_nonzero(tiny) and (array[tiny] != 0).any():
+            _check_near(array, tiny)
         if array.shape[1] <= 3:
             return cls(np.hstack([scaled, np.zeros((len(array), 3 - array.shape[1]))]), (0, 0, 0), scale)
         size = 8 * len(array) ** 2
@@ -50,25 +65,24 @@ class Cloud:
             raise _too_large(len(array), f"{size / 1e9:.1f} GB for distances in {array.shape[1]} dimensions")
         from scipy.spatial.distance import pdist, squareform  # SciPy takes a while to import
 
-        distances = pdist(scaled)
-        distances /= scale  # in place and once for each two points
-        return cls(squareform(distances), (), 1.0)
+        return cls(squareform(pdist(scaled)), (), scale)
 
     def __len__(self) -> int:
         return len(self.data)
 
     def keys(self, i: int | NDArray[np.int64], j: NDArray[np.int64] | slice) -> NDArray[np.float64]:
-        """What orders edges from i to j: distances of a matrix, squared lengths times `scale` twice for points."""
+        """What orders edges from i to j: distances of a matrix, squared lengths of points; in scaled units."""
         return squares(self.data[i], self.data[j]) if self.axes else self.data[i, j]
 
-    def lengths(self, i: int | NDArray[np.int64], j: NDArray[np.int64] | slice) -> NDArray[np.float64]:
-        """Lengths of edges from i to j, in the unit of the points."""
-        return np.asarray(np.sqrt(self.keys(i, j)) / self.scale if self.axes else self.keys(i, j))
+    def radii(self, i: int | NDArray[np.int64], j: NDArray[np.int64] | slice) -> NDArray[np.float64]:
+        """Half the lengths of edges from i to j, times `scale`: tiny ones would lose digits in the unit of the points."""
+        keys = self.keys(i, j)
+        return np.asarray(np.sqrt(keys) if self.axes else keys) / 2
 
-    def key_of(self, length: float) -> float:
-        """What an edge of a length has for a key, in floating point rather too much than too little."""
-        scaled = length * self.scale * (1 + 1e-15)
-        return scaled * scaled if self.axes else scaled
+    def key_of(self, radius: float) -> float:
+        """What an edge of a scaled radius has for a key, in floating point rather too much than too little."""
+        length = 2 * radius * (1 + 1e-15)
+        return length * length if self.axes else length
 
 
 def squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -77,6 +91,19 @@ def squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.
     for axis in range(one.shape[-1]):
         total += (one[..., axis] - other[..., axis]) ** 2
     return total
+
+
+def _check_near(array: NDArray[np.float64], tiny: NDArray[np.bool_]) -> None:
+    """Raise ValueError when two points differ in tiny coordinates alone: the square of their distance may be 0."""
+    coarse = np.where(tiny, 0.0, array)
+    _, first, place = np.unique(coarse, axis=0, return_index=True, return_inverse=True)
+    same = first[place.ravel()]
+    rows = np.flatnonzero((array != array[same]).any(axis=1))
+    if len(rows):
+        raise ValueError(
+            f"points[{same[rows[0]]}] and points[{rows[0]}] are nearer to each other than 1e-135 of the cloud's extent, which "
+            "floating point cannot tell from 0 in a square: round the coordinates, np.round(points, 100) for example"
+        )
 
 
 def _check_distances(matrix: NDArray[np.float64]) -> None:
@@ -94,12 +121,12 @@ def _check_distances(matrix: NDArray[np.float64]) -> None:
 
 
 def pairs(cloud: Cloud, max_radius: float) -> Pairs:
-    """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,)."""
+    """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,); radii in scaled units."""
     if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # on a line
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
-    created, killed = _within_memory(cloud, cloud.key_of(2 * max_radius))
+    created, killed = _within_memory(cloud, cloud.key_of(max_radius))
     ends = np.stack([created, killed[:, :2]])
-    birth, death = cloud.lengths(ends[..., 0], ends[..., 1]) / 2
+    birth, death = cloud.radii(ends[..., 0], ends[..., 1])
     death[(killed[:, 0] < 0) | (death > max_radius)] = np.inf
     killed[np.isinf(death)] = -1
     inside = birth <= max_radius
