@@ -3,7 +3,8 @@
     python tests/fuzz_rips.py --clouds 20000 --seed 0
 
 Every cloud is given twice, as points and as a matrix of distances, and every eighth time as a matrix that is no metric, each
-also in other units, from 1e-300 to 1e300 times as large. What is checked is in `CHECKS`. Exits with 1 at the first mismatch, after taking points away for as long as it stays.
+also in other units, from 1e-300 to 1e300 times as large. What is checked is in `CHECKS`. Exits with 1 at the first mismatch,
+after taking points away for as long as it stays.
 """
 
 from __future__ import annotations

@@ -100,7 +100,7 @@ def test_distances_that_search_for_few_points_are_those_of_all(d, motion):
 def test_no_distance_becomes_zero_or_infinite(size):
     cloud = np.random.default_rng(0).random((20, 3)) * size
     for call in (spacing, lambda c: farthest_point_sample(c, 5), lambda c: hausdorff(c, c[:5]), SeqPH().update):
-        with pytest.raises(ValueError, match="coordinates of up to .* another unit"):
+        with pytest.raises(ValueError, match=r"coordinates of up to .* another unit"):
             call(cloud)
     with pytest.raises(ValueError, match="coordinates of up to"):
         covering_radius(cloud, np.zeros((1, 3)))

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
+from concurrent import futures
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,14 +15,23 @@ from numpy.typing import ArrayLike, NDArray
 from .._validate import as_points
 
 MEMORY = 4 << 30  # bytes that the tables for one cloud may take
+TIME = 300.0  # seconds that one cloud may take, unless more are allowed
+_ESTIMATED = (
+    1 << 14
+)  # points from which on the seconds are estimated first; of a matrix an eighth: loops can be far more
+_WATCHED = 2000  # points that can take a second, as a quarter can of a matrix
 _SMALLEST = 2.0**-1022  # of the numbers with all their digits
 _TINY = 2.0**-450  # of the largest coordinate: squares of larger differences have all their digits
 _PATIENCE = 3.0  # seconds of compiling before it is said
 _ready: set[tuple[int, ...]] = set()
 _compiling = threading.Lock()
-_kept = threading.local()  # each thread's room for edges, kept from one cloud to the next
+_kept = threading.local()  # each thread's room for edges, kept from one cloud to the next, and what ends its work
 
 Pairs = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
+
+
+class TooLargeError(MemoryError, ValueError):
+    """A cloud that takes more memory or time than it may."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,11 +132,12 @@ def _check_distances(matrix: NDArray[np.float64]) -> None:
             raise ValueError(f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]} and {matrix[j, i]}")
 
 
-def pairs(cloud: Cloud, max_radius: float) -> Pairs:
+def pairs(cloud: Cloud, max_radius: float, time_limit: float = TIME) -> Pairs:
     """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,); radii in scaled units."""
     if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # on a line
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
-    created, killed = _within_memory(cloud, cloud.key_of(max_radius))
+    _compile(cloud.axes)
+    created, killed = _run(cloud, cloud.key_of(max_radius), time_limit)
     ends = np.stack([created, killed[:, :2]])
     birth, death = cloud.radii(ends[..., 0], ends[..., 1])
     death[(killed[:, 0] < 0) | (death > max_radius)] = np.inf
@@ -133,32 +146,17 @@ def pairs(cloud: Cloud, max_radius: float) -> Pairs:
     return created[inside], killed[inside], birth[inside], death[inside]
 
 
-def _within_memory(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    try:
-        _compile(cloud.axes)
-        return _run(cloud, max_length)
-    except MemoryError as error:
-        raise _too_large(len(cloud), str(error)) from error
-
-
-def _too_large(n: int, what: str) -> MemoryError:
-    return MemoryError(
-        f"persistence may take {MEMORY / 1e9:.1f} GB for one cloud, and these {n} points need {what}; "
-        "take a subset (topokit.farthest_point_sample)"
-    )
-
-
-def _run(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Creating edges and killer edges with their apexes; no `time_limit` for what is known to be quick."""
     from ._edges import EDGE_BYTES, WINDOW, new_room  # numba takes a while to import
     from ._tree import build_tree, repeats
-    from .kernel import pair_edges
 
     if cloud.axes:
         tree = build_tree(cloud.data, cloud.axes)
         data = tree.points
         if repeats(tree):  # edges of a second copy are cones over the first, and that between them closes nothing
             first = np.sort(np.unique(cloud.data + 0.0, axis=0, return_index=True)[1])
-            created, killed = _run(Cloud(cloud.data[first], cloud.axes, cloud.scale), max_length)
+            created, killed = _run(Cloud(cloud.data[first], cloud.axes, cloud.scale), max_length, time_limit)
             once = np.append(first, -1)
             return once[created], once[killed]
     else:
@@ -166,19 +164,92 @@ def _run(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np
         tree = tree._replace(label=np.arange(len(cloud)))
         data = cloud.data
     bits = len(cloud) * ((len(cloud) + 63) // 64) * 8
-    if bits > MEMORY:
-        raise MemoryError(f"{bits / 1e9:.1f} GB for a bit for each pair of points")
+    many = len(cloud) >= (_ESTIMATED if cloud.axes else _ESTIMATED // 8)
+    if time_limit is not None and (bits > MEMORY or (many and time_limit < np.inf)):
+        seconds = _estimate(cloud, max_length, time_limit)
+        if bits > MEMORY or seconds > time_limit:
+            raise _too_large(
+                len(cloud), f"about {_spelled(seconds)} and {(bits + EDGE_BYTES * WINDOW) / 1e9:.1f} GB", time_limit
+            )
     spare = MEMORY - bits
     room = getattr(_kept, "room", None)
     if room is None or EDGE_BYTES * len(room.found) > spare // 2:
         room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
-    room, created, killed = pair_edges(data, cloud.axes, tree, max_length, room, spare)
+    room, created, killed = _watched((data, cloud.axes, tree, max_length, room, spare), time_limit)
     _kept.room = room if len(room.found) <= WINDOW else None
     label = np.append(tree.label, -1)  # of what is not there
     created, killed = label[created], label[killed]
     created.sort()
     killed[:, :2].sort()
     return created, killed
+
+
+def _watched(arguments: tuple[Any, ...], time_limit: float | None) -> Any:
+    """What the kernel finds. Where it may take long, it has a thread of its own: this one hears Ctrl-C and the clock."""
+    from ._edges import HALTED, TOO_MANY_EDGES, TOO_MANY_LOOPS
+    from .kernel import pair_edges
+
+    n, own = len(arguments[0]), getattr(_kept, "halt", None)
+    halt = np.zeros(1, np.int64) if own is None else own
+    if own is not None or time_limit is None or n < (_WATCHED if arguments[1] else _WATCHED // 4):
+        found = pair_edges(*arguments, halt)
+        if halt[0] == HALTED:
+            raise futures.CancelledError
+    else:
+        with futures.ThreadPoolExecutor(1) as pool:
+            try:
+                job = pool.submit(lambda: pair_edges(*arguments, halt))
+                found = job.result(None if time_limit == np.inf else time_limit)
+            except futures.TimeoutError as error:
+                raise _too_large(n, f"more than {_spelled(time_limit)}", time_limit) from error
+            finally:
+                halt[0] = halt[0] or HALTED
+    for reason, what in ((TOO_MANY_EDGES, "edges of the same length"), (TOO_MANY_LOOPS, "loops, however short")):
+        if halt[0] == reason:
+            halt[0] = 0
+            raise _too_large(n, f"more memory: there are very many {what}", time_limit)
+    return found
+
+
+def own_halt(halts: list[NDArray[np.int64]]) -> None:
+    """Let another thread end what this one computes: by writing HALTED into what is put into the list."""
+    _kept.halt = np.zeros(1, np.int64)
+    halts.append(_kept.halt)
+
+
+def _estimate(cloud: Cloud, max_length: float, time_limit: float) -> float:
+    """About how many seconds a cloud takes, from random parts of it: larger ones for as long as it is not clear."""
+    n, size = len(cloud), _ESTIMATED // (32 if cloud.axes else 128)
+    rng, most = np.random.default_rng(0), min(n // 4, 8 * size)
+    before = _timed(cloud, rng.choice(n, size, replace=False), max_length)
+    while True:
+        size *= 2
+        took, times = _timed(cloud, rng.choice(n, size, replace=False), max_length), n / size
+        if size >= most or took * times**3 < time_limit or took * times**2 > time_limit:
+            growth = np.log2(took / before) + 0.3  # many points have caches that are too small against them as well
+            return float(took * times ** np.clip(growth, 2, 4))
+        before = took
+
+
+def _timed(cloud: Cloud, ids: NDArray[np.int64], max_length: float) -> float:
+    part = cloud.data[ids] if cloud.axes else cloud.data[np.ix_(ids, ids)]
+    start = time.thread_time()
+    _run(Cloud(part, cloud.axes, cloud.scale), max_length, None)
+    return time.thread_time() - start
+
+
+def _spelled(seconds: float) -> str:
+    """A time in the largest unit of which it has two or more."""
+    unit, name = next(((u, name) for u, name in ((3600, "hours"), (60, "minutes")) if seconds >= 2 * u), (1, "seconds"))
+    return f"{seconds / unit:,.0f} {name}"
+
+
+def _too_large(n: int, what: str, time_limit: float | None = TIME) -> TooLargeError:
+    allowed = f"{MEMORY / 1e9:.1f} GB" + (f" and {_spelled(time_limit)}" if time_limit and time_limit < np.inf else "")
+    return TooLargeError(
+        f"persistence may take {allowed} for one cloud, and these {n} points need {what}; take a subset "
+        "(topokit.farthest_point_sample), stop earlier (max_radius), or allow more time (time_limit)"
+    )
 
 
 def _compile(axes: tuple[int, ...]) -> None:
@@ -191,7 +262,7 @@ def _compile(axes: tuple[int, ...]) -> None:
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:
-            _run(Cloud(np.eye(4, len(axes) or 4), axes, 1.0), 1.0)
+            _run(Cloud(np.eye(4, len(axes) or 4), axes, 1.0), 1.0, None)
         finally:
             notice.cancel()
         _ready.add(axes)
