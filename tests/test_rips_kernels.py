@@ -253,9 +253,7 @@ def test_what_would_take_long_is_refused_and_what_does_is_stopped(monkeypatch):
     cloud = torus(8192)
     rips_persistence(cloud[:100])
     start = time.process_time()
-    with pytest.raises(
-        ValueError, match=r"may take 4\.3 GB and 0\.1 seconds .* these 8192 points need more"
-    ):
+    with pytest.raises(ValueError, match=r"may take 4\.3 GB and 0\.1 seconds .* these 8192 points need more"):
         rips_persistence(cloud, time_limit=0.1)
     monkeypatch.setattr(_cloud, "_ESTIMATED", 8192)
     with pytest.raises(ValueError, match=r"need about 0\.\d minutes and 0\.5 GB; .*max_radius.*\(time_limit\)"):

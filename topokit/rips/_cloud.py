@@ -217,7 +217,7 @@ def own_halt(halts: list[NDArray[np.int64]]) -> None:
 def _estimate(cloud: Cloud, max_length: float, time_limit: float) -> float:
     """About how many seconds a cloud takes, from random parts of it: larger ones for as long as it is not clear."""
     n, size = len(cloud), _ESTIMATED // (32 if cloud.axes else 128)
-    rng, most = np.random.default_rng(0), min(n // 4, 8 * size)
+    rng, most = np.random.default_rng(0), _ESTIMATED // (4 if cloud.axes else 32)
     before = _timed(cloud, rng.choice(n, size, replace=False), max_length)
     while True:
         size *= 2
