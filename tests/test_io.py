@@ -134,6 +134,10 @@ def test_other_archives(tmp_path):
     with pytest.raises(FormatError, match="holds a topokit states, not a topokit episode"):
         load_episode(states)
     np.savez(tmp_path / "objects.npz", points=np.array([{}], dtype=object))
+    with pytest.raises(FormatError, match="topokit did not write"):
+        load_episode(tmp_path / "objects.npz")
+    json = np.frombuffer(b'{"kind": "topokit-episode", "sha256": ""}', dtype=np.uint8)
+    np.savez(tmp_path / "objects.npz", points=np.array([{}], dtype=object), json=json)
     with pytest.raises(FormatError, match="pickle"):
         load_episode(tmp_path / "objects.npz")
     with pytest.raises(FileNotFoundError, match="no such file"):

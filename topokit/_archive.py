@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _VERSION = 2  # of the checksum: the first covered the arrays alone, and still reads
+FREE, RATIO = 2**28, 100  # what a file may unpack to: so many bytes, and so many times its own
 
 
 class FormatError(ValueError):
@@ -29,8 +30,19 @@ class FormatError(ValueError):
 def existing(path: str | Path) -> Path:
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: {'a folder, not a file' if path.exists() else 'there is no such file'}")
+        what = (
+            "a folder, not a file" if path.is_dir() else "no regular file" if path.exists() else "there is no such file"
+        )
+        raise FileNotFoundError(f"{path}: {what}")
     return path
+
+
+def read_json(content: bytes | str) -> Any:
+    """What JSON of any origin holds; a ValueError also when it is nested so deeply that Python gives up."""
+    try:
+        return json.loads(content)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
 
 
 def save_archive(path: str | Path, kind: str, text: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Path:
@@ -54,7 +66,8 @@ def save_archive(path: str | Path, kind: str, text: dict[str, Any], arrays: dict
 def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read what `save_archive` wrote: the JSON document (without kind and checksum) and the arrays."""
     path, what = existing(path), kind.replace("topokit-", "topokit ")
-    if path.stat().st_size == 0:
+    size = path.stat().st_size
+    if size == 0:
         raise FormatError(f"{path}: the file is empty (0 bytes)")
     with path.open("rb") as handle:
         if handle.read(4) != b"PK\x03\x04":
@@ -62,21 +75,31 @@ def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str,
         handle.seek(0)
         try:
             with np.load(handle, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
+                unpacked = sum(entry.file_size for entry in archive.zip.infolist())
+                if unpacked > FREE + RATIO * size:
+                    raise FormatError(f"{path}: {size} bytes that would unpack to {unpacked}: not written by topokit")
+                document, digest = _document(archive, path, kind)
+                arrays = {name: archive[name] for name in archive.files if name != "json"}
+        except FormatError:
+            raise
         except Exception as error:  # damage shows in a dozen ways: bad zip, bad deflate, unknown compression
             raise FormatError(f"{path}: the file is truncated or damaged ({error}); copy or record it again") from error
+    if _digest(arrays, document if "archive" in document else None) != digest:
+        raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy or record it again")
+    return {name: value for name, value in document.items() if name not in ("kind", "archive")}, arrays
+
+
+def _document(archive: Any, path: Path, kind: str) -> tuple[dict[str, Any], Any]:
+    """The JSON document of an archive of that kind, and the checksum that it held."""
+    what = kind.replace("topokit-", "topokit ")
     try:
-        document = json.loads(arrays.pop("json").tobytes())
+        document = read_json(archive["json"].tobytes())
         found, digest = document["kind"], document.pop("sha256")
-        whole = _digest(arrays, document if "archive" in document else None)
-        document = {name: value for name, value in document.items() if name not in ("kind", "archive")}
     except (KeyError, ValueError, AttributeError, TypeError) as error:
         raise FormatError(f"{path}: not a {what}: an .npz archive that topokit did not write") from error
     if found != kind:
         raise FormatError(f"{path}: holds a {str(found).replace('topokit-', 'topokit ')}, not a {what}")
-    if whole != digest:
-        raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy or record it again")
-    return document, arrays
+    return document, digest
 
 
 @contextlib.contextmanager
