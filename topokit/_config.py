@@ -87,6 +87,6 @@ def _told(error: ValidationError, kind: Any) -> str:
     if first["type"] == "missing":
         return f"{place!r} is missing"
     message = first["msg"].removeprefix("Value error, ")
-    return (
-        message if first["type"] == "value_error" and not place else f"{place}: {message}, not {first['input']!r:.200}"
-    )
+    if first["type"] == "value_error" and not place:
+        return message
+    return f"{place}: {message}, not {first['input']!r:.200}"

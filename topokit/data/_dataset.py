@@ -221,42 +221,35 @@ class Dataset:
         numbers = sorted({self._known(i) for i in episodes})
         if not numbers:
             raise ValueError("a cut needs one episode at least")
-        files = [part for name in ("", *self.group.names("labels")) for part in self._part(name, numbers)]
-        for group, path, checksum, number in files:
-            if group.linked(path):
-                raise FormatError(f"{group.where(path)}: is a link, or reached through one; put the file itself there")
-            group.verified(path, checksum, number)  # all of them, before a byte is written
+        for _ in self._parts(numbers):
+            pass  # all of it is verified before a byte is written
         fs, root = fsspec.core.url_to_fs(str(out))
         if fs.exists(root) and fs.ls(root):
             raise ValueError(f"{out} is not an empty folder")
-        for group, path, checksum, number in files:
-            _put(fs, root, group, path, group.verified(path, checksum, number))
-        for name in (*self.group.names("labels"), ""):  # its own zarr.json comes last: before, it is no dataset
-            group = self.labels(name) if name else self.group
-            index = index_bytes(group.records[i] for i in numbers if i in group.records)
-            made = skeleton(group.fields, {**group.manifest, "numbers": numbers})
-            for path, content in reversed([*made.items(), ("index.json", index)]):
-                _put(fs, root, group, path, content)
+        local = "file" in np.atleast_1d(fs.protocol)
+        for path, content in self._parts(numbers):
+            if local:
+                replace(Path(root, path), content)
+            else:
+                fs.pipe_file(f"{root.rstrip('/')}/{path}", content)
         return Dataset(out)
 
-    def _part(self, name: str, numbers: list[int]) -> Iterator[tuple[Group, str, str, int]]:
-        """The files of some episodes, or of their labels of a name: path, checksum and episode."""
-        group = self.labels(name) if name else self.group
-        for number in (i for i in numbers if i in group.records):
-            document = group.document(number)
-            own = {f.path(number) for f in group.fields}
-            if strange := sorted(document["objects"].keys() - own):
-                where = group.where(record_path(number))
-                raise FormatError(f"{where}: names {strange[0]!r:.200}, which is not its own")
-            for path, checksum in document["objects"].items():
-                yield group, path, checksum, number
-            yield group, record_path(number), group.records[number].sha256, number
-
-
-def _put(fs: Any, root: str, group: Group, path: str, content: bytes) -> None:
-    """Write a file of a group: on a disk in one piece, elsewhere as the store does it."""
-    whole = "/".join(filter(None, (root.rstrip("/"), group.prefix, path)))
-    if "file" in np.atleast_1d(fs.protocol):
-        replace(Path(whole), content)
-    else:
-        fs.pipe_file(whole, content)
+    def _parts(self, numbers: list[int]) -> Iterator[tuple[str, bytes]]:
+        """Path and verified content of all that a cut holds; the zarr.json that makes it a dataset comes last."""
+        for group in (*map(self.labels, self.group.names("labels")), self.group):
+            prefix = f"{group.prefix}/" if group.prefix else ""
+            there = [i for i in numbers if i in group.records]
+            for number in there:
+                own = {record_path(number), *(f.path(number) for f in group.fields)}
+                objects = group.document(number)["objects"]
+                for path, checksum in {**objects, record_path(number): group.records[number].sha256}.items():
+                    if path not in own or group.linked(path):
+                        where = group.where(record_path(number))
+                        raise FormatError(
+                            f"{where}: names {path!r:.200}, which is not its own, or is reached by a link"
+                        )
+                    yield prefix + path, group.verified(path, checksum, number)
+            made = skeleton(group.fields, {**group.manifest, "numbers": numbers})
+            index = index_bytes(group.records[i] for i in there)
+            for path, content in reversed([*made.items(), ("index.json", index)]):
+                yield prefix + path, content

@@ -44,7 +44,7 @@ class Record:
     episode: Annotated[int, pydantic.Field(ge=0, lt=MOST_EPISODES)]
     status: Literal[
         "ok", "rejected", "failed"
-    ]  # "ok"; "rejected": the simulation was not physical; "failed": it could not be made, after three tries
+    ]  # the simulation was not physical; it could not be made, after three tries
     reason: str = ""  # why, when the status is not ok
     task: str = ""
     garment: str = ""
@@ -210,10 +210,10 @@ class Group:
         whole = _join(self._root, self.prefix, path)
         try:
             found = os.stat(whole) if self._local else None
-            if found and not (
-                stat.S_ISREG(found.st_mode) and found.st_size <= _MOST_BYTES
-            ):  # a pipe would be waited for
-                raise OSError(f"{self.where(path)}: no regular file of at most {_MOST_BYTES} bytes")
+            if found and (not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_BYTES):
+                raise OSError(
+                    f"{self.where(path)}: no regular file of at most {_MOST_BYTES} bytes"
+                )  # a pipe never ends
             return bytes(self._fs.cat_file(whole))
         except (FileNotFoundError, NotADirectoryError, KeyError):
             return None
@@ -256,9 +256,7 @@ class Group:
         if record != self.records[index]:
             raise FormatError(f"{where}: the index says other things of it; remove index.json, it is made again")
         if self.of is not None and document.get("of") != self.of.records[index].sha256:
-            raise FormatError(
-                f"{where}: is of another episode than the one that is there now; remove it, and label again"
-            )
+            raise FormatError(f"{where}: is of another episode than the one that is there now; remove it, label again")
         return document
 
 
@@ -353,14 +351,12 @@ def _refuse(folder: Path, manifest: Mapping[str, Any], above: Iterable[Path]) ->
         refuse_another(old, manifest, str(folder))
         if episodes < old["episodes"]:
             raise ValueError(f"{folder} has been given {old['episodes']} episodes; it cannot shrink to {episodes}")
-    elif folder.exists() and {path.name for path in folder.iterdir() if not path.match(".zarr.json.*.part")} - {
-        ".lock"
-    }:
+    elif folder.exists() and any(not re.fullmatch(r"\.lock|\.zarr\.json\..*", path.name) for path in folder.iterdir()):
         raise ValueError(f"{folder} holds other files and is no dataset: name a new folder, or an empty one")
 
 
 def replace(path: Path, content: bytes) -> None:
-    if not path.exists() or path.read_bytes() != content:
+    if not path.is_file() or path.read_bytes() != content:
         with atomic_file(path) as handle:
             handle.write(content)
 
