@@ -126,7 +126,7 @@ def index_bytes(records: Iterable[Record]) -> bytes:
 def read_index(content: bytes, where: str) -> dict[int, Record]:
     try:
         document = read_json(content)
-        checksum = document.pop("checksum", None)  # indices of topokit 0.1 have none
+        checksum = document.pop("checksum", None)  # older indices have none
         if checksum is not None and hashlib.sha256(canonical(document)).hexdigest() != checksum:
             raise ValueError("its checksum is another")
         rows = zip(*(document[name] for name in _COLUMNS), strict=True)
@@ -159,7 +159,7 @@ class Group:
 
     def _check_manifest(self, checksum: str | None) -> None:
         """Raise ValueError when what the group says it is cannot be; its fields are made."""
-        if checksum not in (None, hashlib.sha256(canonical(self.manifest)).hexdigest()):  # topokit 0.1 wrote none
+        if checksum not in (None, hashlib.sha256(canonical(self.manifest)).hexdigest()):  # older groups have none
             raise ValueError("its checksum is another: it is damaged, copy it again")
         if self.manifest["version"] != 1:
             raise ValueError(f"of version {self.manifest['version']!r:.50}; this topokit reads version 1")
