@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._frames import check_diagram, check_follows
 from ._matching import Candidates, Matching, hausdorff_table, within_gates
-from ._validate import WrongKindError, as_sequence, positive, whole
+from ._validate import as_sequence, positive, whole
 from .linking import curve_centroid
 from .rips import Diagram, rips_persistence, rips_persistence_many
 from .sampling import as_tree, hausdorff, spacing
@@ -211,8 +211,6 @@ def track(
         As `SeqPH` does, naming the frame; before anything is computed when a frame is not a cloud.
     """
     clouds = as_sequence(sequence, copy=True)
-    if not isinstance(times, (Iterable, type(None))):
-        raise WrongKindError(f"times must be a list of seconds, one a frame, not {times!r}")
     stamps: list[float | None] = [None] * len(clouds) if times is None else list(times)
     if len(stamps) != len(clouds):
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
