@@ -215,7 +215,9 @@ def track(
     if len(stamps) != len(clouds):
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
     tracker = SeqPH(**options)
-    frames = [(as_tree(cloud), stamp) for cloud, stamp in zip(clouds, stamps, strict=True)]
+    frames = [
+        (as_tree(cloud, f"frame {t}"), stamp) for t, (cloud, stamp) in enumerate(zip(clouds, stamps, strict=True))
+    ]
     for number, frame in enumerate(frames):
         check_follows(number, frames[number - 1] if number else (None, None), frame)
     diagrams = rips_persistence_many(clouds, n_jobs, progress=progress)
