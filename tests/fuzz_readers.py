@@ -177,6 +177,8 @@ def checkpoint() -> Callable[[bytes], object]:
         min((DATA / "checkpoints").glob("**/*.safetensors"), key=os.path.getsize).read_bytes(),
         FOLDER / "m.safetensors",
     )
+    path.write_bytes(whole)
+    load_model(path)  # the first takes seconds
     size = int.from_bytes(whole[:8], "little")
     header, body = json.loads(whole[8 : 8 + size]), whole[8 + size :]
 
