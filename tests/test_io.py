@@ -348,6 +348,22 @@ def test_changed_words_of_states_are_noticed(tmp_path):
         load_states(edited(path, parameters=[{"alpha": 9.0}]))
 
 
+def test_a_changed_byte_never_gives_other_states(tmp_path):
+    path = save_states(tmp_path / "states.npz", track([polygon(20), polygon(20)], alpha=0.1))
+    raw, whole = path.read_bytes(), [state.as_dict() for state in load_states(path)]
+    rng = np.random.default_rng(0)
+    refused, places = 0, rng.choice(len(raw), 400, replace=False).tolist()
+    for at in places:
+        path.write_bytes(raw[:at] + bytes([raw[at] ^ 1 << rng.integers(8)]) + raw[at + 1 :])
+        try:
+            again = load_states(path)
+        except FormatError:
+            refused += 1
+        else:
+            assert [state.as_dict() for state in again] == whole
+    assert refused > 0.5 * len(places)
+
+
 def test_files_of_the_first_version_still_read(tmp_path):
     """Their checksum covered the arrays alone."""
     path = save_episode(tmp_path / "ring.npz", small_episode())

@@ -194,7 +194,7 @@ def test_windows_of_edges_are_bounded_and_leave_none_out():
 def test_more_points_than_memory_is_allowed_for():
     with pytest.raises(
         MemoryError,
-        match=r"4\.3 GB and 5 minutes for one cloud, and these 200000 points need .* 5\.5 GB.*farthest_point_sample",
+        match=r"4\.3 GB and 300 seconds for one cloud, and these 200000 points need .* 5\.5 GB.*farthest_point_sample",
     ):
         rips_persistence(np.random.default_rng(0).random((200_000, 3)))
 
@@ -253,12 +253,10 @@ def test_what_would_take_long_is_refused_and_what_does_is_stopped(monkeypatch):
     cloud = torus(8192)
     rips_persistence(cloud[:100])
     start = time.process_time()
-    with pytest.raises(
-        ValueError, match=r"may take 4\.3 GB and 0 seconds .* these 8192 points need more than 0 seconds"
-    ):
+    with pytest.raises(ValueError, match=r"may take 4\.3 GB and 0\.1 seconds .* these 8192 points need more"):
         rips_persistence(cloud, time_limit=0.1)
     monkeypatch.setattr(_cloud, "_ESTIMATED", 8192)
-    with pytest.raises(ValueError, match=r"need about \d+ seconds and 0\.5 GB; .*max_radius.*\(time_limit\)"):
+    with pytest.raises(ValueError, match=r"need about 0\.\d minutes and 0\.5 GB; .*max_radius.*\(time_limit\)"):
         rips_persistence(cloud, time_limit=0.1)
     assert time.process_time() - start < 2  # of four
     flat = np.random.default_rng(0).random((8192, 2))

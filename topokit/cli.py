@@ -42,6 +42,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = int(options.run(options))
         print(end="", flush=True)  # here, where it can still be told that the output was not taken
         return code
+    except ModuleNotFoundError as error:  # of a part of ours that needs more than the core
+        wanted = f"{error.name} is needed, and is not there: pip install 'topokit[all]'"
+        print(f"topokit {options.command}: error: {wanted}", file=sys.stderr)
+        return 2
     except (ValueError, OSError, ImportError, MemoryError) as error:  # any other is a mistake of ours, and shows where
         print(f"topokit {options.command}: error: {_words(error)}", file=sys.stderr)
         return 141 if isinstance(error, BrokenPipeError) else 2

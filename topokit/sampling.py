@@ -114,6 +114,11 @@ def spacing(points: ArrayLike | cKDTree) -> float:
 
     No smaller covering radius is possible when no piece of the scene is a single point. A tree of the points will do.
 
+    Raises
+    ------
+    ValueError
+        When squares of distances overflow or vanish.
+
     Examples
     --------
     >>> spacing([[0.0], [1.0], [3.0], [3.0]])

@@ -16,9 +16,7 @@ from .._validate import as_points
 
 MEMORY = 4 << 30  # bytes that the tables for one cloud may take
 TIME = 300.0  # seconds that one cloud may take, unless more are allowed
-_ESTIMATED = (
-    1 << 14
-)  # points from which on the seconds are estimated first; of a matrix an eighth: loops can be far more
+_ESTIMATED = 1 << 14  # points from which on the seconds are estimated; an eighth of a matrix, with its many loops
 _WATCHED = 2000  # points that can take a second, as a quarter can of a matrix
 _SMALLEST = 2.0**-1022  # of the numbers with all their digits
 _TINY = 2.0**-450  # of the largest coordinate: squares of larger differences have all their digits
@@ -168,9 +166,8 @@ def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[NDA
     if time_limit is not None and (bits > MEMORY or (many and time_limit < np.inf)):
         seconds = _estimate(cloud, max_length, time_limit)
         if bits > MEMORY or seconds > time_limit:
-            raise _too_large(
-                len(cloud), f"about {_spelled(seconds)} and {(bits + EDGE_BYTES * WINDOW) / 1e9:.1f} GB", time_limit
-            )
+            size = (bits + EDGE_BYTES * WINDOW) / 1e9
+            raise _too_large(len(cloud), f"about {seconds / 60:,.1f} minutes and {size:.1f} GB", time_limit)
     spare = MEMORY - bits
     room = getattr(_kept, "room", None)
     if room is None or EDGE_BYTES * len(room.found) > spare // 2:
@@ -199,9 +196,9 @@ def _watched(arguments: tuple[Any, ...], time_limit: float | None) -> Any:
         with futures.ThreadPoolExecutor(1) as pool:
             try:
                 job = pool.submit(lambda: pair_edges(*arguments, halt))
-                found = job.result(None if time_limit == np.inf else time_limit)
+                found = job.result(min(time_limit, threading.TIMEOUT_MAX))
             except futures.TimeoutError as error:
-                raise _too_large(n, f"more than {_spelled(time_limit)}", time_limit) from error
+                raise _too_large(n, "more", time_limit) from error
             finally:
                 halt[0] = halt[0] or HALTED
     for reason, what in ((TOO_MANY_EDGES, "edges of the same length"), (TOO_MANY_LOOPS, "loops, however short")):
@@ -220,7 +217,7 @@ def own_halt(halts: list[NDArray[np.int64]]) -> None:
 def _estimate(cloud: Cloud, max_length: float, time_limit: float) -> float:
     """About how many seconds a cloud takes, from random parts of it: larger ones for as long as it is not clear."""
     n, size = len(cloud), _ESTIMATED // (32 if cloud.axes else 128)
-    rng, most = np.random.default_rng(0), min(n // 4, 8 * size)
+    rng, most = np.random.default_rng(0), _ESTIMATED // (4 if cloud.axes else 32)
     before = _timed(cloud, rng.choice(n, size, replace=False), max_length)
     while True:
         size *= 2
@@ -235,17 +232,11 @@ def _timed(cloud: Cloud, ids: NDArray[np.int64], max_length: float) -> float:
     part = cloud.data[ids] if cloud.axes else cloud.data[np.ix_(ids, ids)]
     start = time.thread_time()
     _run(Cloud(part, cloud.axes, cloud.scale), max_length, None)
-    return time.thread_time() - start
-
-
-def _spelled(seconds: float) -> str:
-    """A time in the largest unit of which it has two or more."""
-    unit, name = next(((u, name) for u, name in ((3600, "hours"), (60, "minutes")) if seconds >= 2 * u), (1, "seconds"))
-    return f"{seconds / unit:,.0f} {name}"
+    return max(time.thread_time() - start, 1e-4)
 
 
 def _too_large(n: int, what: str, time_limit: float | None = TIME) -> TooLargeError:
-    allowed = f"{MEMORY / 1e9:.1f} GB" + (f" and {_spelled(time_limit)}" if time_limit and time_limit < np.inf else "")
+    allowed = f"{MEMORY / 1e9:.1f} GB" + ("" if time_limit is None else f" and {time_limit:g} seconds")
     return TooLargeError(
         f"persistence may take {allowed} for one cloud, and these {n} points need {what}; take a subset "
         "(topokit.farthest_point_sample), stop earlier (max_radius), or allow more time (time_limit)"
