@@ -584,7 +584,7 @@ def test_the_document_of_an_archive_of_any_kind(tmp_path, text):
 def test_a_pipe_or_a_device_is_no_archive(tmp_path):
     os.mkfifo(tmp_path / "pipe.npz")
     for path in (tmp_path / "pipe.npz", "/dev/null"):
-        with pytest.raises(FileNotFoundError, match="no regular file"):
+        with pytest.raises(FileNotFoundError, match="a device or a pipe, not a file"):
             load_archive(path, "topokit-episode")
 
 

@@ -176,7 +176,7 @@ def test_samples_lie_where_the_mixture_says():
     np.testing.assert_allclose(samples.mean(axis=0), mixture.mean, atol=0.05)
     np.testing.assert_allclose(np.cov(samples.T), mixture.covariance, atol=0.15)
     np.testing.assert_array_equal(mixture.sample(3, 5), mixture.sample(3, np.random.default_rng(5)))
-    with pytest.raises(ValueError, match="n must be zero or more, not -1"):
+    with pytest.raises(ValueError, match="n must be 0 or more, a whole number, not -1"):
         mixture.sample(-1)
 
 

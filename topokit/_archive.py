@@ -30,10 +30,8 @@ class FormatError(ValueError):
 def existing(path: str | Path) -> Path:
     path = Path(path)
     if not path.is_file():
-        what = (
-            "a folder, not a file" if path.is_dir() else "no regular file" if path.exists() else "there is no such file"
-        )
-        raise FileNotFoundError(f"{path}: {what}")
+        there = "a folder, not a file" if path.is_dir() else "a device or a pipe, not a file"
+        raise FileNotFoundError(f"{path}: {there if path.exists() else 'there is no such file'}")
     return path
 
 
@@ -137,7 +135,9 @@ def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)  # mkstemp makes files that only their owner can read
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException as error:
+        if isinstance(error, OSError) and error.errno and error.filename is None:
+            error.filename = str(path)  # of a disk that is full, Python does not say which file was to be written
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
         raise

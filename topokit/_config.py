@@ -61,7 +61,7 @@ def load(kind: type[T], path: str | Path) -> T:
     language, parse = ("TOML", _parse_toml) if path.suffix == ".toml" else ("JSON", read_json)
     try:
         entries = parse(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # nested a thousand deep
         raise ValueError(f"{path}: not {language}: {error}") from error
     return from_mapping(kind, entries, str(path))
 

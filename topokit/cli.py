@@ -1,24 +1,28 @@
 """The `topokit` command, and of its parts `simulate` and `track`. What they need is imported when they run.
 
-Exit code 0 when all is well, 1 when the work failed, 2 when the input or the call is wrong.
+Exit code 0 when all is well, 1 when the work failed, 2 when the input or the call is wrong or there is no room, 130 after
+Ctrl-C, 141 when nobody reads the output any more.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import errno
 import json
+import math
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from itertools import count
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import __version__
+from ._archive import FormatError, atomic_file
 from .seqph import SeqPH, track
 
 __all__ = ["main"]
@@ -26,6 +30,8 @@ _TASKS = """tasks, a garment and a target:
   {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2}-hook
   {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2}-hanger
   {apron,apron2,backpack,shirt,vest}-mannequin"""
+_PICTURES = (".png", ".svg", ".pdf")
+_LARGEST_FRAME = 2**28  # bytes of a cloud: eleven million points in space
 _TRACKER = ("alpha", "beta", "epsilon", "gates", "identity", "memory")
 
 
@@ -33,20 +39,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command with `arguments` (those of the process when None) and return its exit code."""
     options = parser().parse_args(arguments)
     try:
-        return int(options.run(options))
+        code = int(options.run(options))
+        print(end="", flush=True)  # here, where it can still be told that the output was not taken
+        return code
     except ModuleNotFoundError as error:  # of a part of ours that needs more than the core
         wanted = f"{error.name} is needed, and is not there: pip install 'topokit[all]'"
         print(f"topokit {options.command}: error: {wanted}", file=sys.stderr)
         return 2
-    except (ValueError, OSError, ImportError) as error:  # any other is a mistake of ours, and shows where
-        print(f"topokit {options.command}: error: {error}", file=sys.stderr)
-        return 2
+    except (ValueError, OSError, ImportError, MemoryError) as error:  # any other is a mistake of ours, and shows where
+        print(f"topokit {options.command}: error: {_words(error)}", file=sys.stderr)
+        return 141 if isinstance(error, BrokenPipeError) else 2
     except RuntimeError as error:  # the input was right, the work failed: a simulation that exploded
         print(f"topokit {options.command}: failed: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt as stopped:
         print(f"topokit {options.command}: {stopped or 'stopped; nothing was written'}", file=sys.stderr)
         return 130
+
+
+def _words(error: BaseException) -> str:
+    """What an error says, and what to do; where it is not told of a file, it is standard output that takes no more."""
+    if not isinstance(error, OSError) or error.errno not in (errno.EPIPE, errno.ENOSPC):
+        return str(error) or "not enough memory for so much at a time"
+    if error.filename is None:  # what waits for it is dropped: Python would try again at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    remedy = (
+        "its reader has stopped, files are written"
+        if error.errno == errno.EPIPE
+        else "make room, and repeat the command"
+    )
+    return f"{error.filename or 'standard output'}: {error.strerror}; {remedy}"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -152,6 +174,8 @@ def _track(options: argparse.Namespace) -> int:
         return _track_live(options, how)
     out = _tracks_file(options)
     if options.plot:
+        if options.plot.suffix not in _PICTURES:
+            raise ValueError(f"--plot {options.plot}: the name of a picture ends in {', '.join(_PICTURES)}")
         from .view import track_figure  # before the work, so that a missing matplotlib is said at once
     episode = load_episode(options.episode)
     loud = sys.stderr.isatty() and not options.json
@@ -159,8 +183,8 @@ def _track(options: argparse.Namespace) -> int:
     summaries = summarise_tracks(states, episode.points, episode.loops)
     save_states(out, states)
     if options.plot:
-        options.plot.parent.mkdir(parents=True, exist_ok=True)
-        track_figure(episode, states).savefig(options.plot)
+        with atomic_file(options.plot) as picture:
+            track_figure(episode, states).savefig(picture, format=options.plot.suffix[1:])
     if options.json:
         rows = [dataclasses.asdict(summary) for summary in summaries]
         print(json.dumps({"episode": str(options.episode), "frames": len(states), "tracks": str(out), "loops": rows}))
@@ -200,6 +224,8 @@ def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
     """Track clouds as they come; what is kept does not grow."""
     if options.episode or options.out or options.plot:
         raise ValueError("--live reads standard input and writes standard output: leave out EPISODE, --out and --plot")
+    if sys.stdin is None:
+        raise ValueError("standard input is closed; pipe the clouds in")
     frames = 0
     try:
         for state in SeqPH(**how).stream(_clouds(sys.stdin.buffer)):
@@ -212,11 +238,24 @@ def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
 
 def _clouds(stream: Any) -> Iterator[NDArray[np.float64]]:
     """The .npy arrays of a stream, until it ends."""
-    pipe: Any = SimpleNamespace(read=stream.read)  # NumPy asks real files for their position, and a pipe has none
     for number in count():
         if not stream.peek(1):
             return
         try:
-            yield np.lib.format.read_array(pipe, allow_pickle=False)
-        except ValueError as error:
-            raise ValueError(f"frame {number} on standard input is no whole .npy array: {error}") from error
+            yield _cloud(stream)
+        except Exception as error:  # a header can be wrong in a dozen ways
+            raise FormatError(f"frame {number} on standard input is no whole .npy array: {error}") from error
+
+
+def _cloud(stream: Any) -> NDArray[Any]:
+    """The next array of a stream; memory is taken when what its header declares is no more than a cloud."""
+    head = np.lib.format
+    read = head.read_array_header_1_0 if head.read_magic(stream) == (1, 0) else head.read_array_header_2_0
+    shape, columns_first, kind = read(stream)
+    size = math.prod(shape) * kind.itemsize
+    if kind.hasobject or not 0 <= size <= _LARGEST_FRAME:
+        raise ValueError(f"its header declares {size} bytes of {kind}; {_LARGEST_FRAME} of numbers at most")
+    data = stream.read(size)
+    if len(data) < size:
+        raise ValueError(f"{len(data)} of {size} bytes")
+    return np.ndarray(shape, kind, data, order="F" if columns_first else "C")

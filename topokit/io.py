@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._archive import FormatError, load_archive, save_archive
-from ._validate import as_ids
+from ._validate import WrongKindError, as_ids, as_reals
 from .state import Loop, TopologicalState
 
 __all__ = [
@@ -138,6 +138,9 @@ def load_episode(path: str | Path) -> Episode:
 
 def check_episode(episode: Episode) -> None:
     """Raise ValueError unless the parts of an episode fit each other; the message says which do not, and where."""
+    for name in (*_PACKED, "held", "faces"):
+        if not isinstance(as_reals(getattr(episode, name), name), type(getattr(episode, name))):
+            raise WrongKindError(f"{name} must be an array, not {type(getattr(episode, name)).__name__}")
     frames, vertices = episode.points.shape[:2] if episode.points.ndim == 3 else (0, 0)
     if episode.points.ndim == 3 and frames == 0:
         raise ValueError("points holds no frame")
@@ -158,11 +161,12 @@ def check_episode(episode: Episode) -> None:
     for name, kind in _TEXT.items():
         value = getattr(episode, name)
         if type(value) is not kind and not (kind is float and type(value) is int):
-            raise TypeError(f"{name} must be a {kind.__name__}, not {value!r:.80}")
+            raise WrongKindError(f"{name} must be a {kind.__name__}, not {value!r:.80}")
     if not np.isfinite(episode.dt) or episode.dt <= 0:
         raise ValueError(f"dt must be the seconds between two frames, not {episode.dt}")
     for name, ids in (("faces", episode.faces), *((f"loops[{i}]", loop) for i, loop in enumerate(episode.loops))):
-        as_ids(ids, name, vertices)
+        if as_ids(ids, name, vertices).ndim != 1 + (name == "faces"):
+            raise ValueError(f"{name} has shape {np.shape(ids)}; a loop is a list of vertex ids")
 
 
 def _pack(name: str, values: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.float64]]:
@@ -220,13 +224,10 @@ _LOOP_ARRAYS = {
     "killer_triangles": "f n 2 3 d",
     "killer_values": "f n 2",
 }
-_LOOP_LISTS = {
-    "n_neighbours": ("neighbour_ids", "neighbours", "neighbour_values"),
-    "n_cycle": ("cycle", "cycle_points"),
-}
 _FRAMES = {"n_loops": "i t", "frame": "i t", "time": "f t"}
 _NEIGHBOURS = {"n_neighbours": "i n", "neighbour_ids": "i m 3", "neighbours": "f m 3 d", "neighbour_values": "f m"}
 _CYCLES = {"n_cycle": "i n", "cycle": "i c", "cycle_points": "f c d"}
+_LOOP_LISTS = {count: names for count, *names in (_NEIGHBOURS, _CYCLES)}
 
 
 def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points, positive
+from topokit._validate import as_points, as_reals, positive
 
 __all__ = ["close_far", "linking_number", "linking_numbers"]
 
@@ -132,6 +132,8 @@ def close_far(
     points = as_points(curve, "curve")
     if points.shape[1] != 3 or len(points) < 2:
         raise ValueError(f"curve must be an (n, 3) array of at least 2 corners, not of shape {points.shape}")
+    if np.abs(points).max() > 1e150:
+        raise ValueError("curve reaches beyond 1e150, and what is far away beyond floating point; take another unit")
     reach = positive(far, "far", zero=False) * float(np.ptp(points, axis=0).max())
     if reach == 0:
         raise ValueError("curve has no extent: all its corners are one point")
@@ -146,7 +148,7 @@ def close_far(
 
 
 def _direction(vector: ArrayLike, name: str) -> Array:
-    value = np.asarray(vector, dtype=np.float64)
+    value = as_reals(vector, name).astype(np.float64)
     length = float(np.linalg.norm(value))
     if value.shape != (3,) or not np.isfinite(length) or length == 0:
         raise ValueError(f"{name} must be a direction of three numbers, not {vector!r}")
@@ -155,10 +157,7 @@ def _direction(vector: ArrayLike, name: str) -> Array:
 
 def _batch(curves: ArrayLike, name: str) -> Array:
     """(B, n, 3): a single curve is a batch of one."""
-    try:
-        array = np.asarray(curves)
-    except ValueError as error:  # ragged nested lists
-        raise ValueError(f"the curves of {name} must have equally many corners; link others alone") from error
+    array = as_reals(curves, name, f"the curves of {name} must have equally many corners; link others alone")
     if array.ndim == 2:
         return as_points(array, name)[None]
     if array.ndim != 3 or not len(array):

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._validate import as_points, own_arrays, positive
+from ._validate import as_points, as_reals, own_arrays, positive, whole
 
 __all__ = ["InverseWishart", "LoopMixture", "loop_mixture"]
 
@@ -57,12 +57,13 @@ class InverseWishart:
             When `dof` is not above d - 1, or `scale` is not a positive definite (d, d) matrix.
         """
         d = scatter.shape[-1]
-        dof = d + 2.0 if self.dof is None else float(self.dof)
+        dof = d + 2.0 if self.dof is None else positive(self.dof, "dof")
         if not dof > d - 1:
             raise ValueError(f"dof must be above {d - 1} in {d} dimensions, not {dof:g}")
-        scale = np.asarray(self.scale, dtype=np.float64)
-        scale = scale * np.eye(d) if scale.ndim == 0 else scale
-        if scale.shape != (d, d) or not np.allclose(scale, scale.T) or np.linalg.eigvalsh(scale)[0] <= 0:
+        scale = as_reals(self.scale, "scale").astype(np.float64)
+        scale = np.diag(np.full(d, scale)) if scale.ndim == 0 else scale
+        symmetric = scale.shape == (d, d) and np.isfinite(scale).all() and np.allclose(scale, scale.T)
+        if not symmetric or np.linalg.eigvalsh(scale)[0] <= 0:
             raise ValueError(f"scale must be positive, or a positive definite ({d}, {d}) matrix, not {self.scale!r}")
         return np.asarray((scale + scatter) / (dof + 1 - d))
 
@@ -104,8 +105,7 @@ class LoopMixture:
         ValueError
             When `n` is negative.
         """
-        if n < 0:
-            raise ValueError(f"n must be zero or more, not {n}")
+        n = whole(n, "n")
         generator = np.random.default_rng(rng)
         component = generator.choice(len(self.weights), size=n, p=self.weights)
         white = generator.standard_normal((n, self.means.shape[1], 1))
@@ -119,7 +119,7 @@ class LoopMixture:
         ValueError
             When `x` has another shape.
         """
-        points = np.asarray(x, dtype=np.float64)
+        points = as_reals(x, "x").astype(np.float64)
         d = self.means.shape[1]
         if points.ndim not in (1, 2) or points.shape[-1] != d:
             raise ValueError(f"x must be a ({d},) point or (n, {d}) points, not an array of shape {points.shape}")
@@ -145,7 +145,8 @@ class LoopMixture:
         extent : float
             Standard deviations of every component that the grid covers.
         """
-        reach = extent * np.sqrt(np.einsum("mii->mi", self.covariances))
+        n = whole(n, "n", 1)
+        reach = positive(extent, "extent") * np.sqrt(np.einsum("mii->mi", self.covariances))
         low, high = (self.means - reach).min(axis=0), (self.means + reach).max(axis=0)
         axes = tuple(np.linspace(a, b, n) for a, b in zip(low, high, strict=True))
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -165,7 +166,7 @@ class LoopMixture:
         rng : numpy.random.Generator or int, optional
             As in `sample`.
         """
-        samples = np.sort(self.log_prob(self.sample(n, rng)))
+        samples = np.sort(self.log_prob(self.sample(whole(n, "n", 1), rng)))
         return np.asarray(1 - np.searchsorted(samples, self.log_prob(x), side="right") / n)
 
 
@@ -194,6 +195,8 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
     >>> mixture.mean.round(6).tolist(), len(mixture.weights)
     ([1.0, 1.0], 6)
     """
+    for name in ("killer_triangles", "neighbours", "killer_values", "neighbour_values"):
+        as_reals(getattr(loop, name), name)
     triangles = np.concatenate([loop.killer_triangles, loop.neighbours]).astype(np.float64)
     values = np.concatenate([loop.killer_values, loop.neighbour_values]).astype(np.float64)
     if triangles.ndim != 3 or triangles.shape[1] != 3 or len(values) != len(triangles):

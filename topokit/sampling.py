@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._validate import as_points
+from ._validate import as_points, whole
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -48,10 +48,7 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int = 0) -> tuple[ND
     (array([0, 3]), 2.0)
     """
     array = _measurable(points, "points")
-    if not 1 <= n <= len(array):
-        raise ValueError(f"n must be 1 to {len(array)}, the number of points, not {n}")
-    if not -len(array) <= start < len(array):
-        raise ValueError(f"start must be the index of one of {len(array)} points, not {start}")
+    n, start = whole(n, "n", 1, len(array)), whole(start, "start", -len(array), len(array) - 1)
     idx = np.empty(n, dtype=np.int64)
     idx[0] = start % len(array)
     nearest = ((array - array[idx[0]]) ** 2).sum(axis=1)

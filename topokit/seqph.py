@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._frames import check_diagram, check_follows
 from ._matching import Candidates, Matching, hausdorff_table, within_gates
-from ._validate import as_sequence, positive
+from ._validate import as_sequence, positive, whole
 from .linking import curve_centroid
 from .rips import Diagram, rips_persistence, rips_persistence_many
 from .sampling import as_tree, hausdorff, spacing
@@ -109,9 +109,7 @@ class SeqPH:
             raise ValueError(f"gates must be one of {_GATES}, not {gates!r}")
         if identity not in _IDENTITIES:
             raise ValueError(f"identity must be one of {_IDENTITIES}, not {identity!r}")
-        if positive(memory, "memory") != int(memory):
-            raise ValueError(f"memory must be a whole number of frames, not {memory}")
-        self.gates, self.identity, self.memory = gates, identity, int(memory)
+        self.gates, self.identity, self.memory = gates, identity, whole(memory, "memory")
         self._match = partial(within_gates, gates) if match is None else match
         self._frame, self._next_id = 0, 0
         self._time: float | None = None

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from .._matching import hausdorff_table
-from .._validate import as_ids, as_points
+from .._validate import as_ids, as_points, as_reals
 from ..rips import Diagram
 from ._matching import Array, Matching, match_diagrams
 from ._measures import Ids, State
@@ -252,7 +252,7 @@ def vertex_ids(points: ArrayLike, observed: ArrayLike, name: str = "observed") -
     TypeError, ValueError
         When nothing is observed, an id is out of range, or an observed point is no vertex of the state.
     """
-    state, ids = as_points(points), np.asarray(observed)
+    state, ids = as_points(points), as_reals(observed, name)
     if ids.size == 0:
         raise ValueError(f"{name} is empty; a state without a single observed point has no covering radius")
     if ids.ndim != 1:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._validate import as_sequence
+from .._validate import as_reals, as_sequence
 from ._diagrams import check_feature_approximation, check_gates, check_observability, check_temporal_persistence
 from ._killers import check_converse, check_corollary, check_recovering_killers, check_regularity
 from ._matching import Array
@@ -107,7 +107,7 @@ def _per_frame(observed: ArrayLike | Sequence[ArrayLike], n_frames: int) -> Sequ
     """What is observed in each frame."""
     sets = list(observed)  # type: ignore[arg-type]
     if sets and np.ndim(sets[0]) == 0:
-        return [np.asarray(observed)] * n_frames
+        return [as_reals(observed, "observed")] * n_frames
     if len(sets) != n_frames:
         raise ValueError(f"observed has {len(sets)} frames, points {n_frames}")
     return sets

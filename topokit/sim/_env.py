@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import positive
+from topokit._validate import as_reals, whole
 from topokit.rips import rips_persistence
 from topokit.sampling import farthest_point_sample
 
@@ -103,14 +103,13 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.task = as_task(task)
         self.garment, self.target = garment or self.task.garment(), target or self.task.target
         self.config = config or SimulationConfig(self_collision=False)
-        if not 1 <= n_points <= len(self.garment.vertices):
-            raise ValueError(f"n_points must be 1 to {len(self.garment.vertices)}, the vertices, not {n_points}")
-        self.reward, self.n_points, self.cameras, self.render_mode = reward, n_points, tuple(cameras), render_mode
+        self.n_points = whole(n_points, "n_points", 1, len(self.garment.vertices))
+        self.reward, self.cameras, self.render_mode = reward, tuple(cameras), render_mode
         self.max_step = _SPEED * self.config.frame_time
-        self.max_steps = int(positive(max_steps, "max_steps", zero=False))
+        self.max_steps = whole(max_steps, "max_steps", 1)
         self._world: World | None = None
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
-        sizes = {"points": n_points, "grippers": 2, "target": len(self.target.centre_line)}
+        sizes = {"points": self.n_points, "grippers": 2, "target": len(self.target.centre_line)}
         places = {name: spaces.Box(-_ROOM, _ROOM, (size, 3), np.float32) for name, size in sizes.items()}
         self.observation_space = spaces.Dict({**places, "held": spaces.Discrete(2)})
 
@@ -148,11 +147,11 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             When the action is not seven finite numbers.
         """
         self._running()
-        move = np.clip(np.asarray(action, dtype=np.float64), -1, 1)
+        move = as_reals(action, "action").astype(np.float64)
         if move.shape != (7,) or not np.isfinite(move).all():
             raise ValueError(f"an action is seven finite numbers, not {action!r}")
         points, linked, distance = self._points, self._linked, self._distance
-        self._advance(self.max_step * move[:6].reshape(2, 3), release=move[6] > 0.5)
+        self._advance(self.max_step * np.clip(move[:6], -1, 1).reshape(2, 3), release=move[6] > 0.5)
         torn = False
         try:
             check_stretch(self.garment, self.config, self._points, f"step {self._steps}")

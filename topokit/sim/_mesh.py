@@ -77,6 +77,8 @@ def from_mesh(
     if size is not None and scale is not None:
         raise ValueError("give size or scale, not both")
     vertices, polygons = read_mesh(path)
+    if sum(len(polygon) ** 2 for polygon in polygons) > 3e7:  # some seconds of cutting them into triangles
+        raise ValueError(f"{path}: {len(polygons)} faces are more than can be cut into triangles; decimate it")
     said: list[str] = []
     try:
         faces, vertex_of, names = _repaired(vertices, polygons, weld, said)

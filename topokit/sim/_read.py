@@ -88,7 +88,9 @@ def _stl(data: bytes) -> tuple[Array, Polygons]:
         corners = np.array(rows, dtype=np.float64).reshape(-1, 3)
     else:
         raise ValueError(f"neither ASCII STL nor whole binary STL: {len(data)} bytes; it counts {count} triangles")
-    return corners.astype(np.float64), np.arange(len(corners)).reshape(-1, 3).tolist()
+    with np.errstate(invalid="ignore"):  # of a NaN that signals
+        corners = corners.astype(np.float64)
+    return corners, np.arange(len(corners)).reshape(-1, 3).tolist()
 
 
 def _ply(data: bytes) -> tuple[Array, Polygons]:
@@ -102,30 +104,28 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
     if kind not in orders:
         raise ValueError(f"PLY format {kind!r}; expected one of {', '.join(orders)}")
     take = _taker(body, orders[kind])
-    rows: dict[str, list[dict[str, list[float]]]] = {"vertex": [], "face": []}
+    vertices: list[list[float]] = []
+    polygons: Polygons = []
     elements = _ply_elements(header)
     try:
         for name, count, properties in elements:
-            row = sum(struct.calcsize(types[0]) if orders[kind] else 2 for _, types in properties)  # bytes, at least
-            if not 0 <= count * row <= len(body) + 1:
+            if properties and not 0 <= count <= len(body):  # a row of anything takes a byte or more
                 raise ValueError(f"the file has {len(body)} bytes for them")
-            rows[name] = [
-                {key: _ply_numbers(take, *types) for key, types in properties} for _ in range(count if row else 0)
-            ]
-    except (ValueError, OverflowError, StopIteration, struct.error) as error:
-        raise ValueError(f"cut off or damaged among the {count} rows of its element {name!r}: {error}") from error
-    try:
-        vertices = np.array([[row[axis][0] for axis in "xyz"] for row in rows["vertex"]]).reshape(-1, 3)
-        lists = [row["vertex_index"] if "vertex_index" in row else row["vertex_indices"] for row in rows["face"]]
+            for _ in range(count if properties else 0):
+                row = {key: _ply_numbers(take, *types) for key, types in properties}
+                if name == "vertex":
+                    vertices.append([row[axis][0] for axis in "xyz"])
+                elif name == "face":
+                    polygons.append(list(map(int, row["vertex_index" if "vertex_index" in row else "vertex_indices"])))
     except KeyError as error:
         raise ValueError("its vertices have no x, y and z, or its faces no list vertex_indices") from error
-    short = next((i for i, polygon in enumerate(lists) if len(polygon) < 3), None)
+    except (ValueError, IndexError, OverflowError, StopIteration, struct.error) as error:
+        where = f"cut off or damaged among the {count} rows of its element {name!r}"
+        raise ValueError(f"{where}: {str(error) or 'the file ends there'}") from error
+    short = next((i for i, polygon in enumerate(polygons) if len(polygon) < 3), None)
     if short is not None:
-        raise ValueError(f"face {short} has {len(lists[short])} corners; three at least make a face")
-    try:
-        return vertices, [list(map(int, polygon)) for polygon in lists]
-    except (ValueError, OverflowError) as error:
-        raise ValueError(f"a face names a vertex by no whole number: {error}") from error
+        raise ValueError(f"face {short} has {len(polygons[short])} corners; three at least make a face")
+    return np.array(vertices).reshape(-1, 3), polygons
 
 
 def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
@@ -137,8 +137,8 @@ def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
             if line[:1] == ["element"]:
                 elements.append((line[1], int(line[2]), []))
             elif line[:1] == ["property"]:
-                types = line[2:4] if line[1] == "list" else line[1:2]
-                elements[-1][2].append((line[-1], [_PLY_TYPES[kind] for kind in types]))
+                _, *types, name = line if line[1] != "list" or len(line) < 5 else line[1:]
+                elements[-1][2].append((name, [_PLY_TYPES[kind] for kind in types]))
     except (IndexError, KeyError, ValueError) as error:
         raise ValueError(f"a line of the PLY header is not understood: {' '.join(line)!r}") from error
     return elements

@@ -19,7 +19,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_ids, as_points
+from topokit._validate import as_ids, as_points, as_reals
 from topokit.io import Episode
 from topokit.rips import Diagram
 from topokit.state import Loop, TopologicalState
@@ -93,7 +93,7 @@ class Scene:
 
 def triples(values: ArrayLike | None, name: str, kind: type[np.generic] = np.float64) -> NDArray[Any]:
     """Points in space or triangles as (K, 3), K = 0 for None or nothing; ValueError when they are none."""
-    array = np.zeros((0, 3), kind) if values is None or not np.size(values) else np.asarray(values, kind)
+    array = np.zeros((0, 3), kind) if values is None or not np.size(values) else as_reals(values, name).astype(kind)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"{name} must be a (K, 3) array, not of shape {array.shape}")
     return array

@@ -1,0 +1,331 @@
+"""Coverage-guided fuzz of everything that reads a file or a stream of a stranger, by Atheris.
+
+    pip install atheris                                   # CPython on Linux
+    python tests/fuzz_readers.py ply --runs 200000        # one of READERS
+    python tests/fuzz_readers.py states crash-1234        # again what was found
+
+An input may be refused by a `ValueError` (a `FormatError` is one) or an `OSError`, whose words fit on a screen. Anything else
+stops the run and leaves the input in a file: another exception, which would be a traceback from somewhere inside; ten seconds
+for one input; more memory than `ROOM`. Checksums keep mutated bytes out of what stands behind them; so archives and records
+are taken apart, changed part by part, and sealed anew, as a stranger would.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import os
+import resource
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import atheris
+import numpy as np
+
+KERNELS = ("_edges", "_creators", "_tree", "_lunes", "_cloud", "_cycles", "_jit", "kernel")
+with atheris.instrument_imports(include=["topokit"], exclude=[f"topokit.rips.{name}" for name in KERNELS]):
+    from topokit import SeqPH, cli, track
+    from topokit import io as episodes
+    from topokit._archive import load_archive
+    from topokit.sim import Garment
+
+LONGEST = 1 << 14  # bytes of an input
+ROOM = 512 << 20  # bytes of address space beside what the libraries have taken
+DATA = Path(__file__).parent.parent / "data_small"
+TYPES = ("u1", "i4", "i8", "u2", "f4", "f8", "?", "U3", "c16", "M8[s]")
+
+
+def mesh(suffix: str) -> Callable[[bytes], object]:
+    """A reader of files of a mesh."""
+    path = FOLDER / f"mesh{suffix}"
+
+    def read(data: bytes) -> None:
+        path.write_bytes(data)
+        Garment.from_mesh(path)
+
+    return read
+
+
+def live(data: bytes) -> None:
+    """What `topokit track --live` reads; clouds of more than a few points are read, and not tracked."""
+    tracker = SeqPH()
+    for cloud in cli._clouds(io.BufferedReader(io.BytesIO(data))):
+        if cloud.size <= 60:
+            json.dumps(tracker.update(cloud).as_dict())
+
+
+def archive(
+    kind: str, text: dict[str, Any], arrays: dict[str, np.ndarray], load: Callable[[Path], object]
+) -> Callable[[bytes], object]:
+    """A reader of archives: of mutated bytes, or of a whole one of which parts were changed."""
+    path = FOLDER / f"{kind}.npz"
+
+    def read(data: bytes) -> object:
+        if data[:2] == b"PK":
+            path.write_bytes(data)
+        else:
+            choose = atheris.FuzzedDataProvider(data)
+            words, parts = dict(text), dict(arrays)
+            for _ in range(choose.ConsumeIntInRange(1, 4)):
+                if choose.ConsumeBool():
+                    change_array(choose, parts)
+                else:
+                    change_words(choose, words)
+            with mock.patch.object(episodes, "load_archive", return_value=(words, parts)):  # as if sealed anew
+                return load(path)
+        return load(path)
+
+    return read
+
+
+def change_array(choose: atheris.FuzzedDataProvider, parts: dict[str, np.ndarray]) -> None:
+    """Take an array out, or change its type, its shape or a value."""
+    name = choose.PickValueInList(sorted(parts) or ["points"])
+    way, old = choose.ConsumeIntInRange(0, 4), parts.get(name, np.zeros(2))
+    if way == 0:
+        parts.pop(name, None)
+    elif way == 1:
+        shape = tuple(choose.ConsumeIntInRange(0, 5) for _ in range(choose.ConsumeIntInRange(0, 4)))
+        kind = np.dtype(choose.PickValueInList(list(TYPES)))
+        content = choose.ConsumeBytes(int(np.prod(shape)) * kind.itemsize)
+        content = content.ljust(int(np.prod(shape)) * kind.itemsize, b"\0")
+        if kind.kind == "U":
+            content = bytes(len(content))
+        parts[name] = np.frombuffer(content, kind).reshape(shape)
+    elif way == 2 and old.ndim:
+        parts[name] = np.moveaxis(old[: choose.ConsumeIntInRange(0, 3)], 0, -1)
+    elif old.size and old.dtype.kind in "iuf":
+        parts[name] = old = old.copy()
+        value = choose.PickValueInList([-1, 0, 1, 2, 2**31 - 1, 2**63 - 1, float("nan"), float("inf"), 1e300, 5e-324])
+        with (
+            np.errstate(all="ignore"),
+            warnings.catch_warnings(action="ignore"),
+            contextlib.suppress(OverflowError, ValueError),
+        ):
+            old.reshape(-1)[choose.ConsumeIntInRange(0, old.size - 1)] = value
+
+
+def value(choose: atheris.FuzzedDataProvider, depth: int = 0) -> Any:
+    """Something that JSON can hold."""
+    kind = choose.ConsumeIntInRange(0, 8 if depth < 3 else 5)
+    if kind == 6:
+        return [value(choose, depth + 1) for _ in range(choose.ConsumeIntInRange(0, 3))]
+    if kind == 7:
+        return {word(choose): value(choose, depth + 1) for _ in range(choose.ConsumeIntInRange(0, 3))}
+    plain = [None, True, choose.ConsumeInt(4), choose.ConsumeFloat(), word(choose), 10**30]
+    return plain[kind] if kind < 6 else [[]]
+
+
+def word(choose: atheris.FuzzedDataProvider) -> str:
+    """A string; JSON holds no lone surrogates."""
+    return choose.ConsumeUnicodeNoSurrogates(choose.ConsumeIntInRange(0, 6))
+
+
+def change_words(choose: atheris.FuzzedDataProvider, words: Any) -> None:
+    """Take an entry out of a document, or put another in its place, here or deeper."""
+    keys = list(range(len(words))) if isinstance(words, list) else sorted(words)
+    if not keys:
+        return
+    key = choose.PickValueInList(keys)
+    if isinstance(words[key], (dict, list)) and choose.ConsumeIntInRange(0, 3):
+        words[key] = words[key].copy()
+        change_words(choose, words[key])
+    elif choose.ConsumeIntInRange(0, 3):
+        words[key] = value(choose)
+    else:
+        del words[key]
+
+
+def episode() -> Callable[[bytes], object]:
+    text, arrays = load_archive(DATA / "apron_hook_0.npz", "topokit-episode")
+    for name in ("points", "observed"):
+        arrays[name] = arrays[name][:3, :40]
+    for name in ("actions", "grippers", "held"):
+        arrays[name] = arrays[name][:3]
+    arrays["faces"], text["provenance"] = arrays["faces"][(arrays["faces"] < 40).all(axis=1)], {}
+    arrays["loop_vertices"], arrays["loop_lengths"] = np.arange(9, dtype=np.int32), np.array([4, 5], np.int32)
+    return archive("topokit-episode", text, arrays, episodes.load_episode)
+
+
+def states() -> Callable[[bytes], object]:
+    angle = np.arange(20) * np.pi / 10
+    ring = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    path = episodes.save_states(FOLDER / "template.npz", track([ring, np.zeros((1, 3)), ring * 1.01], alpha=0.1))
+
+    def load(path: Path) -> None:
+        for state in episodes.load_states(path):
+            for loop in state.loops:
+                json.dumps([loop.centre.tolist(), loop.quadrilateral.tolist()])
+                with contextlib.suppress(LookupError):  # files of the first schema know no cycles
+                    json.dumps(loop.cycle_points.tolist())
+
+    return archive("topokit-states", *load_archive(path, "topokit-states"), load)
+
+
+def checkpoint() -> Callable[[bytes], object]:
+    """A checkpoint of which the description was changed, or its header's bytes."""
+    from topokit.models import load_model
+
+    whole, path = (
+        min((DATA / "checkpoints").glob("**/*.safetensors"), key=os.path.getsize).read_bytes(),
+        FOLDER / "m.safetensors",
+    )
+    path.write_bytes(whole)
+    load_model(path)  # the first takes seconds
+    size = int.from_bytes(whole[:8], "little")
+    header, body = json.loads(whole[8 : 8 + size]), whole[8 + size :]
+
+    def read(data: bytes) -> None:
+        choose = atheris.FuzzedDataProvider(data)
+        if choose.ConsumeBool():
+            path.write_bytes(choose.ConsumeBytes(LONGEST))
+        else:
+            changed = json.loads(json.dumps(header))
+            document = json.loads(changed["__metadata__"]["topokit"])
+            if choose.ConsumeIntInRange(0, 3):
+                change_words(choose, document)
+                changed["__metadata__"]["topokit"] = json.dumps(document)
+            else:
+                change_words(choose, changed)
+            content = json.dumps(changed).encode()
+            path.write_bytes(len(content).to_bytes(8, "little") + content + body)
+        load_model(path)
+
+    return read
+
+
+def dataset() -> Callable[[bytes], object]:
+    """A dataset of one episode, of which a record, the index or the manifest was changed, as JSON or byte by byte."""
+    import shutil
+
+    from topokit.data import Dataset
+
+    folder = FOLDER / "dataset"
+    shutil.copytree(DATA / "dataset", folder)
+    names = ["zarr.json", "index.json", "records/00000000.json"]
+    whole = {name: (folder / name).read_bytes() for name in names if (folder / name).exists()}
+
+    def read(data: bytes) -> None:
+        choose = atheris.FuzzedDataProvider(data)
+        name = choose.PickValueInList(sorted(whole))
+        if choose.ConsumeIntInRange(0, 3):
+            document = json.loads(whole[name])
+            change_words(choose, document)
+            content = json.dumps(document).encode()
+        else:
+            content = choose.ConsumeBytes(LONGEST)
+        (folder / name).write_bytes(content)
+        try:
+            opened = Dataset(folder)
+            opened.checksum(), len(opened.records), repr(opened)
+            if 0 in opened.episodes:
+                with contextlib.suppress(KeyError):  # a mapping's own word for what is not there
+                    opened[0]
+        finally:
+            (folder / name).write_bytes(whole[name])
+
+    return read
+
+
+READERS: dict[str, Callable[[], Callable[[bytes], object]]] = {
+    "ply": lambda: mesh(".ply"),
+    "obj": lambda: mesh(".obj"),
+    "stl": lambda: mesh(".stl"),
+    "live": lambda: live,
+    "episode": episode,
+    "states": states,
+    "checkpoint": checkpoint,
+    "dataset": dataset,
+}
+
+
+def npy(array: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
+
+
+def seeds(reader: str) -> list[bytes]:
+    """Whole inputs to begin with."""
+    places = "0 0 0\n1 0 0\n0 0 1\n1 0 1\n"
+    head = (
+        "ply\nformat {} 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n"
+    )
+    head += "property list uchar int vertex_indices\nend_header\n"
+    rows = np.array(places.split(), "<f4").tobytes()
+    facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 0 1\nendloop\nendfacet\n"
+    corners = np.array([0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 0, 1], "<f4").tobytes() + b"\0\0"
+    triangle = b"\3" + np.array([0, 1, 2], "<i4").tobytes() + b"\3" + np.array([1, 3, 2], "<i4").tobytes()
+    return {
+        "episode": [(DATA / "apron_hook_0.npz").read_bytes()[:LONGEST], bytes(range(40)), b"\1" * 40],
+        "ply": [
+            (head.format("ascii") + places + "3 0 1 2\n3 1 3 2\n").encode(),
+            head.format("binary_little_endian").encode() + rows + triangle,
+            b"ply\nformat ascii 1.0\nelement evil 2000000000\nend_header\n",
+        ],
+        "obj": [b"v 0 0 0\nv 1 0 0\nv 0 0 1\nv 1 0 1\nf 1 2 3\nf 2/1/1 4//2 -2\n"],
+        "stl": [f"solid x\n{facet}endsolid x\n".encode(), b"\0" * 80 + b"\1\0\0\0" + corners],
+        "live": [npy(np.eye(4)) + npy(np.eye(4) * 2), npy(np.zeros((3, 2), "i1"))],
+    }.get(reader, [bytes(range(40)), b"\1" * 40])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("reader", choices=READERS)
+    parser.add_argument("again", nargs="*", help="inputs that were found, to be read again")
+    parser.add_argument("--runs", type=int, default=100_000)
+    options = parser.parse_args()
+    track([np.eye(4)])  # kernels are compiled, or read, before an input is timed
+    read = READERS[options.reader]()
+    warnings.simplefilter("error")  # NumPy's of overflow: then a number was not checked
+    logging_off()
+    counts = {"read": 0, "refused": 0}
+
+    def one(data: bytes) -> None:
+        try:
+            read(data)
+            counts["read"] += 1
+        except (ValueError, OSError) as error:
+            counts["refused"] += 1
+            if not 0 < len(str(error)) < 2000:
+                raise AssertionError("the message is empty, or fills the screen") from error
+
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (taken + ROOM, -1))
+    corpus = FOLDER / "corpus"
+    corpus.mkdir()
+    for number, seed in enumerate(seeds(options.reader)):
+        (corpus / str(number)).write_bytes(seed)
+    flags = [
+        f"-runs={options.runs}",
+        f"-max_len={LONGEST}",
+        "-timeout=10",
+        "-rss_limit_mb=0",
+        "-print_final_stats=1",
+        "-seed=1",
+    ]
+    atheris.Setup([sys.argv[0], *flags, *(options.again or [str(corpus)])], one)
+    import atexit
+
+    atexit.register(lambda: print(f"{options.reader}: {counts}", flush=True))
+    atheris.Fuzz()
+
+
+def logging_off() -> None:
+    """Repairs of meshes are logged as warnings."""
+    import logging
+
+    logging.disable(logging.CRITICAL)
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as name:
+        FOLDER = Path(name)
+        main()
