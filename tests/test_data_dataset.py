@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import fsspec
 import numpy as np
 import pytest
+import zarr
 from distributed import KilledWorker
 
 from topokit import track
@@ -83,10 +84,10 @@ def test_what_a_dataset_says_of_itself(made):
 
 def test_units_are_in_the_attributes(made):
     for name in ("points", "actions", "grippers", "centre_line"):
-        attributes = dict(Dataset(made).group.array(name).attrs)
+        attributes = dict(zarr.open_array(made / name, mode="r").attrs)
         assert attributes["units"] == "m"
         assert attributes["scale_factor"] == 1e-4
-    columns = Dataset(made).labels("full").array("values").attrs["columns"]
+    columns = zarr.open_array(made / "labels" / "full" / "values", mode="r").attrs["columns"]
     assert columns[:3] == ["birth", "death", "step"]
 
 
@@ -270,7 +271,12 @@ def record(folder, i=0):
             "belongs to no record",
         ),
         (lambda f: (f / "index.json").write_text("{}"), "index.json", "a damaged index"),
-        (lambda f: edit(f / "index.json", lambda d: d["sha256"].reverse()), "index.json", "not what its record says"),
+        (lambda f: edit(f / "index.json", lambda d: d["sha256"].reverse()), "index.json", "its checksum is another"),
+        (
+            lambda f: edit(f / "index.json", lambda d: (d.pop("checksum"), d["sha256"].reverse())),
+            "index.json",
+            "not what its record says",
+        ),
         (lambda f: flip(first(f, "labels/full/id")), "labels/full/id/c.0", "is damaged"),
         (lambda f: (f / "labels/full/zarr.json").write_text("x"), "labels/full", "not the group of a topokit dataset"),
         (

@@ -152,7 +152,8 @@ def test_killed_while_the_folder_is_made_it_goes_on(started, tmp_path, monkeypat
 
 
 def test_two_commands_do_not_write_to_one_folder(started):
-    with _generate.locked(started), pytest.raises(OSError, match="another topokit command is writing"):
+    manifest = Dataset(started).group.manifest
+    with _group.writing(started, manifest, ()), pytest.raises(OSError, match="another topokit command is writing"):
         generate_dataset(TINY, started, 4, SEED, progress=False)
 
 

@@ -523,3 +523,25 @@ def test_an_interrupt_in_compiled_code_is_one(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(_forecasts, "_measured", broken)
     with pytest.raises(SystemError, match="broken"):
         cli.main(["evaluate", str(given), "--out", str(tmp_path / "r.json")])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {},
+        {"conditions": {}},
+        {"conditions": []},
+        {"conditions": {"one": {}}, "horizons": ["15"]},
+        {"conditions": {"one": {"hull_accuracy": {"ours": 3}}}, "horizons": 15},
+    ],
+)
+def test_results_with_a_part_missing_say_so(tmp_path, content):
+    (tmp_path / "r.json").write_text(json.dumps({"kind": "topokit-evaluation", **content}))
+    with pytest.raises(FormatError, match=r"r\.json: a part is missing or of another kind"):
+        write_report(tmp_path / "r.json", tmp_path / "out")
+
+
+def test_results_too_deep_to_read_are_refused(tmp_path):
+    (tmp_path / "r.json").write_text("[" * 100_000)
+    with pytest.raises(FormatError, match="holds no results"):
+        read_results(tmp_path / "r.json")

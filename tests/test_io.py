@@ -134,6 +134,9 @@ def test_other_archives(tmp_path):
     states = save_states(tmp_path / "states.npz", track([polygon(9)], alpha=0.1))
     with pytest.raises(FormatError, match="holds a topokit states, not a topokit episode"):
         load_episode(states)
+    np.savez(tmp_path / "objects.npz", points=np.array([{}], dtype=object))
+    with pytest.raises(FormatError, match="topokit did not write"):
+        load_episode(tmp_path / "objects.npz")
     with np.load(states) as archive:
         np.savez(tmp_path / "objects.npz", json=archive["json"], birth=np.array([{}], dtype=object))
     with pytest.raises(FormatError, match="pickle"):
@@ -212,13 +215,14 @@ def peak_while_refused(path: Path, says: str) -> int:
 def test_the_kind_is_looked_at_before_an_array_is_unpacked(tmp_path):
     np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros(20_000_000, np.uint8))
     assert peak_while_refused(tmp_path / "bomb.npz", "topokit did not write") < 1_000_000
-    words = np.frombuffer(json.dumps({"kind": "topokit-states"}).encode(), np.uint8)
+    words = np.frombuffer(json.dumps({"kind": "topokit-states", "sha256": ""}).encode(), np.uint8)
     np.savez_compressed(tmp_path / "bomb.npz", json=words, points=np.zeros(20_000_000, np.uint8))
     assert peak_while_refused(tmp_path / "bomb.npz", "holds a topokit states") < 1_000_000
 
 
-def test_an_archive_that_would_unpack_to_far_more_than_it_is_is_refused(tmp_path):
-    words = np.frombuffer(json.dumps({"kind": "topokit-episode"}).encode(), np.uint8)
+def test_an_archive_that_would_unpack_to_far_more_than_it_is_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(_archive, "FREE", 2**20)
+    words = np.frombuffer(json.dumps({"kind": "topokit-episode", "sha256": ""}).encode(), np.uint8)
     np.savez_compressed(tmp_path / "bomb.npz", json=words, points=np.zeros(80_000_000, np.uint8))
     assert peak_while_refused(tmp_path / "bomb.npz", r"bytes claim to hold 8\d{7}") < 1_000_000
 
@@ -257,7 +261,7 @@ def test_words_too_deep_to_read_are_refused(tmp_path):
 
 
 def test_what_is_so_dense_that_it_looks_like_a_bomb_is_read_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(_archive, "_PLENTY", 10_000)
+    monkeypatch.setattr(_archive, "FREE", 10_000)
     still = np.zeros((500, 100, 3), np.float32)
     flat = dataclasses.replace(
         small_episode(500), points=still, observed=still, actions=still[:, :2], grippers=still[:, :2], loops=()
@@ -346,6 +350,22 @@ def test_changed_words_of_states_are_noticed(tmp_path):
     path = save_states(tmp_path / "states.npz", track([polygon(20)], alpha=0.1))
     with pytest.raises(FormatError, match="checksum does not match"):
         load_states(edited(path, parameters=[{"alpha": 9.0}]))
+
+
+def test_a_changed_byte_never_gives_other_states(tmp_path):
+    path = save_states(tmp_path / "states.npz", track([polygon(20), polygon(20)], alpha=0.1))
+    raw, whole = path.read_bytes(), [state.as_dict() for state in load_states(path)]
+    rng = np.random.default_rng(0)
+    refused, places = 0, rng.choice(len(raw), 400, replace=False).tolist()
+    for at in places:
+        path.write_bytes(raw[:at] + bytes([raw[at] ^ 1 << rng.integers(8)]) + raw[at + 1 :])
+        try:
+            again = load_states(path)
+        except FormatError:
+            refused += 1
+        else:
+            assert [state.as_dict() for state in again] == whole
+    assert refused > 0.5 * len(places)
 
 
 def test_files_of_the_first_version_still_read(tmp_path):

@@ -88,3 +88,24 @@ sys.exit(__main__.run())
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.npz")], capture_output=True, text=True)
     assert done.returncode == 128 + signal.SIGTERM, done.stderr
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("package", "use"),
+    [
+        ("pydantic", "from topokit.sim import SimulationConfig"),
+        ("gymnasium", "from topokit.sim import HangEnv"),
+        ("torch", "from topokit.models import Predictor"),
+        ("torch", "from topokit.evaluate import evaluate_forecasts"),
+        ("matplotlib", "import topokit.view"),
+        (
+            "dask",
+            "from topokit.__main__ import run; sys.argv[1:] = ['generate', '--out', 'x', '--episodes', '1']; run()",
+        ),
+    ],
+)
+def test_what_is_missing_is_named_with_the_extra_that_brings_it(package, use, tmp_path):
+    code = f"import sys\nsys.modules[{package!r}] = None\n{use}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert "pip install 'topokit[" in done.stderr.splitlines()[-1]
+    assert package in done.stderr.splitlines()[-1]

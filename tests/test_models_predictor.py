@@ -477,3 +477,22 @@ def test_weights_that_are_no_numbers_are_refused(tmp_path, bad):
     path = save_tensors(tmp_path / "bad.safetensors", weights, describe(make("mlp"), "mlp", SMALL["mlp"]))
     with pytest.raises(FormatError, match=r"rest\.1\.bias hold a NaN or an infinite number"):
         Predictor.load(path)
+
+
+def test_a_changed_byte_never_gives_another_model(tmp_path, window):
+    path = save(tmp_path / "c.safetensors")
+    raw, whole = path.read_bytes(), load_model(path)
+    header = 8 + int.from_bytes(raw[:8], "little")
+    rng = np.random.default_rng(0)
+    places = [*range(8), *rng.integers(8, header, 250).tolist(), *rng.integers(header, len(raw), 30).tolist()]
+    refused = 0
+    for at in places:
+        path.write_bytes(raw[:at] + bytes([raw[at] ^ 1 << rng.integers(8)]) + raw[at + 1 :])
+        try:
+            model, description = load_model(path)
+        except FormatError:
+            refused += 1
+        else:  # a blank of the header, or a place where JSON says the same in other words
+            assert description == whole[1]
+            assert all(torch.equal(part, model.state_dict()[name]) for name, part in whole[0].state_dict().items())
+    assert refused > 0.9 * len(places)

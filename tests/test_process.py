@@ -78,6 +78,19 @@ def test_a_module_in_the_working_directory_is_not_run(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 cannot leave it out")
+def test_a_module_in_the_working_directory_is_not_run_by_a_worker(tmp_path, monkeypatch):
+    """Dask starts its own with `python -c`."""
+    pytest.importorskip("distributed")
+    from topokit.data._generate import Cluster, run_jobs
+
+    (tmp_path / "multiprocessing.py").write_text("raise SystemExit('what lies around was run')\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    assert list(run_jobs(abs, [-3], Cluster(None, 1, None))) == [(-3, 3)]
+    assert "PYTHONSAFEPATH" not in os.environ
+
+
 def test_a_system_without_forks_is_told_so():
     done = subprocess.run([sys.executable, "-c", WITHOUT_FORK], capture_output=True, text=True)
     assert "processes can fork" in done.stdout, done.stderr

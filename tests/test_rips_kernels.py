@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import resource
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -12,7 +15,7 @@ import numpy as np
 import pytest
 
 from topokit import rips_persistence, rips_persistence_many
-from topokit.rips import _cloud, _edges, _jit, _tree, kernel
+from topokit.rips import _cloud, _edges, _jit, _tree, kernel, tighten
 
 from clouds import compiled, gudhi_pairs, sorted_pairs
 from conftest import polygon
@@ -71,6 +74,44 @@ def test_coordinates_at_the_ends_of_floating_point(size):
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * size
     assert rips_persistence(square).killer_edge.tolist() == [[0, 2]]
     assert rips_persistence(square - size).killer_edge.tolist() == [[0, 2]]
+
+
+@pytest.mark.parametrize("metric", ["euclidean", "precomputed"])
+@pytest.mark.parametrize("exponent", [-1070, -1022, -1000, -540, 510, 1000, 1019])
+def test_a_cloud_at_any_scale_is_the_same_cloud(metric, exponent):
+    """Also where births and deaths lose their digits, as tiny numbers do."""
+    data = np.random.default_rng(3).integers(0, 16, (24, 3)).astype(float)
+    if metric == "precomputed":
+        data = np.rint(4 * np.sqrt(_cloud.squares(data[:, None], data[None]))) / (1 if exponent < 0 else 16)
+    one, other = rips_persistence(data, metric=metric), rips_persistence(np.ldexp(data, exponent), metric=metric)
+    assert len(one) > 2
+    for name in ("birth", "death"):
+        np.testing.assert_array_equal(getattr(other, name), np.ldexp(getattr(one, name), exponent))
+    for name in ("birth_edge", "killer_edge", "killer_triangles"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(one, name))
+    for i in range(len(one)):
+        assert other.neighbours(i).tolist() == one.neighbours(i).tolist()
+        assert other.cycle(i).tolist() == one.cycle(i).tolist()
+        assert tighten(other, other.cycle(i)).tolist() == tighten(one, one.cycle(i)).tolist()
+
+
+def test_half_a_length_that_is_a_number_is_an_answer():
+    wide = rips_persistence([[-1e308, 0], [1e308, 0], [0, 1e308], [0, -1e308]])
+    assert wide.death.tolist() == [1e308]
+    assert wide.killer_edge.tolist() == [[0, 1]]
+    assert len(wide.neighbours(0)) == 4
+    with pytest.raises(ValueError, match=r"points reach 1\.7e\+308, and half their distances overflow"):
+        rips_persistence([[-1.7e308] * 3, [1.7e308] * 3, [0] * 3, [1] * 3])
+
+
+def test_what_differs_too_much_for_one_unit_is_refused():
+    with pytest.raises(ValueError, match=r"points\[1\] and points\[3\] are nearer to each other"):
+        rips_persistence([[0, 1], [1e-200, 0], [1, 1], [0, 0]])
+    assert len(rips_persistence([[0, 1], [1, 1e-200], [1, 1], [0, 1e-170]])) == 1
+    matrix = (1.0 - np.eye(5)) * 1e300
+    matrix[1, 2] = matrix[2, 1] = 1e-100
+    with pytest.raises(ValueError, match=r"holds 1e-100 and 1e\+300"):
+        rips_persistence(matrix, metric="precomputed")
 
 
 def test_max_radius_whose_square_overflows():
@@ -135,13 +176,12 @@ def test_places_decide_as_the_distances_do(shape):
 
 
 @compiled
-@compiled
 def test_windows_of_edges_are_bounded_and_leave_none_out():
     cloud = _cloud.Cloud.of(np.random.default_rng(12).random((3100, 2)))
     tree = _tree.build_tree(cloud.data, cloud.axes)
-    room, shortest, count, before = _edges.new_room(1 << 16), 0.0, 0, -1.0
+    room, shortest, count, before, halt = _edges.new_room(1 << 16), 0.0, 0, -1.0, np.zeros(1, np.int64)
     while shortest < 4:
-        room, m, bound = _edges.edges_between(tree.points, cloud.axes, tree, shortest, 5.0, room, 1 << 40)
+        room, m, bound = _edges.edges_between(tree.points, cloud.axes, tree, shortest, 5.0, room, 1 << 40, halt)
         lengths = room.lengths[:m]
         assert m <= len(room.found) == _edges.WINDOW
         assert before <= lengths[0]
@@ -153,7 +193,8 @@ def test_windows_of_edges_are_bounded_and_leave_none_out():
 
 def test_more_points_than_memory_is_allowed_for():
     with pytest.raises(
-        MemoryError, match=r"4\.3 GB for one cloud, and these 200000 points need 5\.0 GB.*farthest_point_sample"
+        MemoryError,
+        match=r"4\.3 GB and 300 seconds for one cloud, and these 200000 points need .* 5\.5 GB.*farthest_point_sample",
     ):
         rips_persistence(np.random.default_rng(0).random((200_000, 3)))
 
@@ -170,6 +211,60 @@ def test_more_edges_or_loops_than_memory_is_allowed_for(monkeypatch):
         monkeypatch.setattr(_cloud, "MEMORY", len(cloud) * ((len(cloud) + 63) // 64) * 8 + spare)
         with pytest.raises(MemoryError, match=f"these {len(cloud)} points need more.*{what}.*farthest_point_sample"):
             rips_persistence(cloud, metric=metric)
+
+
+@compiled
+def test_a_refusal_gives_memory_back(monkeypatch):
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        pytest.skip("only Linux tells what a process holds")
+    cloud, held = np.random.default_rng(0).random((8192, 3)), []
+    monkeypatch.setattr(_cloud, "MEMORY", 8192 * 1024 + 2_000_000)
+    for _ in range(12):
+        with pytest.raises(MemoryError, match="loops"):
+            rips_persistence(cloud)
+        held.append(int(statm.read_text().split()[1]) * resource.getpagesize())
+    assert held[-1] - held[2] < 4 * 8192 * 1024  # nine refusals
+
+
+def torus(n: int) -> np.ndarray:
+    a, b = 2 * np.pi * np.random.default_rng(0).random((2, n))
+    return np.column_stack([(1 + 0.35 * np.cos(b)) * np.cos(a), (1 + 0.35 * np.cos(b)) * np.sin(a), 0.35 * np.sin(b)])
+
+
+@compiled
+@pytest.mark.parametrize(
+    "call",
+    [lambda cloud: rips_persistence(cloud, time_limit=np.inf), lambda cloud: rips_persistence_many([cloud] * 2, 1)],
+    ids=["one", "many"],
+)
+def test_a_long_computation_hears_an_interrupt(call):
+    cloud = torus(12_000)
+    rips_persistence(cloud[:100])
+    start, main = time.process_time(), threading.main_thread().ident
+    threading.Timer(0.2, signal.pthread_kill, (main, signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        call(cloud)
+    assert time.process_time() - start < 3  # of ten seconds of the processor, or twenty
+
+
+@compiled
+def test_what_would_take_long_is_refused_and_what_does_is_stopped(monkeypatch):
+    cloud = torus(8192)
+    rips_persistence(cloud[:100])
+    start = time.process_time()
+    with pytest.raises(ValueError, match=r"may take 4\.3 GB and 0\.1 seconds .* these 8192 points need more"):
+        rips_persistence(cloud, time_limit=0.1)
+    monkeypatch.setattr(_cloud, "_ESTIMATED", 8192)
+    with pytest.raises(ValueError, match=r"need about 0\.\d minutes and 0\.5 GB; .*max_radius.*\(time_limit\)"):
+        rips_persistence(cloud, time_limit=0.1)
+    assert time.process_time() - start < 2  # of four
+    flat = np.random.default_rng(0).random((8192, 2))
+    same(rips_persistence(flat), rips_persistence(flat, time_limit=np.inf))
+    matrix = np.sqrt(_cloud.squares(cloud[:1100, None], cloud[None, :1100]))
+    with pytest.raises(ValueError, match="these 1100 points need about"):
+        rips_persistence(matrix, metric="precomputed", time_limit=0.001)
+    assert len(rips_persistence(matrix, metric="precomputed")) > 2
 
 
 @compiled

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from topokit import covering_radius, farthest_point_sample, hausdorff
+from topokit import SeqPH, covering_radius, farthest_point_sample, hausdorff
 from topokit.sampling import spacing
 
 LINE = np.array([[3.0], [4.0], [5.0], [9.0], [4.5]])
@@ -94,3 +94,15 @@ def test_distances_that_search_for_few_points_are_those_of_all(d, motion):
         own = cdist(after, after) + np.diag(np.full(n, np.inf))
         for cloud in (after, np.concatenate([after, after[: n // 2]])):
             assert spacing(cloud) == pytest.approx(own.min(axis=1).max() / 2, rel=1e-14)
+
+
+@pytest.mark.parametrize("size", [1e-320, 1e-170, 1e160, 1e300])
+def test_no_distance_becomes_zero_or_infinite(size):
+    cloud = np.random.default_rng(0).random((20, 3)) * size
+    for call in (spacing, lambda c: farthest_point_sample(c, 5), lambda c: hausdorff(c, c[:5]), SeqPH().update):
+        with pytest.raises(ValueError, match=r"coordinates of up to .* another unit"):
+            call(cloud)
+    with pytest.raises(ValueError, match="coordinates of up to"):
+        covering_radius(cloud, np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="differ so little"):
+        spacing([[1, 0], [1, 1e-170], [2, 0], [2, 1e-170]])

@@ -117,7 +117,7 @@ def test_what_does_not_fit_into_the_memory_is_refused_before_it_is_taken(options
 
 
 def test_pictures_and_rings_of_cameras_have_a_largest_size():
-    with pytest.raises(ValueError, match="width: .* less than or equal to 4096"):
+    with pytest.raises(ValueError, match=r"width: .* less than or equal to 4096"):
         Camera(width=10**9)
     with pytest.raises(ValueError, match="0 to 100 cameras, not 1000000000"):
         cameras_around(n=10**9)

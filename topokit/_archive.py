@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _VERSION = 2  # of the checksum: the first covered the arrays alone, and still reads
-_PLENTY, _RATIO = 1 << 26, 50  # bytes that any archive may hold; times its own size that a larger one may
+FREE, RATIO = 2**28, 100  # what a file may unpack to: so many bytes, and so many times its own
 
 
 class FormatError(ValueError):
@@ -35,6 +35,14 @@ def existing(path: str | Path) -> Path:
     return path
 
 
+def read_json(content: bytes | str) -> Any:
+    """What JSON of any origin holds; a ValueError also when it is nested so deeply that Python gives up."""
+    try:
+        return json.loads(content)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
 def save_archive(path: str | Path, kind: str, text: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Path:
     """Write arrays and a JSON document to one `.npz`, both checksummed; same input, same bytes."""
     path = Path(path)
@@ -45,7 +53,7 @@ def save_archive(path: str | Path, kind: str, text: dict[str, Any], arrays: dict
     parts = {**arrays, "json": np.frombuffer(json.dumps(document, sort_keys=True).encode(), dtype=np.uint8)}
     with atomic_file(path) as handle:
         _write(handle, parts, zipfile.ZIP_DEFLATED)
-        if 2 * sum(part.nbytes for part in parts.values()) > max(_PLENTY, _RATIO * handle.tell()):
+        if 2 * sum(part.nbytes for part in parts.values()) > FREE + RATIO * handle.tell():
             handle.seek(0)
             handle.truncate()
             _write(handle, parts, zipfile.ZIP_STORED)  # so dense, it would not be read
@@ -65,7 +73,8 @@ def _write(handle: IO[bytes], parts: dict[str, NDArray[Any]], method: int) -> No
 def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read what `save_archive` wrote: the JSON document (without kind and checksum) and the arrays."""
     path = existing(path)
-    if path.stat().st_size == 0:
+    size = path.stat().st_size
+    if size == 0:
         raise FormatError(f"{path}: the file is empty (0 bytes)")
     with path.open("rb") as handle:
         if handle.read(4) != b"PK\x03\x04":
@@ -73,17 +82,16 @@ def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str,
         handle.seek(0)
         try:
             with np.load(handle, allow_pickle=False) as archive:
-                _check_size(archive.zip.infolist(), path.stat().st_size)
-                document = _document(archive, path, kind)
+                _check_size(archive.zip.infolist(), size)
+                document, digest = _document(archive, path, kind)
                 arrays = {name: archive[name] for name in archive.files if name != "json"}
         except FormatError:
             raise
         except Exception as error:  # damage shows in a dozen ways: bad zip, bad deflate, unknown compression
             raise FormatError(f"{path}: the file is truncated or damaged ({error}); copy or record it again") from error
     for name, part in arrays.items():
-        if part.size == 0 and max(part.shape) > _PLENTY // 64:  # lists made of its nothings would fill the memory
+        if part.size == 0 and max(part.shape) > FREE // 256:  # lists made of its nothings would fill the memory
             raise FormatError(f"{path}: {name} is empty and claims the shape {part.shape}")
-    digest = document.pop("sha256", None)
     if _digest(arrays, document if "archive" in document else None) != digest:
         raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy or record it again")
     return {name: value for name, value in document.items() if name not in ("kind", "archive")}, arrays
@@ -92,24 +100,24 @@ def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str,
 def _check_size(entries: list[zipfile.ZipInfo], size: int) -> None:
     """Whether an archive of so many bytes may hold these entries."""
     whole = sum(entry.file_size for entry in entries)
-    if whole > max(_PLENTY, _RATIO * size):
+    if whole > FREE + RATIO * size:
         raise ValueError(f"its {size} bytes claim to hold {whole}")
     for entry in entries:
         if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # the others unpack without bound
             raise ValueError(f"{entry.filename} is packed by another method than deflate")
 
 
-def _document(archive: Any, path: Path, kind: str) -> dict[str, Any]:
-    """The JSON of an archive of a kind, looked at before its arrays."""
+def _document(archive: Any, path: Path, kind: str) -> tuple[dict[str, Any], Any]:
+    """The JSON document of an archive of that kind, and the checksum that it held."""
     what = kind.replace("topokit-", "topokit ")
     try:
-        document: dict[str, Any] = json.loads(archive["json"].tobytes())
-        found = document["kind"]
-    except (KeyError, ValueError, AttributeError, TypeError, RecursionError) as error:
+        document = read_json(archive["json"].tobytes())
+        found, digest = document["kind"], document.pop("sha256")
+    except (KeyError, ValueError, AttributeError, TypeError) as error:
         raise FormatError(f"{path}: not a {what}: an .npz archive that topokit did not write") from error
     if found != kind:
         raise FormatError(f"{path}: holds a {str(found).replace('topokit-', 'topokit ')}, not a {what}")
-    return document
+    return document, digest
 
 
 @contextlib.contextmanager

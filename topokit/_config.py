@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from typing_extensions import dataclass_transform
 
-from ._archive import existing
+from ._archive import existing, read_json
 
 T = TypeVar("T")
 
@@ -44,9 +44,13 @@ def checked(kind: type[T]) -> type[T]:
 def from_mapping(kind: type[T], entries: Any, where: str) -> T:
     """A checked dataclass from plain numbers, strings, lists and dicts, nested ones too; errors name `where` and the entry."""
     if not isinstance(entries, Mapping):
-        raise ValueError(f"{where} must be an object with named entries, not {entries!r}")
+        raise ValueError(f"{where} must be an object with named entries, not {entries!r:.200}")
     try:
-        return TypeAdapter(kind).validate_json(json.dumps(dict(entries)))  # JSON, because its lists may be tuples
+        plain = json.dumps(dict(entries), default=str)  # JSON, because its lists may be tuples; TOML has dates, too
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ValueError(f"{where}: {error}") from error
+    try:
+        return TypeAdapter(kind).validate_json(plain)
     except ValidationError as error:
         raise ValueError(f"{where}: {_told(error, kind)}") from error
 
@@ -54,7 +58,7 @@ def from_mapping(kind: type[T], entries: Any, where: str) -> T:
 def load(kind: type[T], path: str | Path) -> T:
     """A checked dataclass from a JSON file, or from TOML when the name says so; errors name the file and the entry."""
     path = existing(path)
-    language, parse = ("TOML", _parse_toml) if path.suffix == ".toml" else ("JSON", json.loads)
+    language, parse = ("TOML", _parse_toml) if path.suffix == ".toml" else ("JSON", read_json)
     try:
         entries = parse(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:  # nested a thousand deep
@@ -83,4 +87,6 @@ def _told(error: ValidationError, kind: Any) -> str:
     if first["type"] == "missing":
         return f"{place!r} is missing"
     message = first["msg"].removeprefix("Value error, ")
-    return message if first["type"] == "value_error" and not place else f"{place}: {message}, not {first['input']!r}"
+    if first["type"] == "value_error" and not place:
+        return message
+    return f"{place}: {message}, not {first['input']!r:.200}"

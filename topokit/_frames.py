@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ._validate import WrongKindError
 from .rips import Diagram
 from .sampling import inliers_and_tree, spacing
 
@@ -90,10 +89,6 @@ def _check_time(frame: int, before: float | None, time: float | None) -> None:
 
 
 def check_diagram(frame: int, diagram: Diagram, n_points: int) -> None:
-    if not isinstance(diagram, Diagram):
-        raise WrongKindError(
-            f"frame {frame}: diagram must be what rips_persistence gives, not {type(diagram).__name__}"
-        )
     if diagram.n_points != n_points:
         raise ValueError(f"frame {frame} has {n_points} points, its diagram is of {diagram.n_points}")
     still_open = int(np.isinf(diagram.death).sum())

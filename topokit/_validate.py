@@ -1,6 +1,7 @@
 """Checks that turn bad input into an error that says what was wrong, where, and what to do."""
 
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,14 +12,12 @@ class WrongKindError(TypeError, ValueError):
     """An argument of the wrong kind: a `TypeError` of ours, which the command line tells from a mistake in the code."""
 
 
-def as_reals(values: object, name: str, ragged: str = "its rows differ in length") -> NDArray[Any]:
+def as_reals(values: Any, name: str, ragged: str = "its rows differ in length") -> NDArray[Any]:
     """An array of real numbers, none of them masked: NumPy would hand on what lies under the mask as if it were meant."""
     for part in values if isinstance(values, (list, tuple)) else [values]:
         if np.ma.is_masked(part):
-            count = np.ma.count_masked(part)
-            raise ValueError(
-                f"{name} has {count} masked entries: leave them out, or put numbers there by .filled(value)"
-            )
+            count = np.ma.getmaskarray(part).sum()
+            raise ValueError(f"{name} has {count} masked entries: leave them out, or give {name}.filled(value)")
     try:
         array = np.asarray(values)
     except ValueError as error:  # ragged nested lists
@@ -29,19 +28,16 @@ def as_reals(values: object, name: str, ragged: str = "its rows differ in length
 
 
 def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False, ask: bool = False) -> NDArray[np.float64]:
-    """A C-contiguous (n, d) float64 array of finite numbers, no memory shared when it is a `copy`, or why it is none.
-
-    Where loops are looked for, `ask` whether so few points of so many coordinates are not coordinates of many points.
-    """
+    """A C-contiguous (n, d) float64 array of finite numbers, no memory shared when it is a `copy`, or why it is none."""
     array = as_reals(points, name)
     if array.ndim != 2 or array.shape[1] == 0:
         more = "; for a sequence of clouds use topokit.track" if array.ndim == 3 else ""
         raise ValueError(f"{name} must be an (n, d) array, one row a point, not of shape {array.shape}{more}")
     n, d = array.shape
-    if ask and 0 < n < 4 and d > 32:
+    if ask and 0 < n < 4 and d > 32:  # where loops are looked for, which no three points have
+        what = f"{name} has {n} rows and {d} columns: are they {d} points in {n} dimensions?"
         raise ValueError(
-            f"{name} has {n} rows and {d} columns: are they {d} points in {n} dimensions? Then give {name}.T, one row a point; "
-            f"if not, they have no loop, as no {n} points have (to be told so, repeat one of them)"
+            f"{what} Then give {name}.T, one row a point; if not, repeat one to be told that there is no loop"
         )
     with np.errstate(over="ignore"):  # of longer floating point: infinite here, and said so
         array = np.array(array, dtype=np.float64, order="C", copy=copy or None)
@@ -59,11 +55,8 @@ def as_sequence(
     sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence", *, copy: bool = False
 ) -> list[NDArray[np.float64]]:
     """A list of (n_t, d) float64 arrays: a camera sees as many points as it sees, but always in as many dimensions."""
-    expected = f"{name} must be a (T, n, d) array or a list of (n, d) arrays"
-    if not isinstance(sequence, Iterable):
-        raise WrongKindError(f"{expected}, not {sequence!r}")
     if isinstance(sequence, np.ndarray) and sequence.ndim != 3:
-        raise ValueError(f"{expected}, not of shape {sequence.shape}")
+        raise ValueError(f"{name} must be a (T, n, d) array or a list of (n, d) arrays, not of shape {sequence.shape}")
     clouds: list[NDArray[np.float64]] = []
     for frame, cloud in enumerate(sequence):  # type: ignore[arg-type]
         array = as_points(cloud, f"{name}[{frame}]", copy=copy, ask=True)
@@ -78,10 +71,7 @@ def positive(value: float, name: str, *, zero: bool = True, infinite: bool = Fal
     """Return `value` as a float, or say that it must be a (finite) number that is not negative."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise WrongKindError(f"{name} must be a number, not {value!r}")
-    try:
-        number = float(value)
-    except OverflowError:  # a whole number beyond floating point
-        number = float("inf") if value > 0 else float("-inf")
+    number = float(value if not abs(value) > sys.float_info.max else "inf" if value > 0 else "-inf")
     if np.isnan(number) or number < 0 or (number == 0 and not zero) or (np.isinf(number) and not infinite):
         bound = "zero or more" if zero else "more than zero"
         raise ValueError(f"{name} must be {bound}{'' if infinite else ' and finite'}, not {value!r}")

@@ -30,14 +30,6 @@ _TASKS = """tasks, a garment and a target:
   {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2}-hook
   {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2}-hanger
   {apron,apron2,backpack,shirt,vest}-mannequin"""
-_REMEDY = {
-    errno.EPIPE: "who reads it has stopped; files are written all the same",
-    errno.ENOSPC: "make room, and give the same command again",
-    errno.EDQUOT: "make room, and give the same command again",
-    errno.EROFS: "name a place that can be written to",
-    errno.EACCES: "name a place that you may read and write",
-    errno.ENAMETOOLONG: "give a shorter name",
-}
 _PICTURES = (".png", ".svg", ".pdf")
 _LARGEST_FRAME = 2**28  # bytes of a cloud: eleven million points in space
 _TRACKER = ("alpha", "beta", "epsilon", "gates", "identity", "memory")
@@ -50,9 +42,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = int(options.run(options))
         print(end="", flush=True)  # here, where it can still be told that the output was not taken
         return code
+    except ModuleNotFoundError as error:  # of a part of ours that needs more than the core
+        wanted = f"{error.name} is needed, and is not there: pip install 'topokit[all]'"
+        print(f"topokit {options.command}: error: {wanted}", file=sys.stderr)
+        return 2
     except (ValueError, OSError, ImportError, MemoryError) as error:  # any other is a mistake of ours, and shows where
-        where = "standard output: " if _output_failed(error) else ""
-        print(f"topokit {options.command}: error: {where}{_words(error)}", file=sys.stderr)
+        print(f"topokit {options.command}: error: {_words(error)}", file=sys.stderr)
         return 141 if isinstance(error, BrokenPipeError) else 2
     except RuntimeError as error:  # the input was right, the work failed: a simulation that exploded
         print(f"topokit {options.command}: failed: {error}", file=sys.stderr)
@@ -62,23 +57,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _output_failed(error: BaseException) -> bool:
-    """Whether standard output is what failed. What waits for it is dropped, for Python would try again at its end."""
-    failed = isinstance(error, BrokenPipeError)
-    try:
-        print(end="", flush=True)
-    except OSError:
-        failed = True
-    if failed:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return failed
-
-
 def _words(error: BaseException) -> str:
-    """What an error says, and what to do where Python does not say it."""
-    if isinstance(error, OSError) and error.errno in _REMEDY:
-        return f"{error.filename or ''}: {error.strerror}; {_REMEDY[error.errno]}".removeprefix(": ")
-    return str(error) or "not enough memory for so much at a time"
+    """What an error says, and what to do; where it is not told of a file, it is standard output that takes no more."""
+    if not isinstance(error, OSError) or error.errno not in (errno.EPIPE, errno.ENOSPC):
+        return str(error) or "not enough memory for so much at a time"
+    if error.filename is None:  # what waits for it is dropped: Python would try again at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    remedy = (
+        "its reader has stopped, files are written"
+        if error.errno == errno.EPIPE
+        else "make room, and repeat the command"
+    )
+    return f"{error.filename or 'standard output'}: {error.strerror}; {remedy}"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -260,15 +250,11 @@ def _clouds(stream: Any) -> Iterator[NDArray[np.float64]]:
 def _cloud(stream: Any) -> NDArray[Any]:
     """The next array of a stream; memory is taken when what its header declares is no more than a cloud."""
     head = np.lib.format
-    version = head.read_magic(stream)
-    shape, columns_first, kind = (head.read_array_header_1_0 if version == (1, 0) else head.read_array_header_2_0)(
-        stream
-    )
+    read = head.read_array_header_1_0 if head.read_magic(stream) == (1, 0) else head.read_array_header_2_0
+    shape, columns_first, kind = read(stream)
     size = math.prod(shape) * kind.itemsize
     if kind.hasobject or not 0 <= size <= _LARGEST_FRAME:
-        raise ValueError(
-            f"its header declares {kind} of shape {shape}, {size} bytes; at most {_LARGEST_FRAME} are read"
-        )
+        raise ValueError(f"its header declares {size} bytes of {kind}; {_LARGEST_FRAME} of numbers at most")
     data = stream.read(size)
     if len(data) < size:
         raise ValueError(f"{len(data)} of {size} bytes")

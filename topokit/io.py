@@ -224,13 +224,10 @@ _LOOP_ARRAYS = {
     "killer_triangles": "f n 2 3 d",
     "killer_values": "f n 2",
 }
-_LOOP_LISTS = {
-    "n_neighbours": ("neighbour_ids", "neighbours", "neighbour_values"),
-    "n_cycle": ("cycle", "cycle_points"),
-}
 _FRAMES = {"n_loops": "i t", "frame": "i t", "time": "f t"}
 _NEIGHBOURS = {"n_neighbours": "i n", "neighbour_ids": "i m 3", "neighbours": "f m 3 d", "neighbour_values": "f m"}
 _CYCLES = {"n_cycle": "i n", "cycle": "i c", "cycle_points": "f c d"}
+_LOOP_LISTS = {count: names for count, *names in (_NEIGHBOURS, _CYCLES)}
 
 
 def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:

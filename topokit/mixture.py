@@ -62,12 +62,8 @@ class InverseWishart:
             raise ValueError(f"dof must be above {d - 1} in {d} dimensions, not {dof:g}")
         scale = as_reals(self.scale, "scale").astype(np.float64)
         scale = np.diag(np.full(d, scale)) if scale.ndim == 0 else scale
-        if (
-            scale.shape != (d, d)
-            or not np.isfinite(scale).all()
-            or not np.allclose(scale, scale.T)
-            or np.linalg.eigvalsh(scale)[0] <= 0
-        ):
+        symmetric = scale.shape == (d, d) and np.isfinite(scale).all() and np.allclose(scale, scale.T)
+        if not symmetric or np.linalg.eigvalsh(scale)[0] <= 0:
             raise ValueError(f"scale must be positive, or a positive definite ({d}, {d}) matrix, not {self.scale!r}")
         return np.asarray((scale + scatter) / (dof + 1 - d))
 

@@ -47,7 +47,7 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int = 0) -> tuple[ND
     >>> farthest_point_sample([[0.0], [1.0], [2.0], [4.0]], 2)
     (array([0, 3]), 2.0)
     """
-    array = as_points(points)
+    array = _measurable(points, "points")
     n, start = whole(n, "n", 1, len(array)), whole(start, "start", -len(array), len(array) - 1)
     idx = np.empty(n, dtype=np.int64)
     idx[0] = start % len(array)
@@ -78,7 +78,7 @@ def covering_radius(dense: ArrayLike, sample: ArrayLike | cKDTree) -> float:
     >>> covering_radius([[0.0], [1.0], [3.0]], [[0.0]])
     3.0
     """
-    everything, some = as_points(dense, "dense"), as_tree(sample, "sample")
+    everything, some = _measurable(dense, "dense"), as_tree(sample, "sample")
     if len(everything) == 0 or some.n == 0:
         raise ValueError("dense and sample need at least one point each")
     if everything.shape[1] != some.m:
@@ -170,6 +170,11 @@ def spacing(points: ArrayLike | cKDTree) -> float:
 
     No smaller covering radius is possible when no piece of the scene is a single point. A tree of the points will do.
 
+    Raises
+    ------
+    ValueError
+        When squares of distances overflow or vanish.
+
     Examples
     --------
     >>> spacing([[0.0], [1.0], [3.0], [3.0]])
@@ -186,7 +191,10 @@ def spacing(points: ArrayLike | cKDTree) -> float:
         apart = ((axes[:, k:] - axes[:, :-k]) ** 2).sum(axis=0)
         np.minimum(squares[k:], apart, out=squares[k:])
         np.minimum(squares[:-k], apart, out=squares[:-k])
-    return _farthest([(tree, axes.T)], np.sqrt(squares), 2) / 2
+    apart = _farthest([(tree, axes.T)], np.sqrt(squares), 2)
+    if apart == 0:
+        raise ValueError("points differ so little beside their size that squares of their distances are 0: round them")
+    return apart / 2
 
 
 def _repeats(tree: cKDTree) -> bool:
@@ -198,7 +206,19 @@ def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = F
     """A tree of checked points, or the one that is given: built once, it answers for several distances."""
     from scipy.spatial import cKDTree  # here, because importing topokit must be quick
 
-    return points if isinstance(points, cKDTree) else cKDTree(as_points(points, name, copy=copy))
+    return points if isinstance(points, cKDTree) else cKDTree(_measurable(points, name, copy=copy))
+
+
+def _measurable(points: ArrayLike, name: str, *, copy: bool = False) -> NDArray[np.float64]:
+    """Checked points whose distances have squares that neither overflow nor vanish."""
+    array = as_points(points, name, copy=copy)
+    largest = np.abs(array).max(initial=0.0)
+    if largest > 1e150 or 0 < largest < 1e-150:
+        raise ValueError(
+            f"{name} has coordinates of up to {largest:.3g}: floating point cannot hold the squares of distances between "
+            "them; convert them to another unit"
+        )
+    return array
 
 
 def _farthest(searches: list[tuple[cKDTree, NDArray[np.float64]]], bounds: NDArray[np.float64], k: int) -> float:

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from ._evidence import MISSED, WEAKEST, believe, evidence
 from ._frames import Frame, check_diagram, check_follows
 from ._matching import Candidates, Matching, hausdorff_table, within_gates
-from ._validate import WrongKindError, as_sequence, positive, whole
+from ._validate import as_sequence, positive, whole
 from .linking import curve_centroid
 from .rips import Diagram, rips_persistence, rips_persistence_many
 from .sampling import as_tree, hausdorff
@@ -282,13 +282,14 @@ def track(
         As `SeqPH` does, naming the frame; before anything is computed when a frame is not a cloud.
     """
     clouds = as_sequence(sequence, copy=True)
-    if not isinstance(times, (Iterable, type(None))):
-        raise WrongKindError(f"times must be a list of seconds, one a frame, not {times!r}")
     stamps: list[float | None] = [None] * len(clouds) if times is None else list(times)
     if len(stamps) != len(clouds):
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
     tracker = SeqPH(**options)
-    frames = [(tracker._frame(as_tree(cloud)), stamp) for cloud, stamp in zip(clouds, stamps, strict=True)]
+    frames = [
+        (tracker._frame(as_tree(cloud, f"frame {t}")), stamp)
+        for t, (cloud, stamp) in enumerate(zip(clouds, stamps, strict=True))
+    ]
     for number, frame in enumerate(frames):
         check_follows(number, frames[number - 1] if number else (None, None), frame)
     seen = [cloud[frame.ids] for cloud, (frame, _) in zip(clouds, frames, strict=True)]

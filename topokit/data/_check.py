@@ -5,18 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from topokit._archive import FormatError
+from topokit._archive import FormatError, read_json
 from topokit.io import check_episode
 
 from ._group import Group, Record, decode, open_episodes, parse, read_index, record_path, tracked_cloud
-from ._layout import Field, episode_fields, episode_of, label_fields, room, skeleton, states_of
+from ._layout import Field, episode_of, room, skeleton, states_of
 from ._recipe import DatasetConfig
 
 Records = dict[int, Record]
@@ -72,12 +72,12 @@ def _episode_problems(group: Group, records: Records, progress: bool) -> Iterato
         wrong = {name: document[name] for name, size in sizes.items() if document[name] != size}
         return f"has by its record {wrong}, and by its arrays {sizes}" if wrong else None
 
-    yield from _group_problems(group, episode_fields(manifest["room"]), set(group.numbers), content, records, progress)
+    yield from _group_problems(group, group.numbers, content, records, progress)
 
 
 def _label_problems(group: Group, prefix: str, episodes: Records, progress: bool) -> Iterator[Problem]:
     try:
-        labels = Group(group.url, prefix)
+        labels = Group(group.url, prefix, group)
     except (FileNotFoundError, FormatError) as error:
         yield Problem(prefix, str(error))
         return
@@ -89,23 +89,23 @@ def _label_problems(group: Group, prefix: str, episodes: Records, progress: bool
             return "is of another episode than the one that is there now: remove the record, and label again"
         if document["status"] != "ok":
             return None
-        cloud = tracked_cloud(group, group.document(index), manifest)
+        cloud = tracked_cloud(group, group.now(index)[1], manifest)
         states = states_of(decode(labels, document), cloud, 1.0)  # an error when a frame or a point is not there
         fine = all(-np.inf < loop.birth < loop.death for state in states for loop in state.loops)
         return None if fine else "has a loop that dies before it is born"
 
-    fields = label_fields(group.manifest["room"]["frames"], manifest["slots"])
-    wanted = {i for i, record in episodes.items() if record.status == "ok"} & set(labels.numbers)
-    for problem in _group_problems(labels, fields, wanted, content, {}, progress):
+    wanted = sorted(i for i, record in episodes.items() if record.status == "ok" and i in labels.numbers)
+    for problem in _group_problems(labels, wanted, content, {}, progress):
         yield Problem(f"{prefix}/{problem.where}", problem.what)
 
 
 def _group_problems(
-    group: Group, fields: tuple[Field, ...], wanted: set[int], content: Content, records: Records, progress: bool
+    group: Group, wanted: Sequence[int], content: Content, records: Records, progress: bool
 ) -> Iterator[Problem]:
     """What is wrong with a group; its records go into `records`."""
     from tqdm import tqdm
 
+    fields = group.fields
     yield from _skeleton_problems(group, fields)
     owned: set[str] = set()
     for name in tqdm(group.names("records"), unit="record", disable=not progress, file=sys.stderr):
@@ -126,8 +126,10 @@ def _group_problems(
     paths = {f"{f.name}/{name}" for f in fields for name in group.names(f.name) if name != "zarr.json"}
     for path in sorted(paths - owned):
         yield Problem(path, "belongs to no record: left by a command that was stopped, and the same command goes on")
-    if missing := sorted(wanted - records.keys()):
-        yield Problem("records", f"{len(missing)} episodes are not there yet, the first is {missing[0]}")
+    first = next((i for i in wanted if i not in records), None)
+    if first is not None:
+        missing = len(wanted) - sum(i in wanted for i in records)
+        yield Problem("records", f"{missing} episodes are not there yet, the first is {first}")
     yield from _index_problems(group, records)
 
 
@@ -136,23 +138,24 @@ def _skeleton_problems(group: Group, fields: tuple[Field, ...]) -> Iterator[Prob
         found = group.read(path)
         if found is None:
             yield Problem(path, "is missing")
-        elif wrong := _difference(found, json.loads(content)):
+        elif wrong := _difference(found, json.loads(content), {"attributes"} if path == "zarr.json" else set()):
             yield Problem(path, wrong)
 
 
-def _difference(found: bytes, wanted: dict[str, Any]) -> str:
+def _difference(found: bytes, wanted: dict[str, Any], known: set[str]) -> str:
+    """How a file differs from what is wanted, but for entries that opening the group has looked at."""
     try:
-        there = dict(json.loads(found))
+        there = dict(read_json(found))
     except (ValueError, TypeError) as error:
         return f"is damaged: {error}"
-    keys = sorted(key for key in {*there, *wanted} if there.get(key) != wanted.get(key))
-    return "; ".join(f"{key} is {there.get(key)!r}, must be {wanted.get(key)!r}" for key in keys)
+    keys = sorted(key for key in {*there, *wanted} - known if there.get(key) != wanted.get(key))
+    return "; ".join(f"{key} is {there.get(key)!r:.200}, must be {wanted.get(key)!r}" for key in keys)
 
 
 def _object_problems(group: Group, fields: tuple[Field, ...], document: Mapping[str, Any]) -> Iterator[Problem]:
     index, expected = document["episode"], set()
     if document["status"] == "ok":
-        expected = {f"{f.name}/c.{index}" + ".0" * len(f.shape) for f in fields}
+        expected = {f.path(index) for f in fields}
     for path, checksum in sorted(document["objects"].items()):
         content = group.read(path) if path in expected else b""
         if path not in expected:

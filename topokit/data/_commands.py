@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import signal
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -63,10 +64,12 @@ def _label(options: argparse.Namespace) -> int:
 
 def _report(options: argparse.Namespace, make: Callable[..., Any], *what: Any, **how: Any) -> int:
     """Make what Ctrl-C may stop without loss, and say what there is then."""
-    if options.workers is not None and options.workers < 1:
-        raise ValueError(f"--workers {options.workers}: one at least")
     how |= {"scheduler": options.scheduler, "n_workers": options.workers, "dashboard": options.dashboard}
-    group = make(*what, progress=not options.quiet, **how)
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # what was begun is put away, as at Ctrl-C
+    try:
+        group = make(*what, progress=not options.quiet, **how)
+    finally:
+        signal.signal(signal.SIGTERM, before)
     counts = Counter(record.status for record in group.records.values())
     answer = {"out": group.url, "episodes": len(group.records), **counts, "checksum": group.checksum()}
     if options.json:

@@ -4,17 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from topokit.io import Episode
+from topokit._archive import FormatError
+from topokit.io import Episode, check_episode
 from topokit.state import TopologicalState
 
-from ._group import Group, Record, decode, index_bytes, open_episodes, record_path, replace, tracked_cloud
+from ._group import (
+    Group,
+    Record,
+    damage_in,
+    decode,
+    index_bytes,
+    label_name,
+    open_episodes,
+    record_path,
+    replace,
+    tracked_cloud,
+)
 from ._layout import episode_of, skeleton, states_of
 from ._recipe import DatasetConfig
 
@@ -69,9 +80,12 @@ class Dataset:
         return f"Dataset({self.group.url!r}, {whole} of {of} episodes, {len(self.failures)} rejected or failed)"
 
     def __getitem__(self, episode: int) -> Episode:
-        """Return an episode by its number; a KeyError says why there is none."""
+        """Return an episode by its number, verified; a KeyError says why there is none, a FormatError what is damaged."""
         document = self.group.document(self._known(episode))
-        return episode_of(decode(self.group, document), document, self.group.manifest)
+        with damage_in(self.group, document["episode"]):
+            found = episode_of(decode(self.group, document), document, self.group.manifest)
+            check_episode(found)
+        return found
 
     def __iter__(self) -> Iterator[Episode]:
         return (self[int(i)] for i in self.episodes)
@@ -101,10 +115,10 @@ class Dataset:
             When there are none of that name.
         """
         if name not in self._labels:
-            if self.group.read(f"labels/{name}/zarr.json") is None:
+            if self.group.read(f"labels/{label_name(name)}/zarr.json") is None:
                 known = ", ".join(self.group.names("labels")) or "none: topokit label makes them"
                 raise FileNotFoundError(f"{self.group.url} has no labels {name!r}; it has {known}")
-            self._labels[name] = Group(self.group.url, f"labels/{name}")
+            self._labels[name] = Group(self.group.url, f"labels/{name}", self.group)
         return self._labels[name]
 
     def labelled(self, name: str) -> Ids:
@@ -124,7 +138,8 @@ class Dataset:
         """
         labels, document = self.labels(name), self.group.document(self._known(episode))
         cloud = tracked_cloud(self.group, document, labels.manifest)
-        return states_of(decode(labels, labels.document(int(episode))), cloud, document["dt"])
+        with damage_in(labels, int(episode)):
+            return states_of(decode(labels, labels.document(int(episode))), cloud, document["dt"])
 
     def split(
         self,
@@ -193,33 +208,48 @@ class Dataset:
         Parameters
         ----------
         episodes : iterable of int
-        out : path
-            A folder that is empty or not there yet.
+        out : path or URL
+            A folder that is empty or not there yet, or a place that fsspec writes to.
 
         Raises
         ------
         ValueError
-            When there is no episode to write, or the folder is not empty.
+            When there is no episode to write, the folder is not empty, or something is damaged: nothing is written then.
         """
-        folder, numbers = Path(out), sorted({self._known(i) for i in episodes})
+        import fsspec
+
+        numbers = sorted({self._known(i) for i in episodes})
         if not numbers:
             raise ValueError("a cut needs one episode at least")
-        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise ValueError(f"{folder} is not an empty folder")
-        _copy(self.group, folder, numbers)
-        for name in self.group.names("labels"):
-            _copy(self.labels(name), folder / "labels" / name, numbers)
-        return Dataset(folder)
+        for _ in self._parts(numbers):
+            pass  # all of it is verified before a byte is written
+        fs, root = fsspec.core.url_to_fs(str(out))
+        if fs.exists(root) and fs.ls(root):
+            raise ValueError(f"{out} is not an empty folder")
+        local = "file" in np.atleast_1d(fs.protocol)
+        for path, content in self._parts(numbers):
+            if local:
+                replace(Path(root, path), content)
+            else:
+                fs.pipe_file(f"{root.rstrip('/')}/{path}", content)
+        return Dataset(out)
 
-
-def _copy(group: Group, folder: Path, numbers: list[int]) -> None:
-    """Write a group with some of its episodes."""
-    there = [i for i in numbers if i in group.records]
-    paths = [path for i in there for path in (*group.document(i)["objects"], record_path(i))]
-    paths += [f"{name}/zarr.json" for name in group.names("") if group.read(f"{name}/zarr.json")]
-    index = index_bytes(group.records[i] for i in there)
-    made = {"index.json": index, **skeleton([], {**group.manifest, "numbers": numbers})}
-    for path, content in chain(((path, group.read(path)) for path in paths), made.items()):
-        if content is None:
-            raise FileNotFoundError(f"{group.where(path)}: there is no such file; topokit check says what is wrong")
-        replace(folder / path, content)
+    def _parts(self, numbers: list[int]) -> Iterator[tuple[str, bytes]]:
+        """Path and verified content of all that a cut holds; the zarr.json that makes it a dataset comes last."""
+        for group in (*map(self.labels, self.group.names("labels")), self.group):
+            prefix = f"{group.prefix}/" if group.prefix else ""
+            there = [i for i in numbers if i in group.records]
+            for number in there:
+                own = {record_path(number), *(f.path(number) for f in group.fields)}
+                objects = group.document(number)["objects"]
+                for path, checksum in {**objects, record_path(number): group.records[number].sha256}.items():
+                    if path not in own or group.linked(path):
+                        where = group.where(record_path(number))
+                        raise FormatError(
+                            f"{where}: names {path!r:.200}, which is not its own, or is reached by a link"
+                        )
+                    yield prefix + path, group.verified(path, checksum, number)
+            made = skeleton(group.fields, {**group.manifest, "numbers": numbers})
+            index = index_bytes(group.records[i] for i in there)
+            for path, content in reversed([*made.items(), ("index.json", index)]):
+                yield prefix + path, content

@@ -26,7 +26,17 @@ from topokit._validate import positive
 from topokit.sim import SimulationError
 from topokit.sim._process import Forge
 
-from ._group import Group, commit, compact, locked, prepare, record_path, refuse_another, versions_of
+from ._group import (
+    MOST_EPISODES,
+    Group,
+    commit,
+    compact,
+    local_folder,
+    record_path,
+    refuse_another,
+    versions_of,
+    writing,
+)
 from ._layout import encode, episode_arrays, episode_fields, room
 from ._recipe import DatasetConfig, make_episode
 
@@ -48,6 +58,10 @@ class Cluster:
     scheduler: str | None = None
     n_workers: int | None = None
     dashboard: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.n_workers is not None and self.n_workers < 1:
+            raise ValueError(f"n_workers must be at least 1, not {self.n_workers}")
 
 
 def generate_dataset(
@@ -96,19 +110,18 @@ def generate_dataset(
     ImportError
         When PyBullet is not there.
     """
-    folder = Path(out)
+    folder, cluster = local_folder(out), Cluster(scheduler, n_workers, dashboard)
     if find_spec("pybullet") is None:
         raise ImportError("making episodes needs PyBullet: pip install 'topokit[sim,data]'")
-    for name, number, least in (("episodes", episodes, 1), ("seed", seed, 0)):
-        if isinstance(number, bool) or not isinstance(number, int) or number < least:
-            raise ValueError(f"{name} must be a whole number, at least {least}, not {number!r}")
+    for name, number, least, most in (("episodes", episodes, 1, MOST_EPISODES), ("seed", seed, 0, 2**128)):
+        if isinstance(number, bool) or not isinstance(number, int) or not least <= number <= most:
+            raise ValueError(f"{name} must be a whole number from {least} to {most:,}")
     positive(time_limit, "time_limit", zero=False)
     manifest = _manifest(config, episodes, seed)
-    with locked(folder):
-        prepare(folder, manifest, episode_fields(manifest["room"]))
+    with writing(folder, manifest, episode_fields(manifest["room"])):
         if retry_failed:
             _forget_failed(folder)
-        job, cluster = partial(_make_episode, str(folder), time_limit), Cluster(scheduler, n_workers, dashboard)
+        job = partial(_make_episode, str(folder), time_limit)
         return make_missing(folder, range(episodes), job, partial(_identity, manifest), cluster, progress)
 
 

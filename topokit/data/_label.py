@@ -5,9 +5,7 @@ Source: Antonova et al. 2021, Algorithm 1. Taught in chapter 8.
 
 from __future__ import annotations
 
-import hashlib
 import inspect
-import re
 import time
 from collections.abc import Mapping
 from functools import partial
@@ -19,7 +17,7 @@ import numpy as np
 from topokit.seqph import SeqPH, track
 
 from ._generate import Cluster, make_missing, manifest_here
-from ._group import Group, commit, locked, open_episodes, prepare, record_path, tracked_cloud, versions_of
+from ._group import Group, commit, label_name, local_folder, open_episodes, tracked_cloud, versions_of, writing
 from ._layout import arrays_of, encode, label_fields
 
 _OBSERVATIONS = ("full", "observed", "camera")
@@ -63,16 +61,14 @@ def label_dataset(
     ValueError
         When there is no such observation, or labels of that name were begun with other options.
     """
-    folder = Path(dataset)
+    folder = local_folder(dataset)
     group = open_episodes(folder)
     manifest = _manifest(group, observation, n_points, options or {})
-    name = name or observation + (f"-{n_points}" if n_points else "")
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
-        raise ValueError(f"name {name!r}: letters, digits, dots, hyphens and underscores only")
+    name = label_name(name or observation + (f"-{n_points}" if n_points else ""))
     target, cluster = folder / "labels" / name, Cluster(scheduler, n_workers, dashboard)
     job = partial(_label_episode, str(folder), name)
-    with locked(target):
-        prepare(target, manifest, label_fields(group.manifest["room"]["frames"], _SLOTS))
+    fields = label_fields(group.manifest["room"]["frames"], _SLOTS)
+    with writing(target, manifest, fields, target.parent, target):
         return make_missing(target, group.whole.tolist(), job, partial(_identity, group), cluster, progress)
 
 
@@ -109,8 +105,8 @@ def _all_options(options: Mapping[str, Any]) -> dict[str, Any]:
 
 def _label_episode(folder: str, name: str, index: int) -> dict[str, Any]:
     """What a Dask worker does for an episode."""
-    start, target, group = time.monotonic(), Path(folder, "labels", name), Group(folder)
-    manifest, episode = manifest_here(target, _PACKAGES), group.document(index)
+    start, target, group = time.monotonic(), Path(folder, "labels", name), open_episodes(folder)
+    manifest, (_, episode) = manifest_here(target, _PACKAGES), group.now(index)
     try:
         cloud = tracked_cloud(group, episode, manifest)
         states = track(cloud, times=np.arange(len(cloud)) * episode["dt"], n_jobs=1, **manifest["options"])
@@ -134,6 +130,6 @@ def _label_episode(folder: str, name: str, index: int) -> dict[str, Any]:
 
 
 def _identity(group: Group, index: int) -> dict[str, Any]:
-    document = group.document(index)
+    record, document = group.now(index)  # not by the index: 23,000 lines for every episode
     known = {key: document[key] for key in ("episode", "task", "garment", "target", "seed", "success")}
-    return {**known, "of": hashlib.sha256(group.read(record_path(index)) or b"").hexdigest()}
+    return {**known, "of": record.sha256}

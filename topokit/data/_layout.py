@@ -12,8 +12,10 @@ are there wholly or not at all. Coordinates are 16-bit integers in units of 0.1 
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
@@ -21,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topokit._archive import FREE, RATIO
 from topokit.io import FEWEST_FRAMES, HISTORY, Episode
 from topokit.rips import Diagram, rips_persistence
 from topokit.sim import TASKS
@@ -42,6 +45,7 @@ SIMPLICES = {
 VALUES = ("birth", "death", "step", "neighbour_0", "neighbour_1", "neighbour_2", "neighbour_3")
 PARAMETERS = ("alpha", "beta", "epsilon", "dropped")
 ABSENT = 65535
+_ROOM = ("frames", "vertices", "observed", "seen", "faces", "loops", "loop", "line")
 
 
 @dataclass(frozen=True)
@@ -55,9 +59,28 @@ class Field:
     attributes: Mapping[str, Any] = field(default_factory=dict)
     fill: int = 0
 
+    @property
+    def split(self) -> bool:
+        """Whether an object is a shard of chunks of `HISTORY` frames; the others are a few kB: chunks would only add to them."""
+        return self.name in ("points", "observed")
+
+    @property
+    def time_last(self) -> bool:
+        """With time innermost, neighbours in memory differ by what a vertex moves in a frame: half the bytes of mesh order."""
+        return self.axes[0] == "frame" and len(self.shape) > 1
+
+    def path(self, index: int) -> str:
+        """Where an episode's object is."""
+        return f"{self.name}/c.{index}" + ".0" * len(self.shape)
+
 
 def episode_fields(size: Mapping[str, int]) -> tuple[Field, ...]:
-    """Return the arrays of a dataset with room for episodes of a size (`room`)."""
+    """Return the arrays of a dataset with room for episodes of a size (`room`); ValueError when no dataset has that."""
+    for name, most in {**dict.fromkeys(_ROOM, 2**20), "vertices": 2**15}.items():  # `loops` has 15 bits for an id
+        if type(size.get(name)) is not int or not 0 <= size[name] <= most:
+            raise ValueError(f"room.{name} must be a whole number up to {most}, not {size.get(name)!r:.50}")
+    if size["frames"] % HISTORY:
+        raise ValueError(f"room.frames must be a multiple of {HISTORY}, not {size['frames']}")
     frames, steps = size["frames"], ("frame", "gripper", "xyz")
     ids = {"units": "1", "description": "vertex ids"}
     farthest = {**ids, "description": "vertex ids, farthest-point order: the first m are the sample of m points"}
@@ -94,6 +117,8 @@ def episode_arrays(episode: Episode) -> dict[str, NDArray[Any]]:
 def episode_of(stored: Mapping[str, NDArray[Any]], document: Mapping[str, Any], manifest: Mapping[str, Any]) -> Episode:
     """Return an episode from its arrays, its record, and what its dataset says of itself."""
     metres: dict[str, Any] = {name: unpack(stored[name]) for name in _METRES}
+    if not all(0 <= n <= stored["loops"].shape[1] for n in document["loops"]):
+        raise ValueError(f"loops of lengths {document['loops']}, of {stored['loops'].shape[1]} at most")
     return Episode(
         **metres,
         observed=unpack(observed(stored)),
@@ -218,12 +243,17 @@ def _loop(stored: Mapping[str, NDArray[Any]], where: tuple[int, int], frame: _Fr
     )
 
 
+def canonical(document: Mapping[str, Any]) -> bytes:
+    return (json.dumps(document, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n").encode()
+
+
 def skeleton(fields: Iterable[Field], manifest: Mapping[str, Any]) -> dict[str, bytes]:
     """Return the `zarr.json` of a group and of its arrays: path in the group -> content."""
     import zarr
 
     store: dict[str, Any] = {}
-    zarr.create_group(store, attributes={"topokit": dict(manifest)}, zarr_format=3)
+    attributes = {"topokit": dict(manifest), "sha256": hashlib.sha256(canonical(manifest)).hexdigest()}
+    zarr.create_group(store, attributes=attributes, zarr_format=3)
     for f in fields:
         _create(store, f, manifest["episodes"])
     return {path: buffer.to_bytes() for path, buffer in store.items()}
@@ -239,21 +269,56 @@ def encode(fields: Iterable[Field], index: int, arrays: Mapping[str, NDArray[Any
                 yield path, buffer.to_bytes()
 
 
+def decoded(f: Field, content: bytes | None, extent: Sequence[int]) -> NDArray[Any]:
+    """Return an array of an episode in its own extent, from its object; None when all of it is the fill value.
+
+    Idea: what is declared (extents, places in a shard, sizes of Blosc's frames) is compared with the field and with what is
+    there before memory is taken; Zarr would take what it is told.
+    """
+    from numcodecs import blosc  # type: ignore[import-untyped]
+
+    blosc.use_threads = False  # as Zarr has it: threads of Blosc's own do not outlive a fork
+    dtype, stored = np.dtype(f.dtype).newbyteorder("<"), content or b""
+    fits = [type(n) for n in extent] == [int] * len(f.shape)
+    if not fits or any(not 0 <= n <= most for n, most in zip(extent, f.shape, strict=True)):
+        raise ValueError(f"of shape {extent!r:.200} in room for {f.shape}")
+    chunk = (HISTORY, *f.shape[1:]) if f.split else f.shape
+    size = dtype.itemsize * math.prod(chunk)
+    if max(size, dtype.itemsize * math.prod(extent)) > FREE + RATIO * len(stored):
+        raise ValueError(f"of shape {extent} from {len(stored)} bytes: too much")
+    values = np.full(extent, f.fill, dtype=f.dtype)
+    for start, frame in (_chunks(f, stored) if content is not None else {}).items():
+        if len(frame) < 16 or np.frombuffer(frame[4:16], dtype="<u4")[[0, 2]].tolist() != [size, len(frame)]:
+            raise ValueError(f"the object does not hold the {size} bytes of a chunk")
+        flat = np.frombuffer(blosc.decompress(frame), dtype=dtype)
+        whole = np.moveaxis(flat.reshape(*chunk[1:], chunk[0]), -1, 0) if f.time_last else flat.reshape(chunk)
+        part = values[start : start + chunk[0]]
+        part[...] = whole[tuple(map(slice, part.shape))]
+    return values
+
+
+def _chunks(f: Field, content: bytes) -> dict[int, bytes]:
+    """The chunks of an object by their first row; the index of a shard, at its end, says where they are."""
+    if not f.split:
+        return {0: content}
+    count = f.shape[0] // HISTORY
+    index = np.frombuffer(content[-16 * count - 4 : -4], dtype="<u8").reshape(count, 2).tolist()
+    return {i * HISTORY: content[at : at + size] for i, (at, size) in enumerate(index) if at != 2**64 - 1}
+
+
 def _create(store: dict[str, Any], f: Field, episodes: int) -> Any:
     import zarr
     from zarr.codecs import BloscCodec, TransposeCodec
 
-    # With time innermost, neighbours in memory differ by what a vertex moves in a frame: half the bytes of mesh order.
     time_last = TransposeCodec(order=(0, *range(2, len(f.shape) + 1), 1))
-    split = f.name in ("points", "observed")  # the others are a few kB: chunks would only add to them
     return zarr.create_array(
         store,
         name=f.name,
         shape=(episodes, *f.shape),
         dtype=f.dtype,
-        chunks=(1, HISTORY, *f.shape[1:]) if split else (1, *f.shape),
-        shards=(1, *f.shape) if split else None,
-        filters=[time_last] if f.axes[0] == "frame" and len(f.shape) > 1 else None,
+        chunks=(1, HISTORY, *f.shape[1:]) if f.split else (1, *f.shape),
+        shards=(1, *f.shape) if f.split else None,
+        filters=[time_last] if f.time_last else None,
         compressors=BloscCodec(typesize=np.dtype(f.dtype).itemsize, cname="zstd", clevel=5, shuffle="shuffle"),
         fill_value=f.fill,
         chunk_key_encoding={"name": "default", "separator": "."},  # a file an episode, not four folders
@@ -270,7 +335,8 @@ def room(config: DatasetConfig) -> dict[str, int]:
     frames, loops = config.simulation.frames, [loop for garment in garments for loop in garment.loops]
     if frames is None:
         plans = [task.plan(own, task.target, generator(0, "path")) for task, own in zip(tasks, garments, strict=True)]
-        frames = max(FEWEST_FRAMES, math.ceil(max(plan.end for plan in plans) / config.simulation.frame_time))
+        longest = max(plan.end for plan in plans) / config.simulation.frame_time
+        frames = max(FEWEST_FRAMES, math.ceil(min(longest, 2**62)))
     vertices = max(len(garment.vertices) for garment in garments)
     return {
         "frames": -(-frames // HISTORY) * HISTORY,

@@ -14,9 +14,11 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from topokit._config import Count, NotNegative, Positive, checked, from_mapping
+from topokit._config import Count, Positive, checked, from_mapping
 from topokit.io import Episode
 from topokit.sim import TASKS, DepthNoise, Garment, Randomisation, SimulationConfig, cameras_around, simulate
+
+_FINEST = 0.005  # metres between vertices; no garment is asked for that would take hours to mesh
 
 
 class Draw(NamedTuple):
@@ -57,10 +59,10 @@ class DatasetConfig:
     #: Ranges of physics, size and cameras; None varies the path alone.
     randomisation: Annotated[Randomisation | None, BeforeValidator(_ranges)] = field(default_factory=Randomisation)
     #: Sizes of a garment, by its name, that differ from the default ones: ``{"sheet": {"spacing": 0.05}}``.
-    sizes: Mapping[str, Mapping[str, NotNegative]] = field(default_factory=dict)
+    sizes: Mapping[str, Mapping[str, Annotated[float, Field(ge=0, le=10)]]] = field(default_factory=dict)
     n_observed: Count = 512  #: points of an observation; all vertices of a garment with fewer, when all sides are seen
     #: Depth cameras around the target. 0: farthest-point samples of the vertices, all sides seen.
-    cameras: Annotated[int, Field(ge=0)] = 0
+    cameras: Annotated[int, Field(ge=0, le=100)] = 0
     camera_distance: Positive = 2.2  #: metres from the cameras to the seat of the target
     depth_noise: bool = False  #: whether the cameras have the noise of a depth sensor
 
@@ -72,6 +74,10 @@ class DatasetConfig:
         for name in self.sizes:
             if name not in garments:
                 raise ValueError(f"sizes: no task has a garment {name!r}; the tasks have {', '.join(garments)}")
+            if self.sizes[name].get("spacing", 1.0) < _FINEST:
+                raise ValueError(
+                    f"sizes: spacing of {name!r} must be at least {_FINEST} m: a finer mesh fits no dataset"
+                )
         if self.depth_noise and not self.cameras:
             raise ValueError("depth_noise is of cameras, and cameras is 0")
         # Sorted: what is drawn must not depend on the order in which tasks were named.

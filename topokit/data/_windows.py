@@ -20,7 +20,7 @@ from topokit.io import HISTORY, HORIZON
 from topokit.seqph import track
 
 from ._dataset import Dataset
-from ._group import decode
+from ._group import damage_in, decode
 from ._layout import ABSENT, METRE, SIMPLICES, arrays_of, cloud_of, observed, pack, unpack
 
 Array = NDArray[np.float32]
@@ -165,11 +165,14 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
             lack = f"{len(missing)} episodes have no labels {labels!r}, the first is {missing[0]}"
             raise ValueError(f"{lack}: topokit label makes them")
         lengths = [self.dataset.group.records[int(i)].frames for i in self.episodes]
-        frames = [np.arange(history - 1, length - horizon, stride) for length in lengths]
-        counts = [len(span) for span in frames]
+        spans = [range(history - 1, length - horizon, stride) for length in lengths]
+        counts = [len(span) for span in spans]
         if not any(counts):
             raise ValueError(f"no episode has the {history + horizon} frames of a window (of {len(lengths)} episodes)")
-        self.index = np.column_stack([np.repeat(self.episodes, counts), np.concatenate(frames)])
+        if 16 * sum(counts) > memory:
+            raise ValueError(f"{sum(counts)} windows: their index alone takes {16 * sum(counts)} bytes; raise `memory`")
+        frames = np.concatenate([np.arange(span.start, span.stop, span.step) for span in spans])
+        self.index = np.column_stack([np.repeat(self.episodes, counts), frames])
 
     def __len__(self) -> int:
         return len(self.index)
@@ -235,11 +238,13 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     def _decode(self, number: int) -> _Episode:
         group = self.dataset.group
         stored = decode(group, group.document(number), ("points", "observed", "actions", "grippers", "held"))
-        clouds = observed(stored)
+        with damage_in(group, number):
+            clouds = observed(stored)
         if self.observe is None:
             labels = self.dataset.labels(self.labels)
-            found = decode(labels, labels.document(number), ("id", "simplices", "values"))
-            tracked = _Tracked.of(found, cloud_of(stored, labels.manifest))
+            with damage_in(labels, number):
+                found = decode(labels, labels.document(number), ("id", "simplices", "values"))
+                tracked = _Tracked.of(found, cloud_of(stored, labels.manifest))
         else:
             clouds = pack("clouds", self.observe(number, unpack(clouds[:, : self.n_points]).astype(np.float64)))
             slots = self.dataset.labels(self.labels).manifest["slots"]

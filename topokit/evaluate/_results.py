@@ -48,7 +48,7 @@ def read_results(path: str | Path) -> dict[str, Any]:
         results: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if results["kind"] != KIND:
             raise KeyError("kind")
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise FormatError(f"{path}: holds no results of topokit evaluate; take another name for --out") from error
     return results
 
@@ -71,10 +71,23 @@ def write_report(results: str | Path, out: str | Path) -> list[Path]:
         What `evaluate_forecasts` wrote.
     out : path
         A folder; it is made when it is not there.
+
+    Raises
+    ------
+    FileNotFoundError, FormatError
+        As `read_results`, and when a part of the results is missing or is not what it should be.
     """
+    content = read_results(results)
+    try:
+        return _write_report(content, Path(out))
+    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError, StopIteration) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise FormatError(f"{results}: a part is missing or of another kind ({what}); evaluate again") from error
+
+
+def _write_report(content: Mapping[str, Any], folder: Path) -> list[Path]:
     from topokit import view
 
-    content, folder = read_results(results), Path(out)
     where, first = next(iter(content["conditions"].items()))
     hull, distance = "Share of windows in the hull", "Distance from the centre of the true loop"
     figures: dict[str, tuple[str, Callable[..., Any], tuple[Any, ...]]] = {

@@ -60,6 +60,7 @@ class TrainConfig:
     spoil: Spoiling = field(default_factory=Spoiling)  #: how much worse clouds are seen than by the labels' tracker
     patience: Count = 5  #: stop after so many epochs without a smaller validation loss
     minutes_between_checkpoints: Positive = 5.0  #: within an epoch; one more at its end
+    threads: Count = 2  #: that share the sums; with another number weights differ in their last bits
     workers: Natural = 0  #: processes that read windows beside the one that trains
     accelerator: str = "cpu"  #: of Lightning Fabric: "cpu", "cuda", "auto"
     precision: str = "32-true"  #: of Lightning Fabric: "32-true", "bf16-mixed", "16-mixed"

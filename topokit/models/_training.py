@@ -1,7 +1,9 @@
 """Training: seeded, resumed from its last checkpoint after a kill, stopped early on episodes held back.
 
 The order of windows is a function of seed and epoch alone, and everything else that matters is in `last.safetensors`: a
-training that was killed and started again ends, on a CPU, with the same weights as one left alone.
+training that was killed and started again ends, on a CPU, with the same weights as one left alone. Sums depend on how many
+threads share them, so that their number is an entry of the configuration: on one kind of machine `best.safetensors` has the
+same bytes wherever it is made. `last.safetensors` has not: it holds the seconds that the training took.
 
 Source: Antonova et al. 2021, section 5 (supervised, from the tracker's labels). Taught in chapter 10.
 """
@@ -25,6 +27,7 @@ from tqdm import tqdm
 
 from topokit._archive import FormatError
 from topokit._config import from_mapping
+from topokit._cores import safe_path
 
 from ._baselines import Normalisation, Ridge
 from ._checkpoint import build, describe, load_tensors, part_of, save_tensors
@@ -61,7 +64,13 @@ def train(
         few = f"{n} windows to train on and {held_back} to validate with; a batch has {config.batch}"
         raise ValueError(f"{few}, and one is needed to validate: add episodes or make the batch smaller")
     Path(config.out).mkdir(parents=True, exist_ok=True)
-    return _Training(config, windows, progress).run(stop_after)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(config.threads)
+    try:
+        with safe_path():
+            return _Training(config, windows, progress).run(stop_after)
+    finally:
+        torch.set_num_threads(threads)
 
 
 @dataclass
@@ -84,7 +93,10 @@ class _Training:
         self.config, self.windows, self.show, self.out = config, windows, show, Path(config.out)
         self.progress = Progress()
         module = "lightning_fabric" if find_spec("lightning_fabric") else "lightning.fabric"  # as conda-forge has it
-        fabric = import_module(module).Fabric
+        try:
+            fabric = import_module(module).Fabric
+        except ModuleNotFoundError as error:
+            raise ImportError("training needs Lightning Fabric: pip install 'topokit[learn]'") from error
         self.fabric = fabric(accelerator=config.accelerator, devices=1, precision=config.precision)
         saved = load_tensors(self.out / LAST) if (self.out / LAST).exists() else None
         if saved is None:
@@ -224,7 +236,8 @@ class _Training:
     def _save(self, name: str) -> None:
         progress = self.progress
         weights = {f"model.{key}": part for key, part in self.model.state_dict().items()}
-        more: dict[str, Any] = {"config": asdict(self.config), "dataset": self.windows.checksum}
+        config = {key: part for key, part in asdict(self.config).items() if key not in _FREE}
+        more: dict[str, Any] = {"config": config, "dataset": self.windows.checksum}
         if name == BEST:
             more |= {"validation_loss": progress.best, "epoch": progress.best_epoch, "steps": progress.step}
             weights = {key: part.half() for key, part in weights.items()}  # half the size

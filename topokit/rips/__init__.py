@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._cores import n_cores
 from .._validate import as_sequence, positive
-from ._cloud import Cloud, pairs
+from ._cloud import TIME, Cloud, own_halt, pairs
 from ._diagram import Diagram, tighten
 
 __all__ = ["Diagram", "rips_persistence", "rips_persistence_many", "tighten"]
@@ -27,6 +27,7 @@ def rips_persistence(
     max_radius: float = np.inf,
     min_lifetime: float = 0.0,
     metric: str = "euclidean",
+    time_limit: float = TIME,
 ) -> Diagram:
     """Compute the loops of a point cloud: degree-1 Vietoris-Rips persistence, exactly.
 
@@ -41,14 +42,17 @@ def rips_persistence(
     min_lifetime : float
         Leave out loops with a shorter lifetime. Loops of lifetime zero are always left out.
     metric : {"euclidean", "precomputed"}
+    time_limit : float
+        Seconds that it may take; inf for as many as it needs. Many points are refused at once when random parts of them say
+        that all would take longer, and what does take longer is stopped.
 
     Raises
     ------
-    MemoryError
-        When the tables would take more than 4.3 GB. They hold a bit for each pair of points (0.3 GB for 50,000 points), a
-        sixteenth of a byte for each pair of loops, however short, and 108 bytes for each of the edges sorted at a time: four
-        million, or as many as have the same length. More than three dimensions are read as distances, 8 bytes for each two
-        points. Take a subset then (`farthest_point_sample`).
+    MemoryError, ValueError
+        When it would take longer than `time_limit`, or its tables more than 4.3 GB. They hold a bit for each pair of points
+        (0.3 GB for 50,000 points), a sixteenth of a byte for each pair of loops, however short, and 108 bytes for each of the
+        edges sorted at a time: four million, or as many as have the same length. More than three dimensions are read as
+        distances, 8 bytes for each two points. Take a subset then (`farthest_point_sample`).
 
     Examples
     --------
@@ -61,12 +65,14 @@ def rips_persistence(
     cutoff = positive(max_radius, "max_radius", infinite=True)
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
     cloud = Cloud.of(points, metric)
-    created, killed, birth, death = pairs(cloud, cutoff)
+    created, killed, birth, death = pairs(
+        cloud, cutoff * cloud.scale, positive(time_limit, "time_limit", infinite=True)
+    )
     keep = np.argsort(birth - death, kind="stable")  # births come in the total order, which decides ties
-    keep = keep[(death > birth)[keep] & (death - birth >= shortest)[keep]]
+    keep = keep[(death > birth)[keep] & (death - birth >= shortest * cloud.scale)[keep]]
     return Diagram(
-        birth=birth[keep],
-        death=death[keep],
+        birth=birth[keep] / cloud.scale,
+        death=death[keep] / cloud.scale,
         birth_edge=created[keep],
         killer_edge=killed[keep, :2],
         killer_triangles=killed[keep][:, [[0, 1, 3], [0, 1, 2]]],
@@ -115,7 +121,8 @@ def rips_persistence_many(
         raise ValueError(f"n_jobs must be 1 or more, not {n_jobs}")
     workers = n_jobs or n_cores()
     diagrams = []
-    with ThreadPoolExecutor(workers) as pool:
+    halts: list[NDArray[np.int64]] = []
+    with ThreadPoolExecutor(workers, initializer=own_halt, initargs=(halts,)) as pool:
         jobs = [pool.submit(rips_persistence, a, max_radius=max_radius, min_lifetime=min_lifetime) for a in arrays]
         try:
             for done, job in enumerate(jobs, 1):
@@ -123,7 +130,9 @@ def rips_persistence_many(
                 if progress:
                     print(f"\rpersistence: {done} of {len(jobs)} clouds", end="", file=sys.stderr, flush=True)
         finally:
-            pool.shutdown(cancel_futures=True)  # an error or Ctrl-C does not wait for the rest
+            pool.shutdown(wait=False, cancel_futures=True)  # an error or Ctrl-C does not wait for the rest
+            for halt in halts:
+                halt[0] = 1
             if progress and jobs:
                 print(file=sys.stderr)
     return diagrams

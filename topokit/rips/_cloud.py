@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
+from concurrent import futures
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,22 +15,31 @@ from numpy.typing import ArrayLike, NDArray
 from .._validate import as_points
 
 MEMORY = 4 << 30  # bytes that the tables for one cloud may take
+TIME = 300.0  # seconds that one cloud may take, unless more are allowed
+_ESTIMATED = 1 << 14  # points from which on the seconds are estimated; an eighth of a matrix, with its many loops
+_WATCHED = 2000  # points that can take a second, as a quarter can of a matrix
+_SMALLEST = 2.0**-1022  # of the numbers with all their digits
+_TINY = 2.0**-450  # of the largest coordinate: squares of larger differences have all their digits
 _PATIENCE = 3.0  # seconds of compiling before it is said
 _ready: set[tuple[int, ...]] = set()
 _compiling = threading.Lock()
-_kept = threading.local()  # each thread's room for edges, kept from one cloud to the next
+_kept = threading.local()  # each thread's room for edges, kept from one cloud to the next, and what ends its work
 
 Pairs = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
+
+
+class TooLargeError(MemoryError, ValueError):
+    """A cloud that takes more memory or time than it may."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """Points or distances. Squared lengths order edges of points: roots may hide a difference.
 
-    A power of two saves squares from overflow and underflow, and costs no digit.
+    A power of two brings all of them to at most 1, saves squares from overflow and underflow, and costs no digit.
     """
 
-    data: NDArray[np.float64]  # (n, 3) coordinates times `scale`; or (n, n) distances
+    data: NDArray[np.float64]  # (n, 3) coordinates times `scale`; or (n, n) distances times `scale`
     axes: tuple[int, ...]  # three zeros; none for distances, as which more than three dimensions are read
     scale: float
 
@@ -39,10 +51,23 @@ class Cloud:
         array = as_points(points, ask=metric == "euclidean")
         if metric == "precomputed":
             _check_distances(array)
-            return cls(array.copy(), (), 1.0)
-        exponent = int(np.frexp(np.abs(array).max(initial=0.0))[1])
-        scale = 2.0 ** -min(max(exponent, -1000), 1000)
+        sizes = array if metric == "precomputed" else np.abs(array)
+        largest = sizes.max(initial=0.0)
+        scale = 2.0 ** -max(int(np.frexp(largest)[1]), -1022)
         scaled = array * scale
+        if metric == "precomputed":
+            if scale < 1 and np.count_nonzero(scaled < _SMALLEST) > np.count_nonzero(array == 0):
+                least = array[array > 0].min()
+                raise ValueError(
+                    f"the matrix of distances holds {least:.3g} and {largest:.3g}: beside the one the other cannot be told from "
+                    "0; give distances so small as 0"
+                )
+            return cls(scaled, (), scale)
+        if largest > 1e307 and np.linalg.norm(np.ptp(array / 4, axis=0) / 2**1000) > 2**23:
+            raise ValueError(f"points reach {largest:.3g}, and half their distances overflow; divide them by ten")
+        tiny = sizes < _TINY * largest
+        if np.count_nonzero(tiny) and (array[tiny] != 0).any():
+            _check_near(array, tiny)
         if array.shape[1] <= 3:
             return cls(np.hstack([scaled, np.zeros((len(array), 3 - array.shape[1]))]), (0, 0, 0), scale)
         size = 8 * len(array) ** 2
@@ -50,25 +75,24 @@ class Cloud:
             raise _too_large(len(array), f"{size / 1e9:.1f} GB for distances in {array.shape[1]} dimensions")
         from scipy.spatial.distance import pdist, squareform  # SciPy takes a while to import
 
-        distances = pdist(scaled)
-        distances /= scale  # in place and once for each two points
-        return cls(squareform(distances), (), 1.0)
+        return cls(squareform(pdist(scaled)), (), scale)
 
     def __len__(self) -> int:
         return len(self.data)
 
     def keys(self, i: int | NDArray[np.int64], j: NDArray[np.int64] | slice) -> NDArray[np.float64]:
-        """What orders edges from i to j: distances of a matrix, squared lengths times `scale` twice for points."""
+        """What orders edges from i to j: distances of a matrix, squared lengths of points; in scaled units."""
         return squares(self.data[i], self.data[j]) if self.axes else self.data[i, j]
 
-    def lengths(self, i: int | NDArray[np.int64], j: NDArray[np.int64] | slice) -> NDArray[np.float64]:
-        """Lengths of edges from i to j, in the unit of the points."""
-        return np.asarray(np.sqrt(self.keys(i, j)) / self.scale if self.axes else self.keys(i, j))
+    def radii(self, i: int | NDArray[np.int64], j: NDArray[np.int64] | slice) -> NDArray[np.float64]:
+        """Half the lengths of edges from i to j, times `scale`: tiny ones would lose digits in the unit of the points."""
+        keys = self.keys(i, j)
+        return np.asarray(np.sqrt(keys) if self.axes else keys) / 2
 
-    def key_of(self, length: float) -> float:
-        """What an edge of a length has for a key, in floating point rather too much than too little."""
-        scaled = length * self.scale * (1 + 1e-15)
-        return scaled * scaled if self.axes else scaled
+    def key_of(self, radius: float) -> float:
+        """What an edge of a scaled radius has for a key, in floating point rather too much than too little."""
+        length = 2 * radius * (1 + 1e-15)
+        return length * length if self.axes else length
 
 
 def squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -77,6 +101,19 @@ def squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.
     for axis in range(one.shape[-1]):
         total += (one[..., axis] - other[..., axis]) ** 2
     return total
+
+
+def _check_near(array: NDArray[np.float64], tiny: NDArray[np.bool_]) -> None:
+    """Raise ValueError when two points differ in tiny coordinates alone: the square of their distance may be 0."""
+    coarse = np.where(tiny, 0.0, array)
+    _, first, place = np.unique(coarse, axis=0, return_index=True, return_inverse=True)
+    same = first[place.ravel()]
+    rows = np.flatnonzero((array != array[same]).any(axis=1))
+    if len(rows):
+        raise ValueError(
+            f"points[{same[rows[0]]}] and points[{rows[0]}] are nearer to each other than 1e-135 of the cloud's extent, which "
+            "floating point cannot tell from 0 in a square: round the coordinates, np.round(points, 100) for example"
+        )
 
 
 def _check_distances(matrix: NDArray[np.float64]) -> None:
@@ -93,45 +130,31 @@ def _check_distances(matrix: NDArray[np.float64]) -> None:
             raise ValueError(f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]} and {matrix[j, i]}")
 
 
-def pairs(cloud: Cloud, max_radius: float) -> Pairs:
-    """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,)."""
+def pairs(cloud: Cloud, max_radius: float, time_limit: float = TIME) -> Pairs:
+    """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,); radii in scaled units."""
     if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # on a line
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
-    created, killed = _within_memory(cloud, cloud.key_of(2 * max_radius))
+    _compile(cloud.axes)
+    created, killed = _run(cloud, cloud.key_of(max_radius), time_limit)
     ends = np.stack([created, killed[:, :2]])
-    birth, death = cloud.lengths(ends[..., 0], ends[..., 1]) / 2
+    birth, death = cloud.radii(ends[..., 0], ends[..., 1])
     death[(killed[:, 0] < 0) | (death > max_radius)] = np.inf
     killed[np.isinf(death)] = -1
     inside = birth <= max_radius
     return created[inside], killed[inside], birth[inside], death[inside]
 
 
-def _within_memory(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    try:
-        _compile(cloud.axes)
-        return _run(cloud, max_length)
-    except MemoryError as error:
-        raise _too_large(len(cloud), str(error)) from error
-
-
-def _too_large(n: int, what: str) -> MemoryError:
-    return MemoryError(
-        f"persistence may take {MEMORY / 1e9:.1f} GB for one cloud, and these {n} points need {what}; "
-        "take a subset (topokit.farthest_point_sample)"
-    )
-
-
-def _run(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Creating edges and killer edges with their apexes; no `time_limit` for what is known to be quick."""
     from ._edges import EDGE_BYTES, WINDOW, new_room  # numba takes a while to import
     from ._tree import build_tree, repeats
-    from .kernel import pair_edges
 
     if cloud.axes:
         tree = build_tree(cloud.data, cloud.axes)
         data = tree.points
         if repeats(tree):  # edges of a second copy are cones over the first, and that between them closes nothing
             first = np.sort(np.unique(cloud.data + 0.0, axis=0, return_index=True)[1])
-            created, killed = _run(Cloud(cloud.data[first], cloud.axes, cloud.scale), max_length)
+            created, killed = _run(Cloud(cloud.data[first], cloud.axes, cloud.scale), max_length, time_limit)
             once = np.append(first, -1)
             return once[created], once[killed]
     else:
@@ -139,19 +162,85 @@ def _run(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np
         tree = tree._replace(label=np.arange(len(cloud)))
         data = cloud.data
     bits = len(cloud) * ((len(cloud) + 63) // 64) * 8
-    if bits > MEMORY:
-        raise MemoryError(f"{bits / 1e9:.1f} GB for a bit for each pair of points")
+    many = len(cloud) >= (_ESTIMATED if cloud.axes else _ESTIMATED // 8)
+    if time_limit is not None and (bits > MEMORY or (many and time_limit < np.inf)):
+        seconds = _estimate(cloud, max_length, time_limit)
+        if bits > MEMORY or seconds > time_limit:
+            size = (bits + EDGE_BYTES * WINDOW) / 1e9
+            raise _too_large(len(cloud), f"about {seconds / 60:,.1f} minutes and {size:.1f} GB", time_limit)
     spare = MEMORY - bits
     room = getattr(_kept, "room", None)
     if room is None or EDGE_BYTES * len(room.found) > spare // 2:
         room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
-    room, created, killed = pair_edges(data, cloud.axes, tree, max_length, room, spare)
+    room, created, killed = _watched((data, cloud.axes, tree, max_length, room, spare), time_limit)
     _kept.room = room if len(room.found) <= WINDOW else None
     label = np.append(tree.label, -1)  # of what is not there
     created, killed = label[created], label[killed]
     created.sort()
     killed[:, :2].sort()
     return created, killed
+
+
+def _watched(arguments: tuple[Any, ...], time_limit: float | None) -> Any:
+    """What the kernel finds. Where it may take long, it has a thread of its own: this one hears Ctrl-C and the clock."""
+    from ._edges import HALTED, TOO_MANY_EDGES, TOO_MANY_LOOPS
+    from .kernel import pair_edges
+
+    n, own = len(arguments[0]), getattr(_kept, "halt", None)
+    halt = np.zeros(1, np.int64) if own is None else own
+    if own is not None or time_limit is None or n < (_WATCHED if arguments[1] else _WATCHED // 4):
+        found = pair_edges(*arguments, halt)
+        if halt[0] == HALTED:
+            raise futures.CancelledError
+    else:
+        with futures.ThreadPoolExecutor(1) as pool:
+            try:
+                job = pool.submit(lambda: pair_edges(*arguments, halt))
+                found = job.result(min(time_limit, threading.TIMEOUT_MAX))
+            except futures.TimeoutError as error:
+                raise _too_large(n, "more", time_limit) from error
+            finally:
+                halt[0] = halt[0] or HALTED
+    for reason, what in ((TOO_MANY_EDGES, "edges of the same length"), (TOO_MANY_LOOPS, "loops, however short")):
+        if halt[0] == reason:
+            halt[0] = 0
+            raise _too_large(n, f"more memory: there are very many {what}", time_limit)
+    return found
+
+
+def own_halt(halts: list[NDArray[np.int64]]) -> None:
+    """Let another thread end what this one computes: by writing HALTED into what is put into the list."""
+    _kept.halt = np.zeros(1, np.int64)
+    halts.append(_kept.halt)
+
+
+def _estimate(cloud: Cloud, max_length: float, time_limit: float) -> float:
+    """About how many seconds a cloud takes, from random parts of it: larger ones for as long as it is not clear."""
+    n, size = len(cloud), _ESTIMATED // (32 if cloud.axes else 128)
+    rng, most = np.random.default_rng(0), _ESTIMATED // (4 if cloud.axes else 32)
+    before = _timed(cloud, rng.choice(n, size, replace=False), max_length)
+    while True:
+        size *= 2
+        took, times = _timed(cloud, rng.choice(n, size, replace=False), max_length), n / size
+        if size >= most or took * times**3 < time_limit or took * times**2 > time_limit:
+            growth = np.log2(took / before) + 0.3  # many points have caches that are too small against them as well
+            return float(took * times ** np.clip(growth, 2, 4))
+        before = took
+
+
+def _timed(cloud: Cloud, ids: NDArray[np.int64], max_length: float) -> float:
+    part = cloud.data[ids] if cloud.axes else cloud.data[np.ix_(ids, ids)]
+    start = time.thread_time()
+    _run(Cloud(part, cloud.axes, cloud.scale), max_length, None)
+    return max(time.thread_time() - start, 1e-4)
+
+
+def _too_large(n: int, what: str, time_limit: float | None = TIME) -> TooLargeError:
+    allowed = f"{MEMORY / 1e9:.1f} GB" + ("" if time_limit is None else f" and {time_limit:g} seconds")
+    return TooLargeError(
+        f"persistence may take {allowed} for one cloud, and these {n} points need {what}; take a subset "
+        "(topokit.farthest_point_sample), stop earlier (max_radius), or allow more time (time_limit)"
+    )
 
 
 def _compile(axes: tuple[int, ...]) -> None:
@@ -164,7 +253,7 @@ def _compile(axes: tuple[int, ...]) -> None:
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:
-            _run(Cloud(np.eye(4, len(axes) or 4), axes, 1.0), 1.0)
+            _run(Cloud(np.eye(4, len(axes) or 4), axes, 1.0), 1.0, None)
         finally:
             notice.cancel()
         _ready.add(axes)

@@ -11,7 +11,7 @@ from collections import namedtuple
 
 import numpy as np
 
-from ._edges import edge_length, precedes
+from ._edges import TOO_MANY_LOOPS, edge_length, precedes
 from ._jit import njit
 
 # Edges with an empty lune, as lists at their ends: the first link of a vertex, and for a link the next one, the edge's other
@@ -122,11 +122,12 @@ def new_loops(capacity):
 
 
 @njit()
-def with_loop(loops, born, x, y, spare):
-    """The loops with one more, created by the edge {x, y}."""
+def with_loop(loops, born, x, y, spare, halt):
+    """The loops with one more, created by the edge {x, y}, if `spare` bytes hold them."""
     if born == len(loops.created):
         if 8 * (first_word(born) + first_word(2 * born)) > spare:
-            raise MemoryError("more than that: there are very many loops, however short")
+            halt[0] = TOO_MANY_LOOPS
+            return loops
         columns = np.empty(first_word(2 * born), np.uint64)
         for w in range(len(loops.columns)):
             columns[w] = loops.columns[w]

@@ -66,12 +66,12 @@ class Diagram:
         if np.isinf(self.death[i]):
             return np.empty((0, 3), dtype=np.int64)
         vertices = self.killer_triangles[i].ravel()[[0, 1, 2, 5]]
-        to = self._cloud.lengths(vertices[:, None], slice(None)).reshape(4, -1)
+        to = self._cloud.radii(vertices[:, None], slice(None)).reshape(4, -1)
         (a, b, _), each, triangles = _OUTER.T, np.arange(4), vertices[_OUTER]
         enters = np.maximum(np.maximum(to[a], to[b]), to[a, triangles[:, 1], None])
         enters[each[:, None], triangles] = np.inf
         triangles[:, 2] = enters.argmin(axis=1)
-        return triangles[enters[each, triangles[:, 2]] <= 2 * self.death[i]]
+        return triangles[enters[each, triangles[:, 2]] <= to[0, vertices[1]]]
 
     def cycle(self, i: int) -> NDArray[np.int64]:
         """A closed walk around loop `i`, tight at its birth: the birth edge and the shortest path around it.
@@ -192,13 +192,14 @@ def tighten(
     a, b = np.sort(sides(walk)).T
     key, low, high = max(zip(cloud.keys(a, b).tolist(), a.tolist(), b.tolist(), strict=True))
     time = (key, low, high + 1)  # just after its latest edge
-    own = float(cloud.lengths(low, np.array(high))) / 2
-    bound = (own if radius is None else positive(radius, "radius", infinite=True)) * (1 + 1e-12)
+    own = float(cloud.radii(low, np.array(high)))
+    given = own if radius is None else positive(radius, "radius", infinite=True) * cloud.scale
+    bound = given * (1 + 1e-12)
     if own > bound:
-        raise ValueError(f"cycle has an edge of half length {own}, longer than radius {radius}")
+        raise ValueError(f"cycle has an edge of half length {own / cloud.scale}, longer than radius {radius}")
     if radius is not None:
-        time = max(time, (cloud.key_of(2 * float(radius)), len(cloud), len(cloud)))
-    if diagram is not None and bound <= diagram.max_radius:
+        time = max(time, (cloud.key_of(given), len(cloud), len(cloud)))
+    if diagram is not None and bound <= diagram.max_radius * cloud.scale:
         classes = diagram._homology
     else:
         classes = Homology(cloud, *pairs(cloud, bound)[:2])

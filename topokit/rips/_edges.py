@@ -20,6 +20,7 @@ EDGE_BYTES = 108  # of room for an edge while it is sorted
 # A lune lies within sqrt(3)/2 of its edge's length from the midpoint: what is within the rest is joined to all of it.
 CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)
 ROUNDING = 4e-16  # of a place that is a mean of coordinates, which are at most 1
+HALTED, TOO_MANY_EDGES, TOO_MANY_LOOPS = 1, 2, 3  # in `halt[0]`: an exception would not give memory back
 FEW = 8  # edges that insertion sorts as quickly as anything
 _BITS = 21  # of an int64 for a vertex, three times: two million vertices
 _MASK = (1 << _BITS) - 1
@@ -232,7 +233,7 @@ def _sort(room, m, label):
 
 
 @njit()
-def edges_between(data, axes, tree, shortest, longest, room, most):
+def edges_between(data, axes, tree, shortest, longest, room, most, halt):
     """Put the edges with shortest <= length < longest, or a smaller bound, in order; return `room`, their number, the bound."""
     while True:
         if len(axes) == 0:
@@ -248,7 +249,8 @@ def edges_between(data, axes, tree, shortest, longest, room, most):
         elif len(room.found) < most:
             room = _larger(room, min(2 * len(room.found), most))
         else:
-            raise MemoryError("more than that: there are very many edges of the same length")
+            halt[0] = TOO_MANY_EDGES
+            return room, 0, longest
 
 
 @njit()

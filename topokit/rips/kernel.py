@@ -171,12 +171,13 @@ def _root(parent, x):
 
 
 @njit(nogil=True)
-def pair_edges(data, axes, tree, max_length, room, spare):
+def pair_edges(data, axes, tree, max_length, room, spare, halt):
     """Pair the edges that create loops, (c, 2), with the edges that kill them and their two apexes, (c, 4), -1 for none.
 
     `data` holds distances, or points in the order of `tree`, whose labels alone a matrix needs; lengths are squared for points.
     `room` is that of `edges_between`, and comes back for the next call. Besides the n x n bits `spare` bytes may be taken:
-    half for the edges of a window, half for the columns of loops.
+    half for the edges of a window, half for the columns of loops. When these do not suffice, or another thread writes into
+    `halt` (1,), it says why and what comes back is not all.
     """
     n, label = len(data), tree.label
     words = (n + 63) >> 6
@@ -198,11 +199,11 @@ def pair_edges(data, axes, tree, max_length, room, spare):
     done = greatest == 0
     room.waiting[0] = 0
     while not done:
-        room, m, longest = edges_between(data, axes, tree, shortest, longest, room, spare // (2 * EDGE_BYTES))
+        room, m, longest = edges_between(data, axes, tree, shortest, longest, room, spare // (2 * EDGE_BYTES), halt)
         for e in range(m):
             x, y, middle = ends_of(room.keys[e])
             length = room.lengths[e]
-            if length > max_length or (alive == 0 and 0 <= last < length):
+            if halt[0] or length > max_length or (alive == 0 and 0 <= last < length):
                 done = True
                 break
             near = middle < 0 or (words > FEW_WORDS and _is_near_middle(data, axes, x, y, middle, length))
@@ -230,9 +231,9 @@ def pair_edges(data, axes, tree, max_length, room, spare):
                 if pieces == 1 and alive == 0:
                     last = last_empty_lune(data, axes, tree, length)
             else:  # it creates a loop
-                loops = with_loop(loops, born, x, y, spare // 2)
+                loops = with_loop(loops, born, x, y, spare // 2, halt)
                 born += 1
                 alive += 1
-        done = done or longest > greatest or (alive == 0 and 0 <= last < longest)
+        done = done or halt[0] != 0 or longest > greatest or (alive == 0 and 0 <= last < longest)
         shortest, longest = longest, next_window(data, axes, shortest, longest, m)
     return room, loops.created[:born], loops.killed[:born]

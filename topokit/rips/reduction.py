@@ -149,12 +149,12 @@ def filtration(
     edges, n = _edges(cloud, positive(max_radius, "max_radius", infinite=True)), len(cloud)
     simplices = [Simplex((i,), 0.0, None) for i in range(n)]
     near: list[set[int]] = [set() for _ in range(n)]
-    for length, i, j in edges if dimension > 0 else []:
+    for radius, i, j in edges if dimension > 0 else []:
         lune = sorted(near[i] & near[j])
         cliques: list[Vertices] = [()]
         for _ in range(dimension):
             arriving = sorted(tuple(sorted((i, j, *clique))) for clique in cliques)
-            simplices += [Simplex(vertices, length / 2, (i, j)) for vertices in arriving]
+            simplices += [Simplex(vertices, radius, (i, j)) for vertices in arriving]
             _check_size(len(simplices), n, dimension)
             cliques = [(*c, z) for c in cliques for z in lune if z > max(c, default=-1) and near[z].issuperset(c)]
         near[i].add(j)
@@ -198,14 +198,14 @@ def reduce(simplices: Sequence[Simplex]) -> Reduction:
 
 
 def _edges(cloud: Cloud, max_radius: float) -> list[tuple[float, int, int]]:
-    """The edges up to a length as (length, i, j), i < j, in the total order."""
+    """The edges up to a radius as (half length, i, j), i < j, in the total order."""
     n = len(cloud)
     edges: list[tuple[float, int, int, float]] = []
     for i in range(n):
-        keys, lengths = cloud.keys(i, slice(None)).tolist(), cloud.lengths(i, slice(None)).tolist()
-        edges += [(keys[j], i, j, lengths[j]) for j in range(i + 1, n) if lengths[j] / 2 <= max_radius]
+        keys, radii = cloud.keys(i, slice(None)).tolist(), (cloud.radii(i, slice(None)) / cloud.scale).tolist()
+        edges += [(keys[j], i, j, radii[j]) for j in range(i + 1, n) if radii[j] <= max_radius]
         _check_size(n + len(edges), n, 1)
-    return [(length, i, j) for _, i, j, length in sorted(edges)]
+    return [(radius, i, j) for _, i, j, radius in sorted(edges)]
 
 
 def _check_size(count: int, n: int, dimension: int) -> None:

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 
 from topokit._lazy import attach
 
-from ._camera import Camera, DepthNoise, cameras_around
-from ._episode import Randomisation, simulate
-from ._garments import WARDROBE, Garment
-from ._process import SimulationError
-from ._targets import Hanger, Hook, Mannequin, Target
-from ._tasks import TASKS, GripperPath, Task, Via, task_for
-from ._world import SimulationConfig, World, observe
-
 if TYPE_CHECKING:
+    from ._camera import Camera, DepthNoise, cameras_around
     from ._env import HangEnv
+    from ._episode import Randomisation, simulate
+    from ._garments import WARDROBE, Garment
+    from ._process import SimulationError
+    from ._targets import Hanger, Hook, Mannequin, Target
+    from ._tasks import TASKS, GripperPath, Task, Via, task_for
+    from ._world import SimulationConfig, World, observe
 
 if importlib.util.find_spec("gymnasium"):  # so that gymnasium.make knows the environment once this package is imported
     from gymnasium import register

@@ -147,6 +147,11 @@ def cameras_around(
         From the place, metres.
     noise : DepthNoise, optional
         Of every camera.
+
+    Raises
+    ------
+    ValueError
+        When there would be more than a hundred.
     """
     if not 0 <= n <= 100:
         raise ValueError(f"n must be 0 to 100 cameras, not {n}")

@@ -150,9 +150,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         move = as_reals(action, "action").astype(np.float64)
         if move.shape != (7,) or not np.isfinite(move).all():
             raise ValueError(f"an action is seven finite numbers, not {action!r}")
-        move = np.clip(move, -1, 1)
         points, linked, distance = self._points, self._linked, self._distance
-        self._advance(self.max_step * move[:6].reshape(2, 3), release=move[6] > 0.5)
+        self._advance(self.max_step * np.clip(move[:6], -1, 1).reshape(2, 3), release=move[6] > 0.5)
         torn = False
         try:
             check_stretch(self.garment, self.config, self._points, f"step {self._steps}")

@@ -259,11 +259,11 @@ def _as_job(run: Run) -> dict[str, Any]:
 
 def _as_run(job: dict[str, Any]) -> Run:
     arrays = _unpacked(job.pop("arrays"))
-    cloth = {name: arrays[name] for name in ("vertices", "faces", "grips")}
+    garment = Garment("", arrays["vertices"], arrays["faces"], (), arrays["grips"])
     rods = tuple(zip(arrays["starts"], arrays["ends"], arrays["radii"].tolist(), strict=True))
     config = from_mapping(SimulationConfig, job.pop("config"), "config")
     cameras = tuple(from_mapping(Camera, camera, "cameras") for camera in job.pop("cameras"))
-    return Run(Garment("", loops=(), **cloth), rods, arrays["goals"], config=config, cameras=cameras, **job)
+    return Run(garment, rods, arrays["goals"], config=config, cameras=cameras, **job)
 
 
 def _packed(arrays: Mapping[str, ArrayLike]) -> str:

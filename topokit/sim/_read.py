@@ -85,13 +85,12 @@ def _stl(data: bytes) -> tuple[Array, Polygons]:
         facets = len(re.findall(r"\bfacet\s+normal", text))
         if len(rows) != 3 * facets or "endsolid" not in text:
             raise ValueError(f"cut off or damaged: {facets} facets have {len(rows)} corners, or endsolid is missing")
-        try:
-            corners = np.array([[float(word) for word in row] for row in rows]).reshape(-1, 3)
-        except ValueError as error:
-            raise ValueError(f"a corner is no place: {error}") from error
+        corners = np.array(rows, dtype=np.float64).reshape(-1, 3)
     else:
         raise ValueError(f"neither ASCII STL nor whole binary STL: {len(data)} bytes; it counts {count} triangles")
-    return corners.astype(np.float64), np.arange(len(corners)).reshape(-1, 3).tolist()
+    with np.errstate(invalid="ignore"):  # of a NaN that signals
+        corners = corners.astype(np.float64)
+    return corners, np.arange(len(corners)).reshape(-1, 3).tolist()
 
 
 def _ply(data: bytes) -> tuple[Array, Polygons]:
@@ -107,8 +106,9 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
     take = _taker(body, orders[kind])
     vertices: list[list[float]] = []
     polygons: Polygons = []
-    for name, count, properties in _ply_elements(header):
-        try:
+    elements = _ply_elements(header)
+    try:
+        for name, count, properties in elements:
             if properties and not 0 <= count <= len(body):  # a row of anything takes a byte or more
                 raise ValueError(f"the file has {len(body)} bytes for them")
             for _ in range(count if properties else 0):
@@ -116,24 +116,16 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
                 if name == "vertex":
                     vertices.append([row[axis][0] for axis in "xyz"])
                 elif name == "face":
-                    polygons.append(_polygon(row, len(polygons)))
-        except KeyError as error:
-            raise ValueError("its vertices have no x, y and z, or its faces no list vertex_indices") from error
-        except (ValueError, IndexError, OverflowError, StopIteration, struct.error) as error:
-            where = f"cut off or damaged among the {count} rows of its element {name!r}"
-            raise ValueError(f"{where}: {str(error) or 'the file ends there'}") from error
+                    polygons.append(list(map(int, row["vertex_index" if "vertex_index" in row else "vertex_indices"])))
+    except KeyError as error:
+        raise ValueError("its vertices have no x, y and z, or its faces no list vertex_indices") from error
+    except (ValueError, IndexError, OverflowError, StopIteration, struct.error) as error:
+        where = f"cut off or damaged among the {count} rows of its element {name!r}"
+        raise ValueError(f"{where}: {str(error) or 'the file ends there'}") from error
+    short = next((i for i, polygon in enumerate(polygons) if len(polygon) < 3), None)
+    if short is not None:
+        raise ValueError(f"face {short} has {len(polygons[short])} corners; three at least make a face")
     return np.array(vertices).reshape(-1, 3), polygons
-
-
-def _polygon(row: dict[str, list[float]], face: int) -> list[int]:
-    """The corners of a face, or what is wrong with them."""
-    corners = row["vertex_index"] if "vertex_index" in row else row["vertex_indices"]
-    if len(corners) < 3:
-        raise ValueError(f"face {face} has {len(corners)} corners; three at least make a face")
-    try:
-        return [int(corner) for corner in corners]
-    except (ValueError, OverflowError) as error:
-        raise ValueError(f"a face names a vertex by no whole number: {error}") from error
 
 
 def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
