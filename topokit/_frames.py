@@ -19,6 +19,7 @@ _SCENE = (
     0.95  # share of the points that have a neighbour within 2 alpha, when alpha is estimated from what is not alone
 )
 _MOVED = 0.9  # share of the points that move no farther than epsilon, estimated likewise
+_EVEN = 2.0  # fifth neighbours are no more times as far as next ones where points lie evenly; 2.6 at random: wider gaps
 _OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
 
 
@@ -29,7 +30,7 @@ class Frame:
     tree: cKDTree  #: of the points that count
     ids: NDArray[np.int64]  #: theirs in the cloud
     alpha: float
-    spacing: float  #: median distance of a point from its fifth nearest other one; 0 when alpha decides what is a loop
+    spacing: float  #: of neighbours: how wide gaps between points may be; 0 when alpha decides what is a loop
 
     @classmethod
     def scene(cls, tree: cKDTree) -> Frame:
@@ -44,7 +45,9 @@ class Frame:
         ids, places, nearest = inliers_and_tree(tree)
         if places.n == 1:
             return cls(places, ids, 0.0, 0.0)
-        return cls(places, ids, float(np.quantile(nearest[:, 0], _SCENE)) / 2, float(np.median(nearest[:, -1])))
+        next_one, spacing = float(np.median(nearest[:, 0])), float(np.median(nearest[:, -1]))
+        spacing *= max(spacing / (_EVEN * next_one), 1.0) ** 1.5
+        return cls(places, ids, float(np.quantile(nearest[:, 0], _SCENE)) / 2, spacing)
 
     def motion_since(self, before: Frame) -> tuple[Array, float]:
         """(d,) how far the middle of the scene has moved since, and how far its points beside that: a partial Hausdorff distance.

@@ -60,7 +60,7 @@ def within_gates(gates: str, loops: Candidates) -> list[tuple[int, int]]:
     gate, bound = {
         "paper": (2 * alpha + epsilon, 2 * alpha + beta + epsilon),
         "proved": (alpha + epsilon, 2 * beta + epsilon),
-        "near": (alpha + epsilon, beta + epsilon),
+        "near": (alpha + epsilon + np.maximum(loops.death[:, None], loops.known_death) / 4, beta + epsilon),
     }[gates]
     distance = hausdorff_table(loops.places, loops.known_places)
     cost = distance + deaths if gates == "near" else distance

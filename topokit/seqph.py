@@ -71,8 +71,8 @@ class SeqPH:
         Which bars are loops: those that the diagram and the film before it speak for, or those that live alpha or longer, as in
         the paper. The second when alpha is given, the first when it is not.
     gates : {"near", "proved", "paper"}
-        Largest change of birth and death, and largest distance of places, for the same loop: ``alpha + epsilon`` and
-        ``beta + epsilon``; ``alpha + epsilon`` and ``2 beta + epsilon``, which are what the proofs give; or the paper's
+        Largest change of birth and death, and largest distance of places, for the same loop: ``alpha + epsilon``
+        and a quarter of the larger death, and ``beta + epsilon``; ``alpha + epsilon`` and ``2 beta + epsilon``, which are what the proofs give; or the paper's
         ``2 alpha + epsilon`` and ``2 alpha + beta + epsilon``.
     identity : {"killer-edge", "killer-triangles", "cycle"}
         What a loop's place is. In the paper, the two ends of its killer edge, compared by Hausdorff distance; on a nearly
