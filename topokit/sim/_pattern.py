@@ -21,6 +21,8 @@ from topokit._validate import positive
 
 from ._surface import Array, Ids, half_edges, joined, strangers, wind
 
+_MOST = 2**15  # vertices of a pattern: no dataset has room for more
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -205,6 +207,8 @@ def triangulate(
     outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Array, rounds: int = 12
 ) -> tuple[Array, Ids, list[Ids]]:
     """Triangulate a flat pattern; return its vertices (n, 2), faces (f, 3) and borders (ids of the outline and of each hole)."""
+    wide, high = np.ptp(np.concatenate(outline), axis=0)
+    demand(wide * high <= _MOST * spacing**2, f"spacing {spacing} is too fine for a pattern of {wide:g} by {high:g} m")
     borders = [np.concatenate([_resample(line, spacing) for line in chain]) for chain in (outline, *holes)]
     kept = np.concatenate([*borders, fixed])
     lattice = _lattice(borders[0].min(axis=0), borders[0].max(axis=0), spacing)
