@@ -42,9 +42,7 @@ class Record:
     """An episode in short."""
 
     episode: Annotated[int, pydantic.Field(ge=0, lt=MOST_EPISODES)]
-    status: Literal[
-        "ok", "rejected", "failed"
-    ]  # the simulation was not physical; it could not be made, after three tries
+    status: Literal["ok", "rejected", "failed"]  # rejected: it was not physical; failed: it could not be made
     reason: str = ""  # why, when the status is not ok
     task: str = ""
     garment: str = ""
@@ -206,11 +204,9 @@ class Group:
         """Return the content of a file, None when there is none."""
         whole = _join(self._root, self.prefix, path)
         try:
-            found = os.stat(whole) if self._local else None
+            found = os.stat(whole) if self._local else None  # a pipe never ends
             if found and (not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_BYTES):
-                raise OSError(
-                    f"{self.where(path)}: no regular file of at most {_MOST_BYTES} bytes"
-                )  # a pipe never ends
+                raise OSError(f"{self.where(path)}: no regular file of at most {_MOST_BYTES} bytes")
             return bytes(self._fs.cat_file(whole))
         except (FileNotFoundError, NotADirectoryError, KeyError):
             return None

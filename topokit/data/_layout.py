@@ -315,8 +315,8 @@ def _chunks(f: Field, content: bytes) -> dict[int, bytes]:
 
 
 def _create(store: dict[str, Any], f: Field, episodes: int) -> Any:
-    zarr = needed("zarr")
-    time_last = zarr.codecs.TransposeCodec(order=(0, *range(2, len(f.shape) + 1), 1))
+    zarr, codecs = needed("zarr"), needed("zarr.codecs")
+    time_last = codecs.TransposeCodec(order=(0, *range(2, len(f.shape) + 1), 1))
     return zarr.create_array(
         store,
         name=f.name,
@@ -325,9 +325,7 @@ def _create(store: dict[str, Any], f: Field, episodes: int) -> Any:
         chunks=(1, HISTORY, *f.shape[1:]) if f.split else (1, *f.shape),
         shards=(1, *f.shape) if f.split else None,
         filters=[time_last] if f.time_last else None,
-        compressors=zarr.codecs.BloscCodec(
-            typesize=np.dtype(f.dtype).itemsize, cname="zstd", clevel=5, shuffle="shuffle"
-        ),
+        compressors=codecs.BloscCodec(typesize=np.dtype(f.dtype).itemsize, cname="zstd", clevel=5, shuffle="shuffle"),
         fill_value=f.fill,
         chunk_key_encoding={"name": "default", "separator": "."},  # a file an episode, not four folders
         dimension_names=("episode", *f.axes),
