@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._cores import n_cores
 from .._validate import as_sequence, positive
@@ -19,6 +19,9 @@ from ._cloud import Cloud, pairs
 from ._diagram import Diagram, tighten
 
 __all__ = ["Diagram", "rips_persistence", "rips_persistence_many", "tighten"]
+
+_AT_ONCE = 64  # clouds in one compiled call, which Ctrl-C cannot end
+_FEW_POINTS = 1 << 17  # in such a call
 
 
 def rips_persistence(
@@ -60,21 +63,7 @@ def rips_persistence(
     """
     cutoff = positive(max_radius, "max_radius", infinite=True)
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
-    cloud = Cloud.of(points, metric)
-    created, killed, birth, death = pairs(cloud, cutoff)
-    keep = np.argsort(birth - death, kind="stable")  # births come in the total order, which decides ties
-    keep = keep[(death > birth)[keep] & (death - birth >= shortest)[keep]]
-    return Diagram(
-        birth=birth[keep],
-        death=death[keep],
-        birth_edge=created[keep],
-        killer_edge=killed[keep, :2],
-        killer_triangles=killed[keep][:, [[0, 1, 3], [0, 1, 2]]],
-        n_points=len(cloud),
-        max_radius=cutoff,
-        _cloud=cloud,
-        _simplices=(created, killed),
-    )
+    return _diagrams([Cloud.of(points, metric)], cutoff, shortest)[0]
 
 
 def rips_persistence_many(
@@ -113,17 +102,45 @@ def rips_persistence_many(
     arrays = as_sequence(clouds, "clouds")
     if n_jobs is not None and n_jobs < 1:
         raise ValueError(f"n_jobs must be 1 or more, not {n_jobs}")
-    workers = n_jobs or n_cores()
-    diagrams = []
+    bounds = (positive(max_radius, "max_radius", infinite=True), positive(min_lifetime, "min_lifetime", infinite=True))
+    workers, diagrams = n_jobs or n_cores(), list[Diagram]()
+    at_once = min(_AT_ONCE, -(-len(arrays) // workers))
     with ThreadPoolExecutor(workers) as pool:
-        jobs = [pool.submit(rips_persistence, a, max_radius=max_radius, min_lifetime=min_lifetime) for a in arrays]
+        jobs = [pool.submit(_some, arrays[i : i + at_once], *bounds) for i in range(0, len(arrays), at_once or 1)]
         try:
-            for done, job in enumerate(jobs, 1):
-                diagrams.append(job.result())
+            for job in jobs:
+                diagrams += job.result()
                 if progress:
-                    print(f"\rpersistence: {done} of {len(jobs)} clouds", end="", file=sys.stderr, flush=True)
+                    print(f"\rpersistence: {len(diagrams)} of {len(arrays)} clouds", end="", file=sys.stderr, flush=True)
         finally:
             pool.shutdown(cancel_futures=True)  # an error or Ctrl-C does not wait for the rest
             if progress and jobs:
                 print(file=sys.stderr)
     return diagrams
+
+
+def _some(arrays: list[NDArray[np.float64]], cutoff: float, shortest: float) -> list[Diagram]:
+    """Diagrams of some clouds: of points in space in one call, unless they need much memory."""
+    clouds = [Cloud.of(array) for array in arrays]
+    if clouds[0].axes and sum(map(len, clouds)) <= _FEW_POINTS:
+        return _diagrams(clouds, cutoff, shortest)
+    return [diagram for cloud in clouds for diagram in _diagrams([cloud], cutoff, shortest)]
+
+
+def _diagrams(clouds: list[Cloud], cutoff: float, shortest: float) -> list[Diagram]:
+    created, killed, birth, death, number = pairs(clouds, cutoff)
+    keep = np.lexsort((birth - death, number))  # births come in the total order, which decides ties
+    keep = keep[(death > birth)[keep] & (death - birth >= shortest)[keep]]
+    triangles = killed[:, [[0, 1, 3], [0, 1, 2]]]
+    table = [array[keep] for array in (birth, death, created, killed[:, :2], triangles)]
+    kept, found = (np.searchsorted(owner, range(len(clouds) + 1)).tolist() for owner in (number[keep], number))
+    return [
+        Diagram(
+            *(array[kept[c] : kept[c + 1]] for array in table),
+            n_points=len(cloud),
+            max_radius=cutoff,
+            _cloud=cloud,
+            _simplices=(created[found[c] : found[c + 1]], killed[found[c] : found[c + 1]]),
+        )
+        for c, cloud in enumerate(clouds)
+    ]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import sys
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +19,8 @@ _ready: set[tuple[int, ...]] = set()
 _compiling = threading.Lock()
 _kept = threading.local()  # each thread's room for edges, kept from one cloud to the next
 
-Pairs = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
+Ids = NDArray[np.int64]
+Pairs = tuple[Ids, Ids, NDArray[np.float64], NDArray[np.float64], Ids]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +45,16 @@ class Cloud:
             return cls(array.copy(), (), 1.0)
         exponent = int(np.frexp(np.abs(array).max(initial=0.0))[1])
         scale = 2.0 ** -min(max(exponent, -1000), 1000)
-        scaled = array * scale
         if array.shape[1] <= 3:
-            return cls(np.hstack([scaled, np.zeros((len(array), 3 - array.shape[1]))]), (0, 0, 0), scale)
+            data = np.zeros((len(array), 3))
+            data[:, : array.shape[1]] = array * scale
+            return cls(data, (0, 0, 0), scale)
         size = 8 * len(array) ** 2
         if size > MEMORY:
             raise _too_large(len(array), f"{size / 1e9:.1f} GB for distances in {array.shape[1]} dimensions")
         from scipy.spatial.distance import pdist, squareform  # SciPy takes a while to import
 
-        distances = pdist(scaled)
+        distances = pdist(array * scale)
         distances /= scale  # in place and once for each two points
         return cls(squareform(distances), (), 1.0)
 
@@ -93,25 +97,30 @@ def _check_distances(matrix: NDArray[np.float64]) -> None:
             raise ValueError(f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]} and {matrix[j, i]}")
 
 
-def pairs(cloud: Cloud, max_radius: float) -> Pairs:
-    """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,)."""
-    if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # on a line
-        return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
-    created, killed = _within_memory(cloud, cloud.key_of(2 * max_radius))
-    ends = np.stack([created, killed[:, :2]])
-    birth, death = cloud.lengths(ends[..., 0], ends[..., 1]) / 2
+def pairs(clouds: Sequence[Cloud], max_radius: float) -> Pairs:
+    """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,), and whose they are.
+
+    A matrix comes alone.
+    """
+    found = _within_memory(clouds, [cloud.key_of(2 * max_radius) for cloud in clouds])
+    created, killed = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    number = np.repeat(np.arange(len(clouds)), [len(some) for some, _ in found])
+    starts = np.cumsum([0, *map(len, clouds)])[number]
+    whole = Cloud(np.concatenate([cloud.data for cloud in clouds]), clouds[0].axes, 1.0)
+    scale = np.array([cloud.scale for cloud in clouds])[number]
+    birth, death = (whole.lengths(ends[:, 0] + starts, ends[:, 1] + starts) / scale / 2 for ends in (created, killed))
     death[(killed[:, 0] < 0) | (death > max_radius)] = np.inf
     killed[np.isinf(death)] = -1
     inside = birth <= max_radius
-    return created[inside], killed[inside], birth[inside], death[inside]
+    return created[inside], killed[inside], birth[inside], death[inside], number[inside]
 
 
-def _within_memory(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _within_memory(clouds: Sequence[Cloud], max_lengths: Sequence[float]) -> list[tuple[Ids, Ids]]:
     try:
-        _compile(cloud.axes)
-        return _run(cloud, max_length)
+        _compile(clouds[0].axes)
+        return _run(clouds, max_lengths)
     except MemoryError as error:
-        raise _too_large(len(cloud), str(error)) from error
+        raise _too_large(max(map(len, clouds)), str(error)) from error
 
 
 def _too_large(n: int, what: str) -> MemoryError:
@@ -121,37 +130,39 @@ def _too_large(n: int, what: str) -> MemoryError:
     )
 
 
-def _run(cloud: Cloud, max_length: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _run(clouds: Sequence[Cloud], max_lengths: Sequence[float]) -> list[tuple[Ids, Ids]]:
     from ._edges import EDGE_BYTES, WINDOW, new_room  # numba takes a while to import
-    from ._tree import build_tree, repeats
-    from .kernel import pair_edges
+    from ._stack import pair_clouds, pair_matrix
 
-    if cloud.axes:
-        tree = build_tree(cloud.data, cloud.axes)
-        data = tree.points
-        if repeats(tree):  # edges of a second copy are cones over the first, and that between them closes nothing
-            first = np.sort(np.unique(cloud.data + 0.0, axis=0, return_index=True)[1])
-            created, killed = _run(Cloud(cloud.data[first], cloud.axes, cloud.scale), max_length)
-            once = np.append(first, -1)
-            return once[created], once[killed]
-    else:
-        tree = build_tree(np.zeros((1, 3)), (0, 0, 0))  # in space, for which it is compiled anyway
-        tree = tree._replace(label=np.arange(len(cloud)))
-        data = cloud.data
-    bits = len(cloud) * ((len(cloud) + 63) // 64) * 8
+    most, axes = max(map(len, clouds)), clouds[0].axes
+    bits = most * ((most + 63) // 64) * 8
     if bits > MEMORY:
         raise MemoryError(f"{bits / 1e9:.1f} GB for a bit for each pair of points")
     spare = MEMORY - bits
     room = getattr(_kept, "room", None)
     if room is None or EDGE_BYTES * len(room.found) > spare // 2:
         room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
-    room, created, killed = pair_edges(data, cloud.axes, tree, max_length, room, spare)
+    if axes:
+        data, ends = np.concatenate([cloud.data for cloud in clouds]), np.cumsum([0, *map(len, clouds)])
+        room, created, killed, counts = pair_clouds(data, axes, ends, np.array(max_lengths), room, spare)
+    else:
+        room, created, killed, counts = pair_matrix(clouds[0].data, axes, (0, 0, 0), max_lengths[0], room, spare)
     _kept.room = room if len(room.found) <= WINDOW else None
-    label = np.append(tree.label, -1)  # of what is not there
-    created, killed = label[created], label[killed]
     created.sort()
     killed[:, :2].sort()
-    return created, killed
+    ends = np.cumsum([0, *np.maximum(counts, 0)]).tolist()
+    found = [(created[a:b], killed[a:b]) for a, b in pairwise(ends)]
+    for c in np.flatnonzero(counts < 0).tolist():
+        found[c] = _run_once(clouds[c], max_lengths[c])
+    return found
+
+
+def _run_once(cloud: Cloud, max_length: float) -> tuple[Ids, Ids]:
+    """Repeated points count once: edges of a second copy are cones over the first, and that between them closes nothing."""
+    first = np.sort(np.unique(cloud.data + 0.0, axis=0, return_index=True)[1])
+    [(created, killed)] = _run([Cloud(cloud.data[first], cloud.axes, cloud.scale)], [max_length])
+    once = np.append(first, -1)
+    return once[created], once[killed]
 
 
 def _compile(axes: tuple[int, ...]) -> None:
@@ -164,7 +175,7 @@ def _compile(axes: tuple[int, ...]) -> None:
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:
-            _run(Cloud(np.eye(4, len(axes) or 4), axes, 1.0), 1.0)
+            _run([Cloud(np.eye(4, len(axes) or 4), axes, 1.0)], [1.0])
         finally:
             notice.cancel()
         _ready.add(axes)

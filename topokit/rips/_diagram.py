@@ -201,7 +201,7 @@ def tighten(
     if diagram is not None and bound <= diagram.max_radius:
         classes = diagram._homology
     else:
-        classes = Homology(cloud, *pairs(cloud, bound)[:2])
+        classes = Homology(cloud, *pairs([cloud], bound)[:2])
     tight = classes.tightened(walk, time)
     if classes.length(tight) > classes.length(walk):  # by rounding
         tight = walk

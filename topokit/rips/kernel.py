@@ -17,7 +17,7 @@ from collections import namedtuple
 import numpy as np
 
 from ._creators import ONE, Graph, add_in_creators, first_word, lowest, new_loops, reduce_column, with_edge, with_loop
-from ._edges import EDGE_BYTES, edge_length, edges_between, ends_of, first_window, greatest_length, next_window
+from ._edges import EDGE_BYTES, edge_length, edges_between, ends_of, greatest_length, next_window
 from ._jit import njit
 from ._lunes import last_empty_lune
 
@@ -170,13 +170,14 @@ def _root(parent, x):
     return x
 
 
-@njit(nogil=True)
-def pair_edges(data, axes, tree, max_length, room, spare):
+@njit()
+def pair_edges(data, axes, tree, max_length, room, m, longest, spare):
     """Pair the edges that create loops, (c, 2), with the edges that kill them and their two apexes, (c, 4), -1 for none.
 
     `data` holds distances, or points in the order of `tree`, whose labels alone a matrix needs; lengths are squared for points.
-    `room` is that of `edges_between`, and comes back for the next call. Besides the n x n bits `spare` bytes may be taken:
-    half for the edges of a window, half for the columns of loops.
+    `room` is that of `edges_between`, and has the first window: m edges in order, all that are shorter than `longest`. It
+    comes back, with the length of the edge that was read last. Besides the n x n bits `spare` bytes may be taken: half for the
+    edges of a window, half for the columns of loops.
     """
     n, label = len(data), tree.label
     words = (n + 63) >> 6
@@ -194,11 +195,9 @@ def pair_edges(data, axes, tree, max_length, room, spare):
     loops, born, alive = new_loops(64), 0, 0
     stack, parent, pieces = np.empty((256, 2), dtype=np.int64), np.arange(n), n
     last = -1.0  # the length of the last edge with an empty lune, once it is known
-    shortest, longest, greatest = 0.0, first_window(data, axes, tree), greatest_length(data, axes, tree)
+    shortest, length, greatest = 0.0, 0.0, greatest_length(data, axes, tree)
     done = greatest == 0
-    room.waiting[0] = 0
     while not done:
-        room, m, longest = edges_between(data, axes, tree, shortest, longest, room, spare // (2 * EDGE_BYTES))
         for e in range(m):
             x, y, middle = ends_of(room.keys[e])
             length = room.lengths[e]
@@ -234,5 +233,7 @@ def pair_edges(data, axes, tree, max_length, room, spare):
                 born += 1
                 alive += 1
         done = done or longest > greatest or (alive == 0 and 0 <= last < longest)
-        shortest, longest = longest, next_window(data, axes, shortest, longest, m)
-    return room, loops.created[:born], loops.killed[:born]
+        if not done:
+            shortest, longest = longest, next_window(data, axes, shortest, longest, m)
+            room, m, longest = edges_between(data, axes, tree, shortest, longest, room, spare // (2 * EDGE_BYTES))
+    return room, loops.created[:born], loops.killed[:born], length
