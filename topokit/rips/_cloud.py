@@ -7,6 +7,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -97,12 +98,18 @@ def _check_distances(matrix: NDArray[np.float64]) -> None:
             raise ValueError(f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]} and {matrix[j, i]}")
 
 
-def pairs(clouds: Sequence[Cloud], max_radius: float) -> Pairs:
+class Film:
+    """What the kernel remembers of a cloud for the next one, when they differ little."""
+
+    before: Any = None
+
+
+def pairs(clouds: Sequence[Cloud], max_radius: float, film: Film | None = None) -> Pairs:
     """Creating edges (c, 2), killer edges with their two apexes (c, 4), births and deaths (c,), and whose they are.
 
     A matrix comes alone.
     """
-    found = _within_memory(clouds, [cloud.key_of(2 * max_radius) for cloud in clouds])
+    found = _within_memory(clouds, [cloud.key_of(2 * max_radius) for cloud in clouds], film or Film())
     created, killed = (np.concatenate(parts) for parts in zip(*found, strict=True))
     number = np.repeat(np.arange(len(clouds)), [len(some) for some, _ in found])
     starts = np.cumsum([0, *map(len, clouds)])[number]
@@ -115,10 +122,12 @@ def pairs(clouds: Sequence[Cloud], max_radius: float) -> Pairs:
     return created[inside], killed[inside], birth[inside], death[inside], number[inside]
 
 
-def _within_memory(clouds: Sequence[Cloud], max_lengths: Sequence[float]) -> list[tuple[Ids, Ids]]:
+def _within_memory(clouds: Sequence[Cloud], max_lengths: Sequence[float], film: Film) -> list[tuple[Ids, Ids]]:
+    if max(map(len, clouds)) < 4:
+        return [(np.empty((0, 2), np.int64), np.empty((0, 4), np.int64)) for _ in clouds]
     try:
         _compile(clouds[0].axes)
-        return _run(clouds, max_lengths)
+        return _run(clouds, max_lengths, film)
     except MemoryError as error:
         raise _too_large(max(map(len, clouds)), str(error)) from error
 
@@ -130,9 +139,9 @@ def _too_large(n: int, what: str) -> MemoryError:
     )
 
 
-def _run(clouds: Sequence[Cloud], max_lengths: Sequence[float]) -> list[tuple[Ids, Ids]]:
+def _run(clouds: Sequence[Cloud], max_lengths: Sequence[float], film: Film) -> list[tuple[Ids, Ids]]:
     from ._edges import EDGE_BYTES, WINDOW, new_room  # numba takes a while to import
-    from ._stack import pair_clouds, pair_matrix
+    from ._stack import nothing_before, pair_clouds, pair_matrix
 
     most, axes = max(map(len, clouds)), clouds[0].axes
     bits = most * ((most + 63) // 64) * 8
@@ -144,9 +153,13 @@ def _run(clouds: Sequence[Cloud], max_lengths: Sequence[float]) -> list[tuple[Id
         room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
     if axes:
         data, ends = np.concatenate([cloud.data for cloud in clouds]), np.cumsum([0, *map(len, clouds)])
-        room, created, killed, counts = pair_clouds(data, axes, ends, np.array(max_lengths), room, spare)
+        before = nothing_before(axes) if film.before is None else film.before
+        film.before, room, created, killed, counts = pair_clouds(
+            data, axes, ends, np.array(max_lengths), before, room, spare
+        )
     else:
-        room, created, killed, counts = pair_matrix(clouds[0].data, axes, (0, 0, 0), max_lengths[0], room, spare)
+        room, created, killed = pair_matrix(clouds[0].data, axes, (0, 0, 0), max_lengths[0], room, spare)
+        counts = np.array([len(created)])
     _kept.room = room if len(room.found) <= WINDOW else None
     created.sort()
     killed[:, :2].sort()
@@ -160,7 +173,7 @@ def _run(clouds: Sequence[Cloud], max_lengths: Sequence[float]) -> list[tuple[Id
 def _run_once(cloud: Cloud, max_length: float) -> tuple[Ids, Ids]:
     """Repeated points count once: edges of a second copy are cones over the first, and that between them closes nothing."""
     first = np.sort(np.unique(cloud.data + 0.0, axis=0, return_index=True)[1])
-    [(created, killed)] = _run([Cloud(cloud.data[first], cloud.axes, cloud.scale)], [max_length])
+    [(created, killed)] = _run([Cloud(cloud.data[first], cloud.axes, cloud.scale)], [max_length], Film())
     once = np.append(first, -1)
     return once[created], once[killed]
 
@@ -175,7 +188,7 @@ def _compile(axes: tuple[int, ...]) -> None:
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:
-            _run([Cloud(np.eye(4, len(axes) or 4), axes, 1.0)], [1.0])
+            _run([Cloud(np.eye(4, len(axes) or 4), axes, 1.0)], [1.0], Film())
         finally:
             notice.cancel()
         _ready.add(axes)

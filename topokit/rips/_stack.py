@@ -9,6 +9,8 @@ Source: Verlet 1967 (lists of neighbours).
 
 from __future__ import annotations
 
+from collections import namedtuple
+
 import numpy as np
 
 from ._creators import twice_as_long
@@ -20,6 +22,15 @@ from .kernel import pair_edges
 SLACK = 1.05  # times the squared length at which the cloud before ended: this one is expected to end below
 REACH = 1.3  # times that length are listed, for several clouds
 ALIKE = 0.25  # of that length must be certain without a list, or the clouds have nothing to do with each other
+
+# What is known of the cloud before: its tree; all edges shorter than `reach`, or none if they are not listed; where it ended.
+Before = namedtuple("Before", "tree keys listed reach end")
+
+
+@njit()
+def nothing_before(axes):
+    """For the first cloud."""
+    return Before(build_tree(np.zeros((1, len(axes))), axes), np.empty(0, np.int64), False, 0.0, 0.0)
 
 
 @njit()
@@ -84,15 +95,15 @@ def _edges_of_list(keys, tree, bound, room):
 
 
 @njit(nogil=True)
-def pair_clouds(data, axes, starts, max_lengths, room, spare):
+def pair_clouds(data, axes, starts, max_lengths, before, room, spare):
     """Pair the edges of each cloud as `pair_edges` does, by the points' numbers in their cloud.
 
-    The points of cloud c are data[starts[c]:starts[c + 1]]. The third array holds how many loops each cloud has, -1 when
+    The points of cloud c are data[starts[c]:starts[c + 1]]. The last array holds how many loops each cloud has, -1 when
     points are repeated: then nothing is done.
     """
     counts, total, most = np.zeros(len(max_lengths), np.int64), 0, spare // (2 * EDGE_BYTES)
     created, killed = np.empty((64, 2), np.int64), np.empty((64, 4), np.int64)
-    tree, keys, listed, reach, end = build_tree(np.zeros((1, 3)), axes), np.empty(0, np.int64), False, 0.0, 0.0
+    tree, keys, listed, reach, end = before
     for c in range(len(counts)):
         points, bound = data[starts[c] : starts[c + 1]], 0.0
         if len(points) < 4:
@@ -131,16 +142,16 @@ def pair_clouds(data, axes, starts, max_lengths, room, spare):
                     created[total, k] = now.label[some[i, k]]
                 killed[total, k] = now.label[killers[i, k]] if killers[i, k] >= 0 else -1
             total += 1
-    return room, created[:total], killed[:total], counts
+    return Before(tree, keys, listed, reach, end), room, created[:total], killed[:total], counts
 
 
 @njit(nogil=True)
 def pair_matrix(data, axes, space, max_length, room, spare):
     """The same for a matrix of distances, which has no axes; the tree is of points in `space`, for which it is compiled anyway."""
-    one, most = build_tree(np.zeros((1, len(space))), space), spare // (2 * EDGE_BYTES)
+    one, most = nothing_before(space).tree, spare // (2 * EDGE_BYTES)
     tree = Tree(one.points, np.arange(len(data)), one.start, one.end, one.low, one.high, one.first_leaf, space)
     longest = first_window(data, axes, tree)
     room.waiting[0] = 0
     room, m, longest = edges_between(data, axes, tree, 0.0, longest, room, most)
     room, created, killed, _ = pair_edges(data, axes, tree, max_length, room, m, longest, spare)
-    return room, created, killed, np.full(1, len(created))
+    return room, created, killed
