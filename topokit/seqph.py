@@ -22,7 +22,8 @@ from ._frames import check_diagram, check_follows
 from ._matching import Candidates, Matching, hausdorff_table, within_gates
 from ._validate import as_sequence, positive
 from .linking import curve_centroid
-from .rips import Diagram, Film, next_persistence, rips_persistence_many
+from .rips import Diagram, next_persistence, rips_persistence_many
+from .rips._cloud import Film
 from .sampling import as_tree, hausdorff, spacing
 from .state import Loop, TopologicalState, loop_of
 

@@ -116,7 +116,9 @@ def rips_persistence_many(
             for job in jobs:
                 diagrams += job.result()
                 if progress:
-                    print(f"\rpersistence: {len(diagrams)} of {len(arrays)} clouds", end="", file=sys.stderr, flush=True)
+                    print(
+                        f"\rpersistence: {len(diagrams)} of {len(arrays)} clouds", end="", file=sys.stderr, flush=True
+                    )
         finally:
             pool.shutdown(cancel_futures=True)  # an error or Ctrl-C does not wait for the rest
             if progress and jobs:
@@ -136,16 +138,21 @@ def _diagrams(clouds: list[Cloud], cutoff: float, shortest: float, film: Film | 
     created, killed, birth, death, number = pairs(clouds, cutoff, film)
     keep = np.lexsort((birth - death, number))  # births come in the total order, which decides ties
     keep = keep[(death > birth)[keep] & (death - birth >= shortest)[keep]]
-    triangles = killed[:, [[0, 1, 3], [0, 1, 2]]]
-    table = [array[keep] for array in (birth, death, created, killed[:, :2], triangles)]
-    kept, found = (np.searchsorted(owner, range(len(clouds) + 1)).tolist() for owner in (number[keep], number))
-    return [
-        Diagram(
-            *(array[kept[c] : kept[c + 1]] for array in table),
-            n_points=len(cloud),
-            max_radius=cutoff,
-            _cloud=cloud,
-            _simplices=(created[found[c] : found[c + 1]], killed[found[c] : found[c + 1]]),
+    of, number_kept = (np.searchsorted(n, np.arange(len(clouds) + 1)) for n in (number, number[keep]))
+    diagrams = []
+    for c, cloud in enumerate(clouds):
+        mine, found = keep[number_kept[c] : number_kept[c + 1]], slice(of[c], of[c + 1])
+        diagrams.append(
+            Diagram(
+                birth=birth[mine],
+                death=death[mine],
+                birth_edge=created[mine],
+                killer_edge=killed[mine, :2],
+                killer_triangles=killed[mine][:, [[0, 1, 3], [0, 1, 2]]],
+                n_points=len(cloud),
+                max_radius=cutoff,
+                _cloud=cloud,
+                _simplices=(created[found], killed[found]),
+            )
         )
-        for c, cloud in enumerate(clouds)
-    ]
+    return diagrams

@@ -149,8 +149,8 @@ def _run(clouds: Sequence[Cloud], max_lengths: Sequence[float], film: Film) -> l
         raise MemoryError(f"{bits / 1e9:.1f} GB for a bit for each pair of points")
     spare = MEMORY - bits
     room = getattr(_kept, "room", None)
-    if room is None or EDGE_BYTES * len(room.found) > spare // 2:
-        room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
+    if room is None or EDGE_BYTES * len(room[0]) > spare // 2:
+        room = tuple(new_room(min(1 << 16, spare // (2 * EDGE_BYTES))))
     if axes:
         data, ends = np.concatenate([cloud.data for cloud in clouds]), np.cumsum([0, *map(len, clouds)])
         before = nothing_before(axes) if film.before is None else film.before
@@ -160,7 +160,7 @@ def _run(clouds: Sequence[Cloud], max_lengths: Sequence[float], film: Film) -> l
     else:
         room, created, killed = pair_matrix(clouds[0].data, axes, (0, 0, 0), max_lengths[0], room, spare)
         counts = np.array([len(created)])
-    _kept.room = room if len(room.found) <= WINDOW else None
+    _kept.room = room if len(room[0]) <= WINDOW else None
     created.sort()
     killed[:, :2].sort()
     ends = np.cumsum([0, *np.maximum(counts, 0)]).tolist()

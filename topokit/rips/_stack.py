@@ -9,12 +9,10 @@ Source: Verlet 1967 (lists of neighbours).
 
 from __future__ import annotations
 
-from collections import namedtuple
-
 import numpy as np
 
 from ._creators import twice_as_long
-from ._edges import _BITS, EDGE_BYTES, FEW_POINTS, edge_length, edges_between, ends_of, first_window, sort_edges
+from ._edges import _BITS, EDGE_BYTES, FEW_POINTS, Room, edge_length, edges_between, ends_of, first_window, sort_edges
 from ._jit import njit
 from ._tree import Tree, between_boxes, bound_box, build_tree, repeats
 from .kernel import pair_edges
@@ -23,14 +21,18 @@ SLACK = 1.05  # times the squared length at which the cloud before ended: this o
 REACH = 1.3  # times that length are listed, for several clouds
 ALIKE = 0.25  # of that length must be certain without a list, or the clouds have nothing to do with each other
 
-# What is known of the cloud before: its tree; all edges shorter than `reach`, or none if they are not listed; where it ended.
-Before = namedtuple("Before", "tree keys listed reach end")
-
 
 @njit()
 def nothing_before(axes):
-    """For the first cloud."""
-    return Before(build_tree(np.zeros((1, len(axes))), axes), np.empty(0, np.int64), False, 0.0, 0.0)
+    """What is known of the cloud before, where there is none."""
+    return _before(build_tree(np.zeros((1, len(axes))), axes), np.empty(0, np.int64), False, 0.0, 0.0)
+
+
+@njit()
+def _before(tree, keys, listed, reach, end):
+    """A cloud's tree; all edges shorter than `reach`, unless none is listed; where it ended. Plain tuples reach numba sooner."""
+    known = np.array([1.0 * listed, reach, end])
+    return tree.points, tree.label, tree.start, tree.end, tree.low, tree.high, keys, known
 
 
 @njit()
@@ -72,6 +74,13 @@ def _complete_below(tree, moved, reach):
 
 
 @njit()
+def room_of(room):
+    """The arrays of a room, as a plain tuple."""
+    found, found_lengths, keys, lengths, start, later, later_lengths, waiting = room
+    return found, found_lengths, keys, lengths, start, later, later_lengths, waiting
+
+
+@njit()
 def _as_list(room, m):
     """The edges of a window, to be kept; an end stands for a middle that was near enough."""
     keys = np.empty(m, np.int64)
@@ -103,7 +112,9 @@ def pair_clouds(data, axes, starts, max_lengths, before, room, spare):
     """
     counts, total, most = np.zeros(len(max_lengths), np.int64), 0, spare // (2 * EDGE_BYTES)
     created, killed = np.empty((64, 2), np.int64), np.empty((64, 4), np.int64)
-    tree, keys, listed, reach, end = before
+    places, label, start, stop, low, high, keys, known = before
+    tree, room = Tree(places, label, start, stop, low, high, len(start) >> 1, axes), Room(*room)
+    listed, reach, end = known[0] > 0, known[1], known[2]
     for c in range(len(counts)):
         points, bound = data[starts[c] : starts[c + 1]], 0.0
         if len(points) < 4:
@@ -142,16 +153,16 @@ def pair_clouds(data, axes, starts, max_lengths, before, room, spare):
                     created[total, k] = now.label[some[i, k]]
                 killed[total, k] = now.label[killers[i, k]] if killers[i, k] >= 0 else -1
             total += 1
-    return Before(tree, keys, listed, reach, end), room, created[:total], killed[:total], counts
+    return _before(tree, keys, listed, reach, end), room_of(room), created[:total], killed[:total], counts
 
 
 @njit(nogil=True)
 def pair_matrix(data, axes, space, max_length, room, spare):
-    """The same for a matrix of distances, which has no axes; the tree is of points in `space`, for which it is compiled anyway."""
-    one, most = nothing_before(space).tree, spare // (2 * EDGE_BYTES)
+    """The same for a matrix of distances, with no axes; its tree is of points in `space`, for which it is compiled anyway."""
+    one, most, room = build_tree(np.zeros((1, len(space))), space), spare // (2 * EDGE_BYTES), Room(*room)
     tree = Tree(one.points, np.arange(len(data)), one.start, one.end, one.low, one.high, one.first_leaf, space)
     longest = first_window(data, axes, tree)
     room.waiting[0] = 0
     room, m, longest = edges_between(data, axes, tree, 0.0, longest, room, most)
     room, created, killed, _ = pair_edges(data, axes, tree, max_length, room, m, longest, spare)
-    return room, created, killed
+    return room_of(room), created, killed

@@ -171,27 +171,6 @@ def _root(parent, x):
 
 
 @njit()
-def _pass(data, axes, rows, keys, lengths, e, m, bound, alive, lune, left):
-    """Join edges from number e on while their lunes are connected; the number of the next, m when there is none."""
-    words = rows.shape[1]
-    while e < m:
-        x, y, middle = ends_of(keys[e])
-        length = lengths[e]
-        if length > bound:
-            break
-        near = middle < 0 or (words > FEW_WORDS and _is_near_middle(data, axes, x, y, middle, length))
-        if not (near or is_cone(rows, x, y, middle)):
-            z = _lune(rows, x, y, lune)
-            if (lune[middle >> 6] >> np.uint64(middle & 63)) & ONE:
-                z = middle
-            if z < 0 or not (alive == 0 or is_connected(rows, lune, z, left)):
-                break
-        _join(rows, x, y)
-        e += 1
-    return e
-
-
-@njit()
 def pair_edges(data, axes, tree, max_length, room, m, longest, spare):
     """Pair the edges that create loops, (c, 2), with the edges that kill them and their two apexes, (c, 4), -1 for none.
 
@@ -219,18 +198,23 @@ def pair_edges(data, axes, tree, max_length, room, m, longest, spare):
     shortest, length, greatest = 0.0, 0.0, greatest_length(data, axes, tree)
     done = greatest == 0
     while not done:
-        e = 0
-        while not done:
-            bound = min(max_length, last) if alive == 0 and last >= 0 else max_length
-            e = _pass(data, axes, rows, room.keys, room.lengths, e, m, bound, alive, search.lune, search.left)
-            done = e < m and room.lengths[e] > bound
-            if done or e == m:
-                break
-            x, y, _ = ends_of(room.keys[e])
+        for e in range(m):
+            x, y, middle = ends_of(room.keys[e])
             length = room.lengths[e]
-            e += 1
+            if length > max_length or (alive == 0 and 0 <= last < length):
+                done = True
+                break
+            near = middle < 0 or (words > FEW_WORDS and _is_near_middle(data, axes, x, y, middle, length))
+            if near or is_cone(rows, x, y, middle):
+                _join(rows, x, y)
+                continue
             z = _lune(rows, x, y, search.lune)
+            if (search.lune[middle >> 6] >> np.uint64(middle & 63)) & ONE:
+                z = middle
+            connected = z >= 0 and (alive == 0 or is_connected(rows, search.lune, z, search.left))
             _join(rows, x, y)
+            if connected:
+                continue
             if z >= 0:
                 alive -= _kill(data, axes, rows, label, graph, loops, x, y, search, stack)
                 if alive == 0 and pieces == 1 and last < 0:
@@ -252,4 +236,4 @@ def pair_edges(data, axes, tree, max_length, room, m, longest, spare):
         if not done:
             shortest, longest = longest, next_window(data, axes, shortest, longest, m)
             room, m, longest = edges_between(data, axes, tree, shortest, longest, room, spare // (2 * EDGE_BYTES))
-    return room, loops.created[:born], loops.killed[:born], max(length, last)
+    return room, loops.created[:born], loops.killed[:born], length
