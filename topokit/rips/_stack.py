@@ -7,6 +7,7 @@ Where the list ends, the tree takes over, so a bad list costs time and nothing e
 Source: Verlet 1967 (lists of neighbours).
 """
 
+# mypy: disable-error-code="no-untyped-def"
 from __future__ import annotations
 
 import numpy as np
