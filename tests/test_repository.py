@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import importlib.metadata
 import json
 import re
 import statistics
@@ -14,6 +15,8 @@ from pathlib import Path
 import pytest
 import tomllib
 import yaml
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import topokit
 
@@ -57,6 +60,79 @@ def test_requirements_cover_the_extras():
     assert names == set(pinned()[0])
     assert pinned()[0]["torch"] == "2.13.0"
     assert "myst-parser" in pinned()[1]  # what the packages need is pinned too
+
+
+def test_every_pin_but_torchs_has_a_hash():
+    """Torch has builds (CPU, CUDA) of several indexes, and is installed after the others."""
+    entries = (ROOT / "requirements-hashed.txt").read_text().replace("\\\n", "").splitlines()
+    hashed = dict(entry.split(maxsplit=1) for entry in entries)
+    pins = [f"{name}=={version}" for part in pinned() for name, version in part.items() if name != "torch"]
+    assert sorted(hashed) == sorted(pins)  # where they differ: make hashes
+    assert not [pin for pin, hashes in hashed.items() if not re.fullmatch(r"( *--hash=sha256:[0-9a-f]{64})+", hashes)]
+
+
+def needed(entries: list[str]) -> set[str]:
+    """The distributions that these requirements need on this machine, all the way down."""
+    todo, found = [Requirement(entry) for entry in entries], set()
+    while todo:
+        entry = todo.pop()
+        extras = entry.extras or {""}
+        if (entry.marker and not entry.marker.evaluate()) or (entry.name, *sorted(extras)) in found:
+            continue
+        found.add((canonicalize_name(entry.name), *sorted(extras)))
+        for below in map(Requirement, importlib.metadata.requires(entry.name) or []):
+            if below.marker is None or any(below.marker.evaluate({"extra": extra}) for extra in extras):
+                below.marker = None
+                todo.append(below)
+    return {name for name, *_ in found}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the pins are those of Linux")
+def test_all_that_the_pins_need_is_pinned():
+    asked, also = pinned()
+    missing = needed(list(asked)) - {canonicalize_name(name) for name in asked | also}
+    assert not {
+        name for name in missing if not name.startswith(("cuda", "nvidia", "triton"))
+    }  # torch's own build decides
+
+
+# Tools and benchmarks may carry a licence that topokit, which is MIT, may not be built on.
+COPYLEFT = {"codespell", "docutils", "giotto-ph", "gudhi"}
+
+
+def is_copyleft(name: str) -> bool:
+    """Whether a distribution states the GPL or AGPL; the LGPL may be imported."""
+    stated = importlib.metadata.metadata(name)
+    classifiers = [entry for entry in stated.get_all("Classifier", []) if entry.startswith("License ::")]
+    first_line = stated.get("License", "").partition("\n")[0]  # some give the whole text
+    words = " ".join([stated.get("License-Expression", ""), first_line, *classifiers])
+    return re.search("(?<!L)GPL|(?<!Lesser )General Public", words) is not None
+
+
+def imported_distributions() -> set[str]:
+    """Those that lines of topokit import, wherever these lines stand."""
+    nodes = [node for path in (ROOT / "topokit").rglob("*.py") for node in ast.walk(ast.parse(path.read_text()))]
+    modules = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    modules |= {node.module for node in nodes if isinstance(node, ast.ImportFrom) and not node.level}
+    tops = {module.split(".")[0] for module in modules} - {"topokit", *sys.stdlib_module_names}
+    return {canonicalize_name({"PIL": "pillow", "mpl_toolkits": "matplotlib"}.get(top, top)) for top in tops}
+
+
+def test_nothing_that_topokit_imports_is_copyleft():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    listed = [entry for name in ("sim", "learn", "data", "view") for entry in extras[name]]
+    below = needed([*project["dependencies"], *listed, *imported_distributions()])
+    assert {"numpy", "zarr", "pillow"} <= below
+    assert not {name for name in below if name in COPYLEFT or is_copyleft(name)}
+
+
+def test_the_table_of_licences_is_whole():
+    installed = {canonicalize_name(each.name) for each in importlib.metadata.distributions()}
+    copyleft = {name for name in installed if is_copyleft(name)}
+    assert {"codespell"} <= copyleft <= COPYLEFT
+    told = re.findall("[a-z-]+", (ROOT / "CONTRIBUTING.md").read_text().split("## What topokit stands on")[1])
+    assert COPYLEFT | imported_distributions() <= set(told)
 
 
 def test_versions_agree():
