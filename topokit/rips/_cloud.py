@@ -5,8 +5,10 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from collections.abc import Callable, Sequence
 from concurrent import futures
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,15 +19,16 @@ from .._validate import as_points
 MEMORY = 4 << 30  # bytes that the tables for one cloud may take
 TIME = 300.0  # seconds that one cloud may take, unless more are allowed
 _ESTIMATED = 1 << 14  # points from which on the seconds are estimated; an eighth of a matrix, with its many loops
-_WATCHED = 2000  # points that can take a second, as a quarter can of a matrix
+WATCHED = 2000  # points that can take a second, as a quarter can of a matrix
 _SMALLEST = 2.0**-1022  # of the numbers with all their digits
 _TINY = 2.0**-450  # of the largest coordinate: squares of larger differences have all their digits
 _PATIENCE = 3.0  # seconds of compiling before it is said
-_ready: set[tuple[int, ...]] = set()
+_ready: set[tuple[tuple[int, ...], bool]] = set()
 _compiling = threading.Lock()
 _kept = threading.local()  # each thread's room for edges, kept from one cloud to the next, and what ends its work
 
-Pairs = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
+Ids = NDArray[np.int64]
+Pairs = tuple[Ids, Ids, NDArray[np.float64], NDArray[np.float64]]
 
 
 class TooLargeError(MemoryError, ValueError):
@@ -136,18 +139,64 @@ def pairs(cloud: Cloud, max_radius: float, time_limit: float = TIME) -> Pairs:
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
     _compile(cloud.axes)
     created, killed = _run(cloud, cloud.key_of(max_radius), time_limit)
-    ends = np.stack([created, killed[:, :2]])
-    birth, death = cloud.radii(ends[..., 0], ends[..., 1])
-    death[(killed[:, 0] < 0) | (death > max_radius)] = np.inf
-    killed[np.isinf(death)] = -1
-    inside = birth <= max_radius
+    birth, death, inside = _radii(cloud, created, killed, max_radius)
     return created[inside], killed[inside], birth[inside], death[inside]
 
 
-def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _radii(cloud: Cloud, created: Ids, killed: Ids, most: Any, first: Any = 0) -> Any:
+    """Births, deaths, and whether a loop is born by `most`; killers after that are wiped. `first` is added to vertex ids."""
+    ends = np.stack([created, killed[:, :2]]) + first
+    birth, death = cloud.radii(ends[..., 0], ends[..., 1])
+    death[(killed[:, 0] < 0) | (death > most)] = np.inf
+    killed[np.isinf(death)] = -1
+    return birth, death, birth <= most
+
+
+class Film:
+    """What the kernel remembers of a cloud for the next one, when they differ little."""
+
+    before: Any = None
+
+
+def pairs_of_many(clouds: Sequence[Cloud], max_radius: float, film: Film) -> list[Pairs]:
+    """What `pairs` finds in each cloud, with one bound in the unit of the points: short clouds in space in one compiled call."""
+    scale, lengths = np.array([cloud.scale for cloud in clouds]), list(map(len, clouds))
+    most = max_radius * scale
+    if not clouds[0].axes or not 4 <= max(lengths) < WATCHED:
+        return [pairs(cloud, radius) for cloud, radius in zip(clouds, most.tolist(), strict=True)]
+    _compile(clouds[0].axes)
+    _compile(clouds[0].axes, stack=True)
+    stack = Cloud(np.concatenate([cloud.data for cloud in clouds]), clouds[0].axes, 1.0)
+    starts = np.cumsum([0, *lengths])
+    created, killed, counts = _run_stack(stack, starts, np.array([stack.key_of(radius) for radius in most]), film)
+    number = np.repeat(np.arange(len(clouds)), np.maximum(counts, 0))
+    birth, death, inside = _radii(stack, created, killed, most[number], starts[number, None])
+    table = created[inside], killed[inside], birth[inside], death[inside]
+    ends = pairwise(np.searchsorted(number[inside], np.arange(len(clouds) + 1)).tolist())
+    return [
+        (table[0][a:b], table[1][a:b], table[2][a:b], table[3][a:b]) if count >= 0 else pairs(cloud, radius)
+        for (a, b), count, cloud, radius in zip(ends, counts.tolist(), clouds, most.tolist(), strict=True)
+    ]
+
+
+def _run_stack(stack: Cloud, starts: Ids, max_lengths: NDArray[np.float64], film: Film) -> tuple[Ids, Ids, Ids]:
+    """Creating edges and killer edges with their apexes of several clouds, and how many each has: -1 where points repeat."""
+    from ._stack import Before, pair_clouds  # numba takes a while to import
+    from ._tree import build_tree
+
+    before = film.before or Before(build_tree(np.zeros((1, 3)), stack.axes), np.empty(0, np.int64), 0.0, 0.0)
+    arguments = (stack.data, stack.axes, starts, max_lengths, before)
+    film.before, created, killed, counts = _watched(pair_clouds, arguments, int(np.diff(starts).max()), None)
+    created.sort()
+    killed[:, :2].sort()
+    return created, killed, counts
+
+
+def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[Ids, Ids]:
     """Creating edges and killer edges with their apexes; no `time_limit` for what is known to be quick."""
-    from ._edges import EDGE_BYTES, WINDOW, new_room  # numba takes a while to import
+    from ._edges import EDGE_BYTES, WINDOW  # numba takes a while to import
     from ._tree import build_tree, repeats
+    from .kernel import pair_edges
 
     if cloud.axes:
         tree = build_tree(cloud.data, cloud.axes)
@@ -168,12 +217,8 @@ def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[NDA
         if bits > MEMORY or seconds > time_limit:
             size = (bits + EDGE_BYTES * WINDOW) / 1e9
             raise _too_large(len(cloud), f"about {seconds / 60:,.1f} minutes and {size:.1f} GB", time_limit)
-    spare = MEMORY - bits
-    room = getattr(_kept, "room", None)
-    if room is None or EDGE_BYTES * len(room.found) > spare // 2:
-        room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
-    room, created, killed = _watched((data, cloud.axes, tree, max_length, room, spare), time_limit)
-    _kept.room = room if len(room.found) <= WINDOW else None
+    arguments = (data, cloud.axes, tree, max_length, -1, 0.0)
+    created, killed, _ = _watched(pair_edges, arguments, len(cloud), time_limit)
     label = np.append(tree.label, -1)  # of what is not there
     created, killed = label[created], label[killed]
     created.sort()
@@ -181,22 +226,25 @@ def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[NDA
     return created, killed
 
 
-def _watched(arguments: tuple[Any, ...], time_limit: float | None) -> Any:
-    """What the kernel finds. Where it may take long, it has a thread of its own: this one hears Ctrl-C and the clock."""
-    from ._edges import HALTED, TOO_MANY_EDGES, TOO_MANY_LOOPS
-    from .kernel import pair_edges
+def _watched(kernel: Callable[..., Any], arguments: tuple[Any, ...], n: int, time_limit: float | None) -> Any:
+    """What a kernel finds. Where it may take long, it has a thread of its own: this one hears Ctrl-C and the clock."""
+    from ._edges import EDGE_BYTES, HALTED, TOO_MANY_EDGES, TOO_MANY_LOOPS, WINDOW, new_room
 
-    n, own = len(arguments[0]), getattr(_kept, "halt", None)
+    spare = MEMORY - n * ((n + 63) // 64) * 8
+    room, own = getattr(_kept, "room", None), getattr(_kept, "halt", None)
+    if room is None or EDGE_BYTES * len(room.found) > spare // 2:
+        room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
+    arguments = (*arguments, room, spare)
     halt = np.zeros(1, np.int64) if own is None else own
-    if own is not None or time_limit is None or n < (_WATCHED if arguments[1] else _WATCHED // 4):
-        found = pair_edges(*arguments, halt)
+    if own is not None or time_limit is None or n < (WATCHED if arguments[1] else WATCHED // 4):
+        room, *found = kernel(*arguments, halt)
         if halt[0] == HALTED:
             raise futures.CancelledError
     else:
         with futures.ThreadPoolExecutor(1) as pool:
             try:
-                job = pool.submit(lambda: pair_edges(*arguments, halt))
-                found = job.result(min(time_limit, threading.TIMEOUT_MAX))
+                job = pool.submit(lambda: kernel(*arguments, halt))
+                room, *found = job.result(min(time_limit, threading.TIMEOUT_MAX))
             except futures.TimeoutError as error:
                 raise _too_large(n, "more", time_limit) from error
             finally:
@@ -205,6 +253,7 @@ def _watched(arguments: tuple[Any, ...], time_limit: float | None) -> Any:
         if halt[0] == reason:
             halt[0] = 0
             raise _too_large(n, f"more memory: there are very many {what}", time_limit)
+    _kept.room = room if len(room.found) <= WINDOW else None
     return found
 
 
@@ -243,17 +292,21 @@ def _too_large(n: int, what: str, time_limit: float | None = TIME) -> TooLargeEr
     )
 
 
-def _compile(axes: tuple[int, ...]) -> None:
-    """Compile the kernel for points of a dimension (none: a matrix) on a tiny cloud, or load it; once a process."""
+def _compile(axes: tuple[int, ...], stack: bool = False) -> None:
+    """Compile the kernel for points of a dimension (none: a matrix) or for a stack on a tiny cloud, or load it; once."""
     with _compiling:
-        if axes in _ready:
+        if (axes, stack) in _ready:
             return
-        what = "points in space" if axes else "matrices of distances"
+        what = "several clouds at once" if stack else "points in space" if axes else "matrices of distances"
         message = f"topokit: compiling the persistence kernel for {what} (once; kept for the next time)"
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:
-            _run(Cloud(np.eye(4, len(axes) or 4), axes, 1.0), 1.0, None)
+            tiny = Cloud(np.eye(4, len(axes) or 4), axes, 1.0)
+            if stack:
+                _run_stack(tiny, np.array([0, 4]), np.ones(1), Film())
+            else:
+                _run(tiny, 1.0, None)
         finally:
             notice.cancel()
-        _ready.add(axes)
+        _ready.add((axes, stack))
