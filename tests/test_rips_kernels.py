@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from topokit import rips_persistence, rips_persistence_many
-from topokit.rips import Film, _cloud, _edges, _jit, _stack, _tree, kernel, next_persistence, tighten
+from topokit.rips import _cloud, _edges, _jit, _stack, _tree, kernel, next_persistence, tighten
 
 from clouds import FAMILIES, compiled, fewer, gudhi_pairs, random_cloud, sorted_pairs
 from conftest import polygon
@@ -414,7 +414,7 @@ def test_clouds_in_one_call_are_what_they_are_alone(family):
     """Bit for bit, with short loops, ties, repeated points, and films whose frames tell little about the next."""
     rng = np.random.default_rng(FAMILIES.index(family))
     for radius in (np.inf, np.inf, 0.5):
-        clouds, film = a_film(rng, family, fewer(40)), Film()
+        clouds, film = a_film(rng, family, fewer(40)), []
         together = rips_persistence_many(clouds, n_jobs=1, max_radius=radius, min_lifetime=0.01)
         for cloud, one in zip(clouds, together, strict=True):
             alone, after = rips_persistence(cloud, max_radius=radius, min_lifetime=0.01), next_persistence(cloud, film)
@@ -442,24 +442,38 @@ def test_a_list_of_edges_is_complete_below_its_bound(step):
 
 
 @compiled
-def test_a_film_is_read_from_the_list_of_an_earlier_frame(monkeypatch):
+def test_a_film_is_read_from_the_list_of_an_earlier_frame():
     """Known of the frame before: the same list for frames that tremble, none when the cloud is another."""
-    rng, film, known = np.random.default_rng(5), Film(), []
+    rng, film, known = np.random.default_rng(5), [], []
     cloud = rng.random((300, 3))
     for frame in [*(cloud + 1e-4 * rng.normal(size=cloud.shape) for _ in range(5)), rng.random((300, 3))]:
         same(next_persistence(frame, film), rips_persistence(frame))
-        known.append(film.before)
+        known.append(film[0])
     keys = [before.keys for before in known]
     assert [len(k) > 0 for k in keys] == [False, True, True, True, True, False]
     assert all(np.array_equal(k, keys[1]) for k in keys[2:5])
+
+
+@compiled
+def test_a_list_that_another_thread_made_may_be_too_long_for_this_one():
+    film, answers = [], []
+    frames = [polygon(600) + 1e-5 * np.random.default_rng(i).normal(size=(600, 2)) for i in range(3)]
+    for frame in frames[:2]:
+        next_persistence(frame, film)
+    assert len(film[0].keys) > 1 << 16  # edges for which a thread has room at first
+    thread = threading.Thread(target=lambda: answers.append(next_persistence(frames[2], film)))
+    thread.start()
+    thread.join()
+    same(answers[0], rips_persistence(frames[2]))
 
 
 def test_many_says_which_cloud_is_bad(capsys):
     good = np.zeros((5, 2))
     with pytest.raises(ValueError, match=r"clouds\[1\] has 1 of 5 points with a NaN"):
         rips_persistence_many([good, np.where(np.eye(5, 2) > 0, [np.nan, 0], 0)])
-    with pytest.raises(ValueError, match="n_jobs"):
-        rips_persistence_many([good], n_jobs=0)
+    for n_jobs in (0, -1, 1.5, True, "2", float("nan"), float("inf")):
+        with pytest.raises((TypeError, ValueError), match="n_jobs must be"):
+            rips_persistence_many([good], n_jobs=n_jobs)
     rips_persistence_many([good, good], progress=True)
     assert "2 of 2 clouds" in capsys.readouterr().err
 

@@ -22,7 +22,7 @@ from ._frames import check_diagram, check_follows
 from ._matching import Candidates, Matching, hausdorff_table, within_gates
 from ._validate import as_sequence, positive, whole
 from .linking import curve_centroid
-from .rips import Diagram, Film, next_persistence, rips_persistence_many
+from .rips import Diagram, next_persistence, rips_persistence_many
 from .sampling import as_tree, hausdorff, spacing
 from .state import Loop, TopologicalState, loop_of
 
@@ -115,7 +115,7 @@ class SeqPH:
         self._time: float | None = None
         self._tree: cKDTree | None = None  # of the frame before
         self._known: list[_Known] = []
-        self._film = Film()
+        self._film: list[Any] = []
 
     def update(
         self, points: ArrayLike, *, time: float | None = None, diagram: Diagram | None = None

@@ -9,18 +9,17 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._cores import n_cores
 from .._validate import as_sequence, positive, whole
-from ._cloud import TIME, WATCHED, Cloud, Film, Pairs, own_halt, pairs, pairs_of_many
+from ._cloud import TIME, WATCHED, Cloud, Pairs, own_halt, pairs, pairs_of_many
 from ._diagram import Diagram, tighten
 
 __all__ = ["Diagram", "rips_persistence", "rips_persistence_many", "tighten"]
-
-_AT_ONCE = 64  # short clouds in one compiled call
 
 
 def rips_persistence(
@@ -71,14 +70,14 @@ def rips_persistence(
     return _diagram(cloud, found, cutoff, shortest)
 
 
-def next_persistence(points: ArrayLike, film: Film) -> Diagram:
-    """The diagram of the next frame of a film, found faster when the points moved little."""
+def next_persistence(points: ArrayLike, film: list[Any]) -> Diagram:
+    """The diagram of the next frame of a film, found faster when points moved little; `film` is empty before the first."""
     return _diagrams([points], np.inf, 0.0, film)[0]
 
 
-def _diagrams(arrays: Sequence[ArrayLike], cutoff: float, shortest: float, film: Film | None = None) -> list[Diagram]:
+def _diagrams(arrays: Sequence[ArrayLike], cutoff: float, shortest: float, film: list[Any]) -> list[Diagram]:
     clouds = [Cloud.of(array) for array in arrays]
-    found = pairs_of_many(clouds, cutoff, film or Film())
+    found = pairs_of_many(clouds, cutoff, film)
     return [_diagram(cloud, some, cutoff, shortest) for cloud, some in zip(clouds, found, strict=True)]
 
 
@@ -136,11 +135,13 @@ def rips_persistence_many(
     arrays = as_sequence(clouds, "clouds")
     workers = n_cores() if n_jobs is None else whole(n_jobs, "n_jobs", 1)
     bounds = (positive(max_radius, "max_radius", infinite=True), positive(min_lifetime, "min_lifetime", infinite=True))
-    some = min(_AT_ONCE, -(-len(arrays) // workers)) if max(map(len, arrays), default=0) < WATCHED else 1
+    some = (
+        min(64, 1 + len(arrays) // workers) if max(map(len, arrays), default=0) < WATCHED else 1
+    )  # in a compiled call
     diagrams: list[Diagram] = []
     halts: list[NDArray[np.int64]] = []
     with ThreadPoolExecutor(workers, initializer=own_halt, initargs=(halts,)) as pool:
-        jobs = [pool.submit(_diagrams, arrays[i : i + some], *bounds) for i in range(0, len(arrays), some or 1)]
+        jobs = [pool.submit(_diagrams, arrays[i : i + some], *bounds, []) for i in range(0, len(arrays), some)]
         try:
             for job in jobs:
                 diagrams += job.result()

@@ -100,9 +100,10 @@ class Cloud:
 
 def squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
     """Squared distances of points, summed axis by axis as the kernels do; NumPy's `sum` pairs the terms."""
-    total = np.zeros(np.broadcast_shapes(one.shape, other.shape)[:-1])
-    for axis in range(one.shape[-1]):
-        total += (one[..., axis] - other[..., axis]) ** 2
+    terms = (one - other) ** 2
+    total = terms[..., 0]
+    for axis in range(1, terms.shape[-1]):
+        total = total + terms[..., axis]
     return total
 
 
@@ -138,58 +139,48 @@ def pairs(cloud: Cloud, max_radius: float, time_limit: float = TIME) -> Pairs:
     if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # on a line
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
     _compile(cloud.axes)
-    created, killed = _run(cloud, cloud.key_of(max_radius), time_limit)
-    birth, death, inside = _radii(cloud, created, killed, max_radius)
-    return created[inside], killed[inside], birth[inside], death[inside]
+    return _within(cloud, *_run(cloud, cloud.key_of(max_radius), time_limit), max_radius)[:4]
 
 
-def _radii(cloud: Cloud, created: Ids, killed: Ids, most: Any, first: Any = 0) -> Any:
-    """Births, deaths, and whether a loop is born by `most`; killers after that are wiped. `first` is added to vertex ids."""
+def pairs_of_many(clouds: Sequence[Cloud], max_radius: float, film: list[Any]) -> list[Pairs]:
+    """What `pairs` finds in each cloud, up to a radius in the unit of the points: short ones in space in one compiled call."""
+    axes, lengths, bounds = clouds[0].axes, [*map(len, clouds)], [max_radius * cloud.scale for cloud in clouds]
+    if not axes or not 4 <= max(lengths) < WATCHED:
+        return [*map(pairs, clouds, bounds)]
+    _compile(axes, stack=True)
+    stack, starts = Cloud(np.concatenate([cloud.data for cloud in clouds]), axes, 1.0), np.cumsum([0, *lengths])
+    created, killed, counts = _run_stack(stack, starts, bounds, film)
+    number = np.repeat(np.arange(len(clouds)), np.maximum(counts, 0))
+    *table, inside = _within(stack, created, killed, np.array(bounds)[number], starts[number, None])
+    ends = pairwise(np.searchsorted(number[inside], np.arange(len(clouds) + 1)).tolist())
+    found: list[Any] = [[column[a:b] for column in table] for a, b in ends]
+    for c in np.flatnonzero(counts < 0).tolist():
+        found[c] = pairs(clouds[c], bounds[c])
+    return found
+
+
+def _within(cloud: Cloud, created: Ids, killed: Ids, most: Any, first: Any = 0) -> Any:
+    """`Pairs` born by `most`, killed by then or never, and which those are; `first` is added to vertex ids."""
+    created.sort()
+    killed[:, :2].sort()
     ends = np.stack([created, killed[:, :2]]) + first
     birth, death = cloud.radii(ends[..., 0], ends[..., 1])
     death[(killed[:, 0] < 0) | (death > most)] = np.inf
     killed[np.isinf(death)] = -1
-    return birth, death, birth <= most
+    inside = birth <= most
+    return created[inside], killed[inside], birth[inside], death[inside], inside
 
 
-class Film:
-    """What the kernel remembers of a cloud for the next one, when they differ little."""
-
-    before: Any = None
-
-
-def pairs_of_many(clouds: Sequence[Cloud], max_radius: float, film: Film) -> list[Pairs]:
-    """What `pairs` finds in each cloud, with one bound in the unit of the points: short clouds in space in one compiled call."""
-    scale, lengths = np.array([cloud.scale for cloud in clouds]), list(map(len, clouds))
-    most = max_radius * scale
-    if not clouds[0].axes or not 4 <= max(lengths) < WATCHED:
-        return [pairs(cloud, radius) for cloud, radius in zip(clouds, most.tolist(), strict=True)]
-    _compile(clouds[0].axes)
-    _compile(clouds[0].axes, stack=True)
-    stack = Cloud(np.concatenate([cloud.data for cloud in clouds]), clouds[0].axes, 1.0)
-    starts = np.cumsum([0, *lengths])
-    created, killed, counts = _run_stack(stack, starts, np.array([stack.key_of(radius) for radius in most]), film)
-    number = np.repeat(np.arange(len(clouds)), np.maximum(counts, 0))
-    birth, death, inside = _radii(stack, created, killed, most[number], starts[number, None])
-    table = created[inside], killed[inside], birth[inside], death[inside]
-    ends = pairwise(np.searchsorted(number[inside], np.arange(len(clouds) + 1)).tolist())
-    return [
-        (table[0][a:b], table[1][a:b], table[2][a:b], table[3][a:b]) if count >= 0 else pairs(cloud, radius)
-        for (a, b), count, cloud, radius in zip(ends, counts.tolist(), clouds, most.tolist(), strict=True)
-    ]
-
-
-def _run_stack(stack: Cloud, starts: Ids, max_lengths: NDArray[np.float64], film: Film) -> tuple[Ids, Ids, Ids]:
-    """Creating edges and killer edges with their apexes of several clouds, and how many each has: -1 where points repeat."""
+def _run_stack(stack: Cloud, starts: Ids, bounds: Sequence[float], film: list[Any]) -> Any:
+    """Creating edges and killer edges with their apexes, and how many each cloud has: -1 where points are repeated."""
     from ._stack import Before, pair_clouds  # numba takes a while to import
     from ._tree import build_tree
 
-    before = film.before or Before(build_tree(np.zeros((1, 3)), stack.axes), np.empty(0, np.int64), 0.0, 0.0)
-    arguments = (stack.data, stack.axes, starts, max_lengths, before)
-    film.before, created, killed, counts = _watched(pair_clouds, arguments, int(np.diff(starts).max()), None)
-    created.sort()
-    killed[:, :2].sort()
-    return created, killed, counts
+    if not film:
+        film.append(Before(build_tree(np.zeros((1, 3)), stack.axes), np.empty(0, np.int64), 0.0, 0.0))
+    arguments = (stack.data, stack.axes, starts, np.array([*map(stack.key_of, bounds)]), film[0])
+    film[0], *found = _watched(pair_clouds, arguments, int(np.diff(starts).max()), None)
+    return found
 
 
 def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[Ids, Ids]:
@@ -220,10 +211,7 @@ def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[Ids
     arguments = (data, cloud.axes, tree, max_length, -1, 0.0)
     created, killed, _ = _watched(pair_edges, arguments, len(cloud), time_limit)
     label = np.append(tree.label, -1)  # of what is not there
-    created, killed = label[created], label[killed]
-    created.sort()
-    killed[:, :2].sort()
-    return created, killed
+    return label[created], label[killed]
 
 
 def _watched(kernel: Callable[..., Any], arguments: tuple[Any, ...], n: int, time_limit: float | None) -> Any:
@@ -303,10 +291,7 @@ def _compile(axes: tuple[int, ...], stack: bool = False) -> None:
         notice.start()
         try:
             tiny = Cloud(np.eye(4, len(axes) or 4), axes, 1.0)
-            if stack:
-                _run_stack(tiny, np.array([0, 4]), np.ones(1), Film())
-            else:
-                _run(tiny, 1.0, None)
+            _run_stack(tiny, np.array([0, 4]), [1.0], []) if stack else _run(tiny, 1.0, None)
         finally:
             notice.cancel()
         _ready.add((axes, stack))

@@ -27,12 +27,12 @@ Before = namedtuple("Before", "tree keys reach end")
 
 
 @njit()
-def _boxes(tree, points):
-    """Boxes of a tree's nodes around other places of its points, in its order."""
+def _around(tree, points):
+    """The same tree of other points, which come in its order."""
     order, low, high = np.arange(len(points)), np.empty(tree.low.shape), np.empty(tree.low.shape)
-    for node in range(len(tree.start)):
+    for node in range(len(low)):
         bound_box(points, order, tree.start[node], tree.end[node], low[node], high[node])
-    return low, high
+    return Tree(points, tree.label, tree.start, tree.end, low, high, tree.first_leaf, tree.axes)
 
 
 @njit()
@@ -46,18 +46,13 @@ def moved(tree, points, reach):
         for k in range(len(tree.axes)):
             places[i, k] = points[tree.label[i], k]
             steps[i, k] = places[i, k] - tree.points[i, k]
-    low, high = _boxes(tree, places)
-    now = Tree(places, tree.label, tree.start, tree.end, low, high, tree.first_leaf, tree.axes)
-    low, high = _boxes(tree, steps)
-    bound = reach
-    for a in range(tree.first_leaf, len(low)):
-        for b in range(a, len(low)):
+    now, by, bound = _around(tree, places), _around(tree, steps), reach
+    for a in range(tree.first_leaf, len(tree.low)):
+        for b in range(a, len(tree.low)):
             apart = between_boxes(now, a, b)[0]
             if apart < bound:
-                nearer = 0.0
-                for k in range(len(tree.axes)):
-                    nearer += max(high[a, k] - low[b, k], high[b, k] - low[a, k]) ** 2
-                left = max(np.sqrt(reach) - np.sqrt(nearer) - 1e-12, 0.0)  # coordinates are at most 1
+                nearer = np.sqrt(between_boxes(by, a, b)[1])
+                left = max(np.sqrt(reach) - nearer - 1e-12, 0.0)  # coordinates are at most 1
                 bound = min(bound, max(apart, left * left))
     return now, bound
 
@@ -82,7 +77,7 @@ def pair_clouds(data, axes, starts, max_lengths, before, room, spare, halt):
     The points of cloud c are data[starts[c]:starts[c + 1]]. The last array holds how many loops each cloud has, -1 when
     points are repeated: then nothing is done.
     """
-    counts, total = np.zeros(len(max_lengths), np.int64), 0
+    counts, total, most = np.zeros(len(max_lengths), np.int64), 0, spare // (2 * EDGE_BYTES)
     created, killed = np.empty((64, 2), np.int64), np.empty((64, 4), np.int64)
     tree, keys, reach, end = before
     for c in range(len(counts)):
@@ -90,29 +85,22 @@ def pair_clouds(data, axes, starts, max_lengths, before, room, spare, halt):
         if len(points) < 4:
             continue
         if len(points) == len(tree.points):
-            now, bound = moved(tree, points, reach)
+            now, bound = moved(tree, points, reach if len(keys) else end)
         again = 0 < len(keys) <= len(room.found) and SLACK * end <= bound
         if not again:
             now = tree = build_tree(points, axes)
-            keys, reach = keys[:0], 0.0
+            keys = keys[:0]
         if repeats(now):
             counts[c] = -1
             continue
         if again:
-            longest = SLACK * end
-            m = _edges_of_list(keys, now, longest, room)
+            m, longest = _edges_of_list(keys, now, SLACK * end, room), SLACK * end
             sort_edges(room, m, now.label)
         elif bound > ALIKE * end:
             room.waiting[0] = 0
-            room, m, longest = edges_between(
-                tree.points, axes, tree, 0.0, REACH * end, room, spare // (2 * EDGE_BYTES), halt
-            )
+            room, m, longest = edges_between(tree.points, axes, tree, 0.0, REACH * end, room, most, halt)
             keys, reach = room.keys[:m].copy(), longest
         room, some, killers, end = pair_edges(now.points, axes, now, max_lengths[c], m, longest, room, spare, halt)
-        if halt[0]:
-            break
-        if len(keys) == 0:
-            reach = end
         counts[c] = len(some)
         while total + len(some) > len(created):
             created, killed = twice_as_long(created), twice_as_long(killed)
