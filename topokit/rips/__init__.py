@@ -135,9 +135,8 @@ def rips_persistence_many(
     arrays = as_sequence(clouds, "clouds")
     workers = n_cores() if n_jobs is None else whole(n_jobs, "n_jobs", 1)
     bounds = (positive(max_radius, "max_radius", infinite=True), positive(min_lifetime, "min_lifetime", infinite=True))
-    some = (
-        min(64, 1 + len(arrays) // workers) if max(map(len, arrays), default=0) < WATCHED else 1
-    )  # in a compiled call
+    short = max(map(len, arrays), default=0) < WATCHED
+    some = min(64, -(-len(arrays) // workers) or 1) if short else 1  # clouds in one compiled call
     diagrams: list[Diagram] = []
     halts: list[NDArray[np.int64]] = []
     with ThreadPoolExecutor(workers, initializer=own_halt, initargs=(halts,)) as pool:

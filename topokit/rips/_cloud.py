@@ -101,10 +101,7 @@ class Cloud:
 def squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
     """Squared distances of points, summed axis by axis as the kernels do; NumPy's `sum` pairs the terms."""
     terms = (one - other) ** 2
-    total = terms[..., 0]
-    for axis in range(1, terms.shape[-1]):
-        total = total + terms[..., axis]
-    return total
+    return np.asarray(sum(terms[..., axis] for axis in range(terms.shape[-1])))
 
 
 def _check_near(array: NDArray[np.float64], tiny: NDArray[np.bool_]) -> None:
@@ -281,7 +278,7 @@ def _too_large(n: int, what: str, time_limit: float | None = TIME) -> TooLargeEr
 
 
 def _compile(axes: tuple[int, ...], stack: bool = False) -> None:
-    """Compile the kernel for points of a dimension (none: a matrix) or for a stack on a tiny cloud, or load it; once."""
+    """Compile the kernel for points of a dimension (none: a matrix) or a stack on a tiny cloud, or load it; once a process."""
     with _compiling:
         if (axes, stack) in _ready:
             return
