@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")  # tests have no display
@@ -22,8 +23,17 @@ def polygon(n: int, radius: float = 1.0) -> np.ndarray:
 
 
 def hear_ctrl_c() -> None:
-    """Ctrl-C is ignored by what a shell runs in the background, and by all that this starts."""
+    """Ctrl-C is ignored by what a shell runs in the background, the end of the terminal by nohup, and by all that these start."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """The test itself hears Ctrl-C, wherever the suite runs."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="session")
