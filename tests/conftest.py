@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
+import tracemalloc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")  # tests have no display
@@ -20,6 +22,16 @@ def polygon(n: int, radius: float = 1.0) -> np.ndarray:
     """Corners of a regular n-gon in the plane."""
     angle = 2 * np.pi * np.arange(n) / n
     return radius * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+@contextmanager
+def memory() -> Iterator[Callable[[], int]]:
+    """Yield what tells the most bytes that Python has taken since."""
+    tracemalloc.start()
+    try:
+        yield lambda: tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
 
 
 def hear_ctrl_c() -> None:
