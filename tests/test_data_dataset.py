@@ -6,6 +6,7 @@ import itertools
 import json
 import pickle
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import fsspec
@@ -28,24 +29,18 @@ from topokit.data import (
     make_episode,
 )
 from topokit.data._layout import arrays_of, states_of
+from topokit.data._records import index_bytes
 from topokit.rips import rips_persistence
-from topokit.seqph import RECOMMENDED
 
-from small_datasets import SEED, TINY, without_dask
+from small_datasets import OPTIONS, SEED, TINY, labelled, without_dask
 
 EPISODES = 10
-OPTIONS = {**RECOMMENDED, "alpha": 0.003}  # cloth this coarse has no loop that outlives its spacing
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """A dataset with two sets of labels; not to be changed."""
-    folder = tmp_path_factory.mktemp("made") / "data"
-    with without_dask():
-        generate_dataset(TINY, folder, EPISODES, SEED, progress=False)
-        label_dataset(folder, options=OPTIONS, progress=False)
-        label_dataset(folder, "observed", n_points=40, options=OPTIONS, progress=False)
-    return folder
+    return labelled(tmp_path_factory.mktemp("made") / "data", EPISODES)
 
 
 @pytest.fixture
@@ -229,6 +224,13 @@ def edit(path, change):
     path.write_text(json.dumps(document, sort_keys=True, ensure_ascii=False) + "\n")
 
 
+def reindexed(folder, i, **changes):
+    """Another index, with the checksum that fits it."""
+    records = Dataset(folder).group.records
+    records[i] = replace(records[i], **changes)
+    (folder / "index.json").write_bytes(index_bytes(records.values()))
+
+
 def record(folder, i=0):
     return folder / "records" / f"{i:08d}.json"
 
@@ -273,7 +275,7 @@ def record(folder, i=0):
         (lambda f: (f / "index.json").write_text("{}"), "index.json", "a damaged index"),
         (lambda f: edit(f / "index.json", lambda d: d["sha256"].reverse()), "index.json", "its checksum is another"),
         (
-            lambda f: edit(f / "index.json", lambda d: (d.pop("checksum"), d["sha256"].reverse())),
+            lambda f: reindexed(f, 0, seed=1),
             "index.json",
             "not what its record says",
         ),
@@ -318,7 +320,7 @@ class Many(Dataset):
     """The records of a dataset of 21 tasks, without episodes."""
 
     def __init__(self, n):
-        from topokit.data._group import Record
+        from topokit.data._records import Record
 
         config = DatasetConfig()
         tasks = [config.draw(0, i).task for i in range(n)]

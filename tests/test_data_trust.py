@@ -8,7 +8,8 @@ import json
 import os
 import shutil
 import signal
-import tracemalloc
+import subprocess
+import sys
 import zipfile
 from functools import partial
 
@@ -24,26 +25,21 @@ from topokit._archive import FormatError, load_archive, save_archive
 from topokit._config import load
 from topokit.cli import main
 from topokit.data import Dataset, DatasetConfig, WindowDataset, check_dataset, generate_dataset, label_dataset
-from topokit.data._group import Group, decode, index_bytes, parse, record_path
+from topokit.data._group import Group, decode
 from topokit.data._layout import encode, label_fields, skeleton
-from topokit.seqph import RECOMMENDED
+from topokit.data._records import index_bytes, parse, record_path
 
-from conftest import DATA
-from small_datasets import SEED, TINY, command, wait_until, without_dask
+from conftest import DATA, memory
+from small_datasets import OPTIONS, SEED, TINY, command, labelled, wait_until, without_dask
 
 EPISODES = 3
-OPTIONS = {**RECOMMENDED, "alpha": 0.003}
 SECRET = "a line of somebody else's\n"
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """A dataset with labels; not to be changed."""
-    folder = tmp_path_factory.mktemp("made") / "data"
-    with without_dask():
-        generate_dataset(TINY, folder, EPISODES, SEED, progress=False)
-        label_dataset(folder, options=OPTIONS, progress=False)
-    return folder
+    return labelled(tmp_path_factory.mktemp("made") / "data", EPISODES, observed=False)
 
 
 @pytest.fixture
@@ -323,13 +319,10 @@ def test_what_an_object_declares_is_compared_with_its_field(copy, name):
     }
     for content in bombs.values():
         swap(copy, f"{name}/", content)
-        tracemalloc.start()
-        try:
+        with memory() as peak:
             with pytest.raises(FormatError, match=rf"records/00000000\.json: does not fit what is there: .*{name}"):
                 Dataset(copy)[0]
-            assert tracemalloc.get_traced_memory()[1] < 2e7
-        finally:
-            tracemalloc.stop()
+            assert peak() < 2e7
 
 
 @pytest.mark.parametrize(
@@ -441,13 +434,10 @@ def test_what_a_record_declares_is_compared_with_what_is_there(copy, change):
     with contextlib.suppress(FormatError):
         claim(copy, lambda d: None)
     (copy / "index.json").unlink()
-    tracemalloc.start()
-    try:
+    with memory() as peak:
         with pytest.raises(FormatError, match=r"records/00000000\.json|(points|held)/c\.0"):
             Dataset(copy)[0]
-        assert tracemalloc.get_traced_memory()[1] < 2e7
-    finally:
-        tracemalloc.stop()
+        assert peak() < 2e7
 
 
 def test_ids_beyond_the_cloud_name_the_record(copy):
@@ -512,6 +502,47 @@ def test_a_damaged_member_of_a_zip_is_a_sentence(made, tmp_path):
         Dataset(f"zip://::{path}")[0]
 
 
+@pytest.mark.parametrize("missing", ["fsspec", "numcodecs", "zarr"])
+@pytest.mark.parametrize("python", [(3, 10), (3, 13)])
+def test_what_reading_and_checking_need_is_named(missing, python):
+    """And on Python 3.10 that Zarr needs a later one: there pip passes over it without a word."""
+    code = "import sys; from topokit.data import Dataset, check_dataset; import pydantic.dataclasses, fsspec, asyncio\n"
+    code += f"sys.modules[{missing!r}], sys.version_info, where = None, {python}, {str(DATA / 'dataset')!r}\n"
+    code += "Dataset(where)[0], check_dataset(where)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    later = ", on Python 3.11 or later" if python < (3, 11) else ""
+    wanted = f"ImportError: datasets need {missing}: pip install 'topokit[data]'{later}"
+    assert done.stderr.splitlines()[-1] == wanted
+
+
+@pytest.mark.parametrize(
+    "unsign", [lambda d: d["attributes"].pop("sha256"), lambda d: d["attributes"].update(sha256="")]
+)
+@pytest.mark.parametrize("group", ["", "labels/full/"])
+def test_a_group_without_its_checksum_is_not_read(copy, group, unsign):
+    edit(copy / f"{group}zarr.json", unsign)
+    with pytest.raises(FormatError, match=rf"{group}zarr\.json"):
+        Dataset(copy).labels("full")
+
+
+def test_an_index_without_its_checksum_is_not_read(copy):
+    edit(copy / "index.json", lambda d: d.pop("checksum"))
+    with pytest.raises(FormatError, match=r"index\.json: a damaged index"):
+        Dataset(copy)
+
+
+def test_an_observation_of_another_length_names_the_record(copy):
+    """As long as the record says that it is; the cloud that it points into is shorter."""
+    fields = {f.name: f for f in Dataset(copy).group.fields}
+    ids = np.zeros((3, fields["observed"].shape[1]), fields["observed"].dtype)
+    for path, content in encode([fields["observed"]], 0, {"observed": ids}):
+        swap(copy, path, content)
+    claim(copy, lambda d: d["shapes"].update(observed=list(ids.shape)))
+    for read in (lambda: Dataset(copy)[0], lambda: WindowDataset(copy, history=2, horizon=2)[0]):
+        with pytest.raises(FormatError, match=r"records/00000000\.json"):
+            read()
+
+
 # -- every byte -------------------------------------------------------------------------------------------------------------
 
 
@@ -552,26 +583,20 @@ def test_sigterm_leaves_no_temporary_folder(tmp_path, monkeypatch):
 
 def test_the_kind_of_an_archive_is_looked_at_before_its_arrays(tmp_path):
     path = save_archive(tmp_path / "a.npz", "topokit-other", {}, {"x": np.zeros(2**23)})
-    tracemalloc.start()
-    try:
+    with memory() as peak:
         with pytest.raises(FormatError, match="holds a topokit other, not a topokit episode"):
             load_archive(path, "topokit-episode")
-        assert tracemalloc.get_traced_memory()[1] < 2e6
-    finally:
-        tracemalloc.stop()
+        assert peak() < 2e6
 
 
 def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(_archive, "FREE", 2**20)
     path = tmp_path / "bomb.npz"
     np.savez_compressed(path, json=np.zeros(3, np.uint8), x=np.zeros(2**24, dtype=np.uint8))
-    tracemalloc.start()
-    try:
-        with pytest.raises(FormatError, match=r"bomb\.npz.*would unpack to 16777"):
+    with memory() as peak:
+        with pytest.raises(FormatError, match=r"bomb\.npz.*bytes claim to hold 16777"):
             load_archive(path, "topokit-episode")
-        assert tracemalloc.get_traced_memory()[1] < 2e6
-    finally:
-        tracemalloc.stop()
+        assert peak() < 2e6
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000 + "]" * 100_000, "[1, 2]", "nothing", "null"])

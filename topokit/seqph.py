@@ -24,7 +24,7 @@ from ._frames import Frame, check_diagram, check_follows
 from ._matching import Candidates, Matching, hausdorff_table, within_gates
 from ._validate import as_sequence, positive, whole
 from .linking import curve_centroid
-from .rips import Diagram, rips_persistence, rips_persistence_many
+from .rips import Diagram, next_persistence, rips_persistence_many
 from .sampling import as_tree, hausdorff
 from .state import Loop, TopologicalState, loop_of
 
@@ -71,9 +71,10 @@ class SeqPH:
         Which bars are loops: those that the diagram and the film before it speak for, or those that live alpha or longer, as in
         the paper. The second when alpha is given, the first when it is not.
     gates : {"near", "proved", "paper"}
-        Largest change of birth and death, and largest distance of places, for the same loop: ``alpha + epsilon``
-        and a quarter of the larger death, and ``beta + epsilon``; ``alpha + epsilon`` and ``2 beta + epsilon``, which are what the proofs give; or the paper's
-        ``2 alpha + epsilon`` and ``2 alpha + beta + epsilon``.
+        Largest change of birth and death, and largest distance of places, for the same loop: ``alpha + epsilon`` and a
+        quarter of the larger death, and ``beta + epsilon`` with the beta of these two; ``alpha + epsilon`` and
+        ``2 beta + epsilon``, which are what the proofs give; or the paper's ``2 alpha + epsilon`` and
+        ``2 alpha + beta + epsilon``.
     identity : {"killer-edge", "killer-triangles", "cycle"}
         What a loop's place is. In the paper, the two ends of its killer edge, compared by Hausdorff distance; on a nearly
         round loop that edge can jump across the loop between two frames. The barycentre of the thick killer triangle, or
@@ -123,6 +124,7 @@ class SeqPH:
         self._time: float | None = None
         self._before: Frame | None = None
         self._known: list[_Known] = []
+        self._film: list[Any] = []
 
     @classmethod
     def paper(cls, **options: Any) -> SeqPH:
@@ -156,7 +158,7 @@ class SeqPH:
         frame = self._frame(tree)
         check_follows(self._number, (self._before, self._time), (frame, time))
         if diagram is None:
-            diagram = rips_persistence(tree.data[frame.ids])
+            diagram = next_persistence(tree.data[frame.ids], self._film)
         else:
             check_diagram(self._number, diagram, tree.n)
             frame = replace(frame, ids=np.arange(tree.n))

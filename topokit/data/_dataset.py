@@ -14,20 +14,10 @@ from topokit._archive import FormatError
 from topokit.io import Episode, check_episode
 from topokit.state import TopologicalState
 
-from ._group import (
-    Group,
-    Record,
-    damage_in,
-    decode,
-    index_bytes,
-    label_name,
-    open_episodes,
-    record_path,
-    replace,
-    tracked_cloud,
-)
-from ._layout import episode_of, skeleton, states_of
+from ._group import Group, damage_in, decode, label_name, open_episodes, replace, tracked_cloud
+from ._layout import episode_of, needed, skeleton, states_of
 from ._recipe import DatasetConfig
+from ._records import Record, index_bytes, record_path
 
 Ids = NDArray[np.int64]
 _PARTS = {"train": 0.8, "validation": 0.1, "test": 0.1}
@@ -216,14 +206,12 @@ class Dataset:
         ValueError
             When there is no episode to write, the folder is not empty, or something is damaged: nothing is written then.
         """
-        import fsspec
-
         numbers = sorted({self._known(i) for i in episodes})
         if not numbers:
             raise ValueError("a cut needs one episode at least")
         for _ in self._parts(numbers):
             pass  # all of it is verified before a byte is written
-        fs, root = fsspec.core.url_to_fs(str(out))
+        fs, root = needed("fsspec").core.url_to_fs(str(out))
         if fs.exists(root) and fs.ls(root):
             raise ValueError(f"{out} is not an empty folder")
         local = "file" in np.atleast_1d(fs.protocol)

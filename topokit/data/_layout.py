@@ -15,22 +15,20 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from topokit._archive import FREE, RATIO
-from topokit.io import FEWEST_FRAMES, HISTORY, Episode
+from topokit.io import HISTORY, Episode
 from topokit.rips import Diagram, rips_persistence
-from topokit.sim import TASKS
-from topokit.sim._episode import generator
 from topokit.state import Loop, TopologicalState, loop_of
-
-from ._recipe import DatasetConfig
 
 METRE = 10_000  # units of a stored coordinate in a metre
 _METRES = ("points", "actions", "grippers", "centre_line")
@@ -243,15 +241,22 @@ def _loop(stored: Mapping[str, NDArray[Any]], where: tuple[int, int], frame: _Fr
     )
 
 
+def needed(name: str) -> Any:
+    """A package of the extra `data`, imported now; an ImportError tells how it is had."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        later = ", on Python 3.11 or later" if sys.version_info < (3, 11) else ""  # as Zarr 3 wants it
+        raise ImportError(f"datasets need {error.name or name}: pip install 'topokit[data]'{later}") from error
+
+
 def canonical(document: Mapping[str, Any]) -> bytes:
     return (json.dumps(document, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def skeleton(fields: Iterable[Field], manifest: Mapping[str, Any]) -> dict[str, bytes]:
     """Return the `zarr.json` of a group and of its arrays: path in the group -> content."""
-    import zarr
-
-    store: dict[str, Any] = {}
+    zarr, store = needed("zarr"), dict[str, Any]()
     attributes = {"topokit": dict(manifest), "sha256": hashlib.sha256(canonical(manifest)).hexdigest()}
     zarr.create_group(store, attributes=attributes, zarr_format=3)
     for f in fields:
@@ -275,8 +280,7 @@ def decoded(f: Field, content: bytes | None, extent: Sequence[int]) -> NDArray[A
     Idea: what is declared (extents, places in a shard, sizes of Blosc's frames) is compared with the field and with what is
     there before memory is taken; Zarr would take what it is told.
     """
-    from numcodecs import blosc  # type: ignore[import-untyped]
-
+    blosc = needed("numcodecs").blosc
     blosc.use_threads = False  # as Zarr has it: threads of Blosc's own do not outlive a fork
     dtype, stored = np.dtype(f.dtype).newbyteorder("<"), content or b""
     fits = [type(n) for n in extent] == [int] * len(f.shape)
@@ -307,10 +311,8 @@ def _chunks(f: Field, content: bytes) -> dict[int, bytes]:
 
 
 def _create(store: dict[str, Any], f: Field, episodes: int) -> Any:
-    import zarr
-    from zarr.codecs import BloscCodec, TransposeCodec
-
-    time_last = TransposeCodec(order=(0, *range(2, len(f.shape) + 1), 1))
+    zarr, codecs = needed("zarr"), needed("zarr.codecs")
+    time_last = codecs.TransposeCodec(order=(0, *range(2, len(f.shape) + 1), 1))
     return zarr.create_array(
         store,
         name=f.name,
@@ -319,32 +321,10 @@ def _create(store: dict[str, Any], f: Field, episodes: int) -> Any:
         chunks=(1, HISTORY, *f.shape[1:]) if f.split else (1, *f.shape),
         shards=(1, *f.shape) if f.split else None,
         filters=[time_last] if f.time_last else None,
-        compressors=BloscCodec(typesize=np.dtype(f.dtype).itemsize, cname="zstd", clevel=5, shuffle="shuffle"),
+        compressors=codecs.BloscCodec(typesize=np.dtype(f.dtype).itemsize, cname="zstd", clevel=5, shuffle="shuffle"),
         fill_value=f.fill,
         chunk_key_encoding={"name": "default", "separator": "."},  # a file an episode, not four folders
         dimension_names=("episode", *f.axes),
         attributes=dict(f.attributes),
         zarr_format=3,
     )
-
-
-def room(config: DatasetConfig) -> dict[str, int]:
-    """Return how many frames, vertices, faces and so on the largest episode of a configuration has: its tasks decide."""
-    garments = [config.garment(task) for task in config.tasks]
-    tasks = [TASKS[task] for task in config.tasks]
-    frames, loops = config.simulation.frames, [loop for garment in garments for loop in garment.loops]
-    if frames is None:
-        plans = [task.plan(own, task.target, generator(0, "path")) for task, own in zip(tasks, garments, strict=True)]
-        longest = max(plan.end for plan in plans) / config.simulation.frame_time
-        frames = max(FEWEST_FRAMES, math.ceil(min(longest, 2**62)))
-    vertices = max(len(garment.vertices) for garment in garments)
-    return {
-        "frames": -(-frames // HISTORY) * HISTORY,
-        "vertices": vertices,
-        "observed": min(config.n_observed, vertices),
-        "seen": config.n_observed if config.cameras else 0,
-        "faces": max(len(garment.faces) for garment in garments),
-        "loops": max([1, *(len(garment.loops) for garment in garments)]),
-        "loop": max([1, *map(len, loops)]),
-        "line": max(len(task.target.centre_line) for task in tasks),
-    }
