@@ -82,7 +82,8 @@ def test_an_identity_is_never_used_again():
 def test_gates_forbid_a_loop_that_changed_too_much():
     options = {"alpha": 0.1, "beta": 1.8, "epsilon": 0.05}
     small, large = polygon(20), polygon(20, 1.4)  # the death moves by 0.35, more than 2 alpha + epsilon
-    assert [state.loops[0].id for state in track([small, large], **options)] == [0, 1]
+    for gates, beyond in (("paper", large), ("proved", large), ("near", polygon(20, 2.0))):
+        assert [state.loops[0].id for state in track([small, beyond], gates=gates, **options)] == [0, 1]
     for gates, ids in (("paper", [0, 0]), ("proved", [0, 1]), ("near", [0, 0])):
         states = track([small, polygon(20, 1.2)], gates=gates, **options)
         assert [state.loops[0].id for state in states] == ids

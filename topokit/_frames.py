@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ._evidence import Gaps
 from .rips import Diagram
 from .sampling import inliers_and_tree, spacing
 
@@ -15,11 +16,8 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
-_SCENE = (
-    0.95  # share of the points that have a neighbour within 2 alpha, when alpha is estimated from what is not alone
-)
+_SCENE = 0.95  # share of the points that have a neighbour within 2 alpha, estimated from what is not alone
 _MOVED = 0.9  # share of the points that move no farther than epsilon, estimated likewise
-_EVEN = 2.0  # fifth neighbours are no more times as far as next ones where points lie evenly; 2.6 at random: wider gaps
 _OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
 
 
@@ -30,24 +28,22 @@ class Frame:
     tree: cKDTree  #: of the points that count
     ids: NDArray[np.int64]  #: theirs in the cloud
     alpha: float
-    spacing: float  #: of neighbours: how wide gaps between points may be; 0 when alpha decides what is a loop
+    gaps: Gaps = Gaps(0.0, 1.0)
 
     @classmethod
     def scene(cls, tree: cKDTree) -> Frame:
         """All points count, as the paper has it: alpha is half the largest distance of one from its nearest other."""
-        return cls(tree, np.arange(tree.n), spacing(tree), 0.0)
+        return cls(tree, np.arange(tree.n), spacing(tree))
 
     @classmethod
     def cleaned(cls, tree: cKDTree) -> Frame:
         """Points that are alone do not count."""
         if tree.n == 0:
-            return cls(tree, np.arange(0), 0.0, 0.0)
+            return cls(tree, np.arange(0), 0.0)
         ids, places, nearest = inliers_and_tree(tree)
         if places.n == 1:
-            return cls(places, ids, 0.0, 0.0)
-        next_one, spacing = float(np.median(nearest[:, 0])), float(np.median(nearest[:, -1]))
-        spacing *= max(spacing / (_EVEN * next_one), 1.0) ** 1.5
-        return cls(places, ids, float(np.quantile(nearest[:, 0], _SCENE)) / 2, spacing)
+            return cls(places, ids, 0.0)
+        return cls(places, ids, float(np.quantile(nearest[:, 0], _SCENE)) / 2, Gaps.of(nearest))
 
     def motion_since(self, before: Frame) -> tuple[Array, float]:
         """(d,) how far the middle of the scene has moved since, and how far its points beside that: a partial Hausdorff distance.
