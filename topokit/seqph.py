@@ -11,9 +11,10 @@ l; it needs the whole distance matrix, so it follows both loops here. Taught in 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,9 +32,11 @@ from .state import Loop, TopologicalState, loop_of
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = ["Candidates", "SeqPH", "place", "track"]
+__all__ = ["PAPER", "Candidates", "SeqPH", "place", "track"]
 
 Array = NDArray[np.float64]
+PAPER: Mapping[str, Any] = MappingProxyType({"loops": "alpha", "gates": "paper", "identity": "killer-edge", "memory": 0})
+"""The options of `SeqPH` that make it the paper's tracker, rule for rule: ``SeqPH.paper()``, ``track(clouds, **PAPER)``."""
 _LOOPS = ("evidence", "alpha")
 _GATES = ("paper", "proved", "near")
 _IDENTITIES = ("killer-edge", "killer-triangles", "cycle")
@@ -138,7 +141,7 @@ class SeqPH:
         **options
             Those of the class, in place of the paper's.
         """
-        return cls(**{"loops": "alpha", "gates": "paper", "identity": "killer-edge", "memory": 0, **options})
+        return cls(**{**PAPER, **options})
 
     def update(
         self, points: ArrayLike, *, time: float | None = None, diagram: Diagram | None = None
