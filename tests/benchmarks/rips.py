@@ -262,7 +262,7 @@ def update(race: Race) -> Iterator[Entry]:
     times = [ms for _ in range(race.repeat) for ms, _ in realtime.milliseconds(frames, {})]
     alone = race.ms(lambda: [tk.rips_persistence(points) for points in frames]) / len(frames)
     yield {
-        "what": "SeqPH.update, recommended options",
+        "what": "SeqPH.update",
         "points": 1000,
         "ms": statistics.median(times),
         "persistence_ms": alone,

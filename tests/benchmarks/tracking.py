@@ -52,7 +52,7 @@ MEASURES = ("mota", "idf1", "hota", "deta", "assa")
 COUNTS = ("objects", "detections", "misses", "false_positives", "switches", "fragments")
 THRESHOLDS = (0.3, 0.5, 0.7)  # of similarity: 1.4, 1 and 0.6 radii away
 FIELDS = tuple(field.name for field in dataclasses.fields(TrackingScore))
-TOGETHER = "all together"
+TOGETHER, SOME = "all together", "compared, together"
 Follow = Callable[[Clouds, list[tk.Diagram]], list[tk.TopologicalState]]
 
 
@@ -78,6 +78,8 @@ TRACKERS: dict[str, Follow] = {
 }
 """The paper's tracker, one thing changed in it; what was recommended before the default; other matchings; the default."""
 PAPER, RECOMMENDED = "paper", "default"
+MAIN = (PAPER, "yesterday's", RECOMMENDED)  # the others are in some conditions alone
+COMPARED = ("all vertices", "every 4th frame", "250 points", "noise of 5 mm", "one camera")
 VINES = "vines"
 VINES_IN = ("all vertices", "every 4th frame", "noise of 5 mm")
 WHOLE = ("all vertices", "every 4th frame")
@@ -114,7 +116,8 @@ def row_of(path: Path) -> dict[str, Any]:
     row: dict[str, Any] = {"episode": path.stem, "frames": len(episode), "scores": {}, "levels": {}, "failures": []}
     for name, clouds, stride in conditions(episode):
         true, diagrams = truth[::stride], tk.rips_persistence_many(clouds)
-        films = {label: follow(clouds, diagrams) for label, follow in TRACKERS.items()}
+        wanted = TRACKERS if name in COMPARED else MAIN
+        films = {label: TRACKERS[label](clouds, diagrams) for label in wanted}
         if name in VINES_IN:
             films[VINES] = track_vines(clouds, steps=4, **PAPERS)
         overlaps = {label: compare(states, true) for label, states in films.items()}
@@ -230,9 +233,9 @@ def pooled(rows: list[dict[str, Any]], samples: int = 1000) -> dict[str, Any]:
     drawn = np.random.default_rng(0).integers(len(rows), size=(samples, len(rows)))
     weights = np.array([np.bincount(draw, minlength=len(rows)) for draw in drawn])
     table: dict[str, Any] = {}
-    for condition in (*rows[0]["scores"], TOGETHER):
+    for condition in (*rows[0]["scores"], SOME, TOGETHER):
         table[condition], paper = {}, None
-        for tracker in TRACKERS if condition == TOGETHER else rows[0]["scores"][condition]:
+        for tracker in {TOGETHER: MAIN, SOME: TRACKERS}.get(condition) or rows[0]["scores"][condition]:
             scores = [score_of(row, condition, tracker) for row in rows]
             stacked = [np.array([getattr(one, name) for one in scores]) for name in FIELDS]
             many = [TrackingScore(*parts) for parts in zip(*(weights @ values for values in stacked), strict=True)]
@@ -246,10 +249,11 @@ def pooled(rows: list[dict[str, Any]], samples: int = 1000) -> dict[str, Any]:
 
 
 def score_of(row: dict[str, Any], condition: str, tracker: str) -> TrackingScore:
-    """Of an episode, in one condition or in all together."""
-    if condition != TOGETHER:
+    """Of an episode, in one condition or in several together."""
+    if condition in row["scores"]:
         return unpack(row["scores"][condition][tracker])
-    return total([unpack(trackers[tracker]) for trackers in row["scores"].values()])
+    some = COMPARED if condition == SOME else row["scores"]
+    return total([unpack(row["scores"][each][tracker]) for each in some])
 
 
 def interval(values: np.ndarray) -> list[float]:
