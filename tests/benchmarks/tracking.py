@@ -234,17 +234,17 @@ def pooled(rows: list[dict[str, Any]], samples: int = 1000) -> dict[str, Any]:
     weights = np.array([np.bincount(draw, minlength=len(rows)) for draw in drawn])
     table: dict[str, Any] = {}
     for condition in (*rows[0]["scores"], SOME, TOGETHER):
-        table[condition], paper = {}, None
+        table[condition], first = {}, None
         for tracker in {TOGETHER: MAIN, SOME: TRACKERS}.get(condition) or rows[0]["scores"][condition]:
             scores = [score_of(row, condition, tracker) for row in rows]
             stacked = [np.array([getattr(one, name) for one in scores]) for name in FIELDS]
             many = [TrackingScore(*parts) for parts in zip(*(weights @ values for values in stacked), strict=True)]
             drawn_values = {name: np.array([getattr(one, name) for one in many]) for name in MEASURES}
-            paper = paper or drawn_values
+            first = first or drawn_values
             table[condition][tracker] = line = table_of(total(scores))
             for name in MEASURES:
                 line[name + "_interval"] = interval(drawn_values[name])
-                line[name + "_gain"] = interval(drawn_values[name] - paper[name])
+                line[name + "_gain"] = interval(drawn_values[name] - first[name])
     return table
 
 
