@@ -31,7 +31,12 @@ class Candidates:
         return birth, np.abs(self.death[:, None] - self.known_death)
 
     def part(self, found: list[int], known: list[int]) -> Candidates:
-        """Only these found loops and these known ones."""
+        """Return what a matching of these found loops and these known ones sees.
+
+        Parameters
+        ----------
+        found, known : lists of int
+        """
         beta = self.beta if np.ndim(self.beta) == 0 else np.asarray(self.beta)[np.ix_(found, known)]
         here = (self.birth[found], self.death[found], self.places[found])
         there = (self.known_birth[known], self.known_death[known], self.known_places[known], self.motion[known])
