@@ -13,6 +13,8 @@ import json
 import math
 import os
 import sys
+import zipfile
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import count
 from pathlib import Path
@@ -32,6 +34,7 @@ _TASKS = """tasks, a garment and a target:
   {apron,apron2,backpack,shirt,vest}-mannequin"""
 _PICTURES = (".png", ".svg", ".pdf")
 _LARGEST_FRAME = 2**28  # bytes of a cloud: eleven million points in space
+_OF_CLOUDS = ("pipeline", "unit", "columns", "intrinsics", "topic", "fps")
 _TRACKER = ("alpha", "beta", "epsilon", "gates", "identity", "memory")
 
 
@@ -111,10 +114,17 @@ def _add_simulate(commands: Any) -> None:
 def _add_track(commands: Any) -> None:
     tracker = commands.add_parser("track", help="follow the loops of a recorded episode")
     option = tracker.add_argument
-    option("episode", type=Path, nargs="?", metavar="EPISODE", help="a recorded episode (.npz)")
-    live = "instead of an episode, read clouds from standard input, .npy arrays one after another, and print a line of JSON"
+    what = "a recorded episode (.npz), or clouds: .npy, .npz, .ply, .pcd, depth images (.png), a ROS 2 bag, a folder of files"
+    option("episode", type=Path, nargs="?", metavar="PATH", help=what)
+    option("--pipeline", type=Path, metavar="FILE", help="of clouds: what is left out of each (.json, .toml)")
+    option("--unit", choices=("m", "cm", "mm"), help="of clouds (default: metres; millimetres for depth images)")
+    option("--columns", metavar="X,Y,Z", help="which numbers, or names, of a point are its place")
+    option("--intrinsics", type=Path, metavar="FILE", help="fx, fy, cx, cy of a depth camera (.json)")
+    option("--topic", help="of a bag")
+    option("--fps", type=float, help="frames a second, of clouds without times")
+    live = "instead of a file, read clouds from standard input, .npy arrays one after another, and print a line of JSON"
     option("--live", action="store_true", help=f"{live} for each as it comes")
-    option("--out", type=Path, metavar="TRACKS", help="tracks to write (default EPISODE.tracks.npz)")
+    option("--out", type=Path, metavar="TRACKS", help="tracks to write (default PATH.tracks.npz)")
     option("--plot", type=Path, metavar="PICTURE", help="also draw the tracks (.png, .svg or .pdf)")
     clouds = "all vertices (default) or the subsample an observer sees"
     option("--cloud", choices=("points", "observed"), default="points", help=clouds)
@@ -172,7 +182,14 @@ def _track(options: argparse.Namespace) -> int:
     how = {name: getattr(options, name) for name in _TRACKER}
     if options.live:
         return _track_live(options, how)
-    out = _tracks_file(options)
+    out, film = _tracks_file(options), _is_film(options.episode)
+    given = [f"--{name}" for name in (_OF_CLOUDS, ("plot",))[film] if getattr(options, name)]
+    if given:
+        raise ValueError(
+            f"{given[0]} is for {'episodes' if film else 'clouds'}, and {options.episode} is not: leave it out"
+        )
+    if film:
+        return _track_film(options, how, out)
     if options.plot:
         if options.plot.suffix not in _PICTURES:
             raise ValueError(f"--plot {options.plot}: the name of a picture ends in {', '.join(_PICTURES)}")
@@ -195,10 +212,57 @@ def _track(options: argparse.Namespace) -> int:
     return 0
 
 
+def _is_film(path: Path) -> bool:
+    """Whether it holds clouds; an archive does when it is none of ours."""
+    if path.suffix != ".npz" or not zipfile.is_zipfile(path):
+        return path.suffix != ".npz"
+    with zipfile.ZipFile(path) as archive:
+        return "json.npy" not in archive.namelist()
+
+
+def _track_film(options: argparse.Namespace, how: dict[str, Any], out: Path) -> int:
+    from .evaluate import summarise_tracks
+    from .io import read_clouds, save_states
+
+    asked = {name: getattr(options, name) for name in ("unit", "intrinsics", "topic", "fps")}
+    tracker, clean, states, removed = SeqPH(**how), _cleaner(options), [], Counter[str]()
+    for time, cloud in read_clouds(options.episode, columns=_columns(options), **asked):
+        states.append(tracker.update(clean(cloud), time=time))
+        removed.update(clean.removed)
+    if not states:
+        raise ValueError(f"{options.episode}: it holds no cloud")
+    save_states(out, states)
+    summaries = summarise_tracks(states, np.empty((len(states), 0, 3)), ())
+    if options.json:
+        rows = [dict(list(dataclasses.asdict(summary).items())[:5]) for summary in summaries]
+        answer = {"film": str(options.episode), "frames": len(states), "removed": removed, "tracks": str(out)}
+        print(json.dumps(answer | {"loops": rows}))
+        return 0
+    print(f"{options.episode}: {len(states)} frames")
+    print("removed a frame: " + ", ".join(f"{n / len(states):.0f} {name}" for name, n in removed.items()))
+    _print_table(summaries)
+    print(f"tracks: {out}")
+    return 0
+
+
+def _cleaner(options: argparse.Namespace) -> Any:
+    from ._config import load
+    from .sensors import Cleaner, Pipeline
+
+    return Cleaner(load(Pipeline, options.pipeline) if options.pipeline else None)
+
+
+def _columns(options: argparse.Namespace) -> list[int | str] | None:
+    words = options.columns.split(",") if options.columns else []
+    return [int(word) if word.isdigit() else word for word in words] or None
+
+
 def _tracks_file(options: argparse.Namespace) -> Path:
     if options.episode is None:
-        raise ValueError("which EPISODE? (or --live, to read clouds from standard input)")
+        raise ValueError("which episode or film? (or --live, to read clouds from standard input)")
     out: Path = options.out or options.episode.with_suffix(".tracks.npz")
+    if set(out.name) & set("*?["):
+        raise ValueError(f"--out: say where to write the tracks of {options.episode}")
     if out.resolve() == options.episode.resolve():
         raise ValueError(f"--out {out}: that is the episode itself")
     if out.suffix != ".npz":
@@ -222,18 +286,41 @@ def _print_table(summaries: Sequence[Any]) -> None:
 
 def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
     """Track clouds as they come; what is kept does not grow."""
-    if options.episode or options.out or options.plot:
-        raise ValueError("--live reads standard input and writes standard output: leave out EPISODE, --out and --plot")
+    given = [name for name in ("episode", "out", "plot", "intrinsics", "topic", "fps") if getattr(options, name)]
+    if given:
+        raise ValueError(f"--live reads standard input and writes standard output: leave out {', '.join(given)}")
     if sys.stdin is None:
         raise ValueError("standard input is closed; pipe the clouds in")
     frames = 0
     try:
-        for state in SeqPH(**how).stream(_clouds(sys.stdin.buffer)):
+        for state in SeqPH(**how).stream(_ready(_clouds(sys.stdin.buffer), options)):
             frames += 1
             print(json.dumps(state.as_dict()), flush=True)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped after {frames} frames, which were printed") from None
     return 0
+
+
+def _ready(clouds: Iterator[NDArray[Any]], options: argparse.Namespace) -> Iterator[NDArray[Any]]:
+    """Clouds in metres, through the pipeline; without one, what is not finite is left out, and that is said once."""
+    from .sensors._files import Asked, as_cloud
+
+    clean, said, asked = _cleaner(options) if options.pipeline else None, False, Asked(options.unit, _columns(options))
+    for number, cloud in enumerate(clouds):
+        if cloud.ndim in (2, 3) and cloud.dtype.kind != "c":
+            try:
+                cloud = as_cloud(cloud, asked, Path())
+            except (ValueError, IndexError) as error:
+                raise FormatError(f"frame {number} on standard input: {error}") from error
+            finite = np.isfinite(cloud).all(axis=1)
+            if clean:
+                cloud = clean(cloud)
+            elif not finite.all():
+                left_out = f"frame {number}: {(~finite).sum()} of {len(finite)} points are not finite and left out"
+                if not said:
+                    print(f"topokit track: {left_out}, here and in what follows", file=sys.stderr)
+                said, cloud = True, cloud[finite]
+        yield cloud
 
 
 def _clouds(stream: Any) -> Iterator[NDArray[np.float64]]:
