@@ -21,7 +21,7 @@ import topokit as tk
 from topokit._config import from_mapping, load
 from topokit.cli import main
 from topokit.io import FormatError, load_states, read_clouds
-from topokit.sensors import Cleaner, Pipeline
+from topokit.sensors import Cleaner, Pipeline, _pipeline
 from topokit.sensors._pipeline import _farthest, _voxel_means
 
 LENS = {"fx": 30.0, "fy": 30.0, "cx": 20.0, "cy": 15.0}
@@ -233,9 +233,9 @@ def png(array: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
-def pcd(points: np.ndarray = ring(), encoding: Encoding = Encoding.BINARY_COMPRESSED) -> bytes:
+def pcd(encoding: Encoding = Encoding.BINARY_COMPRESSED) -> bytes:
     stream = io.BytesIO()
-    PointCloud.from_xyz_points(points).save(stream, encoding)
+    PointCloud.from_xyz_points(ring()).save(stream, encoding)
     return stream.getvalue()
 
 
@@ -252,7 +252,10 @@ BAD = {
     "half.npy": (npy(ring())[:300], "size"),
     "words.npy": (npy(np.array([["a", "b", "c"]])), "must hold real numbers"),
     "flat.npy": (npy(np.zeros(8)), "x, y and z|numbers a point"),
-    "colours.npy": (npy(np.ones((9, 6))), r"6 numbers a point, and a place has three: say which, as columns=\(0, 1, 2\)"),
+    "colours.npy": (
+        npy(np.ones((9, 6))),
+        r"6 numbers a point, and a place has three: say which, as columns=\(0, 1, 2\)",
+    ),
     "named.npy": (npy(XYI), "its points have no z: they have x, y, intensity"),
     "depth.npy": (npy(np.ones((30, 40), np.float32)), "a depth image needs its camera: fx, fy, cx and cy"),
     "millimetres.npy": (npy(1000 * ring()), r"it is 5\d\d.* m across: are these millimetres\? Declare unit='mm'"),
@@ -289,7 +292,10 @@ def test_a_film_is_of_one_kind(tmp_path):
     save_pcd(tmp_path / "1.pcd", ring())
     with pytest.raises(FormatError, match=r"holds files .npy, .pcd; a film"):
         clouds(tmp_path)
-    for asked, says in (({"unit": "inch"}, "unit must be one of m, cm, mm"), ({"fps": 0}, "fps must be more than zero")):
+    for asked, says in (
+        ({"unit": "inch"}, "unit must be one of m, cm, mm"),
+        ({"fps": 0}, "fps must be more than zero"),
+    ):
         with pytest.raises(ValueError, match=says):
             read_clouds(tmp_path, **asked)
 
@@ -315,6 +321,9 @@ def test_a_missing_reader_is_named(tmp_path):
 # The pipeline.
 
 
+EYE = (0.0, -3.0, 1.0)
+
+
 def scene(t: float = 0.0, n: int = 3000) -> np.ndarray:
     """A ring over a table that is slanted, before a wall; pixels that saw nothing, and strays. In metres, (4 n, 3)."""
     rng = np.random.default_rng(0)
@@ -330,7 +339,7 @@ def scene(t: float = 0.0, n: int = 3000) -> np.ndarray:
 
 
 def test_every_step_says_what_it_removed():
-    clean = Cleaner(Pipeline(crop=((-2, -0.8, -1), (2, 2, 2)), planes=2, voxel=0.02, outliers=3.0, points=200))
+    clean = Cleaner(Pipeline(crop=((-2, -0.8, -1), (2, 2, 2)), planes=2, eye=EYE, voxel=0.02, outliers=3.0, points=200))
     for t in range(3):
         points = scene(t)
         kept = clean(points)
@@ -340,7 +349,15 @@ def test_every_step_says_what_it_removed():
         assert (np.abs(kept[:, 0]) < 0.5).all()  # and the strays
         removed = clean.removed
         assert list(removed) == [
-            *("not finite", "at (0, 0, 0)", "outside the box", "on planes", "by voxels", "outliers", "by farthest points")
+            *(
+                "not finite",
+                "at (0, 0, 0)",
+                "outside the box",
+                "on planes",
+                "by voxels",
+                "outliers",
+                "by farthest points",
+            )
         ]
         assert removed["not finite"] == 5
         assert removed["at (0, 0, 0)"] == 7
@@ -353,28 +370,41 @@ def test_every_step_says_what_it_removed():
 
 
 def test_planes_are_followed_and_searched_for_when_they_are_lost(monkeypatch):
-    from topokit.sensors import _pipeline
-
     searched = []
     found = _pipeline._found
     monkeypatch.setattr(_pipeline, "_found", lambda *some: searched.append(1) or found(*some))
-    clean = Cleaner(Pipeline(planes=2))
+    clean = Cleaner(Pipeline(planes=2, eye=EYE))
     for t in (0, 0.5, 1, 1.5):
         clean(scene(t))
     assert len(searched) == 2
     assert clean.removed["on planes"] > 8900
-    clean(scene(0) @ np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]]))  # the camera fell over
+    clean((scene(0) - EYE) @ np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]]) + EYE)  # the camera fell over
     assert len(searched) == 4
     assert clean.removed["on planes"] > 8900
 
 
-def test_no_plane_is_found_where_none_is():
+def test_no_plane_is_found_where_none_is(monkeypatch):
     rng = np.random.default_rng(0)
     ball = rng.standard_normal((2000, 3))
-    clean = Cleaner(Pipeline(planes=1, points=None))
-    assert len(clean(ball)) == 2000
-    assert clean.removed["on planes"] == 0
+    clean, searched = Cleaner(Pipeline(planes=1, eye=EYE, points=None)), []
+    found = _pipeline._found
+    monkeypatch.setattr(_pipeline, "_found", lambda *some: searched.append(1) or found(*some))
+    for _ in range(30):
+        assert len(clean(ball)) == 2000
+        assert clean.removed["on planes"] == 0
+    assert len(searched) == 1  # for a search takes long
     assert len(clean(ring()[:4])) == 4
+    assert len(searched) == 2
+
+
+def test_cloth_before_a_wall_is_no_wall():
+    """It is the larger plane here, and there is something behind it."""
+    rng = np.random.default_rng(0)
+    u, v = rng.uniform(-1, 1, (2, 4000))
+    points = np.column_stack([u, v, np.where(np.arange(4000) < 3000, 1.0, 2.0)])
+    kept = Cleaner(Pipeline(planes=1, points=None))(points)
+    assert len(kept) == 3000
+    assert (kept[:, 2] == 1).all()
 
 
 def test_the_steps_against_their_definitions():
@@ -401,10 +431,14 @@ def test_organised_clouds_and_doubles_are_cleaned_alike():
 
 
 def test_what_cannot_be_cleaned_says_why():
-    with pytest.raises(ValueError, match=r"points must be \(n, 3\) or \(h, w, 3\), not of shape \(9, 6\): pick x, y and z"):
+    with pytest.raises(
+        ValueError, match=r"points must be \(n, 3\) or \(h, w, 3\), not of shape \(9, 6\): pick x, y and z"
+    ):
         Cleaner()(np.ones((9, 6)))
     clean = Cleaner(Pipeline(crop=((5, 5, 5), (6, 6, 6))))
-    with pytest.raises(ValueError, match="nothing is left of frame 0: removed were 0 not finite, .* 60 outside the box"):
+    with pytest.raises(
+        ValueError, match=r"nothing is left of frame 0: removed were 0 not finite, .* 60 outside the box"
+    ):
         clean(ring())
 
 

@@ -74,7 +74,9 @@ def _frames(path: Path, asked: Asked, check: bool) -> Frames:
             check = False
             yield time, cloud
     except ModuleNotFoundError as error:
-        raise ImportError(f"{path}: reading it needs {error.name}: pip install 'topokit[sensors]'") from error
+        raise ImportError(
+            f"{path}: reading it needs {str(error.name).partition('.')[0]}: pip install 'topokit[sensors]'"
+        ) from error
     except MemoryError:
         raise
     except Exception as error:  # damage shows in a dozen ways
@@ -180,7 +182,7 @@ def _ply(path: Path, asked: Asked) -> Frames:
 
 
 def _pcd(path: Path, asked: Asked) -> Frames:
-    from pypcd4 import PointCloud
+    from pypcd4.pypcd4 import PointCloud
 
     data = path.read_bytes()
     head = re.search(rb"^POINTS\s+(\d+)\s[^\0]{0,200}?^DATA\s+(\w+)[^\n]*\n", data[:4096], re.MULTILINE)

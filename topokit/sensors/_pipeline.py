@@ -5,6 +5,7 @@ Source: Fischler and Bolles 1981 (RANSAC); Rusu et al. 2008 (outliers); Gonzalez
 
 from __future__ import annotations
 
+import contextlib
 from typing import Annotated, Any
 
 import numpy as np
@@ -19,6 +20,8 @@ Array = NDArray[np.float64]
 Corner = tuple[float, float, float]
 _SAMPLE = 2000  # points that a plane is fitted to
 _SHARE = 0.1  # of the points, at least, are on a table or a wall
+_BEHIND = 0.03  # of the points, at most, are behind it: it is not cloth with the room behind
+_REST = 30  # frames until a plane is searched for again that was not there: a search takes half a second
 _TURN = np.cos(np.radians(10))  # a plane turns less from one frame to the next
 
 
@@ -35,7 +38,10 @@ class Pipeline:
     finite: bool = True  #: drop points with a NaN or infinite coordinate
     zeros: bool = True  #: drop points at (0, 0, 0): pixels where a depth camera saw nothing
     crop: tuple[Corner, Corner] | None = None  #: lowest and highest corner of the box that is kept, metres
-    planes: Annotated[int, Field(ge=0, le=10)] = 0  #: so many planes are removed, the largest first: a table, a wall
+    planes: Annotated[int, Field(ge=0, le=10)] = (
+        0  #: walls and tables to remove: planes not seen through, the largest first
+    )
+    eye: Corner = (0.0, 0.0, 0.0)  #: where the camera is
     thickness: Positive = 0.01  #: what is within it of a plane belongs to the plane, metres
     voxel: Positive | None = None  #: one point, their mean, for those in each cube of such an edge, metres
     #: drop points whose fifth nearest is so many times farther than in the median; 2.5 suits cloth
@@ -65,7 +71,7 @@ class Cleaner:
     def __init__(self, pipeline: Pipeline | None = None) -> None:
         self.pipeline = Pipeline() if pipeline is None else pipeline
         self.removed: dict[str, int] = {}
-        self._frame = 0
+        self._frame = self._search_from = 0
         self._planes: list[Array] = []  # of the last frame: unit normal, and its product with the plane's points
 
     def __call__(self, points: ArrayLike) -> Array:
@@ -101,8 +107,11 @@ class Cleaner:
         before, self._planes = self._planes, []
         for number in range(count):
             plane = _followed(sample, before[number], thickness) if number < len(before) else None
-            plane = _found(sample, thickness) if plane is None else plane
+            if plane is None and self._frame >= self._search_from:
+                plane = _found(sample, thickness, np.array(self.pipeline.eye))
             if plane is None:
+                if self._frame >= self._search_from:
+                    self._search_from = self._frame + _REST
                 break
             self._planes.append(plane)
             points, sample = (some[~_on(some, plane, thickness)] for some in (points, sample))
@@ -150,18 +159,24 @@ def _followed(points: Array, plane: Array, thickness: float) -> Array | None:
     return plane
 
 
-def _found(points: Array, thickness: float) -> Array | None:
-    """The plane that most points are on, if they are many: RANSAC along each axis, then least squares."""
+def _found(sample: Array, thickness: float, eye: Array) -> Array | None:
+    """The plane that most points are on, of those that are not seen through: RANSAC along each axis, then least squares."""
     from sklearn.linear_model import RANSACRegressor
 
-    if len(points) < 10:
-        return None
-    near = []
+    points, near = sample[::4], np.zeros(len(sample[::4]), bool)
     for axis in range(3):
-        search = RANSACRegressor(residual_threshold=thickness, max_trials=300, random_state=0)
-        near.append(search.fit(np.delete(points, axis, axis=1), points[:, axis]).inlier_mask_)
-    best = max(near, key=np.sum)
-    return _fitted(points[best]) if best.sum() >= _SHARE * len(points) else None
+
+        def is_opaque(model: Any, *_: Any, axis: int = axis) -> bool:
+            normal = np.insert(model.coef_, axis, -1.0)
+            apart = points @ normal + model.intercept_
+            behind = apart * np.sign(eye @ normal + model.intercept_) < -3 * thickness * np.linalg.norm(normal)
+            return bool(behind.mean() <= _BEHIND and np.sum(np.abs(apart) <= thickness) > 10)
+
+        search = RANSACRegressor(residual_threshold=thickness, max_trials=300, random_state=0, is_model_valid=is_opaque)
+        with contextlib.suppress(ValueError):  # none of its trials was valid
+            on = search.fit(np.delete(points, axis, axis=1), points[:, axis]).inlier_mask_
+            near = max(near, on, key=np.sum)
+    return _followed(sample, _fitted(points[near]), thickness) if near.any() else None
 
 
 def _voxel_means(points: Any, edge: float) -> Any:
