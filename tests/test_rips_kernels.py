@@ -240,7 +240,7 @@ def torus(n: int) -> np.ndarray:
 )
 def test_a_long_computation_hears_an_interrupt(call):
     cloud = torus(12_000)
-    rips_persistence(cloud[:100])
+    call(cloud[:2500])  # compiled by now, for clouds that are large too
     start, main = time.process_time(), threading.main_thread().ident
     threading.Timer(0.2, signal.pthread_kill, (main, signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):
