@@ -38,9 +38,8 @@ class Pipeline:
     finite: bool = True  #: drop points with a NaN or infinite coordinate
     zeros: bool = True  #: drop points at (0, 0, 0): pixels where a depth camera saw nothing
     crop: tuple[Corner, Corner] | None = None  #: lowest and highest corner of the box that is kept, metres
-    planes: Annotated[int, Field(ge=0, le=10)] = (
-        0  #: walls and tables to remove: planes not seen through, the largest first
-    )
+    #: walls and tables to remove: planes that are not seen through, the largest first
+    planes: Annotated[int, Field(ge=0, le=10)] = 0
     eye: Corner = (0.0, 0.0, 0.0)  #: where the camera is
     thickness: Positive = 0.01  #: what is within it of a plane belongs to the plane, metres
     voxel: Positive | None = None  #: one point, their mean, for those in each cube of such an edge, metres
