@@ -270,7 +270,11 @@ BAD = {
     "half.pcd": (pcd(encoding=Encoding.BINARY)[:-8], ""),
     "fewer.pcd": (pcd(encoding=Encoding.BINARY)[:-12], "cut off or damaged: 59 of 60 points"),
     "many.pcd": (pcd().replace(b"POINTS 60", b"POINTS 600000000"), "bytes claim to hold 600000000 points"),
-    "no.pcd": (b"hello", "not a PCD file: its header has no lines POINTS and DATA"),
+    "fields.pcd": (
+        pcd().replace(b"COUNT 1", b"COUNT 9999999"),
+        "bytes claim to hold 60 points, 9999999 numbers in a field",
+    ),
+    "no.pcd": (b"hello", "not a PCD file: its header has no line DATA"),
     "no.mcap": (b"hello", ""),
     "no.db3": (b"hello", ""),
 }
@@ -316,6 +320,13 @@ def test_a_missing_reader_is_named(tmp_path):
     code = f"import sys; sys.modules['pypcd4'] = None\nfrom topokit.io import read_clouds\nlist(read_clouds({str(tmp_path)!r}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert "ring.pcd: reading it needs pypcd4: pip install 'topokit[sensors]'" in done.stderr
+
+
+def test_files_of_numpy_need_no_extra(tmp_path):
+    np.savez(tmp_path / "film.npz", [ring(), ring(1)])
+    code = "import sys\nfor name in 'pydantic pypcd4 rosbags trimesh PIL pandas sklearn'.split(): sys.modules[name] = None\n"
+    code += f"from topokit.io import read_clouds\nassert len(list(read_clouds({str(tmp_path / 'film.npz')!r}))) == 2"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 # The pipeline.

@@ -20,7 +20,7 @@ UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _LENS = "intrinsics.json"
 _LARGEST, _SMALLEST = 30.0, 0.02  # metres across: of a room, and of a garment
 _WIDEST = 16  # columns that a point has; an image has more
-_RATIO, _PIXELS = 100, 2**26  # a file may hold so many times its own bytes, an image so many pixels
+_RATIO, _PIXELS, _MOST_NUMBERS = 100, 2**26, 2**12  # what a file of a byte, an image, a field of a point may hold
 _ROS_TYPES = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), 1))
 _ROS_DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 
@@ -77,10 +77,10 @@ def _frames(path: Path, asked: Asked, check: bool) -> Frames:
         raise ImportError(
             f"{path}: reading it needs {str(error.name).partition('.')[0]}: pip install 'topokit[sensors]'"
         ) from error
-    except MemoryError:
-        raise
-    except Exception as error:  # damage shows in a dozen ways
+    except ValueError as error:
         raise FormatError(f"{path}: {error}") from error
+    except Exception as error:  # damage shows in a dozen ways
+        raise FormatError(f"{path}: cut off or damaged: {type(error).__name__} {error}") from error
 
 
 def _check_unit(cloud: Array, unit: str) -> None:
@@ -185,15 +185,20 @@ def _pcd(path: Path, asked: Asked) -> Frames:
     from pypcd4.pypcd4 import PointCloud
 
     data = path.read_bytes()
-    head = re.search(rb"^POINTS\s+(\d+)\s[^\0]{0,200}?^DATA\s+(\w+)[^\n]*\n", data[:4096], re.MULTILINE)
+    head = re.match(rb"[^\0]{0,4096}?^DATA\s+(\w+)[^\n]*\n", data, re.MULTILINE)
     if head is None:
-        raise ValueError("not a PCD file: its header has no lines POINTS and DATA")
-    packed = int.from_bytes(data[head.end() + 4 : head.end() + 8], "little") if b"compressed" in head[2] else 0
-    if max(int(head[1]), packed) > _RATIO * len(data):
-        raise ValueError(f"its {len(data)} bytes claim to hold {int(head[1])} points")
+        raise ValueError("not a PCD file: its header has no line DATA")
+    lines = re.findall(rb"(?im)^\s*(points|count)\s+([\d ]+)", head[0])
+    points, count = (
+        max((int(n) for key, some in lines if key.lower() == name for n in some.split()), default=0)
+        for name in (b"points", b"count")
+    )
+    packed = int.from_bytes(data[head.end() + 4 : head.end() + 8], "little") if b"compressed" in head[1] else 0
+    if max(points, packed) > _RATIO * len(data) or count > _MOST_NUMBERS:
+        raise ValueError(f"its {len(data)} bytes claim to hold {points} points, {count} numbers in a field")
     rows = PointCloud.from_path(path).pc_data
-    if len(rows) != int(head[1]):
-        raise ValueError(f"cut off or damaged: {len(rows)} of {int(head[1])} points")
+    if len(rows) != points:
+        raise ValueError(f"cut off or damaged: {len(rows)} of {points} points")
     yield None, as_cloud(rows, asked, path.parent)
 
 
