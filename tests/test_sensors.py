@@ -260,6 +260,7 @@ BAD = {
     "depth.npy": (npy(np.ones((30, 40), np.float32)), "a depth image needs its camera: fx, fy, cx and cy"),
     "millimetres.npy": (npy(1000 * ring()), r"it is 5\d\d.* m across: are these millimetres\? Declare unit='mm'"),
     "two.npz": (npz(a=ring(), b=ring()), "it holds a, b: name the array of clouds 'points'"),
+    "ours.npz": (npz(points=[ring()], json=np.zeros(9)), "topokit wrote it, .* read it by load_episode"),
     "late.npz": (npz(points=[ring()], times=[0.0, 1.0]), r"times has shape \(2,\); there are 1 clouds"),
     "colour.png": (png(np.zeros((30, 40, 3), np.uint8)), r"mode RGB: a depth image has 16 bits a pixel"),
     "depth.png": (png(depth_image()), "a depth image needs its camera"),
@@ -516,6 +517,7 @@ def test_track_takes_an_archive_of_clouds_that_topokit_did_not_write(tmp_path, c
         (["film", "--unit", "mm", "--columns", "a,b,c"], "0.pcd: its points have no a: they have x, y, z, rgb"),
         (["episode.npz", "--unit", "mm"], "--unit is for clouds, and episode.npz is not: leave it out"),
         (["cloud.txt"], "holds files .txt"),
+        (["depth.npy", "--intrinsics", "none.json"], "error: none.json: there is no such file"),
         (["--live", "--topic", "/points"], "leave out topic"),
     ],
 )
@@ -523,6 +525,7 @@ def test_bad_calls_write_nothing(arguments, says, film, tmp_path, episode_path, 
     monkeypatch.chdir(tmp_path)
     Path("bad.json").write_text('{"voxels": 1}')
     Path("cloud.txt").write_text("1 2 3")
+    np.save("depth.npy", depth_image())
     Path("episode.npz").write_bytes(episode_path.read_bytes())
     assert main(["track", *arguments]) == 2
     assert says in capsys.readouterr().err

@@ -316,7 +316,8 @@ def read_clouds(
     columns : sequence, optional
         Which three of the numbers of a point, or of their names, are its place; x, y and z, when they are named.
     intrinsics : mapping or path, optional
-        Of a depth camera: fx, fy, cx, cy (or K), or a JSON file of them; that of the bag, or intrinsics.json beside it.
+        Of a depth camera without distortion: fx, fy, cx, cy (or K), or a JSON file of them; when not given, those in the bag, or
+        in intrinsics.json beside the image.
     topic : str, optional
         Of a bag.
     fps : float, optional

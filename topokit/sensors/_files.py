@@ -77,6 +77,8 @@ def _frames(path: Path, asked: Asked, check: bool) -> Frames:
         raise ImportError(
             f"{path}: reading it needs {str(error.name).partition('.')[0]}: pip install 'topokit[sensors]'"
         ) from error
+    except FileNotFoundError:
+        raise
     except ValueError as error:
         raise FormatError(f"{path}: {error}") from error
     except Exception as error:  # damage shows in a dozen ways
@@ -160,6 +162,8 @@ def _npz(path: Path, asked: Asked) -> Frames:
     with np.load(path, allow_pickle=False) as archive:
         check_size(archive.zip.infolist(), path.stat().st_size)
         names = [name for name in archive.files if name != "times"]
+        if "json" in names:
+            raise ValueError("topokit wrote it, and it holds no film: read it by load_episode or load_states")
         if "points" not in names and len(names) != 1:
             raise ValueError(f"it holds {', '.join(names) or 'nothing'}: name the array of clouds 'points'")
         film = _film(archive["points" if "points" in names else names[0]])
