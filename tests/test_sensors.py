@@ -290,6 +290,30 @@ def test_bad_files_are_named(name, tmp_path):
         clouds(tmp_path / name)
 
 
+@pytest.mark.parametrize("kind", ["npy", "npz", "png", "ply", "ascii.ply", "pcd", "binary.pcd", "mcap", "db3"])
+def test_a_file_of_any_bytes_is_read_or_refused(kind, tmp_path):
+    """Bytes are changed, lost, or become large numbers, most of them in the header."""
+    messages = {"/points": [cloud_message(ring().reshape(6, 10, 3), 1)]}
+    if kind in ("mcap", "db3"):
+        bag = save_bag(tmp_path / "bag", messages, StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3)
+        whole = next(path for path in bag.iterdir() if path.suffix == f".{kind}").read_bytes()
+    else:
+        files = {"npy": npy(ring()), "npz": npz(points=[ring()]), "png": png(depth_image()), "ply": ply(), "pcd": pcd()}
+        whole = (files | {"ascii.ply": ply("ascii"), "binary.pcd": pcd(Encoding.BINARY)})[kind]
+    rng = np.random.default_rng(0)
+    path, refused = tmp_path / f"damaged.{kind}", 0
+    for _ in range(40):
+        data = bytearray(whole)
+        for at in rng.integers(min(len(data), 500), size=2).tolist():
+            data[at : at + rng.integers(3)] = [bytes([rng.integers(256)]), b"", b"9999999"][rng.integers(3)]
+        path.write_bytes(data)
+        try:
+            clouds(path, intrinsics=LENS, unit="m")
+        except FormatError:
+            refused += 1
+    assert refused > 5
+
+
 def test_a_film_is_of_one_kind(tmp_path):
     with pytest.raises(FormatError, match="holds no cloud; a film is one of"):
         clouds(tmp_path)
@@ -547,6 +571,14 @@ def test_live_leaves_out_what_is_not_finite_and_says_so_once():
     assert done.stderr.splitlines() == [
         "topokit track: frame 1: 1 of 60 points are not finite and left out, here and in what follows"
     ]
+
+
+def test_the_advice_about_a_frame_is_python():
+    points = ring()
+    points[7] = np.nan
+    with pytest.raises(ValueError, match="frame 0 has 1 of 60 points") as refused:
+        tk.SeqPH().update(points)
+    assert len(eval(str(refused.value).split("for example ")[1])) == 59
 
 
 def test_live_takes_a_pipeline_and_asks_about_colours(tmp_path):
