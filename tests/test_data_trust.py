@@ -8,6 +8,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import tracemalloc
 import zipfile
 from functools import partial
@@ -510,6 +512,47 @@ def test_a_damaged_member_of_a_zip_is_a_sentence(made, tmp_path):
     (tmp_path / "data.zip").write_bytes(content)
     with pytest.raises(FormatError, match=r"points/c\.0\.0\.0\.0.*damaged"):
         Dataset(f"zip://::{path}")[0]
+
+
+@pytest.mark.parametrize("missing", ["fsspec", "numcodecs", "zarr"])
+@pytest.mark.parametrize("python", [(3, 10), (3, 13)])
+def test_what_reading_and_checking_need_is_named(missing, python):
+    """And on Python 3.10 that Zarr needs a later one: there pip passes over it without a word."""
+    code = "import sys; from topokit.data import Dataset, check_dataset; import pydantic.dataclasses, fsspec, asyncio\n"
+    code += f"sys.modules[{missing!r}], sys.version_info, where = None, {python}, {str(DATA / 'dataset')!r}\n"
+    code += "Dataset(where)[0], check_dataset(where)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    later = ", on Python 3.11 or later" if python < (3, 11) else ""
+    wanted = f"ImportError: datasets need {missing}: pip install 'topokit[data]'{later}"
+    assert done.stderr.splitlines()[-1] == wanted
+
+
+@pytest.mark.parametrize(
+    "unsign", [lambda d: d["attributes"].pop("sha256"), lambda d: d["attributes"].update(sha256="")]
+)
+@pytest.mark.parametrize("group", ["", "labels/full/"])
+def test_a_group_without_its_checksum_is_not_read(copy, group, unsign):
+    edit(copy / f"{group}zarr.json", unsign)
+    with pytest.raises(FormatError, match=rf"{group}zarr\.json"):
+        Dataset(copy).labels("full")
+
+
+def test_an_index_without_its_checksum_is_not_read(copy):
+    edit(copy / "index.json", lambda d: d.pop("checksum"))
+    with pytest.raises(FormatError, match=r"index\.json: a damaged index"):
+        Dataset(copy)
+
+
+def test_an_observation_of_another_length_names_the_record(copy):
+    """As long as the record says that it is; the cloud that it points into is shorter."""
+    fields = {f.name: f for f in Dataset(copy).group.fields}
+    ids = np.zeros((3, fields["observed"].shape[1]), fields["observed"].dtype)
+    for path, content in encode([fields["observed"]], 0, {"observed": ids}):
+        swap(copy, path, content)
+    claim(copy, lambda d: d["shapes"].update(observed=list(ids.shape)))
+    for read in (lambda: Dataset(copy)[0], lambda: WindowDataset(copy, history=2, horizon=2)[0]):
+        with pytest.raises(FormatError, match=r"records/00000000\.json"):
+            read()
 
 
 # -- every byte -------------------------------------------------------------------------------------------------------------

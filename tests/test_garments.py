@@ -221,3 +221,9 @@ def test_garment_hangs_still_between_the_grippers(name):
     stretch = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / garment.edge_lengths
     assert np.percentile(stretch, 99) < 1.3
     assert points[:, 2].max() < 1.5 + garment.vertices[:, 2].max() + 0.05
+
+
+def test_a_mesh_that_no_dataset_has_room_for_is_not_begun():
+    """The sizes may be those of a stranger's manifest: this one would take minutes and gigabytes."""
+    with pytest.raises(ValueError, match=r"spacing 0\.04 is too fine for a pattern of 10 by 10 m"):
+        WARDROBE["sheet"](spacing=0.04, width=10.0, height=10.0)

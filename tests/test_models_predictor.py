@@ -30,7 +30,7 @@ from topokit.models import (
     target_states,
 )
 from topokit.models._baselines import past_window
-from topokit.models._checkpoint import _digest, describe, save_tensors
+from topokit.models._checkpoint import describe, save_tensors
 from topokit.seqph import RECOMMENDED
 
 from windows import HISTORY, HORIZON, POINTS, SLOTS, RingWindows
@@ -272,6 +272,14 @@ def test_what_cannot_be_observed_or_planned_is_refused(stream, window):
         predictor.predict(plan, np.ones(59, bool))
     with pytest.raises(ValueError, match="NaN"):
         predictor.predict(np.full_like(plan, np.nan))
+    with pytest.raises(ValueError, match="NaN or infinite"):
+        predictor.predict(np.full(plan.shape, 1e300))
+    with pytest.raises(ValueError, match="actions has 1 masked entries"):
+        predictor.predict(np.ma.MaskedArray(plan, np.arange(plan.size).reshape(plan.shape) == 3))
+    with pytest.raises(ValueError, match="held has 60 masked entries"):
+        predictor.predict(plan, np.ma.masked_all(60, bool))
+    with pytest.raises(ValueError, match="actions must hold real numbers"):
+        predictor.predict(plan.astype(str))
     predictor.predict(plan)
     predictor.reset()
     with pytest.raises(ValueError, match="nothing was observed yet"):
@@ -417,20 +425,12 @@ def test_one_bit_of_the_description_is_noticed(tmp_path):
         Predictor.load(rewritten(path, lambda text: text.replace('"scale": 0.1', '"scale": 0.3')))
 
 
-def test_checkpoints_of_the_first_schema_still_read(tmp_path):
-    """Their checksum covered the tensors alone, and lent itself to no other schema."""
-    weights = load_tensors(save(tmp_path / "c.safetensors"))[1]
-    old = {
-        "kind": "topokit-checkpoint",
-        "schema": 1,
-        "sha256": _digest(weights, None),
-        **describe(make("mlp"), "mlp", SMALL["mlp"]),
-    }
-    content = safetensors.torch.save(weights, metadata={"topokit": json.dumps(old, sort_keys=True)})
-    (tmp_path / "old.safetensors").write_bytes(content)
-    assert load_model(tmp_path / "old.safetensors")[1]["model"] == "mlp"
-    with pytest.raises(FormatError, match="checksum does not match"):
-        Predictor.load(rewritten(tmp_path / "c.safetensors", lambda text: text.replace('"schema": 2', '"schema": 1')))
+@pytest.mark.parametrize("schema", [1, 3])
+def test_checkpoints_of_another_schema_are_refused(tmp_path, schema):
+    """The checksum of the first covered the tensors alone: whoever claims it could say what he likes."""
+    path = save(tmp_path / "c.safetensors")
+    with pytest.raises(FormatError, match=f"of schema {schema}; this topokit reads a topokit-checkpoint of schema 2"):
+        Predictor.load(rewritten(path, lambda text: text.replace('"schema": 2', f'"schema": {schema}')))
 
 
 @pytest.mark.parametrize(

@@ -229,7 +229,7 @@ def lengths_of_functions(path: Path) -> list[int]:
     return found
 
 
-MOST_LINES = 15_000
+MOST_LINES = 16_000
 
 
 def test_the_library_stays_small():

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from topokit import rips_persistence, rips_persistence_many
-from topokit.rips import _cloud, _edges, _jit, _tree, kernel, tighten
+from topokit.rips import _cloud, _edges, _jit, _stack, _tree, kernel, next_persistence, tighten
 
-from clouds import compiled, gudhi_pairs, sorted_pairs
+from clouds import FAMILIES, compiled, fewer, gudhi_pairs, random_cloud, sorted_pairs
 from conftest import polygon
 
 
@@ -52,7 +52,7 @@ def test_sorting_edges_of_nearly_equal_length_takes_few_moves(spread, monkeypatc
     room.found[:], room.found_lengths[:] = y << 21 | x, lengths
     monkeypatch.setattr(_edges, "_sort_slice", plain(_edges._sort_slice), raising=False)
     monkeypatch.setattr(Counting, "writes", 0)
-    plain(_edges._sort)(room, m, label)
+    plain(_edges.sort_edges)(room, m, label)
     assert Counting.writes <= m * (4 + np.log2(m))
     ends = sorted((length, *sorted((label[i], label[j]))) for length, i, j in zip(lengths, x, y, strict=True))
     found = [(sorted((label[key & 31], label[key >> 21]))) for key in room.keys.tolist()]
@@ -283,7 +283,7 @@ def test_a_camera_that_sends_zeros_for_what_it_did_not_see():
 def test_any_change_of_a_kernel_file_makes_compiled_kernels_stale(tmp_path):
     folder = Path(_jit.__file__).parent
     kernels = [path for path in folder.glob("*.py") if "njit" in path.read_text()]
-    assert {"kernel.py", "_edges.py", "_tree.py", "_lunes.py", "_cycles.py", "_creators.py"} <= {
+    assert {"kernel.py", "_edges.py", "_tree.py", "_lunes.py", "_cycles.py", "_creators.py", "_stack.py"} <= {
         path.name for path in kernels
     }
     for path in kernels:
@@ -388,12 +388,92 @@ def test_many_clouds_on_threads():
     assert rips_persistence_many([]) == []
 
 
+def a_film(rng, family: str, frames: int) -> list[np.ndarray]:
+    """Frames of a cloud of a family that trembles, drifts, grows, jumps, is renumbered, and loses points."""
+    first = rng.permutation(random_cloud(rng, family, max_points=60))
+    clouds = []
+    for _ in range(frames):
+        frame = clouds[-1] if clouds else first
+        kind = rng.choice(["still", "tremble", "tremble", "drift", "grow", "jump", "renumber", "fewer", "again"])
+        if kind == "tremble":
+            frame = frame + rng.choice([1e-6, 1e-3, 1e-1]) * rng.normal(size=frame.shape)
+        elif kind in ("drift", "grow"):
+            frame = frame + rng.normal(size=frame.shape[1]) if kind == "drift" else frame * rng.uniform(0.4, 2.5)
+        elif kind == "jump":
+            frame = np.where(rng.random((len(frame), 1)) < 0.1, rng.normal(size=frame.shape), frame)
+        elif kind == "renumber":
+            frame = rng.permutation(frame)
+        elif kind in ("fewer", "again"):
+            frame = first[: rng.integers(1, len(first) + 1)] if kind == "fewer" else first
+        clouds.append(frame)
+    return clouds
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_clouds_in_one_call_are_what_they_are_alone(family):
+    """Bit for bit, with short loops, ties, repeated points, and films whose frames tell little about the next."""
+    rng = np.random.default_rng(FAMILIES.index(family))
+    for radius in (np.inf, np.inf, 0.5):
+        clouds, film = a_film(rng, family, fewer(40)), []
+        together = rips_persistence_many(clouds, n_jobs=1, max_radius=radius, min_lifetime=0.01)
+        for cloud, one in zip(clouds, together, strict=True):
+            alone, after = rips_persistence(cloud, max_radius=radius, min_lifetime=0.01), next_persistence(cloud, film)
+            same(one, alone)
+            same(after, rips_persistence(cloud))
+            for mine, other in zip(one._simplices, alone._simplices, strict=True):
+                np.testing.assert_array_equal(mine, other)
+            assert (one.n_points, one.max_radius) == (len(cloud), radius)
+
+
+@compiled
+@pytest.mark.parametrize("step", [1e-4, 0.02, 0.2])
+def test_a_list_of_edges_is_complete_below_its_bound(step):
+    """However the points move, no edge shorter than the bound is missing; and when they move little, it is a useful one."""
+    rng, axes = np.random.default_rng(3), (0, 0, 0)
+    before = rng.random((200, 3))
+    after = before + step * np.sin(5 * before) + 0.1 * step * rng.normal(size=before.shape)
+    tree, reach = _tree.build_tree(before, axes), 0.3**2
+    moved, bound = _stack.moved(tree, after, reach)
+    np.testing.assert_array_equal(moved.points, after[tree.label])
+    was, now = (_cloud.squares(t.points[:, None], t.points[None]) for t in (tree, moved))
+    assert not ((was >= reach) & (now < bound)).any()
+    assert bound <= reach
+    assert bound > 0.9 * reach or step > 1e-4
+
+
+@compiled
+def test_a_film_is_read_from_the_list_of_an_earlier_frame():
+    """Known of the frame before: the same list for frames that tremble, none when the cloud is another."""
+    rng, film, known = np.random.default_rng(5), [], []
+    cloud = rng.random((300, 3))
+    for frame in [*(cloud + 1e-4 * rng.normal(size=cloud.shape) for _ in range(5)), rng.random((300, 3))]:
+        same(next_persistence(frame, film), rips_persistence(frame))
+        known.append(film[0])
+    keys = [before.keys for before in known]
+    assert [len(k) > 0 for k in keys] == [False, True, True, True, True, False]
+    assert all(np.array_equal(k, keys[1]) for k in keys[2:5])
+
+
+@compiled
+def test_a_list_that_another_thread_made_may_be_too_long_for_this_one():
+    film, answers = [], []
+    frames = [polygon(600) + 1e-5 * np.random.default_rng(i).normal(size=(600, 2)) for i in range(3)]
+    for frame in frames[:2]:
+        next_persistence(frame, film)
+    assert len(film[0].keys) > 1 << 16  # edges for which a thread has room at first
+    thread = threading.Thread(target=lambda: answers.append(next_persistence(frames[2], film)))
+    thread.start()
+    thread.join()
+    same(answers[0], rips_persistence(frames[2]))
+
+
 def test_many_says_which_cloud_is_bad(capsys):
     good = np.zeros((5, 2))
     with pytest.raises(ValueError, match=r"clouds\[1\] has 1 of 5 points with a NaN"):
         rips_persistence_many([good, np.where(np.eye(5, 2) > 0, [np.nan, 0], 0)])
-    with pytest.raises(ValueError, match="n_jobs"):
-        rips_persistence_many([good], n_jobs=0)
+    for n_jobs in (0, -1, 1.5, True, "2", float("nan"), float("inf")):
+        with pytest.raises((TypeError, ValueError), match="n_jobs must be"):
+            rips_persistence_many([good], n_jobs=n_jobs)
     rips_persistence_many([good, good], progress=True)
     assert "2 of 2 clouds" in capsys.readouterr().err
 

@@ -66,11 +66,8 @@ def _words(error: BaseException) -> str:
         return str(error) or "not enough memory for so much at a time"
     if error.filename is None:  # what waits for it is dropped: Python would try again at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    remedy = (
-        "its reader has stopped, files are written"
-        if error.errno == errno.EPIPE
-        else "make room, and repeat the command"
-    )
+    stopped, full = "its reader has stopped, files are written", "make room, and repeat the command"
+    remedy = stopped if error.errno == errno.EPIPE else full
     return f"{error.filename or 'standard output'}: {error.strerror}; {remedy}"
 
 

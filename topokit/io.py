@@ -187,8 +187,7 @@ def _load(
     """Read an archive of a kind, of a schema that is known."""
     text, arrays = load_archive(path, kind)
     if text.get("schema") not in schemas:
-        known = " and ".join(map(str, schemas))
-        raise FormatError(f"{path}: of schema {text.get('schema')}, not {known}: update topokit or {remedy}")
+        raise FormatError(f"{path}: of schema {text.get('schema')}, not {schemas[-1]}: update topokit or {remedy}")
     return text, arrays
 
 

@@ -22,7 +22,7 @@ from ._frames import check_diagram, check_follows
 from ._matching import Candidates, Matching, hausdorff_table, within_gates
 from ._validate import as_sequence, positive, whole
 from .linking import curve_centroid
-from .rips import Diagram, rips_persistence, rips_persistence_many
+from .rips import Diagram, next_persistence, rips_persistence_many
 from .sampling import as_tree, hausdorff, spacing
 from .state import Loop, TopologicalState, loop_of
 
@@ -115,6 +115,7 @@ class SeqPH:
         self._time: float | None = None
         self._tree: cKDTree | None = None  # of the frame before
         self._known: list[_Known] = []
+        self._film: list[Any] = []
 
     def update(
         self, points: ArrayLike, *, time: float | None = None, diagram: Diagram | None = None
@@ -133,7 +134,7 @@ class SeqPH:
         tree = as_tree(points, f"frame {self._frame}", copy=True)
         check_follows(self._frame, (self._tree, self._time), (tree, time))
         if diagram is None:
-            diagram = rips_persistence(tree.data)
+            diagram = next_persistence(tree.data, self._film)
         else:
             check_diagram(self._frame, diagram, tree.n)
         return self._advance(tree, diagram, time)

@@ -30,7 +30,7 @@ from topokit.io import load_episode
 
 PARTS = {
     "as_tree": "tree of neighbours",
-    "rips_persistence": "persistence",
+    "next_persistence": "persistence",
     "spacing": "alpha",
     "hausdorff": "epsilon",
     "place": "places",

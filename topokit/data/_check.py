@@ -100,7 +100,7 @@ def _label_problems(group: Group, prefix: str, episodes: Records, progress: bool
 
 
 def _group_problems(
-    group: Group, wanted: Sequence[int], content: Content, records: Records, progress: bool
+    group: Group, wanted: Sequence[int], content: Content, records: Records, show: bool
 ) -> Iterator[Problem]:
     """What is wrong with a group; its records go into `records`."""
     from tqdm import tqdm
@@ -108,7 +108,7 @@ def _group_problems(
     fields = group.fields
     yield from _skeleton_problems(group, fields)
     owned: set[str] = set()
-    for name in tqdm(group.names("records"), unit="record", disable=not progress, file=sys.stderr):
+    for name in tqdm(group.names("records"), unit="record", disable=not show, file=sys.stderr):
         path = f"records/{name}"
         try:
             record, document = parse(group.read(path) or b"", path)
@@ -138,17 +138,17 @@ def _skeleton_problems(group: Group, fields: tuple[Field, ...]) -> Iterator[Prob
         found = group.read(path)
         if found is None:
             yield Problem(path, "is missing")
-        elif wrong := _difference(found, json.loads(content), {"attributes"} if path == "zarr.json" else set()):
+        elif wrong := _difference(found, json.loads(content)):
             yield Problem(path, wrong)
 
 
-def _difference(found: bytes, wanted: dict[str, Any], known: set[str]) -> str:
-    """How a file differs from what is wanted, but for entries that opening the group has looked at."""
+def _difference(found: bytes, wanted: dict[str, Any]) -> str:
+    """How a file differs from what is wanted."""
     try:
         there = dict(read_json(found))
     except (ValueError, TypeError) as error:
         return f"is damaged: {error}"
-    keys = sorted(key for key in {*there, *wanted} - known if there.get(key) != wanted.get(key))
+    keys = sorted(key for key in {*there, *wanted} if there.get(key) != wanted.get(key))
     return "; ".join(f"{key} is {there.get(key)!r:.200}, must be {wanted.get(key)!r}" for key in keys)
 
 

@@ -26,7 +26,7 @@ from ._group import (
     replace,
     tracked_cloud,
 )
-from ._layout import episode_of, skeleton, states_of
+from ._layout import episode_of, needed, skeleton, states_of
 from ._recipe import DatasetConfig
 
 Ids = NDArray[np.int64]
@@ -216,14 +216,12 @@ class Dataset:
         ValueError
             When there is no episode to write, the folder is not empty, or something is damaged: nothing is written then.
         """
-        import fsspec
-
         numbers = sorted({self._known(i) for i in episodes})
         if not numbers:
             raise ValueError("a cut needs one episode at least")
         for _ in self._parts(numbers):
             pass  # all of it is verified before a byte is written
-        fs, root = fsspec.core.url_to_fs(str(out))
+        fs, root = needed("fsspec").core.url_to_fs(str(out))
         if fs.exists(root) and fs.ls(root):
             raise ValueError(f"{out} is not an empty folder")
         local = "file" in np.atleast_1d(fs.protocol)

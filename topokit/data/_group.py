@@ -29,7 +29,7 @@ from topokit import __version__
 from topokit._archive import FormatError, atomic_file, read_json
 from topokit._config import checked, from_mapping
 
-from ._layout import Field, canonical, cloud_of, decoded, episode_fields, label_fields, skeleton, unpack
+from ._layout import Field, canonical, cloud_of, decoded, episode_fields, label_fields, needed, skeleton, unpack
 from ._recipe import DatasetConfig
 
 MOST_EPISODES = 100_000_000  # a record's name has eight digits
@@ -42,9 +42,7 @@ class Record:
     """An episode in short."""
 
     episode: Annotated[int, pydantic.Field(ge=0, lt=MOST_EPISODES)]
-    status: Literal[
-        "ok", "rejected", "failed"
-    ]  # the simulation was not physical; it could not be made, after three tries
+    status: Literal["ok", "rejected", "failed"]  # rejected: it was not physical; failed: it could not be made
     reason: str = ""  # why, when the status is not ok
     task: str = ""
     garment: str = ""
@@ -126,8 +124,7 @@ def index_bytes(records: Iterable[Record]) -> bytes:
 def read_index(content: bytes, where: str) -> dict[int, Record]:
     try:
         document = read_json(content)
-        checksum = document.pop("checksum", None)  # older indices have none
-        if checksum is not None and hashlib.sha256(canonical(document)).hexdigest() != checksum:
+        if document.pop("checksum") != hashlib.sha256(canonical(document)).hexdigest():
             raise ValueError("its checksum is another")
         rows = zip(*(document[name] for name in _COLUMNS), strict=True)
         return {record.episode: record for record in (Record(*row) for row in rows)}
@@ -139,11 +136,9 @@ class Group:
     """Records and arrays of a group, read only; labels are `of` a group of episodes."""
 
     def __init__(self, url: str | Path, prefix: str = "", of: Group | None = None) -> None:
-        import fsspec
-
         self.url, self.prefix, self.of = str(url), prefix, of
         try:
-            self._fs, self._root = fsspec.core.url_to_fs(self.url)
+            self._fs, self._root = needed("fsspec").core.url_to_fs(self.url)
         except zipfile.BadZipFile as error:
             raise FormatError(f"{self.url}: a damaged zip file ({error}); copy it again") from error
         self._local = "file" in np.atleast_1d(self._fs.protocol)
@@ -153,13 +148,13 @@ class Group:
         try:
             attributes = read_json(content)["attributes"]
             self.manifest: dict[str, Any] = attributes["topokit"]  #: what the group is
-            self._check_manifest(attributes.get("sha256"))
+            self._check_manifest(attributes["sha256"])
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise FormatError(f"{self.where('zarr.json')}: not the group of a topokit dataset ({error})") from error
 
-    def _check_manifest(self, checksum: str | None) -> None:
+    def _check_manifest(self, checksum: str) -> None:
         """Raise ValueError when what the group says it is cannot be; its fields are made."""
-        if checksum not in (None, hashlib.sha256(canonical(self.manifest)).hexdigest()):  # older groups have none
+        if checksum != hashlib.sha256(canonical(self.manifest)).hexdigest():
             raise ValueError("its checksum is another: it is damaged, copy it again")
         if self.manifest["version"] != 1:
             raise ValueError(f"of version {self.manifest['version']!r:.50}; this topokit reads version 1")
@@ -209,11 +204,9 @@ class Group:
         """Return the content of a file, None when there is none."""
         whole = _join(self._root, self.prefix, path)
         try:
-            found = os.stat(whole) if self._local else None
+            found = os.stat(whole) if self._local else None  # a pipe never ends
             if found and (not stat.S_ISREG(found.st_mode) or found.st_size > _MOST_BYTES):
-                raise OSError(
-                    f"{self.where(path)}: no regular file of at most {_MOST_BYTES} bytes"
-                )  # a pipe never ends
+                raise OSError(f"{self.where(path)}: no regular file of at most {_MOST_BYTES} bytes")
             return bytes(self._fs.cat_file(whole))
         except (FileNotFoundError, NotADirectoryError, KeyError):
             return None

@@ -15,9 +15,11 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -243,15 +245,22 @@ def _loop(stored: Mapping[str, NDArray[Any]], where: tuple[int, int], frame: _Fr
     )
 
 
+def needed(name: str) -> Any:
+    """A package of the extra `data`, imported now; an ImportError tells how it is had."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        later = ", on Python 3.11 or later" if sys.version_info < (3, 11) else ""  # as Zarr 3 wants it
+        raise ImportError(f"datasets need {error.name or name}: pip install 'topokit[data]'{later}") from error
+
+
 def canonical(document: Mapping[str, Any]) -> bytes:
     return (json.dumps(document, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def skeleton(fields: Iterable[Field], manifest: Mapping[str, Any]) -> dict[str, bytes]:
     """Return the `zarr.json` of a group and of its arrays: path in the group -> content."""
-    import zarr
-
-    store: dict[str, Any] = {}
+    zarr, store = needed("zarr"), dict[str, Any]()
     attributes = {"topokit": dict(manifest), "sha256": hashlib.sha256(canonical(manifest)).hexdigest()}
     zarr.create_group(store, attributes=attributes, zarr_format=3)
     for f in fields:
@@ -275,8 +284,7 @@ def decoded(f: Field, content: bytes | None, extent: Sequence[int]) -> NDArray[A
     Idea: what is declared (extents, places in a shard, sizes of Blosc's frames) is compared with the field and with what is
     there before memory is taken; Zarr would take what it is told.
     """
-    from numcodecs import blosc  # type: ignore[import-untyped]
-
+    blosc = needed("numcodecs").blosc
     blosc.use_threads = False  # as Zarr has it: threads of Blosc's own do not outlive a fork
     dtype, stored = np.dtype(f.dtype).newbyteorder("<"), content or b""
     fits = [type(n) for n in extent] == [int] * len(f.shape)
@@ -307,10 +315,8 @@ def _chunks(f: Field, content: bytes) -> dict[int, bytes]:
 
 
 def _create(store: dict[str, Any], f: Field, episodes: int) -> Any:
-    import zarr
-    from zarr.codecs import BloscCodec, TransposeCodec
-
-    time_last = TransposeCodec(order=(0, *range(2, len(f.shape) + 1), 1))
+    zarr, codecs = needed("zarr"), needed("zarr.codecs")
+    time_last = codecs.TransposeCodec(order=(0, *range(2, len(f.shape) + 1), 1))
     return zarr.create_array(
         store,
         name=f.name,
@@ -319,7 +325,7 @@ def _create(store: dict[str, Any], f: Field, episodes: int) -> Any:
         chunks=(1, HISTORY, *f.shape[1:]) if f.split else (1, *f.shape),
         shards=(1, *f.shape) if f.split else None,
         filters=[time_last] if f.time_last else None,
-        compressors=BloscCodec(typesize=np.dtype(f.dtype).itemsize, cname="zstd", clevel=5, shuffle="shuffle"),
+        compressors=codecs.BloscCodec(typesize=np.dtype(f.dtype).itemsize, cname="zstd", clevel=5, shuffle="shuffle"),
         fill_value=f.fill,
         chunk_key_encoding={"name": "default", "separator": "."},  # a file an episode, not four folders
         dimension_names=("episode", *f.axes),

@@ -52,7 +52,7 @@ class DatasetConfig:
     version: Literal[1] = 1
     #: Names in `topokit.sim.TASKS` (a garment and a target) with the weights at which they are drawn.
     tasks: Annotated[Mapping[str, Positive], Field(min_length=1)] = field(
-        default_factory=lambda: dict.fromkeys(TASKS, 1.0)
+        default_factory=lambda: {t: 1.0 for t in TASKS}
     )
     #: Its `frames` is the length of every episode; None records each path to its end, at least 76 frames.
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
@@ -75,9 +75,7 @@ class DatasetConfig:
             if name not in garments:
                 raise ValueError(f"sizes: no task has a garment {name!r}; the tasks have {', '.join(garments)}")
             if self.sizes[name].get("spacing", 1.0) < _FINEST:
-                raise ValueError(
-                    f"sizes: spacing of {name!r} must be at least {_FINEST} m: a finer mesh fits no dataset"
-                )
+                raise ValueError(f"sizes: spacing of {name!r} must be at least {_FINEST} m: a finer one fits none")
         if self.depth_noise and not self.cameras:
             raise ValueError("depth_noise is of cameras, and cameras is 0")
         # Sorted: what is drawn must not depend on the order in which tasks were named.

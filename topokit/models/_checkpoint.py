@@ -27,7 +27,6 @@ from ._baselines import Carry, Hold, Normalisation, PredictiveModel, Ridge, Shap
 from ._networks import MLP, LoopCast, PointNet
 
 SCHEMA = 2
-_KNOWN = (1, SCHEMA)  # the checksum of the first covered the tensors alone
 _KIND = "topokit-checkpoint"
 
 _KINDS: tuple[type[PredictiveModel], ...] = (Hold, Carry, Ridge, MLP, PointNet, LoopCast)
@@ -108,13 +107,12 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         raise FormatError(f"{path}: no checkpoint, or a truncated or damaged one ({error}); copy it again") from error
     try:
         document = json.loads(metadata["topokit"])
-        digest, schema = document.pop("sha256"), document["schema"]
-        whole = _digest(tensors, None if schema == 1 else document)
+        digest, whole = document.pop("sha256"), _digest(tensors, document)
         kind = document.pop("kind"), document.pop("schema")
     except (KeyError, ValueError, AttributeError, TypeError, RecursionError) as error:
         raise FormatError(f"{path}: topokit did not write this safetensors file: its header names no model") from error
-    if kind not in [(_KIND, known) for known in _KNOWN]:
-        raise FormatError(f"{path}: a {kind[0]} of schema {schema}; this topokit reads a {_KIND} of schema {SCHEMA}")
+    if kind != (_KIND, SCHEMA):
+        raise FormatError(f"{path}: a {kind[0]} of schema {kind[1]}; this topokit reads a {_KIND} of schema {SCHEMA}")
     if whole != digest:
         raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy it again")
     return document, tensors
@@ -152,13 +150,12 @@ def part_of(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): part for name, part in tensors.items() if name.startswith(prefix)}
 
 
-def _digest(tensors: Mapping[str, Tensor], document: dict[str, Any] | None) -> str:
-    """SHA-256 over names, types, shapes and values, and over the document, if any."""
+def _digest(tensors: Mapping[str, Tensor], document: dict[str, Any]) -> str:
+    """SHA-256 over names, types, shapes and values, and over the document."""
     digest = hashlib.sha256()
     for name in sorted(tensors):
         tensor = tensors[name]
         digest.update(f"{name}|{tensor.dtype}|{tuple(tensor.shape)}|".encode())
         digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data if tensor.numel() else b"")
-    if document is not None:
-        digest.update(json.dumps(document, sort_keys=True).encode())
+    digest.update(json.dumps(document, sort_keys=True).encode())
     return digest.hexdigest()

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from topokit._validate import as_points
+from topokit._validate import as_points, as_reals
 from topokit.mixture import LoopMixture, loop_mixture
 from topokit.sampling import farthest_point_sample
 from topokit.seqph import RECOMMENDED, SeqPH
@@ -236,12 +236,13 @@ class Predictor:
 
     def _plans(self, actions: ArrayLike, held: ArrayLike | None) -> tuple[Tensor, Tensor]:
         steps = self.model.shape.horizon
-        plans = np.asarray(actions, dtype=np.float32)
+        with np.errstate(over="ignore"):  # infinite here, and said so
+            plans = as_reals(actions, "actions").astype(np.float32)
         if plans.ndim not in (3, 4) or plans.shape[-3:] != (steps, 2, 3) or not len(plans):
             raise ValueError(f"actions must be ({steps}, 2, 3) or (plans, {steps}, 2, 3), not {plans.shape}")
         if not np.isfinite(plans).all():
             raise ValueError("actions hold a NaN or infinite coordinate")
-        holds = np.ones(plans.shape[:-2], dtype=bool) if held is None else np.asarray(held, dtype=bool)
+        holds = np.ones(plans.shape[:-2], dtype=bool) if held is None else as_reals(held, "held").astype(bool)
         if holds.shape != plans.shape[:-2]:
             raise ValueError(f"held must be {plans.shape[:-2]}, as the actions, not {holds.shape}")
         return torch.from_numpy(plans).reshape(-1, steps, 2, 3), torch.from_numpy(holds).reshape(-1, steps)

@@ -107,9 +107,8 @@ class _Training:
         torch.manual_seed(config.seed)
         self.model = build(config.model, config.shape, normalisation, config.options)
         if self.model.learns:
-            optimizer = torch.optim.AdamW(
-                self.model.parameters(), config.learning_rate, weight_decay=config.weight_decay
-            )
+            decay = config.weight_decay
+            optimizer = torch.optim.AdamW(self.model.parameters(), config.learning_rate, weight_decay=decay)
             _, self.optimizer = self.fabric.setup(self.model, optimizer)
         if saved is not None:
             self._restore(*saved)
@@ -170,11 +169,9 @@ class _Training:
         """Of a batch, as it is shown to the model: in 32 bits whatever the model computes in. The seed draws steps."""
         with self.fabric.autocast():
             predicted, present = self.model(shown)
-        present = None if present is None else present.each(Tensor.float)
+        predicted, present = predicted.each(Tensor.float), None if present is None else present.each(Tensor.float)
         generator = torch.Generator().manual_seed(seed)
-        return forecast_loss(
-            predicted.each(Tensor.float), window, self.config.loss, present=present, generator=generator
-        )
+        return forecast_loss(predicted, window, self.config.loss, present=present, generator=generator)
 
     @torch.no_grad()
     def _validate(self) -> None:

@@ -9,13 +9,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._cores import n_cores
-from .._validate import as_sequence, positive
-from ._cloud import TIME, Cloud, own_halt, pairs
+from .._validate import as_sequence, positive, whole
+from ._cloud import TIME, WATCHED, Cloud, Pairs, own_halt, pairs, pairs_of_many
 from ._diagram import Diagram, tighten
 
 __all__ = ["Diagram", "rips_persistence", "rips_persistence_many", "tighten"]
@@ -65,11 +66,26 @@ def rips_persistence(
     cutoff = positive(max_radius, "max_radius", infinite=True)
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
     cloud = Cloud.of(points, metric)
-    created, killed, birth, death = pairs(
-        cloud, cutoff * cloud.scale, positive(time_limit, "time_limit", infinite=True)
-    )
-    keep = np.argsort(birth - death, kind="stable")  # births come in the total order, which decides ties
-    keep = keep[(death > birth)[keep] & (death - birth >= shortest * cloud.scale)[keep]]
+    found = pairs(cloud, cutoff * cloud.scale, positive(time_limit, "time_limit", infinite=True))
+    return _diagram(cloud, found, cutoff, shortest)
+
+
+def next_persistence(points: ArrayLike, film: list[Any]) -> Diagram:
+    """The diagram of the next frame of a film, found faster when points moved little; `film` is empty before the first."""
+    return _diagrams([points], np.inf, 0.0, film)[0]
+
+
+def _diagrams(arrays: Sequence[ArrayLike], cutoff: float, shortest: float, film: list[Any]) -> list[Diagram]:
+    clouds = [Cloud.of(array) for array in arrays]
+    found = pairs_of_many(clouds, cutoff, film)
+    return [_diagram(cloud, some, cutoff, shortest) for cloud, some in zip(clouds, found, strict=True)]
+
+
+def _diagram(cloud: Cloud, found: Pairs, cutoff: float, shortest: float) -> Diagram:
+    created, killed, birth, death = found
+    lifetime = death - birth
+    count = np.count_nonzero((lifetime > 0) & (lifetime >= shortest * cloud.scale))
+    keep = np.argsort(-lifetime, kind="stable")[:count]  # births come in the total order, which decides ties
     return Diagram(
         birth=birth[keep] / cloud.scale,
         death=death[keep] / cloud.scale,
@@ -107,8 +123,8 @@ def rips_persistence_many(
 
     Raises
     ------
-    ValueError
-        When `n_jobs` is less than 1.
+    TypeError, ValueError
+        When `n_jobs` is not a whole number, 1 or more.
 
     Examples
     --------
@@ -117,18 +133,20 @@ def rips_persistence_many(
     [1, 1, 0]
     """
     arrays = as_sequence(clouds, "clouds")
-    if n_jobs is not None and n_jobs < 1:
-        raise ValueError(f"n_jobs must be 1 or more, not {n_jobs}")
-    workers = n_jobs or n_cores()
-    diagrams = []
+    workers = n_cores() if n_jobs is None else whole(n_jobs, "n_jobs", 1)
+    bounds = (positive(max_radius, "max_radius", infinite=True), positive(min_lifetime, "min_lifetime", infinite=True))
+    short = max(map(len, arrays), default=0) < WATCHED
+    some = min(64, -(-len(arrays) // workers) or 1) if short else 1  # clouds in one compiled call
+    diagrams: list[Diagram] = []
     halts: list[NDArray[np.int64]] = []
     with ThreadPoolExecutor(workers, initializer=own_halt, initargs=(halts,)) as pool:
-        jobs = [pool.submit(rips_persistence, a, max_radius=max_radius, min_lifetime=min_lifetime) for a in arrays]
+        jobs = [pool.submit(_diagrams, arrays[i : i + some], *bounds, []) for i in range(0, len(arrays), some)]
         try:
-            for done, job in enumerate(jobs, 1):
-                diagrams.append(job.result())
+            for job in jobs:
+                diagrams += job.result()
                 if progress:
-                    print(f"\rpersistence: {done} of {len(jobs)} clouds", end="", file=sys.stderr, flush=True)
+                    counted = f"\rpersistence: {len(diagrams)} of {len(arrays)} clouds"
+                    print(counted, end="", file=sys.stderr, flush=True)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)  # an error or Ctrl-C does not wait for the rest
             for halt in halts:

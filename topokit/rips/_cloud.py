@@ -5,8 +5,10 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from collections.abc import Callable, Sequence
 from concurrent import futures
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,15 +19,16 @@ from .._validate import as_points
 MEMORY = 4 << 30  # bytes that the tables for one cloud may take
 TIME = 300.0  # seconds that one cloud may take, unless more are allowed
 _ESTIMATED = 1 << 14  # points from which on the seconds are estimated; an eighth of a matrix, with its many loops
-_WATCHED = 2000  # points that can take a second, as a quarter can of a matrix
+WATCHED = 2000  # points that can take a second, as a quarter can of a matrix
 _SMALLEST = 2.0**-1022  # of the numbers with all their digits
 _TINY = 2.0**-450  # of the largest coordinate: squares of larger differences have all their digits
 _PATIENCE = 3.0  # seconds of compiling before it is said
-_ready: set[tuple[int, ...]] = set()
+_ready: set[tuple[tuple[int, ...], bool]] = set()
 _compiling = threading.Lock()
 _kept = threading.local()  # each thread's room for edges, kept from one cloud to the next, and what ends its work
 
-Pairs = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
+Ids = NDArray[np.int64]
+Pairs = tuple[Ids, Ids, NDArray[np.float64], NDArray[np.float64]]
 
 
 class TooLargeError(MemoryError, ValueError):
@@ -97,10 +100,8 @@ class Cloud:
 
 def squares(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
     """Squared distances of points, summed axis by axis as the kernels do; NumPy's `sum` pairs the terms."""
-    total = np.zeros(np.broadcast_shapes(one.shape, other.shape)[:-1])
-    for axis in range(one.shape[-1]):
-        total += (one[..., axis] - other[..., axis]) ** 2
-    return total
+    terms = (one - other) ** 2
+    return np.asarray(sum(terms[..., axis] for axis in range(terms.shape[-1])))
 
 
 def _check_near(array: NDArray[np.float64], tiny: NDArray[np.bool_]) -> None:
@@ -135,19 +136,55 @@ def pairs(cloud: Cloud, max_radius: float, time_limit: float = TIME) -> Pairs:
     if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # on a line
         return np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0)
     _compile(cloud.axes)
-    created, killed = _run(cloud, cloud.key_of(max_radius), time_limit)
-    ends = np.stack([created, killed[:, :2]])
+    return _within(cloud, *_run(cloud, cloud.key_of(max_radius), time_limit), max_radius)[:4]
+
+
+def pairs_of_many(clouds: Sequence[Cloud], max_radius: float, film: list[Any]) -> list[Pairs]:
+    """What `pairs` finds in each cloud, up to a radius in the unit of the points: short ones in space in one compiled call."""
+    axes, lengths, bounds = clouds[0].axes, [*map(len, clouds)], [max_radius * cloud.scale for cloud in clouds]
+    if not axes or not 4 <= max(lengths) < WATCHED:
+        return [*map(pairs, clouds, bounds)]
+    _compile(axes, stack=True)
+    stack, starts = Cloud(np.concatenate([cloud.data for cloud in clouds]), axes, 1.0), np.cumsum([0, *lengths])
+    created, killed, counts = _run_stack(stack, starts, bounds, film)
+    number = np.repeat(np.arange(len(clouds)), np.maximum(counts, 0))
+    *table, inside = _within(stack, created, killed, np.array(bounds)[number], starts[number, None])
+    ends = pairwise(np.searchsorted(number[inside], np.arange(len(clouds) + 1)).tolist())
+    found: list[Any] = [[column[a:b] for column in table] for a, b in ends]
+    for c in np.flatnonzero(counts < 0).tolist():
+        found[c] = pairs(clouds[c], bounds[c])
+    return found
+
+
+def _within(cloud: Cloud, created: Ids, killed: Ids, most: Any, first: Any = 0) -> Any:
+    """`Pairs` born by `most`, killed by then or never, and which those are; `first` is added to vertex ids."""
+    created.sort()
+    killed[:, :2].sort()
+    ends = np.stack([created, killed[:, :2]]) + first
     birth, death = cloud.radii(ends[..., 0], ends[..., 1])
-    death[(killed[:, 0] < 0) | (death > max_radius)] = np.inf
+    death[(killed[:, 0] < 0) | (death > most)] = np.inf
     killed[np.isinf(death)] = -1
-    inside = birth <= max_radius
-    return created[inside], killed[inside], birth[inside], death[inside]
+    inside = birth <= most
+    return created[inside], killed[inside], birth[inside], death[inside], inside
 
 
-def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _run_stack(stack: Cloud, starts: Ids, bounds: Sequence[float], film: list[Any]) -> Any:
+    """Creating edges and killer edges with their apexes, and how many each cloud has: -1 where points are repeated."""
+    from ._stack import Before, pair_clouds  # numba takes a while to import
+    from ._tree import build_tree
+
+    if not film:
+        film.append(Before(build_tree(np.zeros((1, 3)), stack.axes), np.empty(0, np.int64), 0.0, 0.0))
+    arguments = (stack.data, stack.axes, starts, np.array([*map(stack.key_of, bounds)]), film[0])
+    film[0], *found = _watched(pair_clouds, arguments, int(np.diff(starts).max()), None)
+    return found
+
+
+def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[Ids, Ids]:
     """Creating edges and killer edges with their apexes; no `time_limit` for what is known to be quick."""
-    from ._edges import EDGE_BYTES, WINDOW, new_room  # numba takes a while to import
+    from ._edges import EDGE_BYTES, WINDOW  # numba takes a while to import
     from ._tree import build_tree, repeats
+    from .kernel import pair_edges
 
     if cloud.axes:
         tree = build_tree(cloud.data, cloud.axes)
@@ -168,35 +205,31 @@ def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[NDA
         if bits > MEMORY or seconds > time_limit:
             size = (bits + EDGE_BYTES * WINDOW) / 1e9
             raise _too_large(len(cloud), f"about {seconds / 60:,.1f} minutes and {size:.1f} GB", time_limit)
-    spare = MEMORY - bits
-    room = getattr(_kept, "room", None)
+    arguments = (data, cloud.axes, tree, max_length, -1, 0.0)
+    created, killed, _ = _watched(pair_edges, arguments, len(cloud), time_limit)
+    label = np.append(tree.label, -1)  # of what is not there
+    return label[created], label[killed]
+
+
+def _watched(kernel: Callable[..., Any], arguments: tuple[Any, ...], n: int, time_limit: float | None) -> Any:
+    """What a kernel finds. Where it may take long, it has a thread of its own: this one hears Ctrl-C and the clock."""
+    from ._edges import EDGE_BYTES, HALTED, TOO_MANY_EDGES, TOO_MANY_LOOPS, WINDOW, new_room
+
+    spare = MEMORY - n * ((n + 63) // 64) * 8
+    room, own = getattr(_kept, "room", None), getattr(_kept, "halt", None)
     if room is None or EDGE_BYTES * len(room.found) > spare // 2:
         room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
-    room, created, killed = _watched((data, cloud.axes, tree, max_length, room, spare), time_limit)
-    _kept.room = room if len(room.found) <= WINDOW else None
-    label = np.append(tree.label, -1)  # of what is not there
-    created, killed = label[created], label[killed]
-    created.sort()
-    killed[:, :2].sort()
-    return created, killed
-
-
-def _watched(arguments: tuple[Any, ...], time_limit: float | None) -> Any:
-    """What the kernel finds. Where it may take long, it has a thread of its own: this one hears Ctrl-C and the clock."""
-    from ._edges import HALTED, TOO_MANY_EDGES, TOO_MANY_LOOPS
-    from .kernel import pair_edges
-
-    n, own = len(arguments[0]), getattr(_kept, "halt", None)
+    arguments = (*arguments, room, spare)
     halt = np.zeros(1, np.int64) if own is None else own
-    if own is not None or time_limit is None or n < (_WATCHED if arguments[1] else _WATCHED // 4):
-        found = pair_edges(*arguments, halt)
+    if own is not None or time_limit is None or n < (WATCHED if arguments[1] else WATCHED // 4):
+        room, *found = kernel(*arguments, halt)
         if halt[0] == HALTED:
             raise futures.CancelledError
     else:
         with futures.ThreadPoolExecutor(1) as pool:
             try:
-                job = pool.submit(lambda: pair_edges(*arguments, halt))
-                found = job.result(min(time_limit, threading.TIMEOUT_MAX))
+                job = pool.submit(lambda: kernel(*arguments, halt))
+                room, *found = job.result(min(time_limit, threading.TIMEOUT_MAX))
             except futures.TimeoutError as error:
                 raise _too_large(n, "more", time_limit) from error
             finally:
@@ -205,6 +238,7 @@ def _watched(arguments: tuple[Any, ...], time_limit: float | None) -> Any:
         if halt[0] == reason:
             halt[0] = 0
             raise _too_large(n, f"more memory: there are very many {what}", time_limit)
+    _kept.room = room if len(room.found) <= WINDOW else None
     return found
 
 
@@ -243,17 +277,18 @@ def _too_large(n: int, what: str, time_limit: float | None = TIME) -> TooLargeEr
     )
 
 
-def _compile(axes: tuple[int, ...]) -> None:
-    """Compile the kernel for points of a dimension (none: a matrix) on a tiny cloud, or load it; once a process."""
+def _compile(axes: tuple[int, ...], stack: bool = False) -> None:
+    """Compile the kernel for points of a dimension (none: a matrix) or a stack on a tiny cloud, or load it; once a process."""
     with _compiling:
-        if axes in _ready:
+        if (axes, stack) in _ready:
             return
-        what = "points in space" if axes else "matrices of distances"
+        what = "several clouds at once" if stack else "points in space" if axes else "matrices of distances"
         message = f"topokit: compiling the persistence kernel for {what} (once; kept for the next time)"
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:
-            _run(Cloud(np.eye(4, len(axes) or 4), axes, 1.0), 1.0, None)
+            tiny = Cloud(np.eye(4, len(axes) or 4), axes, 1.0)
+            _run_stack(tiny, np.array([0, 4]), [1.0], []) if stack else _run(tiny, 1.0, None)
         finally:
             notice.cancel()
-        _ready.add(axes)
+        _ready.add((axes, stack))

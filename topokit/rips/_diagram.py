@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._validate import positive
+from .._validate import as_ids, positive
 from ._cloud import Cloud, pairs
 
 if TYPE_CHECKING:
@@ -212,9 +212,7 @@ def tighten(
 
 def _as_walk(cycle: ArrayLike, n_points: int) -> list[int]:
     """Vertex ids of a closed walk, repeated ones next to each other left out."""
-    ids = np.asarray(cycle)
-    if ids.ndim != 1 or len(ids) == 0 or not np.issubdtype(ids.dtype, np.integer):
-        raise TypeError(f"cycle must be a sequence of vertex ids, not of shape {ids.shape} and type {ids.dtype}")
-    if ids.min() < 0 or ids.max() >= n_points:
-        raise ValueError(f"cycle must hold vertex ids from 0 to {n_points - 1}, not {ids.min()} to {ids.max()}")
+    ids = as_ids(cycle, "cycle", n_points)
+    if ids.ndim != 1 or len(ids) == 0:
+        raise TypeError(f"cycle must be a sequence of vertex ids, not of shape {ids.shape}")
     return ids[np.append(ids[1:] != ids[:-1], ids[-1] != ids[0]) | (len(ids) == 1)].tolist() or ids[:1].tolist()

@@ -25,7 +25,7 @@ FEW = 8  # edges that insertion sorts as quickly as anything
 _BITS = 21  # of an int64 for a vertex, three times: two million vertices
 _MASK = (1 << _BITS) - 1
 # Edges as they are found, and in order: `keys` for `ends_of`, and lengths. How many are before a slice of lengths. Edges that
-# wait for a later window, and their number.
+# wait for a later window, and their number (-1: none was kept waiting).
 Room = namedtuple("Room", "found found_lengths keys lengths start later later_lengths waiting")
 
 
@@ -100,7 +100,7 @@ def _edges_of_points(tree, shortest, longest, room):
     found, lengths, later, later_lengths = room.found, room.found_lengths, room.later, room.later_lengths
     pairs, top, size, waiting = np.zeros((272, 2), dtype=np.int64), 0, 0, room.waiting[0]
     place = np.empty(len(axes))
-    once = len(points) <= FEW_POINTS
+    once = len(points) <= FEW_POINTS and waiting >= 0
     while top >= 0:
         a, b = pairs[top, 0], pairs[top, 1]
         top -= 1
@@ -195,7 +195,7 @@ def _sort_slice(keys, lengths, label):
 
 
 @njit()
-def _sort(room, m, label):
+def sort_edges(room, m, label):
     """Put m edges in the total order: a slice of lengths holds about one edge, and insertion does the rest."""
     keys, lengths, sorted_keys, sorted_lengths, start = (
         room.found,
@@ -241,7 +241,7 @@ def edges_between(data, axes, tree, shortest, longest, room, most, halt):
         else:
             m = _edges_of_points(tree, shortest, longest, room)
         if m >= 0:
-            _sort(room, m, tree.label)
+            sort_edges(room, m, tree.label)
             return room, m, longest
         middle = shortest + 0.5 * (longest - shortest)
         if len(room.found) >= min(WINDOW, most) and shortest < middle < longest:

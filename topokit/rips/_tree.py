@@ -43,7 +43,7 @@ def _select(points, order, start, end, middle, axis):
 
 
 @njit()
-def _bound(points, order, start, end, low, high):
+def bound_box(points, order, start, end, low, high):
     """Write the corners of the box of points order[start:end] into `low` and `high`; return its longest axis."""
     for k in range(len(low)):
         low[k], high[k] = np.inf, -np.inf
@@ -72,7 +72,7 @@ def build_tree(points, axes):
     low, high = np.empty((nodes, d)), np.empty((nodes, d))
     end[0] = n
     for node in range(nodes):
-        axis = _bound(points, order, start[node], end[node], low[node], high[node])
+        axis = bound_box(points, order, start[node], end[node], low[node], high[node])
         if node < first_leaf:
             middle = (start[node] + end[node]) >> 1
             _select(points, order, start[node], end[node], middle, axis)

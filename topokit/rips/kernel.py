@@ -171,13 +171,14 @@ def _root(parent, x):
 
 
 @njit(nogil=True)
-def pair_edges(data, axes, tree, max_length, room, spare, halt):
+def pair_edges(data, axes, tree, max_length, m, longest, room, spare, halt):
     """Pair the edges that create loops, (c, 2), with the edges that kill them and their two apexes, (c, 4), -1 for none.
 
     `data` holds distances, or points in the order of `tree`, whose labels alone a matrix needs; lengths are squared for points.
-    `room` is that of `edges_between`, and comes back for the next call. Besides the n x n bits `spare` bytes may be taken:
-    half for the edges of a window, half for the columns of loops. When these do not suffice, or another thread writes into
-    `halt` (1,), it says why and what comes back is not all.
+    `room` is that of `edges_between`; it may have the first window already, m edges in order, all that are shorter than
+    `longest` (else m is -1). It comes back for the next call, and last the length of the edge that was read last. Besides the
+    n x n bits `spare` bytes may be taken: half for the edges of a window, half for the columns of loops. When these do not
+    suffice, or another thread writes into `halt` (1,), it says why and what comes back is not all.
     """
     n, label = len(data), tree.label
     words = (n + 63) >> 6
@@ -195,11 +196,13 @@ def pair_edges(data, axes, tree, max_length, room, spare, halt):
     loops, born, alive = new_loops(64), 0, 0
     stack, parent, pieces = np.empty((256, 2), dtype=np.int64), np.arange(n), n
     last = -1.0  # the length of the last edge with an empty lune, once it is known
-    shortest, longest, greatest = 0.0, first_window(data, axes, tree), greatest_length(data, axes, tree)
+    shortest, length, greatest = 0.0, 0.0, greatest_length(data, axes, tree)
     done = greatest == 0
-    room.waiting[0] = 0
+    if m < 0:
+        longest, room.waiting[0] = first_window(data, axes, tree), 0
     while not done:
-        room, m, longest = edges_between(data, axes, tree, shortest, longest, room, spare // (2 * EDGE_BYTES), halt)
+        if m < 0:
+            room, m, longest = edges_between(data, axes, tree, shortest, longest, room, spare // (2 * EDGE_BYTES), halt)
         for e in range(m):
             x, y, middle = ends_of(room.keys[e])
             length = room.lengths[e]
@@ -235,5 +238,5 @@ def pair_edges(data, axes, tree, max_length, room, spare, halt):
                 born += 1
                 alive += 1
         done = done or halt[0] != 0 or longest > greatest or (alive == 0 and 0 <= last < longest)
-        shortest, longest = longest, next_window(data, axes, shortest, longest, m)
-    return room, loops.created[:born], loops.killed[:born]
+        shortest, longest, m = longest, next_window(data, axes, shortest, longest, m), -1
+    return room, loops.created[:born], loops.killed[:born], length

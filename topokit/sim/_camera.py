@@ -125,9 +125,8 @@ class Camera:
         half = np.tan(np.radians(self.fov) / 2)
         x = (2 * columns / self.width - 1) * half * self.width / self.height
         y = (1 - 2 * (rows + 1) / self.height) * half
-        return np.asarray(
-            self.eye + (np.column_stack([x, y, np.ones(len(x))]) * metres[rows, columns][:, None]) @ self.axes
-        )
+        rays = np.column_stack([x, y, np.ones(len(x))]) * metres[rows, columns][:, None]
+        return np.asarray(self.eye + rays @ self.axes)
 
 
 def cameras_around(

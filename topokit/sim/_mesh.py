@@ -192,9 +192,8 @@ def _one_component(vertices: Array, faces: Ids, said: list[str]) -> Ids:
         shares = ", ".join(f"{100 * part:.0f} %" for part in share[largest[:5]])
         one, other = (np.unique(faces[which == part]) for part in largest[:2])
         gap = cKDTree(vertices[one]).query(vertices[other])[0].min()
-        raise ValueError(
-            f"{parts} components that no edge joins, of {shares} of the surface: keep one, or weld more than {gap:.2g}"
-        )
+        what = f"{parts} components that no edge joins, of {shares} of the surface"
+        raise ValueError(f"{what}: keep one, or weld more than {gap:.2g}")
     lost = f"{100 * (1 - share.max()):.1f} % of the surface"
     said.append(f"{parts - 1} smaller components, {lost}, were dropped: a cloth is one piece")
     return faces[which == np.argmax(share)]

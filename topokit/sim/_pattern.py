@@ -21,6 +21,9 @@ from topokit._validate import positive
 
 from ._surface import Array, Ids, half_edges, joined, strangers, wind
 
+_ROUNDS = 12  # of relaxation
+_MOST = 2**15  # vertices of a pattern: no dataset has room for more
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -188,9 +191,7 @@ def sew(panels: Sequence[Panel], seams: Sequence[tuple[int, Ids, int, Ids]]) -> 
     A seam (i, ids, j, other) makes one vertex, where panel i has it, of each vertex of `ids` and its partner in `other`.
     """
     first = np.cumsum([0, *(len(panel.vertices) for panel in panels)])
-    pairs = np.concatenate(
-        [np.zeros((0, 2), np.int64)] + [np.column_stack([first[i] + a, first[j] + b]) for i, a, j, b in seams]
-    )
+    pairs = np.concatenate([np.column_stack([first[i] + a, first[j] + b]) for i, a, j, b in seams])
     label = joined(pairs, first[-1])
     _, kept, new = np.unique(label, return_index=True, return_inverse=True)
     vertices = np.concatenate([panel.vertices for panel in panels])[kept]
@@ -202,15 +203,17 @@ def sew(panels: Sequence[Panel], seams: Sequence[tuple[int, Ids, int, Ids]]) -> 
 
 
 def triangulate(
-    outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Array, rounds: int = 12
+    outline: Sequence[Array], holes: Sequence[Sequence[Array]], spacing: float, fixed: Array
 ) -> tuple[Array, Ids, list[Ids]]:
     """Triangulate a flat pattern; return its vertices (n, 2), faces (f, 3) and borders (ids of the outline and of each hole)."""
+    wide, high = np.ptp(np.concatenate(outline), axis=0)
+    demand(wide * high <= _MOST * spacing**2, f"spacing {spacing} is too fine for a pattern of {wide:g} by {high:g} m")
     borders = [np.concatenate([_resample(line, spacing) for line in chain]) for chain in (outline, *holes)]
     kept = np.concatenate([*borders, fixed])
     lattice = _lattice(borders[0].min(axis=0), borders[0].max(axis=0), spacing)
     lattice = lattice[_inside(lattice, borders) & (cKDTree(kept).query(lattice)[0] > 0.75 * spacing)]
     points = np.concatenate([kept, lattice])
-    for _ in range(rounds):  # Laplacian relaxation of the lattice towards the border
+    for _ in range(_ROUNDS):  # Laplacian relaxation of the lattice towards the border
         one = half_edges(_faces(points, borders, spacing))
         ends = np.concatenate([one, one[:, ::-1]])
         count = np.bincount(ends[:, 0], minlength=len(points))[:, None]

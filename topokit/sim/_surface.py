@@ -127,9 +127,8 @@ class EdgeGraph:
             return np.array(closed), f"{gaps} gaps between its vertices were closed along the mesh" if gaps else ""
         diagram = rips_persistence(self.distances(members), metric="precomputed")
         if not len(diagram) or diagram.death[0] < 1.5 * diagram.birth[0]:
-            raise ValueError(
-                f"its vertices {names[widest[0]]} and {names[widest[-1]]} follow each other but are {len(widest) - 1} edges apart"
-            )
+            ends = f"{names[widest[0]]} and {names[widest[-1]]}"
+            raise ValueError(f"its vertices {ends} follow each other but are {len(widest) - 1} edges apart")
         end = min(diagram.death[0], 2 * diagram.birth[0])  # halfway there is a tighter cycle than the one at birth
         tight = members[tighten(diagram, diagram.cycle(0), radius=(diagram.birth[0] + end) / 2)].tolist()
         closed = max(simple_cycles(_walk(self.around(tight))), key=len)
