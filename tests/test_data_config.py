@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from topokit.data import DatasetConfig
-from topokit.data._layout import pack, room, unpack, vertex_ids
+from topokit.data._layout import pack, unpack, vertex_ids
+from topokit.data._recipe import room
 from topokit.sim import TASKS, Randomisation, SimulationConfig
 
 from small_datasets import TINY

@@ -28,8 +28,8 @@ from topokit.data import (
     label_dataset,
     make_episode,
 )
-from topokit.data._group import index_bytes
 from topokit.data._layout import arrays_of, states_of
+from topokit.data._records import index_bytes
 from topokit.rips import rips_persistence
 from topokit.seqph import RECOMMENDED
 
@@ -327,7 +327,7 @@ class Many(Dataset):
     """The records of a dataset of 21 tasks, without episodes."""
 
     def __init__(self, n):
-        from topokit.data._group import Record
+        from topokit.data._records import Record
 
         config = DatasetConfig()
         tasks = [config.draw(0, i).task for i in range(n)]

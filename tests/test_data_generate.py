@@ -15,8 +15,9 @@ import pytest
 from topokit import _archive
 from topokit.cli import main
 from topokit.data import Dataset, _generate, _group, check_dataset, generate_dataset, make_episode
-from topokit.data._group import index_bytes, read_index
-from topokit.data._layout import encode, episode_arrays, episode_fields, room
+from topokit.data._layout import encode, episode_arrays, episode_fields
+from topokit.data._recipe import room
+from topokit.data._records import index_bytes, read_index
 from topokit.sim import _process
 
 from small_datasets import SEED, TINY, command, wait_until

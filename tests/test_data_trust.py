@@ -26,8 +26,9 @@ from topokit._archive import FormatError, load_archive, save_archive
 from topokit._config import load
 from topokit.cli import main
 from topokit.data import Dataset, DatasetConfig, WindowDataset, check_dataset, generate_dataset, label_dataset
-from topokit.data._group import Group, decode, index_bytes, parse, record_path
+from topokit.data._group import Group, decode
 from topokit.data._layout import encode, label_fields, skeleton
+from topokit.data._records import index_bytes, parse, record_path
 from topokit.seqph import RECOMMENDED
 
 from conftest import DATA

@@ -31,7 +31,7 @@ from topokit.sim import (
     cameras_around,
     simulate,
 )
-from topokit.sim._episode import PURPOSES, generator
+from topokit.sim._randomisation import PURPOSES, generator
 from topokit.sim._tasks import pull_over_head, task_for
 
 from conftest import polygon

@@ -32,7 +32,7 @@ import numpy as np
 
 from topokit.data import Dataset, DatasetConfig, generate_dataset
 from topokit.data._generate import Cluster, run_jobs
-from topokit.data._group import Record, index_bytes
+from topokit.data._records import Record, index_bytes
 
 WANTED = 23_000
 

@@ -15,9 +15,10 @@ import numpy as np
 from topokit._archive import FormatError, read_json
 from topokit.io import check_episode
 
-from ._group import Group, Record, decode, open_episodes, parse, read_index, record_path, tracked_cloud
-from ._layout import Field, episode_of, room, skeleton, states_of
-from ._recipe import DatasetConfig
+from ._group import Group, decode, open_episodes, tracked_cloud
+from ._layout import Field, episode_of, skeleton, states_of
+from ._recipe import DatasetConfig, room
+from ._records import Record, parse, read_index, record_path
 
 Records = dict[int, Record]
 Content = Callable[[dict[str, Any]], str | None]  # what is wrong with an episode whose objects are whole

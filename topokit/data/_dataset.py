@@ -14,20 +14,10 @@ from topokit._archive import FormatError
 from topokit.io import Episode, check_episode
 from topokit.state import TopologicalState
 
-from ._group import (
-    Group,
-    Record,
-    damage_in,
-    decode,
-    index_bytes,
-    label_name,
-    open_episodes,
-    record_path,
-    replace,
-    tracked_cloud,
-)
+from ._group import Group, damage_in, decode, label_name, open_episodes, replace, tracked_cloud
 from ._layout import episode_of, needed, skeleton, states_of
 from ._recipe import DatasetConfig
+from ._records import Record, index_bytes, record_path
 
 Ids = NDArray[np.int64]
 _PARTS = {"train": 0.8, "validation": 0.1, "test": 0.1}

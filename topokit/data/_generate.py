@@ -26,19 +26,10 @@ from topokit._validate import positive
 from topokit.sim import SimulationError
 from topokit.sim._process import Forge
 
-from ._group import (
-    MOST_EPISODES,
-    Group,
-    commit,
-    compact,
-    local_folder,
-    record_path,
-    refuse_another,
-    versions_of,
-    writing,
-)
-from ._layout import encode, episode_arrays, episode_fields, room
-from ._recipe import DatasetConfig, make_episode
+from ._group import Group, commit, compact, local_folder, refuse_another, versions_of, writing
+from ._layout import encode, episode_arrays, episode_fields
+from ._recipe import DatasetConfig, make_episode, room
+from ._records import MOST_EPISODES, record_path
 
 _TRIES = 3
 _SIMULATE = "topokit.data._generate:simulate_and_commit"

@@ -15,7 +15,6 @@ import stat
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -31,31 +30,9 @@ from topokit._config import checked, from_mapping
 
 from ._layout import Field, canonical, cloud_of, decoded, episode_fields, label_fields, needed, skeleton, unpack
 from ._recipe import DatasetConfig
+from ._records import MOST_EPISODES, Number, Record, index_bytes, parse, read_index, record_path
 
-MOST_EPISODES = 100_000_000  # a record's name has eight digits
 _MOST_BYTES = 2**30  # of a file
-_Number = Annotated[int, pydantic.Field(ge=0)]
-
-
-@checked
-class Record:
-    """An episode in short."""
-
-    episode: Annotated[int, pydantic.Field(ge=0, lt=MOST_EPISODES)]
-    status: Literal["ok", "rejected", "failed"]  # rejected: it was not physical; failed: it could not be made
-    reason: str = ""  # why, when the status is not ok
-    task: str = ""
-    garment: str = ""
-    target: str = ""
-    seed: _Number = 0  # of the episode
-    success: bool = False
-    frames: _Number = 0  # with the two below: 0 when the status is not ok
-    vertices: _Number = 0
-    observed: _Number = 0
-    sha256: str = ""  # of the full record, which holds the checksums of the episode's objects
-
-
-_COLUMNS = tuple(f.name for f in fields(Record))
 
 
 @checked
@@ -72,7 +49,7 @@ class _Manifest:
 class _OfEpisodes(_Manifest):
     format: Literal["topokit-dataset"]
     config: DatasetConfig
-    seed: _Number
+    seed: Number
     room: Mapping[str, int]
 
 
@@ -85,10 +62,6 @@ class _OfLabels(_Manifest):
     options: Mapping[str, Any]
 
 
-def record_path(index: int) -> str:
-    return f"records/{index:08d}.json"
-
-
 def commit(folder: Path, document: Mapping[str, Any], objects: Iterable[tuple[str, bytes]] = ()) -> None:
     """Put the objects of an episode in place, each whole, and then its record: what has none is made again."""
     sums = {}
@@ -97,39 +70,6 @@ def commit(folder: Path, document: Mapping[str, Any], objects: Iterable[tuple[st
             stack.enter_context(atomic_file(folder / path)).write(content)
             sums[path] = hashlib.sha256(content).hexdigest()
     replace(folder / record_path(document["episode"]), canonical({**document, "objects": sums}))
-
-
-def parse(content: bytes, where: str) -> tuple[Record, dict[str, Any]]:
-    """The short and the full form of a record."""
-    try:
-        document = read_json(content)
-        known = {name: document[name] for name in _COLUMNS if name in document}
-        record = Record(**{**known, "sha256": hashlib.sha256(content).hexdigest()})
-        if f"{record.episode:08d}.json" != where.rpartition("/")[2]:
-            raise ValueError(f"it says episode {record.episode}")
-        if not isinstance(document["objects"], dict):
-            raise ValueError("its objects have no names")
-    except (ValueError, KeyError, TypeError) as error:
-        raise FormatError(f"{where}: not a whole record ({error}); remove it, the same command goes on") from error
-    return record, document
-
-
-def index_bytes(records: Iterable[Record]) -> bytes:
-    """The index file of records: columns, so that 23,000 of them are read at once, and their checksum."""
-    ordered = sorted(records, key=lambda record: record.episode)
-    columns = {"version": 1, **{name: [getattr(r, name) for r in ordered] for name in _COLUMNS}}
-    return canonical({**columns, "checksum": hashlib.sha256(canonical(columns)).hexdigest()})
-
-
-def read_index(content: bytes, where: str) -> dict[int, Record]:
-    try:
-        document = read_json(content)
-        if document.pop("checksum") != hashlib.sha256(canonical(document)).hexdigest():
-            raise ValueError("its checksum is another")
-        rows = zip(*(document[name] for name in _COLUMNS), strict=True)
-        return {record.episode: record for record in (Record(*row) for row in rows)}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FormatError(f"{where}: a damaged index ({error}); remove it, it is made again") from error
 
 
 class Group:

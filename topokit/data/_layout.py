@@ -26,13 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topokit._archive import FREE, RATIO
-from topokit.io import FEWEST_FRAMES, HISTORY, Episode
+from topokit.io import HISTORY, Episode
 from topokit.rips import Diagram, rips_persistence
-from topokit.sim import TASKS
-from topokit.sim._episode import generator
 from topokit.state import Loop, TopologicalState, loop_of
-
-from ._recipe import DatasetConfig
 
 METRE = 10_000  # units of a stored coordinate in a metre
 _METRES = ("points", "actions", "grippers", "centre_line")
@@ -332,25 +328,3 @@ def _create(store: dict[str, Any], f: Field, episodes: int) -> Any:
         attributes=dict(f.attributes),
         zarr_format=3,
     )
-
-
-def room(config: DatasetConfig) -> dict[str, int]:
-    """Return how many frames, vertices, faces and so on the largest episode of a configuration has: its tasks decide."""
-    garments = [config.garment(task) for task in config.tasks]
-    tasks = [TASKS[task] for task in config.tasks]
-    frames, loops = config.simulation.frames, [loop for garment in garments for loop in garment.loops]
-    if frames is None:
-        plans = [task.plan(own, task.target, generator(0, "path")) for task, own in zip(tasks, garments, strict=True)]
-        longest = max(plan.end for plan in plans) / config.simulation.frame_time
-        frames = max(FEWEST_FRAMES, math.ceil(min(longest, 2**62)))
-    vertices = max(len(garment.vertices) for garment in garments)
-    return {
-        "frames": -(-frames // HISTORY) * HISTORY,
-        "vertices": vertices,
-        "observed": min(config.n_observed, vertices),
-        "seen": config.n_observed if config.cameras else 0,
-        "faces": max(len(garment.faces) for garment in garments),
-        "loops": max([1, *(len(garment.loops) for garment in garments)]),
-        "loop": max([1, *map(len, loops)]),
-        "line": max(len(task.target.centre_line) for task in tasks),
-    }

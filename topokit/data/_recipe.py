@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import field
 from typing import Annotated, Any, Literal, NamedTuple
@@ -15,8 +16,9 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from topokit._config import Count, Positive, checked, from_mapping
-from topokit.io import Episode
+from topokit.io import FEWEST_FRAMES, HISTORY, Episode
 from topokit.sim import TASKS, DepthNoise, Garment, Randomisation, SimulationConfig, cameras_around, simulate
+from topokit.sim._randomisation import generator
 
 _FINEST = 0.005  # metres between vertices; no garment is asked for that would take hours to mesh
 
@@ -148,3 +150,25 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
         n_observed=config.n_observed if cameras else min(config.n_observed, len(garment.vertices)),
         time_limit=time_limit,
     )
+
+
+def room(config: DatasetConfig) -> dict[str, int]:
+    """Return how many frames, vertices, faces and so on the largest episode of a configuration has: its tasks decide."""
+    garments = [config.garment(task) for task in config.tasks]
+    tasks = [TASKS[task] for task in config.tasks]
+    frames, loops = config.simulation.frames, [loop for garment in garments for loop in garment.loops]
+    if frames is None:
+        plans = [task.plan(own, task.target, generator(0, "path")) for task, own in zip(tasks, garments, strict=True)]
+        longest = max(plan.end for plan in plans) / config.simulation.frame_time
+        frames = max(FEWEST_FRAMES, math.ceil(min(longest, 2**62)))
+    vertices = max(len(garment.vertices) for garment in garments)
+    return {
+        "frames": -(-frames // HISTORY) * HISTORY,
+        "vertices": vertices,
+        "observed": min(config.n_observed, vertices),
+        "seen": config.n_observed if config.cameras else 0,
+        "faces": max(len(garment.faces) for garment in garments),
+        "loops": max([1, *(len(garment.loops) for garment in garments)]),
+        "loop": max([1, *map(len, loops)]),
+        "line": max(len(task.target.centre_line) for task in tasks),
+    }

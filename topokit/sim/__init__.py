@@ -11,9 +11,10 @@ from topokit._lazy import attach
 if TYPE_CHECKING:
     from ._camera import Camera, DepthNoise, cameras_around
     from ._env import HangEnv
-    from ._episode import Randomisation, simulate
+    from ._episode import simulate
     from ._garments import WARDROBE, Garment
     from ._process import SimulationError
+    from ._randomisation import Randomisation
     from ._targets import Hanger, Hook, Mannequin, Target
     from ._tasks import TASKS, GripperPath, Task, Via, task_for
     from ._world import SimulationConfig, World, observe

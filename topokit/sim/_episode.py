@@ -17,13 +17,12 @@ import platform
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import AfterValidator
 
-from topokit._config import NotNegative, Positive, checked, from_mapping
+from topokit._config import from_mapping
 from topokit._validate import positive
 from topokit.io import FEWEST_FRAMES, Episode
 from topokit.sampling import farthest_point_sample
@@ -31,14 +30,12 @@ from topokit.sampling import farthest_point_sample
 from ._camera import Camera
 from ._garments import Garment
 from ._process import Forge, SimulationError
+from ._randomisation import Randomisation, generator
 from ._surface import Array
 from ._targets import Hook, Rod, Target
 from ._tasks import Task, as_task, task_for
 from ._world import SimulationConfig, World, check_stretch, observe
 
-PURPOSES = ("path", "physics", "cameras", "noise")
-Bounds = tuple[float, float]
-_CONFIGURED = ("stiffness", "bending", "damping", "friction", "mass")
 Report = Callable[[int], None]
 # points (T, N, 3), grippers (T, 2, 3), observed (T, M, 3) by cameras, stretch (T, 2)
 Recording = dict[str, NDArray[Any]]
@@ -276,87 +273,3 @@ def _packed(arrays: Mapping[str, ArrayLike]) -> str:
 def _unpacked(text: str) -> Recording:
     with np.load(io.BytesIO(base64.b64decode(text)), allow_pickle=False) as archive:
         return dict(archive)
-
-
-def _ordered(bounds: Bounds) -> Bounds:
-    if bounds[0] > bounds[1]:
-        raise ValueError("a range is its low end before its high one")
-    return bounds
-
-
-Range = Annotated[Bounds, AfterValidator(_ordered)]
-PositiveRange = Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
-NotNegativeRange = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_ordered)]
-
-
-def generator(seed: int, purpose: str) -> np.random.Generator:
-    """Return the random generator of an episode for one purpose; the purposes are independent of each other."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(PURPOSES.index(purpose),)))
-
-
-@checked
-class Randomisation:
-    """Ranges (low, high) from which every episode draws its physics, size and cameras; None leaves a number as it is."""
-
-    stiffness: PositiveRange | None = (0.6, 1.0)  #: (2,)
-    bending: PositiveRange | None = (0.0001, 0.003)  #: (2,) drawn on a logarithmic scale
-    damping: NotNegativeRange | None = (0.15, 0.4)  #: (2,)
-    friction: NotNegativeRange | None = (0.6, 1.4)  #: (2,)
-    mass: PositiveRange | None = (0.2, 0.4)  #: (2,)
-    scale: PositiveRange | None = (0.92, 1.08)  #: (2,) factor on all sizes of the garment
-    camera_distance: PositiveRange | None = (0.9, 1.1)  #: (2,) factor on a camera's distance from the place it looks at
-    camera_turn: Range | None = (-15.0, 15.0)  #: (2,) degrees about the vertical through that place
-    camera_tilt: Range | None = (-8.0, 8.0)  #: (2,) degrees by which a camera is raised
-
-    version = 1  # of the meaning of these numbers; recorded with them
-
-    def draw(
-        self, seed: int, config: SimulationConfig, garment: Garment, cameras: Sequence[Camera] = ()
-    ) -> tuple[SimulationConfig, Garment, tuple[Camera, ...], dict[str, Any]]:
-        """Return config, garment and cameras of the episode `seed`, and the numbers drawn.
-
-        Every number has its own draw, made whether or not its range is None: leaving one out does not move the others.
-
-        Parameters
-        ----------
-        seed : int
-        config : SimulationConfig
-        garment : Garment
-        cameras : sequence of Camera
-        """
-        drawn: dict[str, Any] = {}
-        shares = generator(seed, "physics").random(len(_CONFIGURED) + 1)
-        for name, share in zip((*_CONFIGURED, "scale"), shares, strict=True):
-            bounds = getattr(self, name)
-            if bounds is not None:
-                drawn[name] = _between(bounds, share, logarithmic=name == "bending")
-        config = dataclasses.replace(config, **{name: drawn[name] for name in _CONFIGURED if name in drawn})
-        if "scale" in drawn:
-            parameters = {**garment.parameters, "scale": drawn["scale"]}
-            garment = dataclasses.replace(garment, vertices=drawn["scale"] * garment.vertices, parameters=parameters)
-        rng = generator(seed, "cameras")
-        moved = tuple(self._moved(camera, *rng.random(3)) for camera in cameras)
-        if cameras:
-            drawn["camera_eyes"] = [list(camera.eye) for camera in moved]
-        return config, garment, moved, drawn
-
-    def _moved(self, camera: Camera, *shares: float) -> Camera:
-        """The camera moved on the sphere about the place it looks at; it is never raised to the zenith."""
-        ranges = (self.camera_distance or (1.0, 1.0), self.camera_turn or (0.0, 0.0), self.camera_tilt or (0.0, 0.0))
-        distance, turn, tilt = map(_between, ranges, shares)
-        x, y, z = np.subtract(camera.eye, camera.target)
-        radius = distance * float(np.sqrt(x * x + y * y + z * z))
-        azimuth = np.arctan2(y, x) + np.radians(turn)
-        elevation = np.clip(np.arctan2(z, np.hypot(x, y)) + np.radians(tilt), -1.5, 1.5)
-        flat = np.cos(elevation)
-        eye = camera.target + radius * np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
-        return dataclasses.replace(camera, eye=tuple(eye.tolist()))
-
-    def describe(self) -> dict[str, Any]:
-        """Return the version and the ranges, as an episode records them."""
-        return {"version": self.version, "ranges": {k: v and list(v) for k, v in dataclasses.asdict(self).items()}}
-
-
-def _between(bounds: Bounds, share: float, logarithmic: bool = False) -> float:
-    low, high = bounds
-    return float(low * (high / low) ** share if logarithmic else low + share * (high - low))
