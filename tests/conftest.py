@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import tracemalloc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")  # tests have no display
@@ -21,9 +24,28 @@ def polygon(n: int, radius: float = 1.0) -> np.ndarray:
     return radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
+@contextmanager
+def memory() -> Iterator[Callable[[], int]]:
+    """Yield what tells the most bytes that Python has taken since."""
+    tracemalloc.start()
+    try:
+        yield lambda: tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
 def hear_ctrl_c() -> None:
-    """Ctrl-C is ignored by what a shell runs in the background, and by all that this starts."""
+    """Ctrl-C is ignored by what a shell runs in the background, the end of the terminal by nohup, and by all that these start."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """The test itself hears Ctrl-C, wherever the suite runs."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="session")

@@ -39,6 +39,7 @@ PARTS = {
                     "_diagram",
                     "_edges",
                     "_lunes",
+                    "_stack",
                     "_tree",
                     "kernel",
                     "reduction",

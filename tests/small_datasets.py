@@ -15,7 +15,8 @@ from typing import Any
 
 import pytest
 
-from topokit.data import DatasetConfig, _generate
+from topokit.data import DatasetConfig, _generate, generate_dataset, label_dataset
+from topokit.seqph import RECOMMENDED
 from topokit.sim import SimulationConfig
 
 from conftest import hear_ctrl_c
@@ -27,6 +28,7 @@ TINY = DatasetConfig(
     n_observed=48,
 )
 SEED = 5
+OPTIONS = {**RECOMMENDED, "alpha": 0.003}  # cloth this coarse has no loop that outlives its spacing
 
 
 @contextmanager
@@ -43,6 +45,16 @@ def without_dask() -> Iterator[None]:
         yield
         if _generate._forge is not None:
             _generate._forge.close()
+
+
+def labelled(folder: Path, episodes: int, *, observed: bool = True) -> Path:
+    """Make a dataset with labels of all vertices, and of 40 observed ones."""
+    with without_dask():
+        generate_dataset(TINY, folder, episodes, SEED, progress=False)
+        label_dataset(folder, options=OPTIONS, progress=False)
+        if observed:
+            label_dataset(folder, "observed", n_points=40, options=OPTIONS, progress=False)
+    return folder
 
 
 def crash(job: dict[str, object]) -> str:

@@ -31,23 +31,16 @@ from topokit.data import (
 from topokit.data._layout import arrays_of, states_of
 from topokit.data._records import index_bytes
 from topokit.rips import rips_persistence
-from topokit.seqph import RECOMMENDED
 
-from small_datasets import SEED, TINY, without_dask
+from small_datasets import OPTIONS, SEED, TINY, labelled, without_dask
 
 EPISODES = 10
-OPTIONS = {**RECOMMENDED, "alpha": 0.003}  # cloth this coarse has no loop that outlives its spacing
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """A dataset with two sets of labels; not to be changed."""
-    folder = tmp_path_factory.mktemp("made") / "data"
-    with without_dask():
-        generate_dataset(TINY, folder, EPISODES, SEED, progress=False)
-        label_dataset(folder, options=OPTIONS, progress=False)
-        label_dataset(folder, "observed", n_points=40, options=OPTIONS, progress=False)
-    return folder
+    return labelled(tmp_path_factory.mktemp("made") / "data", EPISODES)
 
 
 @pytest.fixture

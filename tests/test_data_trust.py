@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tracemalloc
 import zipfile
 from functools import partial
 
@@ -29,24 +28,18 @@ from topokit.data import Dataset, DatasetConfig, WindowDataset, check_dataset, g
 from topokit.data._group import Group, decode
 from topokit.data._layout import encode, label_fields, skeleton
 from topokit.data._records import index_bytes, parse, record_path
-from topokit.seqph import RECOMMENDED
 
-from conftest import DATA
-from small_datasets import SEED, TINY, command, wait_until, without_dask
+from conftest import DATA, memory
+from small_datasets import OPTIONS, SEED, TINY, command, labelled, wait_until, without_dask
 
 EPISODES = 3
-OPTIONS = {**RECOMMENDED, "alpha": 0.003}
 SECRET = "a line of somebody else's\n"
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """A dataset with labels; not to be changed."""
-    folder = tmp_path_factory.mktemp("made") / "data"
-    with without_dask():
-        generate_dataset(TINY, folder, EPISODES, SEED, progress=False)
-        label_dataset(folder, options=OPTIONS, progress=False)
-    return folder
+    return labelled(tmp_path_factory.mktemp("made") / "data", EPISODES, observed=False)
 
 
 @pytest.fixture
@@ -326,13 +319,10 @@ def test_what_an_object_declares_is_compared_with_its_field(copy, name):
     }
     for content in bombs.values():
         swap(copy, f"{name}/", content)
-        tracemalloc.start()
-        try:
+        with memory() as peak:
             with pytest.raises(FormatError, match=rf"records/00000000\.json: does not fit what is there: .*{name}"):
                 Dataset(copy)[0]
-            assert tracemalloc.get_traced_memory()[1] < 2e7
-        finally:
-            tracemalloc.stop()
+            assert peak() < 2e7
 
 
 @pytest.mark.parametrize(
@@ -444,13 +434,10 @@ def test_what_a_record_declares_is_compared_with_what_is_there(copy, change):
     with contextlib.suppress(FormatError):
         claim(copy, lambda d: None)
     (copy / "index.json").unlink()
-    tracemalloc.start()
-    try:
+    with memory() as peak:
         with pytest.raises(FormatError, match=r"records/00000000\.json|(points|held)/c\.0"):
             Dataset(copy)[0]
-        assert tracemalloc.get_traced_memory()[1] < 2e7
-    finally:
-        tracemalloc.stop()
+        assert peak() < 2e7
 
 
 def test_ids_beyond_the_cloud_name_the_record(copy):
@@ -596,26 +583,20 @@ def test_sigterm_leaves_no_temporary_folder(tmp_path, monkeypatch):
 
 def test_the_kind_of_an_archive_is_looked_at_before_its_arrays(tmp_path):
     path = save_archive(tmp_path / "a.npz", "topokit-other", {}, {"x": np.zeros(2**23)})
-    tracemalloc.start()
-    try:
+    with memory() as peak:
         with pytest.raises(FormatError, match="holds a topokit other, not a topokit episode"):
             load_archive(path, "topokit-episode")
-        assert tracemalloc.get_traced_memory()[1] < 2e6
-    finally:
-        tracemalloc.stop()
+        assert peak() < 2e6
 
 
 def test_an_archive_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(_archive, "FREE", 2**20)
     path = tmp_path / "bomb.npz"
     np.savez_compressed(path, json=np.zeros(3, np.uint8), x=np.zeros(2**24, dtype=np.uint8))
-    tracemalloc.start()
-    try:
+    with memory() as peak:
         with pytest.raises(FormatError, match=r"bomb\.npz.*bytes claim to hold 16777"):
             load_archive(path, "topokit-episode")
-        assert tracemalloc.get_traced_memory()[1] < 2e6
-    finally:
-        tracemalloc.stop()
+        assert peak() < 2e6
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000 + "]" * 100_000, "[1, 2]", "nothing", "null"])

@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from topokit import track
-from topokit.data import Dataset, WindowDataset, _windows, generate_dataset, label_dataset
+from topokit.data import Dataset, WindowDataset, _windows
 from topokit.data._windows import _by_identity, _Episode, _Memory, _Tracked
 from topokit.seqph import RECOMMENDED
 
 from conftest import polygon
-from small_datasets import SEED, TINY, without_dask
+from small_datasets import labelled
 
 H, K = 4, 6
 SIZES = ("history", "horizon", "n_points", "slots", "stride")
@@ -24,12 +24,7 @@ SIZES = ("history", "horizon", "n_points", "slots", "stride")
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("windows") / "data"
-    with without_dask():
-        generate_dataset(TINY, folder, 6, SEED, progress=False)
-        label_dataset(folder, options={**RECOMMENDED, "alpha": 0.003}, progress=False)
-        label_dataset(folder, "observed", n_points=40, options={**RECOMMENDED, "alpha": 0.003}, progress=False)
-    return Dataset(folder)
+    return Dataset(labelled(tmp_path_factory.mktemp("windows") / "data", 6))
 
 
 @pytest.fixture(scope="module")

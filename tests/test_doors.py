@@ -11,7 +11,6 @@ import os
 import re
 import subprocess
 import sys
-import tracemalloc
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -35,7 +34,7 @@ from topokit.sim import Garment, HangEnv, SimulationConfig
 from topokit.sim._read import read_mesh
 from topokit.view import plot_cloth
 
-from conftest import polygon
+from conftest import memory, polygon
 
 ROOT = Path(__file__).parent.parent
 RING = np.column_stack([polygon(12), np.zeros(12)])
@@ -290,11 +289,9 @@ def test_a_mesh_takes_a_hundred_times_its_file_at_most(tmp_path, name):
         )
         data = head.encode() + b"\0\1\2" * n + b"\3\0\1\2" * n
     (tmp_path / name).write_bytes(data)
-    tracemalloc.start()
-    read_mesh(tmp_path / name)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 100 * len(data)
+    with memory() as peak:
+        read_mesh(tmp_path / name)
+        assert peak() < 100 * len(data)
 
 
 def test_deep_json_of_a_configuration_names_the_file(tmp_path):

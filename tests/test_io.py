@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import tracemalloc
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from topokit import _archive, track
 from topokit._archive import _digest, load_archive, save_archive
 from topokit.io import Episode, FormatError, load_episode, load_states, save_episode, save_states
 
-from conftest import polygon
+from conftest import memory, polygon
 
 
 def small_episode(frames: int = 5) -> Episode:
@@ -202,14 +201,11 @@ def claim(path: Path, name: str, size: int) -> None:
 
 
 def peak_while_refused(path: Path, says: str) -> int:
-    tracemalloc.start()
-    try:
+    with memory() as peak:
         with pytest.raises(FormatError, match=says) as caught:
             load_episode(path)
         assert str(path) in str(caught.value)
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
+        return peak()
 
 
 def test_the_kind_is_looked_at_before_an_array_is_unpacked(tmp_path):

@@ -191,6 +191,7 @@ def test_windows_of_edges_are_bounded_and_leave_none_out():
     assert count == 3100 * 3099 // 2
 
 
+@compiled
 def test_more_points_than_memory_is_allowed_for():
     with pytest.raises(
         MemoryError,
@@ -238,6 +239,7 @@ def torus(n: int) -> np.ndarray:
     [lambda cloud: rips_persistence(cloud, time_limit=np.inf), lambda cloud: rips_persistence_many([cloud] * 2, 1)],
     ids=["one", "many"],
 )
+@pytest.mark.usefixtures("ctrl_c")
 def test_a_long_computation_hears_an_interrupt(call):
     cloud = torus(12_000)
     call(cloud[:2500])  # compiled by now, for clouds that are large too

@@ -75,16 +75,18 @@ def test_distances_of_places_look_both_ways():
 def test_an_identity_is_never_used_again():
     circle, other = polygon(20), polygon(20) + [50, 0]
     blob = np.random.default_rng(0).normal(size=(5, 2)) * 0.1
-    states = track([circle, blob, circle, other], alpha=0.3, beta=1.8, epsilon=0.1)
+    states = track([circle, blob, circle, other], alpha=0.3, beta=1.8, epsilon=0.1, memory=0)
     assert [[loop.id for loop in state.loops] for state in states] == [[0], [], [1], [2]]
 
 
 def test_gates_forbid_a_loop_that_changed_too_much():
     options = {"alpha": 0.1, "beta": 1.8, "epsilon": 0.05}
     small, large = polygon(20), polygon(20, 1.4)  # the death moves by 0.35, more than 2 alpha + epsilon
-    assert [state.loops[0].id for state in track([small, large], **options)] == [0, 1]
-    assert [state.loops[0].id for state in track([small, polygon(20, 1.2)], **options)] == [0, 0]
-    assert [state.loops[0].id for state in track([small, polygon(20, 1.2)], gates="proved", **options)] == [0, 1]
+    for gates, beyond in (("paper", large), ("proved", large), ("near", polygon(20, 2.0))):
+        assert [state.loops[0].id for state in track([small, beyond], gates=gates, **options)] == [0, 1]
+    for gates, ids in (("paper", [0, 0]), ("proved", [0, 1]), ("near", [0, 0])):
+        states = track([small, polygon(20, 1.2)], gates=gates, **options)
+        assert [state.loops[0].id for state in states] == ids
 
 
 def test_lifetimes_below_alpha_are_dropped():
@@ -223,7 +225,7 @@ def test_a_round_loop_has_a_killer_edge_that_jumps_and_a_place_that_does_not():
     hexagon = np.column_stack([np.cos(angle), np.sin(angle)]) * np.where(np.arange(6) % 2, 1, 0.95)[:, None]
     moved = hexagon + np.eye(6)[:, :1] * [0, 1e-9]
     options = {"alpha": 0.1, "beta": 0.5, "epsilon": 1e-8}
-    edge = track([hexagon - np.eye(6)[:, :1] * [0, 1e-9], moved], **options)
+    edge = track([hexagon - np.eye(6)[:, :1] * [0, 1e-9], moved], identity="killer-edge", **options)
     assert [state.loops[0].id for state in edge] == [0, 1]
     for identity in ("killer-triangles", "cycle"):
         states = track([hexagon - np.eye(6)[:, :1] * [0, 1e-9], moved], identity=identity, **options)
@@ -235,7 +237,7 @@ def test_memory_gives_a_loop_that_was_missed_its_identity_back():
     loop, gap = polygon(20), np.vstack([polygon(20)[:16], [[3.0, 0.0]]])  # an arc is no loop
     options = {"alpha": 0.3, "beta": 1.8, "epsilon": 0.1}
     frames = [loop, gap, gap, loop]
-    assert [[one.id for one in state.loops] for state in track(frames, **options)] == [[0], [], [], [1]]
+    assert [[one.id for one in state.loops] for state in track(frames, memory=0, **options)] == [[0], [], [], [1]]
     assert [one.id for one in track(frames, memory=1, **options)[3].loops] == [1]
     assert [one.id for one in track(frames, memory=2, **options)[3].loops] == [0]
     away = [loop, gap, gap, loop + [3.0, 0]]  # farther than beta and the motion of three steps allow

@@ -8,9 +8,9 @@ from types import FrameType
 
 def run() -> int:
     """Run the command; return its exit code."""
-    for name in ("SIGTERM", "SIGHUP"):
-        if signal.getsignal(getattr(signal, name, signal.SIGTERM)) is signal.SIG_DFL:  # nohup ignores one
-            signal.signal(getattr(signal, name, signal.SIGTERM), _end)
+    for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):  # Windows has one of them
+        if signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores the other
+            signal.signal(number, _end)
     heard = signal.getsignal(signal.SIGINT)  # a shell's background job ignores it
     if heard is signal.default_int_handler:
         signal.signal(signal.SIGINT, _leave)

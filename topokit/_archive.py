@@ -78,7 +78,7 @@ def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str,
         raise FormatError(f"{path}: the file is empty (0 bytes)")
     with path.open("rb") as handle:
         if handle.read(4) != b"PK\x03\x04":
-            raise FormatError(f"{path}: not a {kind.replace('topokit-', 'topokit ')}: the file is no .npz archive")
+            raise FormatError(f"{path}: not a {_words(kind)}: the file is no .npz archive")
         handle.seek(0)
         try:
             with np.load(handle, allow_pickle=False) as archive:
@@ -109,15 +109,18 @@ def check_size(entries: list[zipfile.ZipInfo], size: int) -> None:
 
 def _document(archive: Any, path: Path, kind: str) -> tuple[dict[str, Any], Any]:
     """The JSON document of an archive of that kind, and the checksum that it held."""
-    what = kind.replace("topokit-", "topokit ")
     try:
         document = read_json(archive["json"].tobytes())
         found, digest = document["kind"], document.pop("sha256")
     except (KeyError, ValueError, AttributeError, TypeError) as error:
-        raise FormatError(f"{path}: not a {what}: an .npz archive that topokit did not write") from error
+        raise FormatError(f"{path}: not a {_words(kind)}: an .npz archive that topokit did not write") from error
     if found != kind:
-        raise FormatError(f"{path}: holds a {str(found).replace('topokit-', 'topokit ')}, not a {what}")
+        raise FormatError(f"{path}: holds a {_words(found)}, not a {_words(kind)}")
     return document, digest
+
+
+def _words(kind: object) -> str:
+    return str(kind).replace("topokit-", "topokit ")
 
 
 @contextlib.contextmanager

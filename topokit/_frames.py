@@ -1,29 +1,69 @@
-"""What may follow what in a sequence of point clouds."""
+"""What a tracker takes from a cloud, and what may follow what in a sequence of them."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ._evidence import Gaps
 from .rips import Diagram
-from .sampling import spacing
+from .sampling import inliers_and_tree, spacing
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
+Array = NDArray[np.float64]
+_SCENE = 0.95  # share of the points that have a neighbour within 2 alpha, estimated from what is not alone
+_MOVED = 0.9  # share of the points that move no farther than epsilon, estimated likewise
 _OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
 
 
-def check_follows(frame: int, before: tuple[cKDTree | None, float | None], after: tuple[cKDTree, float | None]) -> None:
-    """Raise ValueError unless a cloud, as a tree, and its time can follow those before."""
-    (tree_before, time_before), (tree, time) = before, after
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A cloud, the points of it that count, and how far apart they are."""
+
+    tree: cKDTree  #: of the points that count
+    ids: NDArray[np.int64]  #: theirs in the cloud
+    alpha: float
+    gaps: Gaps = Gaps(0.0, 1.0)
+
+    @classmethod
+    def scene(cls, tree: cKDTree) -> Frame:
+        """All points count, as the paper has it: alpha is half the largest distance of one from its nearest other."""
+        return cls(tree, np.arange(tree.n), spacing(tree))
+
+    @classmethod
+    def cleaned(cls, tree: cKDTree) -> Frame:
+        """Points that are alone do not count."""
+        if tree.n == 0:
+            return cls(tree, np.arange(0), 0.0)
+        ids, places, nearest = inliers_and_tree(tree)
+        if places.n == 1:
+            return cls(places, ids, 0.0)
+        return cls(places, ids, float(np.quantile(nearest[:, 0], _SCENE)) / 2, Gaps.of(nearest))
+
+    def motion_since(self, before: Frame) -> tuple[Array, float]:
+        """(d,) how far the middle of the scene has moved since, and how far its points beside that: a partial Hausdorff distance.
+
+        One way only, since a part of the scene that is hidden now has not moved.
+        """
+        shift = self.tree.data.mean(axis=0) - before.tree.data.mean(axis=0)
+        return shift, float(np.quantile(before.tree.query(self.tree.data - shift)[0], _MOVED))
+
+
+def check_follows(frame: int, before: tuple[Frame | None, float | None], after: tuple[Frame, float | None]) -> None:
+    """Raise ValueError unless a frame and its time can follow those before."""
+    (frame_before, time_before), (tree, time) = before, (after[0].tree, after[1])
     if tree.n == 0:
         raise ValueError(f"frame {frame} has no points: nothing seen is not the same as no loops; skip the frame")
     if time is not None and not (isinstance(time, (int, float, np.number)) and abs(time) < 1e300):
         raise ValueError(f"frame {frame} has time {time}; it must be a finite number of seconds")
-    if tree_before is None:
+    if frame_before is None:
         return
+    tree_before = frame_before.tree
     _check_time(frame, time_before, time)
     if tree.m != tree_before.m:
         raise ValueError(f"frame {frame} has {tree.m} dimensions, the frames before it {tree_before.m}")

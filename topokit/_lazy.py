@@ -1,6 +1,7 @@
 """Packages that import their parts when they are used: PyTorch, Zarr, Dask and PyBullet are not needed for everything."""
 
 import ast
+import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -27,10 +28,12 @@ def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], An
         if name not in where:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         try:
-            return getattr(import_module(f".{where[name]}", package), name)
+            value = getattr(import_module(f".{where[name]}", package), name)
         except ModuleNotFoundError as error:
             if (error.name or "").startswith("topokit"):
                 raise
             raise ImportError(f"{package}.{name} needs {error.name}: pip install '{wanted}'") from error
+        setattr(sys.modules[package], name, value)  # the next time Python finds it without asking here
+        return value
 
     return __getattr__, sorted(where)

@@ -23,7 +23,7 @@ class Candidates:
     known_places: Array  #: (m, p, d)
     motion: Array  #: (m,) how far the scene may have moved since each was seen, the sum of the steps' epsilon
     alpha: float  #: of this step
-    beta: float  #: of this step
+    beta: float | Array  #: of this step, or (n, m) of each pair
 
     def changes(self) -> tuple[Array, Array]:
         """(n, m) changes of birth and of death between every found loop and every known one."""
@@ -54,11 +54,14 @@ def assign(cost: Array, allowed: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def within_gates(gates: str, loops: Candidates) -> list[tuple[int, int]]:
-    """The paper's matching: least total Hausdorff distance of places, births, deaths and places within their gates."""
-    alpha, beta, epsilon = loops.alpha, loops.beta, loops.motion
-    gate, bound = 2 * alpha + epsilon, 2 * alpha + beta + epsilon
-    if gates == "proved":
-        gate, bound = alpha + epsilon, 2 * beta + epsilon
+    """Least total distance of places, births, deaths and places within their gates; the paper's distance is Hausdorff's."""
     births, deaths = loops.changes()
+    alpha, beta, epsilon = loops.alpha, loops.beta, loops.motion
+    gate, bound = {
+        "paper": (2 * alpha + epsilon, 2 * alpha + beta + epsilon),
+        "proved": (alpha + epsilon, 2 * beta + epsilon),
+        "near": (alpha + epsilon + np.maximum(loops.death[:, None], loops.known_death) / 4, beta + epsilon),
+    }[gates]
     distance = hausdorff_table(loops.places, loops.known_places)
-    return assign(distance, (births < gate) & (deaths < gate) & (distance < bound))
+    cost = distance + deaths if gates == "near" else distance
+    return assign(cost, (births < gate) & (deaths < gate) & (distance < bound))

@@ -2,7 +2,8 @@
 
 Idea: every frame's loops come from Rips persistence; a loop is the same as one of the frame before when its birth, its
 death and the place of its killer edge have moved no more than the sampling (alpha), the motion (epsilon) and the jitter of
-killers (beta) allow. The assignment that moves killers least in total hands the identities on.
+killers (beta) allow. The assignment that moves killers least in total hands the identities on. Which bars are loops is told by
+the diagram and by the film before it (`topokit._evidence`), or, as in the paper, by alpha alone.
 
 Source: Antonova et al. 2021, Algorithm 1 and Corollary 1. In the paper's listing the matching stands inside the loop over
 l; it needs the whole distance matrix, so it follows both loops here. Taught in chapters 0 and 6.
@@ -10,7 +11,7 @@ l; it needs the whole distance matrix, so it follows both loops here. Taught in 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -18,32 +19,36 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._frames import check_diagram, check_follows
+from ._evidence import MISSED, WEAKEST, believe, evidence
+from ._frames import Frame, check_diagram, check_follows
 from ._matching import Candidates, Matching, hausdorff_table, within_gates
 from ._validate import as_sequence, positive, whole
 from .linking import curve_centroid
 from .rips import Diagram, next_persistence, rips_persistence_many
-from .sampling import as_tree, hausdorff, spacing
+from .sampling import as_tree, hausdorff
 from .state import Loop, TopologicalState, loop_of
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = ["RECOMMENDED", "Candidates", "SeqPH", "place", "track"]
+__all__ = ["Candidates", "SeqPH", "place", "track"]
 
 Array = NDArray[np.float64]
-RECOMMENDED: Mapping[str, Any] = {"identity": "killer-triangles", "gates": "proved", "memory": 8}
-"""Options of the tracker that labels are made with and predictors use: the fewest switches of identity (chapter 6)."""
-_GATES = ("paper", "proved")
+_LOOPS = ("evidence", "alpha")
+_GATES = ("paper", "proved", "near")
 _IDENTITIES = ("killer-edge", "killer-triangles", "cycle")
 
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """A loop that may come back: where it is for its identity (p, d), how far the scene has moved since, for how many frames."""
+    """What may be found again: where it was, how far the scene has moved since, for how many frames; a loop once believed in."""
 
-    loop: Loop
-    place: Array
+    birth: float
+    death: float
+    place: Array  #: (p, d) for the tracker's identity
+    killer_edge: Array  #: (2, d)
+    belief: float
+    id: int | None  #: None as long as it is not believed to be a loop
     motion: float = 0.0
     missed: int = 0
 
@@ -54,26 +59,29 @@ class SeqPH:
     Parameters
     ----------
     alpha : float, optional
-        How far the scene may be from the nearest observed point (Assumption 1). Loops of a lifetime below it are dropped.
-        Estimated, when not given, as half the largest distance from a point of the frame to its nearest other point: no
-        smaller alpha is possible when no piece of the scene is a single point.
+        How far the scene may be from the nearest observed point (Assumption 1). Estimated, when not given, as half the distance
+        that 95 % of the points that are not alone (`topokit.sampling.inliers`) have from their nearest other one.
     beta : float, optional
-        How far two killers of one loop may lie apart (Assumption 3). Estimated, when not given, as the length of the longest
-        killer edge of the two frames: on cloth the candidates for a loop's killer lie around that loop.
+        How far two killers of one loop may lie apart (Assumption 3). Estimated, when not given, as the length of the longer of
+        the two killer edges: on cloth the candidates for a loop's killer lie around that loop.
     epsilon : float, optional
-        How far a point may move from one frame to the next (Assumption 2). Estimated, when not given, as the Hausdorff
-        distance between the two clouds.
-    gates : {"paper", "proved"}
-        Largest change of birth and death, and largest distance of places, for the same loop: ``2 alpha + epsilon`` and
-        ``2 alpha + beta + epsilon`` as in the paper, or ``alpha + epsilon`` and ``2 beta + epsilon``, which are what the
-        proofs give.
+        How far a point may move from one frame to the next (Assumption 2). Estimated, when not given, as what 90 % of the
+        points do not exceed, beside the motion of the cloud's middle, which known places are carried along with.
+    loops : {"evidence", "alpha"}, optional
+        Which bars are loops: those that the diagram and the film before it speak for, or those that live alpha or longer, as in
+        the paper. The second when alpha is given, the first when it is not.
+    gates : {"near", "proved", "paper"}
+        Largest change of birth and death, and largest distance of places, for the same loop: ``alpha + epsilon`` and a
+        quarter of the larger death, and ``beta + epsilon`` with the beta of these two; ``alpha + epsilon`` and
+        ``2 beta + epsilon``, which are what the proofs give; or the paper's ``2 alpha + epsilon`` and
+        ``2 alpha + beta + epsilon``.
     identity : {"killer-edge", "killer-triangles", "cycle"}
         What a loop's place is. In the paper, the two ends of its killer edge, compared by Hausdorff distance; on a nearly
         round loop that edge can jump across the loop between two frames. The barycentre of the thick killer triangle, or
         the centroid of the representative cycle, stays; the cycle costs a search of its own.
     memory : int
         For how many frames a loop that is not found is remembered: when it comes back within its gates, widened by the
-        motion since, it keeps its identity. 0 is the paper's algorithm.
+        motion since, it keeps its identity.
     match : callable, optional
         Takes `Candidates` and gives the pairs (i, j) of a found loop i that is the known loop j. By default the least total
         distance of places within the gates.
@@ -97,25 +105,40 @@ class SeqPH:
         beta: float | None = None,
         epsilon: float | None = None,
         *,
-        gates: str = "paper",
-        identity: str = "killer-edge",
-        memory: int = 0,
+        loops: str | None = None,
+        gates: str = "near",
+        identity: str = "killer-triangles",
+        memory: int = 20,
         match: Matching | None = None,
     ) -> None:
         self.alpha = None if alpha is None else positive(alpha, "alpha")
         self.beta = None if beta is None else positive(beta, "beta")
         self.epsilon = None if epsilon is None else positive(epsilon, "epsilon")
-        if gates not in _GATES:
-            raise ValueError(f"gates must be one of {_GATES}, not {gates!r}")
-        if identity not in _IDENTITIES:
-            raise ValueError(f"identity must be one of {_IDENTITIES}, not {identity!r}")
+        self.loops = ("evidence" if alpha is None else "alpha") if loops is None else loops
         self.gates, self.identity, self.memory = gates, identity, whole(memory, "memory")
+        for name, known in (("loops", _LOOPS), ("gates", _GATES), ("identity", _IDENTITIES)):
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name} must be one of {known}, not {getattr(self, name)!r}")
         self._match = partial(within_gates, gates) if match is None else match
-        self._frame, self._next_id = 0, 0
+        self._number, self._next_id = 0, 0
         self._time: float | None = None
-        self._tree: cKDTree | None = None  # of the frame before
+        self._before: Frame | None = None
         self._known: list[_Known] = []
         self._film: list[Any] = []
+
+    @classmethod
+    def paper(cls, **options: Any) -> SeqPH:
+        """Return the paper's tracker, rule for rule.
+
+        Bars that live alpha are loops, alpha being half the largest distance of a point from its nearest other one, beta the
+        longest killer edge, epsilon the Hausdorff distance of the clouds; the paper's gates on killer edges; no memory.
+
+        Parameters
+        ----------
+        **options
+            Those of the class, in place of the paper's.
+        """
+        return cls(**{"loops": "alpha", "gates": "paper", "identity": "killer-edge", "memory": 0, **options})
 
     def update(
         self, points: ArrayLike, *, time: float | None = None, diagram: Diagram | None = None
@@ -131,13 +154,15 @@ class SeqPH:
         diagram : Diagram, optional
             The persistence of these points, when it is known already; computed when not given. All its loops must die.
         """
-        tree = as_tree(points, f"frame {self._frame}", copy=True)
-        check_follows(self._frame, (self._tree, self._time), (tree, time))
+        tree = as_tree(points, f"frame {self._number}", copy=True)
+        frame = self._frame(tree)
+        check_follows(self._number, (self._before, self._time), (frame, time))
         if diagram is None:
-            diagram = next_persistence(tree.data, self._film)
+            diagram = next_persistence(tree.data[frame.ids], self._film)
         else:
-            check_diagram(self._frame, diagram, tree.n)
-        return self._advance(tree, diagram, time)
+            check_diagram(self._number, diagram, tree.n)
+            frame = replace(frame, ids=np.arange(tree.n))
+        return self._advance(tree.data, frame, diagram, time)
 
     def stream(self, frames: Iterable[ArrayLike]) -> Iterator[TopologicalState]:
         """Yield the state of every frame as it comes; nothing is kept but what the next frame needs.
@@ -151,37 +176,84 @@ class SeqPH:
         for points in frames:
             yield self.update(points)
 
-    def _advance(self, tree: cKDTree, diagram: Diagram, time: float | None) -> TopologicalState:
+    def _frame(self, tree: cKDTree) -> Frame:
+        """What this tracker takes from a cloud."""
+        frame = Frame.scene(tree) if self.loops == "alpha" else Frame.cleaned(tree)
+        return frame if self.alpha is None else replace(frame, alpha=self.alpha)
+
+    def _advance(self, cloud: Array, frame: Frame, diagram: Diagram, time: float | None) -> TopologicalState:
         """Take a checked frame whose persistence is known."""
-        cloud, alpha = tree.data, spacing(tree) if self.alpha is None else self.alpha
-        found = np.flatnonzero(diagram.lifetime >= alpha).tolist()
-        epsilon, beta = self._motion(tree, diagram, found)
-        known = [replace(k, motion=k.motion + epsilon, missed=k.missed + 1) for k in self._known]
-        places = [place(diagram, i, cloud, self.identity) for i in found]
-        matched: dict[int, int] = {}
-        if found and known:
-            matched = dict(self._match(_candidates(diagram, found, places, known, (alpha, beta))))
-        loops, next_id = [], self._next_id
+        says = self._says(frame, diagram)
+        found = np.flatnonzero(says > WEAKEST).tolist()
+        shift, epsilon = self._motion(frame)
+        known = [replace(k, place=k.place + shift, motion=k.motion + epsilon, missed=k.missed + 1) for k in self._known]
+        deaths = (diagram.death[found], np.array([k.death for k in known]))
+        beta = self._beta(*deaths)
+        parameters = {"alpha": frame.alpha, "beta": float(np.max(beta, initial=0.0)), "epsilon": epsilon}
+        points = cloud[frame.ids]
+        places = [place(diagram, i, points, self.identity) for i in found]
+        matched = self._pairs(diagram, found, places, known, (frame.alpha, beta))
+        loops, kept, next_id = [], [], self._next_id
         for k, i in enumerate(found):
-            before = known[matched[k]].loop if k in matched else None
-            loops.append(_loop(diagram, i, cloud, next_id if before is None else before.id, before))
-            next_id += before is None
-        parameters = {"alpha": alpha, "beta": beta, "epsilon": epsilon}
-        state = TopologicalState(self._frame, float(self._frame if time is None else time), tuple(loops), parameters)
+            before = known[matched[k]] if k in matched else None
+            belief = believe(before.belief if before else 0.0, says[i])
+            identity = before.id if before else None
+            if belief > 0:
+                if identity is None:
+                    identity, next_id, before = next_id, next_id + 1, None
+                loops.append(_loop(diagram, i, cloud, frame.ids, identity, before))
+            edge = points[diagram.killer_edge[i]]
+            kept.append(_Known(diagram.birth[i], diagram.death[i], places[k], edge, belief, identity))
         taken = set(matched.values())
-        kept = [k for j, k in enumerate(known) if j not in taken and k.missed <= self.memory]
-        self._known = [_Known(loop, place) for loop, place in zip(loops, places, strict=True)] + kept
-        self._tree, self._next_id, self._frame, self._time = tree, next_id, self._frame + 1, time
+        left = [k for j, k in enumerate(known) if j not in taken and k.missed <= self.memory]
+        self._known = kept + [replace(k, belief=believe(k.belief, MISSED)) for k in left]
+        state = TopologicalState(self._number, float(self._number if time is None else time), tuple(loops), parameters)
+        self._before, self._next_id, self._number, self._time = frame, next_id, self._number + 1, time
         return state
 
-    def _motion(self, tree: cKDTree, diagram: Diagram, found: list[int]) -> tuple[float, float]:
-        """Epsilon and beta of this step, given or estimated."""
-        epsilon, beta = self.epsilon, self.beta
-        if epsilon is None:
-            epsilon = 0.0 if self._tree is None else hausdorff(tree, self._tree)
-        if beta is None:
-            beta = 2 * max([*diagram.death[found], *(known.loop.death for known in self._known)], default=0.0)
-        return epsilon, float(beta)
+    def _says(self, frame: Frame, diagram: Diagram) -> Array:
+        """(m,) evidence that each bar is a loop; by alpha alone there is no doubt."""
+        if self.loops == "alpha":
+            return np.where(diagram.lifetime >= frame.alpha, np.inf, -np.inf)
+        return evidence(diagram, frame.gaps, frame.tree.n)
+
+    def _motion(self, frame: Frame) -> tuple[Array | float, float]:
+        """How far the scene as a whole has moved, and epsilon, given or estimated."""
+        if self._before is None or self.epsilon is not None:
+            return 0.0, self.epsilon or 0.0
+        if self.loops == "alpha":
+            return 0.0, hausdorff(frame.tree, self._before.tree)
+        return frame.motion_since(self._before)
+
+    def _beta(self, found: Array, known: Array) -> Array | float:
+        """Given, or from the deaths of what is found and known: for all, or (n, m) for each pair when gates are near."""
+        if self.beta is not None:
+            return self.beta
+        if self.gates == "near":
+            return 2 * np.maximum(found[:, None], known)
+        return 2 * max([*found, *known], default=0.0)
+
+    def _pairs(
+        self, diagram: Diagram, found: list[int], places: list[Array], known: list[_Known], sizes: tuple[float, Any]
+    ) -> dict[int, int]:
+        """Which of what is found is which of what is known: loops that are believed in come first."""
+        pairs: dict[int, int] = {}
+        believed = [k.belief > 0 for k in known]
+        for turn in (True, False):
+            rows = [i for i in range(len(found)) if i not in pairs]
+            columns = [j for j, sure in enumerate(believed) if sure == turn]
+            if rows and columns:
+                alpha, beta = sizes
+                beta = beta[np.ix_(rows, columns)] if isinstance(beta, np.ndarray) else beta
+                some = _candidates(
+                    diagram,
+                    [found[i] for i in rows],
+                    [places[i] for i in rows],
+                    [known[j] for j in columns],
+                    (alpha, beta),
+                )
+                pairs.update((rows[i], columns[j]) for i, j in self._match(some))
+        return pairs
 
 
 def track(
@@ -217,23 +289,28 @@ def track(
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
     tracker = SeqPH(**options)
     frames = [
-        (as_tree(cloud, f"frame {t}"), stamp) for t, (cloud, stamp) in enumerate(zip(clouds, stamps, strict=True))
+        (tracker._frame(as_tree(cloud, f"frame {t}")), stamp)
+        for t, (cloud, stamp) in enumerate(zip(clouds, stamps, strict=True))
     ]
     for number, frame in enumerate(frames):
         check_follows(number, frames[number - 1] if number else (None, None), frame)
-    diagrams = rips_persistence_many(clouds, n_jobs, progress=progress)
-    return [tracker._advance(tree, diagram, time) for (tree, time), diagram in zip(frames, diagrams, strict=True)]
+    seen = [cloud[frame.ids] for cloud, (frame, _) in zip(clouds, frames, strict=True)]
+    diagrams = rips_persistence_many(seen, n_jobs, progress=progress)
+    return [
+        tracker._advance(cloud, frame, diagram, time)
+        for cloud, (frame, time), diagram in zip(clouds, frames, diagrams, strict=True)
+    ]
 
 
 def _candidates(
-    diagram: Diagram, found: list[int], places: list[Array], known: list[_Known], sizes: tuple[float, float]
+    diagram: Diagram, found: list[int], places: list[Array], known: list[_Known], sizes: tuple[float, Array | float]
 ) -> Candidates:
     return Candidates(
         diagram.birth[found],
         diagram.death[found],
         np.array(places),
-        np.array([k.loop.birth for k in known]),
-        np.array([k.loop.death for k in known]),
+        np.array([k.birth for k in known]),
+        np.array([k.death for k in known]),
         np.array([k.place for k in known]),
         np.array([k.motion for k in known]),
         *sizes,
@@ -258,22 +335,22 @@ def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
     return curve_centroid(cloud[diagram.cycle(i)])[None]
 
 
-def _loop(diagram: Diagram, i: int, cloud: Array, identity: int, before: Loop | None) -> Loop:
-    """Gather what the state keeps of loop `i` of a diagram."""
-    edge, neighbours, step = diagram.killer_edge[i], diagram.neighbours(i), float("nan")
+def _loop(diagram: Diagram, i: int, cloud: Array, ids: NDArray[np.int64], identity: int, before: _Known | None) -> Loop:
+    """Gather what the state keeps of loop `i` of a diagram of the points `ids` of a cloud."""
+    edge, neighbours, step = ids[diagram.killer_edge[i]], ids[diagram.neighbours(i)], float("nan")
     if before is not None:
-        step = float(hausdorff_table(cloud[edge][None], before.killer_edge_points[None])[0, 0])
+        step = float(hausdorff_table(cloud[edge][None], before.killer_edge[None])[0, 0])
     sides = np.linalg.norm(cloud[neighbours] - cloud[neighbours[:, [2, 0, 1]]], axis=2)
     return loop_of(
         cloud,
-        partial(diagram.cycle, i),
+        lambda: ids[diagram.cycle(i)],
         id=identity,
         birth=float(diagram.birth[i]),
         death=float(diagram.death[i]),
         step=step,
-        birth_edge=diagram.birth_edge[i],
+        birth_edge=ids[diagram.birth_edge[i]],
         killer_edge=edge,
-        killer_triangle_ids=diagram.killer_triangles[i],
+        killer_triangle_ids=ids[diagram.killer_triangles[i]],
         neighbour_ids=neighbours,
         neighbour_values=sides.max(axis=1, initial=0.0) / 2,
     )

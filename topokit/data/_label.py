@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from topokit.seqph import RECOMMENDED, SeqPH, track
+from topokit.seqph import SeqPH, track
 
 from ._generate import Cluster, make_missing, manifest_here
 from ._group import Group, commit, label_name, local_folder, open_episodes, tracked_cloud, versions_of, writing
@@ -31,7 +31,7 @@ def label_dataset(
     *,
     name: str | None = None,
     n_points: int | None = None,
-    options: Mapping[str, Any] = RECOMMENDED,
+    options: Mapping[str, Any] | None = None,
     scheduler: str | None = None,
     n_workers: int | None = None,
     dashboard: str | None = None,
@@ -51,8 +51,8 @@ def label_dataset(
         Of this set of labels; that of the observation when not given.
     n_points : int, optional
         Track so many points of an observation of vertices, a farthest-point sample.
-    options : mapping
-        Of `topokit.SeqPH`.
+    options : mapping, optional
+        Of `topokit.SeqPH`; its own when not given.
     scheduler, n_workers, dashboard, progress
         As in `generate_dataset`.
 
@@ -63,7 +63,7 @@ def label_dataset(
     """
     folder = local_folder(dataset)
     group = open_episodes(folder)
-    manifest = _manifest(group, observation, n_points, options)
+    manifest = _manifest(group, observation, n_points, options or {})
     name = label_name(name or observation + (f"-{n_points}" if n_points else ""))
     target, cluster = folder / "labels" / name, Cluster(scheduler, n_workers, dashboard)
     job = partial(_label_episode, str(folder), name)

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from topokit.io import HISTORY, HORIZON
-from topokit.seqph import RECOMMENDED, track
+from topokit.seqph import track
 
 from ._dataset import Dataset
 from ._group import damage_in, decode
@@ -134,7 +134,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     observe : callable, optional
         What is seen of an episode instead of its clouds: from its number and its clouds, (T, P, 3) float64, to clouds
         (T, P', 3), in metres. All states, past and future, are then those that seqPH tracks on these, from the first frame
-        on, as labels are made (`topokit.seqph.RECOMMENDED`); `labels` only say which episodes there are.
+        on, as labels are made; `labels` only say which episodes there are.
     """
 
     def __init__(
@@ -248,7 +248,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         else:
             clouds = pack("clouds", self.observe(number, unpack(clouds[:, : self.n_points]).astype(np.float64)))
             slots = self.dataset.labels(self.labels).manifest["slots"]
-            states = track(unpack(clouds), n_jobs=1, **RECOMMENDED)
+            states = track(unpack(clouds), n_jobs=1)
             tracked = _Tracked.of(arrays_of(states, slots), clouds)
         clouds = clouds[:, np.arange(self.n_points) % clouds.shape[1]]
         return _Episode(clouds, stored["grippers"], stored["actions"], stored["held"].astype(bool), tracked)

@@ -16,7 +16,7 @@ from torch import Tensor
 from topokit._validate import as_points, as_reals
 from topokit.mixture import LoopMixture, loop_mixture
 from topokit.sampling import farthest_point_sample
-from topokit.seqph import RECOMMENDED, SeqPH
+from topokit.seqph import SeqPH
 from topokit.state import TopologicalState
 
 from ._baselines import PredictiveModel, past_window
@@ -163,7 +163,7 @@ class Predictor:
         """Forget everything observed."""
         self._kept: deque[dict[str, Tensor]] = deque(maxlen=self.model.shape.history)
         self._states: deque[TopologicalState] = deque(maxlen=self.model.shape.history)
-        self._tracker = SeqPH(**RECOMMENDED) if self.model.tracked else None
+        self._tracker = SeqPH() if self.model.tracked else None
         self._context: dict[str, Tensor] | None = None
 
     @torch.inference_mode()

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._cores import n_cores
 from .._validate import as_sequence, positive, whole
-from ._cloud import TIME, WATCHED, Cloud, Pairs, own_halt, pairs, pairs_of_many
+from ._cloud import TIME, WATCHED, Cloud, Pairs, end, own_halt, pairs, pairs_of_many
 from ._diagram import Diagram, tighten
 
 __all__ = ["Diagram", "rips_persistence", "rips_persistence_many", "tighten"]
@@ -149,8 +149,7 @@ def rips_persistence_many(
                     print(counted, end="", file=sys.stderr, flush=True)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)  # an error or Ctrl-C does not wait for the rest
-            for halt in halts:
-                halt[0] = 1
+            end(halts)
             if progress and jobs:
                 print(file=sys.stderr)
     return diagrams

@@ -198,7 +198,7 @@ def _run(cloud: Cloud, max_length: float, time_limit: float | None) -> tuple[Ids
         tree = build_tree(np.zeros((1, 3)), (0, 0, 0))  # in space, for which it is compiled anyway
         tree = tree._replace(label=np.arange(len(cloud)))
         data = cloud.data
-    bits = len(cloud) * ((len(cloud) + 63) // 64) * 8
+    bits = _bits(len(cloud))
     many = len(cloud) >= (_ESTIMATED if cloud.axes else _ESTIMATED // 8)
     if time_limit is not None and (bits > MEMORY or (many and time_limit < np.inf)):
         seconds = _estimate(cloud, max_length, time_limit)
@@ -215,7 +215,7 @@ def _watched(kernel: Callable[..., Any], arguments: tuple[Any, ...], n: int, tim
     """What a kernel finds. Where it may take long, it has a thread of its own: this one hears Ctrl-C and the clock."""
     from ._edges import EDGE_BYTES, HALTED, TOO_MANY_EDGES, TOO_MANY_LOOPS, WINDOW, new_room
 
-    spare = MEMORY - n * ((n + 63) // 64) * 8
+    spare = MEMORY - _bits(n)
     room, own = getattr(_kept, "room", None), getattr(_kept, "halt", None)
     if room is None or EDGE_BYTES * len(room.found) > spare // 2:
         room = new_room(min(1 << 16, spare // (2 * EDGE_BYTES)))
@@ -242,10 +242,22 @@ def _watched(kernel: Callable[..., Any], arguments: tuple[Any, ...], n: int, tim
     return found
 
 
+def _bits(n: int) -> int:
+    """How many bytes a bit for each pair of points takes."""
+    return n * ((n + 63) // 64) * 8
+
+
 def own_halt(halts: list[NDArray[np.int64]]) -> None:
-    """Let another thread end what this one computes: by writing HALTED into what is put into the list."""
+    """Let another thread end what this one computes: `end` with the list that this is put into."""
     _kept.halt = np.zeros(1, np.int64)
     halts.append(_kept.halt)
+
+
+def end(halts: list[NDArray[np.int64]]) -> None:
+    for halt in halts:
+        from ._edges import HALTED  # numba takes a while to import
+
+        halt[0] = HALTED
 
 
 def _estimate(cloud: Cloud, max_length: float, time_limit: float) -> float:
