@@ -22,7 +22,7 @@ from topokit._config import from_mapping, load
 from topokit.cli import main
 from topokit.io import FormatError, load_states, read_clouds
 from topokit.sensors import Cleaner, Pipeline, _pipeline
-from topokit.sensors._pipeline import _farthest, _voxel_means
+from topokit.sensors._pipeline import _voxel_means
 
 LENS = {"fx": 30.0, "fy": 30.0, "cx": 20.0, "cy": 15.0}
 MESSAGES = get_typestore(Stores.ROS2_HUMBLE)
@@ -111,6 +111,18 @@ def test_pcd_with_colours(encoding, tmp_path):
     np.testing.assert_allclose(found, ring(), atol=1e-6)
 
 
+def test_ply_after_many_comments(tmp_path):
+    """Big-endian doubles in an order of their own, as other programs write them."""
+    kind = [("red", "u1"), ("z", ">f8"), ("y", ">f8"), ("x", ">f8")]
+    rows = np.zeros(60, kind)
+    for axis, name in enumerate("xyz"):
+        rows[name] = ring()[:, axis]
+    head = ["ply", "format binary_big_endian 1.0", *["comment " + 80 * "-"] * 100, "element vertex 60"]
+    head += ["property uchar red", *(f"property double {axis}" for axis in "zyx"), "end_header\n"]
+    (tmp_path / "ring.ply").write_bytes("\n".join(head).encode() + rows.tobytes())
+    np.testing.assert_array_equal(clouds(tmp_path / "ring.ply")[0], ring())
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
 def test_ply_with_colours(encoding, tmp_path):
     cloud = trimesh.PointCloud(ring(), colors=np.full((60, 4), 200, np.uint8))
@@ -129,6 +141,36 @@ def test_numpy(shape, suffix, tmp_path):
     assert len(found) == len(frames)
     for cloud, frame in zip(found, frames, strict=True):
         np.testing.assert_array_equal(cloud, frame.reshape(-1, 3))
+
+
+@pytest.mark.parametrize("shape", [(480, 640, 3), (1, 480, 640, 3)])
+def test_an_array_of_the_size_of_a_cameras_image_is_one_cloud(shape, tmp_path):
+    """As drivers save it: in millimetres, NaN where nothing is seen, the first rows among them."""
+    points = np.full(shape, np.nan, np.float32)
+    points.reshape(480, 640, 3)[300:306, :10] = 1000 * ring().reshape(6, 10, 3)
+    np.save(tmp_path / "organised.npy", points)
+    (found,) = clouds(tmp_path / "organised.npy", unit="mm")
+    assert found.shape == (480 * 640, 3)
+    np.testing.assert_allclose(found[np.isfinite(found).all(axis=1)], ring(), atol=1e-6)
+
+
+def test_arrays_without_names_in_an_archive_are_the_clouds_of_a_film(tmp_path):
+    np.savez(tmp_path / "film.npz", *(ring(t, 60 + t) for t in range(12)))
+    found = clouds(tmp_path / "film.npz")
+    assert [len(cloud) for cloud in found] == list(range(60, 72))
+
+
+def test_units_are_looked_at_where_something_is_seen(tmp_path):
+    """Not in the first frame, where the lens was covered."""
+    blank = np.full((60, 3), np.nan)
+    for t, cloud in enumerate([blank, np.zeros((60, 3)), 1000 * ring(), 1000 * ring(1)]):
+        np.save(tmp_path / f"{t}.npy", cloud)
+    np.save(tmp_path / "film.npy", [blank, 1000 * ring()])
+    for path, name in ((tmp_path / "[0-9].npy", "2.npy"), (tmp_path / "film.npy", "film.npy")):
+        with pytest.raises(
+            FormatError, match=rf"{name}: it is .* are these millimetres\? Declare unit='mm' \(--unit mm\)"
+        ):
+            clouds(path)
 
 
 def test_numpy_by_names_and_with_times(tmp_path):
@@ -251,7 +293,9 @@ BAD = {
     "pickled.npy": (npy(np.array([{}])), "Python objects"),
     "half.npy": (npy(ring())[:300], "size"),
     "words.npy": (npy(np.array([["a", "b", "c"]])), "must hold real numbers"),
-    "flat.npy": (npy(np.zeros(8)), "x, y and z|numbers a point"),
+    "flat.npy": (npy(np.zeros(3)), r"of shape \(3,\); a cloud is \(n, 3\), one row a point"),
+    "number.npy": (npy(3.0), r"of shape \(\); a cloud is"),
+    "columns.npy": (npy(ring().T), r"of shape \(3, 60\); a cloud is \(n, 3\), one row a point"),
     "colours.npy": (
         npy(np.ones((9, 6))),
         r"6 numbers a point, and a place has three: say which, as columns=\(0, 1, 2\)",
@@ -262,7 +306,7 @@ BAD = {
     "two.npz": (npz(a=ring(), b=ring()), "it holds a, b: name the array of clouds 'points'"),
     "ours.npz": (npz(points=[ring()], json=np.zeros(9)), "topokit wrote it, .* read it by load_episode"),
     "late.npz": (npz(points=[ring()], times=[0.0, 1.0]), r"times has shape \(2,\); there are 1 clouds"),
-    "colour.png": (png(np.zeros((30, 40, 3), np.uint8)), r"mode RGB: a depth image has 16 bits a pixel"),
+    "colour.png": (png(np.zeros((30, 40, 3), np.uint8)), r"mode RGB: a depth image has 16 bits a pixel; a pattern"),
     "depth.png": (png(depth_image()), "a depth image needs its camera"),
     "no.png": (b"hello", "cannot identify image file"),
     "half.ply": (ply()[:-8], "unexpected length"),
@@ -334,6 +378,9 @@ def test_units_and_columns_are_declared(tmp_path):
     (found,) = clouds(tmp_path / "mm.npy", unit="mm", columns=(3, 4, 5))
     np.testing.assert_allclose(found, ring(), atol=1e-3)
     np.save(tmp_path / "m.npy", ring())
+    for columns, says in (((3, 4, 6), "no 6: they have 0, 1, 2, 3, 4, 5"), (("x", "y", "z"), "no x: they have 0, 1")):
+        with pytest.raises(FormatError, match=f"mm.npy: its points have {says}"):
+            clouds(tmp_path / "mm.npy", unit="mm", columns=columns)
     with pytest.raises(FormatError, match=r"mm across: are these metres\? Declare unit='m'"):
         clouds(tmp_path / "m.npy", unit="mm")
     np.save(tmp_path / "hall.npy", 1000 * ring())
@@ -445,8 +492,6 @@ def test_cloth_before_a_wall_is_no_wall():
 
 def test_the_steps_against_their_definitions():
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (3000, 3))
-    ids = _farthest(points, 300)
-    np.testing.assert_array_equal(ids, tk.farthest_point_sample(points, 300)[0])
     means = _voxel_means(points, 0.1)
     cells = np.floor(points / 0.1).astype(int)
     places, numbers = np.unique(cells, axis=0, return_inverse=True)
@@ -514,6 +559,7 @@ def test_track_takes_a_film(film, tmp_path, capsys):
     assert main(arguments) == 0
     out = capsys.readouterr().out
     assert "film: 5 frames" in out
+    assert "nan" not in out  # there is no true loop to be compared with
     assert "removed a frame: 40 not finite, 0 at (0, 0, 0), 0 by voxels, 260 by farthest points" in out
     states = load_states(tmp_path / "film.tracks.npz")
     assert [state.time for state in states] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
@@ -523,6 +569,12 @@ def test_track_takes_a_film(film, tmp_path, capsys):
     answer = json.loads(capsys.readouterr().out)
     assert answer["removed"]["not finite"] == 200
     assert [loop["frames"] for loop in answer["loops"]] == [5]
+
+
+def test_track_takes_the_folder_that_it_runs_in(film, monkeypatch, capsys):
+    monkeypatch.chdir(film)
+    assert main(["track", ".", "--unit", "mm"]) == 0
+    assert capsys.readouterr().out.endswith(f"tracks: {film}.tracks.npz\n")
 
 
 def test_track_takes_an_archive_of_clouds_that_topokit_did_not_write(tmp_path, capsys):

@@ -174,7 +174,7 @@ def _simulated(options: argparse.Namespace) -> Any:
 
 def _track(options: argparse.Namespace) -> int:
     from .evaluate import summarise_tracks
-    from .io import load_episode, save_states
+    from .io import save_states
 
     how = {name: getattr(options, name) for name in _TRACKER}
     if options.live:
@@ -182,11 +182,25 @@ def _track(options: argparse.Namespace) -> int:
     out, film = _tracks_file(options), _is_film(options.episode)
     given = [f"--{name}" for name in (_OF_CLOUDS, ("plot",))[film] if getattr(options, name)]
     if given:
-        raise ValueError(
-            f"{given[0]} is for {'episodes' if film else 'clouds'}, and {options.episode} is not: leave it out"
-        )
-    if film:
-        return _track_film(options, how, out)
+        kind = "episodes" if film else "clouds"
+        raise ValueError(f"{given[0]} is for {kind}, and {options.episode} is not: leave it out")
+    states, truth, answer, words = (_track_film if film else _track_episode)(options, how)
+    summaries = summarise_tracks(states, *truth)
+    save_states(out, states)
+    if options.json:
+        rows = [dict(list(dataclasses.asdict(summary).items())[: 5 if film else None]) for summary in summaries]
+        print(json.dumps({**answer, "frames": len(states), "tracks": str(out), "loops": rows}))
+        return 0
+    print(words)
+    _print_table(summaries, 35 if film else None)
+    print(f"tracks: {out}" + (f"\npicture: {options.plot}" if options.plot else ""))
+    return 0
+
+
+def _track_episode(options: argparse.Namespace, how: dict[str, Any]) -> tuple[Any, ...]:
+    """States, what they can be compared with, and what is said of the episode, in names and in words."""
+    from .io import load_episode
+
     if options.plot:
         if options.plot.suffix not in _PICTURES:
             raise ValueError(f"--plot {options.plot}: the name of a picture ends in {', '.join(_PICTURES)}")
@@ -194,32 +208,16 @@ def _track(options: argparse.Namespace) -> int:
     episode = load_episode(options.episode)
     loud = sys.stderr.isatty() and not options.json
     states = track(getattr(episode, options.cloud), times=episode.times, progress=loud, **how)
-    summaries = summarise_tracks(states, episode.points, episode.loops)
-    save_states(out, states)
     if options.plot:
         with atomic_file(options.plot) as picture:
             track_figure(episode, states).savefig(picture, format=options.plot.suffix[1:])
-    if options.json:
-        rows = [dataclasses.asdict(summary) for summary in summaries]
-        print(json.dumps({"episode": str(options.episode), "frames": len(states), "tracks": str(out), "loops": rows}))
-        return 0
-    print(f"{options.episode}: {episode.garment} to {episode.target}, {len(states)} frames, {options.cloud}")
-    _print_table(summaries)
-    print(f"tracks: {out}" + (f"\npicture: {options.plot}" if options.plot else ""))
-    return 0
+    words = f"{options.episode}: {episode.garment} to {episode.target}, {len(states)} frames, {options.cloud}"
+    return states, (episode.points, episode.loops), {"episode": str(options.episode)}, words
 
 
-def _is_film(path: Path) -> bool:
-    """Whether it holds clouds; an archive does when it is none of ours."""
-    if path.suffix != ".npz" or not zipfile.is_zipfile(path):
-        return path.suffix != ".npz"
-    with zipfile.ZipFile(path) as archive:
-        return "json.npy" not in archive.namelist()
-
-
-def _track_film(options: argparse.Namespace, how: dict[str, Any], out: Path) -> int:
-    from .evaluate import summarise_tracks
-    from .io import read_clouds, save_states
+def _track_film(options: argparse.Namespace, how: dict[str, Any]) -> tuple[Any, ...]:
+    """As of an episode, but that there is nothing to compare with."""
+    from .io import read_clouds
 
     asked = {name: getattr(options, name) for name in ("unit", "intrinsics", "topic", "fps")}
     tracker, clean, states, removed = SeqPH(**how), _cleaner(options), [], Counter[str]()
@@ -228,18 +226,17 @@ def _track_film(options: argparse.Namespace, how: dict[str, Any], out: Path) -> 
         removed.update(clean.removed)
     if not states:
         raise ValueError(f"{options.episode}: it holds no cloud")
-    save_states(out, states)
-    summaries = summarise_tracks(states, np.empty((len(states), 0, 3)), ())
-    if options.json:
-        rows = [dict(list(dataclasses.asdict(summary).items())[:5]) for summary in summaries]
-        answer = {"film": str(options.episode), "frames": len(states), "removed": removed, "tracks": str(out)}
-        print(json.dumps(answer | {"loops": rows}))
-        return 0
-    print(f"{options.episode}: {len(states)} frames")
-    print("removed a frame: " + ", ".join(f"{n / len(states):.0f} {name}" for name, n in removed.items()))
-    _print_table(summaries)
-    print(f"tracks: {out}")
-    return 0
+    told = ", ".join(f"{n / len(states):.0f} {name}" for name, n in removed.items())
+    words = f"{options.episode}: {len(states)} frames\nremoved a frame: {told}"
+    return states, (np.empty((len(states), 0, 3)), ()), {"film": str(options.episode), "removed": removed}, words
+
+
+def _is_film(path: Path) -> bool:
+    """Whether it holds clouds; an archive does when it is none of ours."""
+    if path.suffix != ".npz" or not zipfile.is_zipfile(path):
+        return path.suffix != ".npz"
+    with zipfile.ZipFile(path) as archive:
+        return "json.npy" not in archive.namelist()
 
 
 def _cleaner(options: argparse.Namespace) -> Any:
@@ -257,7 +254,8 @@ def _columns(options: argparse.Namespace) -> list[int | str] | None:
 def _tracks_file(options: argparse.Namespace) -> Path:
     if options.episode is None:
         raise ValueError("which episode or film? (or --live, to read clouds from standard input)")
-    out: Path = options.out or options.episode.with_suffix(".tracks.npz")
+    path = options.episode if options.episode.name.strip(".") else options.episode.resolve()
+    out: Path = options.out or path.with_suffix(".tracks.npz")
     if set(out.name) & set("*?["):
         raise ValueError(f"--out: say where to write the tracks of {options.episode}")
     if out.resolve() == options.episode.resolve():
@@ -267,23 +265,24 @@ def _tracks_file(options: argparse.Namespace) -> Path:
     return out
 
 
-def _print_table(summaries: Sequence[Any]) -> None:
-    """The identities of an episode, a line each."""
+def _print_table(summaries: Sequence[Any], width: int | None) -> None:
+    """The identities of an episode, a line each; of a film, as far as they are not compared with the truth."""
     heads = ("id", "first", "last", "frames", "lifetime", " true loop", "distance", "in hull")
-    print("{:>4} {:>6} {:>5} {:>7} {:>9} {:>10} {:>9} {:>8}".format(*heads))
+    print("{:>4} {:>6} {:>5} {:>7} {:>9} {:>10} {:>9} {:>8}".format(*heads)[:width])
     for row in summaries:
         where = "-" if row.true_loop < 0 else str(row.true_loop)
-        print(
+        line = (
             f"{row.id:>4} {row.first:>6} {row.last:>5} {row.frames:>7} {100 * row.lifetime:>6.2f} cm  {where:>9} "
             f"{100 * row.distance:>6.2f} cm {100 * row.in_hull:>6.1f} %"
         )
+        print(line[:width])
     if not summaries:
         print("   no loop of a lifetime above alpha in any frame")
 
 
 def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
     """Track clouds as they come; what is kept does not grow."""
-    given = [name for name in ("episode", "out", "plot", "intrinsics", "topic", "fps") if getattr(options, name)]
+    given = [name for name in ("episode", "out", "plot", "topic", "fps") if getattr(options, name)]
     if given:
         raise ValueError(f"--live reads standard input and writes standard output: leave out {', '.join(given)}")
     if sys.stdin is None:
@@ -302,22 +301,19 @@ def _ready(clouds: Iterator[NDArray[Any]], options: argparse.Namespace) -> Itera
     """Clouds in metres, through the pipeline; without one, what is not finite is left out, and that is said once."""
     from .sensors._files import Asked, as_cloud
 
-    clean, said, asked = _cleaner(options) if options.pipeline else None, False, Asked(options.unit, _columns(options))
+    clean, said = _cleaner(options) if options.pipeline else None, False
+    asked = Asked(options.unit, _columns(options), options.intrinsics)
     for number, cloud in enumerate(clouds):
-        if cloud.ndim in (2, 3) and cloud.dtype.kind != "c":
-            try:
-                cloud = as_cloud(cloud, asked, Path())
-            except (ValueError, IndexError) as error:
-                raise FormatError(f"frame {number} on standard input: {error}") from error
-            finite = np.isfinite(cloud).all(axis=1)
-            if clean:
-                cloud = clean(cloud)
-            elif not finite.all():
-                left_out = f"frame {number}: {(~finite).sum()} of {len(finite)} points are not finite and left out"
-                if not said:
-                    print(f"topokit track: {left_out}, here and in what follows", file=sys.stderr)
-                said, cloud = True, cloud[finite]
-        yield cloud
+        try:
+            cloud = as_cloud(cloud, asked, Path())
+        except ValueError as error:
+            raise FormatError(f"frame {number} on standard input: {error}") from error
+        finite = np.isfinite(cloud).all(axis=1)
+        if not (clean or said or finite.all()):
+            left_out = f"frame {number}: {(~finite).sum()} of {len(finite)} points are not finite and left out"
+            print(f"topokit track: {left_out}, here and in what follows", file=sys.stderr)
+            said = True
+        yield clean(cloud) if clean else cloud[finite]
 
 
 def _clouds(stream: Any) -> Iterator[NDArray[np.float64]]:

@@ -37,8 +37,8 @@ EVERYTHING = Pipeline(planes=2, thickness=0.015, voxel=0.015, outliers=2.5)
 STEPS = {
     "_sieve": "finite, zeros, crop",
     "_voxel_means": "voxel",
-    "_inliers": "outliers",
-    "_farthest": "farthest points",
+    "inliers": "outliers",
+    "farthest_point_sample": "farthest points",
 }
 
 
@@ -121,16 +121,16 @@ class Watch:
         self.took[what].append((1e3 * (time.process_time() - start[0]), 1e3 * (time.perf_counter() - start[1])))
 
     def wrapped(self, what: str, function: Any) -> Any:
-        def timed(*arguments: Any) -> Any:
+        def timed(*arguments: Any, **named: Any) -> Any:
             with self.of(what):
-                return function(*arguments)
+                return function(*arguments, **named)
 
         return timed
 
 
 def run(path: Path, pipeline: Pipeline, skip: int) -> tuple[Watch, Cleaner, float]:
     """A film from its file to its states."""
-    watch, clean, tracker = Watch(), Cleaner(pipeline), tk.SeqPH(identity="killer-triangles", gates="proved", memory=8)
+    watch, clean, tracker = Watch(), Cleaner(pipeline), tk.SeqPH()
     clean._off_planes = watch.wrapped("  planes", clean._off_planes)
     kept = {name: getattr(_pipeline, name) for name in STEPS}
     for name, what in STEPS.items():

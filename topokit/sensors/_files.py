@@ -20,6 +20,8 @@ UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _LENS = "intrinsics.json"
 _LARGEST, _SMALLEST = 30.0, 0.02  # metres across: of a room, and of a garment
 _WIDEST = 16  # columns that a point has; an image has more
+_IMAGES = {(240, 320), (240, 424), (270, 480), (288, 320), (360, 640), (400, 640), (424, 512), (480, 640), (480, 848)}
+_IMAGES |= {(576, 640), (720, 1280), (800, 1280), (1024, 1280), (1080, 1920)}  # rows and columns of depth cameras
 _RATIO, _PIXELS, _MOST_NUMBERS = 100, 2**26, 2**12  # what a file of a byte, an image, a field of a point may hold
 _ROS_TYPES = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), 1))
 _ROS_DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
@@ -37,9 +39,10 @@ class Asked:
 
 def read(path: Path, asked: Asked, fps: float | None) -> Frames:
     """The clouds of a film in metres, each with its time."""
-    number = 0
+    number, unsure = 0, asked.unit != "m"
     for file in _files(path):
-        for time, cloud in _frames(file, asked, check=number == 0):
+        for time, cloud in _frames(file, asked, unsure):
+            unsure = unsure and not np.nan_to_num(cloud).any()
             yield (number / fps if fps else time), cloud
             number += 1
 
@@ -69,9 +72,7 @@ def _frames(path: Path, asked: Asked, check: bool) -> Frames:
     """The clouds of a file; whatever is wrong with it names it."""
     try:
         for time, cloud in _READERS[_kind(path)](path, asked):
-            if check and asked.unit != "m":
-                _check_unit(cloud, asked.unit or "m")
-            check = False
+            check = check and not _has_unit(cloud, asked.unit or "m")
             yield time, cloud
     except ModuleNotFoundError as error:
         raise ImportError(
@@ -85,35 +86,42 @@ def _frames(path: Path, asked: Asked, check: bool) -> Frames:
         raise FormatError(f"{path}: cut off or damaged: {type(error).__name__} {error}") from error
 
 
-def _check_unit(cloud: Array, unit: str) -> None:
+def _has_unit(cloud: Array, unit: str) -> bool:
+    """Whether there is something, which is then of a size that can be meant."""
     seen = cloud[np.isfinite(cloud).all(axis=1) & cloud.any(axis=1)]
     if len(seen):
         size = float(np.ptp(np.quantile(seen[:: 1 + len(seen) // 10_000], (0.05, 0.95), axis=0), axis=0).max())
         across = f"it is {size / UNITS[unit]:.4g} {unit} across"
         if size > _LARGEST:
-            raise ValueError(f"{across}: are these millimetres? Declare unit='mm', 'cm', or 'm' if they are metres")
+            raise ValueError(
+                f"{across}: are these millimetres? Declare unit='mm' (--unit mm), or 'm' if they are metres"
+            )
         if 0 < size < _SMALLEST:
-            raise ValueError(f"{across}: are these metres? Declare unit='m'")
+            raise ValueError(f"{across}: are these metres? Declare unit='m' (--unit m)")
+    return len(seen) > 0
 
 
 def as_cloud(frame: Array, asked: Asked, camera: Path | Mapping[str, Any]) -> Array:
     """Places (n, 3) in metres, of rows or of an image; its camera, when none was declared, or the folder of its file."""
-    columns: Any = asked.columns
-    if frame.dtype.names is not None:
-        columns = columns or ("x", "y", "z")
-        if missing := [name for name in columns if name not in frame.dtype.names]:
-            raise ValueError(f"its points have no {missing[0]}: they have {', '.join(frame.dtype.names)}")
-        places = np.stack([as_reals(frame[name].ravel(), str(name)) for name in columns], axis=-1)
-    elif columns is None and frame.ndim == 2 and frame.shape[1] > _WIDEST:
+    names: Any = frame.dtype.names
+    if names is None and (frame.ndim < 2 or len(frame) < 4 < _WIDEST < frame.shape[-1]):
+        raise ValueError(f"it is of shape {frame.shape}; a cloud is (n, 3), one row a point")
+    if names is None and asked.columns is None and frame.ndim == 2 and frame.shape[1] > _WIDEST:
         return _seen(as_reals(frame, "depth"), asked.intrinsics or camera, asked.unit)
+    known = names or range(frame.shape[-1])
+    columns: Any = asked.columns or (("x", "y", "z") if names else known)
+    if missing := [name for name in columns if name not in known]:
+        raise ValueError(f"its points have no {missing[0]}: they have {', '.join(map(str, known))}")
+    if len(columns) > 3:
+        raise ValueError(
+            f"{len(columns)} numbers a point, and a place has three: say which, as columns=(0, 1, 2) or "
+            "--columns 0,1,2; the others may be colours or normals"
+        )
+    if names:
+        places = np.stack([as_reals(frame[name].ravel(), str(name)) for name in columns], axis=-1)
     else:
-        places = as_reals(frame, "the array").reshape(-1, frame.shape[-1])
-        if columns is None and places.shape[1] > 3:
-            raise ValueError(
-                f"{places.shape[1]} numbers a point, and a place has three: say which, as columns=(0, 1, 2) or "
-                "--columns 0,1,2; the others may be colours or normals"
-            )
-        places = places if columns is None else places[:, list(columns)]
+        places = as_reals(frame, "the array").reshape(-1, len(known))
+        places = places if columns == known else places[:, list(columns)]
     return np.asarray(places * UNITS[asked.unit or "m"], np.result_type(places.dtype, np.float32))
 
 
@@ -148,8 +156,9 @@ def _lens(source: Any) -> Array:
 
 
 def _film(array: Array) -> list[Array]:
-    """The frames of (n, 3), (T, n, 3), (T, h, w, 3), (h, w) or (T, h, w)."""
-    return [array] if array.ndim < 3 or array.dtype.names else list(array)
+    """The frames of (n, 3), (T, n, 3), (T, h, w, 3), (h, w) or (T, h, w); (h, w, 3) is one, when a camera has that many pixels."""
+    is_image = array.ndim == 3 and array.shape[:2] in _IMAGES and array.shape[2] <= _WIDEST
+    return [array] if array.ndim < 3 or array.dtype.names or is_image else list(array)
 
 
 def _npy(path: Path, asked: Asked) -> Frames:
@@ -158,15 +167,18 @@ def _npy(path: Path, asked: Asked) -> Frames:
 
 
 def _npz(path: Path, asked: Asked) -> Frames:
-    """The array `points`, or the only one besides `times`."""
+    """The array `points`, or the only one besides `times`; several without names are a cloud each."""
     with np.load(path, allow_pickle=False) as archive:
         check_size(archive.zip.infolist(), path.stat().st_size)
         names = [name for name in archive.files if name != "times"]
         if "json" in names:
             raise ValueError("topokit wrote it, and it holds no film: read it by load_episode or load_states")
-        if "points" not in names and len(names) != 1:
+        if "points" in names:
+            names = ["points"]
+        elif len(names) != 1 and not all(re.fullmatch(r"arr_\d+", name) for name in names or ["nothing"]):
             raise ValueError(f"it holds {', '.join(names) or 'nothing'}: name the array of clouds 'points'")
-        film = _film(archive["points" if "points" in names else names[0]])
+        parts = [archive[name] for name in names]
+        film = _film(parts[0]) if len(parts) == 1 else parts
         times = archive["times"].tolist() if "times" in archive else [None] * len(film)
     if np.shape(times) != (len(film),):
         raise ValueError(f"times has shape {np.shape(times)}; there are {len(film)} clouds")
@@ -177,7 +189,7 @@ def _ply(path: Path, asked: Asked) -> Frames:
     from trimesh.exchange.ply import load_ply
 
     with path.open("rb") as handle:
-        counted = re.search(rb"\nelement vertex (\d+)", handle.read(4096))
+        counted = re.search(rb"\nelement vertex (\d+)", handle.read(1 << 16))
         handle.seek(0)
         points = np.asarray(load_ply(handle, fix_texture=False, skip_materials=True).get("vertices", ()))
     if counted is None or int(counted[1]) != len(points):
@@ -211,7 +223,10 @@ def _png(path: Path, asked: Asked) -> Frames:
 
     with Image.open(path, formats=["PNG"]) as picture:
         if not picture.mode.startswith("I") or np.prod(picture.size) > _PIXELS:
-            raise ValueError(f"a picture {picture.size} of mode {picture.mode}: a depth image has 16 bits a pixel")
+            raise ValueError(
+                f"a picture {picture.size} of mode {picture.mode}: a depth image has 16 bits a pixel; "
+                f"a pattern, as '{path.parent}/depth*.png', leaves others out"
+            )
         yield None, as_cloud(np.asarray(picture), asked, path.parent)
 
 

@@ -1,6 +1,6 @@
 """The declared pipeline: what is left out of a raw cloud before loops are looked for, step by step, and counted.
 
-Source: Fischler and Bolles 1981 (RANSAC); Rusu et al. 2008 (outliers); Gonzalez 1985 (farthest points).
+Source: Fischler and Bolles 1981 (RANSAC); outliers and farthest points as in `topokit.sampling`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pydantic import Field
 
 from topokit._config import Count, Positive, checked
 from topokit._validate import as_reals
+from topokit.sampling import farthest_point_sample, inliers
 
 Array = NDArray[np.float64]
 Corner = tuple[float, float, float]
@@ -43,7 +44,7 @@ class Pipeline:
     eye: Corner = (0.0, 0.0, 0.0)  #: where the camera is
     thickness: Positive = 0.01  #: what is within it of a plane belongs to the plane, metres
     voxel: Positive | None = None  #: one point, their mean, for those in each cube of such an edge, metres
-    #: drop points whose fifth nearest is so many times farther than in the median; 2.5 suits cloth
+    #: drop points that are alone: the factor of `topokit.sampling.inliers`; 2.5 suits cloth
     outliers: Positive | None = None
     points: Count | None = 1000  #: farthest points that are kept of what is left; all, when none
 
@@ -85,8 +86,8 @@ class Cleaner:
         steps: tuple[tuple[str, Any, Any], ...] = (
             ("on planes", how.planes, self._off_planes),
             ("by voxels", how.voxel, _voxel_means),
-            ("outliers", how.outliers, _inliers),
-            ("by farthest points", how.points, lambda some, n: some[_farthest(some, min(n, len(some)))]),
+            ("outliers", how.outliers, lambda some, factor: some[inliers(some, factor=factor)]),
+            ("by farthest points", how.points, lambda some, n: some[farthest_point_sample(some, min(n, len(some)))[0]]),
         )
         for name, asked, step in steps:
             if asked and len(left):
@@ -189,22 +190,3 @@ def _voxel_means(points: Any, edge: float) -> Any:
     numbers = factorize(cells.astype(np.int64) @ np.array([sizes[1] * sizes[2], sizes[2], 1], np.int64))[0]
     sums = [np.bincount(numbers, points[:, axis]) for axis in range(3)]
     return np.column_stack(sums) / np.bincount(numbers)[:, None]
-
-
-def _inliers(points: Any, factor: float) -> Any:
-    from scipy.spatial import cKDTree
-
-    apart = cKDTree(points).query(points, k=[min(6, len(points))])[0][:, 0]
-    return points[apart <= factor * np.median(apart)]
-
-
-@njit(cache=True)
-def _farthest(points: Any, count: int) -> Any:
-    """Ids as `topokit.farthest_point_sample` gives them, ten times as fast."""
-    axes, nearest, ids = points.T.copy(), np.full(len(points), np.inf), np.zeros(count, np.int64)
-    for k in range(1, count):
-        x, y, z = points[ids[k - 1]]
-        for i in range(len(nearest)):  # by itself, so that it becomes vector instructions
-            nearest[i] = min(nearest[i], (axes[0, i] - x) ** 2 + (axes[1, i] - y) ** 2 + (axes[2, i] - z) ** 2)
-        ids[k] = np.argmax(nearest)
-    return ids
