@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +26,7 @@ _ROS_TYPES = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), 1)
 _ROS_DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 
 
-@dataclass(frozen=True)
-class Asked:
+class Asked(NamedTuple):
     """What the caller declared."""
 
     unit: str | None = None
@@ -75,9 +73,8 @@ def _frames(path: Path, asked: Asked, check: bool) -> Frames:
             check = check and not _has_unit(cloud, asked.unit or "m")
             yield time, cloud
     except ModuleNotFoundError as error:
-        raise ImportError(
-            f"{path}: reading it needs {str(error.name).partition('.')[0]}: pip install 'topokit[sensors]'"
-        ) from error
+        wanted = str(error.name).partition(".")[0]
+        raise ImportError(f"{path}: reading it needs {wanted}: pip install 'topokit[sensors]'") from error
     except FileNotFoundError:
         raise
     except ValueError as error:
@@ -113,10 +110,8 @@ def as_cloud(frame: Array, asked: Asked, camera: Path | Mapping[str, Any]) -> Ar
     if missing := [name for name in columns if name not in known]:
         raise ValueError(f"its points have no {missing[0]}: they have {', '.join(map(str, known))}")
     if len(columns) > 3:
-        raise ValueError(
-            f"{len(columns)} numbers a point, and a place has three: say which, as columns=(0, 1, 2) or "
-            "--columns 0,1,2; the others may be colours or normals"
-        )
+        three = "a place has three: say which, as columns=(0, 1, 2) or --columns 0,1,2; the others may be colours"
+        raise ValueError(f"{len(columns)} numbers a point, and {three}")
     if names:
         places = np.stack([as_reals(frame[name].ravel(), str(name)) for name in columns], axis=-1)
     else:
@@ -156,7 +151,7 @@ def _lens(source: Any) -> Array:
 
 
 def _film(array: Array) -> list[Array]:
-    """The frames of (n, 3), (T, n, 3), (T, h, w, 3), (h, w) or (T, h, w); (h, w, 3) is one, when a camera has that many pixels."""
+    """The frames of (n, 3), (T, n, 3), (T, h, w, 3), (h, w) or (T, h, w); (h, w, 3) is one, when of a camera's size."""
     is_image = array.ndim == 3 and array.shape[:2] in _IMAGES and array.shape[2] <= _WIDEST
     return [array] if array.ndim < 3 or array.dtype.names or is_image else list(array)
 
@@ -173,9 +168,8 @@ def _npz(path: Path, asked: Asked) -> Frames:
         names = [name for name in archive.files if name != "times"]
         if "json" in names:
             raise ValueError("topokit wrote it, and it holds no film: read it by load_episode or load_states")
-        if "points" in names:
-            names = ["points"]
-        elif len(names) != 1 and not all(re.fullmatch(r"arr_\d+", name) for name in names or ["nothing"]):
+        names = ["points"] if "points" in names else names
+        if len(names) != 1 and not all(name.startswith("arr_") for name in names or ["nothing"]):
             raise ValueError(f"it holds {', '.join(names) or 'nothing'}: name the array of clouds 'points'")
         parts = [archive[name] for name in names]
         film = _film(parts[0]) if len(parts) == 1 else parts
@@ -223,10 +217,8 @@ def _png(path: Path, asked: Asked) -> Frames:
 
     with Image.open(path, formats=["PNG"]) as picture:
         if not picture.mode.startswith("I") or np.prod(picture.size) > _PIXELS:
-            raise ValueError(
-                f"a picture {picture.size} of mode {picture.mode}: a depth image has 16 bits a pixel; "
-                f"a pattern, as '{path.parent}/depth*.png', leaves others out"
-            )
+            words = f"a picture {picture.size} of mode {picture.mode}: a depth image has 16 bits a pixel"
+            raise ValueError(f"{words}; a pattern ('depth*.png') leaves others out")
         yield None, as_cloud(np.asarray(picture), asked, path.parent)
 
 

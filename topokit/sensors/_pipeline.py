@@ -95,9 +95,7 @@ class Cleaner:
                 self.removed[name] = before - len(left)
         if not len(left):
             told = ", ".join(f"{n} {name}" for name, n in self.removed.items())
-            raise ValueError(
-                f"nothing is left of frame {self._frame}: removed were {told}; look at the box and the units"
-            )
+            raise ValueError(f"nothing is left of frame {self._frame}: removed were {told}; look at box and units")
         self._frame += 1
         return np.asarray(left, dtype=np.float64)
 
@@ -109,9 +107,8 @@ class Cleaner:
             plane = _followed(sample, before[number], thickness) if number < len(before) else None
             if plane is None and self._frame >= self._search_from:
                 plane = _found(sample, thickness, np.array(self.pipeline.eye))
+                self._search_from = self._frame + (_REST if plane is None else 0)
             if plane is None:
-                if self._frame >= self._search_from:
-                    self._search_from = self._frame + _REST
                 break
             self._planes.append(plane)
             points, sample = (some[~_on(some, plane, thickness)] for some in (points, sample))
