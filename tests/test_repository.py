@@ -171,7 +171,8 @@ assert [state.loops[0].id for state in states] == [0, 0]
 LAYERS = [
     {"_validate", "_archive", "_cores", "_lazy", "_matching", "_traversal"},
     {"sampling", "linking", "rips"},
-    {"state", "mixture", "_evidence", "_frames"},
+    {"state", "mixture", "_evidence"},
+    {"_frames"},
     {"seqph"},
     {"_config"},
     {"sensors"},
@@ -233,7 +234,7 @@ def lengths_of_functions(path: Path) -> list[int]:
     return found
 
 
-MOST_LINES = 16_000
+MOST_LINES = 17_000
 
 
 def test_the_library_stays_small():
