@@ -314,9 +314,8 @@ def _ready(clouds: Iterator[NDArray[Any]], options: argparse.Namespace) -> Itera
             raise FormatError(f"frame {number} on standard input: {error}") from error
         finite = np.isfinite(cloud).all(axis=1)
         if not (clean or said or finite.all()):
-            left_out = f"frame {number}: {(~finite).sum()} of {len(finite)} points are not finite and left out"
-            print(f"topokit track: {left_out}, here and in what follows", file=sys.stderr)
-            said = True
+            said, lost = True, f"frame {number}: {(~finite).sum()} of {len(finite)} points are not finite and left out"
+            print(f"topokit track: {lost}, here and in what follows", file=sys.stderr)
         yield clean(cloud) if clean else cloud[finite]
 
 

@@ -309,7 +309,8 @@ def read_clouds(
     ----------
     path : path
         A file .npy or .npz ((n, 3), (T, n, 3), (T, h, w, 3); or depth (h, w), (T, h, w)), .ply, .pcd, .png (depth of 16 bits);
-        a bag of ROS 2; a folder or a pattern (``"film/*.pcd"``) of numbered files of one kind.
+        a bag of ROS 2; a folder or a pattern (``"film/*.pcd"``) of numbered files of one kind. An array (480, 640, 3), or of
+        another size that depth cameras have, is one cloud; a film of that shape is stored as (480, 1, 640, 3).
     unit : {"m", "cm", "mm"}, optional
         Metres when not given, millimetres for depth in whole numbers; what can be neither is refused. "m" is believed.
     columns : sequence, optional

@@ -19,8 +19,7 @@ UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _LENS = "intrinsics.json"
 _LARGEST, _SMALLEST = 30.0, 0.02  # metres across: of a room, and of a garment
 _WIDEST = 16  # columns that a point has; an image has more
-_IMAGES = {(240, 320), (240, 424), (270, 480), (288, 320), (360, 640), (400, 640), (424, 512), (480, 640), (480, 848)}
-_IMAGES |= {(576, 640), (720, 1280), (800, 1280), (1024, 1280), (1080, 1920)}  # rows and columns of depth cameras
+_IMAGES = {(240, 320), (424, 512), (480, 640), (480, 848), (576, 640), (720, 1280), (1080, 1920)}  # of depth cameras
 _RATIO, _PIXELS, _MOST_NUMBERS = 100, 2**26, 2**12  # what a file of a byte, an image, a field of a point may hold
 _ROS_TYPES = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), 1))
 _ROS_DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
@@ -55,9 +54,8 @@ def _files(path: Path) -> list[Path]:
         files = [path if path.is_dir() else existing(path)]
     kinds = sorted({_kind(file) for file in files})
     if len(kinds) != 1 or kinds[0] not in _READERS:
-        raise FormatError(
-            f"{path}: holds {'files ' + ', '.join(kinds) if kinds else 'no cloud'}; a film is one of {', '.join(_READERS)}"
-        )
+        held = "files " + ", ".join(kinds) if kinds else "no cloud"
+        raise FormatError(f"{path}: holds {held}; a film is one of {', '.join(_READERS)}")
     return sorted(files, key=lambda file: [part.zfill(20) for part in re.split(r"(\d+)", file.name)])
 
 
@@ -143,10 +141,8 @@ def _lens(source: Any) -> Array:
     lens = [next((float(entries[name]) for name in some if name in entries), np.nan) for some in names]
     scale = float(entries.get("depth_scale", 1e-3))
     if not np.isfinite([*lens, scale]).all() or not min(*lens[:2], scale) > 0:
-        raise ValueError(
-            "a depth image needs its camera: fx, fy, cx and cy in pixels (JSON, as in a CameraInfo), as intrinsics=, "
-            f"--intrinsics FILE, or {_LENS} beside it"
-        )
+        where = f"(JSON, as in a CameraInfo), as intrinsics=, --intrinsics FILE, or {_LENS} beside it"
+        raise ValueError(f"a depth image needs its camera: fx, fy, cx and cy in pixels {where}")
     return np.array([*lens, scale if scale < 1 else 1 / scale], np.float32)
 
 
@@ -192,17 +188,14 @@ def _ply(path: Path, asked: Asked) -> Frames:
 
 
 def _pcd(path: Path, asked: Asked) -> Frames:
-    from pypcd4.pypcd4 import PointCloud
+    from pypcd4.pypcd4 import MetaData, PointCloud
 
     data = path.read_bytes()
     head = re.match(rb"[^\0]{0,4096}?^DATA\s+(\w+)[^\n]*\n", data, re.MULTILINE)
     if head is None:
         raise ValueError("not a PCD file: its header has no line DATA")
-    lines = re.findall(rb"(?im)^\s*(points|count)\s+([\d ]+)", head[0])
-    points, count = (
-        max((int(n) for key, some in lines if key.lower() == name for n in some.split()), default=0)
-        for name in (b"points", b"count")
-    )
+    declared = MetaData.parse_header(head[0].decode(errors="replace").splitlines())
+    points, count = declared.points, max(declared.count)
     packed = int.from_bytes(data[head.end() + 4 : head.end() + 8], "little") if b"compressed" in head[1] else 0
     if max(points, packed) > _RATIO * len(data) or count > _MOST_NUMBERS:
         raise ValueError(f"its {len(data)} bytes claim to hold {points} points, {count} numbers in a field")
