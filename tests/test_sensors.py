@@ -111,6 +111,13 @@ def test_pcd_with_colours(encoding, tmp_path):
     np.testing.assert_allclose(found, ring(), atol=1e-6)
 
 
+@pytest.mark.parametrize("points", [ring(), ring()[:1]], ids=["ring", "one point"])
+def test_ascii_pcd_with_more_blanks_than_are_needed(points, tmp_path):
+    text = save_pcd(tmp_path / "ring.pcd", points, Encoding.ASCII).read_text()
+    (tmp_path / "ring.pcd").write_bytes(text.replace(" ", "  ").replace("\n", " \r\n").encode())
+    np.testing.assert_allclose(clouds(tmp_path / "ring.pcd")[0], points, atol=1e-6)
+
+
 def test_ply_after_many_comments(tmp_path):
     """Big-endian doubles in an order of their own, as other programs write them."""
     kind = [("red", "u1"), ("z", ">f8"), ("y", ">f8"), ("x", ">f8")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
@@ -199,7 +200,9 @@ def _pcd(path: Path, asked: Asked) -> Frames:
     packed = int.from_bytes(data[head.end() + 4 : head.end() + 8], "little") if b"compressed" in head[1] else 0
     if max(points, packed) > _RATIO * len(data) or count > _MOST_NUMBERS:
         raise ValueError(f"its {len(data)} bytes claim to hold {points} points, {count} numbers in a field")
-    rows = PointCloud.from_path(path).pc_data
+    if declared.data == "ascii":  # its reader takes one blank between numbers, and no other
+        data = b"\n".join(b" ".join(line.split()) for line in data.splitlines())
+    rows = np.atleast_1d(PointCloud.from_fileobj(io.BytesIO(data)).pc_data)
     if len(rows) != points:
         raise ValueError(f"cut off or damaged: {len(rows)} of {points} points")
     yield None, as_cloud(rows, asked, path.parent)
