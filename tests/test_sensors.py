@@ -647,6 +647,9 @@ def test_live_takes_a_pipeline_and_asks_about_colours(tmp_path):
     done = live(frames, *options)
     assert done.returncode == 0, done.stderr
     assert [len(json.loads(line)["loops"]) for line in done.stdout.splitlines()] == [1, 1]
+    refused = live(frames, *options[2:])
+    assert refused.returncode == 2
+    assert "frame 0 on standard input: it is 591.7 m across: are these millimetres? Declare" in refused.stderr
     refused = live(frames)
     assert refused.returncode == 2
     assert "frame 0 on standard input: 6 numbers a point, and a place has three" in refused.stderr

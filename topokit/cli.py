@@ -274,10 +274,9 @@ def _print_table(summaries: Sequence[Any], width: int | None) -> None:
     heads = ("id", "first", "last", "frames", "lifetime", " true loop", "distance", "in hull")
     print("{:>4} {:>6} {:>5} {:>7} {:>9} {:>10} {:>9} {:>8}".format(*heads)[:width])
     for row in summaries:
-        where = "-" if row.true_loop < 0 else str(row.true_loop)
         line = (
-            f"{row.id:>4} {row.first:>6} {row.last:>5} {row.frames:>7} {100 * row.lifetime:>6.2f} cm  {where:>9} "
-            f"{100 * row.distance:>6.2f} cm {100 * row.in_hull:>6.1f} %"
+            f"{row.id:>4} {row.first:>6} {row.last:>5} {row.frames:>7} {100 * row.lifetime:>6.2f} cm  "
+            f"{row.true_loop if row.true_loop >= 0 else '-':>9} {100 * row.distance:>6.2f} cm {100 * row.in_hull:>6.1f} %"
         )
         print(line[:width])
     if not summaries:
@@ -303,13 +302,15 @@ def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
 
 def _ready(clouds: Iterator[NDArray[Any]], options: argparse.Namespace) -> Iterator[NDArray[Any]]:
     """Clouds in metres, through the pipeline; without one, what is not finite is left out, and that is said once."""
-    from .sensors._files import Asked, as_cloud
+    from .sensors._files import Asked, as_cloud, has_unit
 
     clean, said = _cleaner(options) if options.pipeline else None, False
+    unsure = clean is not None and options.unit != "m"  # a pipeline is in metres
     asked = Asked(options.unit, _columns(options), options.intrinsics)
     for number, cloud in enumerate(clouds):
         try:
             cloud = as_cloud(cloud, asked, Path())
+            unsure = unsure and not has_unit(cloud, asked)
         except ValueError as error:
             raise FormatError(f"frame {number} on standard input: {error}") from error
         finite = np.isfinite(cloud).all(axis=1)

@@ -37,12 +37,8 @@ class Asked(NamedTuple):
 
 def read(path: Path, asked: Asked, fps: float | None) -> Frames:
     """The clouds of a film in metres, each with its time."""
-    number, unsure = 0, asked.unit != "m"
-    for file in _files(path):
-        for time, cloud in _frames(file, asked, unsure):
-            unsure = unsure and not np.nan_to_num(cloud).any()
-            yield (number / fps if fps else time), cloud
-            number += 1
+    for number, (time, cloud) in enumerate(_frames(_files(path), asked)):
+        yield (number / fps if fps else time), cloud
 
 
 def _files(path: Path) -> list[Path]:
@@ -65,12 +61,14 @@ def _kind(path: Path) -> str:
     return ".mcap" if (path / "metadata.yaml").is_file() else path.suffix.lower()
 
 
-def _frames(path: Path, asked: Asked, check: bool) -> Frames:
-    """The clouds of a file; whatever is wrong with it names it."""
+def _frames(files: list[Path], asked: Asked) -> Frames:
+    """The clouds of files; whatever is wrong with one names it."""
+    unsure = asked.unit != "m"
     try:
-        for time, cloud in _READERS[_kind(path)](path, asked):
-            check = check and not _has_unit(cloud, asked.unit or "m")
-            yield time, cloud
+        for path in files:
+            for time, cloud in _READERS[_kind(path)](path, asked):
+                unsure = unsure and not has_unit(cloud, asked)
+                yield time, cloud
     except ModuleNotFoundError as error:
         wanted = str(error.name).partition(".")[0]
         raise ImportError(f"{path}: reading it needs {wanted}: pip install 'topokit[sensors]'") from error
@@ -82,8 +80,9 @@ def _frames(path: Path, asked: Asked, check: bool) -> Frames:
         raise FormatError(f"{path}: cut off or damaged: {type(error).__name__} {error}") from error
 
 
-def _has_unit(cloud: Array, unit: str) -> bool:
+def has_unit(cloud: Array, asked: Asked) -> bool:
     """Whether there is something, which is then of a size that can be meant."""
+    unit = asked.unit or "m"
     seen = cloud[np.isfinite(cloud).all(axis=1) & cloud.any(axis=1)]
     if len(seen):
         size = float(np.ptp(np.quantile(seen[:: 1 + len(seen) // 10_000], (0.05, 0.95), axis=0), axis=0).max())
@@ -202,7 +201,7 @@ def _pcd(path: Path, asked: Asked) -> Frames:
         raise ValueError(f"its {len(data)} bytes claim to hold {points} points, {count} numbers in a field")
     if declared.data == "ascii":  # its reader takes one blank between numbers, and no other
         data = b"\n".join(b" ".join(line.split()) for line in data.splitlines())
-    rows = np.atleast_1d(PointCloud.from_fileobj(io.BytesIO(data)).pc_data)
+    rows = np.atleast_1d(PointCloud.from_fileobj(io.BufferedReader(io.BytesIO(data))).pc_data)
     if len(rows) != points:
         raise ValueError(f"cut off or damaged: {len(rows)} of {points} points")
     yield None, as_cloud(rows, asked, path.parent)
