@@ -9,12 +9,15 @@ from numba import njit
 @njit(cache=True)
 def traverse(axes: Any, nearest: Any, ids: Any, following: Any) -> Any:
     """Fill `ids` from a first one on, and return the next; `nearest` has each point's squared distance from those chosen."""
+    apart = np.empty(len(nearest))
     for k in range(len(ids)):
         ids[k] = following
-        apart = (axes[0] - axes[0, following]) ** 2
-        for axis in axes[1:]:
-            apart += (axis - axis[following]) ** 2
-        for i in range(len(apart)):  # by itself, so that it becomes vector instructions
+        apart[:] = 0
+        for a in range(0, len(axes), 3):  # in threes they become vector instructions; what is missing is 0
+            x, y, z = axes[a, following], axes[a + 1, following], axes[a + 2, following]
+            for i in range(len(apart)):
+                apart[i] = apart[i] + (axes[a, i] - x) ** 2 + (axes[a + 1, i] - y) ** 2 + (axes[a + 2, i] - z) ** 2
+        for i in range(len(apart)):
             nearest[i] = min(nearest[i], apart[i])
         following = np.argmax(nearest)
     return following

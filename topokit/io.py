@@ -333,4 +333,5 @@ def read_clouds(
     if unit not in (None, *UNITS):
         raise ValueError(f"unit must be one of {', '.join(UNITS)}, not {unit!r}")
     rate = None if fps is None else positive(fps, "fps", zero=False)
-    return read(Path(path), Asked(unit, columns, intrinsics, topic), rate)
+    film = enumerate(read(Path(path), Asked(unit, columns, intrinsics, topic)))
+    return ((number / rate if rate else time, cloud) for number, (time, cloud) in film)

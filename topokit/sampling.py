@@ -51,7 +51,8 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int = 0) -> tuple[ND
 
     array = _measurable(points, "points")
     n, start = whole(n, "n", 1, len(array)), whole(start, "start", -len(array), len(array) - 1)
-    axes, nearest, idx = array.T.copy(), np.full(len(array), np.inf), np.empty(n, dtype=np.int64)
+    axes = np.pad(array, ((0, 0), (0, -array.shape[1] % 3))).T.copy()
+    nearest, idx = np.full(len(array), np.inf), np.empty(n, dtype=np.int64)
     for some in np.array_split(idx, 1 + n // 100):  # in between Ctrl-C is heard
         start = traverse(axes, nearest, some, start % len(array))
     return idx, float(np.sqrt(nearest.max()))

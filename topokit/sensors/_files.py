@@ -35,12 +35,6 @@ class Asked(NamedTuple):
     topic: str | None = None
 
 
-def read(path: Path, asked: Asked, fps: float | None) -> Frames:
-    """The clouds of a film in metres, each with its time."""
-    for number, (time, cloud) in enumerate(_frames(_files(path), asked)):
-        yield (number / fps if fps else time), cloud
-
-
 def _files(path: Path) -> list[Path]:
     """The files of a film in the order of the numbers in their names: those of a folder or of a pattern, or one alone."""
     if path.is_dir() and _kind(path) not in _READERS:
@@ -61,9 +55,9 @@ def _kind(path: Path) -> str:
     return ".mcap" if (path / "metadata.yaml").is_file() else path.suffix.lower()
 
 
-def _frames(files: list[Path], asked: Asked) -> Frames:
-    """The clouds of files; whatever is wrong with one names it."""
-    unsure = asked.unit != "m"
+def read(path: Path, asked: Asked) -> Frames:
+    """The clouds of a film in metres, each with its time; whatever is wrong with a file names it."""
+    unsure, files = asked.unit != "m", _files(path)
     try:
         for path in files:
             for time, cloud in _READERS[_kind(path)](path, asked):
