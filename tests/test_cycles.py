@@ -242,6 +242,11 @@ def test_two_rings_of_a_pipe_die_together():
     assert set(walk[[0, -1]].tolist()) == set(diagram.birth_edge[1].tolist())
 
 
+def test_a_walk_goes_over_a_bridge_and_comes_back():
+    assert _cycles._spliced([0, 1, 2], [1, 5, 6, 7], [8, 7, 9]) == [0, 1, 5, 6, 7, 9, 8, 7, 6, 5, 1, 2]
+    assert _cycles._spliced([0, 1, 2], [1], [3, 1]) == [0, 1, 3, 1, 2]
+
+
 def test_search_that_gives_up_still_dies_with_its_loop(monkeypatch):
     monkeypatch.setattr(_cycles, "SEARCH_LIMIT", 0)
     rng = np.random.default_rng(78)
@@ -346,6 +351,7 @@ def test_tighten_at_a_radius():
         assert sides.max() <= 2 * radius
         assert not ranks.bounds(ranks.chain(walk), ranks[diagram.killer_edge[0]] - 1)
     assert tighten(diagram, own, radius=2.0).tolist() == [own[0]]  # it is a boundary by then
+    assert tighten(diagram, own, radius=np.inf).tolist() == [own[0]]
 
 
 def test_tighten_takes_points_a_diagram_or_a_matrix():

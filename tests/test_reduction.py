@@ -36,7 +36,7 @@ def test_square_by_hand():
     (loop,) = persistence(SQUARE)
     assert (loop.birth_simplex, loop.death_simplex) == ((2, 3), (0, 2, 3))
     assert (loop.birth_edge, loop.killer_edge) == ((2, 3), (0, 2))
-    assert loop.lifetime == np.sqrt(8) / 2 - 1
+    assert (loop.degree, loop.lifetime) == (1, np.sqrt(8) / 2 - 1)
     assert loop.cycle == ((0, 1), (0, 3), (1, 2), (2, 3))
 
 
@@ -44,7 +44,7 @@ def test_octahedron_is_hollow():
     """Its twelve edges come at once and fill their loops; the first long diagonal fills the void with four tetrahedra."""
     assert persistence(OCTAHEDRON, 1) == []
     (void,) = persistence(OCTAHEDRON, 2)
-    assert (void.birth, void.death) == (np.sqrt(2) / 2, 1.0)
+    assert (void.degree, void.birth, void.death) == (2, np.sqrt(2) / 2, 1.0)
     assert void.killer_edge == (0, 3)
     assert len(void.cycle) == 8
     assert len(void.birth_simplex) == 3
@@ -158,7 +158,7 @@ def test_max_radius_leaves_classes_open():
         (lambda: persistence(SQUARE, max_radius=-1), ValueError, "max_radius"),
         (lambda: persistence(SQUARE, metric="l1"), ValueError, "metric"),
         (lambda: persistence([[0, 1], [2, 0]], metric="precomputed"), ValueError, "not symmetric"),
-        (lambda: filtration(SQUARE, -2), ValueError, "dimension"),
+        (lambda: filtration(SQUARE, -2), ValueError, "^dimension must be"),
         (lambda: persistence(np.zeros((100, 2))), ValueError, "these 100 points has more than 100000 simplices"),
         (lambda: persistence(np.zeros((500_000, 1))), ValueError, "lower max_radius or the degree"),
     ],

@@ -188,7 +188,8 @@ bars(points[:300], False)
 start = time.process_time()
 found = bars(points, False)
 entry = {"points": n, "loops": len(found), "ms": 1e3 * (time.process_time() - start)}
-entry["gb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))  # ru_maxrss is the parent's as well
+entry["gb"] = int(peak.split()[1]) / 1e6
 if engine == "ours":
     floor = rips_peers.floor(points, False, float(2 * found.death.max()))
     floor()
@@ -209,7 +210,7 @@ print(json.dumps(entry))
 
 def child(code: str, *arguments: object, patience: float | None = None, **environment: str) -> Entry:
     """What a fresh process prints as its last line."""
-    start = "import json, resource, sys, time; sys.path.insert(0, sys.argv[1])\n"
+    start = "import json, sys, time; sys.path.insert(0, sys.argv[1])\n"
     start += "import numpy as np, rips_clouds, rips_peers, topokit as tk\n"
     command = [sys.executable, "-c", start + code, str(Path(__file__).parent), *map(str, arguments)]
     done = subprocess.run(
