@@ -49,7 +49,7 @@
     const [a, b] = [alone, next].map(to);
     trace(g, [a, b], css("--ink"), 1.5);
     g.fillStyle = css("--ink");
-    if (apart(a, b) > 50) g.fillText("2\u03b1", (a[0] + b[0]) / 2 + 7, (a[1] + b[1]) / 2 - 8);
+    if (apart(a, b) > 50) g.fillText("2\u03b1", 0.35 * a[0] + 0.65 * b[0], 0.35 * a[1] + 0.65 * b[1] - 12);
     points.forEach((p, v) => {
       const at = to(p);
       if (evidence.cloud.includes(p)) dot(g, at, v === last ? 6 : 4.5, css("--ink"), css("--panel"), 1);
