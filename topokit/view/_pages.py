@@ -2,8 +2,8 @@
 
 Idea: the data are packed once beside scripts without dependencies, and the page is handed to the browser as the `srcdoc` of an
 iframe. So it works the same in Jupyter, on a built page and as a file, and asks nothing of the network. `rips.js` computes loops
-by the same lunes as `topokit.rips`, and `match.js` matches diagrams as `topokit.lemmas` does, and `rules.js` says which bars are loops,
-in a few milliseconds, so that points can be dragged. Tests hold their answers to topokit's. Taught in chapters 1 to 6.
+by the same lunes as `topokit.rips`, `match.js` matches diagrams as `topokit.lemmas` does, and `rules.js` says which bars are
+loops, in a few milliseconds, so that points can be dragged. Tests hold their answers to topokit's. Taught in chapters 1 to 6.
 """
 
 from __future__ import annotations
