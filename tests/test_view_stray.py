@@ -52,7 +52,7 @@ def test_stray_refuses_what_it_cannot_show(arguments, message):
 
 
 def spoilt_clouds() -> list[np.ndarray]:
-    """Rings, sheets and pairs of points, each with a stray point at several places, near and far, or with points repeated."""
+    """Rings and sheets, with a stray point at several places, near and far, or with points repeated; and clouds of all densities."""
     rng = np.random.default_rng(0)
     clouds = []
     for n in (5, 12, 30, 50):
@@ -60,9 +60,10 @@ def spoilt_clouds() -> list[np.ndarray]:
     grid = np.stack(np.meshgrid(np.arange(6.0), np.arange(7.0)), axis=-1).reshape(-1, 2)
     clouds.append(grid + rng.normal(0, 0.1, grid.shape))
     clouds.append(np.vstack([polygon(24, 2.0), polygon(24, 2.1) + [5.0, 0.0]]) + rng.normal(0, 0.05, (48, 2)))
+    far_and_near = [rng.standard_t(2, (30, 2)) for _ in range(20)]
     places = [[0.0, 0.0], [2.3, 0.0], [4.0, 1.0], [7.0, -3.0], [40.0, 0.0]]
     spoilt = [np.vstack([cloud, [place]]) for cloud in clouds for place in places]
-    return spoilt + [np.vstack([cloud, cloud[:5], [[9.0, 9.0], [9.0, 9.0]]]) for cloud in clouds]
+    return spoilt + far_and_near + [np.vstack([cloud, cloud[:5], [[9.0, 9.0], [9.0, 9.0]]]) for cloud in clouds]
 
 
 @needs_node
