@@ -28,7 +28,6 @@ from topokit.io import load_episode, load_states, save_episode, save_states
 from topokit.models import build, load_model
 from topokit.models._baselines import Normalisation, Shape
 from topokit.models._checkpoint import describe, save_tensors
-from topokit.seqph import RECOMMENDED
 
 from conftest import DATA, polygon
 from small_datasets import SEED, TINY, without_dask
@@ -94,7 +93,7 @@ def dataset(folder: Path) -> tuple[Path, Reader]:
     with without_dask():
         short = replace(TINY, tasks={"mask-hook": 1}, sizes={}, simulation=replace(TINY.simulation, frames=4))
         generate_dataset(short, folder / "data", 1, SEED, progress=False)
-        label_dataset(folder / "data", options={**RECOMMENDED, "alpha": 0.003}, progress=False)
+        label_dataset(folder / "data", options={"alpha": 0.003}, progress=False)
     return folder / "data", answer_of
 
 

@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 
 from topokit.data import DatasetConfig, _generate, generate_dataset, label_dataset
-from topokit.seqph import RECOMMENDED
 from topokit.sim import SimulationConfig
 
 from conftest import hear_ctrl_c
@@ -28,7 +27,7 @@ TINY = DatasetConfig(
     n_observed=48,
 )
 SEED = 5
-OPTIONS = {**RECOMMENDED, "alpha": 0.003}  # cloth this coarse has no loop that outlives its spacing
+OPTIONS = {"alpha": 0.003}  # cloth this coarse has no loop that outlives its spacing
 
 
 @contextmanager

@@ -189,7 +189,7 @@ def test_labels_go_on_with_new_episodes_and_refuse_other_options(copy):
     with without_dask():
         label_dataset(copy, options=OPTIONS, progress=False)
     assert check_dataset(copy) == []
-    with pytest.raises(ValueError, match=r"begun with options.memory = 8, this is options.memory = 0"):
+    with pytest.raises(ValueError, match=r"begun with options.memory = 20, this is options.memory = 0"):
         label_dataset(copy, options={**OPTIONS, "memory": 0}, progress=False)
     with pytest.raises(ValueError, match="made without cameras"):
         label_dataset(copy, "camera", progress=False)

@@ -13,7 +13,6 @@ import torch
 from topokit import track
 from topokit.data import Dataset, WindowDataset, _windows
 from topokit.data._windows import _by_identity, _Episode, _Memory, _Tracked
-from topokit.seqph import RECOMMENDED
 
 from conftest import polygon
 from small_datasets import labelled
@@ -200,7 +199,7 @@ def test_what_is_observed_takes_the_place_of_the_clouds_and_is_tracked(dataset):
     np.testing.assert_allclose(window["clouds"][0, :12], ring + [0.001, 0, 0], atol=1e-4)
     assert (window["clouds"][:, 12:] == window["clouds"][:, [*range(12), *range(6)]]).all()
     assert all(window[name].equal(plain[name]) for name in ("grippers", "actions", "held", "episode", "frame"))
-    (state,) = track([ring], **RECOMMENDED)
+    (state,) = track([ring])
     for prefix in ("past_", ""):
         assert window[f"{prefix}present"].all(dim=0).tolist() == [True, False, False]
         np.testing.assert_allclose(window[f"{prefix}death"][:, 0], state.loops[0].death, atol=1e-4)

@@ -36,7 +36,6 @@ from topokit.evaluate._summary import steps_of
 from topokit.io import load_episode
 from topokit.models import Normalisation, Shape, TrainConfig, build, open_windows, train
 from topokit.models._checkpoint import describe, save_tensors
-from topokit.seqph import RECOMMENDED
 
 from conftest import DATA
 
@@ -419,7 +418,7 @@ def test_baselines_are_tracked_on_what_the_networks_see(dataset):
     as_it_is = WindowDataset(dataset, [number], observe=spoilt_observer(Clouds(), 3))
     window = as_it_is[0]  # of the episode's first frames
     assert window["clouds"].equal(WindowDataset(dataset, [number])[0]["clouds"])
-    states = track(window["clouds"].double().numpy(), n_jobs=1, **RECOMMENDED)
+    states = track(window["clouds"].double().numpy(), n_jobs=1)
     assert any(states)
     for state, death, present in zip(states, window["past_death"], window["past_present"], strict=True):
         expected = sorted((loop.death for loop in state.loops), reverse=True)
@@ -436,7 +435,7 @@ def test_baselines_are_tracked_on_what_the_networks_see(dataset):
     [
         ("evaluate/_tracking.py", "if scale == 0.0:", "if scale <= 0.0:"),  # in distance_to_hull
         ("seqph.py", "options: ", None),
-        ("seqph.py", "next_id += before is None", "next_id += 1"),
+        ("seqph.py", "next_id + 1, None", "next_id + 2, None"),
         ("_matching.py", "2 * alpha + epsilon", "3 * alpha + epsilon"),
         ("models/_states.py", "clamp_min(1e-9)", "clamp_min(1e-6)"),
         ("data/_windows.py", "_MARGIN = 0.1", "_MARGIN = 0.2"),

@@ -31,7 +31,6 @@ from topokit.models import (
 )
 from topokit.models._baselines import past_window
 from topokit.models._checkpoint import describe, save_tensors
-from topokit.seqph import RECOMMENDED
 
 from windows import HISTORY, HORIZON, POINTS, SLOTS, RingWindows
 
@@ -192,7 +191,7 @@ def test_a_stream_is_the_window(window, stream, name):
     for cloud, grippers in frames:
         predictor.observe(cloud, grippers)
     forecast = predictor.predict(window["actions"][1], window["actions_held"][1])
-    tracked = tk.track([cloud for cloud, _ in frames], **RECOMMENDED)
+    tracked = tk.track([cloud for cloud, _ in frames])
     with torch.inference_mode():
         single = {key: part[1:2] for key, part in window.items()} | past_window(tracked[-HISTORY:], SLOTS)
         states = make(name)(single)[0]
@@ -209,7 +208,7 @@ def test_a_predictor_tracks_with_the_recommended_options(monkeypatch):
         "topokit.models._predictor.SeqPH", lambda **options: made.append(options) or tk.SeqPH(**options)
     )
     Predictor(make("carry"))
-    assert made == [dict(RECOMMENDED)]
+    assert made == [{}]
 
 
 def test_frames_are_encoded_once(window, stream, monkeypatch):

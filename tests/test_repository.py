@@ -168,7 +168,8 @@ assert [state.loops[0].id for state in states] == [0, 0]
 LAYERS = [
     {"_validate", "_archive", "_cores", "_lazy", "_matching"},
     {"sampling", "linking", "rips"},
-    {"state", "mixture", "_frames"},
+    {"state", "mixture", "_evidence"},
+    {"_frames"},
     {"seqph"},
     {"io"},
     {"_config"},
@@ -229,7 +230,7 @@ def lengths_of_functions(path: Path) -> list[int]:
     return found
 
 
-MOST_LINES = 16_000
+MOST_LINES = 17_000
 
 
 def test_the_library_stays_small():

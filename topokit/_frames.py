@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 _SCENE = 0.95  # share of the points that have a neighbour within 2 alpha, estimated from what is not alone
 _MOVED = 0.9  # share of the points that move no farther than epsilon, estimated likewise
+_NO_GAPS = Gaps(0.0, 1.0)  # of a single place, and where alpha decides which bars are loops
 _OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
 
 
@@ -28,7 +29,7 @@ class Frame:
     tree: cKDTree  #: of the points that count
     ids: NDArray[np.int64]  #: theirs in the cloud
     alpha: float
-    gaps: Gaps = Gaps(0.0, 1.0)
+    gaps: Gaps = _NO_GAPS
 
     @classmethod
     def scene(cls, tree: cKDTree) -> Frame:

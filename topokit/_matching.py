@@ -30,6 +30,13 @@ class Candidates:
         birth = np.abs(self.birth[:, None] - self.known_birth)
         return birth, np.abs(self.death[:, None] - self.known_death)
 
+    def part(self, found: list[int], known: list[int]) -> Candidates:
+        """Only these found loops and these known ones."""
+        beta = self.beta if np.ndim(self.beta) == 0 else np.asarray(self.beta)[np.ix_(found, known)]
+        here = (self.birth[found], self.death[found], self.places[found])
+        there = (self.known_birth[known], self.known_death[known], self.known_places[known], self.motion[known])
+        return Candidates(*here, *there, self.alpha, beta)
+
 
 Matching = Callable[[Candidates], Iterable[tuple[int, int]]]
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from . import __version__
 from ._archive import FormatError, atomic_file
-from .seqph import SeqPH, track
+from .seqph import PAPER, SeqPH, track
 
 __all__ = ["main"]
 _TASKS = """tasks, a garment and a target:
@@ -32,7 +32,7 @@ _TASKS = """tasks, a garment and a target:
   {apron,apron2,backpack,shirt,vest}-mannequin"""
 _PICTURES = (".png", ".svg", ".pdf")
 _LARGEST_FRAME = 2**28  # bytes of a cloud: eleven million points in space
-_TRACKER = ("alpha", "beta", "epsilon", "gates", "identity", "memory")
+_TRACKER = ("alpha", "beta", "epsilon", "loops", "gates", "identity", "memory")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -117,11 +117,14 @@ def _add_track(commands: Any) -> None:
     option("--cloud", choices=("points", "observed"), default="points", help=clouds)
     for name, what in (("alpha", "sampling"), ("beta", "jitter of killers"), ("epsilon", "motion a frame")):
         option(f"--{name}", type=float, help=f"{what} in metres (default: estimated)")
-    option("--gates", choices=("paper", "proved"), default="paper", help="how far a loop may move")
-    identity = "what a loop's place is (default: the paper's killer edge, which can jump)"
-    option("--identity", choices=("killer-edge", "killer-triangles", "cycle"), default="killer-edge", help=identity)
-    memory = "how long a missed loop is remembered (default 0)"
-    option("--memory", type=int, default=0, metavar="FRAMES", help=memory)
+    option(
+        "--paper", action="store_true", help="the paper's tracker; options given beside it take the place of its own"
+    )
+    option("--loops", choices=("evidence", "alpha"), help="which bars are loops (default: by evidence without --alpha)")
+    option("--gates", choices=("near", "proved", "paper"), help="how far a loop may move (default near)")
+    identity = "what a loop's place is (default killer-triangles; the paper's killer edge can jump)"
+    option("--identity", choices=("killer-edge", "killer-triangles", "cycle"), help=identity)
+    option("--memory", type=int, metavar="FRAMES", help="how long a missed loop is remembered (default 20)")
     tracker.set_defaults(run=_track)
 
 
@@ -166,7 +169,8 @@ def _track(options: argparse.Namespace) -> int:
     from .evaluate import summarise_tracks
     from .io import load_episode, save_states
 
-    how = {name: getattr(options, name) for name in _TRACKER}
+    how = dict(PAPER) if options.paper else {}
+    how |= {name: value for name in _TRACKER if (value := getattr(options, name)) is not None}
     if options.live:
         return _track_live(options, how)
     out = _tracks_file(options)
@@ -214,7 +218,7 @@ def _print_table(summaries: Sequence[Any]) -> None:
             f"{100 * row.distance:>6.2f} cm {100 * row.in_hull:>6.1f} %"
         )
     if not summaries:
-        print("   no loop of a lifetime above alpha in any frame")
+        print("   no loop in any frame")
 
 
 def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:

@@ -139,8 +139,8 @@ def inliers(points: ArrayLike | cKDTree, *, neighbours: int = 5, factor: float =
 
     Examples
     --------
-    >>> inliers([[0.0], [1.0], [2.0], [3.0], [4.0], [100.0]])
-    array([0, 1, 2, 3, 4])
+    >>> inliers([[x] for x in (0, 1, 2, 3, 4, 5, 6, 100)])
+    array([0, 1, 2, 3, 4, 5, 6])
     """
     neighbours, factor = whole(neighbours, "neighbours", 1), positive(factor, "factor", zero=False)
     return inliers_and_tree(as_tree(points), neighbours, factor)[0]

@@ -11,9 +11,10 @@ l; it needs the whole distance matrix, so it follows both loops here. Taught in 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,9 +32,13 @@ from .state import Loop, TopologicalState, loop_of
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = ["Candidates", "SeqPH", "place", "track"]
+__all__ = ["PAPER", "Candidates", "SeqPH", "place", "track"]
 
 Array = NDArray[np.float64]
+PAPER: Mapping[str, Any] = MappingProxyType(
+    {"loops": "alpha", "gates": "paper", "identity": "killer-edge", "memory": 0}
+)
+"""The options of `SeqPH` that make it the paper's tracker, rule for rule: ``SeqPH.paper()``, ``track(clouds, **PAPER)``."""
 _LOOPS = ("evidence", "alpha")
 _GATES = ("paper", "proved", "near")
 _IDENTITIES = ("killer-edge", "killer-triangles", "cycle")
@@ -138,7 +143,7 @@ class SeqPH:
         **options
             Those of the class, in place of the paper's.
         """
-        return cls(**{"loops": "alpha", "gates": "paper", "identity": "killer-edge", "memory": 0, **options})
+        return cls(**{**PAPER, **options})
 
     def update(
         self, points: ArrayLike, *, time: float | None = None, diagram: Diagram | None = None
@@ -192,7 +197,7 @@ class SeqPH:
         parameters = {"alpha": frame.alpha, "beta": float(np.max(beta, initial=0.0)), "epsilon": epsilon}
         points = cloud[frame.ids]
         places = [place(diagram, i, points, self.identity) for i in found]
-        matched = self._pairs(diagram, found, places, known, (frame.alpha, beta))
+        matched = self._pairs(_candidates(diagram, found, places, known, (frame.alpha, beta)), known)
         loops, kept, next_id = [], [], self._next_id
         for k, i in enumerate(found):
             before = known[matched[k]] if k in matched else None
@@ -233,26 +238,14 @@ class SeqPH:
             return 2 * np.maximum(found[:, None], known)
         return 2 * max([*found, *known], default=0.0)
 
-    def _pairs(
-        self, diagram: Diagram, found: list[int], places: list[Array], known: list[_Known], sizes: tuple[float, Any]
-    ) -> dict[int, int]:
+    def _pairs(self, loops: Candidates, known: list[_Known]) -> dict[int, int]:
         """Which of what is found is which of what is known: loops that are believed in come first."""
         pairs: dict[int, int] = {}
-        believed = [k.belief > 0 for k in known]
         for turn in (True, False):
-            rows = [i for i in range(len(found)) if i not in pairs]
-            columns = [j for j, sure in enumerate(believed) if sure == turn]
+            rows = [i for i in range(len(loops.birth)) if i not in pairs]
+            columns = [j for j, one in enumerate(known) if (one.belief > 0) == turn]
             if rows and columns:
-                alpha, beta = sizes
-                beta = beta[np.ix_(rows, columns)] if isinstance(beta, np.ndarray) else beta
-                some = _candidates(
-                    diagram,
-                    [found[i] for i in rows],
-                    [places[i] for i in rows],
-                    [known[j] for j in columns],
-                    (alpha, beta),
-                )
-                pairs.update((rows[i], columns[j]) for i, j in self._match(some))
+                pairs.update((rows[i], columns[j]) for i, j in self._match(loops.part(rows, columns)))
         return pairs
 
 

@@ -28,18 +28,18 @@ import topokit as tk
 from topokit import seqph
 from topokit.io import load_episode
 
-PARTS = {
-    "as_tree": "tree of neighbours",
-    "next_persistence": "persistence",
-    "spacing": "alpha",
-    "hausdorff": "epsilon",
-    "place": "places",
-    "_loop": "triangles, neighbours",
+PARTS: dict[tuple[Any, str], str] = {
+    (seqph, "as_tree"): "tree of neighbours",
+    (tk.SeqPH, "_frame"): "which points count, alpha",
+    (seqph, "next_persistence"): "persistence",
+    (tk.SeqPH, "_motion"): "epsilon",
+    (seqph, "place"): "places",
+    (seqph, "_loop"): "triangles, neighbours",
 }
 SETTINGS: dict[str, dict[str, Any]] = {
     "everything estimated": {},
     "alpha, beta, epsilon given": {"alpha": 0.012, "beta": 0.2, "epsilon": 0.03},
-    "killer-triangles, memory 8": {"identity": "killer-triangles", "memory": 8},
+    "the paper's": dict(seqph.PAPER),
     "cycle": {"identity": "cycle"},
 }
 
@@ -61,7 +61,7 @@ def film(n: int, frames: int) -> list[np.ndarray]:
 @contextmanager
 def timed(spent: dict[str, float]) -> Iterator[None]:
     """Add up the seconds in the parts of the tracker."""
-    originals = {name: getattr(seqph, name) for name in PARTS}
+    originals = {part: getattr(*part) for part in PARTS}
 
     def around(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def call(*args: Any, **options: Any) -> Any:
@@ -69,17 +69,17 @@ def timed(spent: dict[str, float]) -> Iterator[None]:
             try:
                 return function(*args, **options)
             finally:
-                spent[PARTS[name]] = spent.get(PARTS[name], 0.0) + time.process_time() - start
+                spent[name] = spent.get(name, 0.0) + time.process_time() - start
 
         return call
 
     try:
-        for name, function in originals.items():
-            setattr(seqph, name, around(name, function))
+        for (owner, part), function in originals.items():
+            setattr(owner, part, around(PARTS[owner, part], function))
         yield
     finally:
-        for name, function in originals.items():
-            setattr(seqph, name, function)
+        for (owner, part), function in originals.items():
+            setattr(owner, part, function)
 
 
 def milliseconds(clouds: list[np.ndarray], options: dict[str, Any]) -> list[tuple[float, float]]:

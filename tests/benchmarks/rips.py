@@ -30,7 +30,6 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "RA
 import numpy as np
 
 import topokit as tk
-from topokit.seqph import RECOMMENDED
 
 sys.path.append(str(Path(__file__).parent))
 import realtime
@@ -259,11 +258,11 @@ def spaces(race: Race) -> Iterator[Entry]:
 def update(race: Race) -> Iterator[Entry]:
     """A frame of the tracker, end to end, and what of it is persistence."""
     frames = realtime.film(1000, 90)
-    realtime.milliseconds(frames, dict(RECOMMENDED))
-    times = [ms for _ in range(race.repeat) for ms, _ in realtime.milliseconds(frames, dict(RECOMMENDED))]
+    realtime.milliseconds(frames, {})
+    times = [ms for _ in range(race.repeat) for ms, _ in realtime.milliseconds(frames, {})]
     alone = race.ms(lambda: [tk.rips_persistence(points) for points in frames]) / len(frames)
     yield {
-        "what": "SeqPH.update, recommended options",
+        "what": "SeqPH.update",
         "points": 1000,
         "ms": statistics.median(times),
         "persistence_ms": alone,

@@ -17,7 +17,7 @@ import platform
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -40,54 +40,49 @@ from topokit.evaluate import (
     true_loops,
 )
 from topokit.io import Episode, load_episode, save_episode, save_states
-from topokit.sim import TASKS, Camera, Randomisation, SimulationError, simulate
+from topokit.seqph import PAPER as PAPERS
+from topokit.sim import TASKS, Randomisation, SimulationError, simulate
 
-CAMERA = Camera(eye=(-0.8, -2.3, 1.6), target=(0.0, 0.0, 1.2), fov=60.0, width=192, height=192)
-MEMORY = 8  # frames, where a tracker has any
+sys.path.append(str(Path(__file__).parent))
+import tracking_clouds
+from tracking_clouds import CAMERA, SEEN, Clouds, conditions
+
+MEMORY = 8  # frames, of the paper's tracker with a memory and of yesterday's
 MEASURES = ("mota", "idf1", "hota", "deta", "assa")
 COUNTS = ("objects", "detections", "misses", "false_positives", "switches", "fragments")
 THRESHOLDS = (0.3, 0.5, 0.7)  # of similarity: 1.4, 1 and 0.6 radii away
 FIELDS = tuple(field.name for field in dataclasses.fields(TrackingScore))
-TOGETHER = "all together"
-Clouds = list[np.ndarray]
+TOGETHER, SOME = "all together", "compared, together"
+Follow = Callable[[Clouds, list[tk.Diagram]], list[tk.TopologicalState]]
 
 
-def seqph(**options: Any) -> Callable[[], tk.SeqPH]:
-    """A maker of trackers."""
-    return lambda: tk.SeqPH(**options)
+def paper(**options: Any) -> Follow:
+    """The paper's tracker with some options of its own; it is given the persistence of the frames."""
+
+    def follow(clouds: Clouds, diagrams: list[tk.Diagram]) -> list[tk.TopologicalState]:
+        tracker = tk.SeqPH.paper(**options)
+        return [tracker.update(cloud, diagram=diagram) for cloud, diagram in zip(clouds, diagrams, strict=True)]
+
+    return follow
 
 
-TRACKERS: dict[str, Callable[[], tk.SeqPH]] = {
-    "killer-edge": seqph(),
-    "killer-triangles": seqph(identity="killer-triangles"),
-    "cycle": seqph(identity="cycle"),
-    "killer-edge, proved": seqph(gates="proved"),
-    "killer-edge, memory": seqph(memory=MEMORY),
-    "killer-triangles, memory": seqph(identity="killer-triangles", memory=MEMORY),
-    "killer-edge, proved, memory": seqph(gates="proved", memory=MEMORY),
-    "killer-triangles, proved, memory": seqph(identity="killer-triangles", gates="proved", memory=MEMORY),
-    "birth and death": seqph(match=by_diagram),
-    "birth and death, memory": seqph(match=by_diagram, memory=MEMORY),
-    "nearest midpoint": seqph(match=by_midpoint),
-    "nearest midpoint, memory": seqph(match=by_midpoint, memory=MEMORY),
+TRACKERS: dict[str, Follow] = {
+    "paper": paper(),
+    "killer-triangles": paper(identity="killer-triangles"),
+    "cycle": paper(identity="cycle"),
+    "memory": paper(memory=MEMORY),
+    "yesterday's": paper(identity="killer-triangles", gates="proved", memory=MEMORY),
+    "birth and death": paper(match=by_diagram),
+    "nearest midpoint": paper(match=by_midpoint),
+    "default": lambda clouds, _: tk.track(clouds, n_jobs=1),
 }
-"""Identity, gates where they are not the paper's, memory where there is any; the first is the paper's tracker."""
-PAPER, RECOMMENDED = "killer-edge", "killer-triangles, proved, memory"
+"""The paper's tracker, one thing changed in it; what was recommended before the default; other matchings; the default."""
+PAPER, RECOMMENDED = "paper", "default"
+MAIN = (PAPER, "yesterday's", RECOMMENDED)  # the others are in some conditions alone
+COMPARED = ("all vertices", "every 4th frame", "250 points", "noise of 5 mm", "one camera")
 VINES = "vines"
-VINES_IN = ("all vertices", "all vertices, every 4th frame", "noise of 5 mm")
-
-
-def conditions(episode: Episode) -> Iterator[tuple[str, Clouds, int]]:
-    """What a tracker may get to see: name, clouds, and how many frames of the film make one of its own."""
-    points, rng = episode.points.astype(float), np.random.default_rng(episode.seed)
-    camera = [np.unique(frame.astype(float), axis=0) for frame in episode.observed]  # repeated points once
-    yield "all vertices", list(points), 1
-    yield "all vertices, every 4th frame", list(points[::4]), 4
-    yield "250 farthest points", [frame[tk.farthest_point_sample(frame, 250)[0]] for frame in points], 1
-    for millimetres in (2, 5, 10):
-        yield f"noise of {millimetres} mm", list(points + rng.normal(0, millimetres / 1000, points.shape)), 1
-    yield "one camera", camera, 1
-    yield "one camera, every 4th frame", camera[::4], 4
+VINES_IN = ("all vertices", "every 4th frame", "noise of 5 mm")
+WHOLE = ("all vertices", "every 4th frame")
 
 
 def simulated(folder: Path, seeds: int) -> list[Path]:
@@ -104,7 +99,7 @@ def simulated(folder: Path, seeds: int) -> list[Path]:
                     seed=seed,
                     randomisation=Randomisation(),
                     cameras=[CAMERA],
-                    n_observed=500,
+                    n_observed=SEEN,
                     time_limit=600,
                 )
             except SimulationError as error:
@@ -114,11 +109,6 @@ def simulated(folder: Path, seeds: int) -> list[Path]:
     return [path for task, seed in wanted if (path := folder / f"{task}_{seed}.npz").exists()]
 
 
-def follow(tracker: tk.SeqPH, clouds: Clouds, diagrams: list[tk.Diagram]) -> list[tk.TopologicalState]:
-    """Track clouds whose persistence is known."""
-    return [tracker.update(cloud, diagram=diagram) for cloud, diagram in zip(clouds, diagrams, strict=True)]
-
-
 def row_of(path: Path) -> dict[str, Any]:
     """All that is measured on an episode."""
     episode = load_episode(path)
@@ -126,9 +116,10 @@ def row_of(path: Path) -> dict[str, Any]:
     row: dict[str, Any] = {"episode": path.stem, "frames": len(episode), "scores": {}, "levels": {}, "failures": []}
     for name, clouds, stride in conditions(episode):
         true, diagrams = truth[::stride], tk.rips_persistence_many(clouds)
-        films = {label: follow(make(), clouds, diagrams) for label, make in TRACKERS.items()}
+        wanted = TRACKERS if name in COMPARED else MAIN
+        films = {label: TRACKERS[label](clouds, diagrams) for label in wanted}
         if name in VINES_IN:
-            films[VINES] = track_vines(clouds, steps=4)
+            films[VINES] = track_vines(clouds, steps=4, **PAPERS)
         overlaps = {label: compare(states, true) for label, states in films.items()}
         row["scores"][name] = {label: pack(score(seen)) for label, seen in overlaps.items()}
         row["levels"][name] = {
@@ -138,7 +129,7 @@ def row_of(path: Path) -> dict[str, Any]:
             found = failures(path.stem, name, label, seen, stride)
             row["failures"] += [one for one in found if label == PAPER or one["kind"] == "switch"]
         row.setdefault("places", {})[name] = places(films[RECOMMENDED], overlaps[RECOMMENDED], true, episode, stride)
-        if name.startswith("all vertices"):
+        if name in WHOLE:
             row.setdefault("jumps", {})[name] = jumps(clouds, diagrams, true)
             exact = score(compare(films[RECOMMENDED], true, by_killer))
             row.setdefault("exact", {})[name] = pack(exact)
@@ -242,26 +233,27 @@ def pooled(rows: list[dict[str, Any]], samples: int = 1000) -> dict[str, Any]:
     drawn = np.random.default_rng(0).integers(len(rows), size=(samples, len(rows)))
     weights = np.array([np.bincount(draw, minlength=len(rows)) for draw in drawn])
     table: dict[str, Any] = {}
-    for condition in (*rows[0]["scores"], TOGETHER):
-        table[condition], paper = {}, None
-        for tracker in TRACKERS if condition == TOGETHER else rows[0]["scores"][condition]:
+    for condition in (*rows[0]["scores"], SOME, TOGETHER):
+        table[condition], first = {}, None
+        for tracker in {TOGETHER: MAIN, SOME: TRACKERS}.get(condition) or rows[0]["scores"][condition]:
             scores = [score_of(row, condition, tracker) for row in rows]
             stacked = [np.array([getattr(one, name) for one in scores]) for name in FIELDS]
             many = [TrackingScore(*parts) for parts in zip(*(weights @ values for values in stacked), strict=True)]
             drawn_values = {name: np.array([getattr(one, name) for one in many]) for name in MEASURES}
-            paper = paper or drawn_values
+            first = first or drawn_values
             table[condition][tracker] = line = table_of(total(scores))
             for name in MEASURES:
                 line[name + "_interval"] = interval(drawn_values[name])
-                line[name + "_gain"] = interval(drawn_values[name] - paper[name])
+                line[name + "_gain"] = interval(drawn_values[name] - first[name])
     return table
 
 
 def score_of(row: dict[str, Any], condition: str, tracker: str) -> TrackingScore:
-    """Of an episode, in one condition or in all together."""
-    if condition != TOGETHER:
+    """Of an episode, in one condition or in several together."""
+    if condition in row["scores"]:
         return unpack(row["scores"][condition][tracker])
-    return total([unpack(trackers[tracker]) for trackers in row["scores"].values()])
+    some = COMPARED if condition == SOME else row["scores"]
+    return total([unpack(row["scores"][each][tracker]) for each in some])
 
 
 def interval(values: np.ndarray) -> list[float]:
@@ -325,9 +317,13 @@ def listed(failures: list[dict[str, Any]]) -> dict[str, Any]:
 
 def table_of(result: TrackingScore) -> dict[str, Any]:
     """A line without intervals."""
-    return {name: int(getattr(result, name)) for name in COUNTS} | {
-        name: round(float(getattr(result, name)), 4) for name in MEASURES
+    shares = {
+        "precision": result.matches / max(result.detections, 1),
+        "recall": result.matches / max(result.objects, 1),
     }
+    shares |= {name: getattr(result, name) for name in MEASURES}
+    counted = {name: int(getattr(result, name)) for name in COUNTS}
+    return counted | {name: round(float(value), 4) for name, value in shares.items()}
 
 
 def thresholds(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -367,8 +363,9 @@ def garment_of(row: dict[str, Any]) -> str:
 
 def code() -> str:
     """A name for the state of the code that makes the rows; words about it do not count."""
-    makers = [ast.parse(inspect.getsource(maker)).body[0] for maker in (conditions, row_of, failures, places, jumps)]
+    makers = [ast.parse(inspect.getsource(maker)).body[0] for maker in (row_of, failures, places, jumps)]
     lines = [ast.dump(line) for maker in makers for line in maker.body[1:]]
+    lines.append(inspect.getsource(tracking_clouds))
     text = [library_digest(), *lines, repr(list(TRACKERS)), repr(THRESHOLDS), str(MEMORY)]
     return hashlib.sha256("".join(text).encode()).hexdigest()[:12]
 
@@ -422,7 +419,8 @@ def clip(folder: Path, failure: dict[str, Any], path: Path, around: int = 3) -> 
     clouds, stride = next((clouds, k) for name, clouds, k in conditions(episode) if name == failure["condition"])
     middle = (failure["first"] + failure["last"]) // 2 // stride  # of a switch, the first frame under the new name
     first, last = max(middle - around, 0), min(middle + around, len(clouds))
-    states = follow(TRACKERS[failure["tracker"]](), clouds[:last], tk.rips_persistence_many(clouds[:last]))[first:]
+    follow = TRACKERS[failure["tracker"]]
+    states = follow(clouds[:last], tk.rips_persistence_many(clouds[:last]))[first:]
     most = max(len(cloud) for cloud in clouds[first:last])
     rows = slice(first * stride, last * stride, stride)
     arrays = {name: getattr(episode, name)[rows] for name in ("points", "actions", "grippers", "held")}
