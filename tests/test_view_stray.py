@@ -52,7 +52,7 @@ def test_stray_refuses_what_it_cannot_show(arguments, message):
 
 
 def spoilt_clouds() -> list[np.ndarray]:
-    """Rings and sheets, with a stray point at several places, near and far, or with points repeated; and clouds of all densities."""
+    """Rings and sheets, with a stray point near and far, or with points repeated; and clouds of all densities."""
     rng = np.random.default_rng(0)
     clouds = []
     for n in (5, 12, 30, 50):
