@@ -240,7 +240,9 @@ def stray(points: ArrayLike, start: ArrayLike, end: ArrayLike) -> Framed:
         Where the stray point is at first, and where the slider and the play button take it.
     """
     cloud = planar(points, "points", MOST_POINTS - 1)
-    way = {name: planar([place], name, 1)[0].tolist() for name, place in (("start", start), ("end", end))}
+    way = {
+        name: planar(np.asarray(place)[None], name, 1)[0].tolist() for name, place in (("start", start), ("end", end))
+    }
     title, scripts = f"{len(cloud)} points and a stray one", ("rips.js", "planar.js", "places.js", "rules.js")
     return framed("stray", scripts, {"points": cloud.tolist(), **way}, 480, "drag the stray point away", title)
 
