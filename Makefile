@@ -1,7 +1,7 @@
 # make book   build the environment if needed, run every chapter on data_small, build the HTML book
 # make test   the same environment; unit tests, doctests, notebooks, lint
 # make core   the small library alone, in an environment with NumPy, SciPy and numba, under any Python that it supports (PYTHON=...)
-# make lowest the same with the lowest versions that pyproject.toml states; EXTRAS="sim data learn view" adds theirs, and every test
+# make lowest the same with the lowest versions that pyproject.toml states; EXTRAS="sim data learn sensors view" adds theirs, and every test
 # make hashes requirements-hashed.txt anew: after every change of requirements.txt
 # make supply licences and a bill of materials of the environment, into _build, and an audit for known vulnerabilities
 # make lab    open JupyterLab on the first chapter

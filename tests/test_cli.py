@@ -172,4 +172,7 @@ def test_arrays_that_hold_no_numbers_are_bad_input():
     np.save(stream, np.zeros((5, 3), dtype=complex))
     done = live(stream.getvalue())
     assert done.returncode == 2
-    assert done.stderr.decode().strip() == "topokit track: error: frame 0 must hold real numbers, not complex128"
+    assert (
+        done.stderr.decode().strip()
+        == "topokit track: error: frame 0 on standard input: the array must hold real numbers, not complex128"
+    )

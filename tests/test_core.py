@@ -19,6 +19,7 @@ COMPANIONS = [
         "pandas",
         "pybullet",
         "pydantic",
+        "pypcd4",
     ),
     *("pyvista", "safetensors", "sklearn", "torch", "tqdm", "trimesh", "vtk", "yaml", "zarr"),
 ]

@@ -26,6 +26,7 @@ FACES = (
     "topokit.mixture",
     "topokit.linking",
     "topokit.io",
+    "topokit.sensors",
     "topokit.lemmas",
     "topokit.sim",
     "topokit.data",

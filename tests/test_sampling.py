@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from topokit import SeqPH, covering_radius, farthest_point_sample, hausdorff
-from topokit.sampling import spacing
+from topokit.sampling import inliers, spacing
 
 LINE = np.array([[3.0], [4.0], [5.0], [9.0], [4.5]])
 
@@ -30,6 +30,41 @@ def test_the_farthest_comes_next_and_ties_go_to_the_first(n, start, idx, radius)
     assert covering_radius(LINE, LINE[found]) == radius
     if start == 0:
         assert farthest_point_sample(LINE, n)[0].tolist() == idx
+
+
+def slowly(points, n, start):
+    """Farthest points by their definition."""
+    idx = [start]
+    nearest = ((points - points[start]) ** 2).sum(axis=1)
+    while len(idx) < n:
+        idx.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, ((points - points[idx[-1]]) ** 2).sum(axis=1))
+    return idx, np.sqrt(nearest.max())
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3, 4, 7, 9])
+def test_farthest_points_are_those_of_the_definition(dimension):
+    """Of points strewn about, and of a grid, where most choices are ties and places are taken several times."""
+    rng = np.random.default_rng(dimension)
+    for points in (rng.random((250, dimension)), rng.integers(0, 3, (250, dimension)).astype(float)):
+        found, covered = farthest_point_sample(points, 220, 7)
+        expected, radius = slowly(points, 220, 7)
+        assert found.tolist() == expected
+        assert covered == pytest.approx(radius, rel=1e-12)
+
+
+def test_the_inliers_of_a_cloud_are_those_of_the_definition():
+    """Outliers are left out twice; what lost none of its neighbours is not asked again."""
+    rng = np.random.default_rng(0)
+    for n, few in [(300, 20), (40, 9), (7, 3), (6, 2), (5, 2)]:
+        points = np.concatenate([rng.random((n, 2)), rng.uniform(-9, 9, (few, 2))])
+        ids = np.arange(len(points))
+        for _ in range(2):
+            if len(ids) > 5:
+                fifth = np.sort(cdist(points[ids], points[ids]), axis=1)[:, 5]
+                ids = ids[fifth <= 2.5 * np.median(fifth)]
+        assert inliers(points).tolist() == ids.tolist()
+        assert len(ids) < len(points) or n < 10
 
 
 @pytest.mark.parametrize(

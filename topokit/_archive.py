@@ -82,7 +82,7 @@ def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str,
         handle.seek(0)
         try:
             with np.load(handle, allow_pickle=False) as archive:
-                _check_size(archive.zip.infolist(), size)
+                check_size(archive.zip.infolist(), size)
                 document, digest = _document(archive, path, kind)
                 arrays = {name: archive[name] for name in archive.files if name != "json"}
         except FormatError:
@@ -97,7 +97,7 @@ def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str,
     return {name: value for name, value in document.items() if name not in ("kind", "archive")}, arrays
 
 
-def _check_size(entries: list[zipfile.ZipInfo], size: int) -> None:
+def check_size(entries: list[zipfile.ZipInfo], size: int) -> None:
     """Whether an archive of so many bytes may hold these entries."""
     whole = sum(entry.file_size for entry in entries)
     if whole > FREE + RATIO * size:

@@ -43,10 +43,10 @@ def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False, as
         array = np.array(array, dtype=np.float64, order="C", copy=copy or None)
     finite = np.isfinite(array)
     if not finite.all():
-        bad = np.flatnonzero(~finite.all(axis=1))
+        bad, them = np.flatnonzero(~finite.all(axis=1)), "points" if " " in name else name
         raise ValueError(
             f"{name} has {len(bad)} of {len(array)} points with a NaN or infinite coordinate, the first at row {bad[0]}: "
-            f"{array[bad[0]].tolist()}; drop them first, for example {name}[np.isfinite({name}).all(axis=1)]"
+            f"{array[bad[0]].tolist()}; drop them first, for example {them}[np.isfinite({them}).all(axis=1)]"
         )
     return array
 

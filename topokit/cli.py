@@ -13,6 +13,8 @@ import json
 import math
 import os
 import sys
+import zipfile
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import count
 from pathlib import Path
@@ -32,6 +34,7 @@ _TASKS = """tasks, a garment and a target:
   {apron,apron2,backpack,shirt,vest}-mannequin"""
 _PICTURES = (".png", ".svg", ".pdf")
 _LARGEST_FRAME = 2**28  # bytes of a cloud: eleven million points in space
+_OF_CLOUDS = ("pipeline", "unit", "columns", "intrinsics", "topic", "fps")
 _TRACKER = ("alpha", "beta", "epsilon", "loops", "gates", "identity", "memory")
 
 
@@ -108,10 +111,17 @@ def _add_simulate(commands: Any) -> None:
 def _add_track(commands: Any) -> None:
     tracker = commands.add_parser("track", help="follow the loops of a recorded episode")
     option = tracker.add_argument
-    option("episode", type=Path, nargs="?", metavar="EPISODE", help="a recorded episode (.npz)")
-    live = "instead of an episode, read clouds from standard input, .npy arrays one after another, and print a line of JSON"
+    what = "a recorded episode (.npz), or clouds: .npy, .npz, .ply, .pcd, depth images (.png), a ROS 2 bag, a folder of files"
+    option("episode", type=Path, nargs="?", metavar="PATH", help=what)
+    option("--pipeline", type=Path, metavar="FILE", help="of clouds: what is left out of each (.json, .toml)")
+    option("--unit", choices=("m", "cm", "mm"), help="of clouds (default: metres; millimetres for depth images)")
+    option("--columns", metavar="X,Y,Z", help="which numbers, or names, of a point are its place")
+    option("--intrinsics", type=Path, metavar="FILE", help="fx, fy, cx, cy of a depth camera (.json)")
+    option("--topic", help="of a bag")
+    option("--fps", type=float, help="frames a second, of clouds without times")
+    live = "instead of a file, read clouds from standard input, .npy arrays one after another, and print a line of JSON"
     option("--live", action="store_true", help=f"{live} for each as it comes")
-    option("--out", type=Path, metavar="TRACKS", help="tracks to write (default EPISODE.tracks.npz)")
+    option("--out", type=Path, metavar="TRACKS", help="tracks to write (default PATH.tracks.npz)")
     option("--plot", type=Path, metavar="PICTURE", help="also draw the tracks (.png, .svg or .pdf)")
     clouds = "all vertices (default) or the subsample an observer sees"
     option("--cloud", choices=("points", "observed"), default="points", help=clouds)
@@ -167,13 +177,34 @@ def _simulated(options: argparse.Namespace) -> Any:
 
 def _track(options: argparse.Namespace) -> int:
     from .evaluate import summarise_tracks
-    from .io import load_episode, save_states
+    from .io import save_states
 
     how = dict(PAPER) if options.paper else {}
     how |= {name: value for name in _TRACKER if (value := getattr(options, name)) is not None}
     if options.live:
         return _track_live(options, how)
-    out = _tracks_file(options)
+    out, film = _tracks_file(options), _is_film(options.episode)
+    given = [f"--{name}" for name in (_OF_CLOUDS, ("plot",))[film] if getattr(options, name)]
+    if given:
+        kind = "episodes" if film else "clouds"
+        raise ValueError(f"{given[0]} is for {kind}, and {options.episode} is not: leave it out")
+    states, truth, answer, words = (_track_film if film else _track_episode)(options, how)
+    summaries = summarise_tracks(states, *truth)
+    save_states(out, states)
+    if options.json:
+        rows = [dict(list(dataclasses.asdict(summary).items())[: 5 if film else None]) for summary in summaries]
+        print(json.dumps({**answer, "frames": len(states), "tracks": str(out), "loops": rows}))
+        return 0
+    print(words)
+    _print_table(summaries, 35 if film else None)
+    print(f"tracks: {out}" + (f"\npicture: {options.plot}" if options.plot else ""))
+    return 0
+
+
+def _track_episode(options: argparse.Namespace, how: dict[str, Any]) -> tuple[Any, ...]:
+    """States, what they can be compared with, and what is said of the episode, in names and in words."""
+    from .io import load_episode
+
     if options.plot:
         if options.plot.suffix not in _PICTURES:
             raise ValueError(f"--plot {options.plot}: the name of a picture ends in {', '.join(_PICTURES)}")
@@ -181,25 +212,56 @@ def _track(options: argparse.Namespace) -> int:
     episode = load_episode(options.episode)
     loud = sys.stderr.isatty() and not options.json
     states = track(getattr(episode, options.cloud), times=episode.times, progress=loud, **how)
-    summaries = summarise_tracks(states, episode.points, episode.loops)
-    save_states(out, states)
     if options.plot:
         with atomic_file(options.plot) as picture:
             track_figure(episode, states).savefig(picture, format=options.plot.suffix[1:])
-    if options.json:
-        rows = [dataclasses.asdict(summary) for summary in summaries]
-        print(json.dumps({"episode": str(options.episode), "frames": len(states), "tracks": str(out), "loops": rows}))
-        return 0
-    print(f"{options.episode}: {episode.garment} to {episode.target}, {len(states)} frames, {options.cloud}")
-    _print_table(summaries)
-    print(f"tracks: {out}" + (f"\npicture: {options.plot}" if options.plot else ""))
-    return 0
+    words = f"{options.episode}: {episode.garment} to {episode.target}, {len(states)} frames, {options.cloud}"
+    return states, (episode.points, episode.loops), {"episode": str(options.episode)}, words
+
+
+def _track_film(options: argparse.Namespace, how: dict[str, Any]) -> tuple[Any, ...]:
+    """As of an episode, but that there is nothing to compare with."""
+    from .io import read_clouds
+
+    asked = {name: getattr(options, name) for name in ("unit", "intrinsics", "topic", "fps")}
+    tracker, clean, states, removed = SeqPH(**how), _cleaner(options), [], Counter[str]()
+    for time, cloud in read_clouds(options.episode, columns=_columns(options), **asked):
+        states.append(tracker.update(clean(cloud), time=time))
+        removed.update(clean.removed)
+    if not states:
+        raise ValueError(f"{options.episode}: it holds no cloud")
+    told = ", ".join(f"{n / len(states):.0f} {name}" for name, n in removed.items())
+    words = f"{options.episode}: {len(states)} frames\nremoved a frame: {told}"
+    return states, (np.empty((len(states), 0, 3)), ()), {"film": str(options.episode), "removed": removed}, words
+
+
+def _is_film(path: Path) -> bool:
+    """Whether it holds clouds; an archive does when it is none of ours."""
+    if path.suffix != ".npz" or not zipfile.is_zipfile(path):
+        return path.suffix != ".npz"
+    with zipfile.ZipFile(path) as archive:
+        return "json.npy" not in archive.namelist()
+
+
+def _cleaner(options: argparse.Namespace) -> Any:
+    from ._config import load
+    from .sensors import Cleaner, Pipeline
+
+    return Cleaner(load(Pipeline, options.pipeline) if options.pipeline else None)
+
+
+def _columns(options: argparse.Namespace) -> list[int | str] | None:
+    words = options.columns.split(",") if options.columns else []
+    return [int(word) if word.isdigit() else word for word in words] or None
 
 
 def _tracks_file(options: argparse.Namespace) -> Path:
     if options.episode is None:
-        raise ValueError("which EPISODE? (or --live, to read clouds from standard input)")
-    out: Path = options.out or options.episode.with_suffix(".tracks.npz")
+        raise ValueError("which episode or film? (or --live, to read clouds from standard input)")
+    path = options.episode if options.episode.name.strip(".") else options.episode.resolve()
+    out: Path = options.out or path.with_suffix(".tracks.npz")
+    if set(out.name) & set("*?["):
+        raise ValueError(f"--out: say where to write the tracks of {options.episode}")
     if out.resolve() == options.episode.resolve():
         raise ValueError(f"--out {out}: that is the episode itself")
     if out.suffix != ".npz":
@@ -207,34 +269,55 @@ def _tracks_file(options: argparse.Namespace) -> Path:
     return out
 
 
-def _print_table(summaries: Sequence[Any]) -> None:
-    """The identities of an episode, a line each."""
+def _print_table(summaries: Sequence[Any], width: int | None) -> None:
+    """The identities of an episode, a line each; of a film, as far as they are not compared with the truth."""
     heads = ("id", "first", "last", "frames", "lifetime", " true loop", "distance", "in hull")
-    print("{:>4} {:>6} {:>5} {:>7} {:>9} {:>10} {:>9} {:>8}".format(*heads))
+    print("{:>4} {:>6} {:>5} {:>7} {:>9} {:>10} {:>9} {:>8}".format(*heads)[:width])
     for row in summaries:
-        where = "-" if row.true_loop < 0 else str(row.true_loop)
-        print(
-            f"{row.id:>4} {row.first:>6} {row.last:>5} {row.frames:>7} {100 * row.lifetime:>6.2f} cm  {where:>9} "
-            f"{100 * row.distance:>6.2f} cm {100 * row.in_hull:>6.1f} %"
+        line = (
+            f"{row.id:>4} {row.first:>6} {row.last:>5} {row.frames:>7} {100 * row.lifetime:>6.2f} cm  "
+            f"{row.true_loop if row.true_loop >= 0 else '-':>9} {100 * row.distance:>6.2f} cm {100 * row.in_hull:>6.1f} %"
         )
+        print(line[:width])
     if not summaries:
         print("   no loop in any frame")
 
 
 def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
     """Track clouds as they come; what is kept does not grow."""
-    if options.episode or options.out or options.plot:
-        raise ValueError("--live reads standard input and writes standard output: leave out EPISODE, --out and --plot")
+    given = [name for name in ("episode", "out", "plot", "topic", "fps") if getattr(options, name)]
+    if given:
+        raise ValueError(f"--live reads standard input and writes standard output: leave out {', '.join(given)}")
     if sys.stdin is None:
         raise ValueError("standard input is closed; pipe the clouds in")
     frames = 0
     try:
-        for state in SeqPH(**how).stream(_clouds(sys.stdin.buffer)):
+        for state in SeqPH(**how).stream(_ready(_clouds(sys.stdin.buffer), options)):
             frames += 1
             print(json.dumps(state.as_dict()), flush=True)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped after {frames} frames, which were printed") from None
     return 0
+
+
+def _ready(clouds: Iterator[NDArray[Any]], options: argparse.Namespace) -> Iterator[NDArray[Any]]:
+    """Clouds in metres, through the pipeline; without one, what is not finite is left out, and that is said once."""
+    from .sensors._files import Asked, as_cloud, has_unit
+
+    clean, said = _cleaner(options) if options.pipeline else None, False
+    unsure = clean is not None and options.unit != "m"  # a pipeline is in metres
+    asked = Asked(options.unit, _columns(options), options.intrinsics)
+    for number, cloud in enumerate(clouds):
+        try:
+            cloud = as_cloud(cloud, asked, Path())
+            unsure = unsure and not has_unit(cloud, asked)
+        except ValueError as error:
+            raise FormatError(f"frame {number} on standard input: {error}") from error
+        finite = np.isfinite(cloud).all(axis=1)
+        if not (clean or said or finite.all()):
+            said, lost = True, f"frame {number}: {(~finite).sum()} of {len(finite)} points are not finite and left out"
+            print(f"topokit track: {lost}, here and in what follows", file=sys.stderr)
+        yield clean(cloud) if clean else cloud[finite]
 
 
 def _clouds(stream: Any) -> Iterator[NDArray[np.float64]]:

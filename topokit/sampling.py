@@ -47,14 +47,14 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int = 0) -> tuple[ND
     >>> farthest_point_sample([[0.0], [1.0], [2.0], [4.0]], 2)
     (array([0, 3]), 2.0)
     """
+    from ._traversal import traverse
+
     array = _measurable(points, "points")
     n, start = whole(n, "n", 1, len(array)), whole(start, "start", -len(array), len(array) - 1)
-    idx = np.empty(n, dtype=np.int64)
-    idx[0] = start % len(array)
-    nearest = ((array - array[idx[0]]) ** 2).sum(axis=1)
-    for k in range(1, n):
-        idx[k] = np.argmax(nearest)
-        np.minimum(nearest, ((array - array[idx[k]]) ** 2).sum(axis=1), out=nearest)
+    axes = np.pad(array, ((0, 0), (0, -array.shape[1] % 3))).T.copy()
+    nearest, idx = np.full(len(array), np.inf), np.empty(n, dtype=np.int64)
+    for some in np.array_split(idx, 1 + n // 100):  # in between Ctrl-C is heard
+        start = traverse(axes, nearest, some, start % len(array))
     return idx, float(np.sqrt(nearest.max()))
 
 
@@ -154,12 +154,15 @@ def inliers_and_tree(
     if _repeats(tree):
         places, copies = np.unique(tree.data + 0.0, axis=0, return_inverse=True)  # -0.0 and 0.0 are one place
         tree, ids = as_tree(places), np.arange(len(places))
-    for attempt in range(3):
-        nearest = tree.query(tree.data, k=min(neighbours + 1, max(tree.n, 2)))[0]
+    nearest, who = tree.query(tree.data, k=min(neighbours + 1, max(tree.n, 2)))
+    for _ in range(2):
         near = nearest[:, -1] <= factor * np.median(nearest[:, -1]) if tree.n > neighbours else np.ones(tree.n, bool)
-        if attempt == 2 or near.all():
+        if near.all():
             break
-        tree, ids = as_tree(tree.data[near]), ids[near]
+        tree, ids, k = as_tree(tree.data[near]), ids[near], min(neighbours + 1, max(near.sum(), 2))
+        lost = ~near[who[near]].all(axis=1) | (k <= neighbours)  # the others have the neighbours that they had
+        nearest, who = nearest[near, :k], (np.cumsum(near) - 1)[who[near, :k]]
+        nearest[lost], who[lost] = tree.query(tree.data[lost], k=k)
     if copies is not None:
         ids = np.flatnonzero(np.isin(copies.ravel(), ids))
     return ids, tree, nearest[:, 1:]
@@ -198,8 +201,8 @@ def spacing(points: ArrayLike | cKDTree) -> float:
 
 
 def _repeats(tree: cKDTree) -> bool:
-    """Whether some points may be repeated."""
-    return len(np.unique(sum(tree.data.T))) < tree.n
+    """Whether some points may be repeated. Plain sums of coordinates in whole millimetres would often be the same."""
+    return len(np.unique(sum(np.sqrt(k + 2) * axis for k, axis in enumerate(tree.data.T)))) < tree.n
 
 
 def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = False) -> cKDTree:

@@ -1,0 +1,655 @@
+"""What sensors write, each kind written by the library that others write it with, and the pipeline that cleans it."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.lib import recfunctions
+from PIL import Image
+from pypcd4 import Encoding, PointCloud
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+import topokit as tk
+from topokit._config import from_mapping, load
+from topokit.cli import main
+from topokit.io import FormatError, load_states, read_clouds
+from topokit.sensors import Cleaner, Pipeline, _pipeline
+from topokit.sensors._pipeline import _voxel_means
+
+LENS = {"fx": 30.0, "fy": 30.0, "cx": 20.0, "cy": 15.0}
+MESSAGES = get_typestore(Stores.ROS2_HUMBLE)
+
+
+def ring(t: float = 0.0, n: int = 60) -> np.ndarray:
+    """A loop 60 cm across, (n, 3) float32, that moves."""
+    angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    return np.column_stack([0.3 * np.cos(angle), 0.3 * np.sin(angle), 1 + 0.01 * t + 0 * angle]).astype(np.float32)
+
+
+def clouds(path: Path, **asked: object) -> list[np.ndarray]:
+    return [cloud for _, cloud in read_clouds(path, **asked)]
+
+
+def save_pcd(path: Path, points: np.ndarray, encoding: Encoding = Encoding.BINARY_COMPRESSED) -> Path:
+    """With colours, as PCL writes `PointXYZRGB`."""
+    colours = PointCloud.encode_rgb(np.full((len(points), 3), 200, np.uint8))
+    PointCloud.from_xyzrgb_points(np.column_stack([points, colours.ravel()])).save(path, encoding)
+    return path
+
+
+def depth_image(t: float = 0.0) -> np.ndarray:
+    """Millimetres (30, 40) of a ring in front of a wall at 2 m; a corner is not seen."""
+    rows, columns = np.indices((30, 40))
+    away = np.hypot(rows - 15, columns - 20 - t)
+    image = np.where((away > 5) & (away < 9), 1000, 2000).astype(np.uint16)
+    image[:3, :3] = 0
+    return image
+
+
+def header(t: float) -> object:
+    time = MESSAGES.types["builtin_interfaces/msg/Time"](int(t), round(1e9 * (t % 1)))
+    return MESSAGES.types["std_msgs/msg/Header"](time, "camera")
+
+
+def cloud_message(points: np.ndarray, t: float, order: str = "<") -> object:
+    """Organised (h, w, 3), with colours between and a gap at the end of each row, as drivers send it."""
+    kind = np.dtype(
+        {"names": ["x", "y", "z", "rgb"], "formats": [f"{order}f4"] * 4, "offsets": [0, 4, 8, 16], "itemsize": 32}
+    )
+    height, width = points.shape[:2]
+    rows = np.zeros((height, 32 * width + 8), np.uint8)
+    for row, part in zip(rows, points, strict=True):
+        filled = row[:-8].view(kind)
+        for axis, name in enumerate("xyz"):
+            filled[name] = part[:, axis]
+    field = MESSAGES.types["sensor_msgs/msg/PointField"]
+    fields = [field(name, kind.fields[name][1], 7, 1) for name in kind.names]
+    message = MESSAGES.types["sensor_msgs/msg/PointCloud2"]
+    return message(header(t), height, width, fields, order == ">", 32, rows.shape[1], rows.ravel(), False)
+
+
+def image_message(image: np.ndarray, t: float, encoding: str = "16UC1") -> object:
+    message = MESSAGES.types["sensor_msgs/msg/Image"]
+    step = image.strides[0]
+    return message(header(t), *image.shape, encoding, 0, step, np.frombuffer(image.tobytes(), np.uint8))
+
+
+def info_message(t: float) -> object:
+    roi = MESSAGES.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    k = np.array([30.0, 0, 20, 0, 30, 15, 0, 0, 1])
+    r, p = np.eye(3).ravel(), np.zeros(12)
+    message = MESSAGES.types["sensor_msgs/msg/CameraInfo"]
+    return message(header(t), 30, 40, "plumb_bob", np.zeros(5), k, r, p, 0, 0, roi)
+
+
+def save_bag(path: Path, topics: dict[str, list[object]], storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
+    """A bag as `ros2 bag record` writes it; message t is received at 100 + t seconds."""
+    with Writer(path, version=9, storage_plugin=storage) as bag:
+        for name, messages in topics.items():
+            kind = messages[0].__msgtype__
+            connection = bag.add_connection(name, kind, typestore=MESSAGES)
+            for t, message in enumerate(messages):
+                bag.write(connection, int(1e9 * (100 + t)), MESSAGES.serialize_cdr(message, kind))
+    return path
+
+
+# Each kind of file: a film of the ring at 0 and 1, or its first frame.
+
+
+@pytest.mark.parametrize("encoding", [Encoding.ASCII, Encoding.BINARY, Encoding.BINARY_COMPRESSED])
+def test_pcd_with_colours(encoding, tmp_path):
+    (found,) = clouds(save_pcd(tmp_path / "ring.pcd", ring(), encoding))
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, ring(), atol=1e-6)
+
+
+@pytest.mark.parametrize("points", [ring(), ring()[:1]], ids=["ring", "one point"])
+def test_ascii_pcd_with_more_blanks_than_are_needed(points, tmp_path):
+    text = save_pcd(tmp_path / "ring.pcd", points, Encoding.ASCII).read_text()
+    (tmp_path / "ring.pcd").write_bytes(text.replace(" ", "  ").replace("\n", " \r\n").encode())
+    np.testing.assert_allclose(clouds(tmp_path / "ring.pcd")[0], points, atol=1e-6)
+
+
+def test_ply_after_many_comments(tmp_path):
+    """Big-endian doubles in an order of their own, as other programs write them."""
+    kind = [("red", "u1"), ("z", ">f8"), ("y", ">f8"), ("x", ">f8")]
+    rows = np.zeros(60, kind)
+    for axis, name in enumerate("xyz"):
+        rows[name] = ring()[:, axis]
+    head = ["ply", "format binary_big_endian 1.0", *["comment " + 80 * "-"] * 100, "element vertex 60"]
+    head += ["property uchar red", *(f"property double {axis}" for axis in "zyx"), "end_header\n"]
+    (tmp_path / "ring.ply").write_bytes("\n".join(head).encode() + rows.tobytes())
+    np.testing.assert_array_equal(clouds(tmp_path / "ring.ply")[0], ring())
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_ply_with_colours(encoding, tmp_path):
+    cloud = trimesh.PointCloud(ring(), colors=np.full((60, 4), 200, np.uint8))
+    (tmp_path / "ring.ply").write_bytes(trimesh.exchange.ply.export_ply(cloud, encoding=encoding))
+    np.testing.assert_allclose(clouds(tmp_path / "ring.ply")[0], ring(), atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(60, 3), (2, 30, 3), (2, 5, 6, 3)], ids=["cloud", "film", "organised film"])
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+def test_numpy(shape, suffix, tmp_path):
+    points = ring().reshape(shape)
+    path = tmp_path / f"film{suffix}"
+    np.save(path, points) if suffix == ".npy" else np.savez(path, points)
+    frames = points[None] if len(shape) == 2 else points
+    found = clouds(path)
+    assert len(found) == len(frames)
+    for cloud, frame in zip(found, frames, strict=True):
+        np.testing.assert_array_equal(cloud, frame.reshape(-1, 3))
+
+
+@pytest.mark.parametrize("shape", [(480, 640, 3), (1, 480, 640, 3)])
+def test_an_array_of_the_size_of_a_cameras_image_is_one_cloud(shape, tmp_path):
+    """As drivers save it: in millimetres, NaN where nothing is seen, the first rows among them."""
+    points = np.full(shape, np.nan, np.float32)
+    points.reshape(480, 640, 3)[300:306, :10] = 1000 * ring().reshape(6, 10, 3)
+    np.save(tmp_path / "organised.npy", points)
+    (found,) = clouds(tmp_path / "organised.npy", unit="mm")
+    assert found.shape == (480 * 640, 3)
+    np.testing.assert_allclose(found[np.isfinite(found).all(axis=1)], ring(), atol=1e-6)
+
+
+def test_arrays_without_names_in_an_archive_are_the_clouds_of_a_film(tmp_path):
+    np.savez(tmp_path / "film.npz", *(ring(t, 60 + t) for t in range(12)))
+    found = clouds(tmp_path / "film.npz")
+    assert [len(cloud) for cloud in found] == list(range(60, 72))
+
+
+def test_units_are_looked_at_where_something_is_seen(tmp_path):
+    """Not in the first frame, where the lens was covered."""
+    blank = np.full((60, 3), np.nan)
+    for t, cloud in enumerate([blank, np.zeros((60, 3)), 1000 * ring(), 1000 * ring(1)]):
+        np.save(tmp_path / f"{t}.npy", cloud)
+    np.save(tmp_path / "film.npy", [blank, 1000 * ring()])
+    for path, name in ((tmp_path / "[0-9].npy", "2.npy"), (tmp_path / "film.npy", "film.npy")):
+        with pytest.raises(
+            FormatError, match=rf"{name}: it is .* are these millimetres\? Declare unit='mm' \(--unit mm\)"
+        ):
+            clouds(path)
+
+
+def test_numpy_by_names_and_with_times(tmp_path):
+    kind = [("rgb", "u1"), ("z", "f4"), ("x", "f4"), ("y", "f8")]
+    named = np.zeros(60, kind)
+    named["x"], named["y"], named["z"] = ring().T
+    np.save(tmp_path / "named.npy", named)
+    np.testing.assert_allclose(clouds(tmp_path / "named.npy")[0], ring())
+    np.savez(tmp_path / "film.npz", points=[ring(), ring(1)], times=[0.5, 0.75], colours=np.zeros(4))
+    assert [time for time, _ in read_clouds(tmp_path / "film.npz")] == [0.5, 0.75]
+    assert [time for time, _ in read_clouds(tmp_path / "film.npz", fps=10)] == [0, 0.1]
+
+
+def test_a_folder_or_a_pattern_of_numbered_files_is_a_film(tmp_path):
+    for t in (10, 9, 0):
+        save_pcd(tmp_path / f"frame{t}.pcd", ring(t))
+    (tmp_path / "readme.txt").write_text("a film")
+    for path in (tmp_path, tmp_path / "frame*.pcd"):
+        assert [cloud[0, 2] for cloud in clouds(path)] == pytest.approx([1, 1.09, 1.1])
+
+
+LENSES = {
+    "plain": LENS,
+    "RealSense": {"width": 40, "height": 30, "fx": 30, "fy": 30, "ppx": 20, "ppy": 15, "coeffs": [0] * 5},
+    "CameraInfo": {"height": 30, "width": 40, "k": [30, 0, 20, 0, 30, 15, 0, 0, 1]},
+    "calibration": {"camera_matrix": {"rows": 3, "cols": 3, "data": [30, 0, 20, 0, 30, 15, 0, 0, 1]}},
+    "Open3D": {"intrinsic_matrix": [30, 0, 0, 0, 30, 0, 20, 15, 1], "depth_scale": 1000.0},
+}
+
+
+@pytest.mark.parametrize("maker", LENSES)
+def test_depth_images_with_their_camera(maker, tmp_path):
+    for t in range(2):
+        Image.fromarray(depth_image(t)).save(tmp_path / f"{t}.png")
+    (tmp_path / "intrinsics.json").write_text(json.dumps(LENSES[maker]))
+    first, _ = clouds(tmp_path)
+    assert first.shape == (1200, 3)
+    assert not first.reshape(30, 40, 3)[:3, :3].any()
+    np.testing.assert_allclose(first.reshape(30, 40, 3)[15, 27], [7 / 30, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(first.reshape(30, 40, 3)[25, 39], [19 / 15, 2 / 3, 2], atol=1e-6)
+
+
+def test_depth_in_metres_and_in_other_units(tmp_path):
+    metres = depth_image() / np.float32(1000)
+    np.save(tmp_path / "depth.npy", [metres, metres])
+    np.savez(tmp_path / "depth.npz", points=depth_image())
+    film, (image,) = (clouds(tmp_path / name, intrinsics=LENS) for name in ("depth.npy", "depth.npz"))
+    np.testing.assert_allclose(film[1], image, atol=1e-6)
+    (other,) = clouds(tmp_path / "depth.npz", intrinsics=LENS, unit="cm")
+    np.testing.assert_allclose(other, 10 * image, rtol=1e-6)
+
+
+@pytest.mark.parametrize("storage", StoragePlugin)
+def test_a_bag_of_clouds(storage, tmp_path):
+    organised = np.stack([ring(t).reshape(6, 10, 3) for t in range(2)])
+    organised[:, 2, 3] = np.nan
+    messages = [cloud_message(points, 7.25 + t, "<>"[t]) for t, points in enumerate(organised)]
+    bag = save_bag(tmp_path / "bag", {"/camera/points": messages}, storage)
+    (first, one), (second, two) = read_clouds(bag)
+    assert (first, second) == (7.25, 8.25)
+    np.testing.assert_array_equal([one, two], organised.reshape(2, 60, 3))
+    alone = next(path for path in bag.iterdir() if path.suffix in (".mcap", ".db3"))
+    np.testing.assert_array_equal(clouds(alone)[1], two)
+
+
+def test_a_bag_of_depth_images(tmp_path):
+    images = {"16UC1": depth_image(), "32FC1": depth_image() / np.float32(1000)}
+    topics = {f"/{name}/depth/image": [image_message(image, 0, name)] for name, image in images.items()}
+    topics |= {f"/{name}/depth/camera_info": [info_message(0)] for name in images}
+    topics["/rgb/image"] = [image_message(np.zeros((30, 40), np.uint8), 0, "mono8")]
+    bag = save_bag(tmp_path / "bag", topics)
+    found = [next(read_clouds(bag, topic=f"/{name}/depth/image")) for name in images]
+    assert [time for time, _ in found] == [100, 100]  # no stamp: when it was received
+    np.testing.assert_allclose(found[0][1], found[1][1], atol=1e-6)
+    np.testing.assert_allclose(found[0][1].reshape(30, 40, 3)[15, 27], [7 / 30, 0, 1], atol=1e-6)
+    with pytest.raises(FormatError, match=r"which topic\? There is /16UC1/depth/image, .* name one as topic="):
+        next(read_clouds(bag))
+    with pytest.raises(FormatError, match="which topic"):
+        next(read_clouds(bag, topic="/nothing"))
+    with pytest.raises(FormatError, match="images of encoding mono8: depth is one of 16UC1"):
+        next(read_clouds(bag, topic="/rgb/image"))
+
+
+# What is refused, and in which words.
+
+
+def npz(**arrays: object) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    return stream.getvalue()
+
+
+def npy(array: object) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
+
+
+def png(array: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(array).save(stream, "png")
+    return stream.getvalue()
+
+
+def pcd(encoding: Encoding = Encoding.BINARY_COMPRESSED) -> bytes:
+    stream = io.BytesIO()
+    PointCloud.from_xyz_points(ring()).save(stream, encoding)
+    return stream.getvalue()
+
+
+def ply(encoding: str = "binary") -> bytes:
+    return trimesh.exchange.ply.export_ply(trimesh.PointCloud(ring()), encoding=encoding)
+
+
+XYI = recfunctions.unstructured_to_structured(ring(), names=["x", "y", "intensity"])
+BAD = {
+    "none.pcd": (None, "there is no such file"),
+    "cloud.txt": (b"1 2 3", r"holds files .txt; a film is one of .npy, .npz, .ply, .pcd, .png"),
+    "empty.npy": (b"", ""),
+    "pickled.npy": (npy(np.array([{}])), "Python objects"),
+    "half.npy": (npy(ring())[:300], "size"),
+    "words.npy": (npy(np.array([["a", "b", "c"]])), "must hold real numbers"),
+    "flat.npy": (npy(np.zeros(3)), r"of shape \(3,\); a cloud is \(n, 3\), one row a point"),
+    "number.npy": (npy(3.0), r"of shape \(\); a cloud is"),
+    "columns.npy": (npy(ring().T), r"of shape \(3, 60\); a cloud is \(n, 3\), one row a point"),
+    "colours.npy": (
+        npy(np.ones((9, 6))),
+        r"6 numbers a point, and a place has three: say which, as columns=\(0, 1, 2\)",
+    ),
+    "named.npy": (npy(XYI), "its points have no z: they have x, y, intensity"),
+    "depth.npy": (npy(np.ones((30, 40), np.float32)), "a depth image needs its camera: fx, fy, cx and cy"),
+    "millimetres.npy": (npy(1000 * ring()), r"it is 5\d\d.* m across: are these millimetres\? Declare unit='mm'"),
+    "two.npz": (npz(a=ring(), b=ring()), "it holds a, b: name the array of clouds 'points'"),
+    "ours.npz": (npz(points=[ring()], json=np.zeros(9)), "topokit wrote it, .* read it by load_episode"),
+    "late.npz": (npz(points=[ring()], times=[0.0, 1.0]), r"times has shape \(2,\); there are 1 clouds"),
+    "colour.png": (png(np.zeros((30, 40, 3), np.uint8)), r"mode RGB: a depth image has 16 bits a pixel; a pattern"),
+    "depth.png": (png(depth_image()), "a depth image needs its camera"),
+    "no.png": (b"hello", "cannot identify image file"),
+    "half.ply": (ply()[:-8], "unexpected length"),
+    "fewer.ply": (ply("ascii")[:-40], "cut off or damaged"),
+    "no.ply": (b"hello", "ply"),
+    "half.pcd": (pcd(encoding=Encoding.BINARY)[:-8], ""),
+    "fewer.pcd": (pcd(encoding=Encoding.BINARY)[:-12], "cut off or damaged: 59 of 60 points"),
+    "many.pcd": (pcd().replace(b"POINTS 60", b"POINTS 600000000"), "bytes claim to hold 600000000 points"),
+    "fields.pcd": (
+        pcd().replace(b"COUNT 1", b"COUNT 9999999"),
+        "bytes claim to hold 60 points, 9999999 numbers in a field",
+    ),
+    "no.pcd": (b"hello", "not a PCD file: its header has no line DATA"),
+    "no.mcap": (b"hello", ""),
+    "no.db3": (b"hello", ""),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_files_are_named(name, tmp_path):
+    data, says = BAD[name]
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
+    with pytest.raises((FormatError, FileNotFoundError), match=rf"(?s){name}: .*({says})"):
+        clouds(tmp_path / name)
+
+
+@pytest.mark.parametrize("kind", ["npy", "npz", "png", "ply", "ascii.ply", "pcd", "binary.pcd", "mcap", "db3"])
+def test_a_file_of_any_bytes_is_read_or_refused(kind, tmp_path):
+    """Bytes are changed, lost, or become large numbers, most of them in the header."""
+    messages = {"/points": [cloud_message(ring().reshape(6, 10, 3), 1)]}
+    if kind in ("mcap", "db3"):
+        bag = save_bag(tmp_path / "bag", messages, StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3)
+        whole = next(path for path in bag.iterdir() if path.suffix == f".{kind}").read_bytes()
+    else:
+        files = {"npy": npy(ring()), "npz": npz(points=[ring()]), "png": png(depth_image()), "ply": ply(), "pcd": pcd()}
+        whole = (files | {"ascii.ply": ply("ascii"), "binary.pcd": pcd(Encoding.BINARY)})[kind]
+    rng = np.random.default_rng(0)
+    path, refused = tmp_path / f"damaged.{kind}", 0
+    for _ in range(40):
+        data = bytearray(whole)
+        for at in rng.integers(min(len(data), 500), size=2).tolist():
+            data[at : at + rng.integers(3)] = [bytes([rng.integers(256)]), b"", b"9999999"][rng.integers(3)]
+        path.write_bytes(data)
+        try:
+            clouds(path, intrinsics=LENS, unit="m")
+        except FormatError:
+            refused += 1
+    assert refused > 5
+
+
+def test_a_film_is_of_one_kind(tmp_path):
+    with pytest.raises(FormatError, match="holds no cloud; a film is one of"):
+        clouds(tmp_path)
+    np.save(tmp_path / "0.npy", ring())
+    save_pcd(tmp_path / "1.pcd", ring())
+    with pytest.raises(FormatError, match=r"holds files .npy, .pcd; a film"):
+        clouds(tmp_path)
+    for asked, says in (
+        ({"unit": "inch"}, "unit must be one of m, cm, mm"),
+        ({"fps": 0}, "fps must be more than zero"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            read_clouds(tmp_path, **asked)
+
+
+def test_units_and_columns_are_declared(tmp_path):
+    np.save(tmp_path / "mm.npy", np.column_stack([np.full((60, 3), 255), 1000 * ring()]).astype(np.int16))
+    (found,) = clouds(tmp_path / "mm.npy", unit="mm", columns=(3, 4, 5))
+    np.testing.assert_allclose(found, ring(), atol=1e-3)
+    np.save(tmp_path / "m.npy", ring())
+    for columns, says in (((3, 4, 6), "no 6: they have 0, 1, 2, 3, 4, 5"), (("x", "y", "z"), "no x: they have 0, 1")):
+        with pytest.raises(FormatError, match=f"mm.npy: its points have {says}"):
+            clouds(tmp_path / "mm.npy", unit="mm", columns=columns)
+    with pytest.raises(FormatError, match=r"mm across: are these metres\? Declare unit='m'"):
+        clouds(tmp_path / "m.npy", unit="mm")
+    np.save(tmp_path / "hall.npy", 1000 * ring())
+    np.testing.assert_array_equal(clouds(tmp_path / "hall.npy", unit="m")[0], 1000 * ring())
+
+
+def test_a_missing_reader_is_named(tmp_path):
+    save_pcd(tmp_path / "ring.pcd", ring())
+    code = f"import sys; sys.modules['pypcd4'] = None\nfrom topokit.io import read_clouds\nlist(read_clouds({str(tmp_path)!r}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "ring.pcd: reading it needs pypcd4: pip install 'topokit[sensors]'" in done.stderr
+
+
+def test_files_of_numpy_need_no_extra(tmp_path):
+    np.savez(tmp_path / "film.npz", [ring(), ring(1)])
+    code = "import sys\nfor name in 'pydantic pypcd4 rosbags trimesh PIL pandas sklearn'.split(): sys.modules[name] = None\n"
+    code += f"from topokit.io import read_clouds\nassert len(list(read_clouds({str(tmp_path / 'film.npz')!r}))) == 2"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+# The pipeline.
+
+
+EYE = (0.0, -3.0, 1.0)
+
+
+def scene(t: float = 0.0, n: int = 3000) -> np.ndarray:
+    """A ring over a table that is slanted, before a wall; pixels that saw nothing, and strays. In metres, (4 n, 3)."""
+    rng = np.random.default_rng(0)
+    u, v = rng.uniform(-1, 1, (2, 2 * n))
+    table = np.column_stack([u, v, 0.1 * u + 0.02 * t])[:n]
+    wall = np.column_stack([u, np.full(2 * n, 1.0), np.abs(v)])
+    angle, width = rng.uniform(0, 2 * np.pi, n), rng.uniform(0.2, 0.3, n)
+    band = np.column_stack([width * np.cos(angle), 0.2 * np.sin(3 * angle), 0.7 + width * np.sin(angle)])
+    band[:5] = np.nan
+    band[5:12] = 0
+    band[12:15] = [[0.9, 0.3, 0.6], [-0.9, 0.3, 0.7], [0.9, -0.5, 0.8]]
+    return rng.permutation(np.concatenate([table, wall, band]))
+
+
+def test_every_step_says_what_it_removed():
+    clean = Cleaner(Pipeline(crop=((-2, -0.8, -1), (2, 2, 2)), planes=2, eye=EYE, voxel=0.02, outliers=3.0, points=200))
+    for t in range(3):
+        points = scene(t)
+        kept = clean(points)
+        assert kept.shape == (200, 3)
+        assert (kept[:, 2] > 0.35).all()  # the table is gone,
+        assert (kept[:, 1] < 0.5).all()  # so is the wall,
+        assert (np.abs(kept[:, 0]) < 0.5).all()  # and the strays
+        removed = clean.removed
+        assert list(removed) == [
+            *(
+                "not finite",
+                "at (0, 0, 0)",
+                "outside the box",
+                "on planes",
+                "by voxels",
+                "outliers",
+                "by farthest points",
+            )
+        ]
+        assert removed["not finite"] == 5
+        assert removed["at (0, 0, 0)"] == 7
+        assert removed["outside the box"] == (points[:, 1] < -0.8).sum()
+        assert 8400 < removed["on planes"] < 8900
+        assert removed["outliers"] >= 3
+        assert sum(removed.values()) == len(points) - 200
+    loops = tk.rips_persistence(kept).lifetime
+    assert loops.max() > 0.15
+
+
+def test_planes_are_followed_and_searched_for_when_they_are_lost(monkeypatch):
+    searched = []
+    found = _pipeline._found
+    monkeypatch.setattr(_pipeline, "_found", lambda *some: searched.append(1) or found(*some))
+    clean = Cleaner(Pipeline(planes=2, eye=EYE))
+    for t in (0, 0.5, 1, 1.5):
+        clean(scene(t))
+    assert len(searched) == 2
+    assert clean.removed["on planes"] > 8900
+    clean((scene(0) - EYE) @ np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]]) + EYE)  # the camera fell over
+    assert len(searched) == 4
+    assert clean.removed["on planes"] > 8900
+
+
+def test_no_plane_is_found_where_none_is(monkeypatch):
+    rng = np.random.default_rng(0)
+    ball = rng.standard_normal((2000, 3))
+    clean, searched = Cleaner(Pipeline(planes=1, eye=EYE, points=None)), []
+    found = _pipeline._found
+    monkeypatch.setattr(_pipeline, "_found", lambda *some: searched.append(1) or found(*some))
+    for _ in range(30):
+        assert len(clean(ball)) == 2000
+        assert clean.removed["on planes"] == 0
+    assert len(searched) == 1  # for a search takes long
+    assert len(clean(ring()[:4])) == 4
+    assert len(searched) == 2
+
+
+def test_cloth_before_a_wall_is_no_wall():
+    """It is the larger plane here, and there is something behind it."""
+    rng = np.random.default_rng(0)
+    u, v = rng.uniform(-1, 1, (2, 4000))
+    points = np.column_stack([u, v, np.where(np.arange(4000) < 3000, 1.0, 2.0)])
+    kept = Cleaner(Pipeline(planes=1, points=None))(points)
+    assert len(kept) == 3000
+    assert (kept[:, 2] == 1).all()
+
+
+def test_the_steps_against_their_definitions():
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (3000, 3))
+    means = _voxel_means(points, 0.1)
+    cells = np.floor(points / 0.1).astype(int)
+    places, numbers = np.unique(cells, axis=0, return_inverse=True)
+    expected = [points[numbers.ravel() == i].mean(axis=0) for i in range(len(places))]
+    order = np.lexsort(np.floor(means / 0.1).T[::-1])
+    np.testing.assert_allclose(means[order], expected)
+    with pytest.raises(ValueError, match=r"voxel: 1e-09 m is too small for a scene of"):
+        _voxel_means(points, 1e-9)
+
+
+def test_organised_clouds_and_doubles_are_cleaned_alike():
+    organised = scene().reshape(100, 120, 3)
+    one, two = Cleaner(), Cleaner(Pipeline(points=None))
+    assert one(organised).shape == (1000, 3)
+    assert len(two(organised)) == 12_000 - 12
+    np.testing.assert_array_equal(Cleaner(Pipeline(points=None))(organised.reshape(-1, 3)), two(organised))
+    assert one(organised.astype(np.float32)).dtype == np.float64
+
+
+def test_what_cannot_be_cleaned_says_why():
+    with pytest.raises(
+        ValueError, match=r"points must be \(n, 3\) or \(h, w, 3\), not of shape \(9, 6\): pick x, y and z"
+    ):
+        Cleaner()(np.ones((9, 6)))
+    clean = Cleaner(Pipeline(crop=((5, 5, 5), (6, 6, 6))))
+    with pytest.raises(
+        ValueError, match=r"nothing is left of frame 0: removed were 0 not finite, .* 60 outside the box"
+    ):
+        clean(ring())
+
+
+@pytest.mark.parametrize(
+    ("entries", "says"),
+    [
+        ({"voxels": 1}, "there is no 'voxels'; there are finite, zeros, crop"),
+        ({"voxel": -0.1}, "voxel: .*greater than 0"),
+        ({"planes": 1.5}, "planes"),
+        ({"points": "many"}, "points"),
+        ({"crop": [[0, 0, 0], [1, 0, 1]]}, r"crop: \(0.0, 0.0, 0.0\) is not below \(1.0, 0.0, 1.0\)"),
+    ],
+)
+def test_a_wrong_pipeline_is_refused(entries, says):
+    with pytest.raises(ValueError, match=f"here: .*{says}"):
+        from_mapping(Pipeline, entries, "here")
+
+
+# The command.
+
+
+@pytest.fixture
+def film(tmp_path):
+    """Five organised clouds with NaN rows and colours, in millimetres."""
+    folder = tmp_path / "film"
+    folder.mkdir()
+    for t in range(5):
+        points = 1000 * ring(t, 400)
+        points[::10] = np.nan
+        save_pcd(folder / f"{t}.pcd", points)
+    return folder
+
+
+def test_track_takes_a_film(film, tmp_path, capsys):
+    (tmp_path / "how.json").write_text('{"points": 100, "voxel": 0.001}')
+    arguments = ["track", str(film), "--unit", "mm", "--fps", "10", "--pipeline", str(tmp_path / "how.json")]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert "film: 5 frames" in out
+    assert "nan" not in out  # there is no true loop to be compared with
+    assert "removed a frame: 40 not finite, 0 at (0, 0, 0), 0 by voxels, 260 by farthest points" in out
+    states = load_states(tmp_path / "film.tracks.npz")
+    assert [state.time for state in states] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    assert [[loop.id for loop in state.loops] for state in states] == [[0]] * 5
+    assert load(Pipeline, tmp_path / "how.json") == Pipeline(points=100, voxel=0.001)
+    assert main([*arguments, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["removed"]["not finite"] == 200
+    assert [loop["frames"] for loop in answer["loops"]] == [5]
+
+
+def test_track_takes_the_folder_that_it_runs_in(film, monkeypatch, capsys):
+    monkeypatch.chdir(film)
+    assert main(["track", ".", "--unit", "mm"]) == 0
+    assert capsys.readouterr().out.endswith(f"tracks: {film}.tracks.npz\n")
+
+
+def test_track_takes_an_archive_of_clouds_that_topokit_did_not_write(tmp_path, capsys):
+    np.savez(tmp_path / "film.npz", [ring(t) for t in range(3)])
+    assert main(["track", str(tmp_path / "film.npz")]) == 0
+    assert "film.npz: 3 frames" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["film"], "0.pcd: it is"),
+        (["film", "--unit", "mm", "--plot", "a.png"], "--plot is for episodes, and film is not: leave it out"),
+        (["film/*.pcd", "--unit", "mm"], "--out: say where to write the tracks of film/*.pcd"),
+        (["film", "--unit", "mm", "--pipeline", "bad.json"], "bad.json: there is no 'voxels'"),
+        (["film", "--unit", "mm", "--columns", "a,b,c"], "0.pcd: its points have no a: they have x, y, z, rgb"),
+        (["episode.npz", "--unit", "mm"], "--unit is for clouds, and episode.npz is not: leave it out"),
+        (["cloud.txt"], "holds files .txt"),
+        (["depth.npy", "--intrinsics", "none.json"], "error: none.json: there is no such file"),
+        (["--live", "--topic", "/points"], "leave out topic"),
+    ],
+)
+def test_bad_calls_write_nothing(arguments, says, film, tmp_path, episode_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("bad.json").write_text('{"voxels": 1}')
+    Path("cloud.txt").write_text("1 2 3")
+    np.save("depth.npy", depth_image())
+    Path("episode.npz").write_bytes(episode_path.read_bytes())
+    assert main(["track", *arguments]) == 2
+    assert says in capsys.readouterr().err
+    assert not list(tmp_path.rglob("*.tracks.npz"))
+
+
+def live(frames: list[np.ndarray], *options: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "topokit", "track", "--live", *options]
+    done = subprocess.run(command, input=b"".join(map(npy, frames)), capture_output=True)
+    return subprocess.CompletedProcess(command, done.returncode, done.stdout.decode(), done.stderr.decode())
+
+
+def test_live_leaves_out_what_is_not_finite_and_says_so_once():
+    frames = [ring(t) for t in range(3)]
+    frames[1][7] = frames[2][3] = np.nan
+    done = live(frames)
+    assert done.returncode == 0, done.stderr
+    assert [json.loads(line)["frame"] for line in done.stdout.splitlines()] == [0, 1, 2]
+    assert done.stderr.splitlines() == [
+        "topokit track: frame 1: 1 of 60 points are not finite and left out, here and in what follows"
+    ]
+
+
+def test_the_advice_about_a_frame_is_python():
+    points = ring()
+    points[7] = np.nan
+    with pytest.raises(ValueError, match="frame 0 has 1 of 60 points") as refused:
+        tk.SeqPH().update(points)
+    assert len(eval(str(refused.value).split("for example ")[1])) == 59
+
+
+def test_live_takes_a_pipeline_and_asks_about_colours(tmp_path):
+    frames = [np.column_stack([1000 * ring(t, 300), np.full((300, 3), 200)]) for t in range(2)]
+    (tmp_path / "how.json").write_text('{"points": 50}')
+    options = ["--unit", "mm", "--columns", "0,1,2", "--pipeline", str(tmp_path / "how.json")]
+    done = live(frames, *options)
+    assert done.returncode == 0, done.stderr
+    assert [len(json.loads(line)["loops"]) for line in done.stdout.splitlines()] == [1, 1]
+    refused = live(frames, *options[2:])
+    assert refused.returncode == 2
+    assert "frame 0 on standard input: it is 591.7 m across: are these millimetres? Declare" in refused.stderr
+    refused = live(frames)
+    assert refused.returncode == 2
+    assert "frame 0 on standard input: 6 numbers a point, and a place has three" in refused.stderr

@@ -1,0 +1,189 @@
+"""The declared pipeline: what is left out of a raw cloud before loops are looked for, step by step, and counted.
+
+Source: Fischler and Bolles 1981 (RANSAC); outliers and farthest points as in `topokit.sampling`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Annotated, Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from topokit._config import Count, Positive, checked
+from topokit._validate import as_reals
+from topokit.sampling import farthest_point_sample, inliers
+
+Array = NDArray[np.float64]
+Corner = tuple[float, float, float]
+_SAMPLE = 2000  # points that a plane is fitted to
+_SHARE = 0.1  # of the points, at least, are on a table or a wall
+_BEHIND = 0.03  # of the points, at most, are behind it: it is not cloth with the room behind
+_REST = 30  # frames until a plane is searched for again that was not there: a search takes half a second
+_TURN = np.cos(np.radians(10))  # a plane turns less from one frame to the next
+
+
+@checked
+class Pipeline:
+    """What is done to each frame, in this order; a step that is not declared is left out.
+
+    Examples
+    --------
+    >>> Pipeline(crop=((-1, -1, 0.3), (1, 1, 2)), planes=1, voxel=0.008, outliers=2.5).points
+    1000
+    """
+
+    finite: bool = True  #: drop points with a NaN or infinite coordinate
+    zeros: bool = True  #: drop points at (0, 0, 0): pixels where a depth camera saw nothing
+    crop: tuple[Corner, Corner] | None = None  #: lowest and highest corner of the box that is kept, metres
+    #: walls and tables to remove: planes that are not seen through, the largest first
+    planes: Annotated[int, Field(ge=0, le=10)] = 0
+    eye: Corner = (0.0, 0.0, 0.0)  #: where the camera is
+    thickness: Positive = 0.01  #: what is within it of a plane belongs to the plane, metres
+    voxel: Positive | None = None  #: one point, their mean, for those in each cube of such an edge, metres
+    #: drop points that are alone: the factor of `topokit.sampling.inliers`; 2.5 suits cloth
+    outliers: Positive | None = None
+    points: Count | None = 1000  #: farthest points that are kept of what is left; all, when none
+
+    def __post_init__(self) -> None:
+        if self.crop is not None and not (np.array(self.crop[0]) < self.crop[1]).all():
+            raise ValueError(f"crop: {self.crop[0]} is not below {self.crop[1]} in all of x, y and z")
+
+
+class Cleaner:
+    """A pipeline at work on the frames of one film, a call a frame: planes are followed from frame to frame.
+
+    After a call, `removed` tells how many points each step took. Without a pipeline it is `Pipeline()`.
+
+    Examples
+    --------
+    >>> clean = Cleaner(Pipeline(points=2))
+    >>> clean([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0], [np.nan, 0.0, 1.0], [1.0, 2.0, 3.5]])
+    array([[1. , 2. , 3. ],
+           [1. , 2. , 3.5]])
+    >>> clean.removed
+    {'not finite': 1, 'at (0, 0, 0)': 1, 'by farthest points': 0}
+    """
+
+    def __init__(self, pipeline: Pipeline | None = None) -> None:
+        self.pipeline = Pipeline() if pipeline is None else pipeline
+        self.removed: dict[str, int] = {}
+        self._frame = self._search_from = 0
+        self._planes: list[Array] = []  # of the last frame: unit normal, and its product with the plane's points
+
+    def __call__(self, points: ArrayLike) -> Array:
+        """What is left (k, 3) of a frame, (n, 3) or (h, w, 3) in metres."""
+        raw, how = as_reals(points, "points"), self.pipeline
+        if raw.ndim not in (2, 3) or raw.shape[-1] != 3:
+            raise ValueError(f"points must be (n, 3) or (h, w, 3), not of shape {raw.shape}: pick x, y and z")
+        raw = np.ascontiguousarray(raw.reshape(-1, 3), dtype=np.float32 if raw.dtype == np.float32 else np.float64)
+        left, dropped = _sieve(raw, how.finite, how.zeros, np.array(how.crop or ((-np.inf,) * 3, (np.inf,) * 3)))
+        names = {"not finite": how.finite, "at (0, 0, 0)": how.zeros, "outside the box": how.crop}
+        self.removed = {name: int(n) for (name, asked), n in zip(names.items(), dropped, strict=True) if asked}
+        steps: tuple[tuple[str, Any, Any], ...] = (
+            ("on planes", how.planes, self._off_planes),
+            ("by voxels", how.voxel, _voxel_means),
+            ("outliers", how.outliers, lambda some, factor: some[inliers(some, factor=factor)]),
+            ("by farthest points", how.points, lambda some, n: some[farthest_point_sample(some, min(n, len(some)))[0]]),
+        )
+        for name, asked, step in steps:
+            if asked and len(left):
+                before, left = len(left), step(left, asked)
+                self.removed[name] = before - len(left)
+        if not len(left):
+            told = ", ".join(f"{n} {name}" for name, n in self.removed.items())
+            raise ValueError(f"nothing is left of frame {self._frame}: removed were {told}; look at box and units")
+        self._frame += 1
+        return np.asarray(left, dtype=np.float64)
+
+    def _off_planes(self, points: Any, count: int) -> Any:
+        thickness = self.pipeline.thickness
+        sample = points[:: max(1, len(points) // _SAMPLE)].astype(np.float64)
+        before, self._planes = self._planes, []
+        for number in range(count):
+            plane = _followed(sample, before[number], thickness) if number < len(before) else None
+            if plane is None and self._frame >= self._search_from:
+                plane = _found(sample, thickness, np.array(self.pipeline.eye))
+                self._search_from = self._frame + (_REST if plane is None else 0)
+            if plane is None:
+                break
+            self._planes.append(plane)
+            points, sample = (some[~_on(some, plane, thickness)] for some in (points, sample))
+        return points
+
+
+@njit(cache=True)
+def _sieve(points: Any, finite: bool, zeros: bool, box: Any) -> Any:
+    """The points that pass, and how many are not finite, how many at (0, 0, 0), how many outside: one pass over 300,000."""
+    kept, n, dropped = np.empty_like(points), 0, np.zeros(3, np.int64)
+    for x, y, z in points:
+        if finite and not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+            dropped[0] += 1
+        elif zeros and x == 0 and y == 0 and z == 0:
+            dropped[1] += 1
+        elif x < box[0, 0] or x > box[1, 0] or y < box[0, 1] or y > box[1, 1] or z < box[0, 2] or z > box[1, 2]:
+            dropped[2] += 1
+        else:
+            kept[n, 0], kept[n, 1], kept[n, 2] = x, y, z
+            n += 1
+    return kept[:n], dropped
+
+
+def _fitted(points: Array) -> Array:
+    """The plane of least squares."""
+    middle = points.mean(axis=0)
+    normal = np.linalg.eigh((points - middle).T @ (points - middle))[1][:, 0]
+    return np.array([*normal, normal @ middle])
+
+
+def _on(points: Any, plane: Array, thickness: float) -> NDArray[np.bool_]:
+    plane = plane.astype(points.dtype)
+    return np.abs(points @ plane[:3] - plane[3]) <= thickness
+
+
+def _followed(points: Array, plane: Array, thickness: float) -> Array | None:
+    """Where a plane of the frame before is now; None when it is there no more."""
+    for width in (3 * thickness, thickness):
+        near = _on(points, plane, width)
+        if near.sum() < max(3, _SHARE * len(points)):
+            return None
+        before, plane = plane, _fitted(points[near])
+        if abs(before[:3] @ plane[:3]) < _TURN:
+            return None
+    return plane
+
+
+def _found(sample: Array, thickness: float, eye: Array) -> Array | None:
+    """The plane that most points are on, of those that are not seen through: RANSAC along each axis, then least squares."""
+    from sklearn.linear_model import RANSACRegressor
+
+    points, near = sample[::4], np.zeros(len(sample[::4]), bool)
+    for axis in range(3):
+
+        def is_opaque(model: Any, *_: Any, axis: int = axis) -> bool:
+            normal = np.insert(model.coef_, axis, -1.0)
+            apart = points @ normal + model.intercept_
+            behind = apart * np.sign(eye @ normal + model.intercept_) < -3 * thickness * np.linalg.norm(normal)
+            return bool(behind.mean() <= _BEHIND and np.sum(np.abs(apart) <= thickness) > 10)
+
+        search = RANSACRegressor(residual_threshold=thickness, max_trials=300, random_state=0, is_model_valid=is_opaque)
+        with contextlib.suppress(ValueError):  # none of its trials was valid
+            on = search.fit(np.delete(points, axis, axis=1), points[:, axis]).inlier_mask_
+            near = max(near, on, key=np.sum)
+    return _followed(sample, _fitted(points[near]), thickness) if near.any() else None
+
+
+def _voxel_means(points: Any, edge: float) -> Any:
+    from pandas import factorize
+
+    cells = np.floor(points / edge)
+    cells -= cells.min(axis=0)
+    sizes = cells.max(axis=0).astype(np.float64) + 1
+    if sizes.prod() > 2**62:
+        raise ValueError(f"voxel: {edge} m is too small for a scene of {sizes.max() * edge:.3g} m; crop it first")
+    numbers = factorize(cells.astype(np.int64) @ np.array([sizes[1] * sizes[2], sizes[2], 1], np.int64))[0]
+    sums = [np.bincount(numbers, points[:, axis]) for axis in range(3)]
+    return np.column_stack(sums) / np.bincount(numbers)[:, None]
