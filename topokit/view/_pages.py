@@ -2,8 +2,8 @@
 
 Idea: the data are packed once beside scripts without dependencies, and the page is handed to the browser as the `srcdoc` of an
 iframe. So it works the same in Jupyter, on a built page and as a file, and asks nothing of the network. `rips.js` computes loops
-by the same lunes as `topokit.rips`, and `match.js` matches diagrams as `topokit.lemmas` does, in a few milliseconds, so that
-points can be dragged. Tests hold their answers to topokit's. Taught in chapters 1 to 5.
+by the same lunes as `topokit.rips`, `match.js` matches diagrams as `topokit.lemmas` does, and `rules.js` says which bars are
+loops, in a few milliseconds, so that points can be dragged. Tests hold their answers to topokit's. Taught in chapters 1 to 6.
 """
 
 from __future__ import annotations
@@ -224,6 +224,27 @@ def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> Framed:
     many = " or ".join(str(len(cloud)) for cloud in clouds.values())
     title, scripts = f"Loop of {many} points, nudged", ("rips.js", "planar.js", "places.js")
     return framed("nudge", scripts, data, 480, "nudge a point, or drag one", title)
+
+
+def stray(points: ArrayLike, start: ArrayLike, end: ArrayLike) -> Framed:
+    """Return an interactive figure of two rules that tell which bars are loops, and of a stray point that spoils one of them.
+
+    Beside the cloud stand its bars, each with the mark that the bar of a loop must reach: by the rule of ``SeqPH.paper()``, on
+    all points, and by the evidence of `topokit.SeqPH` in one frame, on those that are not alone. Any point can be dragged.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        At most 59 points. Radii, births and deaths are in their unit.
+    start, end : (2,) array_like
+        Where the stray point is at first, and where the slider and the play button take it.
+    """
+    cloud = planar(points, "points", MOST_POINTS - 1)
+    way = {
+        name: planar(np.asarray(place)[None], name, 1)[0].tolist() for name, place in (("start", start), ("end", end))
+    }
+    title, scripts = f"{len(cloud)} points and a stray one", ("rips.js", "planar.js", "places.js", "rules.js")
+    return framed("stray", scripts, {"points": cloud.tolist(), **way}, 480, "drag the stray point away", title)
 
 
 def planar(points: ArrayLike, name: str, most: int | None = None) -> NDArray[np.float64]:
