@@ -80,6 +80,22 @@ def test_the_order_of_points_and_their_unit_are_nothing() -> None:
     assert len(cloud) > len(points)
 
 
+def test_a_hole_is_open_once_the_camera_has_looked_through_it() -> None:
+    angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    ring = np.concatenate([np.column_stack([r * np.cos(angle), r * np.sin(angle), 0 * angle + 2]) for r in (0.3, 0.35)])
+    hand, wall, cloth = sheet(1.0, 15, 0.2), sheet(3.0), np.vstack([ring, sheet(3.0, 21)])
+    for around, seen, expected in ((None, ring, 1), (wall, ring, 1), (hand, ring, 0), (None, cloth, 0)):
+        state = tk.SeqPH().update(seen)
+        assert len(state) == 1
+        memory = CloudMemory()
+        assert len(memory.open_loops(state)) == 0  # nothing has been looked at
+        memory(seen, around=around)
+        assert len(memory.open_loops(state)) == expected
+    tracker, memory = tk.SeqPH(), CloudMemory()
+    states = [memory.open_loops(tracker.update(memory(ring, around=around))) for around in (hand, wall, hand)]
+    assert [[loop.id for loop in state.loops] for state in states] == [[], [0], [0]]
+
+
 @pytest.mark.parametrize(
     ("points", "options", "words"),
     [
