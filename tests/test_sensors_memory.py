@@ -61,6 +61,15 @@ def test_a_place_that_the_camera_looks_through_is_empty() -> None:
     assert memory(left, around=back * 1.5)[:, 0].max() < 0.2  # a wall is seen behind all of it but its edge
 
 
+def test_what_is_beside_all_that_is_seen_stays() -> None:
+    near = [sheet(1.5, 5, 0.2) + [x, 0, 0] for x in (-1.2, 1.2)]
+    far = [sheet(2.5, 5, 0.2) + [0, y, 0] for y in (-1.6, 1.6)]
+    flaps = np.concatenate([*near, *far])
+    cloth, memory = sheet(2.0, 11, 0.5), CloudMemory(frames=2)
+    memory(np.vstack([cloth, flaps]))
+    assert [len(memory(cloth)) for _ in range(5)] == [len(cloth) + len(flaps)] * 5
+
+
 def test_what_should_be_in_sight_is_forgotten_after_some_frames() -> None:
     cloth, memory = sheet(2.0), CloudMemory(frames=3)
     rows = np.round(cloth[:, 1] / (2 / 14) + 7) % 2 == 0

@@ -20,7 +20,6 @@ from topokit.sampling import as_tree
 from topokit.state import TopologicalState
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 _APART = 0.7  # how far from all that is seen a remembered point is, in distances of points from their nearest other one
 _THICK = 1.3  # what is less far in front of the cloth or behind it belongs to it, in the same
 _BESIDE = 1.2  # how far in the picture from what is seen is beside it, in distances of points from their fifth nearest
@@ -40,11 +39,9 @@ class CloudMemory:
 
     Examples
     --------
-    >>> wall = np.array([[x, y, 2.0] for x in np.linspace(0, 1, 11) for y in np.linspace(0, 1, 11)])
-    >>> hand, rest = wall[wall[:, 0] > 0.55] / 2, wall[wall[:, 0] < 0.55]
-    >>> memory = CloudMemory()
-    >>> len(memory(wall)), len(memory(rest, around=hand))
-    (121, 121)
+    >>> memory, strip = CloudMemory(), np.array([[x, 0.0, 9.0] for x in range(8)])
+    >>> len(memory(strip)), len(memory(strip[:5], around=strip[5:] / 2))
+    (8, 8)
     """
 
     def __init__(self, frames: int = 30) -> None:
@@ -64,7 +61,7 @@ class CloudMemory:
             Where the camera is.
         around : (m, 3) array_like, optional
             What else it sees, such as a wall or a hand: it hides what is behind, and is seen through places that are empty.
-            When it is not given, what is beside the cloth in the picture may be empty or hidden, and stays.
+            Without it, what is beside the cloth in the picture stays.
         """
         view = _View(
             _in_space(points, "points"), _in_space(around, "around"), _in_space(np.reshape(eye, (1, -1)), "eye")
@@ -115,7 +112,7 @@ class _View:
         fifth = self._of_cloth.query(self._of_cloth.data, k=[min(6, len(self.cloth))])[0]
         self._beside = _BESIDE * float(np.median(fifth))
 
-    def look(self, points: Array) -> tuple[Mask, Mask, Mask, Mask]:
+    def look(self, points: Array) -> tuple[NDArray[np.bool_], ...]:
         """(n,) what is known of places: looked through; hidden or unknown; behind what is not cloth; seen past all cloth."""
         directions, depths = self._from_eye(points)
         away, near = self._picture.query(directions, k=_AROUND)
@@ -126,9 +123,8 @@ class _View:
         return (farther > thick).all(axis=1) & ~beside, behind | beside, covered, past
 
     def _from_eye(self, points: Array) -> tuple[Array, Array]:
-        rays = points - self._eye
-        depths = np.linalg.norm(rays, axis=1)
-        return rays / np.where(depths > 0, depths, 1)[:, None], depths
+        depths = np.linalg.norm(points - self._eye, axis=1)
+        return (points - self._eye) / np.where(depths > 0, depths, 1)[:, None], depths
 
 
 def _in_space(points: ArrayLike | None, name: str) -> Array:
