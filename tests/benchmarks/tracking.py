@@ -40,6 +40,7 @@ from topokit.evaluate import (
     true_loops,
 )
 from topokit.io import Episode, load_episode, save_episode, save_states
+from topokit.sensors import CloudMemory
 from topokit.seqph import PAPER as PAPERS
 from topokit.sim import TASKS, Randomisation, SimulationError, simulate
 
@@ -78,11 +79,18 @@ TRACKERS: dict[str, Follow] = {
 }
 """The paper's tracker, one thing changed in it; what was recommended before the default; other matchings; the default."""
 PAPER, RECOMMENDED = "paper", "default"
+WITH_MEMORY = "default, with a memory"  # of the cloud: what one camera sees now and saw before, and what it looks through
 MAIN = (PAPER, "yesterday's", RECOMMENDED)  # the others are in some conditions alone
 COMPARED = ("all vertices", "every 4th frame", "250 points", "noise of 5 mm", "one camera")
 VINES = "vines"
 VINES_IN = ("all vertices", "every 4th frame", "noise of 5 mm")
 WHOLE = ("all vertices", "every 4th frame")
+
+
+def remembered(clouds: Clouds) -> list[tk.TopologicalState]:
+    """Track what a camera sees and what it remembers; only loops that it has looked through count."""
+    memory, tracker = CloudMemory(), tk.SeqPH()
+    return [memory.open_loops(tracker.update(memory(cloud, eye=CAMERA.eye))) for cloud in clouds]
 
 
 def simulated(folder: Path, seeds: int) -> list[Path]:
@@ -118,6 +126,8 @@ def row_of(path: Path) -> dict[str, Any]:
         true, diagrams = truth[::stride], tk.rips_persistence_many(clouds)
         wanted = TRACKERS if name in COMPARED else MAIN
         films = {label: TRACKERS[label](clouds, diagrams) for label in wanted}
+        if name == "one camera":
+            films[WITH_MEMORY] = remembered(clouds)
         if name in VINES_IN:
             films[VINES] = track_vines(clouds, steps=4, **PAPERS)
         overlaps = {label: compare(states, true) for label, states in films.items()}

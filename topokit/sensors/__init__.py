@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
+    from ._memory import CloudMemory
     from ._pipeline import Cleaner, Pipeline
 
 __getattr__, __all__ = attach(__name__, __file__, "sensors")

@@ -1,0 +1,134 @@
+"""A cloud with a memory: what one camera sees now, and what it saw before and cannot see now.
+
+Idea: remembered points are carried along with the cloth. One that is seen again is replaced; one that the camera looks through
+is forgotten at once, for that place is empty; one that should be in sight and is not is forgotten after a while; one that
+something hides stays. A hole that is looked through is a hole; what closes another may be hidden, as a bag's bottom is.
+
+Source: Newcombe, Fox and Seitz 2015, *DynamicFusion* (one model of a moving scene out of depth images); Curless and Levoy 1996
+(what is looked through is empty). The constants were chosen on simulated films that no table of the book scores.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from topokit._validate import as_points, whole
+from topokit.sampling import as_tree
+from topokit.state import TopologicalState
+
+Array = NDArray[np.float64]
+_APART = 0.7  # how far from all that is seen a remembered point is, in distances of points from their nearest other one
+_THICK = 1.3  # what is less far in front of the cloth or behind it belongs to it, in the same
+_BESIDE = 1.2  # how far in the picture from what is seen is beside it, in distances of points from their fifth nearest
+_AROUND = 4  # how many that are near in the picture must all be farther away, where a place is empty
+_WITHIN = np.array([[1 / 3] * 3, *(np.eye(3) + 1) / 4, *(3 * np.eye(3) + 1) / 6])  # places in a triangle
+
+
+class CloudMemory:
+    """The cloud of what a depth camera sees and of what it remembers, a call a frame; a memory for each film.
+
+    Remembered points move as the middle of what is in sight does: one side of a piece of cloth tells little more of the other.
+
+    Parameters
+    ----------
+    frames : int
+        For how many frames a point is remembered while it should be in sight; those in which it is hidden do not count.
+
+    Examples
+    --------
+    >>> memory, strip = CloudMemory(), np.array([[x, 0.0, 9.0] for x in range(8)])
+    >>> len(memory(strip)), len(memory(strip[:5], around=strip[5:] / 2))
+    (8, 8)
+    """
+
+    def __init__(self, frames: int = 30) -> None:
+        self.frames = whole(frames, "frames")
+        self._view: _View | None = None  # the last one
+        self._remembered, self._in_sight = np.zeros((0, 3)), np.zeros(0, np.int64)  # places, frames they were in sight
+        self._open: set[int] = set()  # identities of loops that have been looked through
+
+    def __call__(self, points: ArrayLike, *, eye: ArrayLike = (0, 0, 0), around: ArrayLike | None = None) -> Array:
+        """(k, 3) what is seen, each place once, and what is remembered. A frame that is refused changes nothing.
+
+        Parameters
+        ----------
+        points : (n, 3) array_like
+            Of the cloth, in a frame of reference that does not move.
+        eye : (3,) array_like
+            Where the camera is.
+        around : (m, 3) array_like, optional
+            What else it sees, such as a wall or a hand: it hides what is behind, and is seen through places that are empty.
+            Without it, what is beside the cloth in the picture stays.
+        """
+        view = _View(
+            _in_space(points, "points"), _in_space(around, "around"), _in_space(np.reshape(eye, (1, -1)), "eye")
+        )
+        if self._view is not None:
+            self._follow(self._view, view)
+        self._view = view
+        return np.vstack([view.cloth, self._remembered])
+
+    def open_loops(self, state: TopologicalState) -> TopologicalState:
+        """Of the loops tracked in the last cloud, those that the camera looks through past all cloth, now or before.
+
+        Parameters
+        ----------
+        state : TopologicalState
+        """
+        for loop in state.loops:
+            if self._view and self._view.look((_WITHIN @ loop.killer_triangles).reshape(-1, 3))[3].any():
+                self._open.add(loop.id)
+        return replace(state, loops=tuple(loop for loop in state.loops if loop.id in self._open))
+
+    def _follow(self, before: _View, now: _View) -> None:
+        """Carry along what is remembered and what was seen, and keep what is neither seen again nor contradicted."""
+        stays, was_there = ~now.look(before.cloth)[2], ~before.look(now.cloth)[2]
+        if not (stays.any() and was_there.any()):
+            stays[:] = was_there[:] = True
+        motion = now.cloth[was_there].mean(axis=0) - before.cloth[stays].mean(axis=0)
+        carried = np.vstack([self._remembered, before.cloth]) + motion
+        empty, hidden, *_ = now.look(carried)
+        in_sight = np.pad(self._in_sight, (0, len(before.cloth))) + ~hidden
+        apart = as_tree(now.cloth).query(carried)[0] >= _APART * now.spacing
+        kept = apart & ~empty & (in_sight <= self.frames)
+        self._remembered, self._in_sight = carried[kept], in_sight[kept]
+
+
+class _View:
+    """What a camera sees in a frame: the cloth, how far its points are apart, and all in directions from the eye."""
+
+    def __init__(self, points: Array, others: Array, eye: Array) -> None:
+        self.cloth, self._eye = np.unique(points + 0.0, axis=0), eye  # -0.0 and 0.0 are one place
+        if len(self.cloth) <= _AROUND:
+            raise ValueError(f"points has {len(self.cloth)} places, too few to tell what they hide: skip the frame")
+        directions, self._depths = self._from_eye(np.vstack([self.cloth, others]))
+        if not self._depths.all():
+            raise ValueError(f"a point is where the eye is, at {eye[0].tolist()}: drop pixels that saw nothing")
+        self._picture, self._of_cloth = as_tree(directions), as_tree(directions[: len(self.cloth)])
+        self.spacing = float(np.median(as_tree(self.cloth).query(self.cloth, k=2)[0][:, 1]))
+        fifth = self._of_cloth.query(self._of_cloth.data, k=[min(6, len(self.cloth))])[0]
+        self._beside = _BESIDE * float(np.median(fifth))
+
+    def look(self, points: Array) -> tuple[NDArray[np.bool_], ...]:
+        """(n,) what is known of places: looked through; hidden or unknown; behind what is not cloth; seen past all cloth."""
+        directions, depths = self._from_eye(points)
+        away, near = self._picture.query(directions, k=_AROUND)
+        farther, thick = self._depths[near] - depths[:, None], _THICK * self.spacing
+        beside, behind = away[:, 1] >= self._beside, farther[:, 0] < -thick
+        covered = behind & ~beside & (near[:, 0] >= len(self.cloth))
+        past = ~covered & (self._of_cloth.query(directions, k=2)[0][:, 1] >= self._beside)
+        return (farther > thick).all(axis=1) & ~beside, behind | beside, covered, past
+
+    def _from_eye(self, points: Array) -> tuple[Array, Array]:
+        depths = np.linalg.norm(points - self._eye, axis=1)
+        return (points - self._eye) / np.where(depths > 0, depths, 1)[:, None], depths
+
+
+def _in_space(points: ArrayLike | None, name: str) -> Array:
+    array = as_points(np.zeros((0, 3)) if points is None else points, name)
+    if array.shape[1] != 3:
+        raise ValueError(f"{name} must be in space, (n, 3), not of shape {array.shape}: pick x, y and z")
+    return array
