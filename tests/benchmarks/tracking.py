@@ -79,7 +79,9 @@ TRACKERS: dict[str, Follow] = {
 }
 """The paper's tracker, one thing changed in it; what was recommended before the default; other matchings; the default."""
 PAPER, RECOMMENDED = "paper", "default"
-WITH_MEMORY = "default, with a memory"  # of the cloud: what one camera sees now and saw before, and what it looks through
+WITH_MEMORY = (
+    "default, with a memory"  # of the cloud: what one camera sees now and saw before, and what it looks through
+)
 MAIN = (PAPER, "yesterday's", RECOMMENDED)  # the others are in some conditions alone
 COMPARED = ("all vertices", "every 4th frame", "250 points", "noise of 5 mm", "one camera")
 VINES = "vines"
