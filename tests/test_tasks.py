@@ -287,7 +287,7 @@ def test_scripted_paths_succeed(name):
     episode = simulate(garment, task=task, seed=2, n_observed=50)
     assert episode.success
     assert len(episode) >= 76
-    assert not task.hangs(episode.points[0], episode.loops)
+    assert not task.hangs(episode.points[0], episode.named_loops)
     still = np.linalg.norm(episode.points[-1] - episode.points[-4], axis=1)
     assert still.max() < 0.05
     assert episode.physics["stretch"]["p99"] < 1.3
@@ -312,7 +312,7 @@ def test_what_falls_lies_on_the_floor_and_does_not_hang():
             world.step(None)
         points = world.vertices()
     assert -0.01 < points[:, 2].min() < 0.03
-    assert not TASKS["sheet-hook"].hangs(points, garment.loops)
+    assert not TASKS["sheet-hook"].hangs(points, garment.named_loops)
 
 
 def test_tasks_of_ones_own():
@@ -320,7 +320,7 @@ def test_tasks_of_ones_own():
     assert task_for(apron, Hook(height=1.5)).target.height == 1.5
     square = Garment("patch", np.eye(3)[[0, 1, 2]] * 0.1, np.array([[0, 1, 2]]), (), np.array([0, 1]))
     task = task_for(square, Mannequin())
-    assert not task.hangs(square.vertices, square.loops)
+    assert not task.hangs(square.vertices, square.named_loops)
     assert simulate(square, task=task, config=SHORT, n_observed=3).garment == "patch"
     with pytest.raises(ValueError, match="no task 'apron-moon'; there are apron-hook"):
         simulate(task="apron-moon")

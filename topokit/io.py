@@ -25,6 +25,7 @@ __all__ = [
     "FEWEST_FRAMES",
     "HISTORY",
     "HORIZON",
+    "LOOP_NAMES",
     "SCHEMA",
     "Episode",
     "FormatError",
@@ -38,6 +39,18 @@ __all__ = [
 SCHEMA = 1
 HISTORY, HORIZON = 16, 60  # frames that a forecast looks back on, and ahead to (Antonova et al. 2021, section 5)
 FEWEST_FRAMES = HISTORY + HORIZON
+#: What the loops of the wardrobe's garments are called, of which episodes need not tell.
+LOOP_NAMES = {
+    "apron": ("neck",),
+    "apron2": ("neck", "waist"),
+    "tote": ("handle",),
+    "tote2": ("handle 1", "handle 2"),
+    "backpack": ("strap 1", "strap 2"),
+    **dict.fromkeys(("shirt", "vest"), ("neck", "arm 1", "arm 2", "hem")),
+    "mask": ("ear 1", "ear 2"),
+    "sheet": ("hole",),
+    "sheet2": ("hole 1", "hole 2"),
+}
 _KIND = "topokit-episode"
 _STATES_KIND, _STATES_SCHEMA = "topokit-states", 2
 _MAX_PACKING_ERROR = 1e-4  # metres
@@ -84,6 +97,18 @@ class Episode:
     def times(self) -> NDArray[np.float64]:
         """(T,) seconds since the first frame."""
         return np.arange(len(self), dtype=np.float64) * self.dt
+
+    @property
+    def named_loops(self) -> dict[str, NDArray[np.int32]]:
+        """The true loops by their names; by their numbers ("loop 1") in a file that knows none."""
+        names = self.physics.get("loops") or wardrobe_names(self.garment, self.physics.get("garment"))
+        names = names or [f"loop {i + 1}" for i in range(len(self.loops))]
+        return dict(zip(names, self.loops, strict=True))
+
+
+def wardrobe_names(garment: str, sizes: object) -> tuple[str, ...]:
+    """What the loops of a garment of these sizes are called if it is one of the wardrobe's; a mesh has no spacing."""
+    return LOOP_NAMES.get(garment, ()) if isinstance(sizes, dict) and "spacing" in sizes else ()
 
 
 def save_episode(path: str | Path, episode: Episode) -> Path:
@@ -168,6 +193,13 @@ def check_episode(episode: Episode) -> None:
     for name, ids in (("faces", episode.faces), *((f"loops[{i}]", loop) for i, loop in enumerate(episode.loops))):
         if as_ids(ids, name, vertices).ndim != 1 + (name == "faces"):
             raise ValueError(f"{name} has shape {np.shape(ids)}; a loop is a list of vertex ids")
+    names = episode.physics.get("loops", [])
+    if not isinstance(names, list) or {type(name) for name in names} - {str}:
+        raise WrongKindError(f"physics['loops'] must be a list of names, not {names!r:.80}")
+    if names and not len(set(names)) == len(names) == len(episode.loops):
+        raise ValueError(
+            f"physics['loops'] must be {len(episode.loops)} different names, one a loop, not {names!r:.80}"
+        )
 
 
 def _pack(name: str, values: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.float64]]:

@@ -102,6 +102,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
         self.task = as_task(task)
         self.garment, self.target = garment or self.task.garment(), target or self.task.target
+        self.task.check(self.garment)
         self.config = config or SimulationConfig(self_collision=False)
         self.n_points = whole(n_points, "n_points", 1, len(self.garment.vertices))
         self.reward, self.cameras, self.render_mode = reward, tuple(cameras), render_mode
@@ -161,7 +162,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         speed = np.linalg.norm(self._points - points, axis=1).mean() / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
         rests = not torn and free and speed < AT_REST
-        hangs = rests and self.task.hangs(self._points, self.garment.loops, self.target)
+        hangs = rests and self.task.hangs(self._points, self.garment.named_loops, self.target)
         reward = float(hangs)
         if self.reward != "sparse":
             reward += distance - self._distance
@@ -230,13 +231,13 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             n = min(len(self.garment.loops), len(diagram))
             curves = [[cloud[part] for part in simple_cycles(diagram.cycle(i).tolist())] for i in range(n)]
         else:
-            curves = [[self._points[self.garment.loops[i]]] for i in self.task.loops]
+            curves = [[self._points[np.asarray(loop)]] for loop in self.task.asked(self.garment.named_loops)]
         if not curves:
             return 0.0, float(np.linalg.norm(observed.mean(axis=0) - self.target.seat))
         on = [any(self.target.holds(part) for part in parts) for parts in curves]
         gaps = [float(np.linalg.norm(np.concatenate(parts).mean(axis=0) - self.target.seat)) for parts in curves]
         if self.task.every:
-            return sum(on) / len(self.task.loops), float(np.mean(gaps))
+            return sum(on) / len(on), float(np.mean(gaps))
         return float(any(on)), min(gaps)
 
     def _info(self, success: bool = False, dropped: bool = False, torn: bool = False) -> dict[str, Any]:

@@ -17,14 +17,15 @@ import platform
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._config import from_mapping
-from topokit._validate import positive
-from topokit.io import FEWEST_FRAMES, Episode
+from topokit._validate import WrongKindError, positive
+from topokit.io import FEWEST_FRAMES, Episode, wardrobe_names
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
@@ -33,7 +34,7 @@ from ._process import Forge, SimulationError
 from ._randomisation import Randomisation, generator
 from ._surface import Array
 from ._targets import Hook, Rod, Target
-from ._tasks import Task, as_task, task_for
+from ._tasks import Task, as_task, task_for, warn_of_floor
 from ._world import SimulationConfig, World, check_stretch, observe
 
 Report = Callable[[int], None]
@@ -91,10 +92,15 @@ def simulate(
     SimulationError
         When the cloth explodes or is over-stretched, or the simulator crashes or is stopped.
     ValueError
-        When `n_observed` exceeds the number of vertices, `task` is not known, or no camera sees any cloth in some frame.
+        When `n_observed` exceeds the number of vertices, `task` is not known or asks for loops that the garment has not, or
+        no camera sees any cloth in some frame.
     """
+    if garment is not None and not isinstance(garment, Garment):
+        how = f"Garment.from_mesh({garment!r}) makes one of a mesh" if isinstance(garment, str | Path) else "make one"
+        raise WrongKindError(f"garment must be a Garment, not {type(garment).__name__}: {how}")
     task = task_for(garment or Garment.apron(), target or Hook()) if task is None else as_task(task)
     garment, target, config = garment or task.garment(), target or task.target, config or SimulationConfig()
+    task.check(garment)
     drawn: dict[str, Any] | None = None
     if randomisation is not None:
         config, garment, cameras, numbers = randomisation.draw(seed, config, garment, cameras)
@@ -105,6 +111,7 @@ def simulate(
     if not 1 <= n_observed <= most:
         what = "pixels of the cameras" if cameras else "vertices of the garment"
         raise ValueError(f"n_observed must be 1 to {most}, the {what}, not {n_observed}")
+    warn_of_floor(garment, target)
     path = task.plan(garment, target, generator(seed, "path"))
     frames = config.frames or max(FEWEST_FRAMES, math.ceil(min(path.end / config.frame_time, _MOST_STEPS)))
     config = dataclasses.replace(config, frames=frames)
@@ -127,6 +134,7 @@ def _episode(
     run: Run, recording: Recording, task: Task, target: Target, seed: int, randomisation: dict[str, Any] | None
 ) -> Episode:
     garment, config, points = run.garment, run.config, recording["points"]
+    names = garment.loop_names
     held = np.arange(len(points)) * config.steps_per_frame < run.release
     speed = float(np.linalg.norm(points[-1] - points[-2:][0], axis=1).mean()) / config.frame_time
     rests = len(points) > 1 and not held[-1] and speed < AT_REST  # a loop that flies past the arm links it, too
@@ -136,6 +144,7 @@ def _episode(
         "garment": dict(garment.parameters),
         "target": {**dataclasses.asdict(target), "position": [0.0, target.distance, 0.0]},
         "randomisation": randomisation,
+        **({} if names == wardrobe_names(garment.name, garment.parameters) else {"loops": list(names)}),
         "stretch": dict(zip(("p99", "worst"), recording["stretch"].max(axis=0).tolist(), strict=True)),
     }
     views = [dataclasses.asdict(camera) for camera in run.cameras]
@@ -152,7 +161,7 @@ def _episode(
         garment=garment.name,
         target=target.name,
         task=task.name,
-        success=bool(rests and task.hangs(points[-1], garment.loops, target)),
+        success=bool(rests and task.hangs(points[-1], garment.named_loops, target)),
         seed=seed,
         dt=config.frame_time,
         observation={"kind": "cameras" if views else "vertices", "cameras": views},

@@ -15,8 +15,9 @@ from typing import Any, ParamSpec
 import numpy as np
 
 from topokit._validate import as_ids, as_points
+from topokit.io import LOOP_NAMES
 
-from . import _mesh, _wardrobe
+from . import _mesh, _names, _wardrobe
 from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, half_edges
 
 Sizes = ParamSpec("Sizes")
@@ -27,7 +28,8 @@ def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]
 
     @functools.wraps(pattern)
     def garment(*arguments: Sizes.args, **sizes: Sizes.kwargs) -> Garment:
-        return Garment(*pattern(*arguments, **sizes))
+        fields = pattern(*arguments, **sizes)
+        return Garment(*(fields if len(fields) > 6 else (*fields, (), LOOP_NAMES[fields[0]])))
 
     words = inspect.cleandoc(pattern.__doc__ or "")
     if "Parameters\n" not in words:
@@ -52,6 +54,9 @@ class Garment:
     grips: Ids  #: (2,) int64 the vertices that the grippers hold
     parameters: Mapping[str, float] = field(default_factory=dict)  #: the sizes it was made from
     repairs: tuple[str, ...] = ()  #: what `from_mesh` did to the mesh of a file, in words
+    #: A name for each loop, all different: neck, hem, handle, strap, arm, waist, ear, hole, edge; several of a kind are
+    #: numbered ("handle 1"). When not given, found by place and size on the mesh as it stands.
+    loop_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         vertices = as_points(self.vertices, "vertices", copy=True)
@@ -72,6 +77,15 @@ class Garment:
         check_mesh(vertices, faces)
         for i, loop in enumerate(loops):
             check_loop(loop, self.edges, f"loops[{i}]")
+        names = tuple(self.loop_names) or _names.named(vertices, faces, loops)
+        if not len(set(names)) == len(names) == len(loops) or not all(isinstance(name, str) and name for name in names):
+            raise ValueError(f"loop_names must be {len(loops)} different names, one a loop, not {names!r:.200}")
+        object.__setattr__(self, "loop_names", names)
+
+    @property
+    def named_loops(self) -> dict[str, Ids]:
+        """The true loops by their names."""
+        return dict(zip(self.loop_names, self.loops, strict=True))
 
     @property
     def edges(self) -> Ids:

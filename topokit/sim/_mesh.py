@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import itertools
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from topokit._validate import as_ids, positive
 from topokit.linking import side_lengths
 
+from ._names import kind, named
 from ._read import read_mesh
 from ._surface import Array, EdgeGraph, Ids, border_cycles, components, edge_lengths, half_edges, joined, wind
 
@@ -27,14 +28,14 @@ _UNITS = ((1.0, "metres"), (0.001, "millimetres"), (0.01, "centimetres"))
 def from_mesh(
     path: str | Path,
     *,
-    loops: Sequence[ArrayLike] | Literal["borders"] = (),
+    loops: Mapping[str, ArrayLike] | Sequence[ArrayLike] | Literal["borders", "auto"] = (),
     grips: ArrayLike | None = None,
     size: float | None = None,
     scale: float | None = None,
     up: Literal["y", "z"] | None = None,
     weld: float | None = None,
     max_vertices: int = 3000,
-) -> tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float], tuple[str, ...]]:
+) -> tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float], tuple[str, ...], tuple[str, ...]]:
     """Return the garment of an OBJ, PLY or STL file as it comes; what had to be repaired is in `repairs` and logged.
 
     Vertices at one place are welded; vertices in no face, faces without three different vertices or on another one, and
@@ -44,10 +45,12 @@ def from_mesh(
     ----------
     path : str or Path
         Of all objects and groups of an OBJ file the garment is made.
-    loops : sequence of sequences of int, or "borders"
+    loops : sequence of sequences of int, mapping of str to them, "borders", or "auto"
         Vertex ids of the true loops as the file numbers them, counted from 0 (in an STL file, corner k of triangle i is
         3 i + k). Gaps of up to four edges are closed along the mesh; given in no order, the cycle they lie around is found
-        by persistence. With "borders", every border of the mesh, the longest first.
+        by persistence. With "borders", every border of the mesh, the longest first; with "auto", those of them by which one
+        would hang it, and its hem. In a mapping each has the name that tasks ask for ("neck", "handle 1", ...); without
+        names they get them by place and size.
     grips : (2,) int, optional
         Vertex ids as the file numbers them; two near the top when not given, to the left and to the right.
     size : float, optional
@@ -72,8 +75,8 @@ def from_mesh(
             positive(value, key, zero=False)
     if up not in (None, "y", "z"):
         raise ValueError(f"up must be 'y' or 'z', not {up!r}")
-    if isinstance(loops, str) and loops != "borders":
-        raise ValueError(f"loops must be lists of vertex ids, or 'borders', not {loops!r}")
+    if isinstance(loops, str) and loops not in ("borders", "auto"):
+        raise ValueError(f"loops must be lists of vertex ids, 'borders' or 'auto', not {loops!r}")
     if size is not None and scale is not None:
         raise ValueError("give size or scale, not both")
     vertices, polygons = read_mesh(path)
@@ -86,23 +89,27 @@ def from_mesh(
             raise ValueError(f"{len(names)} vertices after repair; more than {max_vertices}; decimate the mesh")
         new = np.full(len(vertices), -1)
         new[names] = np.arange(len(names))
-        given = [] if loops == "borders" else loops
-        carried = [_carry(loop, new[vertex_of], f"loops[{i}]") for i, loop in enumerate(given)]
+        known = loops if isinstance(loops, Mapping) else dict(enumerate(() if isinstance(loops, str) else loops))
+        carried = [_carry(loop, new[vertex_of], f"loops[{i!r}]") for i, loop in known.items()]
         ends = None if grips is None else _carry(grips, new[vertex_of], "grips")
         turned = _upright(vertices[names], ends, up, said)
         placed, factor = _scaled(turned, size, scale, said)
         _say_short(placed, faces, names, said)
-        if loops == "borders":
-            cycles = tuple(sorted(border_cycles(faces), key=lambda cycle: -side_lengths(placed[cycle]).sum()))
-            said.append(f"{len(cycles)} borders were taken for loops, the longest first")
-        else:
-            cycles = _closed(placed, faces, names, carried, said)
-        ends = _grips(placed, names, said) if ends is None else ends
+        outline = _borders(placed, faces, closed=bool(known))
+        cycles = _closed(placed, faces, names, dict(zip(known, carried, strict=True)), said)
+        cycles = outline if isinstance(loops, str) else cycles
+        called = tuple(loops) if isinstance(loops, Mapping) else named(placed, faces, cycles)
+        if loops == "auto":
+            kept = [i for i, name in enumerate(called) if kind(name) != "edge"]
+            cycles, called = tuple(cycles[i] for i in kept), tuple(called[i] for i in kept)
+        if isinstance(loops, str):
+            said.append(f"{len(cycles)} borders were taken for loops, the longest first: {', '.join(called)}")
+        ends = _grips(placed, names, dict(zip(called, cycles, strict=True)), said) if ends is None else ends
     except ValueError as error:
         raise type(error)(f"{path}: {error}") from error
     for repair in said:
         _log.warning("%s: %s", path, repair)
-    return Path(path).stem, placed, faces, cycles, ends, {"scale": factor}, tuple(said)
+    return Path(path).stem, placed, faces, cycles, ends, {"scale": factor}, tuple(said), called
 
 
 def _note(said: list[str], count: int, what: str) -> None:
@@ -254,21 +261,45 @@ def _scaled(vertices: Array, size: float | None, scale: float | None, said: list
     return vertices, float(scale)
 
 
-def _closed(vertices: Array, faces: Ids, names: Ids, loops: Sequence[Ids], said: list[str]) -> tuple[Ids, ...]:
+def _closed(vertices: Array, faces: Ids, names: Ids, loops: Mapping[Any, Ids], said: list[str]) -> tuple[Ids, ...]:
     graph = EdgeGraph(vertices, np.unique(half_edges(faces), axis=0))
     cycles = []
-    for i, loop in enumerate(loops):
+    for i, loop in loops.items():
         try:
             cycle, how = graph.close(loop.tolist(), names)
         except ValueError as error:
-            raise ValueError(f"loops[{i}] cannot be followed along the mesh: {error}") from error
+            raise ValueError(f"loops[{i!r}] cannot be followed along the mesh: {error}") from error
         if how:
-            said.append(f"loops[{i}]: {how}")
+            said.append(f"loops[{i!r}]: {how}")
         cycles.append(cycle)
     return tuple(cycles)
 
 
-def _grips(vertices: Array, names: Ids, said: list[str]) -> Ids:
+def _borders(vertices: Array, faces: Ids, closed: bool) -> tuple[Ids, ...]:
+    """The borders, the longest first. Where there is none, nobody knows of a loop that was not given."""
+    cycles = sorted(border_cycles(faces), key=lambda cycle: -side_lengths(vertices[cycle]).sum())
+    if not cycles and not closed:
+        what = "every edge is in two faces or more, as of a closed solid, and a cloth has borders"
+        raise ValueError(f"{what}: open it, leave out its inner side, or give loops by vertex ids")
+    return tuple(cycles)
+
+
+def _grips(vertices: Array, names: Ids, loops: Mapping[str, Ids], said: list[str]) -> Ids:
+    """The tops of two handles or straps, the sides of a tube's neck; else the leftmost and rightmost near the top."""
+    x, _, z = vertices.T
+    pair = [loop for name, loop in loops.items() if kind(name) in ("handle", "strap")]
+    if "hem" in loops and "neck" in loops:
+        neck = loops["neck"]
+        held = [int(neck[np.argmin(x[neck])]), int(neck[np.argmax(x[neck])])]
+    elif len(pair) == 2:
+        held = [int(loop[np.argmax(z[loop])]) for loop in sorted(pair, key=lambda loop: float(x[loop].mean()))]
+    else:
+        held = _outermost(vertices)
+    said.append(f"vertices {names[held[0]]} and {names[held[1]]}, left and right near the top, were taken for grips")
+    return np.array(held)
+
+
+def _outermost(vertices: Array) -> list[int]:
     """The leftmost and the rightmost vertex near the top, the higher of two as far out."""
     x, _, z = vertices.T
     for share in (0.1, 0.3, 1.0):
@@ -278,5 +309,4 @@ def _grips(vertices: Array, names: Ids, said: list[str]) -> Ids:
             break
     if left == right:
         left, right = int(np.argmax(z)), int(np.argmin(z))
-    said.append(f"vertices {names[left]} and {names[right]}, left and right near the top, were taken for grips")
-    return np.array([left, right])
+    return [int(left), int(right)]

@@ -39,6 +39,11 @@ def read_mesh(path: str | Path) -> tuple[Array, Polygons]:
     try:
         if not data.strip():
             raise ValueError("the file is empty")
+        start = data.lstrip()[:200].lower()
+        if start.startswith(b"version https://git-lfs"):
+            raise ValueError("a pointer of git-lfs and not the mesh itself; fetch that with 'git lfs pull'")
+        if start.startswith((b"<!doctype", b"<html", b"<?xml")):
+            raise ValueError("a web page and not a mesh; download the file itself, not the page that shows it")
         vertices, polygons = readers[path.suffix.lower()](data)
         if not polygons:
             raise ValueError(f"{len(vertices)} vertices and no faces; a garment needs a surface")

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,10 +20,14 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline
 
 from topokit._validate import as_points
+from topokit.io import LOOP_NAMES
 
 from ._garments import WARDROBE, Garment
-from ._surface import Array
+from ._names import kind, to_hang_by
+from ._surface import Array, Ids
 from ._targets import Hanger, Hook, Mannequin, Target
+
+_log = logging.getLogger("topokit.sim")
 
 
 @dataclass(frozen=True)
@@ -104,26 +109,49 @@ class Task:
     garment: Callable[[], Garment]  #: makes the garment
     target: Target  #: what it is hung on
     plan: Planner  #: draws the path; all its randomness comes from the generator
-    loops: tuple[int, ...] = (0,)  #: numbers of the true loops of which one at least must be on the target
+    #: Names of the true loops of which one at least must be on the target; "handle" is each of "handle 1", "handle 2", ... too.
+    loops: tuple[str, ...] = ()
     every: bool = False  #: whether each of them must be
 
-    def hangs(self, points: ArrayLike, loops: Sequence[ArrayLike], target: Target | None = None) -> bool:
+    def hangs(self, points: ArrayLike, loops: Mapping[str, ArrayLike], target: Target | None = None) -> bool:
         """Whether the loops that must be are on the target, and the garment has not slid down around it.
 
         Parameters
         ----------
         points : (N, 3) array_like
             The garment's vertices, metres.
-        loops : sequence of (L,) array_like of int
-            Its true loops.
+        loops : mapping of str to (L,) array_like of int
+            Its true loops by their names (`named_loops` of a garment, or of an episode).
         target : Target, optional
             The task's own when not given.
         """
         cloud, target = as_points(points), target or self.target
-        if not self.loops or cloud[:, 2].max() <= target.lowest:
+        asked = self.asked(loops)
+        if not asked or cloud[:, 2].max() <= target.lowest:
             return False
-        on = (target.holds(cloud[np.asarray(loops[i])]) for i in self.loops)
+        on = (target.holds(cloud[np.asarray(loop)]) for loop in asked)
         return all(on) if self.every else any(on)
+
+    def asked(self, loops: Mapping[str, ArrayLike]) -> list[ArrayLike]:
+        """Those of the loops, by name, that the task asks for.
+
+        Parameters
+        ----------
+        loops : mapping of str to (L,) array_like of int
+        """
+        return [loop for name, loop in loops.items() if {name, kind(name)} & {*self.loops}]
+
+    def check(self, garment: Garment) -> None:
+        """Raise ValueError when the garment lacks loops that the task asks for; the message says which it has.
+
+        Parameters
+        ----------
+        garment : Garment
+        """
+        names = garment.loop_names
+        if not {*self.loops} <= {*names, *map(kind, names)}:
+            asks, has = (", ".join(some) or "none" for some in (self.loops, names))
+            raise ValueError(f"{self.name} asks for the loops {asks}; the {garment.name} has {has}: mark or name them")
 
 
 def hang_by_strap(
@@ -203,10 +231,10 @@ def _reach(garment: Garment) -> float:
 
 
 def _opening(garment: Garment, opening: float = 1.0) -> tuple[float, float]:
-    """How far to the right of the middle between the grips the first loop will hang, and how far below them its top."""
+    """How far to the right of the middle between the grips the loop to hang by will be, and how far below them its top."""
     if not garment.loops:
         return 0.0, 0.0
-    grips, curve = _spread(garment), garment.vertices[garment.loops[0]]
+    grips, curve = _spread(garment), garment.vertices[_carried(garment)]
     curve = curve - garment.vertices[garment.grips].mean(axis=0)
     gap = np.linalg.norm(curve[:, None] - grips, axis=2)  # (L, 2)
     grips = grips * opening
@@ -222,25 +250,43 @@ def _opening(garment: Garment, opening: float = 1.0) -> tuple[float, float]:
     return aside, max(-float(curve[:, 2].max()), 0.0) + slope + float(np.sqrt(3 / 8 * chord * max(arc - chord, 0)))
 
 
+def _carried(garment: Garment) -> Ids:
+    """The loop that is carried to a target: the first by which one would hang the garment."""
+    return garment.named_loops[next(iter([*to_hang_by(garment.loop_names), *garment.loop_names]))]
+
+
+def warn_of_floor(garment: Garment, target: Target) -> None:
+    """Say so when a garment is longer, from the loop it hangs by down, than its target is high."""
+    if garment.loops:
+        z = garment.vertices[:, 2]
+        long, high = float(z[_carried(garment)].max() - z.min()), float(target.seat[2])
+        if long > high:
+            what = "it will stand on the floor; give a smaller size, or a higher target"
+            _log.warning(
+                "the %s hangs %.2f m down from a %s %.2f m high: %s", garment.name, long, target.name, high, what
+            )
+
+
 def _about(rng: np.random.Generator, place: ArrayLike, *ranges: tuple[float, float]) -> Array:
     """A place moved along each axis by a draw from its range."""
     return np.asarray(place + rng.uniform(*np.transpose(ranges)))
 
 
+_sideways = functools.partial(hang_by_strap, opening=1.15, rest=2.0)
+
+
 def _tasks() -> Iterator[Task]:
-    sideways: Planner = functools.partial(hang_by_strap, opening=1.15, rest=2.0)
     for target in (Hook(), Hanger()):
         for name in ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet", "sheet2"):
-            plan: Planner = sideways if name == "backpack" else hang_by_strap
-            loops: tuple[int, ...] = (0, 1) if name in ("tote2", "backpack") else (0,)
-            every = name != "backpack"  # which hangs by either strap
-            yield Task(f"{name}-{target.name}", WARDROBE[name], target, plan, loops, every)
-    bodies: list[tuple[str, Planner, tuple[int, ...]]] = [
-        ("apron", pull_over_head, (0,)),
-        ("apron2", pull_over_head, (0,)),
-        ("backpack", put_on_shoulders, (0, 1)),
-        ("shirt", dress, (0, 3)),  # neck and hem
-        ("vest", dress, (0, 3)),
+            plan: Planner = _sideways if name == "backpack" else hang_by_strap
+            loops = {"tote2": LOOP_NAMES[name], "backpack": ("strap",)}.get(name, LOOP_NAMES[name][:1])
+            yield Task(f"{name}-{target.name}", WARDROBE[name], target, plan, loops, every=name == "tote2")
+    bodies: list[tuple[str, Planner, tuple[str, ...]]] = [
+        ("apron", pull_over_head, ("neck",)),
+        ("apron2", pull_over_head, ("neck",)),
+        ("backpack", put_on_shoulders, ("strap 1", "strap 2")),
+        ("shirt", dress, ("neck", "hem")),
+        ("vest", dress, ("neck", "hem")),
     ]
     for name, plan, loops in bodies:
         yield Task(f"{name}-{Mannequin.name}", WARDROBE[name], Mannequin(), plan, loops, every=True)
@@ -257,7 +303,10 @@ def as_task(task: str | Task) -> Task:
 
 
 def task_for(garment: Garment, target: Target) -> Task:
-    """Return the task of `TASKS` for a garment and a target, or else to get any of its loops there, as a strap goes.
+    """Return the task of `TASKS` for a garment and a target when its loops are there, or else one that its loops' names allow.
+
+    On a mannequin a neck and a hem are put on as a shirt is, two straps as a backpack's, any other loop as an apron's neck.
+    On anything else, one of the loops by which one would hang it is carried there; not its hem, its waist or its edge.
 
     Parameters
     ----------
@@ -265,7 +314,18 @@ def task_for(garment: Garment, target: Target) -> Task:
     target : Target
     """
     name = f"{garment.name}-{target.name}"
-    if name in TASKS:
-        return replace(TASKS[name], garment=lambda: garment, target=target)
-    plan = pull_over_head if isinstance(target, Mannequin) else hang_by_strap
-    return Task(name, lambda: garment, target, plan, tuple(range(len(garment.loops))))
+    names, kinds = to_hang_by(garment.loop_names), [*map(kind, garment.loop_names)]
+    task = TASKS.get(name, Task(name, lambda: garment, target, hang_by_strap, ("?",)))
+    if {*task.loops} <= {*kinds, *garment.loop_names}:
+        return replace(task, garment=lambda: garment, target=target)
+    plan: Planner = _sideways if kinds.count("strap") > 1 else hang_by_strap
+    loops, every = tuple(names), False
+    if isinstance(target, Mannequin):
+        plan = pull_over_head
+        if {"neck", "hem"} <= {*kinds}:
+            plan, loops, every = dress, ("neck", "hem"), True
+        elif kinds.count("strap") > 1:
+            plan, loops, every = put_on_shoulders, ("strap",), True
+        elif "neck" in kinds:
+            loops = ("neck",)
+    return Task(name, lambda: garment, target, plan, loops, every)
