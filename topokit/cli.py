@@ -1,4 +1,4 @@
-"""The `topokit` command, and of its parts `simulate` and `track`. What they need is imported when they run.
+"""The `topokit` command, and of its parts `track`. What they need is imported when they run.
 
 Exit code 0 when all is well, 1 when the work failed, 2 when the input or the call is wrong or there is no room, 130 after
 Ctrl-C, 141 when nobody reads the output any more.
@@ -28,10 +28,6 @@ from ._archive import FormatError, atomic_file
 from .seqph import PAPER, SeqPH, track
 
 __all__ = ["main"]
-_TASKS = """tasks, a garment and a target:
-  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2}-hook
-  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2}-hanger
-  {apron,apron2,backpack,shirt,vest}-mannequin"""
 _PICTURES = (".png", ".svg", ".pdf")
 _LARGEST_FRAME = 2**28  # bytes of a cloud: eleven million points in space
 _OF_CLOUDS = ("pipeline", "unit", "columns", "intrinsics", "topic", "fps")
@@ -72,6 +68,7 @@ def _words(error: BaseException) -> str:
 
 
 def parser() -> argparse.ArgumentParser:
+    from . import _simulate
     from .data import _commands as data
     from .evaluate import _commands as evaluate
     from .models import _commands as models
@@ -79,33 +76,13 @@ def parser() -> argparse.ArgumentParser:
     whole = argparse.ArgumentParser(prog="topokit", description="Sequential topology for deformable objects.")
     whole.add_argument("--version", action="version", version=f"topokit {__version__}")
     commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    _add_simulate(commands)
+    _simulate.add(commands)
     _add_track(commands)
     for part in (data, models, evaluate):
         part.add(commands)
     for command in commands.choices.values():
         command.add_argument("--json", action="store_true", help="print the answer as JSON")
     return whole
-
-
-def _add_simulate(commands: Any) -> None:
-    simulate = commands.add_parser(
-        "simulate",
-        help="record an episode: a garment carried to a target and let go there",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog=_TASKS,
-    )
-    option = simulate.add_argument
-    option("--task", default="apron-hook", help="what goes where (default apron-hook), see below")
-    option("--seed", type=int, default=0, help="of everything random (default 0)")
-    option("--out", type=Path, required=True, metavar="EPISODE", help="where to write it (.npz)")
-    option("--randomise", action="store_true", help="draw physics, size and cameras, not only the path")
-    option("--cameras", type=int, default=0, metavar="K", help="observe with K depth cameras around the target")
-    option("--noise", action="store_true", help="cameras with the noise of a depth sensor")
-    option("--observed", type=int, metavar="N", help="points of an observation (default 500, or all vertices if fewer)")
-    patience = "stop a simulation that shows no sign of life for so many seconds (default 60)"
-    option("--time-limit", type=float, default=60.0, metavar="S", help=patience)
-    simulate.set_defaults(run=_simulate)
 
 
 def _add_track(commands: Any) -> None:
@@ -136,43 +113,6 @@ def _add_track(commands: Any) -> None:
     option("--identity", choices=("killer-edge", "killer-triangles", "cycle"), help=identity)
     option("--memory", type=int, metavar="FRAMES", help="how long a missed loop is remembered (default 20)")
     tracker.set_defaults(run=_track)
-
-
-def _simulate(options: argparse.Namespace) -> int:
-    from .io import save_episode
-
-    if options.out.suffix != ".npz":
-        raise ValueError(f"--out {options.out}: the name of an episode ends in .npz")
-    episode = _simulated(options)
-    path = save_episode(options.out, episode)
-    answer: dict[str, Any] = {"episode": str(path)}
-    answer |= {name: getattr(episode, name) for name in ("task", "seed", "garment", "target")}
-    answer |= {"frames": len(episode), "vertices": episode.points.shape[1], "observed": episode.observed.shape[1]}
-    answer |= {"success": episode.success}
-    outcome = "it hangs" if episode.success else "it does not hang"
-    words = "{episode}: {garment} to {target}, {frames} frames, {vertices} vertices".format(**answer)
-    print(json.dumps(answer) if options.json else f"{words}; {outcome}")
-    return 0
-
-
-def _simulated(options: argparse.Namespace) -> Any:
-    """The episode that was asked for."""
-    from .sim import TASKS, DepthNoise, Randomisation, cameras_around, simulate
-
-    if options.task not in TASKS:
-        raise ValueError(f"--task {options.task}: there is no such task; there are {', '.join(TASKS)}")
-    if options.cameras < 0 or (options.noise and not options.cameras):
-        raise ValueError(f"--cameras {options.cameras}: a number of cameras, one at least with --noise")
-    noise, seat = DepthNoise() if options.noise else None, TASKS[options.task].target.seat
-    return simulate(
-        task=options.task,
-        seed=options.seed,
-        randomisation=Randomisation() if options.randomise else None,
-        cameras=cameras_around(seat, options.cameras, distance=2.2, noise=noise) if options.cameras else (),
-        n_observed=options.observed,
-        time_limit=options.time_limit,
-        progress=sys.stderr.isatty() and not options.json,
-    )
 
 
 def _track(options: argparse.Namespace) -> int:
