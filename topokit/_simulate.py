@@ -52,6 +52,7 @@ def _add_of_mesh(command: Any) -> None:
     ids = "auto (default), borders, or a file of vertex ids: {NAME: [ID, ...], ...} or [[ID, ...], ...] (.json)"
     command.add_argument("--loops", metavar="LOOPS", help=f"of the mesh: {ids}")
     command.add_argument("--unit", choices=_UNITS, help="of the mesh (default: the one that makes it a garment's size)")
+    command.add_argument("--size", type=float, metavar="METRES", help="its largest extent, instead of a unit")
     command.add_argument("--up", choices=("y", "z"), help="the axis of the mesh that points up (default: found)")
 
 
@@ -104,7 +105,7 @@ def _garment(options: argparse.Namespace) -> Any:
 
     loops = options.loops or "auto"
     if not options.mesh:
-        given = [name for name in ("loops", "unit", "up") if getattr(options, name)]
+        given = [name for name in ("loops", "unit", "size", "up") if getattr(options, name)]
         if given:
             raise ValueError(f"--{given[0]} is of a mesh: give --mesh FILE, or leave it out")
         return None
@@ -115,7 +116,8 @@ def _garment(options: argparse.Namespace) -> Any:
             raise FormatError(f"--loops {options.loops}: no JSON: {error}") from error
         if not isinstance(loops, dict | list):
             raise FormatError(f"--loops {options.loops}: it must hold lists of vertex ids, by name or in a list")
-    garment = Garment.from_mesh(options.mesh, loops=loops, scale=_UNITS.get(options.unit), up=options.up)
+    asked = {"loops": loops, "scale": _UNITS.get(options.unit), "size": options.size, "up": options.up}
+    garment = Garment.from_mesh(options.mesh, **asked)
     if not garment.loops:
         raise ValueError(f"{options.mesh}: it has no loop to hang it by; its border is its edge")
     return garment

@@ -48,9 +48,9 @@ def from_mesh(
     loops : sequence of sequences of int, mapping of str to them, "borders", or "auto"
         Vertex ids of the true loops as the file numbers them, counted from 0 (in an STL file, corner k of triangle i is
         3 i + k). Gaps of up to four edges are closed along the mesh; given in no order, the cycle they lie around is found
-        by persistence. With "borders", every border of the mesh, the longest first; with "auto", those of them by which one
-        would hang it, and its hem. In a mapping each has the name that tasks ask for ("neck", "handle 1", ...); without
-        names they get them by place and size.
+        by persistence. With "borders", every border of the mesh, the longest first; with "auto", without the one that goes
+        around all others, and where the borders do not show all classes, those that persistence finds along the mesh. In a
+        mapping each has the name that tasks ask for ("neck", "handle 1", ...); otherwise it gets one by place and size.
     grips : (2,) int, optional
         Vertex ids as the file numbers them; two near the top when not given, to the left and to the right.
     size : float, optional
@@ -95,15 +95,14 @@ def from_mesh(
         turned = _upright(vertices[names], ends, up, said)
         placed, factor = _scaled(turned, size, scale, said)
         _say_short(placed, faces, names, said)
-        outline = _borders(placed, faces, closed=bool(known))
-        cycles = _closed(placed, faces, names, dict(zip(known, carried, strict=True)), said)
-        cycles = outline if isinstance(loops, str) else cycles
+        found = _found(placed, faces, loops if isinstance(loops, str) else "", said)
+        cycles = (*found, *_closed(placed, faces, names, dict(zip(known, carried, strict=True)), said))
         called = tuple(loops) if isinstance(loops, Mapping) else named(placed, faces, cycles)
         if loops == "auto":
             kept = [i for i, name in enumerate(called) if kind(name) != "edge"]
             cycles, called = tuple(cycles[i] for i in kept), tuple(called[i] for i in kept)
-        if isinstance(loops, str):
-            said.append(f"{len(cycles)} borders were taken for loops, the longest first: {', '.join(called)}")
+        if found:
+            said.append(f"by place and size they were called {', '.join(called)}")
         ends = _grips(placed, names, dict(zip(called, cycles, strict=True)), said) if ends is None else ends
     except ValueError as error:
         raise type(error)(f"{path}: {error}") from error
@@ -275,13 +274,19 @@ def _closed(vertices: Array, faces: Ids, names: Ids, loops: Mapping[Any, Ids], s
     return tuple(cycles)
 
 
-def _borders(vertices: Array, faces: Ids, closed: bool) -> tuple[Ids, ...]:
-    """The borders, the longest first. Where there is none, nobody knows of a loop that was not given."""
-    cycles = sorted(border_cycles(faces), key=lambda cycle: -side_lengths(vertices[cycle]).sum())
-    if not cycles and not closed:
+def _found(vertices: Array, faces: Ids, how: str, said: list[str]) -> tuple[Ids, ...]:
+    """Loops that nobody marked, the longest first: the borders, or by persistence where there are more classes than they show."""
+    edges, cycles = np.unique(half_edges(faces), axis=0), border_cycles(faces)
+    classes = 1 - len(vertices) + len(edges) - len(faces) + (not cycles)
+    if not cycles and (how == "borders" or not classes):
         what = "every edge is in two faces or more, as of a closed solid, and a cloth has borders"
         raise ValueError(f"{what}: open it, leave out its inner side, or give loops by vertex ids")
-    return tuple(cycles)
+    what = "borders were taken for loops"
+    if how == "auto" and classes >= max(len(cycles), 1):
+        cycles, what = EdgeGraph(vertices, edges).loops(classes), "loops were found by persistence along the mesh"
+    if how:
+        said.append(f"{len(cycles)} {what}, the longest first")
+    return tuple(sorted(cycles, key=lambda cycle: -side_lengths(vertices[cycle]).sum())) if how else ()
 
 
 def _grips(vertices: Array, names: Ids, loops: Mapping[str, Ids], said: list[str]) -> Ids:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from topokit.rips import rips_persistence, tighten
+from topokit.rips import Diagram, rips_persistence, tighten
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -108,6 +108,19 @@ class EdgeGraph:
     def around(self, ids: Sequence[int]) -> list[list[int]]:
         return [self.path(a, b) for a, b in zip(ids, [*ids[1:], ids[0]], strict=True)]
 
+    def loops(self, n: int) -> list[Ids]:
+        """The n longest-lived loops of the mesh, or as many as are none of its noise, by persistence of distances along it."""
+        every = np.arange(self._graph.shape[0])
+        diagram = rips_persistence(self.distances(every), metric="precomputed")
+        plain = diagram.death[:n] > 2 * diagram.birth[:n]
+        return [np.array(self._along(diagram, i, every)) for i in np.flatnonzero(plain).tolist()]
+
+    def _along(self, diagram: Diagram, i: int, members: Ids) -> list[int]:
+        """A cycle along edges around loop i of a diagram of these vertices."""
+        end = min(diagram.death[i], 2 * diagram.birth[i])  # halfway there is a tighter cycle than the one at birth
+        tight = members[tighten(diagram, diagram.cycle(i), radius=(diagram.birth[i] + end) / 2)].tolist()
+        return max(simple_cycles(_walk(self.around(tight))), key=len)
+
     def close(self, ids: Sequence[int], names: Ids) -> tuple[Ids, str]:
         """Make a simple closed cycle along edges of the vertices of a loop, in order or not; say in words what it took.
 
@@ -129,9 +142,7 @@ class EdgeGraph:
         if not len(diagram) or diagram.death[0] < 1.5 * diagram.birth[0]:
             ends = f"{names[widest[0]]} and {names[widest[-1]]}"
             raise ValueError(f"its vertices {ends} follow each other but are {len(widest) - 1} edges apart")
-        end = min(diagram.death[0], 2 * diagram.birth[0])  # halfway there is a tighter cycle than the one at birth
-        tight = members[tighten(diagram, diagram.cycle(0), radius=(diagram.birth[0] + end) / 2)].tolist()
-        closed = max(simple_cycles(_walk(self.around(tight))), key=len)
+        closed = self._along(diagram, 0, members)
         return np.array(closed), (
             f"its {len(members)} vertices are in no order along the mesh; the cycle they lie around, {len(closed)} vertices, "
             f"{len(set(closed) & set(given))} of them its own, was found by persistence"
