@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from topokit.cli import main
-from topokit.io import load_states
+from topokit.io import load_episode, load_states
 
 from conftest import hear_ctrl_c, polygon
 
@@ -78,6 +78,66 @@ def test_bad_calls_say_what_is_wrong_and_write_nothing(arguments, says, episode,
 def test_simulate_refuses_a_bad_name_before_it_works(capsys):
     assert main(["simulate", "--out", "episode.txt"]) == 2
     assert "ends in .npz" in capsys.readouterr().err
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """A mesh file of a coarse bag of two handles, and its loops."""
+    pytest.importorskip("pybullet")
+    from topokit.sim import Garment
+
+    tote = Garment.tote(handles=2, spacing=0.045)
+    rows = ["v {} {} {}".format(*place) for place in tote.vertices]
+    rows += ["f {} {} {}".format(*corners) for corners in tote.faces + 1]
+    (tmp_path / "bag.obj").write_text("\n".join(rows))
+    loops = {name: loop.tolist() for name, loop in tote.named_loops.items()}
+    (tmp_path / "loops.json").write_text(json.dumps(loops))
+    return tmp_path
+
+
+def test_simulate_takes_a_mesh(bag, capsys):
+    out = bag / "episode.npz"
+    assert main(["simulate", "--mesh", str(bag / "bag.obj"), "--json", "--out", str(out)]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["garment"], answer["target"], answer["task"]) == ("bag", "hook", "bag-hook")
+    assert answer["loops"] == ["handle 1", "handle 2"]
+    assert answer["success"]
+    assert list(load_episode(out).named_loops) == answer["loops"]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--task", "apron-hook"], "apron-hook asks for the loops neck; the bag has handle 1, handle 2"),
+        (["--task", "moon"], "there is no such task; there are apron-hook, "),
+        (["--loops", "bag.obj"], "--loops bag.obj: no JSON"),
+        (["--loops", "number.json"], "it must hold lists of vertex ids"),
+        (["--loops", "far.json"], "names vertex 99999"),
+        (["--unit", "m", "--size", "1"], "give size or scale, not both"),
+    ],
+)
+def test_a_mesh_that_does_not_fit_is_refused_before_anything_is_simulated(bag, options, says, capsys, monkeypatch):
+    monkeypatch.chdir(bag)
+    monkeypatch.setattr("topokit.sim._episode.record_afresh", None)
+    (bag / "number.json").write_text("3")
+    (bag / "far.json").write_text('{"handle": [1, 2, 99999]}')
+    assert main(["simulate", "--mesh", "bag.obj", *options, "--out", "episode.npz"]) == 2
+    assert says in capsys.readouterr().err
+    assert not (bag / "episode.npz").exists()
+
+
+def test_mesh_says_and_shows_what_is_understood(bag, capsys):
+    picture = bag / "bag.png"
+    command = ["mesh", str(bag / "bag.obj"), "--loops", str(bag / "loops.json"), "--unit", "cm"]
+    assert main([*command, "--plot", str(picture)]) == 0
+    out = capsys.readouterr().out
+    assert "0.01 m" in out
+    assert "handle 1: " in out
+    assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert main([*command, "--json"]) == 0
+    assert list(json.loads(capsys.readouterr().out)["loops"]) == ["handle 1", "handle 2"]
+    assert main([*command, "--plot", str(bag / "bag.txt")]) == 2
+    assert "ends in .png, .svg, .pdf" in capsys.readouterr().err
 
 
 def test_help_and_version(capsys):

@@ -159,6 +159,8 @@ def test_pictures():
 def test_misuse_is_explained():
     with pytest.raises(ValueError, match="there is no task 'tie-nail'; there are apron-hook"):
         HangEnv("tie-nail")
+    with pytest.raises(ValueError, match="shirt-mannequin asks for the loops neck, hem; the apron has neck"):
+        HangEnv("shirt-mannequin", garment=COARSE)
     with pytest.raises(ValueError, match="reward must be one of sparse"):
         make(reward="gold")
     with pytest.raises(ValueError, match="n_points must be 1 to"):

@@ -17,8 +17,7 @@ import trimesh
 
 import topokit as tk
 from topokit.evaluate import summarise_tracks, true_loops
-from topokit.sim import SimulationConfig
-from topokit.sim._garments import Garment
+from topokit.sim import TASKS, WARDROBE, Garment, Hook, Mannequin, SimulationConfig, task_for
 from topokit.sim._world import World
 
 APRON = Garment.apron(spacing=0.05, strap_width=0.05)
@@ -422,6 +421,87 @@ def test_borders_are_loops_on_request(tmp_path):
     assert cyclic(loaded.loops[0]) == cyclic(shirt.loops[3])  # the hem is the longest
 
 
+NAMED = {
+    "apron": ["neck"],
+    "apron2": ["waist", "neck"],
+    "tote": ["handle 1", "handle 2"],  # the two borders of a ring: either is around its hole
+    "tote2": ["handle 1", "handle 2"],
+    "backpack": ["strap 1", "strap 2"],
+    "shirt": ["hem", "neck", "arm 1", "arm 2"],
+    "vest": ["hem", "neck", "arm 1", "arm 2"],
+    "mask": ["ear 1", "ear 2"],
+    "sheet": ["hole"],
+    "sheet2": ["hole 1", "hole 2"],
+}
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_loops_that_nobody_marked_are_found_and_named(tmp_path, name):
+    """By place and size alone: the name of the file says nothing."""
+    garment = WARDROBE[name](spacing=0.025 if name == "mask" else 0.05)
+    path = Mesh(garment).obj(tmp_path / "mesh.obj")
+    loaded = Garment.from_mesh(path, loops="auto")
+    assert sorted(loaded.loop_names) == sorted(NAMED[name])
+    borders = Garment.from_mesh(path, loops="borders")
+    assert sorted(set(borders.loop_names) - set(NAMED[name])) in ([], ["edge"])
+    for target in (Hook(), Mannequin()):
+        task_for(borders, target).check(borders)
+
+
+@pytest.mark.parametrize("name", ["shirt", "vest"])
+def test_a_dressed_shirt_is_judged_by_names_and_not_by_the_order_of_its_borders(tmp_path, name):
+    dummy = Mannequin()
+    loaded = Garment.from_mesh(Mesh(WARDROBE[name]()).obj(tmp_path / "my_top.obj"), loops="borders")
+    assert loaded.loop_names[0] == "hem"
+    worn = loaded.vertices + [0, dummy.distance, dummy.shoulder_height + 0.05]
+    for task in (TASKS[f"{name}-mannequin"], task_for(loaded, dummy)):
+        task.check(loaded)
+        assert task.hangs(worn, loaded.named_loops)
+        assert not task.hangs(worn - [0, 0.5, 0], loaded.named_loops)  # before the mannequin
+
+
+def test_a_bag_whose_rim_is_the_longest_border_hangs_by_its_handles(tmp_path):
+    hook = Hook()
+    bag = Garment.from_mesh(Mesh(Garment.tote(handles=2)).obj(tmp_path / "bag.obj"), loops="borders")
+    assert bag.loop_names[0] == "edge"
+    over = hook.seat - bag.vertices[bag.loops[1]].mean(axis=0)
+    for task in (TASKS["tote2-hook"], task_for(bag, hook)):
+        task.check(bag)
+        assert task.hangs(bag.vertices + over, bag.named_loops)
+        moved = bag.vertices + over - [0, 0.12, 0]  # one handle beyond the tip
+        assert task.hangs(moved, bag.named_loops) == (task.name != "tote2-hook")
+        assert not task.hangs(bag.vertices + over + [0.6, 0, 0], bag.named_loops)
+
+
+def test_loops_may_be_given_by_name(tmp_path):
+    mesh = Mesh(TOTE)
+    front, back = mesh.loops
+    loaded = Garment.from_mesh(mesh.obj(tmp_path / "bag.obj"), loops={"handle 2": back, "handle 1": front[::2]})
+    assert loaded.loop_names == ("handle 2", "handle 1")
+    assert cyclic(loaded.named_loops["handle 1"]) == cyclic(front)
+    with pytest.raises(ValueError, match=r"loops\['strap'\] names vertex 99999"):
+        Garment.from_mesh(tmp_path / "bag.obj", loops={"strap": [0, 1, 99999]})
+
+
+def closed(path: Path, tube: float) -> Path:
+    """A ring of that tube without any border, or a ball when it has none."""
+    solid = trimesh.creation.torus(0.3, tube, 40, 12) if tube else trimesh.creation.icosphere(2, 0.3)
+    path.write_bytes(solid.export(file_type="stl"))
+    return path
+
+
+def test_closed_solids_are_refused_and_closed_straps_are_not(tmp_path):
+    ball, ring = closed(tmp_path / "ball.stl", 0), closed(tmp_path / "ring.stl", 0.06)
+    for path, loops in ((ball, ()), (ball, "auto"), (ball, "borders"), (ring, "borders")):
+        with pytest.raises(ValueError, match="every edge is in two faces or more, as of a closed solid"):
+            Garment.from_mesh(path, loops=loops)
+    found = Garment.from_mesh(ring, loops="auto")
+    length = [np.ptp(found.vertices[loop], axis=0).max() for loop in found.loops]
+    assert len(length) == 2
+    np.testing.assert_allclose(sorted(length), [0.12, 0.5], atol=0.06)  # around the tube, and along the ring
+    assert "2 loops were found by persistence" in "; ".join(found.repairs)
+
+
 def test_borders_that_touch_are_taken_apart(tmp_path):
     """Two faces that meet at an inner vertex are cut out: two triangular holes."""
     sheet = Garment.sheet(spacing=0.05)
@@ -514,6 +594,9 @@ PLY += "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 0 1\
         ("a.obj", TRIANGLE.replace("v 1 0 0", "v nan 0 0"), r"vertex 1 is at \[nan"),
         ("a.obj", TRIANGLE.replace("v 1 0 0", "v inf 0 0"), r"vertex 1 is at \[inf"),
         ("a.obj", TRIANGLE.replace("v 1 0 0", "v 0 0 0"), "no face with three different vertices"),
+        ("a.obj", "\n<!DOCTYPE html><html><body>v 0 0 0</body></html>", "a web page and not a mesh"),
+        ("a.stl", "<html>solid</html>", "a web page and not a mesh"),
+        ("a.obj", "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n", "'git lfs pull'"),
         ("a.dae", TRIANGLE, r"ends in .obj, .ply, .stl, not in '.dae'"),
         ("a", TRIANGLE, "not in ''"),
         ("a.ply", TRIANGLE, "not a PLY file"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import gudhi
@@ -12,7 +13,7 @@ from scipy.spatial import cKDTree
 pytest.importorskip("pybullet")
 
 from topokit import rips_persistence
-from topokit.io import load_episode
+from topokit.io import LOOP_NAMES, load_episode
 from topokit.sim import SimulationConfig
 from topokit.sim._garments import WARDROBE, Garment
 from topokit.sim._world import World
@@ -100,6 +101,14 @@ def test_loops_are_the_classes(name):
         assert all(rank(faces + list(three)) - bounding == 3 for three in itertools.combinations(loops, 3))
     else:
         assert len(loops) == CLASSES[name]
+
+
+@pytest.mark.parametrize("name", WARDROBE)
+def test_every_loop_has_the_name_that_its_place_gives_it(name):
+    for garment in (WARDROBE[name](), coarse(name)):
+        assert garment.loop_names == LOOP_NAMES[name]
+        assert list(garment.named_loops) == list(LOOP_NAMES[name])
+        assert dataclasses.replace(garment, loop_names=()).loop_names == LOOP_NAMES[name]
 
 
 @pytest.mark.parametrize("name", [name for name in WARDROBE if name not in ("shirt", "vest")])

@@ -65,6 +65,9 @@ def square(**changes):
         ({"loops": (np.array([0, 1, 3]),)}, r"loops\[0\] is not a closed cycle.* 1 and 3"),
         ({"loops": (np.array([0, 1]),)}, "at least 3"),
         ({"grips": np.array([1, 1])}, "two different"),
+        ({"loop_names": ("neck", "hem")}, "loop_names must be 1 different names, one a loop, not"),
+        ({"loop_names": (1,)}, "loop_names must be 1 different names"),
+        ({"loops": (np.arange(4), np.arange(4)), "loop_names": ("neck", "neck")}, "2 different names"),
         ({"vertices": np.array([[0, 0, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]], float)}, r"edge \[0, 1\] has length 0"),
     ],
 )

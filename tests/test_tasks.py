@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import logging
 import subprocess
 import sys
 from pathlib import Path
@@ -326,6 +328,78 @@ def test_tasks_of_ones_own():
         simulate(task="apron-moon")
 
 
+def named(garment, *names):
+    return dataclasses.replace(garment, name="mine", loop_names=names)
+
+
+@pytest.mark.parametrize(
+    ("target", "names", "asks"),
+    [
+        (Hook(), ("neck", "hem"), ("neck",)),
+        (Hook(), ("edge", "handle"), ("handle",)),
+        (Mannequin(), ("hem", "neck"), ("neck", "hem")),
+        (Mannequin(), ("strap 1", "strap 2"), ("strap",)),
+        (Mannequin(), ("waist", "neck"), ("neck",)),
+        (Mannequin(), ("waist", "hole"), ("hole",)),
+        (Hanger(), ("waist", "edge"), ()),
+    ],
+)
+def test_what_a_garment_can_be_hung_on_follows_from_the_names_of_its_loops(target, names, asks):
+    garment = named(WARDROBE["sheet2"](spacing=0.05), *names)
+    task = task_for(garment, target)
+    assert task.loops == asks
+    task.plan(garment, target, generator(0, "path"))
+    elsewhere = dataclasses.replace(garment, name="shirt")  # what it is called does not matter
+    assert task_for(elsewhere, target).loops == asks
+
+
+@pytest.mark.parametrize("name", [name for name in TASKS if name.endswith("-hook")])
+def test_the_loop_that_hangs_is_found_by_name_whatever_its_place_in_the_list(name):
+    task = TASKS[name]
+    garment = task.garment()
+    turned = dataclasses.replace(garment, loops=garment.loops[::-1], loop_names=garment.loop_names[::-1])
+    if "neck" in garment.loop_names:  # of two handles the first in the list is carried
+        paths = [task.plan(one, task.target, generator(0, "path")) for one in (garment, turned)]
+        assert (paths[0].at(np.arange(3.0)) == paths[1].at(np.arange(3.0))).all()
+    asked = [garment.named_loops[name] for name in garment.loop_names if {name, name[:-2]} & {*task.loops}]
+    assert {len(loop) for loop in asked} == {len(loop) for loop in task.asked(turned.named_loops)}
+
+
+def test_a_garment_without_the_loops_of_a_task_is_refused_before_anything_is_simulated():
+    tote = coarse("tote")
+    with pytest.raises(ValueError, match=r"^shirt-mannequin asks for the loops neck, hem; the tote has handle: "):
+        simulate(tote, task="shirt-mannequin", config=SHORT)
+    with pytest.raises(ValueError, match=r"^apron-hook asks for the loops neck; the mine has none"):
+        simulate(dataclasses.replace(tote, name="mine", loops=(), loop_names=()), task="apron-hook", config=SHORT)
+    with pytest.raises(TypeError, match=r"not str: Garment.from_mesh\('bag.obj'\) makes one of a mesh"):
+        simulate("bag.obj", task="tote-hook")
+    with pytest.raises(TypeError, match="garment must be a Garment, not int"):
+        simulate(3)
+
+
+def test_names_of_a_strangers_loops_are_stored_with_the_episode(tmp_path):
+    mine = named(coarse("apron"), "strap")
+    mine = dataclasses.replace(mine, parameters={"scale": 1.0})
+    episode = load_episode(save_episode(tmp_path / "e.npz", simulate(mine, Hook(), config=SHORT, n_observed=50)))
+    assert list(episode.named_loops) == ["strap"]
+    own = simulate(coarse("apron"), config=SHORT, n_observed=50)
+    assert list(own.named_loops) == ["neck"]
+    assert "loops" not in own.physics  # what the wardrobe's are called is known
+    assert list(dataclasses.replace(own, physics={}).named_loops) == ["loop 1"]
+    for names, says in ((["neck", "hem"], "1 different names"), (["a", "a"], "1 different"), ([[]], "a list of names")):
+        with pytest.raises(ValueError, match=says):
+            save_episode(tmp_path / "bad.npz", dataclasses.replace(own, physics={"loops": names}))
+
+
+def test_a_garment_longer_than_its_target_is_high_is_told_of(caplog):
+    apron = coarse("apron")
+    with caplog.at_level(logging.WARNING, logger="topokit.sim"):
+        simulate(apron, Hook(), config=SHORT, n_observed=50)
+        assert not caplog.records
+        simulate(apron, Hook(height=0.9), config=SHORT, n_observed=50)
+    assert "hangs 0.99 m down from a hook 0.90 m high" in caplog.text
+
+
 @pytest.mark.parametrize("limit", ["max_stretch", "max_edge_stretch"])
 def test_over_stretched_cloth_is_refused(limit):
     """With limits that a garment's own weight exceeds."""
@@ -348,7 +422,7 @@ def test_errors_of_the_process_are_ours():
 def test_simulate_help_lists_every_task(capsys):
     with pytest.raises(SystemExit):
         main(["simulate", "--help"])
-    rows = capsys.readouterr().out.split("tasks, a garment and a target:")[1].split()
+    rows = capsys.readouterr().out.split("tasks, a garment and a target:")[1].split("with --mesh")[0].split()
     listed = {f"{name}-{row.split('-')[1]}" for row in rows for name in row.split("-")[0].strip("{}").split(",")}
     assert listed == set(TASKS)
 
@@ -361,6 +435,9 @@ def test_simulate_help_lists_every_task(capsys):
         (["--cameras", "-1"], "--cameras -1"),
         (["--observed", "100000"], "n_observed must be 1 to"),
         (["--time-limit", "-1"], "time_limit"),
+        (["--task", "hook"], "there is no such task"),  # of what?
+        (["--loops", "auto"], "--loops is of a mesh: give --mesh FILE"),
+        (["--mesh", "nowhere.obj"], "nowhere.obj: there is no such file"),
     ],
 )
 def test_bad_calls_of_simulate(arguments, says, tmp_path, capsys):

@@ -1,7 +1,7 @@
 """What the loops of a stranger's garment are called, by their place and size on the mesh as it stands, z up.
 
 A border low down and wide is a hem, and then the garment is a tube: what lies aside of it is for an arm, what is on top for the
-neck. A loop that goes around all others is the edge of the cloth. Of the rest, those of a flat cloth (an apron) are a neck at
+neck. A border that goes around another loop is the edge of the cloth. Of the rest, those of a flat cloth (an apron) are a neck at
 the top, a waist or holes; those of a bag are handles at the top, or straps.
 """
 
@@ -44,7 +44,9 @@ def numbered(kinds: Sequence[str]) -> tuple[str, ...]:
 
 def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
     """Names of the loops, each its own."""
-    boxes, borders = ([_box(vertices, cycle) for cycle in cycles] for cycles in (loops, border_cycles(faces)))
+    outlines = border_cycles(faces)
+    boxes, borders = ([_box(vertices, cycle) for cycle in cycles] for cycles in (loops, outlines))
+    outer = [any(set(loop.tolist()) == set(border.tolist()) for border in outlines) for loop in loops]
     flat = _is_flat(vertices, faces)
     if not flat and any(_is_hem(box) for box in borders):
         return numbered(["hem" if _is_hem(box) else _of_tube(box) for box in boxes])
@@ -52,7 +54,7 @@ def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
     edges = [len(borders) == len(boxes) == 1] * len(boxes)
     for (i, box), (j, other) in itertools.permutations(enumerate(boxes), 2):
         inside = (box[0] < other[0] + _SLACK).all() and (box[1] > other[1] - _SLACK).all()
-        edges[i] |= bool(inside and lengths[i] > 1.3 * lengths[j])
+        edges[i] |= bool(outer[i] and inside and lengths[i] > 1.3 * lengths[j])
     inner = [box for box, edge in zip(boxes, edges, strict=True) if not edge]
     if flat and len(inner) == 2 and np.abs(inner[0] + inner[1][::-1] - [0, 0, 1])[:, [0, 2]].max() < 0.1:
         kinds = ["ear"] * len(boxes)  # one is above, and the other is its mirror image
