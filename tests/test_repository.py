@@ -183,7 +183,7 @@ LAYERS = [
     {"models"},
     {"view"},
     {"evaluate"},
-    {"cli", "__main__"},
+    {"_simulate", "cli", "__main__"},
 ]
 
 

@@ -34,7 +34,7 @@ from topokit.sim import (
     simulate,
 )
 from topokit.sim._randomisation import PURPOSES, generator
-from topokit.sim._tasks import pull_over_head, task_for
+from topokit.sim._tasks import asked, pull_over_head, task_for
 
 from conftest import polygon
 
@@ -361,8 +361,8 @@ def test_the_loop_that_hangs_is_found_by_name_whatever_its_place_in_the_list(nam
     if "neck" in garment.loop_names:  # of two handles the first in the list is carried
         paths = [task.plan(one, task.target, generator(0, "path")) for one in (garment, turned)]
         assert (paths[0].at(np.arange(3.0)) == paths[1].at(np.arange(3.0))).all()
-    asked = [garment.named_loops[name] for name in garment.loop_names if {name, name[:-2]} & {*task.loops}]
-    assert {len(loop) for loop in asked} == {len(loop) for loop in task.asked(turned.named_loops)}
+    expected = [garment.named_loops[name] for name in garment.loop_names if {name, name[:-2]} & {*task.loops}]
+    assert {len(loop) for loop in expected} == {len(loop) for loop in asked(task, turned.named_loops)}
 
 
 def test_a_garment_without_the_loops_of_a_task_is_refused_before_anything_is_simulated():

@@ -27,7 +27,7 @@ from ._garments import Garment
 from ._process import SimulationError
 from ._surface import Array, simple_cycles
 from ._targets import Target
-from ._tasks import Task, as_task
+from ._tasks import Task, as_task, asked, check_loops
 from ._world import SimulationConfig, World, check_stretch, observe
 
 Observation = dict[str, Any]
@@ -102,7 +102,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
         self.task = as_task(task)
         self.garment, self.target = garment or self.task.garment(), target or self.task.target
-        self.task.check(self.garment)
+        check_loops(self.task, self.garment)
         self.config = config or SimulationConfig(self_collision=False)
         self.n_points = whole(n_points, "n_points", 1, len(self.garment.vertices))
         self.reward, self.cameras, self.render_mode = reward, tuple(cameras), render_mode
@@ -231,7 +231,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             n = min(len(self.garment.loops), len(diagram))
             curves = [[cloud[part] for part in simple_cycles(diagram.cycle(i).tolist())] for i in range(n)]
         else:
-            curves = [[self._points[np.asarray(loop)]] for loop in self.task.asked(self.garment.named_loops)]
+            curves = [[self._points[loop]] for loop in asked(self.task, self.garment.named_loops)]
         if not curves:
             return 0.0, float(np.linalg.norm(observed.mean(axis=0) - self.target.seat))
         on = [any(self.target.holds(part) for part in parts) for parts in curves]

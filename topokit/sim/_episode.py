@@ -34,7 +34,7 @@ from ._process import Forge, SimulationError
 from ._randomisation import Randomisation, generator
 from ._surface import Array
 from ._targets import Hook, Rod, Target
-from ._tasks import Task, as_task, task_for, warn_of_floor
+from ._tasks import Task, as_task, check_loops, task_for, warn_of_floor
 from ._world import SimulationConfig, World, check_stretch, observe
 
 Report = Callable[[int], None]
@@ -100,7 +100,7 @@ def simulate(
         raise WrongKindError(f"garment must be a Garment, not {type(garment).__name__}: {how}")
     task = task_for(garment or Garment.apron(), target or Hook()) if task is None else as_task(task)
     garment, target, config = garment or task.garment(), target or task.target, config or SimulationConfig()
-    task.check(garment)
+    check_loops(task, garment)
     drawn: dict[str, Any] | None = None
     if randomisation is not None:
         config, garment, cameras, numbers = randomisation.draw(seed, config, garment, cameras)

@@ -8,7 +8,6 @@ the top, a waist or holes; those of a bag are handles at the top, or straps.
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -35,11 +34,8 @@ def to_hang_by(names: Iterable[str]) -> list[str]:
 
 def numbered(kinds: Sequence[str]) -> tuple[str, ...]:
     """Names that differ: of several loops of a kind each gets a number, from 1 on."""
-    many, seen, names = Counter(kinds), Counter[str](), []
-    for one in kinds:
-        seen[one] += 1
-        names.append(f"{one} {seen[one]}" if many[one] > 1 else one)
-    return tuple(names)
+    many = {one: kinds.count(one) > 1 for one in kinds}
+    return tuple(f"{one} {kinds[: i + 1].count(one)}" if many[one] else one for i, one in enumerate(kinds))
 
 
 def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
@@ -49,7 +45,10 @@ def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
     outer = [any(set(loop.tolist()) == set(border.tolist()) for border in outlines) for loop in loops]
     flat = _is_flat(vertices, faces)
     if not flat and any(_is_hem(box) for box in borders):
-        return numbered(["hem" if _is_hem(box) else _of_tube(box) for box in boxes])
+        aside = [np.linalg.norm(box[:, :2].mean(axis=0)) > 0.2 for box in boxes]
+        return numbered(
+            ["hem" if _is_hem(box) else "arm" if arm else "neck" for box, arm in zip(boxes, aside, strict=True)]
+        )
     lengths = [side_lengths(vertices[loop]).sum() for loop in loops]
     edges = [len(borders) == len(boxes) == 1] * len(boxes)
     for (i, box), (j, other) in itertools.permutations(enumerate(boxes), 2):
@@ -60,25 +59,20 @@ def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
         kinds = ["ear"] * len(boxes)  # one is above, and the other is its mirror image
     else:
         tops = sum(box[1, 2] > 1 - _TOP for box in inner)
-        kinds = [_of_flat(box, tops) if flat else _of_bag(box) for box in boxes]
+        kinds = [_kind(box, flat, tops) for box in boxes]
     return numbered(["edge" if edge else one for edge, one in zip(edges, kinds, strict=True)])
 
 
 def _box(vertices: Array, loop: Ids) -> Array:
     """(2, 3) lowest and highest x, y and z of a loop: z from 0 to 1, x and y from the middle in shares of the width."""
     low, size = vertices.min(axis=0), np.ptp(vertices, axis=0)
-    places = (vertices[loop] - low - size / 2 * [1, 1, 0]) / np.maximum(
-        [size[:2].max(), size[:2].max(), size[2]], 1e-12
-    )
+    unit = np.maximum([size[:2].max(), size[:2].max(), size[2]], 1e-12)
+    places = (vertices[loop] - low - size / 2 * [1, 1, 0]) / unit
     return np.array([places.min(axis=0), places.max(axis=0)])
 
 
 def _is_hem(box: Array) -> bool:
     return bool(box[1, 2] < 0.35 and np.ptp(box[:, :2], axis=0).max() > 0.3)
-
-
-def _of_tube(box: Array) -> str:
-    return "arm" if np.linalg.norm(box[:, :2].mean(axis=0)) > 0.2 else "neck"
 
 
 def _is_flat(vertices: Array, faces: Ids) -> bool:
@@ -88,11 +82,9 @@ def _is_flat(vertices: Array, faces: Ids) -> bool:
     return bool(np.linalg.norm(normal.sum(axis=0)) > 0.6 * np.linalg.norm(normal, axis=1).sum())
 
 
-def _of_flat(box: Array, tops: int) -> str:
+def _kind(box: Array, flat: bool, tops: int) -> str:
+    if not flat:
+        return "strap" if abs(box[:, 0].mean()) > 0.15 else "handle"
     if box[1, 2] > 1 - _TOP:
         return "neck" if tops == 1 else "strap"
     return "waist" if np.ptp(box[:, 0]) > 0.5 else "hole"
-
-
-def _of_bag(box: Array) -> str:
-    return "strap" if abs(box[:, 0].mean()) > 0.15 else "handle"

@@ -14,6 +14,7 @@ import itertools
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +28,7 @@ from ._names import kind, to_hang_by
 from ._surface import Array, Ids
 from ._targets import Hanger, Hook, Mannequin, Target
 
+Loop = TypeVar("Loop", bound=ArrayLike)
 _log = logging.getLogger("topokit.sim")
 
 
@@ -126,32 +128,24 @@ class Task:
             The task's own when not given.
         """
         cloud, target = as_points(points), target or self.target
-        asked = self.asked(loops)
-        if not asked or cloud[:, 2].max() <= target.lowest:
+        wanted = asked(self, loops)
+        if not wanted or cloud[:, 2].max() <= target.lowest:
             return False
-        on = (target.holds(cloud[np.asarray(loop)]) for loop in asked)
+        on = (target.holds(cloud[np.asarray(loop)]) for loop in wanted)
         return all(on) if self.every else any(on)
 
-    def asked(self, loops: Mapping[str, ArrayLike]) -> list[ArrayLike]:
-        """Those of the loops, by name, that the task asks for.
 
-        Parameters
-        ----------
-        loops : mapping of str to (L,) array_like of int
-        """
-        return [loop for name, loop in loops.items() if {name, kind(name)} & {*self.loops}]
+def asked(task: Task, loops: Mapping[str, Loop]) -> list[Loop]:
+    """Those of the loops that a task asks for."""
+    return [loop for name, loop in loops.items() if {name, kind(name)} & {*task.loops}]
 
-    def check(self, garment: Garment) -> None:
-        """Raise ValueError when the garment lacks loops that the task asks for; the message says which it has.
 
-        Parameters
-        ----------
-        garment : Garment
-        """
-        names = garment.loop_names
-        if not {*self.loops} <= {*names, *map(kind, names)}:
-            asks, has = (", ".join(some) or "none" for some in (self.loops, names))
-            raise ValueError(f"{self.name} asks for the loops {asks}; the {garment.name} has {has}: mark or name them")
+def check_loops(task: Task, garment: Garment) -> None:
+    """Raise ValueError when the garment lacks loops that the task asks for; the message says which it has."""
+    names = garment.loop_names
+    if not {*task.loops} <= {*names, *map(kind, names)}:
+        asks, has = (", ".join(some) or "none" for some in (task.loops, names))
+        raise ValueError(f"{task.name} asks for the loops {asks}; the {garment.name} has {has}: mark or name them")
 
 
 def hang_by_strap(
