@@ -309,9 +309,8 @@ def task_for(garment: Garment, target: Target) -> Task:
     """
     name = f"{garment.name}-{target.name}"
     names, kinds = to_hang_by(garment.loop_names), [*map(kind, garment.loop_names)]
-    task = TASKS.get(name, Task(name, lambda: garment, target, hang_by_strap, ("?",)))
-    if {*task.loops} <= {*kinds, *garment.loop_names}:
-        return replace(task, garment=lambda: garment, target=target)
+    if name in TASKS and {*TASKS[name].loops} <= {*kinds, *garment.loop_names}:
+        return replace(TASKS[name], garment=lambda: garment, target=target)
     plan: Planner = _sideways if kinds.count("strap") > 1 else hang_by_strap
     loops, every = tuple(names), False
     if isinstance(target, Mannequin):
