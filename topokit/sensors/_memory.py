@@ -30,7 +30,9 @@ _WITHIN = np.array([[1 / 3] * 3, *(np.eye(3) + 1) / 4, *(3 * np.eye(3) + 1) / 6]
 class CloudMemory:
     """The cloud of what a depth camera sees and of what it remembers, a call a frame; a memory for each film.
 
-    Remembered points move as the middle of what is in sight does: one side of a piece of cloth tells little more of the other.
+    Remembered points move as the middle of what is in sight does, when that explains where points are now better than no motion:
+    one side of a piece of cloth tells little more of the other. So the cloth should stay in the picture, and what passes in
+    front of it should be given as `around`; otherwise what is hidden passes for what has moved.
 
     Parameters
     ----------
@@ -77,8 +79,10 @@ class CloudMemory:
         Parameters
         ----------
         state : TopologicalState
+            Of loops in space.
         """
         for loop in state.loops:
+            _in_space(loop.killer_triangles[0], f"loop {loop.id}")
             if self._view and self._view.look((_WITHIN @ loop.killer_triangles).reshape(-1, 3))[3].any():
                 self._open.add(loop.id)
         return replace(state, loops=tuple(loop for loop in state.loops if loop.id in self._open))
@@ -89,11 +93,18 @@ class CloudMemory:
         if not (stays.any() and was_there.any()):
             stays[:] = was_there[:] = True
         motion = now.cloth[was_there].mean(axis=0) - before.cloth[stays].mean(axis=0)
-        carried = np.vstack([self._remembered, before.cloth]) + motion
+        tree = as_tree(before.cloth)
+        still, moved = (np.median(tree.query(now.cloth[was_there] - by)[0]) for by in (0.0, motion))
+        carried = np.vstack([before.cloth, self._remembered]) + (motion if moved < still else 0.0)  # the latest first
         empty, hidden, *_ = now.look(carried)
-        in_sight = np.pad(self._in_sight, (0, len(before.cloth))) + ~hidden
+        in_sight = np.pad(self._in_sight, (len(before.cloth), 0)) + ~hidden
         apart = as_tree(now.cloth).query(carried)[0] >= _APART * now.spacing
-        kept = apart & ~empty & (in_sight <= self.frames)
+        kept = np.flatnonzero(apart & ~empty & (in_sight <= self.frames))
+        again: set[int] = set()  # what stands where a later memory does
+        for i, j in sorted(as_tree(carried[kept]).query_pairs(_APART * now.spacing)):
+            if i not in again:
+                again.add(j)
+        kept = np.delete(kept, list(again))
         self._remembered, self._in_sight = carried[kept], in_sight[kept]
 
 
