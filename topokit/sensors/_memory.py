@@ -30,9 +30,10 @@ _WITHIN = np.array([[1 / 3] * 3, *(np.eye(3) + 1) / 4, *(3 * np.eye(3) + 1) / 6]
 class CloudMemory:
     """The cloud of what a depth camera sees and of what it remembers, a call a frame; a memory for each film.
 
-    Remembered points move as the middle of what is in sight does, when that explains where points are now better than no motion:
-    one side of a piece of cloth tells little more of the other. So the cloth should stay in the picture, and what passes in
-    front of it should be given as `around`; otherwise what is hidden passes for what has moved.
+    Remembered points move as the middle of what is in sight does: one side of a piece of cloth tells little more of the other.
+    So the cloth should stay in the picture, and what passes in front of it should be given as `around`; otherwise what is
+    hidden, or has left, passes for motion. Clouds should be evenly sampled (`Pipeline` with a voxel, or farthest points): where
+    points are drawn at random anew in every frame, those of many frames pile up.
 
     Parameters
     ----------
@@ -93,18 +94,11 @@ class CloudMemory:
         if not (stays.any() and was_there.any()):
             stays[:] = was_there[:] = True
         motion = now.cloth[was_there].mean(axis=0) - before.cloth[stays].mean(axis=0)
-        tree = as_tree(before.cloth)
-        still, moved = (np.median(tree.query(now.cloth[was_there] - by)[0]) for by in (0.0, motion))
-        carried = np.vstack([before.cloth, self._remembered]) + (motion if moved < still else 0.0)  # the latest first
+        carried = np.vstack([self._remembered, before.cloth]) + motion
         empty, hidden, *_ = now.look(carried)
-        in_sight = np.pad(self._in_sight, (len(before.cloth), 0)) + ~hidden
+        in_sight = np.pad(self._in_sight, (0, len(before.cloth))) + ~hidden
         apart = as_tree(now.cloth).query(carried)[0] >= _APART * now.spacing
-        kept = np.flatnonzero(apart & ~empty & (in_sight <= self.frames))
-        again: set[int] = set()  # what stands where a later memory does
-        for i, j in sorted(as_tree(carried[kept]).query_pairs(_APART * now.spacing)):
-            if i not in again:
-                again.add(j)
-        kept = np.delete(kept, list(again))
+        kept = apart & ~empty & (in_sight <= self.frames)
         self._remembered, self._in_sight = carried[kept], in_sight[kept]
 
 
