@@ -33,9 +33,9 @@ class Frame:
     gaps: Gaps = _NO_GAPS
 
     @classmethod
-    def scene(cls, tree: cKDTree) -> Frame:
-        """All points count, as the paper has it: alpha is half the largest distance of one from its nearest other."""
-        return cls(tree, np.arange(tree.n), spacing(tree))
+    def scene(cls, tree: cKDTree, alpha: float | None = None) -> Frame:
+        """All points count, as the paper has it: alpha, when not given, is half the largest distance to a nearest other point."""
+        return cls(tree, np.arange(tree.n), spacing(tree) if alpha is None else alpha)
 
     @classmethod
     def cleaned(cls, tree: cKDTree) -> Frame:

@@ -175,7 +175,9 @@ class SeqPH:
 
     def _frame(self, tree: cKDTree) -> Frame:
         """What this tracker takes from a cloud."""
-        frame = Frame.scene(tree) if self.loops == "alpha" else Frame.cleaned(tree)
+        if self.loops == "alpha":
+            return Frame.scene(tree, self.alpha)
+        frame = Frame.cleaned(tree)
         return frame if self.alpha is None else replace(frame, alpha=self.alpha)
 
     def _advance(self, cloud: Array, frame: Frame, diagram: Diagram, time: float | None) -> TopologicalState:

@@ -97,7 +97,7 @@ class CloudMemory:
         carried = np.vstack([self._remembered, before.cloth]) + motion
         empty, hidden, *_ = now.look(carried)
         in_sight = np.pad(self._in_sight, (0, len(before.cloth))) + ~hidden
-        apart = as_tree(now.cloth).query(carried)[0] >= _APART * now.spacing
+        apart = now.tree.query(carried)[0] >= _APART * now.spacing
         kept = apart & ~empty & (in_sight <= self.frames)
         self._remembered, self._in_sight = carried[kept], in_sight[kept]
 
@@ -113,7 +113,8 @@ class _View:
         if not self._depths.all():
             raise ValueError(f"a point is where the eye is, at {eye[0].tolist()}: drop pixels that saw nothing")
         self._picture, self._of_cloth = as_tree(directions), as_tree(directions[: len(self.cloth)])
-        self.spacing = float(np.median(as_tree(self.cloth).query(self.cloth, k=2)[0][:, 1]))
+        self.tree = as_tree(self.cloth)
+        self.spacing = float(np.median(self.tree.query(self.cloth, k=2)[0][:, 1]))
         fifth = self._of_cloth.query(self._of_cloth.data, k=[min(6, len(self.cloth))])[0]
         self._beside = _BESIDE * float(np.median(fifth))
 
