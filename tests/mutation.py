@@ -24,8 +24,17 @@ ROOT = Path(__file__).parent.parent
 WORK = ROOT / "runs" / "mutation"
 PARTS = {
     "tracking": (
-        ("seqph.py", "_matching.py", "_frames.py", "sampling.py", "linking.py", "mixture.py", "data/_windows.py"),
-        ("seqph", "sampling", "linking", "mixture", "data_windows", "data_spoil"),
+        (
+            "seqph.py",
+            "_matching.py",
+            "_evidence.py",
+            "_frames.py",
+            "sampling.py",
+            "linking.py",
+            "mixture.py",
+            "data/_windows.py",
+        ),
+        ("seqph", "evidence", "sampling", "linking", "mixture", "data_windows", "data_spoil"),
     ),
     "rips": (
         (

@@ -18,6 +18,14 @@ needs_node = pytest.mark.skipif(
 NETWORK = re.compile(r"https?:|//[a-z]+\.[a-z]|@import|url\(|<link|src=|fetch\(|XMLHttpRequest|WebSocket")
 
 
+def check_small_and_whole(figure: Framed) -> None:
+    """Nothing of the network is asked for, nothing is left to fill in, no text of the data ends a script."""
+    assert not NETWORK.search(figure.page)
+    assert "__" not in figure.page  # nothing left to fill in
+    assert figure.page.count("</script>") == 2
+    assert len(figure.page) < 40_000
+
+
 def page_data(figure: Framed) -> dict:
     """What the script is given."""
     return json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', figure.page, re.DOTALL).group(1))

@@ -545,6 +545,11 @@ def test_a_wrong_pipeline_is_refused(entries, says):
         from_mapping(Pipeline, entries, "here")
 
 
+def test_a_box_may_be_lists_or_an_array():
+    box = ((-1.0, -1.0, 0.0), (1.0, 1.0, 2.0))
+    assert Pipeline(crop=[list(corner) for corner in box]).crop == Pipeline(crop=np.array(box)).crop == box
+
+
 # The command.
 
 
@@ -582,6 +587,12 @@ def test_track_takes_the_folder_that_it_runs_in(film, monkeypatch, capsys):
     monkeypatch.chdir(film)
     assert main(["track", ".", "--unit", "mm"]) == 0
     assert capsys.readouterr().out.endswith(f"tracks: {film}.tracks.npz\n")
+
+
+def test_tracks_of_one_file_do_not_spoil_its_folder(film, capsys):
+    assert main(["track", str(film / "3.pcd"), "--unit", "mm"]) == 0
+    assert main(["track", str(film), "--unit", "mm"]) == 0
+    assert "film: 5 frames" in capsys.readouterr().out
 
 
 def test_track_takes_an_archive_of_clouds_that_topokit_did_not_write(tmp_path, capsys):

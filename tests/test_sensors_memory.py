@@ -128,3 +128,13 @@ def test_a_frame_that_cannot_be_is_refused_and_changes_nothing(points: np.ndarra
 def test_memory_is_a_whole_number_of_frames() -> None:
     with pytest.raises(ValueError, match="frames must be"):
         CloudMemory(frames=-1)
+
+
+def test_what_a_hand_hides_is_not_taken_for_motion():
+    sheet = np.column_stack([np.random.default_rng(0).uniform(-0.3, 0.3, (600, 2)), np.full(600, 0.8)])
+    memory = CloudMemory()
+    for edge in np.linspace(-0.3, 0.25, 20):
+        hidden = sheet[:, 0] < edge
+        cloud = memory(sheet[~hidden], around=0.6 * sheet[hidden])
+    assert len(cloud) <= len(sheet)
+    assert np.abs(cloud[:, 0]).max() <= 0.31

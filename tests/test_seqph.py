@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -442,3 +444,54 @@ def test_a_loop_carries_its_curve():
         assert loop.cycle is loop.cycle  # found once
     with pytest.raises(LookupError, match="loop 0 knows no cloud"):
         _ = replace(state.loops[0], _curve=None).cycle
+
+
+def rings(which: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+    """Rings that stand side by side and are drawn anew; the first is denser."""
+    parts = []
+    for k in which:
+        angle = rng.uniform(0, 2 * np.pi, 300 if k == 0 else 150)
+        parts.append(np.column_stack([0.1 * np.cos(angle) + 0.3 * k, 0.1 * np.sin(angle)]))
+    return np.vstack(parts)
+
+
+def test_loops_that_stand_still_keep_their_names_when_others_come_or_go():
+    rng = np.random.default_rng(0)
+    states = track([rings((0, 1, 2), rng)] * 4 + [rings((1, 2), rng)] * 4 + [rings((0, 1, 2), rng)] * 2)
+    named = [{round(loop.centre[0] / 0.3): loop.id for loop in state.loops} for state in states]
+    assert named[0].keys() == {0, 1, 2}
+    assert all(each[k] == named[0][k] for each in named for k in (1, 2))
+
+
+@pytest.mark.parametrize(
+    ("pairs", "what"),
+    [
+        ([(0, 0), (1, 0)], "each once"),
+        ([(5, 5)], "each once"),
+        ([(-1, 0)], "each once"),
+        (None, "each once"),
+        ([0], "each"),
+    ],
+)
+def test_a_matching_of_ones_own_gives_each_loop_once(pairs, what):
+    tracker = SeqPH(match=lambda loops: pairs)
+    tracker.update(two_circles(0.0), diagram=rips_persistence(two_circles(0.0)))
+    with pytest.raises(ValueError, match=what):
+        tracker.update(two_circles(0.1))
+    with pytest.raises(TypeError, match="match must be a function"):
+        SeqPH(match=3)
+
+
+def test_states_can_be_sent_to_another_process():
+    state = track([polygon(20)])[0]
+    again = pickle.loads(pickle.dumps(state))
+    np.testing.assert_array_equal(again.loops[0].cycle, state.loops[0].cycle)
+
+
+@pytest.mark.parametrize("time", [np.timedelta64(1, "s"), np.complex128(1)])
+def test_a_time_is_a_number_of_seconds(time):
+    with pytest.raises(ValueError, match="seconds"):
+        SeqPH().update(polygon(20), time=time)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        SeqPH(alpha=np.float32(0.01), epsilon=np.float16(0.5)).update(polygon(20), time=np.float32(1))

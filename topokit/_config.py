@@ -12,7 +12,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+import numpy as np
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from typing_extensions import dataclass_transform
 
@@ -23,6 +24,14 @@ T = TypeVar("T")
 Count = Annotated[int, Field(ge=1)]
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
+
+
+def as_tuple(values: Any) -> Any:
+    """Lists and arrays are tuples in configurations, which do not change."""
+    return tuple(np.asarray(values).tolist()) if isinstance(values, (np.ndarray, list)) else values
+
+
+Place = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]
 
 
 @dataclass_transform(frozen_default=True)

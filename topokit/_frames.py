@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 _SCENE = 0.95  # share of the points that have a neighbour within 2 alpha, estimated from what is not alone
 _MOVED = 0.9  # share of the points that move no farther than epsilon, estimated likewise
+_FITS = 0.25  # share of the points that tell whether the scene has moved; the others may have come in
 _NO_GAPS = Gaps(0.0, 1.0)  # of a single place, and where alpha decides which bars are loops
 _OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
 
@@ -32,9 +33,9 @@ class Frame:
     gaps: Gaps = _NO_GAPS
 
     @classmethod
-    def scene(cls, tree: cKDTree) -> Frame:
-        """All points count, as the paper has it: alpha is half the largest distance of one from its nearest other."""
-        return cls(tree, np.arange(tree.n), spacing(tree))
+    def scene(cls, tree: cKDTree, alpha: float | None = None) -> Frame:
+        """All points count, as the paper has it: alpha, when not given, is half the largest distance to a nearest other point."""
+        return cls(tree, np.arange(tree.n), spacing(tree) if alpha is None else alpha)
 
     @classmethod
     def cleaned(cls, tree: cKDTree) -> Frame:
@@ -47,12 +48,17 @@ class Frame:
         return cls(places, ids, float(np.quantile(nearest[:, 0], _SCENE)) / 2, Gaps.of(nearest))
 
     def motion_since(self, before: Frame) -> tuple[Array, float]:
-        """(d,) how far the middle of the scene has moved since, and how far its points beside that: a partial Hausdorff distance.
+        """(d,) how far the scene has moved as a whole since, and how far its points beside that: a partial Hausdorff distance.
 
-        One way only, since a part of the scene that is hidden now has not moved.
+        The middle of a still scene moves when a part of it is hidden or another comes in. So its motion counts when the nearest
+        quarter of the points fits better to where the scene was with it than without. One way only, since what is hidden now
+        has not moved.
         """
         shift = self.tree.data.mean(axis=0) - before.tree.data.mean(axis=0)
-        return shift, float(np.quantile(before.tree.query(self.tree.data - shift)[0], _MOVED))
+        still, moved = (before.tree.query(self.tree.data - by)[0] for by in (0.0, shift))
+        if np.quantile(still, _FITS) <= np.quantile(moved, _FITS):
+            shift, moved = np.zeros_like(shift), still
+        return shift, float(np.quantile(moved, _MOVED))
 
 
 def check_follows(frame: int, before: tuple[Frame | None, float | None], after: tuple[Frame, float | None]) -> None:
@@ -60,7 +66,8 @@ def check_follows(frame: int, before: tuple[Frame | None, float | None], after: 
     (frame_before, time_before), (tree, time) = before, (after[0].tree, after[1])
     if tree.n == 0:
         raise ValueError(f"frame {frame} has no points: nothing seen is not the same as no loops; skip the frame")
-    if time is not None and not (isinstance(time, (int, float, np.number)) and abs(time) < 1e300):
+    seconds = time.item() if isinstance(time, np.generic) else time
+    if time is not None and not (isinstance(seconds, (int, float)) and abs(seconds) < 1e300):
         raise ValueError(f"frame {frame} has time {time}; it must be a finite number of seconds")
     if frame_before is None:
         return

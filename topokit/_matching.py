@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .rips import Diagram
 
 Array = NDArray[np.float64]
 
@@ -43,6 +46,36 @@ class Candidates:
         return Candidates(*here, *there, self.alpha, beta)
 
 
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What may be found again: where it was, how far the scene has moved since, for how many frames; a loop once believed in."""
+
+    birth: float
+    death: float
+    place: Array  #: (p, d) for the tracker's identity
+    killer_edge: Array  #: (2, d)
+    belief: float
+    id: int | None  #: None as long as it is not believed to be a loop
+    motion: float = 0.0
+    missed: int = 0
+
+
+def candidates_of(
+    diagram: Diagram, found: list[int], places: list[Array], known: list[Known], sizes: tuple[float, Array | float]
+) -> Candidates:
+    """What a matching sees of loops of a diagram and of known ones; `sizes` are alpha and beta."""
+    return Candidates(
+        diagram.birth[found],
+        diagram.death[found],
+        np.array(places),
+        np.array([k.birth for k in known]),
+        np.array([k.death for k in known]),
+        np.array([k.place for k in known]),
+        np.array([k.motion for k in known]),
+        *sizes,
+    )
+
+
 Matching = Callable[[Candidates], Iterable[tuple[int, int]]]
 
 
@@ -77,3 +110,17 @@ def within_gates(gates: str, loops: Candidates) -> list[tuple[int, int]]:
     distance = hausdorff_table(loops.places, loops.known_places)
     cost = distance + deaths if gates == "near" else distance
     return assign(cost, (births < gate) & (deaths < gate) & (distance < bound))
+
+
+def check_pairs(pairs: object, found: int, known: int) -> list[tuple[int, int]]:
+    """What a matching gave, or a ValueError when it is no matching."""
+    try:
+        checked = [(operator.index(i), operator.index(j)) for i, j in pairs]  # type: ignore[attr-defined]
+        once = all(len(set(side)) == len(side) for side in zip(*checked, strict=True))
+    except TypeError:
+        once = False
+    if not (once and all(0 <= i < found and 0 <= j < known for i, j in checked)):
+        raise ValueError(
+            f"match must give pairs of one of {found} found and one of {known} known loops, each once, not {pairs!r}"
+        )
+    return checked

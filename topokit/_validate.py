@@ -71,7 +71,8 @@ def positive(value: float, name: str, *, zero: bool = True, infinite: bool = Fal
     """Return `value` as a float, or say that it must be a (finite) number that is not negative."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise WrongKindError(f"{name} must be a number, not {value!r}")
-    number = float(value if not abs(value) > sys.float_info.max else "inf" if value > 0 else "-inf")
+    exact = value.item() if isinstance(value, np.generic) else value
+    number = float(exact if not abs(exact) > sys.float_info.max else "inf" if exact > 0 else "-inf")
     if np.isnan(number) or number < 0 or (number == 0 and not zero) or (np.isinf(number) and not infinite):
         bound = "zero or more" if zero else "more than zero"
         raise ValueError(f"{name} must be {bound}{'' if infinite else ' and finite'}, not {value!r}")

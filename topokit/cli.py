@@ -253,11 +253,14 @@ def _ready(clouds: Iterator[NDArray[Any]], options: argparse.Namespace) -> Itera
             unsure = unsure and not has_unit(cloud, asked)
         except ValueError as error:
             raise FormatError(f"frame {number} on standard input: {error}") from error
+        if clean:
+            yield clean(cloud)
+            continue
         finite = np.isfinite(cloud).all(axis=1)
-        if not (clean or said or finite.all()):
+        if not (said or finite.all()):
             said, lost = True, f"frame {number}: {(~finite).sum()} of {len(finite)} points are not finite and left out"
             print(f"topokit track: {lost}, here and in what follows", file=sys.stderr)
-        yield clean(cloud) if clean else cloud[finite]
+        yield cloud[finite]
 
 
 def _clouds(stream: Any) -> Iterator[NDArray[np.float64]]:

@@ -12,7 +12,7 @@ l; it needs the whole distance matrix, so it follows both loops here. Taught in 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._evidence import MISSED, WEAKEST, believe, evidence
 from ._frames import Frame, check_diagram, check_follows
-from ._matching import Candidates, Matching, hausdorff_table, within_gates
+from ._matching import Candidates, Known, Matching, candidates_of, check_pairs, hausdorff_table, within_gates
 from ._validate import as_sequence, positive, whole
 from .linking import curve_centroid
 from .rips import Diagram, next_persistence, rips_persistence_many
@@ -44,20 +44,6 @@ _GATES = ("paper", "proved", "near")
 _IDENTITIES = ("killer-edge", "killer-triangles", "cycle")
 
 
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """What may be found again: where it was, how far the scene has moved since, for how many frames; a loop once believed in."""
-
-    birth: float
-    death: float
-    place: Array  #: (p, d) for the tracker's identity
-    killer_edge: Array  #: (2, d)
-    belief: float
-    id: int | None  #: None as long as it is not believed to be a loop
-    motion: float = 0.0
-    missed: int = 0
-
-
 class SeqPH:
     """Tracker of loops, one frame at a time: sequential persistent homology.
 
@@ -65,16 +51,18 @@ class SeqPH:
     ----------
     alpha : float, optional
         How far the scene may be from the nearest observed point (Assumption 1). Estimated, when not given, as half the distance
-        that 95 % of the points that are not alone (`topokit.sampling.inliers`) have from their nearest other one.
+        that 95 % of the points have from their nearest other one; with ``loops="alpha"`` that all of them have.
     beta : float, optional
         How far two killers of one loop may lie apart (Assumption 3). Estimated, when not given, as the length of the longer of
         the two killer edges: on cloth the candidates for a loop's killer lie around that loop.
     epsilon : float, optional
         How far a point may move from one frame to the next (Assumption 2). Estimated, when not given, as what 90 % of the
-        points do not exceed, beside the motion of the cloud's middle, which known places are carried along with.
+        points do not exceed beside the motion of the scene as a whole, which known places are carried along with; with
+        ``loops="alpha"`` as the Hausdorff distance of the clouds. Nothing is carried along where it is given.
     loops : {"evidence", "alpha"}, optional
-        Which bars are loops: those that the diagram and the film before it speak for, or those that live alpha or longer, as in
-        the paper. The second when alpha is given, the first when it is not.
+        Which bars are loops: those that the diagram and the film before it speak for, points that are alone
+        (`topokit.sampling.inliers`) left out; or those that live alpha or longer, all points counting, as in the paper. The
+        second when alpha is given, the first when it is not.
     gates : {"near", "proved", "paper"}
         Largest change of birth and death, and largest distance of places, for the same loop: ``alpha + epsilon`` and a
         quarter of the larger death, and ``beta + epsilon`` with the beta of these two; ``alpha + epsilon`` and
@@ -86,10 +74,11 @@ class SeqPH:
         the centroid of the representative cycle, stays; the cycle costs a search of its own.
     memory : int
         For how many frames a loop that is not found is remembered: when it comes back within its gates, widened by the
-        motion since, it keeps its identity.
+        motion since, it keeps its identity. By evidence it is told again once it is believed in again, some frames later.
     match : callable, optional
-        Takes `Candidates` and gives the pairs (i, j) of a found loop i that is the known loop j. By default the least total
-        distance of places within the gates.
+        Takes `Candidates` and gives the pairs (i, j) of a found loop i that is the known loop j, each once at most. Called for
+        the known loops that are believed in, then for what is left. By default the least total distance of places within
+        the gates.
 
     Raises
     ------
@@ -124,11 +113,13 @@ class SeqPH:
         for name, known in (("loops", _LOOPS), ("gates", _GATES), ("identity", _IDENTITIES)):
             if getattr(self, name) not in known:
                 raise ValueError(f"{name} must be one of {known}, not {getattr(self, name)!r}")
+        if match is not None and not callable(match):
+            raise TypeError(f"match must be a function of `Candidates`, not {match!r}")
         self._match = partial(within_gates, gates) if match is None else match
         self._number, self._next_id = 0, 0
         self._time: float | None = None
         self._before: Frame | None = None
-        self._known: list[_Known] = []
+        self._known: list[Known] = []
         self._film: list[Any] = []
 
     @classmethod
@@ -157,7 +148,8 @@ class SeqPH:
         time : float, optional
             Seconds, for all frames or for none; the frame's number when not given.
         diagram : Diagram, optional
-            The persistence of these points, when it is known already; computed when not given. All its loops must die.
+            The persistence of these points, when it is known already: then all of them count, those that are alone too.
+            Computed when not given. All its loops must die.
         """
         tree = as_tree(points, f"frame {self._number}", copy=True)
         frame = self._frame(tree)
@@ -183,7 +175,9 @@ class SeqPH:
 
     def _frame(self, tree: cKDTree) -> Frame:
         """What this tracker takes from a cloud."""
-        frame = Frame.scene(tree) if self.loops == "alpha" else Frame.cleaned(tree)
+        if self.loops == "alpha":
+            return Frame.scene(tree, self.alpha)
+        frame = Frame.cleaned(tree)
         return frame if self.alpha is None else replace(frame, alpha=self.alpha)
 
     def _advance(self, cloud: Array, frame: Frame, diagram: Diagram, time: float | None) -> TopologicalState:
@@ -197,7 +191,7 @@ class SeqPH:
         parameters = {"alpha": frame.alpha, "beta": float(np.max(beta, initial=0.0)), "epsilon": epsilon}
         points = cloud[frame.ids]
         places = [place(diagram, i, points, self.identity) for i in found]
-        matched = self._pairs(_candidates(diagram, found, places, known, (frame.alpha, beta)), known)
+        matched = self._pairs(candidates_of(diagram, found, places, known, (frame.alpha, beta)), known)
         loops, kept, next_id = [], [], self._next_id
         for k, i in enumerate(found):
             before = known[matched[k]] if k in matched else None
@@ -208,7 +202,7 @@ class SeqPH:
                     identity, next_id, before = next_id, next_id + 1, None
                 loops.append(_loop(diagram, i, cloud, frame.ids, identity, before))
             edge = points[diagram.killer_edge[i]]
-            kept.append(_Known(diagram.birth[i], diagram.death[i], places[k], edge, belief, identity))
+            kept.append(Known(diagram.birth[i], diagram.death[i], places[k], edge, belief, identity))
         taken = set(matched.values())
         left = [k for j, k in enumerate(known) if j not in taken and k.missed <= self.memory]
         self._known = kept + [replace(k, belief=believe(k.belief, MISSED)) for k in left]
@@ -238,14 +232,15 @@ class SeqPH:
             return 2 * np.maximum(found[:, None], known)
         return 2 * max([*found, *known], default=0.0)
 
-    def _pairs(self, loops: Candidates, known: list[_Known]) -> dict[int, int]:
+    def _pairs(self, loops: Candidates, known: list[Known]) -> dict[int, int]:
         """Which of what is found is which of what is known: loops that are believed in come first."""
         pairs: dict[int, int] = {}
         for turn in (True, False):
             rows = [i for i in range(len(loops.birth)) if i not in pairs]
             columns = [j for j, one in enumerate(known) if (one.belief > 0) == turn]
             if rows and columns:
-                pairs.update((rows[i], columns[j]) for i, j in self._match(loops.part(rows, columns)))
+                matched = check_pairs(self._match(loops.part(rows, columns)), len(rows), len(columns))
+                pairs.update((rows[i], columns[j]) for i, j in matched)
         return pairs
 
 
@@ -295,21 +290,6 @@ def track(
     ]
 
 
-def _candidates(
-    diagram: Diagram, found: list[int], places: list[Array], known: list[_Known], sizes: tuple[float, Array | float]
-) -> Candidates:
-    return Candidates(
-        diagram.birth[found],
-        diagram.death[found],
-        np.array(places),
-        np.array([k.birth for k in known]),
-        np.array([k.death for k in known]),
-        np.array([k.place for k in known]),
-        np.array([k.motion for k in known]),
-        *sizes,
-    )
-
-
 def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
     """Return (p, d) where loop `i` of a diagram is, for one of the identities of `SeqPH`.
 
@@ -328,7 +308,11 @@ def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
     return curve_centroid(cloud[diagram.cycle(i)])[None]
 
 
-def _loop(diagram: Diagram, i: int, cloud: Array, ids: NDArray[np.int64], identity: int, before: _Known | None) -> Loop:
+def _cycle(diagram: Diagram, i: int, ids: NDArray[np.int64]) -> NDArray[np.int64]:
+    return ids[diagram.cycle(i)]
+
+
+def _loop(diagram: Diagram, i: int, cloud: Array, ids: NDArray[np.int64], identity: int, before: Known | None) -> Loop:
     """Gather what the state keeps of loop `i` of a diagram of the points `ids` of a cloud."""
     edge, neighbours, step = ids[diagram.killer_edge[i]], ids[diagram.neighbours(i)], float("nan")
     if before is not None:
@@ -336,7 +320,7 @@ def _loop(diagram: Diagram, i: int, cloud: Array, ids: NDArray[np.int64], identi
     sides = np.linalg.norm(cloud[neighbours] - cloud[neighbours[:, [2, 0, 1]]], axis=2)
     return loop_of(
         cloud,
-        lambda: ids[diagram.cycle(i)],
+        partial(_cycle, diagram, i, ids),
         id=identity,
         birth=float(diagram.birth[i]),
         death=float(diagram.death[i]),

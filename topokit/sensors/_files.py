@@ -38,7 +38,7 @@ class Asked(NamedTuple):
 def _files(path: Path) -> list[Path]:
     """The files of a film in the order of the numbers in their names: those of a folder or of a pattern, or one alone."""
     if path.is_dir() and _kind(path) not in _READERS:
-        files = [file for file in path.iterdir() if _kind(file) in _READERS]
+        files = [file for file in path.iterdir() if _kind(file) in _READERS and not file.name.endswith(".tracks.npz")]
     elif not path.exists() and set(path.name) & set("*?["):
         files = list(path.parent.glob(path.name))
     else:

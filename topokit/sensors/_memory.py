@@ -31,6 +31,9 @@ class CloudMemory:
     """The cloud of what a depth camera sees and of what it remembers, a call a frame; a memory for each film.
 
     Remembered points move as the middle of what is in sight does: one side of a piece of cloth tells little more of the other.
+    So the cloth should stay in the picture, and what passes in front of it should be given as `around`; otherwise what is
+    hidden, or has left, passes for motion. Clouds should be evenly sampled (`Pipeline` with a voxel, or farthest points): where
+    points are drawn at random anew in every frame, those of many frames pile up.
 
     Parameters
     ----------
@@ -77,8 +80,10 @@ class CloudMemory:
         Parameters
         ----------
         state : TopologicalState
+            Of loops in space.
         """
         for loop in state.loops:
+            _in_space(loop.killer_triangles[0], f"loop {loop.id}")
             if self._view and self._view.look((_WITHIN @ loop.killer_triangles).reshape(-1, 3))[3].any():
                 self._open.add(loop.id)
         return replace(state, loops=tuple(loop for loop in state.loops if loop.id in self._open))
@@ -92,7 +97,7 @@ class CloudMemory:
         carried = np.vstack([self._remembered, before.cloth]) + motion
         empty, hidden, *_ = now.look(carried)
         in_sight = np.pad(self._in_sight, (0, len(before.cloth))) + ~hidden
-        apart = as_tree(now.cloth).query(carried)[0] >= _APART * now.spacing
+        apart = now.tree.query(carried)[0] >= _APART * now.spacing
         kept = apart & ~empty & (in_sight <= self.frames)
         self._remembered, self._in_sight = carried[kept], in_sight[kept]
 
@@ -108,7 +113,8 @@ class _View:
         if not self._depths.all():
             raise ValueError(f"a point is where the eye is, at {eye[0].tolist()}: drop pixels that saw nothing")
         self._picture, self._of_cloth = as_tree(directions), as_tree(directions[: len(self.cloth)])
-        self.spacing = float(np.median(as_tree(self.cloth).query(self.cloth, k=2)[0][:, 1]))
+        self.tree = as_tree(self.cloth)
+        self.spacing = float(np.median(self.tree.query(self.cloth, k=2)[0][:, 1]))
         fifth = self._of_cloth.query(self._of_cloth.data, k=[min(6, len(self.cloth))])[0]
         self._beside = _BESIDE * float(np.median(fifth))
 

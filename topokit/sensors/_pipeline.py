@@ -11,14 +11,14 @@ from typing import Annotated, Any
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from topokit._config import Count, Positive, checked
+from topokit._config import Count, Place, Positive, as_tuple, checked
 from topokit._validate import as_reals
 from topokit.sampling import farthest_point_sample, inliers
 
 Array = NDArray[np.float64]
-Corner = tuple[float, float, float]
+Box = Annotated[tuple[Place, Place], BeforeValidator(as_tuple)]
 _SAMPLE = 2000  # points that a plane is fitted to
 _SHARE = 0.1  # of the points, at least, are on a table or a wall
 _BEHIND = 0.03  # of the points, at most, are behind it: it is not cloth with the room behind
@@ -38,10 +38,10 @@ class Pipeline:
 
     finite: bool = True  #: drop points with a NaN or infinite coordinate
     zeros: bool = True  #: drop points at (0, 0, 0): pixels where a depth camera saw nothing
-    crop: tuple[Corner, Corner] | None = None  #: lowest and highest corner of the box that is kept, metres
+    crop: Box | None = None  #: lowest and highest corner of the box that is kept, metres
     #: walls and tables to remove: planes that are not seen through, the largest first
     planes: Annotated[int, Field(ge=0, le=10)] = 0
-    eye: Corner = (0.0, 0.0, 0.0)  #: where the camera is
+    eye: Place = (0.0, 0.0, 0.0)  #: where the camera is
     thickness: Positive = 0.01  #: what is within it of a plane belongs to the plane, metres
     voxel: Positive | None = None  #: one point, their mean, for those in each cube of such an edge, metres
     #: drop points that are alone: the factor of `topokit.sampling.inliers`; 2.5 suits cloth

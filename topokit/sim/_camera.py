@@ -8,25 +8,18 @@ noise for improved 3D reconstruction and tracking* (the noise). Taught in chapte
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from topokit._config import NotNegative, Positive, checked
+from topokit._config import NotNegative, Place, Positive, checked
 
 from ._surface import Array
 
 Mask = NDArray[np.bool_]
 Pixels = Annotated[int, Field(ge=1, le=4096)]
-
-
-def _as_tuple(place: Any) -> Any:
-    return tuple(np.asarray(place).tolist()) if isinstance(place, (np.ndarray, list)) else place
-
-
-Place = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
 
 
 @checked
