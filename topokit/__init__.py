@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from ._lazy import attach
 
 if TYPE_CHECKING:
+    from ._follow import follow
     from .linking import linking_number
     from .mixture import LoopMixture, loop_mixture
     from .rips import Diagram, rips_persistence, rips_persistence_many
@@ -30,6 +31,7 @@ __all__ = [
     "TopologicalState",
     "covering_radius",
     "farthest_point_sample",
+    "follow",
     "hausdorff",
     "linking_number",
     "loop_mixture",

@@ -200,7 +200,8 @@ class SeqPH:
             if belief > 0:
                 if identity is None:
                     identity, next_id, before = next_id, next_id + 1, None
-                loops.append(_loop(diagram, i, cloud, frame.ids, identity, before))
+                was = None if before is None else before.killer_edge
+                loops.append(loop_at(diagram, i, cloud, frame.ids, identity, was))
             edge = points[diagram.killer_edge[i]]
             kept.append(Known(diagram.birth[i], diagram.death[i], places[k], edge, belief, identity))
         taken = set(matched.values())
@@ -312,11 +313,13 @@ def _cycle(diagram: Diagram, i: int, ids: NDArray[np.int64]) -> NDArray[np.int64
     return ids[diagram.cycle(i)]
 
 
-def _loop(diagram: Diagram, i: int, cloud: Array, ids: NDArray[np.int64], identity: int, before: Known | None) -> Loop:
-    """Gather what the state keeps of loop `i` of a diagram of the points `ids` of a cloud."""
+def loop_at(
+    diagram: Diagram, i: int, cloud: Array, ids: NDArray[np.int64], identity: int, before: Array | None
+) -> Loop:
+    """Gather what the state keeps of loop `i` of a diagram of the points `ids` of a cloud, after a killer edge (2, d)."""
     edge, neighbours, step = ids[diagram.killer_edge[i]], ids[diagram.neighbours(i)], float("nan")
     if before is not None:
-        step = float(hausdorff_table(cloud[edge][None], before.killer_edge[None])[0, 0])
+        step = float(hausdorff_table(cloud[edge][None], before[None])[0, 0])
     sides = np.linalg.norm(cloud[neighbours] - cloud[neighbours[:, [2, 0, 1]]], axis=2)
     return loop_of(
         cloud,

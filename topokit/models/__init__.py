@@ -12,7 +12,10 @@ if TYPE_CHECKING:
     from ._baselines import Normalisation, PredictiveModel, Shape
     from ._checkpoint import MODELS, build, load_model, load_tensors
     from ._config import Spoiling, TrainConfig, Windows, load_config, open_windows
+    from ._motion import Motion
+    from ._motion_predictor import MotionPredictor
     from ._predictor import Forecast, PredictedLoop, Predictor
+    from ._scenes import Scenes
     from ._states import LossWeights, States, forecast_loss, loop_mixtures, match_slots, past_states, target_states
     from ._training import train
 

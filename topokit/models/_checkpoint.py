@@ -24,18 +24,20 @@ from topokit._archive import FormatError, atomic_file, existing
 from topokit._config import from_mapping
 
 from ._baselines import Carry, Hold, Normalisation, PredictiveModel, Ridge, Shape
+from ._motion import Motion
 from ._networks import MLP, LoopCast, PointNet
 
 SCHEMA = 2
 _KIND = "topokit-checkpoint"
 
-_KINDS: tuple[type[PredictiveModel], ...] = (Hold, Carry, Ridge, MLP, PointNet, LoopCast)
-MODELS: Mapping[str, type[PredictiveModel]] = {kind.__name__.lower(): kind for kind in _KINDS}
+Model = PredictiveModel | Motion
+_KINDS: tuple[type[Model], ...] = (Hold, Carry, Ridge, MLP, PointNet, LoopCast, Motion)
+MODELS: Mapping[str, type[Model]] = {kind.__name__.lower(): kind for kind in _KINDS}
 
 
 def build(
     name: str, shape: Shape, normalisation: Normalisation, options: Mapping[str, Any] | None = None
-) -> PredictiveModel:
+) -> Model:
     """Make a model with freshly drawn weights.
 
     "hold", "carry" and "ridge" are baselines without a network, "mlp" and "pointnet" the paper's, "loopcast" is ours.
@@ -64,7 +66,7 @@ def build(
         raise ValueError(f"model {name!r} with options {options}: {error}") from error
 
 
-def describe(model: PredictiveModel, name: str, options: Mapping[str, Any], **more: Any) -> dict[str, Any]:
+def describe(model: Model, name: str, options: Mapping[str, Any], **more: Any) -> dict[str, Any]:
     """Return what must be known to build the model again, and whatever `more` there is to say about it."""
     return {
         "model": name,
@@ -118,7 +120,7 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     return document, tensors
 
 
-def load_model(path: str | Path) -> tuple[PredictiveModel, dict[str, Any]]:
+def load_model(path: str | Path) -> tuple[Model, dict[str, Any]]:
     """Build the model of a checkpoint, ready to predict, and return its description with it.
 
     Raises
@@ -134,7 +136,8 @@ def load_model(path: str | Path) -> tuple[PredictiveModel, dict[str, Any]]:
         with torch.device("meta"):  # no memory is taken for what the description claims
             model = build(description["model"], shape, normalisation, description["options"])
         model.load_state_dict(weights, assign=True)
-        model.origin = torch.tensor(normalisation.origin)
+        if isinstance(model, PredictiveModel):
+            model.origin = torch.tensor(normalisation.origin)
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{path}: describes no model that this topokit can build: {error}") from error
     except RuntimeError as error:  # of torch: it lists every weight

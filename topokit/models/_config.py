@@ -23,6 +23,7 @@ from ._baselines import Normalisation, Shape
 from ._checkpoint import MODELS
 from ._states import LossWeights, Window, target_states
 
+_PLACES = {"clouds", "triangles", "past_triangles", "grippers", "actions", "cloud", "past", "target", "future"}
 Natural = Annotated[int, Field(ge=0)]
 _Part = Annotated[float, Field(ge=0, lt=1)]
 
@@ -91,6 +92,11 @@ def open_windows(config: TrainConfig) -> Windows:
 
     episodes, sizes = Dataset(config.dataset), asdict(config.shape)
     parts, points = episodes.split(**config.split), sizes.pop("points")
+    if config.model == "motion":
+        from ._scenes import Scenes
+
+        scenes = (Scenes(episodes, parts[name], **config.windows) for name in ("train", "validation"))
+        return Windows(*scenes, episodes.checksum())
     train, validation = (
         WindowDataset(episodes, parts[name], n_points=points, **sizes, **config.windows)
         for name in ("train", "validation")
@@ -122,7 +128,7 @@ def spread(n: int, most: int) -> list[int]:
 def mirrored(window: Window, which: Tensor) -> dict[str, Tensor]:
     """A batch of windows, those where `which` (B,) is true seen in the mirror x -> -x, where the grippers change names."""
     flipped = dict(window)
-    for name in ("clouds", "grippers", "actions", "triangles", "past_triangles"):
+    for name in _PLACES & set(window):
         image = window[name][which] * window[name].new_tensor([-1.0, 1.0, 1.0])
         flipped[name] = window[name].clone()
         flipped[name][which] = image.flip(-2) if name in ("grippers", "actions") else image

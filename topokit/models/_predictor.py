@@ -156,8 +156,11 @@ class Predictor:
 
     @classmethod
     def load(cls, path: str | Path) -> Predictor:
-        """Read a checkpoint."""
-        return cls(*load_model(path))
+        """Read a checkpoint; of a model of motion it is a `MotionPredictor`."""
+        from ._motion_predictor import Motion, MotionPredictor
+
+        model, description = load_model(path)
+        return (MotionPredictor if isinstance(model, Motion) else cls)(model, description)
 
     def reset(self) -> None:
         """Forget everything observed."""
@@ -184,18 +187,12 @@ class Predictor:
         ValueError
             When an array has another shape or holds a value that is not finite, or the model needs the grippers.
         """
-        cloud, n = as_points(points), self.model.shape.points
-        if cloud.shape[1] != 3 or not len(cloud):
-            raise ValueError(f"points must be an (n, 3) array of one point at least, not of shape {cloud.shape}")
+        cloud, n = as_cloud(points), self.model.shape.points
         chosen = cloud[farthest_point_sample(cloud, n)[0]] if len(cloud) > n else cloud
         repeated = np.resize(chosen, (1, n, 3)).astype(np.float32)  # where there are few
         frame = {"clouds": torch.from_numpy(repeated)}
         if "grippers" in self.model.inputs:
-            if grippers is None:
-                raise ValueError("this model needs to know where the grippers are: observe(points, grippers)")
-            place = as_points(grippers, "grippers")
-            if place.shape != (2, 3):
-                raise ValueError(f"grippers must be a (2, 3) array, not of shape {place.shape}")
+            place = as_grippers(grippers)
             frame |= {"grippers": torch.from_numpy(place).float()[None], "held": torch.tensor([bool(held)])}
         if self._tracker is not None:
             self._states.append(self._tracker.update(cloud))
@@ -246,3 +243,21 @@ class Predictor:
         if holds.shape != plans.shape[:-2]:
             raise ValueError(f"held must be {plans.shape[:-2]}, as the actions, not {holds.shape}")
         return torch.from_numpy(plans).reshape(-1, steps, 2, 3), torch.from_numpy(holds).reshape(-1, steps)
+
+
+def as_cloud(points: ArrayLike) -> NDArray[np.float64]:
+    """A cloud that can be looked at."""
+    cloud = as_points(points)
+    if cloud.shape[1] != 3 or not len(cloud):
+        raise ValueError(f"points must be an (n, 3) array of one point at least, not of shape {cloud.shape}")
+    return cloud
+
+
+def as_grippers(grippers: ArrayLike | None) -> NDArray[np.float64]:
+    """Where the two grippers are, told to a model that needs to know."""
+    if grippers is None:
+        raise ValueError("this model needs to know where the grippers are: observe(points, grippers)")
+    place = as_points(grippers, "grippers")
+    if place.shape != (2, 3):
+        raise ValueError(f"grippers must be a (2, 3) array, not of shape {place.shape}")
+    return place

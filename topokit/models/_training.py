@@ -32,6 +32,7 @@ from topokit._cores import safe_path
 from ._baselines import Normalisation, Ridge
 from ._checkpoint import build, describe, load_tensors, part_of, save_tensors
 from ._config import TrainConfig, Windows, epoch_order, mirrored, normalisation_of, spoilt, spread
+from ._motion import Motion
 from ._states import Window, forecast_loss
 
 LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
@@ -100,7 +101,7 @@ class _Training:
         self.fabric = fabric(accelerator=config.accelerator, devices=1, precision=config.precision)
         saved = load_tensors(self.out / LAST) if (self.out / LAST).exists() else None
         if saved is None:
-            normalisation = normalisation_of(windows.train)
+            normalisation = Normalisation() if config.model == "motion" else normalisation_of(windows.train)
         else:
             self._check_same(saved[0])
             normalisation = from_mapping(Normalisation, saved[0]["normalisation"], "normalisation")
@@ -154,7 +155,8 @@ class _Training:
         seed = config.seed * 1_000_003 + progress.step
         generator = torch.Generator().manual_seed(seed)
         window = mirrored(window, torch.rand(len(window["actions"]), generator=generator) < 0.5)
-        loss, parts = self._loss(window, spoilt(window, config.spoil, generator), seed)
+        shown = window if isinstance(self.model, Motion) else spoilt(window, config.spoil, generator)
+        loss, parts = self._loss(window, shown, seed)
         if not torch.isfinite(loss):
             raise ValueError(f"step {progress.step}: the loss is {loss.item()}; lower learning_rate, or check the data")
         self.optimizer.zero_grad()
@@ -167,10 +169,12 @@ class _Training:
 
     def _loss(self, window: Window, shown: Window, seed: int) -> tuple[Tensor, dict[str, Tensor]]:
         """Of a batch, as it is shown to the model: in 32 bits whatever the model computes in. The seed draws steps."""
+        generator = torch.Generator().manual_seed(seed)
+        if isinstance(self.model, Motion):
+            return self.model.loss(window, generator)
         with self.fabric.autocast():
             predicted, present = self.model(shown)
         predicted, present = predicted.each(Tensor.float), None if present is None else present.each(Tensor.float)
-        generator = torch.Generator().manual_seed(seed)
         return forecast_loss(predicted, window, self.config.loss, present=present, generator=generator)
 
     @torch.no_grad()

@@ -1,0 +1,68 @@
+"""The loops of a cloud whose points have moved: the same classes, at other places.
+
+Idea: a tracked loop is more than its killer. Its cycle names vertices, and the class of that cycle can be asked for in any cloud
+of the same points: the edge that ends it there is where the loop is widest there. So whoever knows how points move, or guesses it,
+knows how loops do, and no two frames are matched.
+
+Source: the elder rule for given cycles is that of `Diagram.killers_of`. Taught in chapter 10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ._validate import as_points
+from .rips import rips_persistence
+from .seqph import loop_at
+from .state import Loop
+
+__all__ = ["follow"]
+
+
+def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
+    """Return the loops where the same points are now, those that are still there, longest lifetime first.
+
+    Each keeps its identity and its birth, which is of the sampling and not of the motion; its death is that of its cycle's class
+    in the moved cloud. A loop is gone when its class ends before its birth, or with a longest edge of its cycle.
+
+    Parameters
+    ----------
+    loops : sequence of Loop
+        Tracked, so that they know their cycles.
+    cloud : (n, d) array_like
+        The points of the cloud that the loops were found in, in their order, moved.
+
+    Raises
+    ------
+    ValueError
+        When the cloud lacks a point of a loop's cycle.
+    LookupError
+        When a loop does not know its cycle.
+
+    Examples
+    --------
+    >>> import numpy as np, topokit as tk
+    >>> turn = 2 * np.pi * np.arange(12) / 12
+    >>> ring = np.column_stack([np.cos(turn), np.sin(turn)])
+    >>> loops = tk.track([ring], alpha=0.1)[0].loops
+    >>> [round(loop.death, 2) for loop in tk.follow(loops, ring * [1, 0.8])]
+    [0.79]
+    """
+    points = as_points(cloud)
+    cycles = [loop.cycle for loop in loops]
+    most = max((int(cycle.max()) for cycle in cycles), default=-1)
+    if most >= len(points):
+        raise ValueError(f"a loop goes through point {most}, and the cloud has {len(points)}: give all, in their order")
+    diagram = rips_persistence(points)
+    bars = {(a, b): i for i, (a, b) in enumerate(diagram.killer_edge.tolist())}
+    ids, found = np.arange(len(points)), []
+    for loop, (a, b) in zip(loops, diagram.killers_of(cycles).tolist(), strict=True):
+        bar = bars.get((a, b))
+        if bar is not None and diagram.death[bar] > loop.birth:
+            moved = loop_at(diagram, bar, points, ids, loop.id, loop.killer_edge_points)
+            found.append(replace(moved, birth=loop.birth))
+    return sorted(found, key=lambda loop: -loop.lifetime)

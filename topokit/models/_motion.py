@@ -1,0 +1,227 @@
+"""Where each point of the cloth will be under a plan: a network that has seen how cloth moves, and no place, no garment by name.
+
+Idea, four choices:
+
+1. *Points, not loops.* What moves is cloth; loops are read off the moved cloud (`topokit.follow`), which needs no labels to learn
+   from and no memory of where necks usually are.
+2. *What a point knows is local*: where the grippers, the target and its neighbours are from it, and how it moved of late. All
+   of it in the frame of the grippers, turned with them about the vertical, so that a turned or moved scene is the same scene.
+3. *A correction of being carried.* Cloth that is held goes with the grippers, as a rigid body does; the network adds the rest.
+4. *Few large steps.* The future is taken in 13 steps of one to six frames. A code of every point is carried along, and is told
+   what grippers and target are like there, and what the mean and the maximum of all codes say.
+
+Each point has a scale of its error, too, learned with the motion as that of a Laplace distribution.
+
+Source: rollouts by messages as in Sanchez-Gonzalez et al. 2020, *Learning to simulate complex physics with graph networks*, with
+codes pooled as in Qi et al. 2017, *PointNet*; edge convolutions of Wang et al. 2019, *Dynamic graph CNN*; gates of Cho et al.
+2014, *Learning phrase representations using RNN encoder-decoder*. Taught in chapter 10.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from ._baselines import Normalisation, Shape
+
+KNOTS = (1, 3, 6, 10, 15, 20, 25, 30, 36, 42, 48, 54, 60)  # frames ahead at which motion is forecast
+PAST = (1, 4, 12)  # frames ago that are looked at
+UNIT = 0.2  # metres
+_REACH = 0.3  # metres over which the target's say fades
+_NEAR = 12  # neighbours of a point
+_POOLED = 16
+Scene = dict[str, Tensor]
+
+
+class Codes(NamedTuple):
+    """What is known of B scenes before a plan, in the frame of the grippers."""
+
+    code: Tensor  # (B, n, width)
+    place: Tensor  # (B, n, 3)
+    hands: Tensor  # (B, 2, 3)
+    target: Tensor  # (B, L, 3)
+    origin: Tensor  # (B, 3) of that frame, metres
+    turn: Tensor  # (B, 3, 3) its axes
+
+
+class Motion(nn.Module):
+    """Motion of points under plans.
+
+    A scene is a dict of tensors of B windows, in metres:
+
+    =============  ============  ========================================================
+    ``cloud``      (B, M, 3)     the cloth at the present frame
+    ``past``       (B, 3, P, 3)  clouds 1, 4 and 12 frames ago
+    ``grippers``   (B, 4, 2, 3)  at the present frame, and then
+    ``held``       (B,) bool     whether they hold the cloth
+    ``target``     (B, L, 3)     the target's centre line, from its foot to its tip
+    =============  ============  ========================================================
+
+    Parameters
+    ----------
+    shape : Shape
+        Its `horizon` is 60; `points` are those of a cloud that are looked at.
+    normalisation : Normalisation
+        Not asked: nothing depends on where the scene is.
+    width : int
+        Units of a point's code.
+    """
+
+    learns = True
+
+    def __init__(self, shape: Shape, normalisation: Normalisation, width: int = 64) -> None:
+        super().__init__()
+        if type(width) is not int or not 1 <= width <= 4096:
+            raise ValueError(f"width must be a whole number from 1 to 4096, not {width!r}")
+        if shape.horizon != KNOTS[-1]:
+            raise ValueError(f"motion is forecast {KNOTS[-1]} frames ahead, not {shape.horizon}")
+        self.shape, self.normalisation = shape, normalisation
+        self.point = nn.Sequential(nn.Linear(3 + 9 + 4 + 2 + 12 + 2, width), nn.GELU(), nn.Linear(width, width))
+        self.edge = nn.Sequential(nn.Linear(2 * width + 4, width), nn.GELU(), nn.Linear(width, width))
+        self.flow = nn.Linear(9, width)
+        self.mix = nn.Linear(5 * width, width)
+        self.pool = nn.Linear(width, _POOLED)
+        self.own = nn.Linear(6 + 4 + 3 + 3, 3 * width)
+        self.scene = nn.Linear(6 + 2 + 2 * _POOLED, 3 * width)
+        self.before = nn.Linear(width, 3 * width)
+        self.out = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, 4))
+        last: Any = self.out[2]
+        nn.init.normal_(last.weight, std=0.01)  # untrained it carries
+        nn.init.zeros_(last.bias)
+
+    def forward(self, scene: Scene, n: int) -> tuple[Tensor, Tensor]:
+        """Places (B, 13, n, 3) of the first n points of the clouds, metres, and the scale (B, 13, n) of their errors.
+
+        The plans are in the scene, too: `actions` (B, 60, 2, 3) and `actions_held` (B, 60).
+        """
+        return self.under(self.encode(scene, n), scene["actions"], scene["actions_held"])
+
+    def encode(self, scene: Scene, n: int) -> Codes:
+        """What the first n points know, whatever the plan."""
+        origin, turn = _frame(scene["grippers"][:, 0])
+        cloud, past, hands, target = (
+            _local(scene[name], origin, turn) for name in ("cloud", "past", "grippers", "target")
+        )
+        flows = []
+        for ago in range(len(PAST)):
+            back = carried(cloud, hands[:, 0], hands[:, 1 + ago])
+            nearest = torch.cdist(back, past[:, ago]).argmin(dim=-1)
+            flows.append(2 / UNIT * (back - past[:, ago].gather(1, nearest[..., None].expand(-1, -1, 3))))
+        flow = torch.cat(flows, dim=-1)
+        velocity = (10 / UNIT * (hands[:, :1] - hands[:, 1:3])).flatten(1)
+        opening = (hands[:, 0, 0] - hands[:, 0, 1]).norm(dim=1, keepdim=True) / UNIT
+        whole = torch.cat([velocity, scene["held"].to(cloud)[:, None], opening], dim=1)[:, None]
+        parts = [cloud / UNIT, flow, _beside(cloud, target), torch.cdist(cloud, hands[:, 0]) / UNIT]
+        code = self.point(torch.cat([*parts, whole.expand(-1, cloud.shape[1], -1)], dim=-1))
+        few = min(_NEAR + 1, cloud.shape[1])
+        near = torch.cdist(cloud[:, :n], cloud).topk(few, largest=False).indices[..., 1:]
+        batch = torch.arange(len(cloud), device=cloud.device)[:, None, None]
+        own, away = code[:, :n], 2 / UNIT * (cloud[batch, near] - cloud[:, :n, None])
+        there = torch.cat([code[batch, near], away, away.norm(dim=-1, keepdim=True)], dim=-1)
+        edges = self.edge(torch.cat([own[:, :, None].expand(-1, -1, few - 1, -1), there], dim=-1)).amax(dim=2)
+        moved = self.flow(flow[batch, near].mean(dim=2))
+        pooled = (part[:, None].expand_as(own) for part in (code.mean(dim=1), code.amax(dim=1)))
+        code = torch.tanh(self.mix(torch.cat([own, edges, moved, *pooled], dim=-1)))
+        return Codes(code, cloud[:, :n], hands[:, 0], target, origin, turn)
+
+    def under(self, codes: Codes, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
+        """Places (C, 13, n, 3) and scales (C, 13, n) under C plans: one a scene, or any number for a single one.
+
+        Parameters
+        ----------
+        codes : Codes
+        actions : (C, 60, 2, 3)
+            Planned places of the grippers, metres.
+        held : (C, 60) bool
+        """
+        plans, n = len(actions), codes.code.shape[1]
+        code, place, before, target = (part.expand(plans, *part.shape[1:]) for part in codes[:4])
+        hands, shares = _hands(_local(actions, codes.origin, codes.turn), held, codes.hands)
+        step, last, places, scales = torch.zeros_like(place), 0, [], []
+        for k, knot in enumerate(KNOTS):
+            frames, last, now, share = (knot - last) / 6, knot, hands[:, k], shares[:, k, None]
+            ahead = carried(place, before, now)
+            own = [((now[:, None] - ahead[:, :, None]) / UNIT).flatten(2), _beside(ahead, target)]
+            own += [(ahead - place) / UNIT, 3 / UNIT * step]
+            said = self.pool(code)
+            told = [((now - before) / UNIT).flatten(1), share, torch.full_like(share, frames)]
+            scene = self.scene(torch.cat([*told, said.mean(dim=1), said.amax(dim=1)], dim=1))
+            new, keep, use = (self.own(torch.cat(own, dim=-1)) + scene[:, None]).chunk(3, dim=-1)
+            old, kept, used = self.before(code).chunk(3, dim=-1)
+            keep = torch.sigmoid(keep + kept)
+            code = keep * code + (1 - keep) * torch.tanh(new + torch.sigmoid(use + used) * old)
+            change = self.out(code)
+            goes = ahead - place + UNIT * frames * change[..., :3]
+            step, place, before = goes / frames, place + goes, now
+            places.append(place)
+            scales.append(0.01 * (change[..., 3] + 1).exp())
+        found = torch.stack(places, dim=1)
+        return _world(found, codes.origin, codes.turn), torch.stack(scales, dim=1)
+
+    def loss(self, scene: Scene, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+        """Of `future` (B, 13, n, 3), where it is `known` (B, 13): the error in the mean, and its likelihood.
+
+        Clouds are thinned at random, so that nothing depends on how many points are seen.
+        """
+        several = torch.randint(64, scene["cloud"].shape[1] + 1, (2,), generator=generator).tolist()
+        n = min(scene["future"].shape[2], several[0])
+        shown = {**scene, "cloud": scene["cloud"][:, : several[0]], "past": scene["past"][:, :, : 2 * several[1]]}
+        places, scales = self(shown, n)
+        error = ((places - scene["future"][:, :, :n]).square().sum(dim=-1) + 1e-6).sqrt()
+        unlikely = error / scales + 3 * (scales / UNIT).log()  # of a Laplace distribution in three dimensions
+        weight = scene["known"].to(error)[..., None] / (n * scene["known"].sum().clamp_min(1))
+        parts = {"error": (weight * error).sum(), "unlikely": (weight * unlikely).sum()}
+        loss = 30 * parts["error"] + 0.3 * parts["unlikely"]
+        return loss, {name: part.detach() for name, part in {"loss": loss, **parts}.items()}
+
+
+def carried(points: Tensor, before: Tensor, now: Tensor) -> Tensor:
+    """Points (B, N, 3) moved as grippers (B, 2, 3) were: with their middle, and about the vertical through it."""
+    one, other = ((hands[:, 1] - hands[:, 0])[:, :2] for hands in (before, now))
+    size = (one.norm(dim=1) * other.norm(dim=1)).clamp_min(1e-6)
+    cosine = ((one * other).sum(dim=1) / size)[:, None]
+    sine = ((one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / size)[:, None]
+    x, y, z = (points - before.mean(dim=1)[:, None]).unbind(dim=-1)
+    return torch.stack([cosine * x - sine * y, sine * x + cosine * y, z], dim=-1) + now.mean(dim=1)[:, None]
+
+
+def _hands(actions: Tensor, held: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the grippers are at the knots while they hold, (C, 13, 2, 3), or were at last; shares (C, 13) of held frames."""
+    holds = held.to(actions)
+    moves = torch.cat([start.expand(len(actions), 2, 3)[:, None], actions], dim=1).diff(dim=1)
+    place = start[:, None] + (moves * holds[..., None, None]).cumsum(dim=1)
+    at = torch.tensor(KNOTS, device=actions.device)
+    count = torch.cat([torch.zeros_like(holds[:, :1]), holds.cumsum(dim=1)], dim=1)[:, torch.cat([at.new_zeros(1), at])]
+    return place[:, at - 1], count.diff(dim=1) / torch.cat([at[:1], at.diff()])
+
+
+def _beside(points: Tensor, line: Tensor) -> Tensor:
+    """(B, N, 4) the way from points (B, N, 3) to a line (B, L, 3), which fades with its length; and how near they are."""
+    start, along = line[:, None, :-1], line[:, None].diff(dim=2)
+    share = ((points[:, :, None] - start) * along).sum(dim=-1) / along.square().sum(dim=-1).clamp_min(1e-9)
+    away = start + share.clamp(0, 1)[..., None] * along - points[:, :, None]
+    nearest = away.square().sum(dim=-1).argmin(dim=-1)[..., None, None].expand(-1, -1, 1, 3)
+    away = away.gather(2, nearest)[:, :, 0]
+    near = (-away.norm(dim=-1, keepdim=True) / _REACH).exp()
+    return torch.cat([away * near / UNIT, near], dim=-1)
+
+
+def _frame(grippers: Tensor) -> tuple[Tensor, Tensor]:
+    """Middle (B, 3) of the grippers (B, 2, 3), and axes (B, 3, 3): from one gripper to the other, level; the third is up."""
+    across = (grippers[:, 1] - grippers[:, 0])[:, :2]
+    size = across.norm(dim=1, keepdim=True)
+    x, y = torch.where(size > 1e-3, across / size.clamp_min(1e-6), across.new_tensor([1.0, 0.0])).unbind(dim=1)
+    none, one = torch.zeros_like(x), torch.ones_like(x)
+    return grippers.mean(dim=1), torch.stack([x, y, none, -y, x, none, none, none, one], dim=1).unflatten(1, (3, 3))
+
+
+def _local(points: Tensor, origin: Tensor, turn: Tensor) -> Tensor:
+    """Points (B, ..., 3) seen from a frame; of one frame and many scenes, too."""
+    flat = points.flatten(1, -2) - origin[:, None]
+    return (flat @ turn.transpose(1, 2)).view_as(points)
+
+
+def _world(points: Tensor, origin: Tensor, turn: Tensor) -> Tensor:
+    return (points.flatten(1, -2) @ turn + origin[:, None]).view_as(points)

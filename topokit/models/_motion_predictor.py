@@ -1,0 +1,204 @@
+"""The motion of the cloth under a plan, and the loops read off it; all of it in NumPy."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from topokit._follow import follow
+from topokit._validate import as_points
+from topokit.seqph import SeqPH
+from topokit.state import Loop
+
+from ._motion import KNOTS, PAST, Codes, Motion
+from ._predictor import Array, Forecast, Predictor, as_cloud, as_grippers
+from ._scenes import SEEN_BEFORE, resampled
+from ._states import TRIANGLES
+
+_PLANS = 250  # at once, so that what lies between layers stays in the cache
+
+
+class MotionPredictor(Predictor):
+    """Forecasts by a `Motion`: of the cloud, and of the loops that the tracker sees in the present one.
+
+    Two tiers. For many plans, the corners of each loop's triangles are moved, and no others. For one plan, `exact` names frames at
+    which the whole cloud is moved and each loop's killer is sought there anew (`topokit.follow`).
+    """
+
+    model: Motion  # type: ignore[assignment]
+
+    def reset(self) -> None:
+        """Forget everything observed."""
+        self._clouds: deque[NDArray[np.float64]] = deque(maxlen=PAST[-1] + 1)
+        self._hands: deque[Array] = deque(maxlen=PAST[-1] + 1)
+        self._held, self._target, self._loops = True, np.zeros((0, 3)), ()
+        self._seqph = SeqPH()
+        self._codes: dict[bool, Codes] = {}
+
+    def observe(
+        self, points: ArrayLike, grippers: ArrayLike | None = None, held: bool = True, target: ArrayLike | None = None
+    ) -> None:
+        """Take in the next frame, and track its loops.
+
+        Parameters
+        ----------
+        points : (n, 3) array_like
+            Metres.
+        grippers : (2, 3) array_like
+            Metres.
+        held : bool
+            Whether they hold the garment.
+        target : (L, 3) array_like, optional
+            Centre line of what it shall be hung on, from the foot to the tip; the one told last when not given.
+
+        Raises
+        ------
+        ValueError
+            When an array has another shape or holds a value that is not finite, or there are no grippers.
+        """
+        cloud, place = as_cloud(points), as_grippers(grippers)
+        if target is not None:
+            line = as_points(target, "target")
+            if line.shape[1] != 3:
+                raise ValueError(f"target must be an (L, 3) array, not of shape {line.shape}")
+            self._target = line
+        self._loops = tuple(self._seqph.update(cloud).loops[: self.model.shape.slots])
+        self._clouds.append(cloud)
+        self._hands.append(place)
+        self._held, self._codes = bool(held), {}
+
+    @torch.inference_mode()
+    def predict(self, actions: ArrayLike, held: ArrayLike | None = None, exact: Sequence[int] = ()) -> Forecast:
+        """Forecast the states of the next frames.
+
+        Parameters
+        ----------
+        actions : (60, 2, 3) or (C, 60, 2, 3) array_like
+            Where the two grippers are told to be at each of the next frames, metres; or C such plans.
+        held : (60,) or (C, 60) array_like of bool, optional
+            Whether they hold the garment then; throughout, when not given.
+        exact : sequence of int
+            Frames ahead, 1 to 60, at which the loops are sought in the moved cloud; of a single plan alone.
+        """
+        if len(exact) and (np.ndim(actions) == 4 or not all(1 <= step <= KNOTS[-1] for step in exact)):
+            raise ValueError(f"exact names frames from 1 to {KNOTS[-1]} of a single plan, not {list(exact)}")
+        ids = np.array([_corners(loop)[0] for loop in self._loops], dtype=np.int64)
+        places, scales = self._moved(actions, held, ids.ravel())  # (C, 60, S * 8, 3)
+        sizes = (*places.shape[:2], len(self._loops), 8)
+        forecast = _forecast(places.reshape(*sizes, 3), scales.reshape(sizes), self._loops)
+        if not len(exact):
+            return forecast if np.ndim(actions) == 4 else forecast.plan(0)
+        forecast = forecast.plan(0)
+        clouds, _ = self.move(actions, held)
+        for step in exact:
+            _read(forecast, step - 1, self._loops, clouds[step - 1])
+        return forecast
+
+    @torch.inference_mode()
+    def move(self, actions: ArrayLike, held: ArrayLike | None = None) -> tuple[Array, Array]:
+        """Return where the points of the last cloud will be (60, n, 3), metres, and the scale (60, n) of the error there.
+
+        Parameters
+        ----------
+        actions : (60, 2, 3) array_like
+        held : (60,) array_like of bool, optional
+        """
+        places, scales = self._moved(actions, held, None)
+        return places[0], scales[0]
+
+    def _moved(
+        self, actions: ArrayLike, held: ArrayLike | None, ids: NDArray[np.int64] | None
+    ) -> tuple[Array, Array]:
+        """(C, 60, n, 3) places and (C, 60, n) scales of some points of the cloud, or all."""
+        plans, holds = self._plans(actions, held)
+        if not self._clouds:
+            raise ValueError("nothing was observed yet: call observe(points, grippers) first")
+        codes = self._encode(ids)
+        parts = [self.model.under(codes, *chunk) for chunk in zip(plans.split(_PLANS), holds.split(_PLANS), strict=True)]
+        places, scales = (torch.cat(part).numpy() for part in zip(*parts, strict=True))
+        start = codes.place @ codes.turn + codes.origin[:, None]
+        first = np.broadcast_to(start.numpy()[:, None], (len(places), 1, *places.shape[2:]))
+        return _between(np.concatenate([first, places], axis=1)), _between(np.concatenate([scales[:, :1], scales], axis=1))
+
+    def _encode(self, ids: NDArray[np.int64] | None) -> Codes:
+        """What points of the last cloud know, or all of them; made once for all plans until the next frame."""
+        if (ids is None) not in self._codes:
+            order = np.arange(len(self._clouds[-1]))
+            if ids is not None:
+                rest = _shuffled(np.setdiff1d(order, ids))
+                order = np.concatenate([ids, rest[: max(self.model.shape.points - len(ids), 1)]])
+            last = len(self._clouds) - 1
+            then = [max(last - ago, 0) for ago in (0, *PAST)]
+            scene = {
+                "cloud": self._clouds[-1][order],
+                "past": np.stack([np.resize(_shuffled(self._clouds[i]), (SEEN_BEFORE, 3)) for i in then[1:]]),
+                "grippers": np.stack([self._hands[i] for i in then]),
+                "target": resampled(self._target),
+            }
+            tensors = {name: torch.from_numpy(part.astype(np.float32))[None] for name, part in scene.items()}
+            tensors["held"] = torch.tensor([self._held])
+            self._codes[ids is None] = self.model.encode(tensors, len(order) if ids is None else len(ids))
+        return self._codes[ids is None]
+
+
+def _shuffled(array: NDArray[Any]) -> NDArray[Any]:
+    """In an order that says nothing, the same each time."""
+    return np.random.default_rng(0).permutation(array)
+
+
+def _between(values: Array) -> Array:
+    """Of values (C, 1 + 13, ...) now and at the knots those at each of the 60 frames, along straight lines."""
+    knots, frames = np.array((0, *KNOTS)), np.arange(1, KNOTS[-1] + 1)
+    after = np.searchsorted(knots, frames)
+    share = ((frames - knots[after - 1]) / np.diff(knots)[after - 1]).astype(np.float32)
+    share = share.reshape(-1, *[1] * (values.ndim - 2))
+    return np.asarray(values[:, after - 1] * (1 - share) + values[:, after] * share)
+
+
+def _corners(loop: Loop) -> tuple[list[int], list[bool]]:
+    """The vertices of a loop's eight corners, in the order of `States.corners`; of its four neighbours which there are."""
+    edge, triangles = loop.killer_edge.tolist(), loop.killer_triangle_ids.tolist()
+    corners = [*edge, *(next(v for v in triangle if v not in edge) for triangle in triangles)]
+    apexes = {frozenset(outer): apex for *outer, apex in loop.neighbour_ids.tolist()}
+    outer = [frozenset((corners[a], corners[b])) for a, b, _ in TRIANGLES[2:]]
+    return [*corners, *(apexes.get(one, corners[2]) for one in outer)], [one in apexes for one in outer]
+
+
+def _forecast(corners: Array, scales: Array, loops: Sequence[Loop]) -> Forecast:
+    """States (C, 60, S) of loops whose corners (C, 60, S, 8, 3) are where these are, with errors of such scales."""
+    now = np.array([loop.killer_edge_points for loop in loops], np.float32).reshape(-1, 2, 3)
+    birth = np.broadcast_to(np.array([loop.birth for loop in loops], np.float32), corners.shape[:3])
+    ends = corners[..., :2, :]
+    before = np.concatenate([np.broadcast_to(now, ends[:, :1].shape), ends[:, :-1]], axis=1)
+    gaps = np.linalg.norm(ends[..., :, None, :] - before[..., None, :, :], axis=-1)
+    step = np.maximum(gaps.min(axis=-1).max(axis=-1), gaps.min(axis=-2).max(axis=-1))
+    values = _values(corners)
+    present = np.array([_corners(loop)[1] for loop in loops], bool).reshape(-1, 4)
+    death = np.linalg.norm(ends[..., 0, :] - ends[..., 1, :], axis=-1) / 2
+    presence = 1 / (1 + np.exp(-(death - birth) / scales[..., :2].mean(axis=-1)))
+    return Forecast(corners, values * present, birth.copy(), death, step, presence)
+
+
+def _values(corners: Array) -> Array:
+    """(..., 4) filtration values of the neighbours."""
+    triangles = corners[..., np.array(TRIANGLES[2:]), :]
+    return np.asarray(np.linalg.norm(triangles - np.roll(triangles, 1, axis=-2), axis=-1).max(axis=-1) / 2)
+
+
+def _read(forecast: Forecast, index: int, loops: Sequence[Loop], cloud: Array) -> None:
+    """Write into a forecast what is read off a moved cloud at one of its steps."""
+    found = {loop.id: loop for loop in follow(loops, cloud)}
+    for slot, loop in enumerate(loops):
+        if loop.id not in found:
+            forecast.presence[index, slot] = 0.0
+            continue
+        ids, present = _corners(found[loop.id])
+        forecast.corners[index, slot] = cloud[ids]
+        forecast.neighbour_values[index, slot] = _values(cloud[ids]) * present
+        forecast.death[index, slot] = found[loop.id].death
+        forecast.presence[index, slot] = max(forecast.presence[index, slot], 0.5 + 1e-6)

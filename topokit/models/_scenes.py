@@ -1,0 +1,87 @@
+"""What `Motion` learns from: scenes and where the vertices went, of a dataset without labels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from topokit.data import Dataset
+
+from ._motion import KNOTS, PAST
+
+Array = NDArray[np.float32]
+CLOUD, SEEN_BEFORE, FUTURE = 320, 448, 64  # points of a cloud, of one before it, and of those that are followed
+TARGET = 16  # points of a target's line
+FIRST, AHEAD = 4, 20  # frames that a window has at least before the present one, and after it
+
+
+class Scenes(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
+    """Windows of the motion of vertices: an item is the scene of `Motion`, its plan, and `future` (13, 64, 3) with `known` (13,).
+
+    Which vertices are seen is drawn at random for each frame, so that a cloud's order says nothing.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    episodes : iterable of int
+    stride : int
+        Frames from one window to the next.
+    """
+
+    def __init__(self, dataset: Dataset, episodes: Iterable[int], *, stride: int = 1) -> None:
+        self.dataset, self.episodes = dataset, np.unique([*map(int, episodes)])
+        lengths = [dataset.group.records[int(i)].frames for i in self.episodes]
+        frames = [np.arange(FIRST, length - AHEAD, stride) for length in lengths]
+        self.index = np.column_stack([np.repeat(self.episodes, [*map(len, frames)]), np.concatenate(frames)])
+        self._known: dict[int, dict[str, Array]] = {}
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def __getitem__(self, i: int) -> dict[str, torch.Tensor]:
+        number, frame = self.index[i].tolist()
+        if number not in self._known:
+            self._known[number] = _parts(self.dataset[number])
+        return scene_at(self._known[number], frame, np.random.default_rng((number, frame)))
+
+
+def _parts(episode: Any) -> dict[str, Array]:
+    names = ("points", "grippers", "actions", "held")
+    return {name: getattr(episode, name) for name in names} | {"target": resampled(episode.centre_line)}
+
+
+def scene_at(parts: dict[str, Array], frame: int, rng: np.random.Generator) -> dict[str, torch.Tensor]:
+    """The window of an episode whose present is that frame."""
+    points, n = parts["points"], parts["points"].shape[1]
+
+    def some(count: int) -> NDArray[np.int64]:
+        return np.concatenate([rng.permutation(n) for _ in range(-(-count // n))])[:count]
+
+    seen, ago = some(CLOUD), np.maximum(frame - np.array((0, *PAST)), 0)
+    knots, ahead = frame + np.array(KNOTS), frame + np.arange(1, KNOTS[-1] + 1)
+    last = len(points) - 1
+    scene = {
+        "cloud": points[frame, seen],
+        "past": np.stack([points[then, some(SEEN_BEFORE)] for then in ago[1:]]),
+        "grippers": parts["grippers"][ago],
+        "held": parts["held"][frame],
+        "target": parts["target"],
+        "actions": parts["actions"][np.minimum(ahead, last)],
+        "actions_held": parts["held"][np.minimum(ahead, last)],
+        "future": points[np.minimum(knots, last)][:, seen[:FUTURE]],
+        "known": knots <= last,
+    }
+    return {name: torch.as_tensor(np.asarray(part)) for name, part in scene.items()}
+
+
+def resampled(line: NDArray[np.floating], n: int = TARGET) -> Array:
+    """(n, 3) places along the last 0.9 m of a polyline, its corners among them as near as may be; of none a place far off."""
+    if not len(line):
+        return np.full((n, 3), 100.0, np.float32)
+    length = np.append(0, np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum())
+    at = np.linspace(max(length[-1] - 0.9, 0), length[-1], n)
+    return np.stack([np.interp(at, length, axis) for axis in line.T], axis=1).astype(np.float32)
