@@ -15,7 +15,7 @@ from ._camera import Camera
 from ._garments import Garment
 from ._world import SimulationConfig
 
-PURPOSES = ("path", "physics", "cameras", "noise")
+PURPOSES = ("path", "physics", "cameras", "noise", "sizes", "place", "script")  # new ones at the end: the others stay
 Bounds = tuple[float, float]
 _CONFIGURED = ("stiffness", "bending", "damping", "friction", "mass")
 
