@@ -23,6 +23,7 @@ from topokit.sim import (
     DepthNoise,
     Garment,
     GripperPath,
+    Mannequin,
     Placed,
     Randomisation,
     SimulationConfig,
@@ -90,7 +91,8 @@ class DatasetConfig:
     off_script: Annotated[float, Field(ge=0, le=1)] = 0.0
     #: Half the side, in metres, of the square in which the target's place is drawn, and any yaw; 0: all stand where they do.
     places: Annotated[float, Field(ge=0, le=1)] = 0.0
-    #: By how much sizes vary: each of the garment's is multiplied by 1 / (1 + vary) to 1 + vary, of the target by half of it.
+    #: By how much sizes vary: each of the garment's is multiplied by 1 / (1 + vary) to 1 + vary. By half of it those of the
+    #: target, and of what a mannequin wears, which must fit.
     vary: Annotated[float, Field(ge=0, le=1)] = 0.0
 
     def __post_init__(self) -> None:
@@ -159,9 +161,10 @@ def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, 
     plan, target = task.plan, task.target
     if config.vary:
         rng, largest = generator(seed, "sizes"), ranges.scale[1] if ranges and ranges.scale else 1.0
+        vary = config.vary / (2 if isinstance(target, Mannequin) else 1)
         target = varied_target(target, config.vary / 2, rng)
         make = functools.partial(task.garment, **config.sizes.get(name.rpartition("-")[0], {}))
-        garment = varied_garment(make, garment, config.vary, rng, target.seat[2] / largest)
+        garment = varied_garment(make, garment, vary, rng, target.seat[2] / largest)
     rng = generator(seed, "script")
     if rng.random() < config.off_script:
         task = dataclasses.replace(task, plan=functools.partial(_off_script, plan, rng))

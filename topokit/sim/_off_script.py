@@ -23,8 +23,8 @@ _TAUT = 1.02  # the grippers are at most so far apart, in multiples of the way b
 def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
     """Return a path that does not do what the script does.
 
-    One in seven wanders about the target, one in ten pushes the cloth against it. The others are the script with some of: a
-    miss, other openings, a detour, a stop, another start and yaw, another pace; an early or a late release, or none.
+    One in seven wanders about the target, one in ten pushes the cloth against it. The others are the script at another
+    pace with some of: a miss, other openings, a detour, a stop, another start and yaw; an early or a late release, or none.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
     if rng.random() < 0.6:
         vias, drawn["elsewhere"] = _elsewhere(vias, garment, target, rng)
     longest = max(LONGEST, path.end)
-    pace = min(float(0.7 * 2 ** rng.random()) if rng.random() < 0.7 else 1.0, (longest - 0.4) / vias[-1].time)
+    pace = min(float(0.7 * 2 ** rng.random()), (longest - 0.4) / vias[-1].time)
     vias = [replace(via, time=pace * via.time) for via in vias]
     last = vias[-1].time
     release = (last + 0.05, rng.uniform(0.35, 1) * last, last + rng.uniform(0.2, 0.7), longest)

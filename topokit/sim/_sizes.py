@@ -12,7 +12,7 @@ from ._targets import Target
 from ._tasks import hangs_down
 
 MOST = 1.25  # times as many vertices, faces and vertices of a loop as the garment has at its own sizes
-_TRIES = 50
+_TRIES, _THIN = 50, 0.02
 
 
 def varied_garment(
@@ -40,13 +40,14 @@ def varied_garment(
 
 
 def varied_target(target: Target, vary: float, rng: np.random.Generator) -> Target:
-    """Return the target with its sizes multiplied likewise, a radius by 1 or more: cloth tunnels through thin rods."""
+    """Return the target with its sizes multiplied likewise; no rod gets thinner than cloth tunnels through."""
     own = {name: size for name, size in asdict(target).items() if name != "distance"}
     for _ in range(_TRIES):
         factors = dict(zip(own, _factors(len(own), vary, rng), strict=True))
-        thick = {name: max(factor, 1 / factor) if "radius" in name else factor for name, factor in factors.items()}
+        sizes = {name: float(size * factors[name]) for name, size in own.items()}
+        thick = {name: max(size, min(own[name], _THIN)) for name, size in sizes.items() if "radius" in name}
         try:
-            return replace(target, **{name: float(size * thick[name]) for name, size in own.items()})
+            return replace(target, **sizes | thick)
         except ValueError:
             continue
     return target
