@@ -50,12 +50,12 @@ def coarse(name, spacing=0.05):
 
 
 def test_grippers_turn_with_the_yaw_of_a_path():
-    vias = [Via(0, [0, 0, 1], yaw=90), Via(1, [0, 0, 1], 2.0, yaw=0), Via(2, [1, 0, 1], yaw=-90)]
+    vias = [Via(0, [0, 0, 1], yaw=90), Via(1, [0, 0, 1], 2.0, yaw=0), Via(2, [0, 0, 1], yaw=-90)]
     path = GripperPath(vias, SPREAD, 2.0, 2.0)
     np.testing.assert_allclose(path.at(0), [[0, -0.1, 1], [0, 0.1, 1]], atol=1e-12)  # x went towards y
     np.testing.assert_allclose(path.at(1), [[-0.2, 0, 1], [0.2, 0, 1]], atol=1e-12)
     between = path.at(0.5)
-    assert between[1, 0] > 0.05 and between[1, 1] > 0.05
+    assert (between[1, :2] > 0.03).all()
     assert np.linalg.norm(np.diff(between, axis=0)) > 0.2  # turned, not drawn together
 
 
@@ -103,9 +103,12 @@ def test_what_a_target_holds_it_holds_elsewhere(target):
     for (a, b, radius), (c, d, thick) in zip(target.rods, there.rods, strict=True):
         np.testing.assert_allclose([c, d], moved([a, b]), atol=1e-12)
         assert radius == thick
-    for loop in (ring(target.seat, 1), ring(target.seat, 2, 0.3), ring(target.seat - [0, 0.6, 0], 1)):
-        assert there.holds(moved(loop)) == target.holds(loop)
-    assert there.holds(moved(ring(target.seat, 1))) or there.holds(moved(ring(target.seat, 2, 0.3)))
+    beside = target.seat + [0, 0.04, 0]
+    loops = [ring(beside, 1), ring(beside, 2, 0.15), ring(beside - [0, 0.6, 0], 1)]
+    held = [target.holds(loop) for loop in loops]
+    assert held == [there.holds(moved(loop)) for loop in loops]
+    assert any(held)
+    assert not held[2]
     assert (there.lowest, there.name) == (pytest.approx(target.lowest + 0.1), target.name)
     assert there.bare is target
     described = there.describe()
@@ -288,7 +291,7 @@ def test_scenes_repeat_and_each_draw_leaves_the_others():
             assert (fixed[2].x, fixed[2].yaw) == (target.x, target.yaw)
             assert fixed[2].target == Hook()
     spread = np.ptp(places, axis=0)
-    assert (0.85 < spread).all() and (spread <= 1.0).all()
+    assert ((spread > 0.85) & (spread <= 1.0)).all()
     assert abs(off / 60 - 0.6) < 0.2
 
 
