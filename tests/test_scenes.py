@@ -28,7 +28,7 @@ from topokit.sim import (
     simulate,
     task_for,
 )
-from topokit.sim._off_script import LONGEST, _room
+from topokit.sim._off_script import LONGEST
 from topokit.sim._randomisation import generator
 from topokit.sim._sizes import MOST, varied_garment, varied_target
 from topokit.sim._surface import EdgeGraph, turned
@@ -103,14 +103,13 @@ def test_what_a_target_holds_it_holds_elsewhere(target):
     for (a, b, radius), (c, d, thick) in zip(target.rods, there.rods, strict=True):
         np.testing.assert_allclose([c, d], moved([a, b]), atol=1e-12)
         assert radius == thick
-    beside = target.seat + [0, 0.04, 0]
-    loops = [ring(beside, 1), ring(beside, 2, 0.15), ring(beside - [0, 0.6, 0], 1)]
+    beside = target.seat + [0, 0.04, 0.01]
+    loops = [ring(beside, 1), ring(beside, 2, 0.13), ring(beside - [0, 0.6, 0], 1)]
     held = [target.holds(loop) for loop in loops]
     assert held == [there.holds(moved(loop)) for loop in loops]
     assert any(held)
     assert not held[2]
     assert (there.lowest, there.name) == (pytest.approx(target.lowest + 0.1), target.name)
-    assert there.bare is target
     described = there.describe()
     assert described["yaw"] == 130.0
     np.testing.assert_allclose(described["position"], moved([0, target.distance, 0]), atol=1e-12)
@@ -158,26 +157,41 @@ def test_an_episode_elsewhere_is_the_same_moved():
     assert not task.hangs(end, tote.named_loops, Placed(Hook(), **PLACED))
 
 
+def test_the_environment_is_elsewhere_too():
+    gymnasium = pytest.importorskip("gymnasium")
+    config = SimulationConfig(self_collision=False, steps_per_frame=10, settle=0.02)
+    seen = []
+    for target in (Hook(), Placed(Hook(), **PLACED)):
+        options = {"garment": coarse("tote"), "target": target, "config": config, "n_points": 30}
+        env = gymnasium.make("topokit/Hang-v0", task="tote-hook", **options).unwrapped
+        seen.append(env.reset(seed=1)[0])
+        env.step(env.scripted_action())
+        env.close()
+    for name in ("points", "grippers", "target"):
+        np.testing.assert_allclose(seen[1][name], turned(seen[0][name], 130.0) + [0.4, -0.3, 0], atol=1e-3)
+
+
 # Plans off their script.
 
 
 def scripts(count):
     names = [name for name in TASKS if name.startswith(("tote-", "sheet2-", "backpack-"))]
+    garments = {name: TASKS[name].garment() for name in names[:count]}
     for i in range(count):
-        task = TASKS[names[i % len(names)]]
-        garment = task.garment()
+        task, garment = TASKS[names[i % len(names)]], garments[names[i % len(names)]]
         script = task.plan(garment, task.target, generator(i, "path"))
         yield task, garment, script, off_script(script, garment, task.target, generator(i, "script"))
 
 
 def test_off_script_plans_stay_in_their_bounds():
     seen = set()
-    for i, (task, garment, script, path) in enumerate(scripts(150)):
+    for task, garment, script, path in scripts(80):
         times = np.arange(0, path.end, 0.01)
         where = path.at(times)
         assert path.release <= path.end <= max(LONGEST, script.end)
         assert np.abs(where - task.target.seat).max() < 2.2
         assert np.linalg.norm(np.diff(where, axis=0), axis=2).max() < 0.045  # 4.5 m/s
+        assert path.drawn["pace"] <= 1.4
         way = EdgeGraph(garment.vertices, garment.edges).distances(garment.grips)[0, 1]
         widest = np.linalg.norm(script.at(times)[:, 0] - script.at(times)[:, 1], axis=1).max()
         assert np.linalg.norm(where[:, 0] - where[:, 1], axis=1).max() < max(1.025 * way, widest + 1e-3)
@@ -185,7 +199,7 @@ def test_off_script_plans_stay_in_their_bounds():
         start = start + where[0].mean(axis=0) - start[garment.grips].mean(axis=0)
         assert start[:, 2].min() > 0.05
         if path.drawn.get("elsewhere"):
-            assert _room(start, task.target) > 0.3
+            assert task.target.gap(start) > 0.3
         seen |= {*path.drawn, *(["never"] if path.release == path.end else [])}
         seen |= (
             {"early"}
@@ -194,7 +208,7 @@ def test_off_script_plans_stay_in_their_bounds():
             if path.release > path.vias[-1].time + 0.1
             else set()
         )
-        assert np.abs(where[: len(times)] - script.at(times)).max() > 0.01 or path.release != script.release, i
+        assert np.abs(where - script.at(times)).max() > 0.005
     changes = {"wander", "push", "miss", "turn", "openings", "detour", "stop", "elsewhere", "pace", "release"}
     assert seen >= {*changes, "never", "early", "late"}
 
@@ -262,8 +276,9 @@ def test_targets_vary_and_do_not_get_thin():
 
 
 def test_room_is_never_exceeded():
-    config = dataclasses.replace(MOTION, tasks=dict.fromkeys(["mask-hook", "tote2-hanger"], 1), sizes=SMALL)
+    config = dataclasses.replace(MOTION, tasks={"sheet-hook": 1.0}, sizes={"sheet": {"spacing": 0.06}})
     most = room(config)
+    assert most["frames"] == 128  # 4.5 s
     for i in range(200):
         _, garment, _ = _scene(config, *config.draw(4, i))
         assert len(garment.vertices) <= most["vertices"]
@@ -271,25 +286,27 @@ def test_room_is_never_exceeded():
         assert max(map(len, garment.loops)) <= most["loop"]
 
 
-SMALL = {"mask": {"spacing": 0.03}, "tote2": {"spacing": 0.045}}
+SMALL = {"mask": {"spacing": 0.03}}
 
 
 def test_scenes_repeat_and_each_draw_leaves_the_others():
-    config = dataclasses.replace(MOTION, tasks={"mask-hook": 1.0}, sizes={"mask": SMALL["mask"]})
+    config = dataclasses.replace(MOTION, tasks={"mask-hook": 1.0}, sizes=SMALL)
+    fixed = dataclasses.replace(config, vary=0.0)
     places, off = [], 0
     for i in range(60):
-        name, seed = config.draw(0, i)
-        task, garment, target = _scene(config, name, seed)
-        path = planned(task, garment, target, generator(seed, "path"))
-        off += bool(path.drawn)
+        name, seed = fixed.draw(0, i)
+        task, garment, target = _scene(fixed, name, seed)
+        off += bool(planned(task, garment, target, generator(seed, "path")).drawn)
         places.append([target.x, target.y, target.yaw / 360])
-        if i < 5:
-            again = _scene(config, name, seed)
-            assert again[2] == target
-            assert (planned(again[0], again[1], again[2], generator(seed, "path")).at(1.0) == path.at(1.0)).all()
-            fixed = _scene(dataclasses.replace(config, vary=0.0, off_script=0.0), name, seed)
-            assert (fixed[2].x, fixed[2].yaw) == (target.x, target.yaw)
-            assert fixed[2].target == Hook()
+        assert target.target == Hook()
+    for i in range(3):
+        name, seed = config.draw(0, i)
+        one, again = _scene(config, name, seed), _scene(config, name, seed)
+        assert one[2] == again[2]
+        assert one[1].parameters == again[1].parameters
+        paths = [planned(task, garment, target, generator(seed, "path")) for task, garment, target in (one, again)]
+        assert (paths[0].at(1.0) == paths[1].at(1.0)).all()
+        assert [one[2].x, one[2].y, one[2].yaw / 360] == places[i]  # sizes do not move places
     spread = np.ptp(places, axis=0)
     assert ((spread > 0.85) & (spread <= 1.0)).all()
     assert abs(off / 60 - 0.6) < 0.2
@@ -297,7 +314,7 @@ def test_scenes_repeat_and_each_draw_leaves_the_others():
 
 def test_an_episode_of_version_two_records_what_was_drawn():
     config = dataclasses.replace(
-        MOTION, tasks={"mask-hook": 1.0}, sizes={"mask": SMALL["mask"]}, simulation=SHORT, n_observed=20, off_script=1.0
+        MOTION, tasks={"mask-hook": 1.0}, sizes=SMALL, simulation=SHORT, n_observed=20, off_script=1.0
     )
     episode = make_episode(config, 0, 0)
     assert episode.physics["garment"]["width"] != 0.18

@@ -22,7 +22,6 @@ from topokit.sim import (
     TASKS,
     DepthNoise,
     Garment,
-    GripperPath,
     Mannequin,
     Placed,
     Randomisation,
@@ -36,9 +35,7 @@ from topokit.sim import (
 from topokit.sim._off_script import LONGEST
 from topokit.sim._randomisation import generator
 from topokit.sim._sizes import MOST, varied_garment, varied_target
-from topokit.sim._tasks import Planner
 
-Rng = np.random.Generator
 _OF_TWO = ("off_script", "places", "vary")
 _FINEST = 0.005  # metres between vertices; no garment is asked for that would take hours to mesh
 
@@ -167,15 +164,11 @@ def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, 
         garment = varied_garment(make, garment, vary, rng, target.seat[2] / largest)
     rng = generator(seed, "script")
     if rng.random() < config.off_script:
-        task = dataclasses.replace(task, plan=functools.partial(_off_script, plan, rng))
+        task = dataclasses.replace(task, plan=lambda g, t, own: off_script(plan(g, t, own), g, t, rng))
     if config.places:
         x, y, turn = generator(seed, "place").uniform(-1, 1, 3).tolist()
         target = Placed(target, x=config.places * x, y=config.places * y, yaw=180 * turn)
     return task, garment, target
-
-
-def _off_script(plan: Planner, own: Rng, garment: Garment, target: Target, rng: Rng) -> GripperPath:
-    return off_script(plan(garment, target, rng), garment, target, own)
 
 
 def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: float | None = 60.0) -> Episode:

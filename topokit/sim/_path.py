@@ -90,6 +90,12 @@ class GripperPath:
         vias = [replace(via, place=turned(via.place, yaw) + origin, yaw=via.yaw + yaw) for via in self.vias]
         return replace(self, vias=vias)
 
+    @property
+    def widest(self) -> float:
+        """How far the grippers are apart at most, metres."""
+        one, other = np.moveaxis(self.at(np.arange(0, self.end, 0.02)), -2, 0)
+        return float(np.linalg.norm(one - other, axis=-1).max())
+
     @functools.cached_property
     def _table(self) -> Array:
         """(k, 5) times, middles, openings; (k, 6) with yaws where there are any."""

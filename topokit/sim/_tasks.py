@@ -243,13 +243,15 @@ def task_for(garment: Garment, target: Target) -> Task:
     garment : Garment
     target : Target
     """
+    if isinstance(target, Placed):
+        return replace(task_for(garment, target.target), target=target)
     name = f"{garment.name}-{target.name}"
     names, kinds = to_hang_by(garment.loop_names), [*map(kind, garment.loop_names)]
     if name in TASKS and {*TASKS[name].loops} <= {*kinds, *garment.loop_names}:
         return replace(TASKS[name], garment=lambda: garment, target=target)
     plan: Planner = _sideways if kinds.count("strap") > 1 else hang_by_strap
     loops, every = tuple(names), False
-    if isinstance(target.bare, Mannequin):
+    if isinstance(target, Mannequin):
         plan = pull_over_head
         if {"neck", "hem"} <= {*kinds}:
             plan, loops, every = dress, ("neck", "hem"), True
