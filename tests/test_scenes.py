@@ -16,6 +16,7 @@ from topokit.data._recipe import _scene, room
 from topokit.sim import (
     TASKS,
     WARDROBE,
+    Garment,
     GripperPath,
     Hanger,
     Hook,
@@ -275,11 +276,43 @@ def test_targets_vary_and_do_not_get_thin():
     assert all(target.distance == 0.3 for target in drawn)
 
 
+def ribbon(*, length: float = 1.0, spacing: float = 0.1) -> Garment:
+    """A strip whose vertices grow faster with its length than its spacing makes up for."""
+    n = max(3, round(12 * length**4 / (10 * spacing)))
+    x, i = np.linspace(0, length, n), np.arange(n - 1)
+    vertices = np.concatenate([np.column_stack([x, 0 * x, 0 * x]), np.column_stack([x, 0 * x, 0 * x - 0.1])])
+    faces = np.concatenate([np.column_stack([i, i + 1, i + n]), np.column_stack([i + 1, i + 1 + n, i + n])])
+    border = np.concatenate([np.arange(n), np.arange(2 * n - 1, n - 1, -1)])
+    return Garment(
+        "ribbon",
+        vertices,
+        faces,
+        (border,),
+        np.array([0, n - 1]),
+        {"length": length, "spacing": spacing},
+        (),
+        ("edge",),
+    )
+
+
 def test_room_is_never_exceeded():
+    own, crowded = ribbon(), 0
+    for seed in range(200):
+        garment = varied_garment(ribbon, own, 0.5, np.random.default_rng(seed))
+        for name in ("vertices", "faces"):
+            assert len(getattr(garment, name)) <= MOST * len(getattr(own, name))
+        assert len(garment.loops[0]) <= MOST * len(own.loops[0])
+        length = np.exp(np.log(1.5) * np.random.default_rng(seed).uniform(-1, 1, 1)[0])
+        crowded += garment.parameters["length"] != pytest.approx(length)
+    assert crowded > 20  # were too many at first, and drawn again
+
+
+def test_what_is_drawn_fits_into_the_room_of_a_dataset():
     config = dataclasses.replace(MOTION, tasks={"sheet-hook": 1.0}, sizes={"sheet": {"spacing": 0.06}})
-    most = room(config)
+    most, fixed = room(config), room(dataclasses.replace(config, vary=0.0, off_script=0.0))
     assert most["frames"] == 128  # 4.5 s
-    for i in range(200):
+    assert most["vertices"] == int(1.25 * fixed["vertices"])
+    for i in range(8):
         _, garment, _ = _scene(config, *config.draw(4, i))
         assert len(garment.vertices) <= most["vertices"]
         assert len(garment.faces) <= most["faces"]
