@@ -33,8 +33,7 @@ from topokit.sim import (
     simulate,
 )
 from topokit.sim._off_script import LONGEST
-from topokit.sim._randomisation import generator
-from topokit.sim._sizes import MOST, varied_garment, varied_target
+from topokit.sim._randomisation import MOST, generator, varied_garment, varied_target
 
 _OF_TWO = ("off_script", "places", "vary")
 _FINEST = 0.005  # metres between vertices; no garment is asked for that would take hours to mesh

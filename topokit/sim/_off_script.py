@@ -1,7 +1,7 @@
 """Paths off their script: what hands do that miss, hesitate, take a detour, let go too early, push, or wander.
 
 Idea: from films of plans that succeed, nobody learns what the cloth does under other plans. Each change has a probability of
-its own, and changes are composed; what was drawn is noted in `GripperPath.drawn`. Taught in chapter 8.
+its own, and changes are composed; what was drawn is noted in `GripperPath.drawn`.
 """
 
 from __future__ import annotations
@@ -108,9 +108,19 @@ def _elsewhere(way: Array, garment: Garment, target: Target, rng: np.random.Gene
         place = target.seat + turned([0, -away, 0], rng.uniform(-100, 100))
         place[2] = way[0, _PLACE][2] + rng.uniform(-0.15, 0.15)
         there = turned(cloth, yaw) + place
-        if there[:, 2].min() > _ABOVE and target.gap(there) > _CLEAR:
+        if there[:, 2].min() > _ABOVE and _gap(there, target) > _CLEAR:
             needs = max(float(np.linalg.norm(place - way[1, _PLACE])), abs(yaw - way[1, _YAW]) / 120)
             way[1:, _TIME] += max(0.0, needs - way[1, _TIME] + way[0, _TIME])
             way[0, _PLACE], way[0, _YAW] = place, yaw
             return away
     return 0.0
+
+
+def _gap(points: Array, target: Target) -> float:
+    """The least distance of points (N, 3) from the surface of the target."""
+    gaps = []
+    for start, end, radius in target.rods:
+        along = (end - start) / max(float((end - start) @ (end - start)), 1e-12)
+        nearest = start + np.clip((points - start) @ along, 0, 1)[:, None] * (end - start)
+        gaps.append(float(np.linalg.norm(points - nearest, axis=1).min()) - radius)
+    return min(gaps)

@@ -58,20 +58,6 @@ class Target(ABC):
         """Whether a closed curve (L, 3) winds around the target: its linking number with the closed centre line is not 0."""
         return _linked(loop, close_far(self.centre_line))
 
-    def gap(self, points: ArrayLike) -> float:
-        """Return the least distance of points (N, 3) from the surface of its rods; below 0 for points inside.
-
-        Parameters
-        ----------
-        points : (N, 3) array_like
-        """
-        cloud, gaps = as_points(points), []
-        for start, end, radius in self.rods:
-            along = (end - start) / max(float((end - start) @ (end - start)), 1e-12)
-            nearest = start + np.clip((cloud - start) @ along, 0, 1)[:, None] * (end - start)
-            gaps.append(float(np.linalg.norm(cloud - nearest, axis=1).min()) - radius)
-        return min(gaps)
-
     def describe(self) -> dict[str, Any]:
         """Return its sizes and where it stands, as an episode records them."""
         return {**asdict(self), "position": [0.0, self.distance, 0.0]}
