@@ -29,9 +29,10 @@ from topokit.sim import (
     simulate,
     task_for,
 )
-from topokit.sim._off_script import LONGEST, _gap
+from topokit.sim._off_script import LONGEST
 from topokit.sim._randomisation import MOST, generator, varied_garment, varied_target
 from topokit.sim._surface import EdgeGraph, turned
+from topokit.sim._targets import gap
 from topokit.sim._tasks import hangs_down, planned
 
 from conftest import polygon
@@ -199,7 +200,7 @@ def test_off_script_plans_stay_in_their_bounds():
         start = start + where[0].mean(axis=0) - start[garment.grips].mean(axis=0)
         assert start[:, 2].min() > 0.05
         if path.drawn.get("elsewhere"):
-            assert _gap(start, task.target) > 0.3
+            assert gap(start, task.target) > 0.3
         seen |= {*path.drawn, *(["never"] if path.release == path.end else [])}
         seen |= (
             {"early"}

@@ -13,7 +13,7 @@ import numpy as np
 from ._garments import Garment
 from ._path import GripperPath, Via
 from ._surface import Array, EdgeGraph, turned
-from ._targets import Target
+from ._targets import Target, gap
 
 LONGEST = 4.5  # seconds of an episode, unless its script lasts longer
 _CLEAR, _ABOVE = 0.3, 0.05  # metres at a start from the rods, and from the floor
@@ -108,19 +108,9 @@ def _elsewhere(way: Array, garment: Garment, target: Target, rng: np.random.Gene
         place = target.seat + turned([0, -away, 0], rng.uniform(-100, 100))
         place[2] = way[0, _PLACE][2] + rng.uniform(-0.15, 0.15)
         there = turned(cloth, yaw) + place
-        if there[:, 2].min() > _ABOVE and _gap(there, target) > _CLEAR:
+        if there[:, 2].min() > _ABOVE and gap(there, target) > _CLEAR:
             needs = max(float(np.linalg.norm(place - way[1, _PLACE])), abs(yaw - way[1, _YAW]) / 120)
             way[1:, _TIME] += max(0.0, needs - way[1, _TIME] + way[0, _TIME])
             way[0, _PLACE], way[0, _YAW] = place, yaw
             return away
     return 0.0
-
-
-def _gap(points: Array, target: Target) -> float:
-    """The least distance of points (N, 3) from the surface of the target."""
-    gaps = []
-    for start, end, radius in target.rods:
-        along = (end - start) / max(float((end - start) @ (end - start)), 1e-12)
-        nearest = start + np.clip((points - start) @ along, 0, 1)[:, None] * (end - start)
-        gaps.append(float(np.linalg.norm(points - nearest, axis=1).min()) - radius)
-    return min(gaps)

@@ -280,6 +280,16 @@ class Mannequin(Target):
         return _linked(curve, *(close_far([foot, x * [0, 1, 1], x], end=(side, 0, 0)) for side, x in ends.items()))
 
 
+def gap(points: Array, target: Target) -> float:
+    """The least distance of points (N, 3) from the surface of the target."""
+    gaps = []
+    for start, end, radius in target.rods:
+        along = (end - start) / max(float((end - start) @ (end - start)), 1e-12)
+        nearest = start + np.clip((points - start) @ along, 0, 1)[:, None] * (end - start)
+        gaps.append(float(np.linalg.norm(points - nearest, axis=1).min()) - radius)
+    return min(gaps)
+
+
 def _linked(loop: ArrayLike, *lines: Array) -> bool:
     return any(linking_number(loop, line) != 0 for line in lines)
 
