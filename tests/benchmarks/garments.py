@@ -83,9 +83,7 @@ def bag(meshes: Path | None) -> Iterator[Case]:
         yield Case(f"not ours: {path.stem}", lambda _, path=path: path, where)
 
 
-def _writer(
-    file: str, garment: Garment, way: str, unit: float, up: str, number: int
-) -> Callable[[Path], Path]:
+def _writer(file: str, garment: Garment, way: str, unit: float, up: str, number: int) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         rng = np.random.default_rng(number)
         vertices, faces = garment.vertices.copy(), garment.faces.astype(np.int64)
@@ -127,7 +125,18 @@ def outcome(case: Case, folder: Path, seed: int) -> dict[str, Any]:
     """Give a mesh to the command, and say what became of it."""
     mesh, film = case.write(folder), folder / "episodes" / f"{case.name.replace(' ', '_').replace(',', '')}.npz"
     film.parent.mkdir(exist_ok=True)
-    asked = ["simulate", "--mesh", str(mesh), "--task", case.target, "--seed", str(seed), "--out", str(film), *case.options]
+    asked = [
+        "simulate",
+        "--mesh",
+        str(mesh),
+        "--task",
+        case.target,
+        "--seed",
+        str(seed),
+        "--out",
+        str(film),
+        *case.options,
+    ]
     began = time.perf_counter()
     run = subprocess.run([sys.executable, "-m", "topokit", *asked, "--json"], capture_output=True, text=True)
     row: dict[str, Any] = {"mesh": case.name, "file": mesh.name, "target": case.target, "expected": case.expected}
@@ -138,7 +147,11 @@ def outcome(case: Case, folder: Path, seed: int) -> dict[str, Any]:
     answer = json.loads(run.stdout)
     episode = load_episode(film)
     row |= {"outcome": "hangs" if answer["success"] else "does not hang", "loops": answer["loops"]}
-    return row | {"vertices": answer["vertices"], "frames": len(episode), "lowest": float(episode.points[-1, :, 2].min())}
+    return row | {
+        "vertices": answer["vertices"],
+        "frames": len(episode),
+        "lowest": float(episode.points[-1, :, 2].min()),
+    }
 
 
 def main() -> None:

@@ -297,11 +297,18 @@ def _grips(vertices: Array, names: Ids, loops: Mapping[str, Ids], said: list[str
         neck = loops["neck"]
         held = [int(neck[np.argmin(x[neck])]), int(neck[np.argmax(x[neck])])]
     elif len(pair) == 2:
-        held = [int(loop[np.argmax(z[loop])]) for loop in sorted(pair, key=lambda loop: float(x[loop].mean()))]
+        held = [_top(vertices[loop], loop) for loop in sorted(pair, key=lambda loop: float(x[loop].mean()))]
     else:
         held = _outermost(vertices)
     said.append(f"vertices {names[held[0]]} and {names[held[1]]}, left and right near the top, were taken for grips")
     return np.array(held)
+
+
+def _top(curve: Array, loop: Ids) -> int:
+    """The vertex of a loop near its top that is nearest to above its middle, from which both sides hang alike."""
+    high = curve[:, 2] >= curve[:, 2].max() - 0.15 * np.ptp(curve[:, 2])
+    beside = np.linalg.norm(curve[:, :2] - curve[:, :2].mean(axis=0), axis=1)
+    return int(loop[np.argmin(np.where(high, beside, np.inf))])
 
 
 def _outermost(vertices: Array) -> list[int]:

@@ -24,6 +24,8 @@ from ._surface import Array, Ids
 from ._targets import Hanger, Hook, Mannequin, Placed, Target
 
 Loop = TypeVar("Loop", bound=ArrayLike)
+_BESIDE = 0.08  # metres
+_ASIDE = 30  # degrees by which a loop may look aside of the arm that shall go through it
 _log = logging.getLogger("topokit.sim")
 
 
@@ -197,6 +199,29 @@ def warn_of_floor(garment: Garment, target: Target) -> None:
         _log.warning("the %s hangs %.2f m down from a %s %.2f m high: %s", garment.name, long, target.name, high, what)
 
 
+def _behind(garment: Garment) -> bool:
+    """Whether the loop that is carried lies beside its grip, as a backpack's strap does, and not under it, as a handle."""
+    gaps = garment.vertices[_carried(garment)].mean(axis=0) - garment.vertices[garment.grips]
+    return bool(np.linalg.norm(gaps[:, :2], axis=1).min() > _BESIDE)
+
+
+def _facing(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
+    """A plan for the garment turned so that the arm will go through a loop that looks aside: through the one in front."""
+    curve = garment.vertices[_carried(garment)] if garment.loops else np.zeros((1, 3))
+    x, y, z = np.cross(curve, np.roll(curve, -1, axis=0)).sum(axis=0)  # along the normal of what the loop encloses
+    yaw = float((np.degrees(np.arctan2(x, y)) + 90) % 180 - 90)  # either side may come first
+    if abs(yaw) < _ASIDE or np.hypot(x, y) < abs(z):
+        return hang_by_strap(garment, target, rng)
+    there = garment.turned(yaw)
+    ahead = {name: float(there.vertices[there.named_loops[name], 1].mean()) for name in to_hang_by(there.loop_names)}
+    front = max(ahead, key=ahead.__getitem__)
+    only = replace(there, loops=(there.named_loops[front],), loop_names=(front,))
+    back = [0, ahead[front] - float(there.vertices[there.grips, 1].mean()), 0]
+    path = hang_by_strap(only, target, rng, rest=2.0)
+    vias = [replace(via, yaw=via.yaw + yaw, place=np.asarray(via.place) - back) for via in path.vias]
+    return replace(path, vias=vias, spread=_spread(garment))
+
+
 def _about(rng: np.random.Generator, place: ArrayLike, *ranges: tuple[float, float]) -> Array:
     """A place moved along each axis by a draw from its range."""
     return np.asarray(place + rng.uniform(*np.transpose(ranges)))
@@ -249,7 +274,7 @@ def task_for(garment: Garment, target: Target) -> Task:
     names, kinds = to_hang_by(garment.loop_names), [*map(kind, garment.loop_names)]
     if name in TASKS and {*TASKS[name].loops} <= {*kinds, *garment.loop_names}:
         return replace(TASKS[name], garment=lambda: garment, target=target)
-    plan: Planner = _sideways if kinds.count("strap") > 1 else hang_by_strap
+    plan: Planner = _sideways if kinds.count("strap") > 1 and _behind(garment) else _facing
     loops, every = tuple(names), False
     if isinstance(target, Mannequin):
         plan = pull_over_head
