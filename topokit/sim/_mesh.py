@@ -291,7 +291,7 @@ def _found(vertices: Array, faces: Ids, how: str, said: list[str]) -> tuple[Ids,
 
 def _grips(vertices: Array, names: Ids, loops: Mapping[str, Ids], said: list[str]) -> Ids:
     """The tops of two handles or straps, the sides of a tube's neck; else the leftmost and rightmost near the top."""
-    x, _, z = vertices.T
+    x = vertices[:, 0]
     pair = [loop for name, loop in loops.items() if kind(name) in ("handle", "strap")]
     if "hem" in loops and "neck" in loops:
         neck = loops["neck"]
