@@ -5,16 +5,20 @@ from __future__ import annotations
 import collections
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from topokit._config import load
 from topokit.data import DatasetConfig
 from topokit.data._layout import pack, unpack, vertex_ids
 from topokit.data._recipe import room
 from topokit.sim import TASKS, Randomisation, SimulationConfig
 
 from small_datasets import TINY
+
+MOTION = load(DatasetConfig, Path(__file__).parent.parent / "book" / "datasets" / "motion.json")
 
 
 @pytest.mark.parametrize(
@@ -24,6 +28,7 @@ from small_datasets import TINY
         TINY,
         DatasetConfig(randomisation=None, cameras=2, depth_noise=True),
         DatasetConfig(randomisation=Randomisation(scale=None, mass=(0.1, 0.2)), simulation=SimulationConfig(frames=90)),
+        MOTION,
     ],
 )
 def test_json_gives_the_configuration_back(config):
@@ -44,7 +49,9 @@ def test_json_gives_the_configuration_back(config):
         ({"simulation": {"dt": -1}}, "simulation.dt: Input should be greater than 0"),
         ({"randomisation": {"luck": 1}}, "there is no 'randomisation.luck'"),
         ({"randomisation": {"version": 0}}, "another version"),
-        ({"version": 2}, "version: Input should be 1, not 2"),
+        ({"version": 3}, "version: Input should be 1 or 2, not 3"),
+        ({"vary": 0.3}, "vary is of version 2 of the configuration, and version is 1"),
+        ({"version": 2, "off_script": 2}, "off_script: Input should be less than or equal to 1"),
     ],
 )
 def test_a_wrong_configuration_is_refused(values, says):

@@ -18,6 +18,7 @@ import trimesh
 import topokit as tk
 from topokit.evaluate import summarise_tracks, true_loops
 from topokit.sim import TASKS, WARDROBE, Garment, Hook, Mannequin, SimulationConfig, task_for
+from topokit.sim._mesh import _top
 from topokit.sim._tasks import check_loops
 from topokit.sim._world import World
 
@@ -732,3 +733,12 @@ def test_meshes_of_others_load_hang_and_are_tracked():
         tracks = [track for track in summarise_tracks(tk.track(frames), frames, garment.loops) if track.distance < 0.15]
         found = {track.true_loop for track in tracks if track.frames >= 0.8 * present[track.true_loop]}
         assert found == set(np.flatnonzero(present).tolist()) == set(range(len(garment.loops))), name
+
+
+def test_a_bag_is_held_above_the_middle_of_each_strap():
+    strap = np.array(
+        [[x, z] for x, z in [(-0.3, 0), (-0.29, 0.31), (-0.1, 0.3), (0.0, 0.3), (0.1, 0.3), (0.3, 0.3), (0.3, 0)]]
+    )
+    for side, curve in ((-0.2, strap), (0.2, strap)):
+        loop = np.column_stack([np.full(len(curve), side), curve])
+        assert _top(loop, 10 + np.arange(len(curve))) == 13  # not the corner, though that is a centimetre higher

@@ -34,6 +34,7 @@ from topokit.sim import (
     simulate,
 )
 from topokit.sim._randomisation import PURPOSES, generator
+from topokit.sim._surface import turned
 from topokit.sim._tasks import asked, pull_over_head, task_for
 
 from conftest import polygon
@@ -461,3 +462,14 @@ def test_a_small_garment_is_observed_whole_by_default():
     assert len(mask.vertices) < 500
     episode = simulate(mask, config=SHORT)
     assert episode.observed.shape == episode.points.shape
+
+
+def test_a_garment_whose_strap_looks_aside_is_turned_so_that_the_arm_goes_through():
+    bag = dataclasses.replace(WARDROBE["tote"](), name="found", vertices=turned(WARDROBE["tote"]().vertices, 80))
+    task = task_for(bag, Hook())
+    path = task.plan(bag, Hook(), np.random.default_rng(0))
+    assert {round(via.yaw) for via in path.vias} == {-80}
+    hands = path.at(0.0)
+    assert abs(hands[0, 1] - hands[1, 1]) < 0.02 < abs(hands[0, 0] - hands[1, 0])  # along x, as of the tote itself
+    straight = dataclasses.replace(WARDROBE["tote"](), name="found")
+    assert not any(via.yaw for via in task_for(straight, Hook()).plan(straight, Hook(), np.random.default_rng(0)).vias)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import field, fields
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -34,7 +34,7 @@ def as_tuple(values: Any) -> Any:
 Place = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]
 
 
-@dataclass_transform(frozen_default=True)
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def checked(kind: type[T]) -> type[T]:
     """Make a class a frozen dataclass whose fields are checked; what they refuse is a ValueError of one line."""
     made: Any = dataclass(kind, frozen=True, config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))

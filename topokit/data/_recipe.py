@@ -6,6 +6,7 @@ Source: Antonova et al. 2021, section 6 (garments, paths and physics are randomi
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import math
 from collections.abc import Mapping
@@ -17,9 +18,24 @@ from pydantic import BeforeValidator, Field
 
 from topokit._config import Count, Positive, checked, from_mapping
 from topokit.io import FEWEST_FRAMES, HISTORY, Episode
-from topokit.sim import TASKS, DepthNoise, Garment, Randomisation, SimulationConfig, cameras_around, simulate
-from topokit.sim._randomisation import generator
+from topokit.sim import (
+    TASKS,
+    DepthNoise,
+    Garment,
+    Mannequin,
+    Placed,
+    Randomisation,
+    SimulationConfig,
+    Target,
+    Task,
+    cameras_around,
+    off_script,
+    simulate,
+)
+from topokit.sim._off_script import LONGEST
+from topokit.sim._randomisation import MOST, generator, varied_garment, varied_target
 
+_OF_TWO = ("off_script", "places", "vary")
 _FINEST = 0.005  # metres between vertices; no garment is asked for that would take hours to mesh
 
 
@@ -50,8 +66,8 @@ class DatasetConfig:
         When a task or a garment is not known, or a value is not what it must be; the message names it.
     """
 
-    #: Of the meaning of these numbers and of the order of the draws; saved with them.
-    version: Literal[1] = 1
+    #: Of the meaning of these numbers and of the order of the draws; saved with them. What needs 2 says so.
+    version: Literal[1, 2] = 1
     #: Names in `topokit.sim.TASKS` (a garment and a target) with the weights at which they are drawn.
     tasks: Annotated[Mapping[str, Positive], Field(min_length=1)] = field(
         default_factory=lambda: {t: 1.0 for t in TASKS}
@@ -67,8 +83,18 @@ class DatasetConfig:
     cameras: Annotated[int, Field(ge=0, le=100)] = 0
     camera_distance: Positive = 2.2  #: metres from the cameras to the seat of the target
     depth_noise: bool = False  #: whether the cameras have the noise of a depth sensor
+    #: Share of the episodes whose path leaves its script (`topokit.sim.off_script`). This and what follows: version 2.
+    off_script: Annotated[float, Field(ge=0, le=1)] = 0.0
+    #: Half the side, in metres, of the square in which the target's place is drawn, and any yaw; 0: all stand where they do.
+    places: Annotated[float, Field(ge=0, le=1)] = 0.0
+    #: By how much sizes vary: each of the garment's is multiplied by 1 / (1 + vary) to 1 + vary. By half of it those of the
+    #: target, and of what a mannequin wears, which must fit.
+    vary: Annotated[float, Field(ge=0, le=1)] = 0.0
 
     def __post_init__(self) -> None:
+        new = [name for name in _OF_TWO if getattr(self, name) and self.version == 1]
+        if new:
+            raise ValueError(f"{new[0]} is of version 2 of the configuration, and version is 1: say version 2")
         unknown = [name for name in self.tasks if name not in TASKS]
         if unknown:
             raise ValueError(f"tasks: there is no {', '.join(map(repr, unknown))}; there are {', '.join(TASKS)}")
@@ -90,7 +116,7 @@ class DatasetConfig:
         if self.randomisation is not None:
             values["randomisation"] = {"version": Randomisation.version, **values["randomisation"]}
         plain: dict[str, Any] = json.loads(json.dumps(values))  # tuples become lists
-        return plain
+        return {name: value for name, value in plain.items() if self.version > 1 or name not in _OF_TWO}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> DatasetConfig:
@@ -125,6 +151,25 @@ class DatasetConfig:
             raise ValueError(f"sizes[{name!r}]: {error}") from error
 
 
+def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, Target]:
+    """Task, garment and target of an episode; sizes, place and script have each a generator of their own."""
+    task, garment, ranges = TASKS[name], config.garment(name), config.randomisation
+    plan, target = task.plan, task.target
+    if config.vary:
+        rng, largest = generator(seed, "sizes"), ranges.scale[1] if ranges and ranges.scale else 1.0
+        vary = config.vary / (2 if isinstance(target, Mannequin) else 1)
+        target = varied_target(target, config.vary / 2, rng)
+        make = functools.partial(task.garment, **config.sizes.get(name.rpartition("-")[0], {}))
+        garment = varied_garment(make, garment, vary, rng, target.seat[2] / largest)
+    rng = generator(seed, "script")
+    if rng.random() < config.off_script:
+        task = dataclasses.replace(task, plan=lambda g, t, own: off_script(plan(g, t, own), g, t, rng))
+    if config.places:
+        x, y, turn = generator(seed, "place").uniform(-1, 1, 3).tolist()
+        target = Placed(target, x=config.places * x, y=config.places * y, yaw=180 * turn)
+    return task, garment, target
+
+
 def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: float | None = 60.0) -> Episode:
     """Simulate episode `index` of the dataset of that configuration and seed: a pure function of the three.
 
@@ -136,8 +181,8 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
     time_limit : float, optional
         As in `topokit.sim.simulate`: None simulates in this process, which must then be a fresh one for the same bytes.
     """
-    task, episode_seed = config.draw(seed, index)
-    garment, target = config.garment(task), TASKS[task].target
+    name, episode_seed = config.draw(seed, index)
+    task, garment, target = _scene(config, name, episode_seed)
     cameras, noise = config.cameras, DepthNoise() if config.depth_noise else None
     return simulate(
         garment,
@@ -159,16 +204,18 @@ def room(config: DatasetConfig) -> dict[str, int]:
     frames, loops = config.simulation.frames, [loop for garment in garments for loop in garment.loops]
     if frames is None:
         plans = [task.plan(own, task.target, generator(0, "path")) for task, own in zip(tasks, garments, strict=True)]
-        longest = max(plan.end for plan in plans) / config.simulation.frame_time
+        least = LONGEST if config.off_script else 0.0
+        longest = max([least, *(plan.end for plan in plans)]) / config.simulation.frame_time
         frames = max(FEWEST_FRAMES, math.ceil(min(longest, 2**62)))
-    vertices = max(len(garment.vertices) for garment in garments)
+    more = MOST if config.vary else 1.0
+    vertices = int(more * max(len(garment.vertices) for garment in garments))
     return {
         "frames": -(-frames // HISTORY) * HISTORY,
         "vertices": vertices,
         "observed": min(config.n_observed, vertices),
         "seen": config.n_observed if config.cameras else 0,
-        "faces": max(len(garment.faces) for garment in garments),
+        "faces": int(more * max(len(garment.faces) for garment in garments)),
         "loops": max([1, *(len(garment.loops) for garment in garments)]),
-        "loop": max([1, *map(len, loops)]),
+        "loop": int(more * max([1, *map(len, loops)])),
         "line": max(len(task.target.centre_line) for task in tasks),
     }

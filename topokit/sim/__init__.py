@@ -13,10 +13,12 @@ if TYPE_CHECKING:
     from ._env import HangEnv
     from ._episode import simulate
     from ._garments import WARDROBE, Garment
+    from ._off_script import off_script
+    from ._path import GripperPath, Via
     from ._process import SimulationError
     from ._randomisation import Randomisation
-    from ._targets import Hanger, Hook, Mannequin, Target
-    from ._tasks import TASKS, GripperPath, Task, Via, task_for
+    from ._targets import Hanger, Hook, Mannequin, Placed, Target
+    from ._tasks import TASKS, Task, task_for
     from ._world import SimulationConfig, World, observe
 
 if importlib.util.find_spec("gymnasium"):  # so that gymnasium.make knows the environment once this package is imported

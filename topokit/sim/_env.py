@@ -27,7 +27,7 @@ from ._garments import Garment
 from ._process import SimulationError
 from ._surface import Array, simple_cycles
 from ._targets import Target
-from ._tasks import Task, as_task, asked, check_loops
+from ._tasks import Task, as_task, asked, check_loops, planned
 from ._world import SimulationConfig, World, check_stretch, observe
 
 Observation = dict[str, Any]
@@ -128,10 +128,11 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         super().reset(seed=seed)
         self.close()
-        self._path = self.task.plan(self.garment, self.target, self.np_random)
+        self._path = planned(self.task, self.garment, self.target, self.np_random)
         self._goal = self._path.at(0.0)
-        offset = self._goal.mean(axis=0) - self.garment.vertices[self.garment.grips].mean(axis=0)
-        self._world = World(self.garment, offset, self.config)
+        garment = self.garment.turned(self._path.vias[0].yaw)
+        offset = self._goal.mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
+        self._world = World(garment, offset, self.config)
         self._world.add_rods(self.target.rods)
         for _ in range(round(self.config.settle / self.config.dt)):
             self._world.step(self._goal)

@@ -34,7 +34,7 @@ from ._process import Forge, SimulationError
 from ._randomisation import Randomisation, generator
 from ._surface import Array
 from ._targets import Hook, Rod, Target
-from ._tasks import Task, as_task, check_loops, task_for, warn_of_floor
+from ._tasks import Task, as_task, check_loops, planned, task_for, warn_of_floor
 from ._world import SimulationConfig, World, check_stretch, observe
 
 Report = Callable[[int], None]
@@ -101,10 +101,10 @@ def simulate(
     task = task_for(garment or Garment.apron(), target or Hook()) if task is None else as_task(task)
     garment, target, config = garment or task.garment(), target or task.target, config or SimulationConfig()
     check_loops(task, garment)
-    drawn: dict[str, Any] | None = None
+    drawn: dict[str, Any] = {"randomisation": None}
     if randomisation is not None:
         config, garment, cameras, numbers = randomisation.draw(seed, config, garment, cameras)
-        drawn = {**randomisation.describe(), "drawn": numbers}
+        drawn = {"randomisation": {**randomisation.describe(), "drawn": numbers}}
     if n_observed is None:
         n_observed = 500 if cameras else min(500, len(garment.vertices))
     most = sum(camera.width * camera.height for camera in cameras) or len(garment.vertices)
@@ -112,7 +112,9 @@ def simulate(
         what = "pixels of the cameras" if cameras else "vertices of the garment"
         raise ValueError(f"n_observed must be 1 to {most}, the {what}, not {n_observed}")
     warn_of_floor(garment, target)
-    path = task.plan(garment, target, generator(seed, "path"))
+    path = planned(task, garment, target, generator(seed, "path"))
+    garment = garment.turned(path.vias[0].yaw)
+    drawn |= {"path": dict(path.drawn)} if path.drawn else {}
     frames = config.frames or max(FEWEST_FRAMES, math.ceil(min(path.end / config.frame_time, _MOST_STEPS)))
     config = dataclasses.replace(config, frames=frames)
     steps, places = frames * config.steps_per_frame, frames * (len(garment.vertices) + n_observed)
@@ -130,9 +132,7 @@ def simulate(
     return _episode(run, recording, task, target, seed, drawn)
 
 
-def _episode(
-    run: Run, recording: Recording, task: Task, target: Target, seed: int, randomisation: dict[str, Any] | None
-) -> Episode:
+def _episode(run: Run, recording: Recording, task: Task, target: Target, seed: int, drawn: dict[str, Any]) -> Episode:
     garment, config, points = run.garment, run.config, recording["points"]
     names = garment.loop_names
     held = np.arange(len(points)) * config.steps_per_frame < run.release
@@ -142,8 +142,8 @@ def _episode(
         "config": dataclasses.asdict(config),
         "elastic_stiffness": config.elastic_stiffness(len(garment.vertices)),
         "garment": dict(garment.parameters),
-        "target": {**dataclasses.asdict(target), "position": [0.0, target.distance, 0.0]},
-        "randomisation": randomisation,
+        "target": target.describe(),
+        **drawn,
         **({} if names == wardrobe_names(garment.name, garment.parameters) else {"loops": list(names)}),
         "stretch": dict(zip(("p99", "worst"), recording["stretch"].max(axis=0).tolist(), strict=True)),
     }

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ParamSpec
 
 import numpy as np
@@ -18,7 +18,7 @@ from topokit._validate import as_ids, as_points
 from topokit.io import LOOP_NAMES
 
 from . import _mesh, _names, _wardrobe
-from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, half_edges
+from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, half_edges, turned
 
 Sizes = ParamSpec("Sizes")
 
@@ -96,6 +96,15 @@ class Garment:
     def edge_lengths(self) -> Array:
         """(E,) rest lengths in metres, in the order of `edges`."""
         return edge_lengths(self.vertices, self.edges)
+
+    def turned(self, degrees: float) -> Garment:
+        """Return the garment turned about the z axis, from x towards y.
+
+        Parameters
+        ----------
+        degrees : float
+        """
+        return replace(self, vertices=turned(self.vertices, degrees)) if degrees else self
 
     apron = staticmethod(_sewn(_wardrobe.apron))
     tote = staticmethod(_sewn(_wardrobe.tote))

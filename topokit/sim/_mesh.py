@@ -291,17 +291,24 @@ def _found(vertices: Array, faces: Ids, how: str, said: list[str]) -> tuple[Ids,
 
 def _grips(vertices: Array, names: Ids, loops: Mapping[str, Ids], said: list[str]) -> Ids:
     """The tops of two handles or straps, the sides of a tube's neck; else the leftmost and rightmost near the top."""
-    x, _, z = vertices.T
+    x = vertices[:, 0]
     pair = [loop for name, loop in loops.items() if kind(name) in ("handle", "strap")]
     if "hem" in loops and "neck" in loops:
         neck = loops["neck"]
         held = [int(neck[np.argmin(x[neck])]), int(neck[np.argmax(x[neck])])]
     elif len(pair) == 2:
-        held = [int(loop[np.argmax(z[loop])]) for loop in sorted(pair, key=lambda loop: float(x[loop].mean()))]
+        held = [_top(vertices[loop], loop) for loop in sorted(pair, key=lambda loop: float(x[loop].mean()))]
     else:
         held = _outermost(vertices)
     said.append(f"vertices {names[held[0]]} and {names[held[1]]}, left and right near the top, were taken for grips")
     return np.array(held)
+
+
+def _top(curve: Array, loop: Ids) -> int:
+    """The vertex of a loop near its top that is nearest to above its middle, from which both sides hang alike."""
+    high = curve[:, 2] >= curve[:, 2].max() - 0.15 * np.ptp(curve[:, 2])
+    beside = np.linalg.norm(curve[:, :2] - curve[:, :2].mean(axis=0), axis=1)
+    return int(loop[np.argmin(np.where(high, beside, np.inf))])
 
 
 def _outermost(vertices: Array) -> list[int]:

@@ -1,16 +1,17 @@
 """What a garment is hung on: collision shapes, and the centre line that decides whether it hangs there.
 
-Every target stands on the floor z = 0 at y = `distance` and faces the grippers, which come from smaller y. Its centre line
-starts at the floor and is closed far away (`topokit.linking.close_far`), so that the linking number of a garment's loop with
-it is defined: not 0 for a loop on the target, 0 for one that slipped off, lies against it or was never on.
+Every target stands on the floor z = 0 at y = `distance` and faces the grippers, which come from smaller y; `Placed` puts it
+elsewhere. Its centre line starts at the floor and is closed far away (`topokit.linking.close_far`), so that the linking number
+of a garment's loop with it is defined: not 0 for a loop on the target, 0 for one that slipped off, lies against it or was never
+on.
 """
 
 from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from dataclasses import field
-from typing import ClassVar
+from dataclasses import asdict, field
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +20,7 @@ from topokit._config import Positive, checked
 from topokit._validate import as_points
 from topokit.linking import close_far, linking_number
 
-from ._surface import Array
+from ._surface import Array, turned
 
 Rod = tuple[Array, Array, float]  # a capsule: start, end, radius
 _SHOULDER = 0.3  # radius of the shoulders as a share of the depth of the chest
@@ -56,6 +57,62 @@ class Target(ABC):
     def holds(self, loop: ArrayLike) -> bool:
         """Whether a closed curve (L, 3) winds around the target: its linking number with the closed centre line is not 0."""
         return _linked(loop, close_far(self.centre_line))
+
+    def describe(self) -> dict[str, Any]:
+        """Return its sizes and where it stands, as an episode records them."""
+        return {**asdict(self), "position": [0.0, self.distance, 0.0]}
+
+
+@checked
+class Placed(Target):
+    """Another target elsewhere: turned about the z axis by `yaw`, and then moved by x, y and z.
+
+    Tasks plan for the target as it is and carry the path over, with the garment. What a target of one's own must be to be
+    placed is a `Target`: each of its numbers may be of any sign, as its class allows.
+    """
+
+    target: Target  #: any, a placed one too
+    x: float = 0.0  #: metres, where the origin that the target is described from goes
+    y: float = 0.0  #: metres
+    z: float = 0.0  #: metres
+    yaw: float = 0.0  #: degrees, from x towards y
+    distance: float = field(default=0.0, init=False, kw_only=True)  #: not asked for: that of its target counts
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", self.target.name)
+
+    @property
+    def place(self) -> Array:
+        """(3,) x, y and z."""
+        return np.array([self.x, self.y, self.z])
+
+    @property
+    def centre_line(self) -> Array:
+        return self._there(self.target.centre_line)
+
+    @property
+    def rods(self) -> list[Rod]:
+        return [(self._there(start), self._there(end), radius) for start, end, radius in self.target.rods]
+
+    @property
+    def seat(self) -> Array:
+        return self._there(self.target.seat)
+
+    @property
+    def lowest(self) -> float:
+        return self.target.lowest + self.z
+
+    def holds(self, loop: ArrayLike) -> bool:
+        """Whether its target holds the loop moved back."""
+        return self.target.holds(turned(as_points(loop, "loop") - self.place, -self.yaw))
+
+    def describe(self) -> dict[str, Any]:
+        own = self.target.describe()
+        position = self._there(own["position"]).tolist()
+        return {**own, "position": position, "yaw": own.get("yaw", 0.0) + self.yaw}
+
+    def _there(self, places: ArrayLike) -> Array:
+        return turned(places, self.yaw) + self.place
 
 
 @checked
@@ -221,6 +278,16 @@ class Mannequin(Target):
             return True
         ends = {side: self.shoulder * [side, 1, 1] for side in (-1, 1)}  # out through the shoulders
         return _linked(curve, *(close_far([foot, x * [0, 1, 1], x], end=(side, 0, 0)) for side, x in ends.items()))
+
+
+def gap(points: Array, target: Target) -> float:
+    """The least distance of points (N, 3) from the surface of the target."""
+    gaps = []
+    for start, end, radius in target.rods:
+        along = (end - start) / max(float((end - start) @ (end - start)), 1e-12)
+        nearest = start + np.clip((points - start) @ along, 0, 1)[:, None] * (end - start)
+        gaps.append(float(np.linalg.norm(points - nearest, axis=1).min()) - radius)
+    return min(gaps)
 
 
 def _linked(loop: ArrayLike, *lines: Array) -> bool:

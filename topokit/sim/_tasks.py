@@ -1,103 +1,32 @@
 """Tasks: which garment goes to which target, on which scripted path, and when it hangs there.
 
-Idea of the paths: people's reaching movements minimise the integral of squared jerk. Through given places at given times, at
-rest at both ends, the minimiser is the quintic spline of four continuous derivatives; between two rests it is
-start + (10 s^3 - 15 s^4 + 6 s^5) (end - start) with s the share of the time.
-
-Source: Antonova et al. 2021, section 6; Flash and Hogan 1985, *The coordination of arm movements*. Taught in chapter 7.
+Source: Antonova et al. 2021, section 6. Taught in chapter 7.
 """
 
 from __future__ import annotations
 
 import functools
-import itertools
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline
 
 from topokit._validate import as_points
 from topokit.io import LOOP_NAMES
 
 from ._garments import WARDROBE, Garment
 from ._names import kind, to_hang_by
+from ._path import GripperPath, Via
 from ._surface import Array, Ids
-from ._targets import Hanger, Hook, Mannequin, Target
+from ._targets import Hanger, Hook, Mannequin, Placed, Target
 
 Loop = TypeVar("Loop", bound=ArrayLike)
+_BESIDE = 0.08  # metres
+_ASIDE = 30  # degrees by which a loop may look aside of the arm that shall go through it
 _log = logging.getLogger("topokit.sim")
-
-
-@dataclass(frozen=True)
-class Via:
-    """A place on a path. At the first and the last one the grippers stand still anyway."""
-
-    time: float  #: seconds since the first frame
-    place: ArrayLike  #: (3,) of the middle between the grippers, metres
-    opening: float = 1.0  #: distance between the grippers as a multiple of the one at the start
-    rest: bool = False  #: whether the grippers stand still there
-
-
-@dataclass(frozen=True, eq=False)
-class GripperPath:
-    """The path of two grippers, and when they let go."""
-
-    vias: Sequence[Via]  #: two at least, in the order of time; before and after them the grippers stand still
-    spread: Array  #: (2, 3) the grippers relative to their middle, at an opening of 1
-    release: float  #: seconds; when they let go
-    end: float  #: seconds; how long an episode lasts that gives the garment time to come to rest
-
-    def __post_init__(self) -> None:
-        if len(self.vias) < 2:
-            raise ValueError(f"a path needs two places at least, not {len(self.vias)}")
-        table, spread = self._table, np.asarray(self.spread)
-        for name, values, shape in (("vias", table, (len(self.vias), 5)), ("spread", spread, (2, 3))):
-            if values.shape != shape or not np.isfinite(values).all():
-                raise ValueError(f"{name} must be finite numbers of shape {shape}, not {values.tolist()}")
-        if not ((np.diff(table[:, 0]) > 0).all() and (table[:, 4] > 0).all()):
-            raise ValueError(f"times must increase and openings be more than zero: {self.vias}")
-        if not self.end >= self.release >= 0:
-            raise ValueError(f"the end ({self.end} s) must come after the release ({self.release} s), and that after 0")
-
-    def at(self, time: ArrayLike) -> Array:
-        """(..., 2, 3) where the two grippers should be at these times (...)."""
-        t, times, places = np.asarray(time, dtype=np.float64), self._table[:, 0], self._table[:, 1:]
-        velocities, accelerations = self._derivatives
-        i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
-        h = (times[i + 1] - times[i])[..., None]
-        s = np.clip((t - times[i])[..., None] / h, 0, 1)
-        cube = s * s * s
-        # Quintic Hermite interpolation: place, velocity and acceleration at either end.
-        value = places[i] + cube * (10 - 15 * s + 6 * s * s) * (places[i + 1] - places[i])
-        value = value + h * (s - cube * (6 - 8 * s + 3 * s * s)) * velocities[i]
-        value = value - h * cube * (4 - 7 * s + 3 * s * s) * velocities[i + 1]
-        value = value + h * h / 2 * (s * s - cube * (3 - 3 * s + s * s)) * accelerations[i]
-        value = value + h * h / 2 * cube * (1 - 2 * s + s * s) * accelerations[i + 1]
-        return np.asarray(value[..., None, :3] + value[..., None, 3:] * self.spread)
-
-    @functools.cached_property
-    def _table(self) -> Array:
-        """(k, 5) times, middles, openings."""
-        return np.array([[via.time, *np.asarray(via.place, dtype=np.float64), via.opening] for via in self.vias])
-
-    @functools.cached_property
-    def _derivatives(self) -> tuple[Array, Array]:
-        """(k, 4) velocities and accelerations at the places: 0 at a rest, the minimum-jerk spline's between two rests."""
-        times, places = self._table[:, 0], self._table[:, 1:]
-        velocities, accelerations = np.zeros_like(places), np.zeros_like(places)
-        still = ([(1, np.zeros(4)), (2, np.zeros(4))],) * 2
-        rests = [0, *(i for i in range(1, len(self.vias) - 1) if self.vias[i].rest), len(self.vias) - 1]
-        for first, last in itertools.pairwise(rests):
-            if last - first > 1:
-                stroke = slice(first, last + 1)
-                spline = make_interp_spline(times[stroke], places[stroke], k=5, bc_type=still)
-                inner = slice(first + 1, last)
-                velocities[inner], accelerations[inner] = spline(times[inner], 1), spline(times[inner], 2)
-        return velocities, accelerations
 
 
 Planner = Callable[[Garment, Target, np.random.Generator], GripperPath]
@@ -146,6 +75,13 @@ def check_loops(task: Task, garment: Garment) -> None:
     if not {*task.loops} <= {*names, *map(kind, names)}:
         asks, has = (", ".join(some) or "none" for some in (task.loops, names))
         raise ValueError(f"{task.name} asks for the loops {asks}; the {garment.name} has {has}: mark or name them")
+
+
+def planned(task: Task, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
+    """The path of a task: of a target elsewhere, planned where it stands otherwise, and carried over."""
+    if isinstance(target, Placed):
+        return planned(task, garment, target.target, rng).moved(target.place, target.yaw)
+    return task.plan(garment, target, rng)
 
 
 def hang_by_strap(
@@ -249,16 +185,41 @@ def _carried(garment: Garment) -> Ids:
     return garment.named_loops[next(iter([*to_hang_by(garment.loop_names), *garment.loop_names]))]
 
 
+def hangs_down(garment: Garment) -> float:
+    """How far a garment reaches down from the top of the loop that it hangs by; 0 without one."""
+    z = garment.vertices[:, 2]
+    return float(z[_carried(garment)].max() - z.min()) if garment.loops else 0.0
+
+
 def warn_of_floor(garment: Garment, target: Target) -> None:
     """Say so when a garment is longer, from the loop it hangs by down, than its target is high."""
-    if garment.loops:
-        z = garment.vertices[:, 2]
-        long, high = float(z[_carried(garment)].max() - z.min()), float(target.seat[2])
-        if long > high:
-            what = "it will stand on the floor; give a smaller size, or a higher target"
-            _log.warning(
-                "the %s hangs %.2f m down from a %s %.2f m high: %s", garment.name, long, target.name, high, what
-            )
+    long, high = hangs_down(garment), float(target.seat[2])
+    if long > high:
+        what = "it will stand on the floor; give a smaller size, or a higher target"
+        _log.warning("the %s hangs %.2f m down from a %s %.2f m high: %s", garment.name, long, target.name, high, what)
+
+
+def _behind(garment: Garment) -> bool:
+    """Whether the loop that is carried lies beside its grip, as a backpack's strap does, and not under it, as a handle."""
+    gaps = garment.vertices[_carried(garment)].mean(axis=0) - garment.vertices[garment.grips]
+    return bool(np.linalg.norm(gaps[:, :2], axis=1).min() > _BESIDE)
+
+
+def _facing(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
+    """A plan for the garment turned so that the arm will go through a loop that looks aside: through the one in front."""
+    curve = garment.vertices[_carried(garment)] if garment.loops else np.zeros((1, 3))
+    x, y, z = np.cross(curve, np.roll(curve, -1, axis=0)).sum(axis=0)  # along the normal of what the loop encloses
+    yaw = float((np.degrees(np.arctan2(x, y)) + 90) % 180 - 90)  # either side may come first
+    if abs(yaw) < _ASIDE or np.hypot(x, y) < abs(z):
+        return hang_by_strap(garment, target, rng)
+    there = garment.turned(yaw)
+    ahead = {name: float(there.vertices[there.named_loops[name], 1].mean()) for name in to_hang_by(there.loop_names)}
+    front = max(ahead, key=ahead.__getitem__)
+    only = replace(there, loops=(there.named_loops[front],), loop_names=(front,))
+    back = [0, ahead[front] - float(there.vertices[there.grips, 1].mean()), 0]
+    path = hang_by_strap(only, target, rng, rest=2.0)
+    vias = [replace(via, yaw=via.yaw + yaw, place=np.asarray(via.place) - back) for via in path.vias]
+    return replace(path, vias=vias, spread=_spread(garment))
 
 
 def _about(rng: np.random.Generator, place: ArrayLike, *ranges: tuple[float, float]) -> Array:
@@ -307,11 +268,13 @@ def task_for(garment: Garment, target: Target) -> Task:
     garment : Garment
     target : Target
     """
+    if isinstance(target, Placed):
+        return replace(task_for(garment, target.target), target=target)
     name = f"{garment.name}-{target.name}"
     names, kinds = to_hang_by(garment.loop_names), [*map(kind, garment.loop_names)]
     if name in TASKS and {*TASKS[name].loops} <= {*kinds, *garment.loop_names}:
         return replace(TASKS[name], garment=lambda: garment, target=target)
-    plan: Planner = _sideways if kinds.count("strap") > 1 else hang_by_strap
+    plan: Planner = _sideways if kinds.count("strap") > 1 and _behind(garment) else _facing
     loops, every = tuple(names), False
     if isinstance(target, Mannequin):
         plan = pull_over_head
