@@ -17,7 +17,7 @@ import numpy as np
 from topokit._validate import as_ids, as_points
 from topokit.io import LOOP_NAMES
 
-from . import _mesh, _names, _wardrobe
+from . import _accessories, _mesh, _names, _wardrobe
 from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, half_edges
 
 Sizes = ParamSpec("Sizes")
@@ -29,7 +29,7 @@ def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]
     @functools.wraps(pattern)
     def garment(*arguments: Sizes.args, **sizes: Sizes.kwargs) -> Garment:
         fields = pattern(*arguments, **sizes)
-        return Garment(*(fields if len(fields) > 6 else (*fields, (), LOOP_NAMES[fields[0]])))
+        return Garment(*(fields if len(fields) > 6 else (*fields, (), LOOP_NAMES.get(fields[0], ()))))
 
     words = inspect.cleandoc(pattern.__doc__ or "")
     if "Parameters\n" not in words:
@@ -54,7 +54,7 @@ class Garment:
     grips: Ids  #: (2,) int64 the vertices that the grippers hold
     parameters: Mapping[str, float] = field(default_factory=dict)  #: the sizes it was made from
     repairs: tuple[str, ...] = ()  #: what `from_mesh` did to the mesh of a file, in words
-    #: A name for each loop, all different: neck, hem, handle, strap, arm, waist, ear, hole, edge; several of a kind are
+    #: A name for each loop, all different: neck, hem, handle, strap, arm, waist, ear, hole, edge, rim, ...; several of a kind are
     #: numbered ("handle 1"). When not given, found by place and size on the mesh as it stands.
     loop_names: tuple[str, ...] = ()
 
@@ -98,12 +98,16 @@ class Garment:
         return edge_lengths(self.vertices, self.edges)
 
     apron = staticmethod(_sewn(_wardrobe.apron))
-    tote = staticmethod(_sewn(_wardrobe.tote))
-    backpack = staticmethod(_sewn(_wardrobe.backpack))
+    tote = staticmethod(_sewn(_accessories.tote))
+    backpack = staticmethod(_sewn(_accessories.backpack))
     shirt = staticmethod(_sewn(_wardrobe.shirt))
     vest = staticmethod(_sewn(_wardrobe.vest))
     mask = staticmethod(_sewn(_wardrobe.mask))
     sheet = staticmethod(_sewn(_wardrobe.sheet))
+    scarf = staticmethod(_sewn(_accessories.scarf))
+    belt = staticmethod(_sewn(_accessories.belt))
+    trousers = staticmethod(_sewn(_wardrobe.trousers))
+    net = staticmethod(_sewn(_accessories.net))
     from_mesh = staticmethod(_sewn(_mesh.from_mesh))
 
 
@@ -118,5 +122,9 @@ WARDROBE: Mapping[str, Callable[[], Garment]] = {
     "mask": Garment.mask,
     "sheet": Garment.sheet,
     "sheet2": functools.partial(Garment.sheet, holes=2),
+    "scarf": Garment.scarf,
+    "belt": Garment.belt,
+    "trousers": Garment.trousers,
+    "net": Garment.net,
 }
 """Every garment by the name that episodes record, as a function that makes it at its default sizes."""

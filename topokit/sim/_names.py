@@ -18,7 +18,7 @@ from ._surface import Array, Ids, border_cycles
 
 _TOP = 0.12  # of the height, as far below the highest vertex as a strap is wide at most
 _SLACK = np.array([0.05, 0.15, 0.05])  # by which a loop may stand out of the one around it
-_OUTSIDE = ("edge", "hem", "waist")  # nobody hangs a garment by these
+_OUTSIDE = ("edge", "hem", "waist", "rim", "leg", "mesh")  # nobody hangs a garment by these
 
 
 def kind(name: str) -> str:
