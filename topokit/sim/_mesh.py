@@ -17,7 +17,7 @@ from topokit.linking import side_lengths
 
 from ._names import kind, named
 from ._read import read_mesh
-from ._surface import Array, EdgeGraph, Ids, border_cycles, components, edge_lengths, half_edges, joined, wind
+from ._surface import Array, EdgeGraph, Ids, border_cycles, components, edge_lengths, face_areas, half_edges, joined, wind
 
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
@@ -186,9 +186,7 @@ def _clean(faces: Ids, said: list[str]) -> Ids:
 
 
 def _one_component(vertices: Array, faces: Ids, said: list[str]) -> Ids:
-    corners = vertices[faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    which = components(faces)
+    area, which = face_areas(vertices, faces), components(faces)
     parts = which.max() + 1
     if parts == 1:
         return faces
