@@ -1,7 +1,7 @@
 """How far each kind of cloth drapes: `python tests/drape.py` prints a table.
 
-A square of 30 cm lies across a rod under its middle, held there at both ends; its halves overhang. The drape is how far their free
-edges hang below the rod as a share of the overhang: near 0 for a board, near 1 for what hangs straight down.
+A square of 30 cm lies across a rod under its middle, held there at both ends; its halves overhang. The drape is how far their
+free edges hang below the rod as a share of the overhang: near 0 for a board, near 1 for what hangs straight down.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def square(spacing: float = 0.03) -> Garment:
     return dataclasses.replace(sheet, vertices=flat, faces=sheet.faces[:, ::-1], grips=grips)
 
 
-def drape(cloth: Cloth, spacing: float = 0.03, seconds: float = 1.5) -> float:
+def drape(cloth: Cloth, spacing: float = 0.03, seconds: float = 1.8) -> float:
     garment = square(spacing)
     config, lift = cloth.config(garment), np.array([0, 0, LIFT])
     with World(garment, lift, config) as world:

@@ -190,36 +190,28 @@ def net(
     return "net", vertices, faces, tuple(loops), grips, sizes, (), names
 
 
-def scarf(
-    *,
-    spacing: float = 0.03,
-    length: float = 1.3,
-    width: float = 0.26,
-    slenderness: float = 2.0,
-) -> Fields:
-    """Return an endless scarf (a snood): a band of that `width`, `length` around, hanging as an ellipse.
+def scarf(*, spacing: float = 0.03, length: float = 1.3, width: float = 0.26) -> Fields:
+    """Return an endless scarf (a snood): a band of that `width`, `length` around, as an ellipse twice as high as wide.
 
-    The ellipse is `slenderness` times as high as it is wide. There is one class; the true loop is the front border of the band.
+    There is one class; the true loop is the front border of the band.
     The grips are on that border, near its top. An open scarf has no loops: a `sheet` without holes.
     """
     sizes = check_sizes(locals())
-    demand(0.25 <= slenderness <= 4, f"slenderness must be 0.25 to 4, not {slenderness}")
     demand(length >= 8 * spacing, f"length {length} is too short for spacing {spacing}")
     panel, low, _, start, end = band([length], [width], spacing)
     angle = np.linspace(0, 2 * np.pi, 2881)
-    oval = np.column_stack([-np.sin(angle), slenderness * (np.cos(angle) - 1)])
+    oval = np.column_stack([-np.sin(angle), 2 * (np.cos(angle) - 1)])
     oval *= length / arc_length(oval)[-1]
-    share = panel.vertices[:, 0] / length
-    way = points_at(oval, share * length)
+    way = points_at(oval, panel.vertices[:, 0])
     cloth = panel.placed(lambda v: np.column_stack([way[:, 0], v[:, 2] + width / 2, way[:, 1]]))
     vertices, faces, (ids,) = sew([cloth], [(0, start, 0, end)])
-    held = [int(np.argmin(np.abs(share[low] - at))) for at in (1 / 16, 15 / 16)]
+    held = [int(np.argmin(np.abs(panel.vertices[low, 0] / length - at))) for at in (1 / 16, 15 / 16)]
     return "scarf", vertices, faces, (ids[low[:-1]],), ids[low[held]], sizes
 
 
 def belt(
     *,
-    spacing: float = 0.018,
+    spacing: float = 0.016,
     length: float = 0.7,
     width: float = 0.06,
     loop_radius: float = 0.07,

@@ -81,18 +81,20 @@ class Garment:
         if not len(set(names)) == len(names) == len(loops) or not all(isinstance(name, str) and name for name in names):
             raise ValueError(f"loop_names must be {len(loops)} different names, one a loop, not {names!r:.200}")
         object.__setattr__(self, "loop_names", names)
+        self.edges.setflags(write=False)  # made once and handed out often
+        self.edge_lengths.setflags(write=False)
 
     @property
     def named_loops(self) -> dict[str, Ids]:
         """The true loops by their names."""
         return dict(zip(self.loop_names, self.loops, strict=True))
 
-    @property
+    @functools.cached_property
     def edges(self) -> Ids:
         """(E, 2) every edge once, smaller id first, in lexicographic order."""
         return np.unique(half_edges(self.faces), axis=0)
 
-    @property
+    @functools.cached_property
     def edge_lengths(self) -> Array:
         """(E,) rest lengths in metres, in the order of `edges`."""
         return edge_lengths(self.vertices, self.edges)

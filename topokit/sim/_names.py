@@ -43,7 +43,7 @@ def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
     outlines = border_cycles(faces)
     boxes, borders = ([_box(vertices, cycle) for cycle in cycles] for cycles in (loops, outlines))
     outer = [any(set(loop.tolist()) == set(border.tolist()) for border in outlines) for loop in loops]
-    flat = _is_flat(vertices, faces)
+    flat = is_flat(vertices, faces)
     if not flat and any(_is_hem(box) for box in borders):
         aside = [np.linalg.norm(box[:, :2].mean(axis=0)) > 0.2 for box in boxes]
         return numbered(
@@ -75,7 +75,7 @@ def _is_hem(box: Array) -> bool:
     return bool(box[1, 2] < 0.35 and np.ptp(box[:, :2], axis=0).max() > 0.3)
 
 
-def _is_flat(vertices: Array, faces: Ids) -> bool:
+def is_flat(vertices: Array, faces: Ids) -> bool:
     """Whether most of the surface faces one way; the sides of a bag cancel."""
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     normal = np.cross(b - a, c - a)
