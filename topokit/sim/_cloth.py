@@ -64,6 +64,6 @@ class Cloth:
 CLOTHS: Mapping[str, Cloth] = {
     "canvas": Cloth(density=0.34, stiffness=0.6, bending=0.4, damping=60.0),
     "cotton": Cloth(density=0.15, stiffness=0.6, bending=0.1, damping=60.0, friction=0.8),
-    "jersey": Cloth(density=0.18, stiffness=0.6, bending=0.02, damping=60.0),
-    "silk": Cloth(density=0.06, stiffness=0.6, bending=0.003, damping=60.0, friction=0.5),
+    "jersey": Cloth(density=0.18, stiffness=0.6, bending=0.03, damping=60.0),
+    "silk": Cloth(density=0.06, stiffness=0.8, bending=0.0003, damping=60.0, friction=0.5),
 }

@@ -271,7 +271,7 @@ def trousers(
     """
     sizes = check_sizes(locals())
     half, low, spread = waist_width / 2, -length, (length - rise) * np.tan(np.radians(leg_angle))
-    inner, crotch = np.array([spread + spacing, low]), np.array([0.0, -rise])
+    inner, crotch = np.array([spread + spacing, low]), np.array([spacing, -rise])  # so wide that the legs do not touch
     outer = inner + [leg_width, 0]
     fits = rise + 2 * spacing <= length and 2 * spacing <= leg_width
     demand(fits, f"rise {rise} must be less than length {length}, and leg_width {leg_width} twice the spacing at least")
@@ -279,8 +279,8 @@ def trousers(
     demand(fits, f"loop_span {loop_span} must leave room for a loop of loop_width {loop_width} in {waist_width}")
     arch = Arch.of_length(loop_span, loop_length, "loop_length")
     over, opening, middle = arch.strap(loop_width, spacing, loop_length)
-    legs = polyline((-half, 0), outer * [-1, 1], inner * [-1, 1], crotch, inner, outer, (half, 0))
-    seams = (0, 2, 3, 5)  # outside, inside, inside, outside; 1 and 4 are the ends of the legs
+    legs = polyline((-half, 0), outer * [-1, 1], inner * [-1, 1], crotch * [-1, 1], crotch, inner, outer, (half, 0))
+    seams = (0, 2, 3, 4, 6)  # all but the ends of the legs, 1 and 5
     front = cut([*legs, *polyline((half, 0), (-half, 0))], [], spacing)
     back = cut(
         [*legs, *polyline((half, 0), over[0]), over, *polyline(over[-1], (-half, 0))], [opening], spacing, middle
@@ -288,7 +288,7 @@ def trousers(
     grips = back.nearest(arch.points(THIRDS))
     pieces = [inflate(front, seams, depth / 2), inflate(back, seams, depth / 2, top=0.0).mirrored()]
     vertices, faces, (a, b) = sew(pieces, [(0, front.sides[i], 1, back.sides[i]) for i in seams])
-    ends = [ring(a[front.sides[i]], b[back.sides[i]]) for i in (4, 1)]
-    beneath = EdgeGraph(pieces[1].vertices, half_edges(back.faces)).path(int(back.sides[7][0]), int(back.sides[7][-1]))
-    waist = chain(back.sides[6], np.array(beneath), back.sides[8])
-    return "trousers", vertices, faces, (b[back.holes[0]], ring(a[front.sides[6]], b[waist]), *ends), b[grips], sizes
+    ends = [ring(a[front.sides[i]], b[back.sides[i]]) for i in (5, 1)]
+    beneath = EdgeGraph(pieces[1].vertices, half_edges(back.faces)).path(int(back.sides[8][0]), int(back.sides[8][-1]))
+    waist = chain(back.sides[7], np.array(beneath), back.sides[9])
+    return "trousers", vertices, faces, (b[back.holes[0]], ring(a[front.sides[7]], b[waist]), *ends), b[grips], sizes
