@@ -11,8 +11,8 @@ from typing import Any
 from ._archive import FormatError, atomic_file, existing, read_json
 
 _TASKS = """tasks, a garment and a target:
-  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2}-hook
-  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2}-hanger
+  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2,scarf,belt,net}-hook
+  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2,scarf,belt,net}-hanger
   {apron,apron2,backpack,shirt,vest}-mannequin
 with --mesh also hook, hanger and mannequin: as the names of its loops allow"""
 _AXES = ("x", "y", "z", "-x", "-y", "-z")
@@ -78,7 +78,6 @@ def _simulate(options: argparse.Namespace) -> int:
 def _simulated(options: argparse.Namespace) -> Any:
     """The episode that was asked for."""
     from .sim import TASKS, DepthNoise, Hanger, Hook, Mannequin, Randomisation, cameras_around, simulate, task_for
-    from .sim._cloth import Cloth
 
     targets = {kind.name: kind for kind in (Hook, Hanger, Mannequin)} if options.mesh else {}
     name = options.task or ("hook" if options.mesh else "apron-hook")
@@ -93,7 +92,6 @@ def _simulated(options: argparse.Namespace) -> Any:
         garment,
         task=task,
         seed=options.seed,
-        config=Cloth().config(garment) if garment else None,
         randomisation=Randomisation() if options.randomise else None,
         cameras=cameras_around(task.target.seat, options.cameras, distance=2.2, noise=noise) if options.cameras else (),
         n_observed=options.observed,

@@ -15,7 +15,7 @@ import numpy as np
 
 from topokit._config import NotNegative, Positive, checked
 
-from ._garments import Garment
+from ._garments import WARDROBE, Garment
 from ._surface import face_areas
 from ._world import SimulationConfig
 
@@ -67,3 +67,8 @@ CLOTHS: Mapping[str, Cloth] = {
     "jersey": Cloth(density=0.18, stiffness=0.6, bending=0.03, damping=60.0),
     "silk": Cloth(density=0.06, stiffness=0.8, bending=0.0003, damping=60.0, friction=0.5),
 }
+
+
+def usual_config(garment: Garment) -> SimulationConfig:
+    """The physics of a garment when none is asked for: by its area and its edges when it is not in the wardrobe."""
+    return SimulationConfig() if garment.name in WARDROBE else Cloth().config(garment)
