@@ -48,28 +48,20 @@ def main() -> None:
         focus=episode.points.reshape(-1, 3).mean(axis=0) + [0, 0.05, 0.05],
     )
     garments = [make() for make in WARDROBE.values()]
-    rows = [
-        np.asarray(
-            _side_by_side(
-                [
-                    view.render_cloth(
-                        g.vertices, g.faces, true_loops=g.loops, size=(300, 340), view=(-65, 18), zoom=0.9
-                    )
-                    for g in row
-                ]
-            )
-        )
-        for row in (garments[:5], garments[5:])
+    drawn = [
+        view.render_cloth(g.vertices, g.faces, true_loops=g.loops, size=(300, 340), view=(-65, 18), zoom=0.9)
+        for g in garments
     ]
-    Image.fromarray(np.concatenate(rows)).quantize(255).save(HERE / "_static" / "wardrobe.png", optimize=True)
+    _grid(drawn, 5).quantize(255).save(HERE / "_static" / "wardrobe.png", optimize=True)
 
 
 def every_task(folder: Path, moments: int = 20) -> None:
     """Every task of the wardrobe: how it begins and ends, with what the tracker finds, and all of them as one film."""
     dataset = Dataset(folder)
-    numbers = {record.task: record.episode for record in reversed(dataset.records) if record.status == "ok"}
+    first = {record.task: record.episode for record in reversed(dataset.records) if record.status == "ok"}
+    numbers = {task: first[task] for task in TASKS if task in first}
     columns = []
-    for task in TASKS:
+    for task in numbers:
         episode, (x, y, z) = dataset[numbers[task]], TASKS[task].target.seat
         states = dataset.states(numbers[task], "full")
         frames = np.linspace(10, len(episode) - 1, moments).astype(int)
@@ -89,7 +81,7 @@ def every_task(folder: Path, moments: int = 20) -> None:
                 for frame in frames
             ]
         )
-        print(f"\rdrawing: task {len(columns)} of {len(TASKS)}", end="", file=sys.stderr, flush=True)
+        print(f"\rdrawing: task {len(columns)} of {len(numbers)}", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     films = [_grid([column[k] for column in columns]) for k in range(moments)]
     films[-1].quantize(255).save(HERE / "_static" / "tasks.png", optimize=True)
@@ -101,6 +93,8 @@ def every_task(folder: Path, moments: int = 20) -> None:
 
 
 def _grid(pictures: list[Image.Image], columns: int = 7) -> Image.Image:
+    blank = Image.new("RGB", pictures[0].size, "white")
+    pictures = [*pictures, *[blank] * (-len(pictures) % columns)]
     rows = [_side_by_side(pictures[i : i + columns]) for i in range(0, len(pictures), columns)]
     return Image.fromarray(np.concatenate([np.asarray(row) for row in rows]))
 

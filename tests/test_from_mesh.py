@@ -669,7 +669,7 @@ def test_no_file_or_a_folder(tmp_path):
         ({"grips": [20]}, ValueError, "two vertex ids"),
         ({"grips": [20, 20]}, ValueError, "one vertex"),
         ({"loops": "holes"}, ValueError, "'borders'"),
-        ({"up": "x"}, ValueError, "up must be"),
+        ({"up": "w"}, ValueError, "up must be"),
         ({"size": 1.0, "scale": 1.0}, ValueError, "not both"),
         ({"size": -1.0}, ValueError, "size"),
         ({"weld": 0.0}, ValueError, "weld"),

@@ -19,7 +19,8 @@ from topokit.sim._garments import WARDROBE, Garment
 from topokit.sim._world import World
 
 CLASSES = {"apron": 1, "apron2": 2, "tote": 1, "tote2": 2, "backpack": 2, "shirt": 3, "vest": 3, "mask": 2, "sheet": 1}
-CLASSES["sheet2"] = 2
+CLASSES |= {"sheet2": 2, "sheet0": 0, "sheet3": 3, "scarf": 1, "belt": 1, "net": 19}
+CUTS = ("shirt", "vest", "net")  # whose loops are one more than their classes
 COARSE = {
     "apron": {"spacing": 0.05, "strap_width": 0.05},
     "apron2": {"loops": 2, "spacing": 0.05, "strap_width": 0.05},
@@ -31,6 +32,9 @@ COARSE = {
     "mask": {"spacing": 0.025},
     "sheet": {"spacing": 0.05},
     "sheet2": {"holes": 2, "spacing": 0.05},
+    "scarf": {"spacing": 0.05},
+    "belt": {"spacing": 0.024},
+    "net": {"spacing": 0.03},
 }
 
 
@@ -99,11 +103,15 @@ def test_loops_are_the_classes(name):
     if name in ("shirt", "vest"):  # four openings, any three of them independent
         assert len(loops) == 4
         assert all(rank(faces + list(three)) - bounding == 3 for three in itertools.combinations(loops, 3))
+    elif name in CUTS:
+        assert len(loops) == CLASSES[name] + 1
+        assert rank(faces + loops[2:]) - bounding == CLASSES[name] - 1  # without the handle
+        assert rank(faces + loops[:1] + loops[2:]) - bounding == CLASSES[name]  # without the rim
     else:
         assert len(loops) == CLASSES[name]
 
 
-@pytest.mark.parametrize("name", WARDROBE)
+@pytest.mark.parametrize("name", [name for name in WARDROBE if name not in ("scarf", "belt", "net")])
 def test_every_loop_has_the_name_that_its_place_gives_it(name):
     for garment in (WARDROBE[name](), coarse(name)):
         assert garment.loop_names == LOOP_NAMES[name]
@@ -111,7 +119,7 @@ def test_every_loop_has_the_name_that_its_place_gives_it(name):
         assert dataclasses.replace(garment, loop_names=()).loop_names == LOOP_NAMES[name]
 
 
-@pytest.mark.parametrize("name", [name for name in WARDROBE if name not in ("shirt", "vest")])
+@pytest.mark.parametrize("name", [name for name in WARDROBE if name not in (*CUTS, "belt")])
 def test_loops_are_what_persistence_finds(name):
     """As many long bars as classes; a shirt's sleeves are too flat at rest for that."""
     lifetime = rips_persistence(coarse(name).vertices).lifetime
@@ -126,6 +134,16 @@ def test_grips_are_near_the_top_side_by_side(name):
     assert min(left[2], right[2]) > low + 0.7 * (high - low)
     assert left[0] == pytest.approx(-right[0], abs=0.02)
     assert left[2] == pytest.approx(right[2], abs=0.02)
+
+
+def test_loops_that_their_place_does_not_name_are_named_by_the_pattern():
+    assert Garment.scarf().loop_names == ("neck",)
+    net = Garment.net(rows=2, columns=2)
+    assert net.loop_names == ("handle", "rim", *(f"mesh {i + 1}" for i in range(8)))
+    front = net.vertices[net.named_loops["mesh 1"]].mean(axis=0)
+    assert front[0] < 0
+    assert front[1] < 0
+    assert front[2] < -0.2
 
 
 def test_the_apron_is_the_recorded_one(episode_path):
@@ -153,20 +171,30 @@ EXTREMES = [
     ("mask", {"depth": 0.1, "bow": 0.06, "strap_length": 0.6}),
     ("mask", {"width": 0.6, "height": 0.1, "strap_span": 0.5, "strap_length": 0.8}),
     ("sheet", {"hole_radius": 0.2, "hole_drop": 0.25}),
+    ("sheet3", {"holes": 3, "width": 1.0}),
+    ("sheet2", {"holes": 2, "hole_radius": 0.02, "hole_height": 0.2}),  # upright slits
+    ("sheet", {"hole_radius": 0.15, "hole_height": 0.04}),
+    ("sheet0", {"holes": 0, "width": 0.3, "height": 1.4}),  # an open scarf
+    ("scarf", {"length": 0.6, "width": 0.1}),
+    ("belt", {"length": 0.3, "loop_radius": 0.12, "width": 0.04}),
+    ("net", {"rows": 3, "columns": 3, "width": 0.6, "height": 0.5, "mesh_radius": 0.06, "handle_length": 1.0}),
     ("sheet2", {"holes": 2, "width": 1.2, "hole_distance": 0.9, "hole_radius": 0.05, "hole_drop": 0.4}),
 ]
 
 
 @pytest.mark.parametrize(("name", "sizes"), EXTREMES)
 def test_unusual_sizes_keep_the_classes(name, sizes):
-    garment = getattr(Garment, name.rstrip("2"))(**sizes)
+    garment = getattr(Garment, name.rstrip("0123"))(**sizes)
     assert len(garment.vertices) - len(garment.edges) + len(garment.faces) == 1 - CLASSES[name]
     faces, loops = chains(garment)
     assert rank(faces + loops) - rank(faces) == CLASSES[name]
+    assert garment.name == name
     assert garment.edge_lengths.min() > 0.15 * garment.parameters["spacing"]
     assert (
         dict(garment.parameters).items()
-        >= {key: value for key, value in sizes.items() if key not in ("loops", "handles", "holes")}.items()
+        >= {
+            key: value for key, value in sizes.items() if key not in ("loops", "handles", "holes", "rows", "columns")
+        }.items()
     )
 
 
@@ -207,6 +235,14 @@ BAD = [
     ("sheet", {"hole_drop": 0.05}, "hole_drop"),
     ("sheet", {"holes": 2, "hole_distance": 0.1}, "hole_distance"),
     ("sheet", {"holes": 2, "hole_distance": 0.5}, "width"),
+    ("sheet", {"holes": 2.0}, "holes"),
+    ("sheet", {"hole_height": 0.01}, "hole_height"),
+    ("sheet", {"hole_height": 0.4}, "hole_drop"),
+    ("scarf", {"length": 0.1}, "length"),
+    ("belt", {"loop_width": 0.01}, "loop_width"),
+    ("belt", {"width": 0.5}, "width"),
+    ("net", {"rows": 0}, "rows"),
+    ("net", {"mesh_radius": 0.1}, "mesh_radius"),
     ("sheet", {"spacing": float("nan")}, "spacing"),
     ("tote", {"spacing": 0.3}, "spacing"),
 ]

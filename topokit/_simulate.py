@@ -11,10 +11,11 @@ from typing import Any
 from ._archive import FormatError, atomic_file, existing, read_json
 
 _TASKS = """tasks, a garment and a target:
-  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2}-hook
-  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2}-hanger
+  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2,scarf,belt,net}-hook
+  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2,scarf,belt,net}-hanger
   {apron,apron2,backpack,shirt,vest}-mannequin
 with --mesh also hook, hanger and mannequin: as the names of its loops allow"""
+_AXES = ("x", "y", "z", "-x", "-y", "-z")
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
@@ -53,7 +54,7 @@ def _add_of_mesh(command: Any) -> None:
     command.add_argument("--loops", metavar="LOOPS", help=f"of the mesh: {ids}")
     command.add_argument("--unit", choices=_UNITS, help="of the mesh (default: the one that makes it a garment's size)")
     command.add_argument("--size", type=float, metavar="METRES", help="its largest extent, instead of a unit")
-    command.add_argument("--up", choices=("y", "z"), help="the axis of the mesh that points up (default: found)")
+    command.add_argument("--up", choices=_AXES, help="the axis of the mesh that points up (default: found)")
 
 
 def _simulate(options: argparse.Namespace) -> int:
@@ -119,7 +120,8 @@ def _garment(options: argparse.Namespace) -> Any:
     asked = {"loops": loops, "scale": _UNITS.get(options.unit), "size": options.size, "up": options.up}
     garment = Garment.from_mesh(options.mesh, **asked)
     if not garment.loops:
-        raise ValueError(f"{options.mesh}: it has no loop to hang it by; its border is its edge")
+        why = next((said for said in garment.repairs if "open front" in said), "its border is its edge")
+        raise ValueError(f"{options.mesh}: it has no loop to hang it by; {why}")
     return garment
 
 

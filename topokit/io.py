@@ -50,6 +50,8 @@ LOOP_NAMES = {
     "mask": ("ear 1", "ear 2"),
     "sheet": ("hole",),
     "sheet2": ("hole 1", "hole 2"),
+    "scarf": ("neck",),
+    "belt": ("loop",),
 }
 _KIND = "topokit-episode"
 _STATES_KIND, _STATES_SCHEMA = "topokit-states", 2

@@ -10,6 +10,7 @@ from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._camera import Camera, DepthNoise, cameras_around
+    from ._cloth import CLOTHS, Cloth
     from ._env import HangEnv
     from ._episode import simulate
     from ._garments import WARDROBE, Garment

@@ -29,6 +29,7 @@ from topokit.io import FEWEST_FRAMES, Episode, wardrobe_names
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
+from ._cloth import usual_config
 from ._garments import Garment
 from ._process import Forge, SimulationError
 from ._randomisation import Randomisation, generator
@@ -74,6 +75,7 @@ def simulate(
     seed : int
         Of everything random: path, physics, cameras and their noise each have a generator of their own.
     config : SimulationConfig, optional
+        When not given, `SimulationConfig()` for what is in `WARDROBE`, and `Cloth().config(garment)` for a garment of one's own.
     randomisation : Randomisation, optional
         Without it nothing varies but the path.
     cameras : sequence of Camera, optional
@@ -99,7 +101,8 @@ def simulate(
         how = f"Garment.from_mesh({garment!r}) makes one of a mesh" if isinstance(garment, str | Path) else "make one"
         raise WrongKindError(f"garment must be a Garment, not {type(garment).__name__}: {how}")
     task = task_for(garment or Garment.apron(), target or Hook()) if task is None else as_task(task)
-    garment, target, config = garment or task.garment(), target or task.target, config or SimulationConfig()
+    garment, target = garment or task.garment(), target or task.target
+    config = config or usual_config(garment)
     check_loops(task, garment)
     drawn: dict[str, Any] = {"randomisation": None}
     if randomisation is not None:

@@ -17,7 +17,7 @@ import numpy as np
 from topokit._validate import as_ids, as_points
 from topokit.io import LOOP_NAMES
 
-from . import _mesh, _names, _wardrobe
+from . import _accessories, _mesh, _names, _wardrobe
 from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, half_edges, turned
 
 Sizes = ParamSpec("Sizes")
@@ -29,7 +29,7 @@ def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]
     @functools.wraps(pattern)
     def garment(*arguments: Sizes.args, **sizes: Sizes.kwargs) -> Garment:
         fields = pattern(*arguments, **sizes)
-        return Garment(*(fields if len(fields) > 6 else (*fields, (), LOOP_NAMES[fields[0]])))
+        return Garment(*(fields if len(fields) > 6 else (*fields, (), LOOP_NAMES.get(fields[0], ()))))
 
     words = inspect.cleandoc(pattern.__doc__ or "")
     if "Parameters\n" not in words:
@@ -54,7 +54,7 @@ class Garment:
     grips: Ids  #: (2,) int64 the vertices that the grippers hold
     parameters: Mapping[str, float] = field(default_factory=dict)  #: the sizes it was made from
     repairs: tuple[str, ...] = ()  #: what `from_mesh` did to the mesh of a file, in words
-    #: A name for each loop, all different: neck, hem, handle, strap, arm, waist, ear, hole, edge; several of a kind are
+    #: A name for each loop, all different: neck, hem, handle, strap, arm, waist, ear, hole, edge, rim, ...; several of a kind are
     #: numbered ("handle 1"). When not given, found by place and size on the mesh as it stands.
     loop_names: tuple[str, ...] = ()
 
@@ -81,18 +81,20 @@ class Garment:
         if not len(set(names)) == len(names) == len(loops) or not all(isinstance(name, str) and name for name in names):
             raise ValueError(f"loop_names must be {len(loops)} different names, one a loop, not {names!r:.200}")
         object.__setattr__(self, "loop_names", names)
+        self.edges.setflags(write=False)  # made once and handed out often
+        self.edge_lengths.setflags(write=False)
 
     @property
     def named_loops(self) -> dict[str, Ids]:
         """The true loops by their names."""
         return dict(zip(self.loop_names, self.loops, strict=True))
 
-    @property
+    @functools.cached_property
     def edges(self) -> Ids:
         """(E, 2) every edge once, smaller id first, in lexicographic order."""
         return np.unique(half_edges(self.faces), axis=0)
 
-    @property
+    @functools.cached_property
     def edge_lengths(self) -> Array:
         """(E,) rest lengths in metres, in the order of `edges`."""
         return edge_lengths(self.vertices, self.edges)
@@ -107,12 +109,15 @@ class Garment:
         return replace(self, vertices=turned(self.vertices, degrees)) if degrees else self
 
     apron = staticmethod(_sewn(_wardrobe.apron))
-    tote = staticmethod(_sewn(_wardrobe.tote))
-    backpack = staticmethod(_sewn(_wardrobe.backpack))
+    tote = staticmethod(_sewn(_accessories.tote))
+    backpack = staticmethod(_sewn(_accessories.backpack))
     shirt = staticmethod(_sewn(_wardrobe.shirt))
     vest = staticmethod(_sewn(_wardrobe.vest))
     mask = staticmethod(_sewn(_wardrobe.mask))
     sheet = staticmethod(_sewn(_wardrobe.sheet))
+    scarf = staticmethod(_sewn(_accessories.scarf))
+    belt = staticmethod(_sewn(_accessories.belt))
+    net = staticmethod(_sewn(_accessories.net))
     from_mesh = staticmethod(_sewn(_mesh.from_mesh))
 
 
@@ -127,5 +132,8 @@ WARDROBE: Mapping[str, Callable[[], Garment]] = {
     "mask": Garment.mask,
     "sheet": Garment.sheet,
     "sheet2": functools.partial(Garment.sheet, holes=2),
+    "scarf": Garment.scarf,
+    "belt": Garment.belt,
+    "net": Garment.net,
 }
 """Every garment by the name that episodes record, as a function that makes it at its default sizes."""

@@ -15,13 +15,17 @@ from scipy.spatial import cKDTree
 from topokit._validate import as_ids, positive
 from topokit.linking import side_lengths
 
-from ._names import kind, named
+from . import _surface
+from ._names import is_flat, kind, named
 from ._read import read_mesh
 from ._surface import Array, EdgeGraph, Ids, border_cycles, components, edge_lengths, half_edges, joined, wind
 
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
 _METRES = (0.15, 2.5)  # largest extent of a garment in metres
+# Which axes of the file become x, y and z, and their signs, for the axis that points up.
+_UP = {"x": ([2, 1, 0], (-1, 1, 1)), "y": ([0, 2, 1], (1, -1, 1)), "z": ([0, 1, 2], (1, 1, 1))}
+_AXES = (*_UP, *(f"-{axis}" for axis in _UP))
 _UNITS = ((1.0, "metres"), (0.001, "millimetres"), (0.01, "centimetres"))
 
 
@@ -32,7 +36,7 @@ def from_mesh(
     grips: ArrayLike | None = None,
     size: float | None = None,
     scale: float | None = None,
-    up: Literal["y", "z"] | None = None,
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None,
     weld: float | None = None,
     max_vertices: int = 3000,
 ) -> tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float], tuple[str, ...], tuple[str, ...]]:
@@ -58,8 +62,8 @@ def from_mesh(
     scale : float, optional
         Metres in one unit of the file. When neither is given: metres, millimetres or centimetres, the first that make
         the largest extent 0.15 to 2.5 m; else it is made 1 m.
-    up : {"y", "z"}, optional
-        The axis that points up; when not given, the one along which the grips lie higher, or the garment is longer.
+    up : {"x", "y", "z", "-x", "-y", "-z"}, optional
+        The axis that points up; when not given, y or z, the one along which the grips lie higher, or the garment is longer.
     weld : float, optional
         Distance within which vertices are one, in the file's units; what rounding leaves when not given.
     max_vertices : int
@@ -73,8 +77,8 @@ def from_mesh(
     for key, value in (("size", size), ("scale", scale), ("weld", weld), ("max_vertices", max_vertices)):
         if value is not None:
             positive(value, key, zero=False)
-    if up not in (None, "y", "z"):
-        raise ValueError(f"up must be 'y' or 'z', not {up!r}")
+    if up not in (None, *_AXES):
+        raise ValueError(f"up must be one of {', '.join(_AXES)}, not {up!r}")
     if isinstance(loops, str) and loops not in ("borders", "auto"):
         raise ValueError(f"loops must be lists of vertex ids, 'borders' or 'auto', not {loops!r}")
     if size is not None and scale is not None:
@@ -94,7 +98,9 @@ def from_mesh(
         ends = None if grips is None else _carry(grips, new[vertex_of], "grips")
         turned = _upright(vertices[names], ends, up, said)
         placed, factor = _scaled(turned, size, scale, said)
+        _say_lying(placed, ends, up, said)
         _say_short(placed, faces, names, said)
+        _say_open(placed, faces, loops, said)
         found = _found(placed, faces, loops if isinstance(loops, str) else "", said)
         cycles = (*found, *_closed(placed, faces, names, dict(zip(known, carried, strict=True)), said))
         called = tuple(loops) if isinstance(loops, Mapping) else named(placed, faces, cycles)
@@ -186,9 +192,7 @@ def _clean(faces: Ids, said: list[str]) -> Ids:
 
 
 def _one_component(vertices: Array, faces: Ids, said: list[str]) -> Ids:
-    corners = vertices[faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    which = components(faces)
+    area, which = _surface.face_areas(vertices, faces), components(faces)
     parts = which.max() + 1
     if parts == 1:
         return faces
@@ -237,7 +241,27 @@ def _upright(vertices: Array, grips: Ids | None, up: str | None, said: list[str]
         up = "y" if above[1] > (1.7 if grips is None else 1.0) * abs(above[2]) else "z"
         if up == "y":
             said.append("its y axis was taken for up and turned to z; give up='z' if it is not")
-    return vertices[:, [0, 2, 1]] * [1, -1, 1] if up == "y" else vertices
+    order, signs = _UP[up[-1]]
+    return vertices[:, order] * signs * ([-1, 1, -1] if up[0] == "-" else [1, 1, 1])
+
+
+def _say_lying(vertices: Array, grips: Ids | None, up: str | None, said: list[str]) -> None:
+    """Refuse grips at the floor; say so where the garment seems to lie."""
+    z, (wide, deep, high) = vertices[:, 2], np.ptp(vertices, axis=0)
+    if grips is not None and z[grips].mean() < z.min() + high / 3:
+        raise ValueError("its grips would be in the lowest third, near the floor: say which axis is up (up='-z')")
+    if up is None and high < min(wide, deep):
+        said.append("it seems to lie: its thinnest axis is upright; say which axis is up if it is not z")
+
+
+def _say_open(vertices: Array, faces: Ids, loops: Any, said: list[str]) -> None:
+    """Where loops are to be found: say so when a border of a garment that is not flat runs from its top to its bottom."""
+    low, high = vertices[:, 2].min(), np.ptp(vertices[:, 2])
+    for border in border_cycles(faces) if isinstance(loops, str) and not is_flat(vertices, faces) else []:
+        z = (vertices[border, 2] - low) / high
+        if z.min() < 0.1 and z.max() > 0.8:
+            one = f"neck, slit and hem are one border of {len(border)} vertices: an open front"
+            said.append(f"{one}; close it, or give loops by vertex ids")
 
 
 def _scaled(vertices: Array, size: float | None, scale: float | None, said: list[str]) -> tuple[Array, float]:

@@ -18,7 +18,7 @@ from ._surface import Array, Ids, border_cycles
 
 _TOP = 0.12  # of the height, as far below the highest vertex as a strap is wide at most
 _SLACK = np.array([0.05, 0.15, 0.05])  # by which a loop may stand out of the one around it
-_OUTSIDE = ("edge", "hem", "waist")  # nobody hangs a garment by these
+_OUTSIDE = ("edge", "hem", "waist", "rim", "leg", "mesh")  # nobody hangs a garment by these
 
 
 def kind(name: str) -> str:
@@ -43,7 +43,7 @@ def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
     outlines = border_cycles(faces)
     boxes, borders = ([_box(vertices, cycle) for cycle in cycles] for cycles in (loops, outlines))
     outer = [any(set(loop.tolist()) == set(border.tolist()) for border in outlines) for loop in loops]
-    flat = _is_flat(vertices, faces)
+    flat = is_flat(vertices, faces)
     if not flat and any(_is_hem(box) for box in borders):
         aside = [np.linalg.norm(box[:, :2].mean(axis=0)) > 0.2 for box in boxes]
         return numbered(
@@ -75,7 +75,7 @@ def _is_hem(box: Array) -> bool:
     return bool(box[1, 2] < 0.35 and np.ptp(box[:, :2], axis=0).max() > 0.3)
 
 
-def _is_flat(vertices: Array, faces: Ids) -> bool:
+def is_flat(vertices: Array, faces: Ids) -> bool:
     """Whether most of the surface faces one way; the sides of a bag cancel."""
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     normal = np.cross(b - a, c - a)

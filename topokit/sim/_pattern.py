@@ -21,6 +21,7 @@ from topokit._validate import positive
 
 from ._surface import Array, Ids, half_edges, joined, strangers, wind
 
+_COUNTS = ("loops", "handles", "holes", "rows", "columns")
 _ROUNDS = 12  # of relaxation
 _MOST = 2**15  # vertices of a pattern: no dataset has room for more
 
@@ -99,6 +100,12 @@ class Arch:
 
 def polyline(*corners: Sequence[float] | Array) -> list[Array]:
     return [np.array([a, b], dtype=np.float64) for a, b in itertools.pairwise(corners)]
+
+
+def ellipse(x: float, z: float, wide: float, high: float) -> list[Array]:
+    """A hole of these half-axes about (x, z)."""
+    angle = np.linspace(0, 2 * np.pi, 361)
+    return [np.column_stack([x + wide * np.cos(angle), z + high * np.sin(angle)])]
 
 
 def mirror(line: Array) -> Array:
@@ -276,7 +283,7 @@ def _inside(points: Array, borders: Sequence[Array]) -> NDArray[np.bool_]:
 def check_sizes(given: Mapping[str, float | None], without: Sequence[str] = ()) -> dict[str, float]:
     """The sizes among a function's arguments, each a positive number; an angle lies between 0 and 80 degrees."""
     sizes = {}
-    for name in [name for name in given if name not in {"loops", "handles", "holes", *without}]:
+    for name in [name for name in given if name not in {*_COUNTS, *without}]:
         angle = name.endswith("_angle")
         sizes[name] = positive(given[name], name, zero=angle)  # type: ignore[arg-type]
         demand(not angle or sizes[name] <= 80, f"{name} must be 0 to 80 degrees, not {sizes[name]}")

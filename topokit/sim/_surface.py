@@ -31,6 +31,12 @@ def edge_lengths(vertices: Array, edges: Ids) -> Array:
     return np.asarray(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1))
 
 
+def face_areas(vertices: Array, faces: Ids) -> Array:
+    """(F,) areas of faces (F, 3)."""
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
+
+
 def wind(faces: Ids) -> tuple[Ids, int, bool]:
     """Turn faces so that neighbours run through their common edge in opposite directions.
 

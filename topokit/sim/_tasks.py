@@ -24,6 +24,7 @@ from ._surface import Array, Ids
 from ._targets import Hanger, Hook, Mannequin, Placed, Target
 
 Loop = TypeVar("Loop", bound=ArrayLike)
+_SMALL = ("scarf", "belt", "net")
 _BESIDE = 0.08  # metres
 _ASIDE = 30  # degrees by which a loop may look aside of the arm that shall go through it
 _log = logging.getLogger("topokit.sim")
@@ -232,9 +233,10 @@ _sideways = functools.partial(hang_by_strap, opening=1.15, rest=2.0)
 
 def _tasks() -> Iterator[Task]:
     for target in (Hook(), Hanger()):
-        for name in ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet", "sheet2"):
+        for name in ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet", "sheet2", *_SMALL):
             plan: Planner = _sideways if name == "backpack" else hang_by_strap
-            loops = {"tote2": LOOP_NAMES[name], "backpack": ("strap",)}.get(name, LOOP_NAMES[name][:1])
+            loops = {"tote2": LOOP_NAMES["tote2"], "backpack": ("strap",), "net": ("handle",)}.get(name)
+            loops = loops or LOOP_NAMES[name][:1]
             yield Task(f"{name}-{target.name}", WARDROBE[name], target, plan, loops, every=name == "tote2")
     bodies: list[tuple[str, Planner, tuple[str, ...]]] = [
         ("apron", pull_over_head, ("neck",)),

@@ -279,7 +279,7 @@ def check_stretch(garment: Garment, config: SimulationConfig, points: Array, whe
         vertex = int(np.argmax(lost))
         raise SimulationError(f"{where}: vertex {vertex} is at {points[vertex]}: the cloth exploded")
     edges = garment.edges
-    stretch = edge_lengths(points, edges) / edge_lengths(garment.vertices, edges)
+    stretch = edge_lengths(points, edges) / garment.edge_lengths
     most, worst = float(np.percentile(stretch, 99)), float(stretch.max())
     edge = f"most of all {edges[np.argmax(stretch)].tolist()}, {worst:.2f} times its length"
     limits = (("max_stretch", "one edge in a hundred is", most), ("max_edge_stretch", "an edge is", worst))
