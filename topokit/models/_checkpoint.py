@@ -35,9 +35,7 @@ _KINDS: tuple[type[Model], ...] = (Hold, Carry, Ridge, MLP, PointNet, LoopCast, 
 MODELS: Mapping[str, type[Model]] = {kind.__name__.lower(): kind for kind in _KINDS}
 
 
-def build(
-    name: str, shape: Shape, normalisation: Normalisation, options: Mapping[str, Any] | None = None
-) -> Model:
+def build(name: str, shape: Shape, normalisation: Normalisation, options: Mapping[str, Any] | None = None) -> Model:
     """Make a model with freshly drawn weights.
 
     "hold", "carry" and "ridge" are baselines without a network, "mlp" and "pointnet" the paper's, "loopcast" is ours.

@@ -161,7 +161,10 @@ class Motion(nn.Module):
         return _world(found, codes.origin, codes.turn), torch.stack(scales, dim=1)
 
     def loss(self, scene: Scene, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """Of `future` (B, 13, n, 3), where it is `known` (B, 13): the error in the mean, and its likelihood.
+        """Of `future` (B, 13, n, 3), where it is `known` (B, 13): error and distortion in the mean, and the likelihood.
+
+        The distortion, by how much distances between points are wrong, is what topology depends on: deaths differ by half of
+        the largest one at most. An error that all points share moves no killer to another place of the cloth.
 
         Clouds are thinned at random, so that nothing depends on how many points are seen.
         """
@@ -169,11 +172,17 @@ class Motion(nn.Module):
         n = min(scene["future"].shape[2], several[0])
         shown = {**scene, "cloud": scene["cloud"][:, : several[0]], "past": scene["past"][:, :, : 2 * several[1]]}
         places, scales = self(shown, n)
-        error = ((places - scene["future"][:, :, :n]).square().sum(dim=-1) + 1e-6).sqrt()
+        future = scene["future"][:, :, :n]
+        error = ((places - future).square().sum(dim=-1) + 1e-6).sqrt()
         unlikely = error / scales + 3 * (scales / UNIT).log()  # of a Laplace distribution in three dimensions
         weight = scene["known"].to(error)[..., None] / (n * scene["known"].sum().clamp_min(1))
-        parts = {"error": (weight * error).sum(), "unlikely": (weight * unlikely).sum()}
-        loss = 30 * parts["error"] + 0.3 * parts["unlikely"]
+        apart = (torch.cdist(places, places) - torch.cdist(future, future)).abs().mean(dim=-1)
+        parts = {
+            "error": (weight * error).sum(),
+            "unlikely": (weight * unlikely).sum(),
+            "distortion": (weight * apart).sum(),
+        }
+        loss = 30 * (parts["error"] + 2 * parts["distortion"]) + 0.3 * parts["unlikely"]
         return loss, {name: part.detach() for name, part in {"loss": loss, **parts}.items()}
 
 

@@ -111,19 +111,21 @@ class MotionPredictor(Predictor):
         places, scales = self._moved(actions, held, None)
         return places[0], scales[0]
 
-    def _moved(
-        self, actions: ArrayLike, held: ArrayLike | None, ids: NDArray[np.int64] | None
-    ) -> tuple[Array, Array]:
+    def _moved(self, actions: ArrayLike, held: ArrayLike | None, ids: NDArray[np.int64] | None) -> tuple[Array, Array]:
         """(C, 60, n, 3) places and (C, 60, n) scales of some points of the cloud, or all."""
         plans, holds = self._plans(actions, held)
         if not self._clouds:
             raise ValueError("nothing was observed yet: call observe(points, grippers) first")
         codes = self._encode(ids)
-        parts = [self.model.under(codes, *chunk) for chunk in zip(plans.split(_PLANS), holds.split(_PLANS), strict=True)]
+        parts = [
+            self.model.under(codes, *chunk) for chunk in zip(plans.split(_PLANS), holds.split(_PLANS), strict=True)
+        ]
         places, scales = (torch.cat(part).numpy() for part in zip(*parts, strict=True))
         start = codes.place @ codes.turn + codes.origin[:, None]
         first = np.broadcast_to(start.numpy()[:, None], (len(places), 1, *places.shape[2:]))
-        return _between(np.concatenate([first, places], axis=1)), _between(np.concatenate([scales[:, :1], scales], axis=1))
+        return _between(np.concatenate([first, places], axis=1)), _between(
+            np.concatenate([scales[:, :1], scales], axis=1)
+        )
 
     def _encode(self, ids: NDArray[np.int64] | None) -> Codes:
         """What points of the last cloud know, or all of them; made once for all plans until the next frame."""
