@@ -23,11 +23,12 @@ from topokit._validate import as_ids, as_points, as_reals
 from topokit.io import Episode
 from topokit.rips import Diagram
 from topokit.state import Loop, TopologicalState
+from topokit.view._looks import cloth_marks, ellipse, face_normals, shadow, vertex_normals
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-CLOTH, ROD, INK = "#E8E2D4", "#5B6B7C", "#1C2733"
+CLOTH, LINING, ROD, INK = "#E8E2D4", "#C9CAD6", "#5B6B7C", "#1C2733"
 
 
 def loop_colour(loop_id: int) -> str:
@@ -77,6 +78,8 @@ class Scene:
     centre_line: Any = None  #: (K, 3) array_like, the target's, drawn as a rod; not drawn where there are `rods`
     rods: Sequence[tuple[ArrayLike, ArrayLike, float]] = ()  #: start, end, radius of the target's capsules, in metres
     thickness: float = 0.01  #: radius of the rod around `centre_line`
+    #: (N, 3) array_like, the same cloth lying smooth: its check is measured there, so that films do not shimmer; `points` else
+    rest: Any = None
     view: tuple[float, float] = (-60.0, 15.0)  #: azimuth and elevation of the eye in degrees
     zoom: float = 1.0  #: above one comes nearer than the fit around everything
     focus: Any = None  #: (3,) array_like, the middle of the picture; the middle of everything when not given
@@ -84,11 +87,20 @@ class Scene:
     def __post_init__(self) -> None:
         self.points = triples(as_points(self.points), "points")
         self.faces = as_ids(triples(self.faces, "faces", np.int64), "faces", len(self.points))
+        rest = self.points if self.rest is None else triples(as_points(self.rest), "rest")
+        if len(rest) != len(self.points):
+            raise ValueError(
+                f"rest has {len(rest)} points where the cloth has {len(self.points)}; pass another frame's"
+            )
+        self.marks = cloth_marks(rest, self.faces, smooth=self.rest is not None)
+        self.shadow = shadow(self.points)
         self.cycles = [self.points[np.append(ids, np.asarray(ids)[:1])] for ids in self.true_loops]
         line = triples(self.centre_line, "centre_line")
         capsules = [(triples(np.array(ends), "rods"), radius) for *ends, radius in self.rods]
         self.capsules = capsules or [(line, self.thickness)] * (len(line) > 1)
         self.everything = np.concatenate([self.points, line, *(rod for rod, _ in capsules)])
+        if self.shadow is not None and self.everything[:, 2].min() < 0.05:  # the floor is in view anyway
+            self.everything = np.concatenate([self.everything, ellipse(*self.shadow[:2], 0.8)])
 
 
 def triples(values: ArrayLike | None, name: str, kind: type[np.generic] = np.float64) -> NDArray[Any]:
@@ -140,8 +152,14 @@ def draw_cloth(axes: Any, scene: Scene) -> None:
     axes.computed_zorder = False
     # Matplotlib sorts by depth only inside a collection; it would pad faces of several lengths with what is in memory.
     tubes = [tube(subdivide(line, 40), radius) for line, radius in scene.capsules]
-    polygons = np.concatenate([scene.points[scene.faces], *tubes])
-    colours = _shaded(polygons, len(scene.faces), scene.view)
+    cloth, colours = _cloth(scene)
+    rods = np.concatenate([np.zeros((0, 3, 3)), *tubes])
+    colours = np.concatenate([colours, _shaded(face_normals(rods), ROD, scene.view)])
+    polygons = np.concatenate([cloth, rods])
+    if scene.shadow is not None:
+        centre, half_axes, darkness = scene.shadow
+        rings = [ellipse(centre, half_axes, size) for size in np.linspace(1.0, 0.1, 10)]
+        axes.add_collection3d(Poly3DCollection(rings, facecolors=(0, 0, 0, darkness / 10), zorder=0))
     axes.add_collection3d(Poly3DCollection(polygons, facecolors=colours, edgecolors=colours, linewidths=0.8, zorder=1))
     if not len(scene.faces):
         axes.scatter(*scene.points.T, s=4, color=ROD, zorder=1)
@@ -202,13 +220,30 @@ def tube(line: Array, radius: float, sides: int = 8) -> Array:
     return np.concatenate([np.stack(half, axis=2).reshape(-1, 3, 3) for half in halves])
 
 
-def _shaded(polygons: Array, n_cloth: int, view: tuple[float, float]) -> Array:
-    """(m, 3) colours of cloth faces, then of the rods'; the lamp, above the eye's left shoulder, shines on both sides."""
-    base = np.array([to_rgb(CLOTH)] * n_cloth + [to_rgb(ROD)] * (len(polygons) - n_cloth)).reshape(-1, 3)
+def _cloth(scene: Scene) -> tuple[Array, Array]:
+    """(m, 3, 3) the faces, the check and the seams, a line as a triangle of two corners, and (m, 3) their colours."""
+    faces = scene.faces
+    polygons = scene.points[faces]
+    flat, eye = face_normals(polygons), direction(*scene.view)
+    normals = vertex_normals(scene.points, faces)[faces].mean(axis=1)
+    colours = np.where(
+        (flat @ eye < 0)[:, None], *(_shaded(normals, base, scene.view, flat) for base in (LINING, CLOTH))
+    )
+    parts, shades = [polygons], [colours]
+    lift = 0.015 * float(np.ptp(scene.points, axis=0).max(initial=0.0)) * eye
+    for marks, bright in scene.marks:
+        ends = marks.on(scene.points) + lift
+        parts.append(ends[:, [0, 1, 1]])
+        shades.append(bright * colours[marks.face])
+    return np.concatenate(parts), np.concatenate(shades)
+
+
+def _shaded(normals: Array, base: str, view: tuple[float, float], facing: Array | None = None) -> Array:
+    """(m, 3) colours of surfaces of one base colour; the lamp, above the eye's left shoulder, shines on both sides."""
     lamp = direction(view[0] - np.degrees(0.6), min(view[1] + np.degrees(0.6), np.degrees(1.4)))
-    normals = np.cross(polygons[:, 1] - polygons[:, 0], polygons[:, 2] - polygons[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
-    return np.asarray(base * (0.45 + 0.55 * np.abs(normals @ lamp))[:, None])
+    towards = (normals if facing is None else facing) @ direction(*view)
+    light = np.where(towards < 0, -1.0, 1.0) * (normals @ lamp)
+    return np.asarray(np.array(to_rgb(base)) * np.clip(0.55 + 0.5 * light, 0.2, 1.0)[:, None])
 
 
 def plot_diagram(diagram: Diagram | TopologicalState, ax: Axes | None = None, *, alpha: float | None = None) -> Axes:
@@ -298,6 +333,7 @@ def track_figure(episode: Episode, states: Sequence[TopologicalState]) -> Figure
         plot_cloth(
             episode.points[frame],
             episode.faces,
+            rest=episode.points[0],
             loops=[loop for loop in states[frame].loops if loop.id in named],
             centre_line=episode.centre_line,
             thickness=rod_radius(episode),

@@ -25,7 +25,8 @@ from PIL import Image
 from topokit._archive import atomic_file
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
-from topokit.view._plots import INK, ROD, Array, Scene, direction, draw_cloth, loop_colour, one_a_frame
+from topokit.view._looks import ellipse
+from topokit.view._plots import CLOTH, INK, LINING, ROD, Array, Scene, direction, draw_cloth, loop_colour, one_a_frame
 
 _PROBE = """
 import sys
@@ -119,7 +120,7 @@ def save_animation(
         one_a_frame(episode, states)
     corners = np.concatenate([episode.points.reshape(-1, 3), episode.centre_line])
     scene = {"focus": (corners.min(axis=0) + corners.max(axis=0)) / 2} | scene  # the camera stands still
-    scene |= {"true_loops": episode.loops, "centre_line": episode.centre_line}
+    scene |= {"true_loops": episode.loops, "centre_line": episode.centre_line, "rest": episode.points[0]}
     pictures = []
     for frame in range(0, len(episode), int(every)):
         loops = states[frame].loops if states else ()
@@ -201,8 +202,20 @@ def _add_cloth(plotter: Any, scene: Scene) -> None:
         return
     # Normals first, so that triangles and normals agree about the front: a face where they do not is drawn black.
     mesh = pyvista.PolyData.from_regular_faces(scene.points, scene.faces).compute_normals(split_vertices=False)
-    back = {"color": "#CFD2E0", "ambient": 0.42}
-    plotter.add_mesh(mesh, color="#F3EDE0", smooth_shading=True, specular=0.0, ambient=0.42, backface_params=back)
+    back = {"color": LINING, "ambient": 0.36}
+    plotter.add_mesh(mesh, color=CLOTH, smooth_shading=True, specular=0.0, ambient=0.36, backface_params=back)
+    lift = 0.003 * float(np.ptp(scene.points, axis=0).max()) * direction(*scene.view)
+    for marks, bright in scene.marks:
+        lines = pyvista.line_segments_from_points(marks.on(scene.points).reshape(-1, 3) + lift)
+        plotter.add_mesh(lines, color="black", opacity=1 - bright, line_width=2, lighting=False)
+    if scene.shadow is not None:
+        centre, axes, darkness = scene.shadow
+        ring = ellipse(centre, axes)
+        faces = [(0, 1 + k, 1 + (k + 1) % len(ring)) for k in range(len(ring))]
+        colours = np.zeros((1 + len(ring), 4), np.uint8)
+        colours[0, 3] = 255 * darkness
+        patch = pyvista.PolyData.from_regular_faces(np.vstack([centre, ring]), faces)
+        plotter.add_mesh(patch, scalars=colours, rgba=True, lighting=False)
 
 
 def _add_tube(plotter: Any, line: Array, radius: float, colour: str, **look: float) -> None:
