@@ -1,14 +1,10 @@
-"""What makes cloth look like cloth in every picture: smooth normals, a check that folds with it, seams, a shadow.
+"""What makes cloth look like cloth: smooth normals, a check that folds with it, seams, a shadow. Seen first in chapter 0.
 
-Idea: the check runs along the cloth itself. An episode keeps no pattern, but folding hardly changes distances along the
-edges of a mesh, so these, laid out in the plane by landmark multidimensional scaling, stand in for it.
-
-Source: de Silva and Tenenbaum 2004 (landmark multidimensional scaling). Seen first in chapter 0.
+Idea: the check runs along the cloth. An episode keeps no pattern, but folding hardly changes distances along a mesh's edges;
+landmark multidimensional scaling lays these out in the plane (de Silva and Tenenbaum 2004).
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,23 +15,15 @@ from topokit.sampling import farthest_point_sample
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
-_LANDMARKS, _CHECKS = 64, 12  # of the layout; lines of the check along the longer side of a garment
-_PRINTED, _SEWN = 0.82, 0.5  # brightness of the check and of seams on cloth of brightness one
-_SHARP = 0.35  # cosine between faces beside a seam
 
 
-@dataclass(frozen=True, eq=False)
-class Marks:
-    """Short straight lines on the faces of a mesh, which move with it."""
-
-    face: Ids  #: (L,) the face that a line lies on
-    ends: Ids  #: (L, 2, 2) each end lies between two vertices
-    share: Array  #: (L, 2) how far from the first of the two to the second
-
-    def on(self, points: Array) -> Array:
-        """(L, 2, 3) the lines on a mesh with these vertices."""
-        start, stop = points[self.ends[..., 0]], points[self.ends[..., 1]]
-        return np.asarray(start + self.share[..., None] * (stop - start))
+def cloth_marks(points: Array, faces: Ids, *, smooth: bool) -> list[tuple[Ids, Array, float]]:
+    """Check and seams: (L,) faces of lines, (L, 2, 3) the shares of a face's corners in their ends, how bright they are."""
+    if not len(faces):
+        return []
+    halves = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    sewn = seams(halves, face_normals(points[faces]), least_cosine=0.35 if smooth else -2.0)
+    return [(*print_lines(checks(points, np.unique(halves, axis=0)), faces), 0.82), (*sewn, 0.5)]
 
 
 def face_normals(corners: Array) -> Array:
@@ -44,87 +32,65 @@ def face_normals(corners: Array) -> Array:
     return _unit(np.cross(b - a, c - a))
 
 
-def vertex_normals(points: Array, faces: Ids) -> Array:
-    """(N, 3) unit normals, each the mean over the faces around a vertex, weighted by area; zero where there are none."""
-    a, b, c = np.moveaxis(points[faces], 1, 0)
-    normals = np.zeros_like(points)
-    np.add.at(normals, faces, np.cross(b - a, c - a)[:, None])
-    return _unit(normals)
+def smoothed(flat: Array, faces: Ids) -> Array:
+    """(F, 3) between the normal of a face and those of its corners, which are none across a sharp fold."""
+    around = np.zeros((faces.max(initial=-1) + 1, 3))
+    np.add.at(around, faces, flat[:, None])
+    return _unit(flat + _unit(around)[faces].mean(axis=1))
 
 
 def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-15))
 
 
-def cloth_marks(points: Array, faces: Ids, *, smooth: bool) -> list[tuple[Marks, float]]:
-    """What is drawn on a mesh, and how bright where the cloth is one: a check and the seams, folds too where it lies `smooth`."""
-    if not len(faces):
-        return []
-    return [(print_lines(checks(points, faces), faces), _PRINTED), (seams(faces, points if smooth else None), _SEWN)]
-
-
-def checks(points: Array, faces: Ids) -> Array:
-    """(N, 2) places along the cloth, one unit from line to line of the check, along the two longest ways."""
-    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])), axis=0)
-    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    graph = csr_array((np.maximum(lengths, 1e-12), edges.T), shape=(len(points), len(points)))
-    chosen, _ = farthest_point_sample(points, min(_LANDMARKS, len(points)))
-    far = dijkstra(graph, directed=False, indices=chosen)
-    far[np.isinf(far)] = far[np.isfinite(far)].max()  # pieces that do not hang together
+def checks(points: Array, edges: Ids) -> Array:
+    """(N, 2) places along the cloth, one unit from line to line of the check, in its two longest ways as it hangs."""
+    size = np.ptp(points, axis=0)
+    lengths = np.linalg.norm(np.diff(points[edges], axis=1)[:, 0], axis=1) + 1e-12
+    graph = csr_array((lengths, edges.T), shape=(len(points), len(points)))
+    chosen, _ = farthest_point_sample(points, min(64, len(points)))
+    far = np.minimum(dijkstra(graph, directed=False, indices=chosen), 3 * size.max())  # infinite between pieces
     square = far**2 - (far[:, chosen] ** 2).mean(axis=1)[:, None]
     gram = -0.5 * (square[:, chosen] - square[:, chosen].mean(axis=0))
     values, vectors = np.linalg.eigh((gram + gram.T) / 2)
-    kept = np.flatnonzero(values > 0.02 * values[-1])[-3:]  # a bag has a depth too
-    layout = -0.5 * square.T @ (vectors[:, kept] / np.sqrt(values[kept]))
-    layout -= layout.mean(axis=0)
-    centred = points - points.mean(axis=0)
-    centred[:, :2] @= np.linalg.svd(centred[:, :2], full_matrices=False)[2].T
-    axes = np.linalg.lstsq(layout, centred[:, [2, 0, 1]])[0][:, np.argsort(-np.ptp(centred[:, [2, 0, 1]], axis=0))[:2]]
-    axes = np.linalg.qr(axes)[0]
-    flat = layout @ axes
-    step = max(float(np.ptp(flat, axis=0).max()) / _CHECKS, 2 * float(np.median(lengths)), 1e-9)
-    return np.asarray(flat / step)
+    landmarks = vectors[:, -3:] * np.sqrt(np.maximum(values[-3:], 0.0))  # in space, since a bag has a depth
+    layout = -0.5 * square.T @ np.linalg.pinv(landmarks.T, 0.15)
+    longest = (points - points.mean(axis=0))[:, np.argsort(-size)[:2]]
+    flat = layout @ np.linalg.qr(np.linalg.lstsq(layout - layout.mean(axis=0), longest)[0])[0]
+    return np.asarray(flat / max(float(np.ptp(flat, axis=0).max()) / 12, 2 * float(np.median(lengths))))
 
 
-def print_lines(places: Array, faces: Ids) -> Marks:
+def print_lines(places: Array, faces: Ids) -> tuple[Ids, Array]:
     """Where each of the places (N, k) is a whole number: on every face that such a line crosses, a piece of it."""
-    parts = [(np.zeros(0, np.int64), np.zeros((0, 2, 2), np.int64), np.zeros((0, 2)))]
+    parts = [(np.zeros(0, np.int64), np.zeros((0, 2, 3)))]
     for values in places.T:
         for level in np.arange(np.ceil(values.min()), values.max()):
             above = values[faces] > level
             face = np.flatnonzero(above.any(axis=1) & ~above.all(axis=1))
             alone = np.argmax(above[face] == (above[face].sum(axis=1) == 1)[:, None], axis=1)
-            corner, after, last = (faces[face, (alone + k) % 3] for k in range(3))
-            ends = np.stack([np.column_stack([corner, after]), np.column_stack([corner, last])], axis=1)
-            start, stop = values[ends[..., 0]], values[ends[..., 1]]
-            parts.append((face, ends, (level - start) / (stop - start)))
-    return Marks(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+            start, way = np.eye(3)[alone][:, None], np.eye(3)[(alone[:, None] + [1, 2]) % 3] - np.eye(3)[alone][:, None]
+            at = values[faces[face]][:, :, None]
+            parts.append((face, start + (level - start @ at) / (way @ at) * way))
+    return np.concatenate([face for face, _ in parts]), np.concatenate([ends for _, ends in parts])
 
 
-def seams(faces: Ids, rest: Array | None = None) -> Marks:
-    """The edges that one face has alone, and those at which the mesh is sharply folded at rest."""
-    halves = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, which, count = np.unique(halves, axis=0, return_inverse=True, return_counts=True)
-    by_edge = np.argsort(which.ravel(), kind="stable") // 3
-    first, last = by_edge[np.cumsum(count) - count], by_edge[np.cumsum(count) - 1]
-    drawn = count == 1
-    if rest is not None:
-        normals = face_normals(rest[faces])
-        drawn |= (normals[first] * normals[last]).sum(axis=1) < _SHARP
-    return Marks(last[drawn], np.repeat(edges[drawn][..., None], 2, axis=2), np.zeros((int(drawn.sum()), 2)))
+def seams(halves: Ids, normals: Array, least_cosine: float) -> tuple[Ids, Array]:
+    """Of (3F, 2) edges, face by face: those that one face has alone, and those at which two meet at less than a cosine."""
+    _, which, count = np.unique(halves, axis=0, return_inverse=True, return_counts=True)
+    by_edge, last = np.argsort(which.ravel(), kind="stable"), np.cumsum(count) - 1
+    cosine = (normals[by_edge[last - count + 1] // 3] * normals[by_edge[last] // 3]).sum(axis=1)
+    drawn = by_edge[last[(count == 1) | (cosine < least_cosine)]]
+    return drawn // 3, np.eye(3)[np.array([[0, 1], [1, 2], [2, 0]])[drawn % 3]]
 
 
-def shadow(points: Array) -> tuple[Array, Array, float] | None:
-    """Centre (3,), half-axes (2, 3) and darkness of a soft ellipse on the floor z = 0; None for cloth that reaches below it."""
-    if len(points) < 2 or (low := float(points[:, 2].min())) < -0.02 * (size := float(np.ptp(points, axis=0).max())):
-        return None
+def shadow(points: Array) -> tuple[Array, float]:
+    """(k, 32, 3) ellipses on the floor z = 0, each in the one before, and how dark one is; k = 0 below the floor."""
+    size, low = (float(np.ptp(points, axis=0).max()), float(points[:, 2].min())) if len(points) > 1 else (0.0, -1.0)
+    if not size or low < -0.02 * size:
+        return np.zeros((0, 32, 3)), 0.0
     values, vectors = np.linalg.eigh(np.cov(points[:, :2].T))
-    reach = 2 * np.sqrt(np.maximum(values, 0.0)) + 0.05 * size + 0.3 * max(low, 0.0)
-    axes = np.column_stack([vectors.T * reach[:, None], np.zeros(2)])
-    return np.append(points.mean(axis=0)[:2], 0.0), axes, 0.5 * float(np.exp(-max(low, 0.0) / (0.6 * size + 1e-9)))
-
-
-def ellipse(centre: Array, axes: Array, size: float = 1.0) -> Array:
-    """(32, 3) the outline of an ellipse with these half-axes (2, 3), made larger or smaller."""
-    turn = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
-    return np.asarray(centre + size * np.column_stack([np.cos(turn), np.sin(turn)]) @ axes)
+    axes = vectors * (2 * np.sqrt(np.maximum(values, 0.0)) + 0.05 * size + 0.3 * max(low, 0.0))
+    turn = np.exp(1j * np.linspace(0.0, 2 * np.pi, 32, endpoint=False))
+    flat = np.linspace(1.0, 0.1, 10)[:, None, None] * (np.column_stack([turn.real, turn.imag]) @ axes.T)
+    darkness = 0.05 * float(np.exp(-max(low, 0.0) / (0.6 * size)))
+    return np.pad(flat + points[:, :2].mean(axis=0), ((0, 0), (0, 0), (0, 1))), darkness

@@ -7,7 +7,7 @@ of a cloth shows is checked once, by `Scene`, for this module and for `_render`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
@@ -23,12 +23,10 @@ from topokit._validate import as_ids, as_points, as_reals
 from topokit.io import Episode
 from topokit.rips import Diagram
 from topokit.state import Loop, TopologicalState
-from topokit.view._looks import cloth_marks, ellipse, face_normals, shadow, vertex_normals
+from topokit.view._looks import Array, Ids, cloth_marks, face_normals, shadow, smoothed
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-CLOTH, LINING, ROD, INK = "#E8E2D4", "#C9CAD6", "#5B6B7C", "#1C2733"
+CLOTH, LINING, ROD, INK = "#E8E2D4", "#C8C9D0", "#5B6B7C", "#1C2733"
 
 
 def loop_colour(loop_id: int) -> str:
@@ -78,8 +76,7 @@ class Scene:
     centre_line: Any = None  #: (K, 3) array_like, the target's, drawn as a rod; not drawn where there are `rods`
     rods: Sequence[tuple[ArrayLike, ArrayLike, float]] = ()  #: start, end, radius of the target's capsules, in metres
     thickness: float = 0.01  #: radius of the rod around `centre_line`
-    #: (N, 3) array_like, the same cloth lying smooth: its check is measured there, so that films do not shimmer; `points` else
-    rest: Any = None
+    rest: Any = None  #: (N, 3) array_like, the cloth lying smooth, where its check is measured; `points` when not given
     view: tuple[float, float] = (-60.0, 15.0)  #: azimuth and elevation of the eye in degrees
     zoom: float = 1.0  #: above one comes nearer than the fit around everything
     focus: Any = None  #: (3,) array_like, the middle of the picture; the middle of everything when not given
@@ -89,18 +86,16 @@ class Scene:
         self.faces = as_ids(triples(self.faces, "faces", np.int64), "faces", len(self.points))
         rest = self.points if self.rest is None else triples(as_points(self.rest), "rest")
         if len(rest) != len(self.points):
-            raise ValueError(
-                f"rest has {len(rest)} points where the cloth has {len(self.points)}; pass another frame's"
-            )
+            raise ValueError(f"rest has {len(rest)} points where the cloth has {len(self.points)}; pass another frame")
         self.marks = cloth_marks(rest, self.faces, smooth=self.rest is not None)
-        self.shadow = shadow(self.points)
+        self.shadow, self.darkness = shadow(self.points)
         self.cycles = [self.points[np.append(ids, np.asarray(ids)[:1])] for ids in self.true_loops]
         line = triples(self.centre_line, "centre_line")
         capsules = [(triples(np.array(ends), "rods"), radius) for *ends, radius in self.rods]
         self.capsules = capsules or [(line, self.thickness)] * (len(line) > 1)
         self.everything = np.concatenate([self.points, line, *(rod for rod, _ in capsules)])
-        if self.shadow is not None and self.everything[:, 2].min() < 0.05:  # the floor is in view anyway
-            self.everything = np.concatenate([self.everything, ellipse(*self.shadow[:2], 0.8)])
+        if self.everything[:, 2].min(initial=1.0) < 0.05:  # the floor is in view
+            self.everything = np.concatenate([self.everything, *self.shadow[1:2]])
 
 
 def triples(values: ArrayLike | None, name: str, kind: type[np.generic] = np.float64) -> NDArray[Any]:
@@ -151,15 +146,11 @@ def draw_cloth(axes: Any, scene: Scene) -> None:
     axes.set_autoscale_on(False)  # `_fit` sets the limits
     axes.computed_zorder = False
     # Matplotlib sorts by depth only inside a collection; it would pad faces of several lengths with what is in memory.
-    tubes = [tube(subdivide(line, 40), radius) for line, radius in scene.capsules]
-    cloth, colours = _cloth(scene)
-    rods = np.concatenate([np.zeros((0, 3, 3)), *tubes])
-    colours = np.concatenate([colours, _shaded(face_normals(rods), ROD, scene.view)])
-    polygons = np.concatenate([cloth, rods])
-    if scene.shadow is not None:
-        centre, half_axes, darkness = scene.shadow
-        rings = [ellipse(centre, half_axes, size) for size in np.linspace(1.0, 0.1, 10)]
-        axes.add_collection3d(Poly3DCollection(rings, facecolors=(0, 0, 0, darkness / 10), zorder=0))
+    rods = np.concatenate([np.zeros((0, 3, 3)), *(tube(subdivide(line, 40), r) for line, r in scene.capsules)])
+    parts = [*_cloth(scene), (rods, _shaded(-face_normals(rods), ROD, scene.view))]
+    polygons, colours = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if len(scene.shadow):
+        axes.add_collection3d(Poly3DCollection(scene.shadow, facecolors=(0, 0, 0, scene.darkness), zorder=0))
     axes.add_collection3d(Poly3DCollection(polygons, facecolors=colours, edgecolors=colours, linewidths=0.8, zorder=1))
     if not len(scene.faces):
         axes.scatter(*scene.points.T, s=4, color=ROD, zorder=1)
@@ -220,30 +211,23 @@ def tube(line: Array, radius: float, sides: int = 8) -> Array:
     return np.concatenate([np.stack(half, axis=2).reshape(-1, 3, 3) for half in halves])
 
 
-def _cloth(scene: Scene) -> tuple[Array, Array]:
-    """(m, 3, 3) the faces, the check and the seams, a line as a triangle of two corners, and (m, 3) their colours."""
-    faces = scene.faces
-    polygons = scene.points[faces]
-    flat, eye = face_normals(polygons), direction(*scene.view)
-    normals = vertex_normals(scene.points, faces)[faces].mean(axis=1)
-    colours = np.where(
-        (flat @ eye < 0)[:, None], *(_shaded(normals, base, scene.view, flat) for base in (LINING, CLOTH))
-    )
-    parts, shades = [polygons], [colours]
-    lift = 0.015 * float(np.ptp(scene.points, axis=0).max(initial=0.0)) * eye
-    for marks, bright in scene.marks:
-        ends = marks.on(scene.points) + lift
-        parts.append(ends[:, [0, 1, 1]])
-        shades.append(bright * colours[marks.face])
-    return np.concatenate(parts), np.concatenate(shades)
+def _cloth(scene: Scene) -> Iterator[tuple[Array, Array]]:
+    """(m, 3, 3) and (m, 3): faces and their colours, then the check's and the seams', a line as a triangle of two corners."""
+    corners = scene.points[scene.faces]
+    flat, eye = face_normals(corners), direction(*scene.view)
+    back = (flat @ eye < 0)[:, None]
+    normals = np.where(back, -1, 1) * smoothed(flat, scene.faces)
+    colours = np.where(back, *(_shaded(normals, base, scene.view) for base in (LINING, CLOTH)))
+    yield corners, colours
+    lift = 0.015 * float(np.ptp(scene.points, axis=0).max(initial=0.0)) * eye  # sorted before its face
+    for face, ends, bright in scene.marks:
+        yield (ends @ corners[face] + lift)[:, [0, 1, 1]], bright * colours[face]
 
 
-def _shaded(normals: Array, base: str, view: tuple[float, float], facing: Array | None = None) -> Array:
-    """(m, 3) colours of surfaces of one base colour; the lamp, above the eye's left shoulder, shines on both sides."""
+def _shaded(normals: Array, base: str, view: tuple[float, float]) -> Array:
+    """(m, 3) colours of surfaces of one base colour, lit from above the eye's left shoulder."""
     lamp = direction(view[0] - np.degrees(0.6), min(view[1] + np.degrees(0.6), np.degrees(1.4)))
-    towards = (normals if facing is None else facing) @ direction(*view)
-    light = np.where(towards < 0, -1.0, 1.0) * (normals @ lamp)
-    return np.asarray(np.array(to_rgb(base)) * np.clip(0.55 + 0.5 * light, 0.2, 1.0)[:, None])
+    return np.asarray(np.array(to_rgb(base)) * np.clip(0.55 + 0.5 * (normals @ lamp), 0.2, 1.0)[:, None])
 
 
 def plot_diagram(diagram: Diagram | TopologicalState, ax: Axes | None = None, *, alpha: float | None = None) -> Axes:
