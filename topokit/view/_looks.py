@@ -91,6 +91,6 @@ def shadow(points: Array) -> tuple[Array, float]:
     values, vectors = np.linalg.eigh(np.cov(points[:, :2].T))
     axes = vectors * (2 * np.sqrt(np.maximum(values, 0.0)) + 0.05 * size + 0.3 * max(low, 0.0))
     turn = np.exp(1j * np.linspace(0.0, 2 * np.pi, 32, endpoint=False))
-    flat = np.linspace(1.0, 0.1, 10)[:, None, None] * (np.column_stack([turn.real, turn.imag]) @ axes.T)
-    darkness = 0.05 * float(np.exp(-max(low, 0.0) / (0.6 * size)))
+    flat = np.linspace(1.0, 0.06, 16)[:, None, None] * (np.column_stack([turn.real, turn.imag]) @ axes.T)
+    darkness = 0.03 * float(np.exp(-max(low, 0.0) / (0.6 * size)))
     return np.pad(flat + points[:, :2].mean(axis=0), ((0, 0), (0, 0), (0, 1))), darkness
