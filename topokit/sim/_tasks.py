@@ -20,8 +20,9 @@ from topokit.io import LOOP_NAMES
 from ._garments import WARDROBE, Garment
 from ._names import kind, to_hang_by
 from ._path import GripperPath, Via
+from ._placed import Among, Placed
 from ._surface import Array, Ids
-from ._targets import Hanger, Hook, Mannequin, Placed, Target
+from ._targets import Hanger, Hook, Mannequin, Target
 
 Loop = TypeVar("Loop", bound=ArrayLike)
 _SMALL = ("scarf", "belt", "net")
@@ -82,6 +83,8 @@ def planned(task: Task, garment: Garment, target: Target, rng: np.random.Generat
     """The path of a task: of a target elsewhere, planned where it stands otherwise, and carried over."""
     if isinstance(target, Placed):
         return planned(task, garment, target.target, rng).moved(target.place, target.yaw)
+    if isinstance(target, Among):
+        return planned(task, garment, target.target, rng)
     return task.plan(garment, target, rng)
 
 
@@ -270,7 +273,7 @@ def task_for(garment: Garment, target: Target) -> Task:
     garment : Garment
     target : Target
     """
-    if isinstance(target, Placed):
+    if isinstance(target, Placed | Among):
         return replace(task_for(garment, target.target), target=target)
     name = f"{garment.name}-{target.name}"
     names, kinds = to_hang_by(garment.loop_names), [*map(kind, garment.loop_names)]
