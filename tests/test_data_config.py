@@ -81,9 +81,9 @@ def test_tasks_are_drawn_at_their_weights():
     assert abs(count["apron-hook"] / 4000 - 0.75) < 0.03  # four standard deviations
 
 
-def test_every_task_is_drawn_by_default():
-    config = DatasetConfig()
-    assert {config.draw(0, i).task for i in range(400)} == set(TASKS)
+def test_every_task_of_version_one_is_drawn_by_default():
+    config, later = DatasetConfig(), ("scarf", "belt", "net")
+    assert {config.draw(0, i).task for i in range(400)} == {task for task in TASKS if task.split("-")[0] not in later}
 
 
 def test_room_for_the_largest():
