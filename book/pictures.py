@@ -51,7 +51,7 @@ def main() -> None:
     garments = [make() for make in WARDROBE.values()]
     look = {"size": (300, 340), "view": (-65, 18), "zoom": 0.9}
     drawn = [view.render_cloth(g.vertices, g.faces, rest=g.vertices, true_loops=g.loops, **look) for g in garments]
-    _grid(drawn, 5).quantize(255).save(HERE / "_static" / "wardrobe.png", optimize=True)
+    _grid(drawn, 7).quantize(255).save(HERE / "_static" / "wardrobe.png", optimize=True)
 
 
 def every_task(folder: Path, moments: int = 20) -> None:

@@ -53,6 +53,7 @@ LOOP_NAMES = {
     "sheet2": ("hole 1", "hole 2"),
     "scarf": ("neck",),
     "belt": ("loop",),
+    "trousers": ("loop", "waist", "leg 1", "leg 2"),
 }
 _KIND = "topokit-episode"
 _STATES_KIND, _STATES_SCHEMA = "topokit-states", 2

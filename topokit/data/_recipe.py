@@ -44,7 +44,7 @@ from topokit.sim._off_script import LONGEST
 from topokit.sim._randomisation import MOST, generator, varied_garment, varied_target
 from topokit.sim._tasks import hangs_down
 
-_LATER = ("scarf", "belt", "net")  # than version 1, whose default tasks stay what they were
+_LATER = ("scarf", "belt", "net", "trousers")  # than version 1, whose default tasks stay what they were
 _OF_TWO = ("off_script", "places", "vary", "meshes")
 _TARGETS: Mapping[str, type[Target]] = {kind.name: kind for kind in (Hook, Hanger, Mannequin)}
 _PHYSICS = ("stiffness", "bending", "damping", "friction", "mass")  # what is drawn

@@ -25,7 +25,8 @@ from ._surface import Array, Ids
 from ._targets import Hanger, Hook, Mannequin, Target
 
 Loop = TypeVar("Loop", bound=ArrayLike)
-_SMALL = ("scarf", "belt", "net")
+_CLEAR = 0.1  # metres from the floor
+_SMALL = ("scarf", "belt", "net", "trousers")
 _BESIDE = 0.08  # metres
 _ASIDE = 30  # degrees by which a loop may look aside of the arm that shall go through it
 _log = logging.getLogger("topokit.sim")
@@ -193,6 +194,16 @@ def hangs_down(garment: Garment) -> float:
     """How far a garment reaches down from the top of the loop that it hangs by; 0 without one."""
     z = garment.vertices[:, 2]
     return float(z[_carried(garment)].max() - z.min()) if garment.loops else 0.0
+
+
+def tall_enough(garment: Garment, target: Target) -> Target:
+    """A hook or a hanger so high that a garment that hangs on it is clear of the floor; another target as it is."""
+    short = hangs_down(garment) + _CLEAR - float(target.seat[2])
+    if short <= _CLEAR or not isinstance(target, Hook | Hanger):
+        return target
+    height = round(target.height + short, 2)
+    _log.warning("the %s stands %.2f m high, since the %s is so long", target.name, height, garment.name)
+    return replace(target, height=height)
 
 
 def warn_of_floor(garment: Garment, target: Target) -> None:
