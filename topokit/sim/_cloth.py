@@ -67,6 +67,7 @@ CLOTHS: Mapping[str, Cloth] = {
     "jersey": Cloth(density=0.18, stiffness=0.6, bending=0.03, damping=60.0),
     "silk": Cloth(density=0.06, stiffness=0.8, bending=0.0003, damping=60.0, friction=0.5),
 }
+"""Kinds of cloth by their names."""
 
 
 def usual_config(garment: Garment) -> SimulationConfig:
