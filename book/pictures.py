@@ -28,12 +28,13 @@ def main() -> None:
         view.render_cloth(
             episode.points[frame],
             episode.faces,
+            rest=episode.points[0],
             loops=states[frame].loops,
             true_loops=episode.loops,
             rods=rods[1:],  # the pole's foot is far below
             size=(420, 620),
-            zoom=0.9,
-            focus=episode.points[frame].mean(axis=0) + [0, 0.06, 0.08],
+            zoom=0.8,
+            focus=episode.points[frame].mean(axis=0) + [0, 0.06, -0.02],
         )
         for frame in FRAMES
     ]
@@ -48,11 +49,9 @@ def main() -> None:
         focus=episode.points.reshape(-1, 3).mean(axis=0) + [0, 0.05, 0.05],
     )
     garments = [make() for make in WARDROBE.values()]
-    drawn = [
-        view.render_cloth(g.vertices, g.faces, true_loops=g.loops, size=(300, 340), view=(-65, 18), zoom=0.9)
-        for g in garments
-    ]
-    _grid(drawn, 5).quantize(255).save(HERE / "_static" / "wardrobe.png", optimize=True)
+    look = {"size": (300, 340), "view": (-65, 18), "zoom": 0.9}
+    drawn = [view.render_cloth(g.vertices, g.faces, rest=g.vertices, true_loops=g.loops, **look) for g in garments]
+    _grid(drawn, 7).quantize(255).save(HERE / "_static" / "wardrobe.png", optimize=True)
 
 
 def every_task(folder: Path, moments: int = 20) -> None:
@@ -71,6 +70,7 @@ def every_task(folder: Path, moments: int = 20) -> None:
                 view.render_cloth(
                     episode.points[frame],
                     episode.faces,
+                    rest=episode.points[0],
                     loops=states[frame].loops,
                     true_loops=episode.loops,
                     rods=rods,

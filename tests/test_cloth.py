@@ -58,5 +58,5 @@ def test_a_mesh_of_any_size_is_cloth(size):
 def test_bad_cloth():
     with pytest.raises(ValueError, match="density"):
         Cloth(density=0.0)
-    with pytest.raises(ValueError, match="there is no 'wight'"):
-        Cloth().config(Garment.sheet(spacing=0.05), wight=1.0)
+    with pytest.raises(ValueError, match="there is no 'thickness'"):
+        Cloth().config(Garment.sheet(spacing=0.05), thickness=1.0)

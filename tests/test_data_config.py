@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import collections
+import dataclasses
+import hashlib
 import json
 import re
 from pathlib import Path
@@ -11,14 +13,17 @@ import numpy as np
 import pytest
 
 from topokit._config import load
-from topokit.data import DatasetConfig
+from topokit.data import DatasetConfig, MeshFile
 from topokit.data._layout import pack, unpack, vertex_ids
-from topokit.data._recipe import room
-from topokit.sim import TASKS, Randomisation, SimulationConfig
+from topokit.data._recipe import _physics, _scene, pinned, room
+from topokit.sim import TASKS, Cloth, Hook, Randomisation, SimulationConfig, task_for
+from topokit.sim._tasks import hangs_down
 
-from small_datasets import TINY
+from small_datasets import TINY, write_cloth
 
 MOTION = load(DatasetConfig, Path(__file__).parent.parent / "book" / "datasets" / "motion.json")
+
+BAG = {"version": 2, "tasks": {"bag-hook": 1}, "meshes": {"bag": {"file": "b.obj"}}}
 
 
 @pytest.mark.parametrize(
@@ -29,6 +34,11 @@ MOTION = load(DatasetConfig, Path(__file__).parent.parent / "book" / "datasets" 
         DatasetConfig(randomisation=None, cameras=2, depth_noise=True),
         DatasetConfig(randomisation=Randomisation(scale=None, mass=(0.1, 0.2)), simulation=SimulationConfig(frames=90)),
         MOTION,
+        DatasetConfig(
+            version=2,
+            tasks={"bag-hook": 1},
+            meshes={"bag": MeshFile("bag.obj", loops={"neck": [3, 1, 2]}, grips=[0, 4], scale=0.01, up="-z")},
+        ),
     ],
 )
 def test_json_gives_the_configuration_back(config):
@@ -51,6 +61,17 @@ def test_json_gives_the_configuration_back(config):
         ({"randomisation": {"version": 0}}, "another version"),
         ({"version": 3}, "version: Input should be 1 or 2, not 3"),
         ({"vary": 0.3}, "vary is of version 2 of the configuration, and version is 1"),
+        ({"meshes": {"bag": {"file": "b.obj"}}, "tasks": {"bag-hook": 1}}, "meshes is of version 2"),
+        (BAG | {"tasks": {"sack-hook": 1}}, "no 'sack-hook'; there are apron-hook"),
+        (BAG | {"tasks": {"bag-moon": 1}}, "bag-hook, bag-hanger, bag-mannequin"),
+        (BAG | {"tasks": {"apron-hook": 1}}, "meshes: 'bag' has no task"),
+        (
+            BAG | {"meshes": {"apron": {"file": "b.obj"}}, "tasks": {"apron-hook": 1}},
+            "'apron' is a garment of the ward",
+        ),
+        (BAG | {"sizes": {"bag": {"spacing": 0.1}}}, "sizes are of the wardrobe's garments: give meshes['bag'] a size"),
+        (BAG | {"meshes": {"bag": {"file": "b.obj", "loops": "all"}}}, "meshes.bag.loops"),
+        (BAG | {"meshes": {"bag": {"file": "b.obj", "sha256": "12"}}}, "meshes.bag.sha256: String should match"),
         ({"version": 2, "off_script": 2}, "off_script: Input should be less than or equal to 1"),
     ],
 )
@@ -81,9 +102,9 @@ def test_tasks_are_drawn_at_their_weights():
     assert abs(count["apron-hook"] / 4000 - 0.75) < 0.03  # four standard deviations
 
 
-def test_every_task_is_drawn_by_default():
-    config = DatasetConfig()
-    assert {config.draw(0, i).task for i in range(400)} == set(TASKS)
+def test_every_task_of_version_one_is_drawn_by_default():
+    config, later = DatasetConfig(), ("scarf", "belt", "net", "trousers")
+    assert {config.draw(0, i).task for i in range(400)} == {task for task in TASKS if task.split("-")[0] not in later}
 
 
 def test_room_for_the_largest():
@@ -107,3 +128,79 @@ def test_observations_of_vertices_are_stored_as_ids():
     points = np.random.default_rng(0).normal(size=(3, 20, 3)).astype(np.float32)
     ids = np.array([[3, 1, 7], [0, 2, 4], [19, 5, 6]])
     assert (vertex_ids(points, points[np.arange(3)[:, None], ids]) == ids).all()
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    path = tmp_path_factory.mktemp("meshes") / "bag.obj"
+    hole = write_cloth(path)
+    return MeshFile(str(path), loops={"hole": hole}, up="z")
+
+
+def own(mesh, **values):
+    return DatasetConfig(version=2, tasks={"bag-hook": 1}, meshes={"bag": mesh}, **values)
+
+
+def test_a_mesh_is_pinned_and_has_room(bag):
+    with pytest.raises(ValueError, match="takes"):
+        room(own(bag))
+    config = pinned(own(bag, simulation=SimulationConfig(frames=20)))
+    garment, mesh = config.garment("bag-hook"), config.meshes["bag"]
+    assert (garment.name, garment.loop_names) == ("bag", ("hole",))
+    assert mesh.sha256 == hashlib.sha256(Path(bag.file).read_bytes()).hexdigest()
+    size = room(config)
+    assert (size["vertices"], size["faces"]) == (len(garment.vertices), len(garment.faces))
+    assert (size["loops"], size["loop"]) == (1, len(garment.loops[0]))
+    assert (size["frames"], size["line"]) == (32, len(Hook().centre_line))
+    path = task_for(garment, Hook()).plan(garment, Hook(), np.random.default_rng(0))
+    assert room(pinned(own(bag)))["frames"] * SimulationConfig().frame_time >= path.end
+    assert pinned(config) == config
+    # A dataset opens and is checked where there is no such file.
+    away = own(dataclasses.replace(mesh, file="/nowhere/bag.obj"), simulation=config.simulation)
+    assert room(DatasetConfig.from_json(away.to_json())) == size
+
+
+def test_a_mesh_that_cannot_be_meant_is_refused(bag, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"gone\.obj: there is no such file"):
+        pinned(own(MeshFile(str(tmp_path / "gone.obj"))))
+    with pytest.raises(ValueError, match=r"bag\.obj has no loop to hang it by, its loops: hem; mark"):
+        pinned(own(dataclasses.replace(bag, loops={"hem": bag.loops["hole"]})))
+    known = pinned(own(bag)).meshes["bag"]
+    write_cloth(tmp_path / "bag.obj", stretched=1.01)
+    other = dataclasses.replace(known, file=str(tmp_path / "bag.obj"))
+    with pytest.raises(ValueError, match=f"another mesh: its SHA-256 is [0-9a-f]{{64}}, .* says {known.sha256}"):
+        own(other).garment("bag-hook")
+
+
+def test_a_mesh_weighs_by_its_area_and_ranges_are_factors(bag):
+    config = own(bag)
+    garment = config.garment("bag-hook")
+    cloth, usual = Cloth().config(garment), SimulationConfig()
+    physics, ranges = _physics(config, garment)
+    assert physics.mass == cloth.mass != usual.mass
+    assert physics.steps_per_frame == cloth.steps_per_frame
+    assert physics.frame_time == pytest.approx(usual.frame_time)
+    assert ranges.mass == pytest.approx([cloth.mass / usual.mass * bound for bound in Randomisation().mass])
+    assert ranges.damping == pytest.approx([cloth.damping / usual.damping * bound for bound in (0.15, 0.4)])
+    assert ranges.scale == Randomisation().scale
+    said = SimulationConfig(mass=0.5, dt=1 / 2000, steps_per_frame=90, friction=0.4)
+    physics, ranges = _physics(own(bag, simulation=said, randomisation=Randomisation(bending=None)), garment)
+    assert (physics.mass, physics.friction, physics.steps_per_frame) == (0.5, 0.4, 90)
+    assert physics.damping == cloth.damping
+    assert (ranges.mass, ranges.bending) == (Randomisation().mass, None)
+    assert _physics(own(bag, randomisation=None), garment)[1] is None
+    sheet = DatasetConfig(tasks={"sheet-hook": 1})
+    assert _physics(sheet, sheet.garment("sheet-hook")) == (sheet.simulation, sheet.randomisation)
+
+
+def test_a_mesh_varies_as_a_whole(bag):
+    config = own(bag, vary=0.5)
+    whole, factors = config.garment("bag-hook"), []
+    for seed in range(20):
+        _, garment, target = _scene(config, "bag-hook", seed)
+        factors.append(garment.parameters["varied"])
+        np.testing.assert_allclose(garment.vertices, factors[-1] * whole.vertices)
+        assert hangs_down(garment) * Randomisation().scale[1] <= target.seat[2]
+    assert 1 / 1.5 <= min(factors) < 0.9 < 1.1 < max(factors) <= 1.5
+    long = own(dataclasses.replace(bag, size=2.4), vary=0.5)  # already too long for a hook: it gets no longer
+    assert max(_scene(long, "bag-hook", seed)[1].parameters["varied"] for seed in range(20)) <= 1

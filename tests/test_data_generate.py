@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
+import hashlib
 import json
 import os
 import signal
@@ -14,13 +15,23 @@ import pytest
 
 from topokit import _archive
 from topokit.cli import main
-from topokit.data import Dataset, _generate, _group, check_dataset, generate_dataset, make_episode
+from topokit.data import (
+    Dataset,
+    DatasetConfig,
+    WindowDataset,
+    _generate,
+    _group,
+    check_dataset,
+    generate_dataset,
+    label_dataset,
+    make_episode,
+)
 from topokit.data._layout import encode, episode_arrays, episode_fields
 from topokit.data._recipe import room
 from topokit.data._records import index_bytes, read_index
 from topokit.sim import _process
 
-from small_datasets import SEED, TINY, command, wait_until
+from small_datasets import OPTIONS, SEED, TINY, command, wait_until, without_dask, write_cloth
 
 EPISODES = 16
 
@@ -320,3 +331,47 @@ def test_a_forge_that_is_killed_while_it_starts_is_started_again(tmp_path, monke
     finally:
         forge.close()
     assert log.stat().st_size == (killed + 1 if says is None else _process._STARTS)
+
+
+def test_a_mesh_of_ones_own_from_a_file_to_windows(tmp_path, monkeypatch):
+    """By the command, with a path relative to the configuration; then without the mesh, and with another one."""
+    mesh, folder, config = tmp_path / "bag.obj", tmp_path / "data", tmp_path / "own.json"
+    bag = {"file": "bag.obj", "loops": {"hole": write_cloth(mesh)}, "up": "z"}
+    simulation = {"frames": 77, "settle": 0.05, "self_collision": False}
+    own = {"version": 2, "tasks": {"bag-hook": 1}, "meshes": {"bag": bag}, "simulation": simulation, "n_observed": 48}
+    config.write_text(json.dumps(own))
+    arguments = ["generate", "--config", str(config), "--out", str(folder), "--episodes", "1", "--quiet"]
+    with without_dask():
+        assert main(arguments) == 0
+        label_dataset(folder, options=OPTIONS, progress=False)
+    there = mesh.read_bytes()
+    mesh.unlink()
+    dataset = Dataset(folder)
+    episode = dataset[0]
+    assert (episode.garment, episode.task, list(episode.named_loops)) == ("bag", "bag-hook", ["hole"])
+    assert dataset.garments == ("bag",)
+    assert check_dataset(folder) == []
+    assert len(WindowDataset(dataset, [0], labels="full", n_points=40)) > 0
+
+    monkeypatch.setattr(_generate, "run_jobs", lambda *_: (pair for pair in ()))
+    relative = DatasetConfig.from_json({**own, "meshes": {"bag": {**bag, "file": str(mesh)}}})
+    with pytest.raises(FileNotFoundError, match=r"bag\.obj: there is no such file"):
+        generate_dataset(relative, folder, 2, 0, progress=False)
+    with pytest.raises(FileNotFoundError, match=r"bag\.obj: there is no such file"):
+        _generate._make_episode(str(folder), 60.0, 0)  # the work stops: no episode is to blame
+    write_cloth(mesh, stretched=1.01)
+    sums = [hashlib.sha256(content).hexdigest() for content in (there, mesh.read_bytes())]
+    with pytest.raises(
+        ValueError, match=f"begun with config.meshes.bag.sha256 = '{sums[0]}', this is .* = '{sums[1]}'"
+    ):
+        generate_dataset(relative, folder, 2, 0, progress=False)
+    assert len(Dataset(folder).records) == 1
+
+
+def test_nothing_is_written_for_a_mesh_that_cannot_be_hung(tmp_path):
+    hole = write_cloth(tmp_path / "bag.obj")
+    bag = {"file": str(tmp_path / "bag.obj"), "loops": {"hem": hole}, "up": "z"}
+    config = DatasetConfig.from_json({"version": 2, "tasks": {"bag-hook": 1}, "meshes": {"bag": bag}})
+    with pytest.raises(ValueError, match="no loop to hang it by"):
+        generate_dataset(config, tmp_path / "data", 1, 0, progress=False)
+    assert not (tmp_path / "data").exists()

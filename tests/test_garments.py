@@ -19,8 +19,8 @@ from topokit.sim._garments import WARDROBE, Garment
 from topokit.sim._world import World
 
 CLASSES = {"apron": 1, "apron2": 2, "tote": 1, "tote2": 2, "backpack": 2, "shirt": 3, "vest": 3, "mask": 2, "sheet": 1}
-CLASSES |= {"sheet2": 2, "sheet0": 0, "sheet3": 3, "scarf": 1, "belt": 1, "net": 19}
-CUTS = ("shirt", "vest", "net")  # whose loops are one more than their classes
+CLASSES |= {"sheet2": 2, "sheet0": 0, "sheet3": 3, "scarf": 1, "belt": 1, "trousers": 3, "net": 19}
+CUTS = ("shirt", "vest", "trousers", "net")  # whose loops are one more than their classes
 COARSE = {
     "apron": {"spacing": 0.05, "strap_width": 0.05},
     "apron2": {"loops": 2, "spacing": 0.05, "strap_width": 0.05},
@@ -34,6 +34,7 @@ COARSE = {
     "sheet2": {"holes": 2, "spacing": 0.05},
     "scarf": {"spacing": 0.05},
     "belt": {"spacing": 0.024},
+    "trousers": {"spacing": 0.05},
     "net": {"spacing": 0.03},
 }
 
@@ -106,12 +107,12 @@ def test_loops_are_the_classes(name):
     elif name in CUTS:
         assert len(loops) == CLASSES[name] + 1
         assert rank(faces + loops[2:]) - bounding == CLASSES[name] - 1  # without the handle
-        assert rank(faces + loops[:1] + loops[2:]) - bounding == CLASSES[name]  # without the rim
+        assert rank(faces + loops[:1] + loops[2:]) - bounding == CLASSES[name]  # without the waist, or the rim
     else:
         assert len(loops) == CLASSES[name]
 
 
-@pytest.mark.parametrize("name", [name for name in WARDROBE if name not in ("scarf", "belt", "net")])
+@pytest.mark.parametrize("name", [name for name in WARDROBE if name not in ("scarf", "belt", "trousers", "net")])
 def test_every_loop_has_the_name_that_its_place_gives_it(name):
     for garment in (WARDROBE[name](), coarse(name)):
         assert garment.loop_names == LOOP_NAMES[name]
@@ -138,12 +139,15 @@ def test_grips_are_near_the_top_side_by_side(name):
 
 def test_loops_that_their_place_does_not_name_are_named_by_the_pattern():
     assert Garment.scarf().loop_names == ("neck",)
+    assert Garment.trousers(spacing=0.05).loop_names == ("loop", "waist", "leg 1", "leg 2")
     net = Garment.net(rows=2, columns=2)
     assert net.loop_names == ("handle", "rim", *(f"mesh {i + 1}" for i in range(8)))
     front = net.vertices[net.named_loops["mesh 1"]].mean(axis=0)
     assert front[0] < 0
     assert front[1] < 0
     assert front[2] < -0.2
+    waist = Garment.trousers().vertices[Garment.trousers().named_loops["waist"]]
+    assert np.ptp(waist[:, 2]) < 0.06  # level: it does not climb over the loop at the back
 
 
 def test_the_apron_is_the_recorded_one(episode_path):
@@ -177,6 +181,7 @@ EXTREMES = [
     ("sheet0", {"holes": 0, "width": 0.3, "height": 1.4}),  # an open scarf
     ("scarf", {"length": 0.6, "width": 0.1}),
     ("belt", {"length": 0.3, "loop_radius": 0.12, "width": 0.04}),
+    ("trousers", {"length": 0.4, "leg_angle": 30.0, "loop_length": 0.9}),
     ("net", {"rows": 3, "columns": 3, "width": 0.6, "height": 0.5, "mesh_radius": 0.06, "handle_length": 1.0}),
     ("sheet2", {"holes": 2, "width": 1.2, "hole_distance": 0.9, "hole_radius": 0.05, "hole_drop": 0.4}),
 ]
@@ -241,6 +246,8 @@ BAD = [
     ("scarf", {"length": 0.1}, "length"),
     ("belt", {"loop_width": 0.01}, "loop_width"),
     ("belt", {"width": 0.5}, "width"),
+    ("trousers", {"rise": 0.8}, "rise"),
+    ("trousers", {"loop_span": 0.36}, "loop_span"),
     ("net", {"rows": 0}, "rows"),
     ("net", {"mesh_radius": 0.1}, "mesh_radius"),
     ("sheet", {"spacing": float("nan")}, "spacing"),

@@ -234,7 +234,7 @@ def lengths_of_functions(path: Path) -> list[int]:
     return found
 
 
-MOST_LINES = 18_200  # 17,000 once what points from memory (LoopCast, its belief and remedies) has gone
+MOST_LINES = 18_450  # 17,000 once what points from memory (LoopCast, its belief and remedies) has gone
 
 
 def test_the_library_stays_small():

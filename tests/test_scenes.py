@@ -16,11 +16,14 @@ from topokit.data._recipe import _scene, room
 from topokit.sim import (
     TASKS,
     WARDROBE,
+    Among,
     Garment,
     GripperPath,
+    HangEnv,
     Hanger,
     Hook,
     Mannequin,
+    Moving,
     Placed,
     SimulationConfig,
     Target,
@@ -369,3 +372,58 @@ def test_version_one_says_what_it_said():
     assert task is TASKS["sheet-hanger"]
     assert target is task.target
     assert garment.parameters == task.garment().parameters
+
+
+def test_a_target_that_moves_takes_what_hangs_on_it_along():
+    config = SimulationConfig(dt=0.002, steps_per_frame=18, frames=118, settle=0.3, self_collision=False)
+    way = Moving(Hook(), x=0.12, start=2.9, seconds=1.0)
+    script = TASKS["sheet-hook"]
+    early = dataclasses.replace(
+        script, plan=lambda *scene: script.plan(*scene).moved([-0.12, 0, 0], 0)
+    )  # where it begins
+    episode = simulate(coarse("sheet"), way, task=early, seed=3, config=config)
+    assert episode.success
+    middle, before = episode.points.mean(axis=1), int(2.9 / episode.dt)
+    assert middle[-1, 0] - middle[before, 0] > 0.05
+    np.testing.assert_allclose(episode.centre_line, Hook().centre_line + [0.12, 0, 0], atol=1e-6)  # where it ends up
+    assert episode.physics["target"]["moves"] == {"by": [0.12, 0.0, 0.0], "start": 2.9, "seconds": 1.0}
+
+
+def test_a_target_on_the_move_is_seen_where_it_is():
+    way = Moving(Hook(), y=0.5, start=1.0, seconds=2.0)
+    np.testing.assert_allclose(way.at(0).seat, Hook().seat)
+    np.testing.assert_allclose(way.at(2).seat, Hook().seat + [0, 0.25, 0])
+    np.testing.assert_allclose(way.at(9).seat, way.seat)
+    turned_way = Placed(way, yaw=90)
+    np.testing.assert_allclose(turned_way.at(2).seat - turned_way.at(0).seat, [-0.25, 0, 0], atol=1e-12)
+    env = HangEnv(
+        "sheet-hook",
+        garment=coarse("sheet"),
+        target=Moving(Hook(), x=0.2, start=0, seconds=0.1),
+        n_points=20,
+        config=SHORT,
+    )
+    first, _ = env.reset(seed=0)
+    for _ in range(12):
+        seen, *_ = env.step(np.zeros(7))
+    env.close()
+    np.testing.assert_allclose(seen["target"] - first["target"], [[0.2, 0, 0]] * 4, atol=1e-6)
+
+
+def test_a_target_that_moves_does_not_turn():
+    with pytest.raises(ValueError, match="does not turn"):
+        Moving(Hook(), yaw=10)
+
+
+def test_only_the_target_that_is_asked_for_counts():
+    other = Placed(Hook(), x=0.3)
+    both = Among(Hook(), (other,))
+    ring = np.insert(polygon(16, radius=0.05), 1, 0, axis=1)
+    assert both.holds(ring + Hook().seat)
+    assert not both.holds(ring + other.seat)
+    assert len(both.rods) == 6
+    sheet = coarse("sheet")
+    plans = [planned(TASKS["sheet-hook"], sheet, one, generator(1, "path")).at(1.0) for one in (both, Hook())]
+    np.testing.assert_array_equal(*plans)
+    episode = simulate(sheet, both, task="sheet-hook", config=SHORT)
+    assert [one["position"] for one in episode.physics["target"]["others"]] == [[0.3, 0.3, 0.0]]

@@ -35,7 +35,7 @@ from topokit.sim import (
 )
 from topokit.sim._randomisation import PURPOSES, generator
 from topokit.sim._surface import turned
-from topokit.sim._tasks import asked, pull_over_head, task_for
+from topokit.sim._tasks import asked, pull_over_head, tall_enough, task_for
 
 from conftest import polygon
 
@@ -473,3 +473,12 @@ def test_a_garment_whose_strap_looks_aside_is_turned_so_that_the_arm_goes_throug
     assert abs(hands[0, 1] - hands[1, 1]) < 0.02 < abs(hands[0, 0] - hands[1, 0])  # along x, as of the tote itself
     straight = dataclasses.replace(WARDROBE["tote"](), name="found")
     assert not any(via.yaw for via in task_for(straight, Hook()).plan(straight, Hook(), np.random.default_rng(0)).vias)
+
+
+def test_a_target_is_as_high_as_a_long_garment_needs(caplog):
+    long = dataclasses.replace(WARDROBE["apron"](), vertices=2 * WARDROBE["apron"]().vertices, name="found")
+    hook = tall_enough(long, Hook())
+    assert hook.seat[2] > long.vertices[long.loops[0], 2].max() - long.vertices[:, 2].min()
+    assert "so long" in caplog.text
+    assert tall_enough(WARDROBE["apron"](), Hook()) == Hook()
+    assert tall_enough(long, Mannequin()) == Mannequin()

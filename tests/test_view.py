@@ -147,7 +147,7 @@ def test_cloth_holds_faces_rod_and_killers(episode, states):
         centre_line=episode.centre_line,
         ax=axes,
     )
-    cloth, killers, edge = axes.collections
+    _, cloth, killers, edge = axes.collections  # first the shadow on the floor
     assert len(cloth.get_facecolor()) > len(episode.faces)  # the rod is sorted together with the cloth
     assert len(killers._faces) == 2
     assert mpl.colors.to_hex(edge.get_color()[0]).upper() == view.loop_colour(loop.id)
@@ -221,7 +221,7 @@ def test_plot_cloth_without_faces_draws_the_points_alone(episode):
     axes.figure.canvas.draw()
     drawn = [len(part.get_offsets()) for part in axes.collections if len(part.get_offsets()) > 1]
     assert drawn == [len(episode.points[0])]
-    assert _plots._shaded(np.zeros((0, 3, 3)), 0, (-60, 15)).shape == (0, 3)
+    assert _plots._shaded(np.zeros((0, 3)), _plots.CLOTH, (-60, 15)).shape == (0, 3)
     plt.close(axes.figure)
 
 

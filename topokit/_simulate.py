@@ -11,8 +11,8 @@ from typing import Any
 from ._archive import FormatError, atomic_file, existing, read_json
 
 _TASKS = """tasks, a garment and a target:
-  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2,scarf,belt,net}-hook
-  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2,scarf,belt,net}-hanger
+  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2,scarf,belt,net,trousers}-hook
+  {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2,scarf,belt,net,trousers}-hanger
   {apron,apron2,backpack,shirt,vest}-mannequin
 with --mesh also hook, hanger and mannequin: as the names of its loops allow"""
 _AXES = ("x", "y", "z", "-x", "-y", "-z")
@@ -78,6 +78,7 @@ def _simulate(options: argparse.Namespace) -> int:
 def _simulated(options: argparse.Namespace) -> Any:
     """The episode that was asked for."""
     from .sim import TASKS, DepthNoise, Hanger, Hook, Mannequin, Randomisation, cameras_around, simulate, task_for
+    from .sim._tasks import tall_enough
 
     targets = {kind.name: kind for kind in (Hook, Hanger, Mannequin)} if options.mesh else {}
     name = options.task or ("hook" if options.mesh else "apron-hook")
@@ -86,7 +87,8 @@ def _simulated(options: argparse.Namespace) -> Any:
     if options.cameras < 0 or (options.noise and not options.cameras):
         raise ValueError(f"--cameras {options.cameras}: a number of cameras, one at least with --noise")
     garment = _garment(options)
-    task = task_for(garment, targets[name]()) if garment and name in targets else TASKS[name]
+    own = garment and name in targets
+    task = task_for(garment, tall_enough(garment, targets[name]())) if own else TASKS[name]
     noise = DepthNoise() if options.noise else None
     return simulate(
         garment,

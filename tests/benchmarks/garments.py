@@ -143,7 +143,7 @@ def outcome(case: Case, folder: Path, seed: int) -> dict[str, Any]:
     row["seconds"] = round(time.perf_counter() - began, 1)
     if run.returncode:
         said = [line for line in run.stderr.splitlines() if line.strip()]
-        return row | {"outcome": "refused", "said": said[-1] if said else ""}
+        return row | {"outcome": "refused", "said": said[-1].replace(str(mesh), mesh.name) if said else ""}
     answer = json.loads(run.stdout)
     episode = load_episode(film)
     row |= {"outcome": "hangs" if answer["success"] else "does not hang", "loops": answer["loops"]}

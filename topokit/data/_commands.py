@@ -6,7 +6,7 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,9 @@ def _generate(options: argparse.Namespace) -> int:
     from . import DatasetConfig, generate_dataset
 
     config = load(DatasetConfig, options.config) if options.config else DatasetConfig()
+    home = options.config.parent if options.config else Path()
+    meshes = {name: replace(mesh, file=str(home / mesh.file)) for name, mesh in config.meshes.items()}
+    config = replace(config, meshes=meshes)
     how = {"time_limit": options.time_limit, "retry_failed": options.retry_failed}
     return _report(options, generate_dataset, config, options.out, options.episodes, options.seed, **how)
 

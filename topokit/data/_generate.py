@@ -28,7 +28,7 @@ from topokit.sim._process import Forge
 
 from ._group import Group, commit, compact, local_folder, refuse_another, versions_of, writing
 from ._layout import encode, episode_arrays, episode_fields
-from ._recipe import DatasetConfig, make_episode, room
+from ._recipe import DatasetConfig, checked_file, make_episode, pinned, room
 from ._records import MOST_EPISODES, record_path
 
 _TRIES = 3
@@ -97,7 +97,10 @@ def generate_dataset(
     Raises
     ------
     ValueError
-        When the folder was begun with another configuration, seed or version; the message names what differs.
+        When the folder was begun with another configuration, seed or version, or a mesh in it is not the one that it was;
+        the message names what differs.
+    FileNotFoundError
+        When the file of a mesh is not there.
     ImportError
         When PyBullet is not there.
     """
@@ -108,7 +111,7 @@ def generate_dataset(
         if isinstance(number, bool) or not isinstance(number, int) or not least <= number <= most:
             raise ValueError(f"{name} must be a whole number from {least} to {most:,}")
     positive(time_limit, "time_limit", zero=False)
-    manifest = _manifest(config, episodes, seed)
+    manifest = _manifest(pinned(config), episodes, seed)
     with writing(folder, manifest, episode_fields(manifest["room"])):
         if retry_failed:
             _forget_failed(folder)
@@ -201,6 +204,9 @@ def _make_episode(folder: str, time_limit: float, index: int) -> dict[str, Any]:
     global _forge
     _forge = _forge or Forge(_SIMULATE, _NEEDS)
     start, reasons, manifest = time.monotonic(), [], manifest_here(Path(folder), PACKAGES)
+    mesh = DatasetConfig.from_json(manifest["config"]).meshes.get(_identity(manifest, index)["garment"])
+    if mesh is not None:
+        checked_file(mesh)  # that it is gone is no fault of the episode, either
     for attempt in range(1, _TRIES + 1):
         result = _forge.run({"folder": folder, "index": index, "attempt": attempt}, time_limit)
         if result.get("errno") is not None:  # the disk, not the episode: nothing is recorded

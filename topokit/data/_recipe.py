@@ -7,21 +7,28 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
 import json
 import math
 from collections.abc import Mapping
 from dataclasses import field
+from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from topokit._config import Count, Positive, checked, from_mapping
+from topokit._archive import existing
+from topokit._config import Count, Positive, as_tuple, checked, from_mapping
 from topokit.io import FEWEST_FRAMES, HISTORY, Episode
 from topokit.sim import (
     TASKS,
+    WARDROBE,
+    Cloth,
     DepthNoise,
     Garment,
+    Hanger,
+    Hook,
     Mannequin,
     Placed,
     Randomisation,
@@ -31,11 +38,17 @@ from topokit.sim import (
     cameras_around,
     off_script,
     simulate,
+    task_for,
 )
 from topokit.sim._off_script import LONGEST
 from topokit.sim._randomisation import MOST, generator, varied_garment, varied_target
+from topokit.sim._tasks import hangs_down
 
-_OF_TWO = ("off_script", "places", "vary")
+_LATER = ("scarf", "belt", "net", "trousers")  # than version 1, whose default tasks stay what they were
+_OF_TWO = ("off_script", "places", "vary", "meshes")
+_TARGETS: Mapping[str, type[Target]] = {kind.name: kind for kind in (Hook, Hanger, Mannequin)}
+_PHYSICS = ("stiffness", "bending", "damping", "friction", "mass")  # what is drawn
+Ids = Annotated[tuple[int, ...], BeforeValidator(as_tuple)]
 _FINEST = 0.005  # metres between vertices; no garment is asked for that would take hours to mesh
 
 
@@ -57,8 +70,32 @@ def _ranges(values: Any) -> Any:
 
 
 @checked
+class MeshFile:
+    """A garment of one's own in a dataset: a file, and how `topokit.sim.Garment.from_mesh` is to understand it."""
+
+    file: str  #: OBJ, PLY or STL; in the file of a configuration relative to that file
+    #: Of its bytes. `generate_dataset` fills it in, makes the path absolute, and goes on with no other mesh.
+    sha256: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = ""
+    loops: Literal["auto", "borders"] | Mapping[str, Ids] = "auto"  #: found, or vertex ids by name
+    grips: Ids | None = None  #: two vertex ids; found when not given
+    size: Positive | None = None  #: largest extent, metres
+    scale: Positive | None = None  #: metres in one unit of the file, instead of a size
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None  #: the axis that points up; found when not given
+    #: What `generate_dataset` found: vertices, faces, loops, vertices of the longest loop, and seconds of the longest path.
+    takes: tuple[Count, Count, Count, Count, Positive] | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.loops, str):  # sorted: a JSON object has no order
+            object.__setattr__(self, "loops", dict(sorted(self.loops.items())))
+
+
+@checked
 class DatasetConfig:
     """What is drawn for the episodes of a dataset, and how they are simulated and observed.
+
+    A mesh of one's own has the physics of `topokit.sim.Cloth` for its area and edges, and what `simulation` says otherwise than
+    the default; its clock is the quicker of the two, its frame time that of `simulation`. The ranges of `randomisation`
+    are then taken as factors: a mass of twice that of `simulation` is drawn from twice the range.
 
     Raises
     ------
@@ -70,7 +107,7 @@ class DatasetConfig:
     version: Literal[1, 2] = 1
     #: Names in `topokit.sim.TASKS` (a garment and a target) with the weights at which they are drawn.
     tasks: Annotated[Mapping[str, Positive], Field(min_length=1)] = field(
-        default_factory=lambda: {t: 1.0 for t in TASKS}
+        default_factory=lambda: {task: 1.0 for task in TASKS if task.partition("-")[0] not in _LATER}
     )
     #: Its `frames` is the length of every episode; None records each path to its end, at least 76 frames.
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
@@ -90,16 +127,27 @@ class DatasetConfig:
     #: By how much sizes vary: each of the garment's is multiplied by 1 / (1 + vary) to 1 + vary. By half of it those of the
     #: target, and of what a mannequin wears, which must fit.
     vary: Annotated[float, Field(ge=0, le=1)] = 0.0
+    #: Meshes of one's own by their names, which `tasks` may then name: ``{"bag": {"file": "bag.obj"}}`` allows "bag-hook",
+    #: "bag-hanger" and "bag-mannequin". Files are read when episodes are made, not when a dataset is opened. `vary` scales a
+    #: mesh as a whole.
+    meshes: Mapping[str, MeshFile] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         new = [name for name in _OF_TWO if getattr(self, name) and self.version == 1]
         if new:
             raise ValueError(f"{new[0]} is of version 2 of the configuration, and version is 1: say version 2")
-        unknown = [name for name in self.tasks if name not in TASKS]
+        known = [*TASKS, *(f"{mesh}-{target}" for mesh in self.meshes for target in _TARGETS)]
+        unknown = [name for name in self.tasks if name not in known]
         if unknown:
-            raise ValueError(f"tasks: there is no {', '.join(map(repr, unknown))}; there are {', '.join(TASKS)}")
+            raise ValueError(f"tasks: there is no {', '.join(map(repr, unknown))}; there are {', '.join(known)}")
         garments = sorted({name.rpartition("-")[0] for name in self.tasks})
+        for name in self.meshes:
+            if name in WARDROBE or name not in garments:
+                why = "is a garment of the wardrobe: call it otherwise" if name in WARDROBE else "has no task: name one"
+                raise ValueError(f"meshes: {name!r} {why}")
         for name in self.sizes:
+            if name in self.meshes:
+                raise ValueError(f"sizes are of the wardrobe's garments: give meshes[{name!r}] a size, or a scale")
             if name not in garments:
                 raise ValueError(f"sizes: no task has a garment {name!r}; the tasks have {', '.join(garments)}")
             if self.sizes[name].get("spacing", 1.0) < _FINEST:
@@ -116,7 +164,8 @@ class DatasetConfig:
         if self.randomisation is not None:
             values["randomisation"] = {"version": Randomisation.version, **values["randomisation"]}
         plain: dict[str, Any] = json.loads(json.dumps(values))  # tuples become lists
-        return {name: value for name, value in plain.items() if self.version > 1 or name not in _OF_TWO}
+        left_out = _OF_TWO if self.version == 1 else () if self.meshes else ("meshes",)
+        return {name: value for name, value in plain.items() if name not in left_out}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> DatasetConfig:
@@ -137,30 +186,96 @@ class DatasetConfig:
         return Draw(names[place], int(rng.integers(2**63)))
 
     def garment(self, task: str) -> Garment:
-        """Return the garment of a task, of its size in this configuration.
+        """Return the garment of a task, of its size in this configuration; a mesh is read from its file.
 
         Raises
         ------
         ValueError
-            When the garment has no such size.
+            When the garment has no such size, or the file is not the one with the mesh's checksum.
         """
         name = task.rpartition("-")[0]
+        if name in self.meshes:
+            return _own(name, self.meshes[name])
         try:
             return TASKS[task].garment(**self.sizes.get(name, {}))
         except TypeError as error:
             raise ValueError(f"sizes[{name!r}]: {error}") from error
 
 
+def checked_file(mesh: MeshFile) -> tuple[Path, str]:
+    """Path and checksum of a mesh; a ValueError when its file has another one than it says."""
+    path = existing(mesh.file).resolve()
+    checksum = hashlib.sha256(path.read_bytes()).hexdigest()
+    if mesh.sha256 not in ("", checksum):
+        what = f"its SHA-256 is {checksum}, and the configuration says {mesh.sha256}"
+        raise ValueError(f"{path}: another mesh: {what}; bring that one back, or make a new dataset")
+    return path, checksum
+
+
+def _own(name: str, mesh: MeshFile) -> Garment:
+    path, _ = checked_file(mesh)
+    how = {option: getattr(mesh, option) for option in ("loops", "grips", "size", "scale", "up")}
+    return dataclasses.replace(Garment.from_mesh(path, **how), name=name)
+
+
+def pinned(config: DatasetConfig) -> DatasetConfig:
+    """The configuration with paths, checksums and room of its meshes, which are read here."""
+    meshes = {}
+    for name, mesh in config.meshes.items():
+        path, checksum = checked_file(mesh)
+        garment = _own(name, mesh)
+        tasks = [_task(config, task, garment) for task in config.tasks if task.rpartition("-")[0] == name]
+        for task in tasks:
+            if not task.loops:
+                has = ", ".join(garment.loop_names) or "none"
+                raise ValueError(f"{task.name}: {path} has no loop to hang it by, its loops: {has}; mark or name them")
+        takes = tuple(map(max, zip(*(_takes(task, garment) for task in tasks), strict=True)))
+        meshes[name] = dataclasses.replace(mesh, file=str(path), sha256=checksum, takes=takes)
+    return dataclasses.replace(config, meshes=meshes)
+
+
+def _task(config: DatasetConfig, name: str, garment: Garment) -> Task:
+    mesh, _, target = name.rpartition("-")
+    return task_for(garment, _TARGETS[target]()) if mesh in config.meshes else TASKS[name]
+
+
+def _takes(task: Task, garment: Garment) -> tuple[int, int, int, int, float]:
+    """What an episode takes: vertices, faces, loops, vertices of the longest loop, seconds."""
+    seconds = task.plan(garment, task.target, generator(0, "path")).end
+    longest = max([1, *map(len, garment.loops)])
+    return len(garment.vertices), len(garment.faces), max(1, len(garment.loops)), longest, seconds
+
+
+def _physics(config: DatasetConfig, garment: Garment) -> tuple[SimulationConfig, Randomisation | None]:
+    """Physics and its ranges, those of a mesh of one's own by its area and edges."""
+    usual, ranges = config.simulation, config.randomisation
+    if garment.name not in config.meshes:
+        return usual, ranges
+    own, usually = Cloth().config(garment), SimulationConfig()
+    said = {name: x for name, x in dataclasses.asdict(usual).items() if x != getattr(usually, name)}
+    steps = max(usual.steps_per_frame, round(usual.frame_time / own.dt))
+    own = dataclasses.replace(own, **said | {"dt": usual.frame_time / steps, "steps_per_frame": steps})
+    drawn = [name for name in _PHYSICS if name not in said and getattr(ranges, name, None)]
+    factors = {name: getattr(own, name) / getattr(usually, name) for name in drawn}
+    changed = {name: tuple(factor * bound for bound in getattr(ranges, name)) for name, factor in factors.items()}
+    return own, ranges and dataclasses.replace(ranges, **changed)
+
+
 def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, Target]:
     """Task, garment and target of an episode; sizes, place and script have each a generator of their own."""
-    task, garment, ranges = TASKS[name], config.garment(name), config.randomisation
+    garment, ranges = config.garment(name), config.randomisation
+    task = _task(config, name, garment)
     plan, target = task.plan, task.target
     if config.vary:
         rng, largest = generator(seed, "sizes"), ranges.scale[1] if ranges and ranges.scale else 1.0
         vary = config.vary / (2 if isinstance(target, Mannequin) else 1)
         target = varied_target(target, config.vary / 2, rng)
-        make = functools.partial(task.garment, **config.sizes.get(name.rpartition("-")[0], {}))
-        garment = varied_garment(make, garment, vary, rng, target.seat[2] / largest)
+        longest = float(target.seat[2]) / largest
+        if garment.name in config.meshes:
+            garment = _scaled(garment, vary, longest, rng)
+        else:
+            make = functools.partial(task.garment, **config.sizes.get(name.rpartition("-")[0], {}))
+            garment = varied_garment(make, garment, vary, rng, longest)
     rng = generator(seed, "script")
     if rng.random() < config.off_script:
         task = dataclasses.replace(task, plan=lambda g, t, own: off_script(plan(g, t, own), g, t, rng))
@@ -168,6 +283,15 @@ def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, 
         x, y, turn = generator(seed, "place").uniform(-1, 1, 3).tolist()
         target = Placed(target, x=config.places * x, y=config.places * y, yaw=180 * turn)
     return task, garment, target
+
+
+def _scaled(garment: Garment, vary: float, longest: float, rng: np.random.Generator) -> Garment:
+    """The garment as a whole larger or smaller; not larger than it may be, unless it is already."""
+    most = min(1 + vary, max(1.0, longest / max(hangs_down(garment), 1e-9)))
+    factor = float(np.exp(rng.uniform(-np.log1p(vary), np.log(most))))
+    return dataclasses.replace(
+        garment, vertices=factor * garment.vertices, parameters={**garment.parameters, "varied": factor}
+    )
 
 
 def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: float | None = 60.0) -> Episode:
@@ -183,14 +307,15 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
     """
     name, episode_seed = config.draw(seed, index)
     task, garment, target = _scene(config, name, episode_seed)
+    physics, ranges = _physics(config, garment)
     cameras, noise = config.cameras, DepthNoise() if config.depth_noise else None
     return simulate(
         garment,
         target,
         task=task,
         seed=episode_seed,
-        config=config.simulation,
-        randomisation=config.randomisation,
+        config=physics,
+        randomisation=ranges,
         cameras=cameras_around(target.seat, cameras, distance=config.camera_distance, noise=noise) if cameras else (),
         n_observed=config.n_observed if cameras else min(config.n_observed, len(garment.vertices)),
         time_limit=time_limit,
@@ -198,24 +323,24 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
 
 
 def room(config: DatasetConfig) -> dict[str, int]:
-    """Return how many frames, vertices, faces and so on the largest episode of a configuration has: its tasks decide."""
-    garments = [config.garment(task) for task in config.tasks]
-    tasks = [TASKS[task] for task in config.tasks]
-    frames, loops = config.simulation.frames, [loop for garment in garments for loop in garment.loops]
+    """Return how many frames, vertices and so on the largest episode of a `pinned` configuration has: its tasks decide."""
+    meshes = {task: config.meshes.get(task.rpartition("-")[0]) for task in config.tasks}
+    if any(mesh and mesh.takes is None for mesh in meshes.values()):
+        raise ValueError("meshes: `takes` is missing, which generate_dataset notes; read them by that")
+    all_take = [mesh.takes if mesh else _takes(TASKS[task], config.garment(task)) for task, mesh in meshes.items()]
+    vertices, faces, loops, loop, longest = map(max, zip(*all_take, strict=True))
+    frames, more = config.simulation.frames, MOST if config.vary else 1.0
     if frames is None:
-        plans = [task.plan(own, task.target, generator(0, "path")) for task, own in zip(tasks, garments, strict=True)]
-        least = LONGEST if config.off_script else 0.0
-        longest = max([least, *(plan.end for plan in plans)]) / config.simulation.frame_time
-        frames = max(FEWEST_FRAMES, math.ceil(min(longest, 2**62)))
-    more = MOST if config.vary else 1.0
-    vertices = int(more * max(len(garment.vertices) for garment in garments))
+        seconds = max(LONGEST if config.off_script else 0.0, longest)
+        frames = max(FEWEST_FRAMES, math.ceil(min(seconds / config.simulation.frame_time, 2**62)))
+    vertices = int(more * vertices)
     return {
         "frames": -(-frames // HISTORY) * HISTORY,
         "vertices": vertices,
         "observed": min(config.n_observed, vertices),
         "seen": config.n_observed if config.cameras else 0,
-        "faces": int(more * max(len(garment.faces) for garment in garments)),
-        "loops": max([1, *(len(garment.loops) for garment in garments)]),
-        "loop": int(more * max([1, *map(len, loops)])),
-        "line": max(len(task.target.centre_line) for task in tasks),
+        "faces": int(more * faces),
+        "loops": loops,
+        "loop": int(more * loop),
+        "line": max(len(_TARGETS[task.rpartition("-")[2]]().centre_line) for task in config.tasks),
     }

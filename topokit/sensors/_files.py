@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topokit._archive import FormatError, check_size, existing, read_json
-from topokit._validate import as_reals
+from topokit._validate import as_reals, positive
 
 Array = NDArray[Any]
 Frames = Iterator[tuple[float | None, Array]]
@@ -261,3 +261,46 @@ def _rows(message: Any) -> Array:
 
 
 _READERS = {".npy": _npy, ".npz": _npz, ".ply": _ply, ".pcd": _pcd, ".png": _png, ".mcap": _bag, ".db3": _bag}
+
+
+def read_clouds(
+    path: str | Path,
+    *,
+    unit: str | None = None,
+    columns: Sequence[int | str] | None = None,
+    intrinsics: Mapping[str, Any] | str | Path | None = None,
+    topic: str | None = None,
+    fps: float | None = None,
+) -> Iterator[tuple[float | None, NDArray[Any]]]:
+    """Yield the clouds (n, 3) of a film, raw and in metres, each with its time in seconds, or None where none is known.
+
+    It needs ``pip install 'topokit[sensors]'``, but for NumPy's files. `topokit.sensors.Cleaner` makes the clouds ready.
+
+    Parameters
+    ----------
+    path : path
+        A file .npy or .npz ((n, 3), (T, n, 3), (T, h, w, 3); or depth (h, w), (T, h, w)), .ply, .pcd, .png (depth of 16 bits);
+        a bag of ROS 2; a folder or a pattern (``"film/*.pcd"``) of numbered files of one kind. An array (480, 640, 3), or of
+        another size that depth cameras have, is one cloud; a film of that shape is stored as (480, 1, 640, 3).
+    unit : {"m", "cm", "mm"}, optional
+        Metres when not given, millimetres for depth in whole numbers; what can be neither is refused. "m" is believed.
+    columns : sequence, optional
+        Which three of the numbers of a point, or of their names, are its place; x, y and z, when they are named.
+    intrinsics : mapping or path, optional
+        Of a depth camera without distortion: fx, fy, cx, cy (or K), or a JSON file of them; when not given, those in the bag, or
+        in intrinsics.json beside the image.
+    topic : str, optional
+        Of a bag.
+    fps : float, optional
+        Frames a second, for files without times.
+
+    Raises
+    ------
+    FileNotFoundError, FormatError
+        The message says which file, what is wrong, and what to do.
+    """
+    if unit not in (None, *UNITS):
+        raise ValueError(f"unit must be one of {', '.join(UNITS)}, not {unit!r}")
+    rate = None if fps is None else positive(fps, "fps", zero=False)
+    film = enumerate(read(Path(path), Asked(unit, columns, intrinsics, topic)))
+    return ((number / rate if rate else time, cloud) for number, (time, cloud) in film)

@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from ._garments import WARDROBE, Garment
     from ._off_script import off_script
     from ._path import GripperPath, Via
+    from ._placed import Among, Moving, Placed
     from ._process import SimulationError
     from ._randomisation import Randomisation
-    from ._targets import Hanger, Hook, Mannequin, Placed, Target
+    from ._targets import Hanger, Hook, Mannequin, Target
     from ._tasks import TASKS, Task, task_for
     from ._world import SimulationConfig, World, observe
 

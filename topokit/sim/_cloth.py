@@ -32,7 +32,7 @@ class Cloth:
     density: Positive = 0.25  #: kg/m^2
     stiffness: Positive = 0.8  #: of the springs, as in `SimulationConfig`
     bending: NotNegative = 0.0003  #: stiffness as a share of the elastic one at 750 steps a second
-    damping: NotNegative = 200.0  #: of the springs, 1/s: per mass of a vertex
+    damping: NotNegative = 350.0  #: of the springs, 1/s: per mass of a vertex
     friction: NotNegative = 1.0  #: coefficient
 
     def config(self, garment: Garment, **options: Any) -> SimulationConfig:
@@ -67,6 +67,7 @@ CLOTHS: Mapping[str, Cloth] = {
     "jersey": Cloth(density=0.18, stiffness=0.6, bending=0.03, damping=60.0),
     "silk": Cloth(density=0.06, stiffness=0.8, bending=0.0003, damping=60.0, friction=0.5),
 }
+"""Kinds of cloth by their names."""
 
 
 def usual_config(garment: Garment) -> SimulationConfig:

@@ -22,7 +22,7 @@ from topokit.rips import rips_persistence
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
-from ._episode import AT_REST
+from ._episode import AT_REST, rods_of
 from ._garments import Garment
 from ._process import SimulationError
 from ._surface import Array, simple_cycles
@@ -133,7 +133,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         garment = self.garment.turned(self._path.vias[0].yaw)
         offset = self._goal.mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
         self._world = World(garment, offset, self.config)
-        self._world.add_rods(self.target.rods)
+        self._rods, self._there = self.target.at(0.0).rods, self.target.at(0.0)
+        self._world.add_rods(self._rods)
         for _ in range(round(self.config.settle / self.config.dt)):
             self._world.step(self._goal)
         self._steps, self._released = 0, -1
@@ -163,7 +164,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         speed = np.linalg.norm(self._points - points, axis=1).mean() / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
         rests = not torn and free and speed < AT_REST
-        hangs = rests and self.task.hangs(self._points, self.garment.named_loops, self.target)
+        hangs = rests and self.task.hangs(self._points, self.garment.named_loops, self._there)
         reward = float(hangs)
         if self.reward != "sparse":
             reward += distance - self._distance
@@ -180,7 +181,12 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._released = self._steps
         before, here = self._goal, world.grippers()
         self._goal = np.clip(before + move, here - _LEASH, here + _LEASH)
+        _, moves = rods_of(self.target, (self._steps + np.arange(2)) * self.config.frame_time)
+        self._there = self.target.at((self._steps + 1) * self.config.frame_time)
+        gone = np.array([start for start, *_ in self._there.rods]) - [start for start, *_ in self._rods]
         for share in np.arange(1, self.config.steps_per_frame + 1) / self.config.steps_per_frame:
+            if len(moves):
+                world.move_rods(gone - (1 - share) * moves[1])
             world.step(before + share * (self._goal - before))
         self._steps += 1
         self._points = world.vertices()
@@ -220,7 +226,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         else:
             points = self._points[farthest_point_sample(self._points, self.n_points)[0]]
         self._linked, self._distance = self._progress(points)
-        places = {"points": points, "grippers": world.grippers(), "target": self.target.centre_line}
+        places = {"points": points, "grippers": world.grippers(), "target": self._there.centre_line}
         clipped = {name: np.clip(place, -_ROOM, _ROOM).astype(np.float32) for name, place in places.items()}
         return {**clipped, "held": int(self._released < 0)}
 
@@ -234,9 +240,9 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         else:
             curves = [[self._points[loop]] for loop in asked(self.task, self.garment.named_loops)]
         if not curves:
-            return 0.0, float(np.linalg.norm(observed.mean(axis=0) - self.target.seat))
-        on = [any(self.target.holds(part) for part in parts) for parts in curves]
-        gaps = [float(np.linalg.norm(np.concatenate(parts).mean(axis=0) - self.target.seat)) for parts in curves]
+            return 0.0, float(np.linalg.norm(observed.mean(axis=0) - self._there.seat))
+        on = [any(self._there.holds(part) for part in parts) for parts in curves]
+        gaps = [float(np.linalg.norm(np.concatenate(parts).mean(axis=0) - self._there.seat)) for parts in curves]
         if self.task.every:
             return sum(on) / len(on), float(np.mean(gaps))
         return float(any(on)), min(gaps)

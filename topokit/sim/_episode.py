@@ -126,7 +126,8 @@ def simulate(
         raise ValueError(f"{frames:,} frames of {steps:,} steps and {places:,} places of points: {bounds}")
     goals = path.at(np.arange(frames * config.steps_per_frame) * config.dt)
     noise = int(generator(seed, "noise").integers(2**63))
-    run = Run(garment, target.rods, goals, round(path.release / config.dt), config, tuple(cameras), n_observed, noise)
+    rods, moves = rods_of(target, np.arange(frames + 1) * config.frame_time)
+    run = Run(garment, rods, moves, goals, round(path.release / config.dt), config, tuple(cameras), n_observed, noise)
     report = functools.partial(_show, frames) if progress else None
     if time_limit is None:
         recording = record(run, report)
@@ -190,7 +191,8 @@ class Run:
     """All that a process needs to know in order to simulate."""
 
     garment: Garment
-    rods: Sequence[Rod]  # the target
+    rods: Sequence[Rod]  # the target, as it stands at first
+    moves: Array  # (frames + 1, R, 3) metres that each has gone by every frame; (0, R, 3) when it stands still
     goals: Array  # (steps, 2, 3) metres, where the grippers should be at every physics step
     release: int  # the step at which they let go
     config: SimulationConfig
@@ -223,6 +225,9 @@ def record(run: Run, report: Report | None = None) -> Recording:
                 if run.cameras:
                     observed.append(observe(world, run.cameras, run.n_observed, noise))
                 report(len(points) - 1)
+            if len(run.moves):
+                frame, share = divmod(step / config.steps_per_frame, 1)
+                world.move_rods((1 - share) * run.moves[int(frame)] + share * run.moves[int(frame) + 1])
             world.step(goal)
     places = {"points": points, "grippers": grippers, "observed": observed}
     return {name: np.array(frames, np.float32) for name, frames in places.items()} | {"stretch": np.array(stretch)}
@@ -256,11 +261,20 @@ def record_job(job: dict[str, Any], report: Report) -> dict[str, str]:
         return {"error": name, "message": str(error)}
 
 
+def rods_of(target: Target, times: NDArray[np.floating]) -> tuple[list[Rod], Array]:
+    """The rods of a target as it stands at the first of some times, and how far each has gone by then; of none when it stands."""
+    first = target.at(times[0]).rods
+    if target.at(times[-1]) == target.at(times[0]):
+        return first, np.zeros((0, len(first), 3))
+    starts = np.array([[start for start, _, _ in target.at(time).rods] for time in times])
+    return first, starts - starts[0]
+
+
 def _as_job(run: Run) -> dict[str, Any]:
     """A run as JSON, all its arrays as one `.npz`; not its garment's names of sizes, which the physics does not ask for."""
     garment, (starts, ends, radii) = run.garment, zip(*run.rods, strict=True)
     cloth = {name: getattr(garment, name) for name in ("vertices", "faces", "grips")}
-    arrays = _packed({**cloth, "starts": starts, "ends": ends, "radii": radii, "goals": run.goals})
+    arrays = _packed({**cloth, "starts": starts, "ends": ends, "radii": radii, "goals": run.goals, "moves": run.moves})
     text = {name: getattr(run, name) for name in ("release", "n_observed", "noise")}
     cameras = [dataclasses.asdict(camera) for camera in run.cameras]
     return {"arrays": arrays, "config": dataclasses.asdict(run.config), "cameras": cameras, **text}
@@ -272,7 +286,7 @@ def _as_run(job: dict[str, Any]) -> Run:
     rods = tuple(zip(arrays["starts"], arrays["ends"], arrays["radii"].tolist(), strict=True))
     config = from_mapping(SimulationConfig, job.pop("config"), "config")
     cameras = tuple(from_mapping(Camera, camera, "cameras") for camera in job.pop("cameras"))
-    return Run(garment, rods, arrays["goals"], config=config, cameras=cameras, **job)
+    return Run(garment, rods, arrays["moves"], arrays["goals"], config=config, cameras=cameras, **job)
 
 
 def _packed(arrays: Mapping[str, ArrayLike]) -> str:

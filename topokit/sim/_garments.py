@@ -117,6 +117,7 @@ class Garment:
     sheet = staticmethod(_sewn(_wardrobe.sheet))
     scarf = staticmethod(_sewn(_accessories.scarf))
     belt = staticmethod(_sewn(_accessories.belt))
+    trousers = staticmethod(_sewn(_wardrobe.trousers))
     net = staticmethod(_sewn(_accessories.net))
     from_mesh = staticmethod(_sewn(_mesh.from_mesh))
 
@@ -134,6 +135,7 @@ WARDROBE: Mapping[str, Callable[[], Garment]] = {
     "sheet2": functools.partial(Garment.sheet, holes=2),
     "scarf": Garment.scarf,
     "belt": Garment.belt,
+    "trousers": Garment.trousers,
     "net": Garment.net,
 }
 """Every garment by the name that episodes record, as a function that makes it at its default sizes."""

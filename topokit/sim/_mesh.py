@@ -22,7 +22,7 @@ from ._surface import Array, EdgeGraph, Ids, border_cycles, components, edge_len
 
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
-_METRES = (0.15, 2.5)  # largest extent of a garment in metres
+_METRES = (0.15, 2.2)  # largest extent of a garment in metres
 # Which axes of the file become x, y and z, and their signs, for the axis that points up.
 _UP = {"x": ([2, 1, 0], (-1, 1, 1)), "y": ([0, 2, 1], (1, -1, 1)), "z": ([0, 1, 2], (1, 1, 1))}
 _AXES = (*_UP, *(f"-{axis}" for axis in _UP))
@@ -61,7 +61,7 @@ def from_mesh(
         Largest extent that the garment shall have, metres.
     scale : float, optional
         Metres in one unit of the file. When neither is given: metres, millimetres or centimetres, the first that make
-        the largest extent 0.15 to 2.5 m; else it is made 1 m.
+        the largest extent 0.15 to 2.2 m; else it is made 1 m.
     up : {"x", "y", "z", "-x", "-y", "-z"}, optional
         The axis that points up; when not given, y or z, the one along which the grips lie higher, or the garment is longer.
     weld : float, optional

@@ -1,9 +1,9 @@
 """What a garment is hung on: collision shapes, and the centre line that decides whether it hangs there.
 
 Every target stands on the floor z = 0 at y = `distance` and faces the grippers, which come from smaller y; `Placed` puts it
-elsewhere. Its centre line starts at the floor and is closed far away (`topokit.linking.close_far`), so that the linking number
-of a garment's loop with it is defined: not 0 for a loop on the target, 0 for one that slipped off, lies against it or was never
-on.
+elsewhere, `Moving` takes it there, `Among` stands others about it. Its centre line starts at the floor and is closed far away
+(`topokit.linking.close_far`), so that the linking number of a garment's loop with it is defined: not 0 for a loop on the
+target, 0 for one that slipped off, lies against it or was never on.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from topokit._config import Positive, checked
 from topokit._validate import as_points
 from topokit.linking import close_far, linking_number
 
-from ._surface import Array, turned
+from ._surface import Array
 
 Rod = tuple[Array, Array, float]  # a capsule: start, end, radius
 _SHOULDER = 0.3  # radius of the shoulders as a share of the depth of the chest
@@ -33,6 +33,15 @@ class Target(ABC):
     distance: float = field(default=0.3, kw_only=True)  #: y of its pole or axis, metres
 
     name: ClassVar[str]
+
+    def at(self, time: float) -> Target:
+        """Return it as it stands so many seconds after the first frame: itself, unless it moves.
+
+        Parameters
+        ----------
+        time : float
+        """
+        return self
 
     @property
     @abstractmethod
@@ -61,58 +70,6 @@ class Target(ABC):
     def describe(self) -> dict[str, Any]:
         """Return its sizes and where it stands, as an episode records them."""
         return {**asdict(self), "position": [0.0, self.distance, 0.0]}
-
-
-@checked
-class Placed(Target):
-    """Another target elsewhere: turned about the z axis by `yaw`, and then moved by x, y and z.
-
-    Tasks plan for the target as it is and carry the path over, with the garment. What a target of one's own must be to be
-    placed is a `Target`: each of its numbers may be of any sign, as its class allows.
-    """
-
-    target: Target  #: any, a placed one too
-    x: float = 0.0  #: metres, where the origin that the target is described from goes
-    y: float = 0.0  #: metres
-    z: float = 0.0  #: metres
-    yaw: float = 0.0  #: degrees, from x towards y
-    distance: float = field(default=0.0, init=False, kw_only=True)  #: not asked for: that of its target counts
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "name", self.target.name)
-
-    @property
-    def place(self) -> Array:
-        """(3,) x, y and z."""
-        return np.array([self.x, self.y, self.z])
-
-    @property
-    def centre_line(self) -> Array:
-        return self._there(self.target.centre_line)
-
-    @property
-    def rods(self) -> list[Rod]:
-        return [(self._there(start), self._there(end), radius) for start, end, radius in self.target.rods]
-
-    @property
-    def seat(self) -> Array:
-        return self._there(self.target.seat)
-
-    @property
-    def lowest(self) -> float:
-        return self.target.lowest + self.z
-
-    def holds(self, loop: ArrayLike) -> bool:
-        """Whether its target holds the loop moved back."""
-        return self.target.holds(turned(as_points(loop, "loop") - self.place, -self.yaw))
-
-    def describe(self) -> dict[str, Any]:
-        own = self.target.describe()
-        position = self._there(own["position"]).tolist()
-        return {**own, "position": position, "yaw": own.get("yaw", 0.0) + self.yaw}
-
-    def _there(self, places: ArrayLike) -> Array:
-        return turned(places, self.yaw) + self.place
 
 
 @checked

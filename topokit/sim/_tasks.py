@@ -20,11 +20,13 @@ from topokit.io import LOOP_NAMES
 from ._garments import WARDROBE, Garment
 from ._names import kind, to_hang_by
 from ._path import GripperPath, Via
+from ._placed import Among, Placed
 from ._surface import Array, Ids
-from ._targets import Hanger, Hook, Mannequin, Placed, Target
+from ._targets import Hanger, Hook, Mannequin, Target
 
 Loop = TypeVar("Loop", bound=ArrayLike)
-_SMALL = ("scarf", "belt", "net")
+_CLEAR = 0.1  # metres from the floor
+_SMALL = ("scarf", "belt", "net", "trousers")
 _BESIDE = 0.08  # metres
 _ASIDE = 30  # degrees by which a loop may look aside of the arm that shall go through it
 _log = logging.getLogger("topokit.sim")
@@ -82,6 +84,8 @@ def planned(task: Task, garment: Garment, target: Target, rng: np.random.Generat
     """The path of a task: of a target elsewhere, planned where it stands otherwise, and carried over."""
     if isinstance(target, Placed):
         return planned(task, garment, target.target, rng).moved(target.place, target.yaw)
+    if isinstance(target, Among):
+        return planned(task, garment, target.target, rng)
     return task.plan(garment, target, rng)
 
 
@@ -192,6 +196,16 @@ def hangs_down(garment: Garment) -> float:
     return float(z[_carried(garment)].max() - z.min()) if garment.loops else 0.0
 
 
+def tall_enough(garment: Garment, target: Target) -> Target:
+    """A hook or a hanger so high that a garment that hangs on it is clear of the floor; another target as it is."""
+    short = hangs_down(garment) + _CLEAR - float(target.seat[2])
+    if short <= _CLEAR or not isinstance(target, Hook | Hanger):
+        return target
+    height = round(target.height + short, 2)
+    _log.warning("the %s stands %.2f m high, since the %s is so long", target.name, height, garment.name)
+    return replace(target, height=height)
+
+
 def warn_of_floor(garment: Garment, target: Target) -> None:
     """Say so when a garment is longer, from the loop it hangs by down, than its target is high."""
     long, high = hangs_down(garment), float(target.seat[2])
@@ -270,7 +284,7 @@ def task_for(garment: Garment, target: Target) -> Task:
     garment : Garment
     target : Target
     """
-    if isinstance(target, Placed):
+    if isinstance(target, Placed | Among):
         return replace(task_for(garment, target.target), target=target)
     name = f"{garment.name}-{target.name}"
     names, kinds = to_hang_by(garment.loop_names), [*map(kind, garment.loop_names)]

@@ -13,6 +13,7 @@ from ._pattern import (
     Arch,
     Panel,
     band,
+    chain,
     check_sizes,
     cut,
     demand,
@@ -247,3 +248,47 @@ def sheet(
     grips = np.array([panel.sides[3][0], panel.sides[2][0]])
     name = "sheet" if holes == 1 else f"sheet{holes}"
     return name, panel.vertices, panel.faces, panel.holes, grips, sizes
+
+
+def trousers(
+    *,
+    spacing: float = 0.035,
+    waist_width: float = 0.38,
+    length: float = 0.80,
+    rise: float = 0.26,
+    leg_width: float = 0.20,
+    leg_angle: float = 6.0,
+    depth: float = 0.14,
+    loop_length: float = 0.40,
+    loop_width: float = 0.05,
+    loop_span: float = 0.16,
+) -> Fields:
+    """Return trousers, front towards -y, with a large loop at the back of the waist to hang them by.
+
+    The loops are the opening under that loop, the waist, and the ends of the right leg (x > 0) and the left: three classes, of
+    the last three each is the sum of the others. `rise` is from waist to crotch; the legs spread by `leg_angle`. The grips are
+    on the loop.
+    """
+    sizes = check_sizes(locals())
+    half, low, spread = waist_width / 2, -length, (length - rise) * np.tan(np.radians(leg_angle))
+    inner, crotch = np.array([spread + spacing, low]), np.array([spacing, -rise])  # so wide that the legs do not touch
+    outer = inner + [leg_width, 0]
+    fits = rise + 2 * spacing <= length and 2 * spacing <= leg_width
+    demand(fits, f"rise {rise} must be less than length {length}, and leg_width {leg_width} twice the spacing at least")
+    fits = 2 * spacing <= loop_span - loop_width and loop_span + loop_width + 2 * spacing <= waist_width
+    demand(fits, f"loop_span {loop_span} must leave room for a loop of loop_width {loop_width} in {waist_width}")
+    arch = Arch.of_length(loop_span, loop_length, "loop_length")
+    over, opening, middle = arch.strap(loop_width, spacing, loop_length)
+    legs = polyline((-half, 0), outer * [-1, 1], inner * [-1, 1], crotch * [-1, 1], crotch, inner, outer, (half, 0))
+    seams = (0, 2, 3, 4, 6)  # all but the ends of the legs, 1 and 5
+    front = cut([*legs, *polyline((half, 0), (-half, 0))], [], spacing)
+    back = cut(
+        [*legs, *polyline((half, 0), over[0]), over, *polyline(over[-1], (-half, 0))], [opening], spacing, middle
+    )
+    grips = back.nearest(arch.points(THIRDS))
+    pieces = [inflate(front, seams, depth / 2), inflate(back, seams, depth / 2, top=0.0).mirrored()]
+    vertices, faces, (a, b) = sew(pieces, [(0, front.sides[i], 1, back.sides[i]) for i in seams])
+    ends = [ring(a[front.sides[i]], b[back.sides[i]]) for i in (5, 1)]
+    beneath = EdgeGraph(pieces[1].vertices, half_edges(back.faces)).path(int(back.sides[8][0]), int(back.sides[8][-1]))
+    waist = chain(back.sides[7], np.array(beneath), back.sides[9])
+    return "trousers", vertices, faces, (b[back.holes[0]], ring(a[front.sides[7]], b[waist]), *ends), b[grips], sizes

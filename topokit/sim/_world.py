@@ -112,6 +112,7 @@ class World(contextlib.AbstractContextManager["World"]):
         self._p = _pybullet()
         self._config = config
         self._goals: list[list[float]] | None = None
+        self._rods: list[tuple[int, Array, list[float]]] = []
         with _silent():
             self._client = self._p.connect(self._p.DIRECT)
         try:
@@ -148,11 +149,19 @@ class World(contextlib.AbstractContextManager["World"]):
             axis, middle = end - start, (start + end) / 2
             length = float(np.linalg.norm(axis))
             shape = self._bullet("createCollisionShape", self._p.GEOM_CAPSULE, radius=radius, height=length)
-            self._add_fixed(shape, basePosition=middle.tolist(), baseOrientation=_turn_z_to(axis / length))
+            turn = _turn_z_to(axis / length)
+            body = self._add_fixed(shape, basePosition=middle.tolist(), baseOrientation=turn)
+            self._rods.append((body, middle, turn))
 
-    def _add_fixed(self, shape: int, **place: list[float]) -> None:
-        body = self._bullet("createMultiBody", 0, shape, -1, **place)
+    def move_rods(self, by: Array) -> None:
+        """Put the rods (R, 3) metres from where they were added, without turning them."""
+        for (body, place, turn), way in zip(self._rods, by, strict=True):
+            self._p.resetBasePositionAndOrientation(body, (place + way).tolist(), turn, self._client)
+
+    def _add_fixed(self, shape: int, **place: list[float]) -> int:
+        body: int = self._bullet("createMultiBody", 0, shape, -1, **place)
         self._bullet("changeDynamics", body, -1, lateralFriction=self._config.friction)
+        return body
 
     def step(self, targets: Array | None) -> None:
         """Advance one step of `dt`, drawing the grippers to `targets` (2, 3); None when they have let go."""

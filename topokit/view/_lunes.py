@@ -16,8 +16,9 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.distance import cdist
 
 from topokit._validate import positive
+from topokit.view._looks import Array, Ids
 from topokit.view._pages import planar
-from topokit.view._plots import OKABE_ITO, Array, Ids, new_axes
+from topokit.view._plots import OKABE_ITO, new_axes
 
 _EDGE, *_COMPONENTS = OKABE_ITO
 _BLOCKED, _PATH = OKABE_ITO[3], OKABE_ITO[2]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
+from topokit.view._looks import cloth_marks
 from topokit.view._pages import Framed, framed
 from topokit.view._plots import lifetimes, long_lived, one_a_frame, rod_radius, subdivide, triples
 
@@ -90,6 +91,8 @@ def telling_frame(states: Sequence[TopologicalState]) -> int:
 def _scene(episode: Episode) -> dict[str, Any]:
     points = np.asarray(episode.points, dtype=np.float64)
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
+    faces = np.asarray(episode.faces, dtype=np.int64).reshape(-1, 3)
+    marks = cloth_marks(points[0], faces, smooth=True)
     return {
         "frames": len(episode),
         "dt": float(episode.dt),
@@ -97,10 +100,11 @@ def _scene(episode: Episode) -> dict[str, Any]:
         "centre": ((low + high) / 2).tolist(),
         "radius": float(np.linalg.norm(high - low) / 2) or 1.0,
         "thickness": rod_radius(episode),
+        "marks": [{"face": pack(face), "ends": pack(ends), "bright": bright} for face, ends, bright in marks],
         "truth": [np.asarray(loop).tolist() for loop in episode.loops],
         "arrays": {
             "points": pack_coordinates(points),
-            "faces": pack(np.asarray(episode.faces).reshape(-1, 3)),
+            "faces": pack(faces),
             "line": pack_coordinates(subdivide(triples(episode.centre_line, "centre_line"))),
             "grippers": pack_coordinates(episode.grippers),
             "held": pack(np.asarray(episode.held, dtype=bool)),

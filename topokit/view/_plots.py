@@ -7,7 +7,7 @@ of a cloth shows is checked once, by `Scene`, for this module and for `_render`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
@@ -23,11 +23,10 @@ from topokit._validate import as_ids, as_points, as_reals
 from topokit.io import Episode
 from topokit.rips import Diagram
 from topokit.state import Loop, TopologicalState
+from topokit.view._looks import Array, Ids, cloth_marks, face_normals, shadow, smoothed
 
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-CLOTH, ROD, INK = "#E8E2D4", "#5B6B7C", "#1C2733"
+CLOTH, LINING, ROD, INK = "#E8E2D4", "#C8C9D0", "#5B6B7C", "#1C2733"
 
 
 def loop_colour(loop_id: int) -> str:
@@ -77,6 +76,7 @@ class Scene:
     centre_line: Any = None  #: (K, 3) array_like, the target's, drawn as a rod; not drawn where there are `rods`
     rods: Sequence[tuple[ArrayLike, ArrayLike, float]] = ()  #: start, end, radius of the target's capsules, in metres
     thickness: float = 0.01  #: radius of the rod around `centre_line`
+    rest: Any = None  #: (N, 3) array_like, the cloth lying smooth, where its check is measured; `points` when not given
     view: tuple[float, float] = (-60.0, 15.0)  #: azimuth and elevation of the eye in degrees
     zoom: float = 1.0  #: above one comes nearer than the fit around everything
     focus: Any = None  #: (3,) array_like, the middle of the picture; the middle of everything when not given
@@ -84,11 +84,18 @@ class Scene:
     def __post_init__(self) -> None:
         self.points = triples(as_points(self.points), "points")
         self.faces = as_ids(triples(self.faces, "faces", np.int64), "faces", len(self.points))
+        rest = self.points if self.rest is None else triples(as_points(self.rest), "rest")
+        if len(rest) != len(self.points):
+            raise ValueError(f"rest has {len(rest)} points where the cloth has {len(self.points)}; pass another frame")
+        self.marks = cloth_marks(rest, self.faces, smooth=self.rest is not None)
+        self.shadow, self.darkness = shadow(self.points)
         self.cycles = [self.points[np.append(ids, np.asarray(ids)[:1])] for ids in self.true_loops]
         line = triples(self.centre_line, "centre_line")
         capsules = [(triples(np.array(ends), "rods"), radius) for *ends, radius in self.rods]
         self.capsules = capsules or [(line, self.thickness)] * (len(line) > 1)
         self.everything = np.concatenate([self.points, line, *(rod for rod, _ in capsules)])
+        if self.everything[:, 2].min(initial=1.0) < 0.05:  # the floor is in view
+            self.everything = np.concatenate([self.everything, *self.shadow[1:2]])
 
 
 def triples(values: ArrayLike | None, name: str, kind: type[np.generic] = np.float64) -> NDArray[Any]:
@@ -139,9 +146,11 @@ def draw_cloth(axes: Any, scene: Scene) -> None:
     axes.set_autoscale_on(False)  # `_fit` sets the limits
     axes.computed_zorder = False
     # Matplotlib sorts by depth only inside a collection; it would pad faces of several lengths with what is in memory.
-    tubes = [tube(subdivide(line, 40), radius) for line, radius in scene.capsules]
-    polygons = np.concatenate([scene.points[scene.faces], *tubes])
-    colours = _shaded(polygons, len(scene.faces), scene.view)
+    rods = np.concatenate([np.zeros((0, 3, 3)), *(tube(subdivide(line, 40), r) for line, r in scene.capsules)])
+    parts = [*_cloth(scene), (rods, _shaded(-face_normals(rods), ROD, scene.view))]
+    polygons, colours = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if len(scene.shadow):
+        axes.add_collection3d(Poly3DCollection(scene.shadow, facecolors=(0, 0, 0, scene.darkness), zorder=0))
     axes.add_collection3d(Poly3DCollection(polygons, facecolors=colours, edgecolors=colours, linewidths=0.8, zorder=1))
     if not len(scene.faces):
         axes.scatter(*scene.points.T, s=4, color=ROD, zorder=1)
@@ -202,13 +211,23 @@ def tube(line: Array, radius: float, sides: int = 8) -> Array:
     return np.concatenate([np.stack(half, axis=2).reshape(-1, 3, 3) for half in halves])
 
 
-def _shaded(polygons: Array, n_cloth: int, view: tuple[float, float]) -> Array:
-    """(m, 3) colours of cloth faces, then of the rods'; the lamp, above the eye's left shoulder, shines on both sides."""
-    base = np.array([to_rgb(CLOTH)] * n_cloth + [to_rgb(ROD)] * (len(polygons) - n_cloth)).reshape(-1, 3)
+def _cloth(scene: Scene) -> Iterator[tuple[Array, Array]]:
+    """(m, 3, 3) and (m, 3): faces and their colours, then the check's and the seams', a line as a triangle of two corners."""
+    corners = scene.points[scene.faces]
+    flat, eye = face_normals(corners), direction(*scene.view)
+    back = (flat @ eye < 0)[:, None]
+    normals = np.where(back, -1, 1) * smoothed(flat, scene.faces)
+    colours = np.where(back, *(_shaded(normals, base, scene.view) for base in (LINING, CLOTH)))
+    yield corners, colours
+    lift = 0.015 * float(np.ptp(scene.points, axis=0).max(initial=0.0)) * eye  # sorted before its face
+    for face, ends, bright in scene.marks:
+        yield (ends @ corners[face] + lift)[:, [0, 1, 1]], bright * colours[face]
+
+
+def _shaded(normals: Array, base: str, view: tuple[float, float]) -> Array:
+    """(m, 3) colours of surfaces of one base colour, lit from above the eye's left shoulder."""
     lamp = direction(view[0] - np.degrees(0.6), min(view[1] + np.degrees(0.6), np.degrees(1.4)))
-    normals = np.cross(polygons[:, 1] - polygons[:, 0], polygons[:, 2] - polygons[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
-    return np.asarray(base * (0.45 + 0.55 * np.abs(normals @ lamp))[:, None])
+    return np.asarray(np.array(to_rgb(base)) * np.clip(0.55 + 0.5 * (normals @ lamp), 0.2, 1.0)[:, None])
 
 
 def plot_diagram(diagram: Diagram | TopologicalState, ax: Axes | None = None, *, alpha: float | None = None) -> Axes:
@@ -298,6 +317,7 @@ def track_figure(episode: Episode, states: Sequence[TopologicalState]) -> Figure
         plot_cloth(
             episode.points[frame],
             episode.faces,
+            rest=episode.points[0],
             loops=[loop for loop in states[frame].loops if loop.id in named],
             centre_line=episode.centre_line,
             thickness=rod_radius(episode),

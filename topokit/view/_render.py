@@ -25,7 +25,8 @@ from PIL import Image
 from topokit._archive import atomic_file
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
-from topokit.view._plots import INK, ROD, Array, Scene, direction, draw_cloth, loop_colour, one_a_frame
+from topokit.view._looks import Array
+from topokit.view._plots import CLOTH, INK, LINING, ROD, Scene, direction, draw_cloth, loop_colour, one_a_frame
 
 _PROBE = """
 import sys
@@ -40,7 +41,7 @@ _NO_SCREEN = sys.platform.startswith("linux") and not os.environ.get("DISPLAY")
 _WINDOW = {"VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"} if _NO_SCREEN else {}
 _STEEL, _GLOSS = "#7F91A5", {"specular": 0.5, "specular_power": 22}
 # turned and lifted from the eye in degrees, colour, strength
-_LAMPS = ((-45, 40, "#FFF6E5", 0.85), (55, 10, "#E6F0FF", 0.35), (170, 30, "white", 0.25))
+_LAMPS = ((-45, 40, "#FFF6E5", 0.72), (55, 10, "#E6F0FF", 0.35), (170, 30, "white", 0.25))
 
 
 @functools.cache
@@ -119,7 +120,7 @@ def save_animation(
         one_a_frame(episode, states)
     corners = np.concatenate([episode.points.reshape(-1, 3), episode.centre_line])
     scene = {"focus": (corners.min(axis=0) + corners.max(axis=0)) / 2} | scene  # the camera stands still
-    scene |= {"true_loops": episode.loops, "centre_line": episode.centre_line}
+    scene |= {"true_loops": episode.loops, "centre_line": episode.centre_line, "rest": episode.points[0]}
     pictures = []
     for frame in range(0, len(episode), int(every)):
         loops = states[frame].loops if states else ()
@@ -199,10 +200,18 @@ def _add_cloth(plotter: Any, scene: Scene) -> None:
     if not len(scene.faces):
         plotter.add_mesh(pyvista.PolyData(scene.points), color=ROD, point_size=7, render_points_as_spheres=True)
         return
+    mesh = pyvista.PolyData.from_regular_faces(scene.points, scene.faces)
     # Normals first, so that triangles and normals agree about the front: a face where they do not is drawn black.
-    mesh = pyvista.PolyData.from_regular_faces(scene.points, scene.faces).compute_normals(split_vertices=False)
-    back = {"color": "#CFD2E0", "ambient": 0.42}
-    plotter.add_mesh(mesh, color="#F3EDE0", smooth_shading=True, specular=0.0, ambient=0.42, backface_params=back)
+    mesh = mesh.compute_normals(split_vertices=True, feature_angle=70)  # smooth, but not across a sharp fold
+    plotter.add_mesh(
+        mesh, color=CLOTH, smooth_shading=True, ambient=0.46, backface_params={"color": LINING, "ambient": 0.4}
+    )
+    lift = 0.003 * float(np.ptp(scene.points, axis=0).max()) * direction(*scene.view)
+    for face, ends, bright in scene.marks:
+        lines = pyvista.line_segments_from_points((ends @ scene.points[scene.faces[face]] + lift).reshape(-1, 3))
+        plotter.add_mesh(lines, color="black", opacity=1 - bright, line_width=2, lighting=False)
+    for ring in scene.shadow:
+        plotter.add_mesh(pyvista.PolyData(ring).delaunay_2d(), color="black", opacity=scene.darkness, lighting=False)
 
 
 def _add_tube(plotter: Any, line: Array, radius: float, colour: str, **look: float) -> None:
