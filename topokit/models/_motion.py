@@ -8,7 +8,8 @@ Idea, four choices:
    of it in the frame of the grippers, turned with them about the vertical, so that a turned or moved scene is the same scene.
 3. *A correction of being carried.* Cloth that is held goes with the grippers, as a rigid body does; the network adds the rest.
 4. *Few large steps.* The future is taken in 13 steps of one to six frames. A code of every point is carried along, and is told
-   what grippers and target are like there, and what the mean and the maximum of all codes say.
+   what grippers and target are like there, and what the mean and the maximum of the codes of 32 of the points, the carriers, say.
+   So points do not wait for each other: a few are forecast under a thousand plans, or all under one.
 
 Each point has a scale of its error, too, learned with the motion as that of a Laplace distribution.
 
@@ -31,19 +32,20 @@ PAST = (1, 4, 12)  # frames ago that are looked at
 UNIT = 0.2  # metres
 _REACH = 0.3  # metres over which the target's say fades
 _NEAR = 12  # neighbours of a point
-_POOLED = 16
+_CARRIERS, _POOLED = 32, 16  # points that tell all others how the cloth fares, and the numbers that they do it with
 Scene = dict[str, Tensor]
 
 
 class Codes(NamedTuple):
-    """What is known of B scenes before a plan, in the frame of the grippers."""
+    """What is known of B scenes before a plan, in the frame of the grippers; of the carriers first, then of the n points."""
 
-    code: Tensor  # (B, n, width)
-    place: Tensor  # (B, n, 3)
+    code: Tensor  # (B, carriers + n, width)
+    place: Tensor  # (B, carriers + n, 3)
     hands: Tensor  # (B, 2, 3)
     target: Tensor  # (B, L, 3)
     origin: Tensor  # (B, 3) of that frame, metres
     turn: Tensor  # (B, 3, 3) its axes
+    carriers: int
 
 
 class Motion(nn.Module):
@@ -52,7 +54,8 @@ class Motion(nn.Module):
     A scene is a dict of tensors of B windows, in metres:
 
     =============  ============  ========================================================
-    ``cloud``      (B, M, 3)     the cloth at the present frame
+    ``cloud``      (B, M, 3)     the cloth at the present frame, in an order that says nothing
+    ``points``     (B, n, 3)     points of the cloth whose motion is asked for
     ``past``       (B, 3, P, 3)  clouds 1, 4 and 12 frames ago
     ``grippers``   (B, 4, 2, 3)  at the present frame, and then
     ``held``       (B,) bool     whether they hold the cloth
@@ -62,7 +65,7 @@ class Motion(nn.Module):
     Parameters
     ----------
     shape : Shape
-        Its `horizon` is 60; `points` are those of a cloud that are looked at.
+        Its `horizon` is 60; `points` are those of a cloud that are looked at, at most.
     normalisation : Normalisation
         Not asked: nothing depends on where the scene is.
     width : int
@@ -91,40 +94,44 @@ class Motion(nn.Module):
         nn.init.normal_(last.weight, std=0.01)  # untrained it carries
         nn.init.zeros_(last.bias)
 
-    def forward(self, scene: Scene, n: int) -> tuple[Tensor, Tensor]:
-        """Places (B, 13, n, 3) of the first n points of the clouds, metres, and the scale (B, 13, n) of their errors.
+    def forward(self, scene: Scene) -> tuple[Tensor, Tensor]:
+        """Places (B, 13, n, 3) of the points, metres, and the scale (B, 13, n) of their errors.
 
         The plans are in the scene, too: `actions` (B, 60, 2, 3) and `actions_held` (B, 60).
         """
-        return self.under(self.encode(scene, n), scene["actions"], scene["actions_held"])
+        return self.under(self.encode(scene), scene["actions"], scene["actions_held"])
 
-    def encode(self, scene: Scene, n: int) -> Codes:
-        """What the first n points know, whatever the plan."""
+    def encode(self, scene: Scene) -> Codes:
+        """What the points know, whatever the plan."""
         origin, turn = _frame(scene["grippers"][:, 0])
-        cloud, past, hands, target = (
-            _local(scene[name], origin, turn) for name in ("cloud", "past", "grippers", "target")
+        cloud, points, past, hands, target = (
+            _local(scene[name], origin, turn) for name in ("cloud", "points", "past", "grippers", "target")
         )
+        size, carriers = cloud.shape[1], min(_CARRIERS, cloud.shape[1])
+        seen = torch.cat([cloud, points], dim=1)
         flows = []
         for ago in range(len(PAST)):
-            back = carried(cloud, hands[:, 0], hands[:, 1 + ago])
+            back = carried(seen, hands[:, 0], hands[:, 1 + ago])
             nearest = torch.cdist(back, past[:, ago]).argmin(dim=-1)
             flows.append(2 / UNIT * (back - past[:, ago].gather(1, nearest[..., None].expand(-1, -1, 3))))
         flow = torch.cat(flows, dim=-1)
         velocity = (10 / UNIT * (hands[:, :1] - hands[:, 1:3])).flatten(1)
         opening = (hands[:, 0, 0] - hands[:, 0, 1]).norm(dim=1, keepdim=True) / UNIT
         whole = torch.cat([velocity, scene["held"].to(cloud)[:, None], opening], dim=1)[:, None]
-        parts = [cloud / UNIT, flow, _beside(cloud, target), torch.cdist(cloud, hands[:, 0]) / UNIT]
-        code = self.point(torch.cat([*parts, whole.expand(-1, cloud.shape[1], -1)], dim=-1))
-        few = min(_NEAR + 1, cloud.shape[1])
-        near = torch.cdist(cloud[:, :n], cloud).topk(few, largest=False).indices[..., 1:]
+        parts = [seen / UNIT, flow, _beside(seen, target), torch.cdist(seen, hands[:, 0]) / UNIT]
+        code = self.point(torch.cat([*parts, whole.expand(-1, seen.shape[1], -1)], dim=-1))
+        told = torch.cat([torch.arange(carriers), torch.arange(size, seen.shape[1])])
+        own, place = code[:, told], seen[:, told]
+        near = torch.cdist(place, cloud).topk(min(_NEAR, size), largest=False).indices
         batch = torch.arange(len(cloud), device=cloud.device)[:, None, None]
-        own, away = code[:, :n], 2 / UNIT * (cloud[batch, near] - cloud[:, :n, None])
+        away = 2 / UNIT * (cloud[batch, near] - place[:, :, None])
         there = torch.cat([code[batch, near], away, away.norm(dim=-1, keepdim=True)], dim=-1)
-        edges = self.edge(torch.cat([own[:, :, None].expand(-1, -1, few - 1, -1), there], dim=-1)).amax(dim=2)
+        edges = self.edge(torch.cat([own[:, :, None].expand(-1, -1, near.shape[2], -1), there], dim=-1)).amax(dim=2)
         moved = self.flow(flow[batch, near].mean(dim=2))
-        pooled = (part[:, None].expand_as(own) for part in (code.mean(dim=1), code.amax(dim=1)))
+        cloth = code[:, :size]
+        pooled = (part[:, None].expand_as(own) for part in (cloth.mean(dim=1), cloth.amax(dim=1)))
         code = torch.tanh(self.mix(torch.cat([own, edges, moved, *pooled], dim=-1)))
-        return Codes(code, cloud[:, :n], hands[:, 0], target, origin, turn)
+        return Codes(code, place, hands[:, 0], target, origin, turn, carriers)
 
     def under(self, codes: Codes, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
         """Places (C, 13, n, 3) and scales (C, 13, n) under C plans: one a scene, or any number for a single one.
@@ -136,7 +143,7 @@ class Motion(nn.Module):
             Planned places of the grippers, metres.
         held : (C, 60) bool
         """
-        plans, n = len(actions), codes.code.shape[1]
+        plans, carriers = len(actions), codes.carriers
         code, place, before, target = (part.expand(plans, *part.shape[1:]) for part in codes[:4])
         hands, shares = _hands(_local(actions, codes.origin, codes.turn), held, codes.hands)
         step, last, places, scales = torch.zeros_like(place), 0, [], []
@@ -145,7 +152,7 @@ class Motion(nn.Module):
             ahead = carried(place, before, now)
             own = [((now[:, None] - ahead[:, :, None]) / UNIT).flatten(2), _beside(ahead, target)]
             own += [(ahead - place) / UNIT, 3 / UNIT * step]
-            said = self.pool(code)
+            said = self.pool(code[:, :carriers])
             told = [((now - before) / UNIT).flatten(1), share, torch.full_like(share, frames)]
             scene = self.scene(torch.cat([*told, said.mean(dim=1), said.amax(dim=1)], dim=1))
             new, keep, use = (self.own(torch.cat(own, dim=-1)) + scene[:, None]).chunk(3, dim=-1)
@@ -155,8 +162,8 @@ class Motion(nn.Module):
             change = self.out(code)
             goes = ahead - place + UNIT * frames * change[..., :3]
             step, place, before = goes / frames, place + goes, now
-            places.append(place)
-            scales.append(0.01 * (change[..., 3] + 1).exp())
+            places.append(place[:, carriers:])
+            scales.append(0.01 * (change[:, carriers:, 3] + 1).exp())
         found = torch.stack(places, dim=1)
         return _world(found, codes.origin, codes.turn), torch.stack(scales, dim=1)
 
@@ -166,17 +173,19 @@ class Motion(nn.Module):
         The distortion, by how much distances between points are wrong, is what topology depends on: deaths differ by half of
         the largest one at most. An error that all points share moves no killer to another place of the cloth.
 
-        Clouds are thinned at random, so that nothing depends on how many points are seen.
+        Clouds are thinned at random, so that nothing depends on how many points are seen; and grippers change names, which
+        is another frame for the same scene.
         """
-        several = torch.randint(64, scene["cloud"].shape[1] + 1, (2,), generator=generator).tolist()
-        n = min(scene["future"].shape[2], several[0])
-        shown = {**scene, "cloud": scene["cloud"][:, : several[0]], "past": scene["past"][:, :, : 2 * several[1]]}
-        places, scales = self(shown, n)
-        future = scene["future"][:, :, :n]
+        seen, swap = torch.randint(64, scene["cloud"].shape[1] + 1, (2,), generator=generator).tolist()
+        shown = {**scene, "cloud": scene["cloud"][:, :seen]}
+        if swap % 2:
+            shown |= {name: scene[name].flip(2) for name in ("grippers", "actions")}
+        places, scales = self(shown)
+        future = scene["future"]
         error = ((places - future).square().sum(dim=-1) + 1e-6).sqrt()
         unlikely = error / scales + 3 * (scales / UNIT).log()  # of a Laplace distribution in three dimensions
-        weight = scene["known"].to(error)[..., None] / (n * scene["known"].sum().clamp_min(1))
-        apart = (torch.cdist(places, places) - torch.cdist(future, future)).abs().mean(dim=-1)
+        weight = scene["known"].to(error)[..., None] / (future.shape[2] * scene["known"].sum().clamp_min(1))
+        apart = (_apart(places) - _apart(future)).abs().mean(dim=-1)
         parts = {
             "error": (weight * error).sum(),
             "unlikely": (weight * unlikely).sum(),
@@ -184,6 +193,11 @@ class Motion(nn.Module):
         }
         loss = 30 * (parts["error"] + 2 * parts["distortion"]) + 0.3 * parts["unlikely"]
         return loss, {name: part.detach() for name, part in {"loss": loss, **parts}.items()}
+
+
+def _apart(points: Tensor) -> Tensor:
+    """(..., n, n) distances between points (..., n, 3); its gradient is far quicker than that of cdist."""
+    return ((points[..., :, None, :] - points[..., None, :, :]).square().sum(dim=-1) + 1e-8).sqrt()
 
 
 def carried(points: Tensor, before: Tensor, now: Tensor) -> Tensor:

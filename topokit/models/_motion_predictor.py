@@ -121,7 +121,7 @@ class MotionPredictor(Predictor):
             self.model.under(codes, *chunk) for chunk in zip(plans.split(_PLANS), holds.split(_PLANS), strict=True)
         ]
         places, scales = (torch.cat(part).numpy() for part in zip(*parts, strict=True))
-        start = codes.place @ codes.turn + codes.origin[:, None]
+        start = codes.place[:, codes.carriers :] @ codes.turn + codes.origin[:, None]
         first = np.broadcast_to(start.numpy()[:, None], (len(places), 1, *places.shape[2:]))
         return _between(np.concatenate([first, places], axis=1)), _between(
             np.concatenate([scales[:, :1], scales], axis=1)
@@ -130,21 +130,18 @@ class MotionPredictor(Predictor):
     def _encode(self, ids: NDArray[np.int64] | None) -> Codes:
         """What points of the last cloud know, or all of them; made once for all plans until the next frame."""
         if (ids is None) not in self._codes:
-            order = np.arange(len(self._clouds[-1]))
-            if ids is not None:
-                rest = _shuffled(np.setdiff1d(order, ids))
-                order = np.concatenate([ids, rest[: max(self.model.shape.points - len(ids), 1)]])
-            last = len(self._clouds) - 1
+            cloud, last = self._clouds[-1], len(self._clouds) - 1
             then = [max(last - ago, 0) for ago in (0, *PAST)]
             scene = {
-                "cloud": self._clouds[-1][order],
+                "cloud": _shuffled(cloud)[: self.model.shape.points],
+                "points": cloud if ids is None else cloud[ids],
                 "past": np.stack([np.resize(_shuffled(self._clouds[i]), (SEEN_BEFORE, 3)) for i in then[1:]]),
                 "grippers": np.stack([self._hands[i] for i in then]),
                 "target": resampled(self._target),
             }
             tensors = {name: torch.from_numpy(part.astype(np.float32))[None] for name, part in scene.items()}
             tensors["held"] = torch.tensor([self._held])
-            self._codes[ids is None] = self.model.encode(tensors, len(order) if ids is None else len(ids))
+            self._codes[ids is None] = self.model.encode(tensors)
         return self._codes[ids is None]
 
 

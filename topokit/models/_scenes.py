@@ -14,13 +14,13 @@ from topokit.data import Dataset
 from ._motion import KNOTS, PAST
 
 Array = NDArray[np.float32]
-CLOUD, SEEN_BEFORE, FUTURE = 320, 448, 64  # points of a cloud, of one before it, and of those that are followed
+CLOUD, SEEN_BEFORE, FUTURE = 320, 704, 32  # points of a cloud, of one before it, and of those that are followed
 TARGET = 16  # points of a target's line
 FIRST, AHEAD = 4, 20  # frames that a window has at least before the present one, and after it
 
 
 class Scenes(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
-    """Windows of the motion of vertices: an item is the scene of `Motion`, its plan, and `future` (13, 64, 3) with `known` (13,).
+    """Windows of the motion of vertices: an item is the scene of `Motion`, its plan, and `future` (13, 32, 3) with `known` (13,).
 
     Which vertices are seen is drawn at random for each frame, so that a cloud's order says nothing.
 
@@ -58,21 +58,23 @@ def scene_at(parts: dict[str, Array], frame: int, rng: np.random.Generator) -> d
     """The window of an episode whose present is that frame."""
     points, n = parts["points"], parts["points"].shape[1]
 
-    def some(count: int) -> NDArray[np.int64]:
-        return np.concatenate([rng.permutation(n) for _ in range(-(-count // n))])[:count]
+    def some(count: int, most: int = n) -> NDArray[np.int64]:
+        return np.resize(rng.permutation(n)[:most], count)
 
-    seen, ago = some(CLOUD), np.maximum(frame - np.array((0, *PAST)), 0)
+    thin = int(rng.integers(n // 3, n)) if rng.random() < 0.5 else n  # a camera sees a part, a tracker on vertices all
+    followed, ago = some(FUTURE), np.maximum(frame - np.array((0, *PAST)), 0)
     knots, ahead = frame + np.array(KNOTS), frame + np.arange(1, KNOTS[-1] + 1)
     last = len(points) - 1
     scene = {
-        "cloud": points[frame, seen],
-        "past": np.stack([points[then, some(SEEN_BEFORE)] for then in ago[1:]]),
+        "cloud": points[frame, some(CLOUD)],
+        "points": points[frame, followed],
+        "past": np.stack([points[then, some(SEEN_BEFORE, thin)] for then in ago[1:]]),
         "grippers": parts["grippers"][ago],
         "held": parts["held"][frame],
         "target": parts["target"],
         "actions": parts["actions"][np.minimum(ahead, last)],
         "actions_held": parts["held"][np.minimum(ahead, last)],
-        "future": points[np.minimum(knots, last)][:, seen[:FUTURE]],
+        "future": points[np.minimum(knots, last)][:, followed],
         "known": knots <= last,
     }
     return {name: torch.as_tensor(np.asarray(part)) for name, part in scene.items()}
