@@ -23,7 +23,7 @@ from ._baselines import Normalisation, Shape
 from ._checkpoint import MODELS
 from ._states import LossWeights, Window, target_states
 
-_PLACES = {"clouds", "triangles", "past_triangles", "grippers", "actions", "cloud", "points", "past", "target", "future"}
+_PLACES = {"clouds", "triangles", "past_triangles", "grippers", "actions", "cloud", "points", "flow", "target", "future"}
 Natural = Annotated[int, Field(ge=0)]
 _Part = Annotated[float, Field(ge=0, lt=1)]
 

@@ -8,7 +8,7 @@ Idea, four choices:
    of it in the frame of the grippers, turned with them about the vertical, so that a turned or moved scene is the same scene.
 3. *A correction of being carried.* Cloth that is held goes with the grippers, as a rigid body does; the network adds the rest.
 4. *Few large steps.* The future is taken in 13 steps of one to six frames. A code of every point is carried along, and is told
-   what grippers and target are like there, and what the mean and the maximum of the codes of 32 of the points, the carriers, say.
+   what grippers and target are like there, and what the mean and the maximum of the codes of 24 of the points, the carriers, say.
    So points do not wait for each other: a few are forecast under a thousand plans, or all under one.
 
 Each point has a scale of its error, too, learned with the motion as that of a Laplace distribution.
@@ -32,7 +32,7 @@ PAST = (1, 4, 12)  # frames ago that are looked at
 UNIT = 0.2  # metres
 _REACH = 0.3  # metres over which the target's say fades
 _NEAR = 12  # neighbours of a point
-_CARRIERS, _POOLED = 32, 16  # points that tell all others how the cloth fares, and the numbers that they do it with
+CARRIERS, _POOLED = 24, 16  # points that tell all others how the cloth fares, and the numbers that they do it with
 Scene = dict[str, Tensor]
 
 
@@ -56,7 +56,7 @@ class Motion(nn.Module):
     =============  ============  ========================================================
     ``cloud``      (B, M, 3)     the cloth at the present frame, in an order that says nothing
     ``points``     (B, n, 3)     points of the cloth whose motion is asked for
-    ``past``       (B, 3, P, 3)  clouds 1, 4 and 12 frames ago
+    ``flow``       (B, M+n, 3, 3) how cloud and points moved beside the grippers since 1, 4 and 12 frames ago
     ``grippers``   (B, 4, 2, 3)  at the present frame, and then
     ``held``       (B,) bool     whether they hold the cloth
     ``target``     (B, L, 3)     the target's centre line, from its foot to its tip
@@ -95,26 +95,22 @@ class Motion(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, scene: Scene) -> tuple[Tensor, Tensor]:
-        """Places (B, 13, n, 3) of the points, metres, and the scale (B, 13, n) of their errors.
+        """Places (B, 13, carriers + n, 3) of carriers and points, metres, and the scales of their errors, without the 3.
 
-        The plans are in the scene, too: `actions` (B, 60, 2, 3) and `actions_held` (B, 60).
+        The carriers are the first 24 of the cloud. The plans are in the scene, too: `actions` (B, 60, 2, 3) and
+        `actions_held` (B, 60).
         """
         return self.under(self.encode(scene), scene["actions"], scene["actions_held"])
 
     def encode(self, scene: Scene) -> Codes:
         """What the points know, whatever the plan."""
         origin, turn = _frame(scene["grippers"][:, 0])
-        cloud, points, past, hands, target = (
-            _local(scene[name], origin, turn) for name in ("cloud", "points", "past", "grippers", "target")
+        cloud, points, hands, target = (
+            _local(scene[name], origin, turn) for name in ("cloud", "points", "grippers", "target")
         )
-        size, carriers = cloud.shape[1], min(_CARRIERS, cloud.shape[1])
+        size, carriers = cloud.shape[1], min(CARRIERS, cloud.shape[1])
         seen = torch.cat([cloud, points], dim=1)
-        flows = []
-        for ago in range(len(PAST)):
-            back = carried(seen, hands[:, 0], hands[:, 1 + ago])
-            nearest = torch.cdist(back, past[:, ago]).argmin(dim=-1)
-            flows.append(2 / UNIT * (back - past[:, ago].gather(1, nearest[..., None].expand(-1, -1, 3))))
-        flow = torch.cat(flows, dim=-1)
+        flow = (2 / UNIT * scene["flow"].flatten(1, 2) @ turn.transpose(1, 2)).view(len(cloud), -1, 9)
         velocity = (10 / UNIT * (hands[:, :1] - hands[:, 1:3])).flatten(1)
         opening = (hands[:, 0, 0] - hands[:, 0, 1]).norm(dim=1, keepdim=True) / UNIT
         whole = torch.cat([velocity, scene["held"].to(cloud)[:, None], opening], dim=1)[:, None]
@@ -134,7 +130,7 @@ class Motion(nn.Module):
         return Codes(code, place, hands[:, 0], target, origin, turn, carriers)
 
     def under(self, codes: Codes, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
-        """Places (C, 13, n, 3) and scales (C, 13, n) under C plans: one a scene, or any number for a single one.
+        """Places and scales, as `forward`, under C plans: one a scene, or any number for a single one.
 
         Parameters
         ----------
@@ -162,13 +158,13 @@ class Motion(nn.Module):
             change = self.out(code)
             goes = ahead - place + UNIT * frames * change[..., :3]
             step, place, before = goes / frames, place + goes, now
-            places.append(place[:, carriers:])
-            scales.append(0.01 * (change[:, carriers:, 3] + 1).exp())
+            places.append(place)
+            scales.append(0.01 * (change[..., 3] + 1).exp())
         found = torch.stack(places, dim=1)
         return _world(found, codes.origin, codes.turn), torch.stack(scales, dim=1)
 
     def loss(self, scene: Scene, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """Of `future` (B, 13, n, 3), where it is `known` (B, 13): error and distortion in the mean, and the likelihood.
+        """Of `future` (B, 13, carriers + n, 3), where it is `known` (B, 13): error and distortion in the mean, and the likelihood.
 
         The distortion, by how much distances between points are wrong, is what topology depends on: deaths differ by half of
         the largest one at most. An error that all points share moves no killer to another place of the cloth.
@@ -176,8 +172,10 @@ class Motion(nn.Module):
         Clouds are thinned at random, so that nothing depends on how many points are seen; and grippers change names, which
         is another frame for the same scene.
         """
-        seen, swap = torch.randint(64, scene["cloud"].shape[1] + 1, (2,), generator=generator).tolist()
-        shown = {**scene, "cloud": scene["cloud"][:, :seen]}
+        whole = scene["cloud"].shape[1]
+        few, swap = torch.randint(64, whole + 1, (2,), generator=generator).tolist()
+        flow = torch.cat([scene["flow"][:, :few], scene["flow"][:, whole:]], dim=1)
+        shown = {**scene, "cloud": scene["cloud"][:, :few], "flow": flow}
         if swap % 2:
             shown |= {name: scene[name].flip(2) for name in ("grippers", "actions")}
         places, scales = self(shown)
@@ -191,7 +189,7 @@ class Motion(nn.Module):
             "unlikely": (weight * unlikely).sum(),
             "distortion": (weight * apart).sum(),
         }
-        loss = 30 * (parts["error"] + 2 * parts["distortion"]) + 0.3 * parts["unlikely"]
+        loss = 30 * (parts["error"] + parts["distortion"]) + 0.3 * parts["unlikely"]
         return loss, {name: part.detach() for name, part in {"loss": loss, **parts}.items()}
 
 

@@ -17,7 +17,7 @@ from topokit.state import Loop
 
 from ._motion import KNOTS, PAST, Codes, Motion
 from ._predictor import Array, Forecast, Predictor, as_cloud, as_grippers
-from ._scenes import SEEN_BEFORE, resampled
+from ._scenes import flow, resampled
 from ._states import TRIANGLES
 
 _PLANS = 250  # at once, so that what lies between layers stays in the cache
@@ -120,7 +120,7 @@ class MotionPredictor(Predictor):
         parts = [
             self.model.under(codes, *chunk) for chunk in zip(plans.split(_PLANS), holds.split(_PLANS), strict=True)
         ]
-        places, scales = (torch.cat(part).numpy() for part in zip(*parts, strict=True))
+        places, scales = (torch.cat(part)[:, :, codes.carriers :].numpy() for part in zip(*parts, strict=True))
         start = codes.place[:, codes.carriers :] @ codes.turn + codes.origin[:, None]
         first = np.broadcast_to(start.numpy()[:, None], (len(places), 1, *places.shape[2:]))
         return _between(np.concatenate([first, places], axis=1)), _between(
@@ -132,11 +132,13 @@ class MotionPredictor(Predictor):
         if (ids is None) not in self._codes:
             cloud, last = self._clouds[-1], len(self._clouds) - 1
             then = [max(last - ago, 0) for ago in (0, *PAST)]
+            seen, asked = _shuffled(cloud)[: self.model.shape.points], cloud if ids is None else cloud[ids]
+            hands = np.stack([self._hands[i] for i in then])
             scene = {
-                "cloud": _shuffled(cloud)[: self.model.shape.points],
-                "points": cloud if ids is None else cloud[ids],
-                "past": np.stack([np.resize(_shuffled(self._clouds[i]), (SEEN_BEFORE, 3)) for i in then[1:]]),
-                "grippers": np.stack([self._hands[i] for i in then]),
+                "cloud": seen,
+                "points": asked,
+                "flow": flow(np.concatenate([seen, asked]), [self._clouds[i] for i in then[1:]], hands),
+                "grippers": hands,
                 "target": resampled(self._target),
             }
             tensors = {name: torch.from_numpy(part.astype(np.float32))[None] for name, part in scene.items()}

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from topokit.data import Dataset
 
-from ._motion import KNOTS, PAST
+from ._motion import CARRIERS, KNOTS, PAST, carried
 
 Array = NDArray[np.float32]
-CLOUD, SEEN_BEFORE, FUTURE = 320, 704, 32  # points of a cloud, of one before it, and of those that are followed
+CLOUD, ASKED = 320, 16  # points of a cloud, and of those that are asked for
 TARGET = 16  # points of a target's line
 FIRST, AHEAD = 4, 20  # frames that a window has at least before the present one, and after it
 
 
 class Scenes(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
-    """Windows of the motion of vertices: an item is the scene of `Motion`, its plan, and `future` (13, 32, 3) with `known` (13,).
+    """Windows of the motion of vertices: an item is the scene of `Motion`, its plan, and `future` (13, 40, 3) with `known` (13,).
 
     Which vertices are seen is drawn at random for each frame, so that a cloud's order says nothing.
 
@@ -62,22 +63,37 @@ def scene_at(parts: dict[str, Array], frame: int, rng: np.random.Generator) -> d
         return np.resize(rng.permutation(n)[:most], count)
 
     thin = int(rng.integers(n // 3, n)) if rng.random() < 0.5 else n  # a camera sees a part, a tracker on vertices all
-    followed, ago = some(FUTURE), np.maximum(frame - np.array((0, *PAST)), 0)
+    seen, asked, ago = some(CLOUD), some(ASKED), np.maximum(frame - np.array((0, *PAST)), 0)
+    both, hands = points[frame, np.concatenate([seen, asked])], parts["grippers"][ago]
     knots, ahead = frame + np.array(KNOTS), frame + np.arange(1, KNOTS[-1] + 1)
     last = len(points) - 1
     scene = {
-        "cloud": points[frame, some(CLOUD)],
-        "points": points[frame, followed],
-        "past": np.stack([points[then, some(SEEN_BEFORE, thin)] for then in ago[1:]]),
-        "grippers": parts["grippers"][ago],
+        "cloud": both[:CLOUD],
+        "points": both[CLOUD:],
+        "flow": flow(both, [points[then, some(n, thin)] for then in ago[1:]], hands),
+        "grippers": hands,
         "held": parts["held"][frame],
         "target": parts["target"],
         "actions": parts["actions"][np.minimum(ahead, last)],
         "actions_held": parts["held"][np.minimum(ahead, last)],
-        "future": points[np.minimum(knots, last)][:, followed],
+        "future": points[np.minimum(knots, last)][:, np.concatenate([seen[:CARRIERS], asked])],
         "known": knots <= last,
     }
     return {name: torch.as_tensor(np.asarray(part)) for name, part in scene.items()}
+
+
+def flow(points: NDArray[np.floating], past: Sequence[NDArray[np.floating]], hands: NDArray[np.floating]) -> Array:
+    """How points (n, 3) moved, more than the grippers (1 + 3, 2, 3) did, since each of 3 clouds before: (n, 3, 3), metres.
+
+    Taken back with the grippers, a point has its nearest neighbour in the cloud of then; that is where it came from.
+    """
+    now = torch.from_numpy(np.ascontiguousarray(hands[:1], np.float64))
+    found = []
+    for cloud, then in zip(past, hands[1:], strict=True):
+        place = torch.from_numpy(np.ascontiguousarray(points, np.float64))[None]
+        back = carried(place, now, torch.from_numpy(np.ascontiguousarray(then, np.float64))[None])[0].numpy()
+        found.append(back - cloud[cKDTree(cloud).query(back)[1]])
+    return np.stack(found, axis=1).astype(np.float32)
 
 
 def resampled(line: NDArray[np.floating], n: int = TARGET) -> Array:
