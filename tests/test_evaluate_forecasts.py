@@ -365,7 +365,7 @@ def test_the_committed_evaluation_is_a_good_one():
     config, folder = load_evaluation(DATA.parent / "book" / "evaluation.json")
     assert config.ours in config.models
     assert all(len(config.models[model]) >= 3 for model in ("mlp", "pointnet", config.ours))  # seeds
-    chapter = {"aprons", "all garments", "128 points"}  # chapter 11 asks for these by name
+    chapter = {"aprons", "all garments", "128 points"}  # chapter 12 asks for these by name
     assert chapter <= {condition.name for condition in config.conditions}
     assert folder.name == "book"
 

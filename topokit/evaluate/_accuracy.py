@@ -4,7 +4,7 @@ Idea: where L true loops are there (`topokit.evaluate.true_loops`), the first k 
 first, as in the paper; which is compared with which is chosen in their favour. A true loop is marked by one curve of its class,
 and others are as true (straight across a skirt, or behind a tie), so its hull takes in the edge that ends its class, too.
 
-Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 11.
+Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 12.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Figures of an evaluation, from the file of its results (`topokit.evaluate.read_results`). Taught in chapter 11."""
+"""Figures of an evaluation, from the file of its results (`topokit.evaluate.read_results`). Taught in chapter 12."""
 
 from __future__ import annotations
 
