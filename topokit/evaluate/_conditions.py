@@ -144,8 +144,7 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
 
 
 def _forecast(model: PredictiveModel, window: Mapping[str, Tensor]) -> States:
-    states, _ = model(window)
-    return states.each(Tensor.float)
+    return model(window).each(Tensor.float)
 
 
 def _entries(

@@ -11,7 +11,7 @@ from topokit._lazy import attach
 if TYPE_CHECKING:
     from ._baselines import Normalisation, PredictiveModel, Shape
     from ._checkpoint import MODELS, build, load_model, load_tensors
-    from ._config import Spoiling, TrainConfig, Windows, load_config, open_windows
+    from ._config import TrainConfig, Windows, load_config, open_windows
     from ._motion import Motion
     from ._motion_predictor import MotionPredictor
     from ._predictor import Forecast, PredictedLoop, Predictor

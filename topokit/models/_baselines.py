@@ -63,12 +63,10 @@ class PredictiveModel(nn.Module, ABC):
     learns = True  # by gradient descent
     inputs: tuple[str, ...] = ("clouds",)  # what is read of each frame of a window's history
     tracked = False  # whether `gather` is given what a tracker saw, too: `PAST`, of all frames
-    plans_at_once = 250  # of many: so that weights are read seldom, and what lies between layers stays in the cache
 
     def __init__(self, shape: Shape, normalisation: Normalisation) -> None:
         super().__init__()
         self.shape, self.normalisation = shape, normalisation
-        self.frames = list(range(shape.history))  # how many frames back is looked, the newest first
         self.register_buffer("origin", torch.tensor(normalisation.origin), persistent=False)
         self.origin: Tensor
 
@@ -93,14 +91,9 @@ class PredictiveModel(nn.Module, ABC):
         held : (C, horizon) bool
         """
 
-    def present_states(self, context: Context) -> States | None:
-        """Return the estimate of the present state that the model makes on its way, (B, 1, slots); None when it makes none."""
-        return None
-
     def encode(self, window: Window) -> Context:
         """Everything that does not depend on the plan."""
-        look = [self.shape.history - 1 - back for back in self.frames]
-        frames = {name: window[name][:, look] for name in self.inputs}
+        frames = {name: window[name].flip(1) for name in self.inputs}
         sizes = next(iter(frames.values())).shape[:2]
         kept = self.encode_frames({name: part.flatten(0, 1) for name, part in frames.items()})
         kept = {name: part.unflatten(0, sizes) for name, part in kept.items()}
@@ -108,10 +101,9 @@ class PredictiveModel(nn.Module, ABC):
             kept |= {name: window[name].flip(1) for name in PAST}
         return self.gather(kept)
 
-    def forward(self, window: Window) -> tuple[States, States | None]:
-        """The forecast, and the present state when the model estimates it."""
-        context = self.encode(window)
-        return self.decode(context, window["actions"], window["actions_held"]), self.present_states(context)
+    def forward(self, window: Window) -> States:
+        """The forecast."""
+        return self.decode(self.encode(window), window["actions"], window["actions_held"])
 
     def normalise(self, points: Tensor) -> Tensor:
         """Coordinates in metres to about the unit cube."""

@@ -25,20 +25,20 @@ from topokit._config import from_mapping
 
 from ._baselines import Carry, Hold, Normalisation, PredictiveModel, Ridge, Shape
 from ._motion import Motion
-from ._networks import MLP, LoopCast, PointNet
+from ._networks import MLP, PointNet
 
 SCHEMA = 2
 _KIND = "topokit-checkpoint"
 
 Model = PredictiveModel | Motion
-_KINDS: tuple[type[Model], ...] = (Hold, Carry, Ridge, MLP, PointNet, LoopCast, Motion)
+_KINDS: tuple[type[Model], ...] = (Hold, Carry, Ridge, MLP, PointNet, Motion)
 MODELS: Mapping[str, type[Model]] = {kind.__name__.lower(): kind for kind in _KINDS}
 
 
 def build(name: str, shape: Shape, normalisation: Normalisation, options: Mapping[str, Any] | None = None) -> Model:
     """Make a model with freshly drawn weights.
 
-    "hold", "carry" and "ridge" are baselines without a network, "mlp" and "pointnet" the paper's, "loopcast" is ours.
+    "hold", "carry" and "ridge" are baselines without a network, "mlp" and "pointnet" the paper's, "motion" is ours.
 
     Parameters
     ----------
@@ -47,8 +47,7 @@ def build(name: str, shape: Shape, normalisation: Normalisation, options: Mappin
     shape : Shape
     normalisation : Normalisation
     options : mapping, optional
-        Of "ridge" `penalty`, on squared coefficients; of "mlp" and "pointnet" `hidden` units; of "loopcast" `width` of codes,
-        `step_width` of a step's.
+        Of "ridge" `penalty`, on squared coefficients; of "mlp" and "pointnet" `hidden` units; of "motion" `width` of codes.
 
     Raises
     ------

@@ -1,7 +1,6 @@
 """What is trained on: a configuration (JSON or TOML), the windows of two splits that it names, and more made of them.
 
-Scenes are alike left and right of the plane x = 0 in which the targets stand: the mirror image of an episode could have happened.
-Clouds are also shown worse than the labels' tracker saw them, which is what a real camera does.
+Scenes are alike left and right of the plane x = 0: the mirror image of an episode could have happened.
 """
 
 from __future__ import annotations
@@ -10,32 +9,30 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
 from torch.utils.data import default_collate
 
 from topokit._config import Count, NotNegative, Positive, checked, load
-from topokit.data import spoil
 
 from ._baselines import Normalisation, Shape
 from ._checkpoint import MODELS
 from ._states import LossWeights, Window, target_states
 
-_PLACES = {"clouds", "triangles", "past_triangles", "grippers", "actions", "cloud", "points", "flow", "target", "future"}
+_PLACES = {
+    "clouds",
+    "triangles",
+    "past_triangles",
+    "grippers",
+    "actions",
+    "cloud",
+    "points",
+    "flow",
+    "target",
+    "future",
+}
 Natural = Annotated[int, Field(ge=0)]
-_Part = Annotated[float, Field(ge=0, lt=1)]
-
-
-@checked
-class Spoiling:
-    """How much worse a model sees the clouds in training than the labels' tracker did; nothing, when not said."""
-
-    clouds: _Part = 0.0  #: share of windows whose clouds are spoilt, each by an amount of its own, up to the next three
-    noise: _Part = 0.0  #: standard deviation on every coordinate, metres
-    outliers: _Part = 0.0  #: share of points that are anywhere in the cloud's box and 10 cm around it
-    drop: _Part = 0.0  #: share of points that are missing; others stand twice in their place
 
 
 @checked
@@ -58,7 +55,6 @@ class TrainConfig:
     learning_rate: Positive = 1e-3  #: of AdamW; rises over the first 2 % of steps, falls along a cosine to a hundredth
     weight_decay: NotNegative = 1e-4  #: of AdamW
     clip: Positive = 1.0  #: largest norm of a gradient
-    spoil: Spoiling = field(default_factory=Spoiling)  #: how much worse clouds are seen than by the labels' tracker
     patience: Count = 5  #: stop after so many epochs without a smaller validation loss
     minutes_between_checkpoints: Positive = 5.0  #: within an epoch; one more at its end
     threads: Count = 2  #: that share the sums; with another number weights differ in their last bits
@@ -133,17 +129,3 @@ def mirrored(window: Window, which: Tensor) -> dict[str, Tensor]:
         flipped[name] = window[name].clone()
         flipped[name][which] = image.flip(-2) if name in ("grippers", "actions") else image
     return flipped
-
-
-def spoilt(window: Window, how: Spoiling, generator: torch.Generator) -> dict[str, Tensor]:
-    """A batch of windows as it is shown to a model; the labels that it is held against are those of `window`."""
-    shown, n = dict(window), len(window["clouds"])
-    chosen = torch.rand(n, generator=generator) < how.clouds
-    if chosen.any():
-        clouds = window["clouds"][chosen]
-        rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
-        noise, outliers, drop = (most * rng.random((len(clouds), 1)) for most in (how.noise, how.outliers, how.drop))
-        worse = spoil(clouds.cpu().numpy(), rng, noise=noise, outliers=outliers, keep=1 - drop)
-        shown["clouds"] = window["clouds"].clone()
-        shown["clouds"][chosen] = torch.from_numpy(worse).to(clouds)
-    return shown

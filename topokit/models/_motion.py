@@ -20,6 +20,7 @@ codes pooled as in Qi et al. 2017, *PointNet*; edge convolutions of Wang et al. 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import torch
@@ -33,7 +34,7 @@ UNIT = 0.2  # metres
 _REACH = 0.3  # metres over which the target's say fades
 _NEAR = 12  # neighbours of a point
 CARRIERS, _POOLED = 24, 16  # points that tell all others how the cloth fares, and the numbers that they do it with
-Scene = dict[str, Tensor]
+Scene = Mapping[str, Tensor]
 
 
 class Codes(NamedTuple):
@@ -164,7 +165,7 @@ class Motion(nn.Module):
         return _world(found, codes.origin, codes.turn), torch.stack(scales, dim=1)
 
     def loss(self, scene: Scene, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
-        """Of `future` (B, 13, carriers + n, 3), where it is `known` (B, 13): error and distortion in the mean, and the likelihood.
+        """Error and distortion in the mean, and likelihood, of `future` (B, 13, carriers + n, 3) where it is `known` (B, 13).
 
         The distortion, by how much distances between points are wrong, is what topology depends on: deaths differ by half of
         the largest one at most. An error that all points share moves no killer to another place of the cloth.

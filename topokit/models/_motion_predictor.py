@@ -16,18 +16,16 @@ from topokit.seqph import SeqPH
 from topokit.state import Loop
 
 from ._motion import KNOTS, PAST, Codes, Motion
-from ._predictor import Array, Forecast, Predictor, as_cloud, as_grippers
+from ._predictor import PLANS_AT_ONCE, Array, Forecast, Predictor, as_cloud, as_grippers
 from ._scenes import flow, resampled
 from ._states import TRIANGLES
-
-_PLANS = 250  # at once, so that what lies between layers stays in the cache
 
 
 class MotionPredictor(Predictor):
     """Forecasts by a `Motion`: of the cloud, and of the loops that the tracker sees in the present one.
 
-    Two tiers. For many plans, the corners of each loop's triangles are moved, and no others. For one plan, `exact` names frames at
-    which the whole cloud is moved and each loop's killer is sought there anew (`topokit.follow`).
+    Two tiers. For many plans, the corners of each loop's triangles are moved, and no others. For one plan, `exact` names frames
+    at which the whole cloud is moved and each loop's killer is sought there anew (`topokit.follow`).
     """
 
     model: Motion  # type: ignore[assignment]
@@ -118,7 +116,8 @@ class MotionPredictor(Predictor):
             raise ValueError("nothing was observed yet: call observe(points, grippers) first")
         codes = self._encode(ids)
         parts = [
-            self.model.under(codes, *chunk) for chunk in zip(plans.split(_PLANS), holds.split(_PLANS), strict=True)
+            self.model.under(codes, *chunk)
+            for chunk in zip(*(part.split(PLANS_AT_ONCE) for part in (plans, holds)), strict=True)
         ]
         places, scales = (torch.cat(part)[:, :, codes.carriers :].numpy() for part in zip(*parts, strict=True))
         start = codes.place[:, codes.carriers :] @ codes.turn + codes.origin[:, None]

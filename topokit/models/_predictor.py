@@ -23,6 +23,8 @@ from ._baselines import PredictiveModel, past_window
 from ._checkpoint import load_model
 from ._states import TRIANGLES, States
 
+PLANS_AT_ONCE = 250  # so that weights are read seldom, and what lies between layers stays in the cache
+
 Array = NDArray[np.float32]
 
 
@@ -212,7 +214,7 @@ class Predictor:
         """
         plans, holds = self._plans(actions, held)
         context = self._encoded()
-        chunks = zip(*(part.split(self.model.plans_at_once) for part in (plans, holds)), strict=True)
+        chunks = zip(*(part.split(PLANS_AT_ONCE) for part in (plans, holds)), strict=True)
         parts = (vars(self.model.decode(context, *chunk)).values() for chunk in chunks)
         forecast = Forecast.from_states(States(*map(torch.cat, zip(*parts, strict=True))))
         return forecast if np.ndim(actions) == 4 else forecast.plan(0)
@@ -223,8 +225,7 @@ class Predictor:
             raise ValueError("nothing was observed yet: call observe(points) first")
         if self._context is None:
             back = [max(len(self._kept) - 1 - frames, 0) for frames in range(self.model.shape.history)]
-            look = [back[frames] for frames in self.model.frames]
-            kept = {name: torch.stack([self._kept[i][name] for i in look], dim=1) for name in self._kept[0]}
+            kept = {name: torch.stack([self._kept[i][name] for i in back], dim=1) for name in self._kept[0]}
             if self._tracker is not None:
                 past = past_window(self._states, self.model.shape.slots)
                 kept |= {name: part[:, back] for name, part in past.items()}

@@ -131,15 +131,6 @@ def loop_mixtures(triangles: Tensor, values: Tensor, noise: float = 1e-4) -> Mix
     return MixtureSameFamily(weights, components, validate_args=False)
 
 
-def sigma_points(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
-    """Points (..., 3 m, 3) and weights (..., 3 m) that have mean and covariance (without noise) of each component."""
-    # The vertices drawn away by sqrt(3/2): their population covariance is then the sample covariance.
-    mean = triangles.mean(dim=-2, keepdim=True)
-    points = (mean + 1.5**0.5 * (triangles - mean)).flatten(-3, -2)
-    weights = (values / values.sum(dim=-1, keepdim=True).clamp_min(1e-12)).repeat_interleave(3, dim=-1) / 3
-    return points, weights
-
-
 @checked
 class LossWeights:
     """Weights of the parts of the loss, and whether slots may be matched."""
@@ -148,20 +139,11 @@ class LossWeights:
     features: NotNegative = 1.0
     presence: NotNegative = 1.0  #: binary cross-entropy of the presence of each slot
     centre: NotNegative = 0.0  #: distance of the mixtures' means, with the square below 2 cm: jumps of labels pull less
-    nll: NotNegative = 0.0  #: negative log-likelihood of the target mixture under the predicted one, nats
-    now: NotNegative = 0.0  #: `features` of the present state, for a model that estimates it on its way
     #: Take the cheapest order of the slots for the whole horizon, not that of the labels: by mean lifetime over the history.
     match: bool = False
 
 
-def forecast_loss(
-    predicted: States,
-    window: Window,
-    weights: LossWeights,
-    *,
-    present: States | None = None,
-    generator: torch.Generator | None = None,
-) -> tuple[Tensor, dict[str, Tensor]]:
+def forecast_loss(predicted: States, window: Window, weights: LossWeights) -> tuple[Tensor, dict[str, Tensor]]:
     """Loss of a batch; and for the log the same, its parts, and the mean distance of the mixtures' means in metres.
 
     Parameters
@@ -170,16 +152,10 @@ def forecast_loss(
     window : mapping of str to Tensor
         The batch, labels included.
     weights : LossWeights
-    present : States, optional
-        A model's estimate of the present state, as the one step.
-    generator : torch.Generator, optional
-        Draws the eight steps on which the log-likelihood is taken.
     """
     target = target_states(window)
-    past = past_states(window)[:, -1:]
     if weights.match:
-        order = match_slots(predicted, target)
-        target, past = target.slots(order), past.slots(order)
+        target = target.slots(match_slots(predicted, target))
     there = target.presence > 0
     gap = (predicted.mean - target.mean)[there].norm(dim=-1)
     parts = {
@@ -187,11 +163,6 @@ def forecast_loss(
         "presence": functional.binary_cross_entropy_with_logits(predicted.presence, there.to(predicted.presence)),
         "centre": _mean(functional.huber_loss(gap / POSITION, torch.zeros_like(gap), delta=0.2, reduction="none")),
     }
-    if weights.nll:
-        steps = torch.randperm(there.shape[1], generator=generator)[:8].to(there.device)
-        parts["nll"] = _nll(predicted[:, steps][there[:, steps]], target[:, steps][there[:, steps]])
-    if weights.now and present is not None:
-        parts["now"] = _features(present, past, past.presence > 0)
     total = torch.stack([getattr(weights, name) * part for name, part in parts.items()]).sum()
     parts = {"loss": total, **parts, "distance": _mean(gap)}
     return total, {name: part.detach() for name, part in parts.items()}
@@ -229,15 +200,6 @@ def _edge_errors(predicted: States, target: States) -> Tensor:
     places = ((predicted.corners - target.corners) / POSITION).square().sum(dim=-1)
     values = ((predicted.neighbour_values - target.neighbour_values) / VALUE).square().mean(dim=-1)
     return (places * counts).sum(dim=-1) / counts.sum(dim=-1) + values
-
-
-def _nll(predicted: States, target: States) -> Tensor:
-    """Cross-entropy of the target mixtures relative to the predicted ones, by the targets' sigma points."""
-    if not len(target.birth):
-        return predicted.birth.sum()
-    points, weight = sigma_points(target.triangles, target.values)  # (n, 18, 3), (n, 18)
-    mixtures = loop_mixtures(predicted.triangles, predicted.values)
-    return _mean(-(weight * mixtures.log_prob(points.transpose(0, 1)).transpose(0, 1)).sum(dim=-1))
 
 
 def _mean(errors: Tensor) -> Tensor:

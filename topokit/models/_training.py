@@ -31,7 +31,7 @@ from topokit._cores import safe_path
 
 from ._baselines import Normalisation, Ridge
 from ._checkpoint import build, describe, load_tensors, part_of, save_tensors
-from ._config import TrainConfig, Windows, epoch_order, mirrored, normalisation_of, spoilt, spread
+from ._config import TrainConfig, Windows, epoch_order, mirrored, normalisation_of, spread
 from ._motion import Motion
 from ._states import Window, forecast_loss
 
@@ -155,8 +155,7 @@ class _Training:
         seed = config.seed * 1_000_003 + progress.step
         generator = torch.Generator().manual_seed(seed)
         window = mirrored(window, torch.rand(len(window["actions"]), generator=generator) < 0.5)
-        shown = window if isinstance(self.model, Motion) else spoilt(window, config.spoil, generator)
-        loss, parts = self._loss(window, shown, seed)
+        loss, parts = self._loss(window, seed)
         if not torch.isfinite(loss):
             raise ValueError(f"step {progress.step}: the loss is {loss.item()}; lower learning_rate, or check the data")
         self.optimizer.zero_grad()
@@ -167,15 +166,13 @@ class _Training:
         progress.step += 1
         progress.batch += 1
 
-    def _loss(self, window: Window, shown: Window, seed: int) -> tuple[Tensor, dict[str, Tensor]]:
-        """Of a batch, as it is shown to the model: in 32 bits whatever the model computes in. The seed draws steps."""
-        generator = torch.Generator().manual_seed(seed)
+    def _loss(self, window: Window, seed: int) -> tuple[Tensor, dict[str, Tensor]]:
+        """Of a batch: in 32 bits whatever the model computes in."""
         if isinstance(self.model, Motion):
-            return self.model.loss(window, generator)
+            return self.model.loss(window, torch.Generator().manual_seed(seed))
         with self.fabric.autocast():
-            predicted, present = self.model(shown)
-        predicted, present = predicted.each(Tensor.float), None if present is None else present.each(Tensor.float)
-        return forecast_loss(predicted, window, self.config.loss, present=present, generator=generator)
+            predicted = self.model(window)
+        return forecast_loss(predicted.each(Tensor.float), window, self.config.loss)
 
     @torch.no_grad()
     def _validate(self) -> None:
@@ -184,7 +181,7 @@ class _Training:
         chosen = spread(len(self.windows.validation), self.config.validation_windows)
         sums: dict[str, float] = {}
         for number, window in enumerate(self._loader(Subset(self.windows.validation, chosen))):
-            _, parts = self._loss(window, window, number)
+            _, parts = self._loss(window, number)
             _add(sums, parts, len(window["actions"]))
         losses, progress = {name: value / len(chosen) for name, value in sums.items()}, self.progress
         row = {"epoch": progress.epoch, "step": progress.step, "seconds": round(progress.seconds, 1)}
