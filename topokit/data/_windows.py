@@ -209,6 +209,11 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         points = unpack(stored["points"][frame + 1 : frame + self.horizon + 1])
         return tuple(points[:, row[:n]] for row, n in zip(stored["loops"], document["loops"], strict=True))
 
+    def seen(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the clouds of an episode that its states were tracked on, (T, P, 3), and its target's centre line, (L, 3)."""
+        stored = decode(self.dataset.group, self.dataset.document(number), ("points", "observed", "centre_line"))
+        return unpack(self._tracked_clouds(stored, number)).astype(np.float64), stored["centre_line"]
+
     def load(self) -> WindowDataset:
         """Decode the episodes now, as many as `memory` lets; processes forked later share them."""
         for number in self.episodes.tolist():
@@ -246,12 +251,18 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
                 found = decode(labels, labels.document(number), ("id", "simplices", "values"))
                 tracked = _Tracked.of(found, cloud_of(stored, labels.manifest))
         else:
-            clouds = pack("clouds", self.observe(number, unpack(clouds[:, : self.n_points]).astype(np.float64)))
+            clouds = self._tracked_clouds(stored, number)
             slots = self.dataset.labels(self.labels).manifest["slots"]
             states = track(unpack(clouds), n_jobs=1)
             tracked = _Tracked.of(arrays_of(states, slots), clouds)
         clouds = clouds[:, np.arange(self.n_points) % clouds.shape[1]]
         return _Episode(clouds, stored["grippers"], stored["actions"], stored["held"].astype(bool), tracked)
+
+    def _tracked_clouds(self, stored: Mapping[str, NDArray[Any]], number: int) -> NDArray[np.int16]:
+        if self.observe is None:
+            return cloud_of(stored, self.dataset.labels(self.labels).manifest)
+        clouds = unpack(observed(stored)[:, : self.n_points]).astype(np.float64)
+        return pack("clouds", self.observe(number, clouds))
 
 
 def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> dict[str, NDArray[Any]]:

@@ -32,6 +32,7 @@ POINTS, DRAWN = 16, 100  # of an opening, and of a mixture, for likelihood and c
 _SLOTS = ("there", "absent", "changed", "same")  # for the tracker: at that step, and against the last frame seen
 COLUMNS = (
     "outside",  # of the farthest of the k means from its hull, metres; inf when fewer than k are forecast
+    "outside_any",  # the same for the nearer of two hulls: of the marked curve, of another curve of its class
     "outside_marked",  # the same for hulls of the marked curves alone, of loops that are not there, too
     "outside_anyway",  # the same as the first by lifetime times presence, none said to be absent
     "in_plane",  # whether all k are in the curve's outline, seen along its normal, and near its plane
@@ -41,6 +42,7 @@ COLUMNS = (
     *("nll", "cover50", "cover90"),  # of points of the openings: nats, shares in the regions of 50 and 90 % of the mass
     *_SLOTS,  # how many slots there are of the kind
     *(f"{name}_right" for name in _SLOTS),  # how many of these the forecast has right
+    "said_changed",  # how many it says have changed
 )
 
 
@@ -51,11 +53,12 @@ class TrueCurves:
     curves: tuple[Array, ...]  #: of each loop the vertices (K, L, 3), metres
     closing: tuple[Array, ...] = ()  #: of each the ends (K, 2, 3) of the edges of the full cloud that end its class
     present: tuple[NDArray[np.bool_], ...] = ()  #: (K,) whether it is there; all are when not given
+    tight: tuple[Sequence[Array], ...] = ()  #: K other curves of its class, (n, 3) each
 
-    def hull(self, loop: int, k: int) -> Array:
-        """(n, 3) points whose convex hull counts as the loop's."""
-        curve = self.curves[loop][k]
-        return np.concatenate([curve, self.closing[loop][k]]) if self.closing else curve
+    def hulls(self, loop: int, k: int) -> list[Array]:
+        """Points (n, 3) whose convex hulls count as the loop's: of the marked curve, and of another one of its class."""
+        closing = self.closing[loop][k] if self.closing else np.zeros((0, 3))
+        return [np.concatenate([one[loop][k], closing]) for one in (self.curves, self.tight) if one]
 
     @cached_property
     def extents(self) -> tuple[Array, Array]:
@@ -152,12 +155,13 @@ class _Sample:
     def places(self) -> dict[str, float]:
         """The columns of places; only the marked curves are asked for where no true loop is there."""
         truth, k, loops = self.truth, self.k, self.loops
-        values = {"outside_marked": self.outside(self.ranked, [curve[k] for curve in truth.curves])}
+        values = {"outside_marked": self.outside(self.ranked, [[curve[k]] for curve in truth.curves])}
         if not loops:
             return values
-        hulls = [truth.hull(loop, k) for loop in loops]
-        values["outside"] = self.outside(self.ranked, hulls)
-        values["outside_anyway"] = self.outside(_first(self.lifetimes * self.presence, self.lifetimes > 0), hulls)
+        both = [truth.hulls(loop, k) for loop in loops]
+        marked = [hulls[:1] for hulls in both]
+        values["outside"], values["outside_any"] = self.outside(self.ranked, marked), self.outside(self.ranked, both)
+        values["outside_anyway"] = self.outside(_first(self.lifetimes * self.presence, self.lifetimes > 0), marked)
         flat = [[truth.beside(loop, k, self.means[slot]) for loop in loops] for slot in self.ranked]
         values["in_plane"] = _least_worst(flat, len(loops)) <= 1
         share = (self.away / truth.extents[1][k])[self.ranked][:, loops]
@@ -166,8 +170,9 @@ class _Sample:
             values["distance"] = float(np.mean([self.away[pair] for pair in self.pairs]))
         return values
 
-    def outside(self, slots: Sequence[int], hulls: Sequence[Array]) -> float:
-        away = [[distance_to_hull(self.means[slot], hull) for hull in hulls] for slot in slots]
+    def outside(self, slots: Sequence[int], hulls: Sequence[Sequence[Array]]) -> float:
+        """Of the farthest, from the nearest of the hulls of its loop."""
+        away = [[min(distance_to_hull(self.means[slot], hull) for hull in some) for some in hulls] for slot in slots]
         return _least_worst(away, len(hulls))
 
 
@@ -223,7 +228,9 @@ def _count_slots(states: States, target: States, past: States, at: Tensor, colum
     """Fill in the counts of slots. Slots have no order: the one that suits the forecast best over all steps is taken."""
     order = match_slots(states, target)
     now, before = target.slots(order)[:, at].presence > 0, past.slots(order).presence > 0  # (B, K, S), (B, 1, S)
-    right, changed = (states[:, at].presence > 0) == now, now != before
+    said = states[:, at].presence > 0
+    right, changed = said == now, now != before
+    columns["said_changed"][:] = (said != before).sum(dim=-1).numpy()
     for name, which in zip(_SLOTS, (now, ~now, changed, ~changed), strict=True):
         columns[name][:] = which.sum(dim=-1).numpy()
         columns[f"{name}_right"][:] = (which & right).sum(dim=-1).numpy()

@@ -11,23 +11,25 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache, partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
-from torch import Tensor
 
 from topokit._config import Count, NotNegative, checked, load
 from topokit.data import Dataset, WindowDataset, spoil
-from topokit.models import MODELS, Normalisation, PredictiveModel, Shape, States, build, load_model, target_states
+from topokit.models import MODELS, Motion, MotionPredictor, Normalisation, Shape, load_model, target_states
+from topokit.models._baselines import Carry, Hold
+from topokit.models._checkpoint import Model
 
 from ._accuracy import TrueCurves
+from ._forecasters import Forecaster, of_stream, of_windows, turned
 from ._results import digest, library_digest
 from ._tracking import true_loops
 
-Forecaster = Callable[[Mapping[str, Tensor]], States]  # from a window to the states of all steps
-UNTRAINED = ("seqph", "hold", "carry")  # need no checkpoint; the first sees the future
+_BASELINES = {"hold": Hold, "carry": Carry}
+UNTRAINED = ("seqph", *_BASELINES)  # need no checkpoint; the first sees the future
 
 
 def _need_checkpoints(models: dict[str, list[str]]) -> dict[str, list[str]]:
@@ -60,6 +62,8 @@ class Condition:
     labels: str = ""  #: when not those of the evaluation
     split: dict[str, Any] = field(default_factory=dict)  #: of `Dataset.split`: by episode when empty
     part: str = "test"  #: of the split; "all" for all episodes
+    plans: Literal["all", "script", "off script"] = "all"  #: which episodes, by what their grippers were told
+    turned: float = 0.0  #: degrees by which scene and plan are turned about the vertical before forecasters see them
     garments: Annotated[list[str], Field(min_length=1)] | None = None  #: all when not given
     windows: Count = 100  #: of each garment, at most, spread evenly over its episodes and their frames
     #: Spoil the clouds, and track the loops on what is left. Without it seqPH, hold and carry have the labels' states.
@@ -79,7 +83,7 @@ class EvaluationConfig:
     #: `carry` need none and are always there.
     models: Checkpoints
     conditions: Annotated[list[Condition], Field(min_length=1)]  #: the first is the paper's figure
-    ours: str = "loopcast"  #: which of the models is ours; in the results it is called "ours"
+    ours: str = "motion"  #: which of the models is ours; in the results it is called "ours"
     labels: str = "full"  #: labels of the dataset
     shape: Shape = field(default_factory=Shape)  #: of the windows; all checkpoints must have it
     samples: Annotated[int, Field(ge=2)] = 1000  #: draws of the bootstrap
@@ -129,8 +133,9 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
         observed = WindowDataset(dataset, windows.episodes, observe=observe, **options).select(rows)
     shown = {config.ours: "ours"}
     untrained: dict[str, Forecaster] = {"seqph": target_states}
-    untrained |= {name: partial(_forecast, build(name, config.shape, Normalisation()).eval()) for name in UNTRAINED[1:]}
-    forecasters = {shown.get(name, name): [one] for name, one in untrained.items()}
+    untrained |= {name: of_windows(kind(config.shape, Normalisation()).eval()) for name, kind in _BASELINES.items()}
+    turn = partial(turned, degrees=condition.turned) if condition.turned else _unchanged
+    forecasters = {shown.get(name, name): [turn(one)] for name, one in untrained.items()}
     checkpoints = {}
     for name, paths in (config.models if condition.models is None else condition.models).items():
         found = [_load(config, name, folder / path, path) for path in paths]
@@ -139,12 +144,16 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
             raise ValueError(f"condition {condition.name!r}: {name} lists the same weights twice")
         for one in about:
             _check_unseen(one, clean, condition)
-        forecasters[shown.get(name, name)] = [partial(_forecast, model) for model, _ in found]
+        made = [
+            of_stream(MotionPredictor(one), observed) if isinstance(one, Motion) else of_windows(one)
+            for one, _ in found
+        ]
+        forecasters[shown.get(name, name)] = [turn(one) for one in made]
     return PreparedCondition(clean, observed, forecasters, _entries(config, condition, clean, checkpoints))
 
 
-def _forecast(model: PredictiveModel, window: Mapping[str, Tensor]) -> States:
-    return model(window).each(Tensor.float)
+def _unchanged(forecaster: Forecaster) -> Forecaster:
+    return forecaster
 
 
 def _entries(
@@ -182,6 +191,9 @@ def _tested(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.i
         raise ValueError(f"{where}: no garment {unknown[0]!r} in the dataset; it has {', '.join(dataset.garments)}")
     records = dataset.group.records
     chosen = [number for number in parts[condition.part].tolist() if records[number].garment in garments]
+    if condition.plans != "all":
+        off = condition.plans == "off script"
+        chosen = [number for number in chosen if ("path" in dataset.document(number)["physics"]) == off]
     known = np.intersect1d(chosen, labelled)
     if not len(known):
         raise ValueError(f"{where}: no episode of {condition.part!r} is of these garments and has labels {labels!r}")
@@ -216,8 +228,9 @@ def true_curves(windows: WindowDataset, rows: Sequence[int], steps: Sequence[int
     found = []
     for number, frame in windows.index[np.asarray(rows)].tolist():
         whole, at = _true_curves(windows.dataset.group.url, number), frame + np.array(steps)
-        parts = (whole.curves, whole.closing, whole.present)
-        found.append(TrueCurves(*(tuple(part[at] for part in each) for each in parts)))
+        curves, closing, present = (tuple(p[at] for p in part) for part in (whole.curves, whole.closing, whole.present))
+        tight = tuple([loop[step] for step in at] for loop in whole.tight)
+        found.append(TrueCurves(curves, closing, present, tight))
     return found
 
 
@@ -231,14 +244,15 @@ def _true_curves(url: str, number: int) -> TrueCurves:
         tuple(points[:, loop] for loop in loops),
         tuple(points[row, killers[:, loop]] for loop in range(len(loops))),
         tuple(np.array([frame.present for frame in frames]).T),
+        tuple([cloud[frame.tight[i]] for cloud, frame in zip(points, frames, strict=True)] for i in range(len(loops))),
     )
 
 
-def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> tuple[PredictiveModel, dict[str, Any]]:
+def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> tuple[Model, dict[str, Any]]:
     model, description = load_model(path)
     if name in MODELS and description["model"] != name:
         raise ValueError(f"{path}: a checkpoint of {description['model']!r}, listed under {name!r}")
-    if model.shape != config.shape:
+    if model.shape.horizon != config.shape.horizon or not (isinstance(model, Motion) or model.shape == config.shape):
         has = ", ".join(f"{size} {value}" for size, value in asdict(model.shape).items())
         raise ValueError(f"{path}: trained on windows of another shape: {has}; the evaluation has {config.shape}")
     trained = description.get("config", {})

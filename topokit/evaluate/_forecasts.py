@@ -29,8 +29,9 @@ from topokit.models import States, past_states, target_states
 
 from ._accuracy import COLUMNS, measure_forecasts
 from ._conditions import Condition, EvaluationConfig, PreparedCondition, garments_of, prepare_condition, true_curves
+from ._forecasters import horizons_of, steps_of
 from ._results import KIND, read_results, write_results
-from ._summary import Samples, horizons_of, steps_of, summarise
+from ._summary import Samples, summarise
 
 BATCH = 64
 MOST_FAILURES = 6

@@ -27,7 +27,8 @@ MEASURES = {
     "cover90": "share of points of the opening in the region of 90 %",
     "identity": "true loops found at t+1 that are found by the same slot",
     "presence": "balanced accuracy: is the slot's loop there for the tracker?",
-    "presence_changed": "the same accuracy, of loops that have come or gone since t",
+    "presence_changed": "the same accuracy, of loops that have come or gone since t: how many of these events are forecast",
+    "events_precision": "share of the events that are forecast that come true",
     "presence_same": "the same accuracy, of the others",
 }  # of a condition, and what they mean
 _NO_SHARES = ("distance_cm", "distance_median_cm", "nll", "nll_median")

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._conditions import EvaluationConfig
+from ._forecasters import horizons_of, steps_of
 from ._results import MEASURES
 
 Array = NDArray[np.float64]
@@ -144,16 +145,6 @@ class Samples:
         return Samples(some, self.episode[rows], self.garment[rows])
 
 
-def horizons_of(horizon: int) -> tuple[int, ...]:
-    """The steps of the tables: the paper's 1, 15, 30, 60, as far as the forecast goes."""
-    return tuple(step for step in (1, 15, 30, 60) if step <= horizon)
-
-
-def steps_of(horizon: int) -> tuple[int, ...]:
-    """The steps of the curves: every fifth, and the first."""
-    return tuple(sorted({1, *range(5, horizon + 1, 5), *horizons_of(horizon)}))
-
-
 def summarise(samples: Samples, config: EvaluationConfig, thorough: bool) -> dict[str, Any]:
     """All tables of a condition; `thorough` adds the treatments of nearly flat hulls."""
     table = _Table(samples, config)
@@ -191,6 +182,8 @@ class _Table:
 
     def estimate(self, name: str, model: str, k: int) -> Estimate:
         columns, number = self.samples.columns[model], self.models.index(model)
+        if name == "events_precision":
+            return self.bootstrap.ratio(columns["changed_right"][..., k], columns["said_changed"][..., k], number)
         if name.startswith("presence"):
             kinds = ("there", "absent") if name == "presence" else (name.removeprefix("presence_"),)
             pairs = [(columns[f"{kind}_right"][..., k], columns[kind][..., k]) for kind in kinds]
@@ -252,7 +245,8 @@ class _Table:
     def treatments(self) -> dict[str, Any]:
         """Hull accuracy when a nearly flat hull is treated otherwise, or presence is not asked for."""
         ways: dict[str, Callable[[str], Array]] = {}
-        for marked, column in {"": "outside", "marked curve alone, ": "outside_marked"}.items():
+        columns = {"": "outside", "any curve of the class, ": "outside_any", "marked curve alone, ": "outside_marked"}
+        for marked, column in columns.items():
             for near in TOLERANCES:
                 ways[f"{marked}within {100 * near:g} cm"] = partial(self.hits, tolerance=near, column=column)
         ways["in the plane"] = lambda model: self.samples.columns[model]["in_plane"]

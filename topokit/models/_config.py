@@ -91,8 +91,8 @@ def open_windows(config: TrainConfig) -> Windows:
     if config.model == "motion":
         from ._scenes import Scenes
 
-        scenes = (Scenes(episodes, parts[name], **config.windows) for name in ("train", "validation"))
-        return Windows(*scenes, episodes.checksum())
+        scenes = [Scenes(episodes, parts[name], **config.windows) for name in ("train", "validation")]
+        return Windows(scenes[0], scenes[1], episodes.checksum())
     train, validation = (
         WindowDataset(episodes, parts[name], n_points=points, **sizes, **config.windows)
         for name in ("train", "validation")

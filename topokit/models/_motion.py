@@ -82,13 +82,13 @@ class Motion(nn.Module):
         if shape.horizon != KNOTS[-1]:
             raise ValueError(f"motion is forecast {KNOTS[-1]} frames ahead, not {shape.horizon}")
         self.shape, self.normalisation = shape, normalisation
-        self.point = nn.Sequential(nn.Linear(3 + 9 + 4 + 2 + 12 + 2, width), nn.GELU(), nn.Linear(width, width))
+        self.point = nn.Sequential(nn.Linear(3 + 9 + 5 + 2 + 12 + 2 + 16, width), nn.GELU(), nn.Linear(width, width))
         self.edge = nn.Sequential(nn.Linear(2 * width + 4, width), nn.GELU(), nn.Linear(width, width))
         self.flow = nn.Linear(9, width)
         self.mix = nn.Linear(5 * width, width)
         self.pool = nn.Linear(width, _POOLED)
-        self.own = nn.Linear(6 + 4 + 3 + 3, 3 * width)
-        self.scene = nn.Linear(6 + 2 + 2 * _POOLED, 3 * width)
+        self.own = nn.Linear(6 + 5 + 3 + 3, 3 * width)
+        self.scene = nn.Linear(6 + 2 + 16 + 2 * _POOLED, 3 * width)
         self.before = nn.Linear(width, 3 * width)
         self.out = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, 4))
         last: Any = self.out[2]
@@ -114,7 +114,8 @@ class Motion(nn.Module):
         flow = (2 / UNIT * scene["flow"].flatten(1, 2) @ turn.transpose(1, 2)).view(len(cloud), -1, 9)
         velocity = (10 / UNIT * (hands[:, :1] - hands[:, 1:3])).flatten(1)
         opening = (hands[:, 0, 0] - hands[:, 0, 1]).norm(dim=1, keepdim=True) / UNIT
-        whole = torch.cat([velocity, scene["held"].to(cloud)[:, None], opening], dim=1)[:, None]
+        held = scene["held"].to(cloud)[:, None]
+        whole = torch.cat([velocity, held, opening, _reach(hands[:, 0], target)], dim=1)[:, None]
         parts = [seen / UNIT, flow, _beside(seen, target), torch.cdist(seen, hands[:, 0]) / UNIT]
         code = self.point(torch.cat([*parts, whole.expand(-1, seen.shape[1], -1)], dim=-1))
         told = torch.cat([torch.arange(carriers), torch.arange(size, seen.shape[1])])
@@ -150,7 +151,7 @@ class Motion(nn.Module):
             own = [((now[:, None] - ahead[:, :, None]) / UNIT).flatten(2), _beside(ahead, target)]
             own += [(ahead - place) / UNIT, 3 / UNIT * step]
             said = self.pool(code[:, :carriers])
-            told = [((now - before) / UNIT).flatten(1), share, torch.full_like(share, frames)]
+            told = [((now - before) / UNIT).flatten(1), share, torch.full_like(share, frames), _reach(now, target)]
             scene = self.scene(torch.cat([*told, said.mean(dim=1), said.amax(dim=1)], dim=1))
             new, keep, use = (self.own(torch.cat(own, dim=-1)) + scene[:, None]).chunk(3, dim=-1)
             old, kept, used = self.before(code).chunk(3, dim=-1)
@@ -220,14 +221,23 @@ def _hands(actions: Tensor, held: Tensor, start: Tensor) -> tuple[Tensor, Tensor
 
 
 def _beside(points: Tensor, line: Tensor) -> Tensor:
-    """(B, N, 4) the way from points (B, N, 3) to a line (B, L, 3), which fades with its length; and how near they are."""
+    """(B, N, 5) the way from points (B, N, 3) to a line (B, L, 3) and where along it that ends, which fade; how near it is."""
     start, along = line[:, None, :-1], line[:, None].diff(dim=2)
     share = ((points[:, :, None] - start) * along).sum(dim=-1) / along.square().sum(dim=-1).clamp_min(1e-9)
     away = start + share.clamp(0, 1)[..., None] * along - points[:, :, None]
-    nearest = away.square().sum(dim=-1).argmin(dim=-1)[..., None, None].expand(-1, -1, 1, 3)
-    away = away.gather(2, nearest)[:, :, 0]
+    nearest = away.square().sum(dim=-1).argmin(dim=-1, keepdim=True)
+    place = (share.clamp(0, 1).gather(2, nearest) + nearest) / along.shape[2]
+    away = away.gather(2, nearest[..., None].expand(-1, -1, -1, 3))[:, :, 0]
     near = (-away.norm(dim=-1, keepdim=True) / _REACH).exp()
-    return torch.cat([away * near / UNIT, near], dim=-1)
+    return torch.cat([away * near / UNIT, place * near, near], dim=-1)
+
+
+def _reach(hands: Tensor, target: Tensor) -> Tensor:
+    """(B, 16) where the target is from the grippers (B, 2, 3): its line, and its tip, which fades with the square."""
+    tip = target[:, -1:] - hands
+    return torch.cat(
+        [_beside(hands, target), tip / (0.1 + tip.square().sum(dim=-1, keepdim=True)).sqrt()], dim=-1
+    ).flatten(1)
 
 
 def _frame(grippers: Tensor) -> tuple[Tensor, Tensor]:

@@ -17,7 +17,7 @@ from topokit.state import Loop
 
 from ._motion import KNOTS, PAST, Codes, Motion
 from ._predictor import PLANS_AT_ONCE, Array, Forecast, Predictor, as_cloud, as_grippers
-from ._scenes import flow, resampled
+from ._scenes import carriers_first, flow, resampled
 from ._states import TRIANGLES
 
 
@@ -28,13 +28,14 @@ class MotionPredictor(Predictor):
     at which the whole cloud is moved and each loop's killer is sought there anew (`topokit.follow`).
     """
 
-    model: Motion  # type: ignore[assignment]
+    model: Motion
 
     def reset(self) -> None:
         """Forget everything observed."""
         self._clouds: deque[NDArray[np.float64]] = deque(maxlen=PAST[-1] + 1)
-        self._hands: deque[Array] = deque(maxlen=PAST[-1] + 1)
-        self._held, self._target, self._loops = True, np.zeros((0, 3)), ()
+        self._hands: deque[NDArray[np.float64]] = deque(maxlen=PAST[-1] + 1)
+        self._held, self._target = True, np.zeros((0, 3))
+        self._loops: tuple[Loop, ...] = ()
         self._seqph = SeqPH()
         self._codes: dict[bool, Codes] = {}
 
@@ -132,6 +133,7 @@ class MotionPredictor(Predictor):
             cloud, last = self._clouds[-1], len(self._clouds) - 1
             then = [max(last - ago, 0) for ago in (0, *PAST)]
             seen, asked = _shuffled(cloud)[: self.model.shape.points], cloud if ids is None else cloud[ids]
+            seen = seen[carriers_first(seen)]
             hands = np.stack([self._hands[i] for i in then])
             scene = {
                 "cloud": seen,

@@ -19,8 +19,9 @@ from topokit.sampling import farthest_point_sample
 from topokit.seqph import SeqPH
 from topokit.state import TopologicalState
 
-from ._baselines import PredictiveModel, past_window
-from ._checkpoint import load_model
+from ._baselines import past_window
+from ._checkpoint import Model, load_model
+from ._motion import Motion
 from ._states import TRIANGLES, States
 
 PLANS_AT_ONCE = 250  # so that weights are read seldom, and what lies between layers stays in the cache
@@ -147,19 +148,20 @@ class Predictor:
 
     Parameters
     ----------
-    model : PredictiveModel
+    model : PredictiveModel or Motion
     description : mapping, optional
         What a checkpoint says of it.
     """
 
-    def __init__(self, model: PredictiveModel, description: Mapping[str, Any] | None = None) -> None:
-        self.model, self.description = model.eval(), dict(description or {})
+    def __init__(self, model: Model, description: Mapping[str, Any] | None = None) -> None:
+        self.model: Any = model.eval()
+        self.description = dict(description or {})
         self.reset()
 
     @classmethod
     def load(cls, path: str | Path) -> Predictor:
         """Read a checkpoint; of a model of motion it is a `MotionPredictor`."""
-        from ._motion_predictor import Motion, MotionPredictor
+        from ._motion_predictor import MotionPredictor
 
         model, description = load_model(path)
         return (MotionPredictor if isinstance(model, Motion) else cls)(model, description)

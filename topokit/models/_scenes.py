@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from topokit.data import Dataset
+from topokit.sampling import farthest_point_sample
 
 from ._motion import CARRIERS, KNOTS, PAST, carried
 
@@ -64,6 +65,7 @@ def scene_at(parts: dict[str, Array], frame: int, rng: np.random.Generator) -> d
 
     thin = int(rng.integers(n // 3, n)) if rng.random() < 0.5 else n  # a camera sees a part, a tracker on vertices all
     seen, asked, ago = some(CLOUD), some(ASKED), np.maximum(frame - np.array((0, *PAST)), 0)
+    seen = seen[carriers_first(points[frame, seen])]
     both, hands = points[frame, np.concatenate([seen, asked])], parts["grippers"][ago]
     knots, ahead = frame + np.array(KNOTS), frame + np.arange(1, KNOTS[-1] + 1)
     last = len(points) - 1
@@ -96,10 +98,16 @@ def flow(points: NDArray[np.floating], past: Sequence[NDArray[np.floating]], han
     return np.stack(found, axis=1).astype(np.float32)
 
 
+def carriers_first(cloud: NDArray[np.floating]) -> NDArray[np.int64]:
+    """(n,) the order of a cloud's points in which a farthest-point sample comes first: handles have few points, and matter."""
+    few, _ = farthest_point_sample(cloud, min(CARRIERS, len(cloud)))
+    return np.concatenate([few, np.setdiff1d(np.arange(len(cloud)), few)])
+
+
 def resampled(line: NDArray[np.floating], n: int = TARGET) -> Array:
-    """(n, 3) places along the last 0.9 m of a polyline, its corners among them as near as may be; of none a place far off."""
+    """(n, 3) places along the last 0.9 m of a polyline, its corners among them as near as may be; of none a place far below."""
     if not len(line):
-        return np.full((n, 3), 100.0, np.float32)
+        return np.tile(np.array([0, 0, -1000], np.float32), (n, 1))
     length = np.append(0, np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum())
     at = np.linspace(max(length[-1] - 0.9, 0), length[-1], n)
     return np.stack([np.interp(at, length, axis) for axis in line.T], axis=1).astype(np.float32)

@@ -1,0 +1,84 @@
+"""Who forecasts in an evaluation, all asked alike: from a batch of windows to the states of all steps. Taught in chapter 12."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from topokit.data import WindowDataset
+from topokit.models import Forecast, MotionPredictor, PredictiveModel, States
+
+Forecaster = Callable[[Mapping[str, Tensor]], States]
+_TURNS = ("clouds", "grippers", "actions", "triangles", "past_triangles")
+
+
+def horizons_of(horizon: int) -> tuple[int, ...]:
+    """The steps of the tables: the paper's 1, 15, 30, 60, as far as the forecast goes."""
+    return tuple(step for step in (1, 15, 30, 60) if step <= horizon)
+
+
+def steps_of(horizon: int) -> tuple[int, ...]:
+    """The steps of the curves: every fifth, and the first."""
+    return tuple(sorted({1, *range(5, horizon + 1, 5), *horizons_of(horizon)}))
+
+
+def of_windows(model: PredictiveModel) -> Forecaster:
+    """A model that looks at the windows themselves."""
+    return lambda window: model(window).each(Tensor.float)
+
+
+def of_stream(predictor: MotionPredictor, windows: WindowDataset) -> Forecaster:
+    """A predictor that is shown the frames of each window one by one, as whole as the tracker of its labels sees them.
+
+    Its loops are sought anew in the moved cloud, at the steps that are measured.
+    """
+    seen = lru_cache(8)(windows.seen)
+    steps = steps_of(windows.horizon)
+
+    def forecast(window: Mapping[str, Tensor]) -> States:
+        found = []
+        for i, (number, frame) in enumerate(zip(window["episode"].tolist(), window["frame"].tolist(), strict=True)):
+            clouds, target = seen(number)
+            turn = window["turn"].double().numpy() if "turn" in window else np.eye(3)
+            predictor.reset()
+            for k in range(windows.history):
+                cloud, hands = clouds[frame - windows.history + 1 + k] @ turn.T, window["grippers"][i, k]
+                predictor.observe(cloud, hands, bool(window["held"][i, k]), target @ turn.T)
+            found.append(predictor.predict(window["actions"][i], window["actions_held"][i], exact=steps))
+        return _stacked(found, windows.slots)
+
+    return forecast
+
+
+def turned(forecaster: Forecaster, degrees: float) -> Forecaster:
+    """One that is shown scene and plan turned about the vertical, and whose answer is turned back."""
+    angle = np.radians(degrees)
+    axes = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    turn = torch.tensor(axes, dtype=torch.float32)
+
+    def forecast(window: Mapping[str, Tensor]) -> States:
+        states = forecaster({**window, **{name: window[name] @ turn.T for name in _TURNS}, "turn": turn})
+        return states.replace(corners=states.corners @ turn)
+
+    return forecast
+
+
+def _stacked(forecasts: list[Forecast], slots: int) -> States:
+    """Of B forecasts, with as many slots as the windows have: a slot that a forecast lacks is empty."""
+
+    def stack(name: str, empty: float) -> Tensor:
+        parts: list[NDArray[np.float32]] = [getattr(one, name)[:, :slots] for one in forecasts]
+        lacking = [slots - part.shape[1] for part in parts]
+        padded = [
+            np.pad(part, [(0, 0), (0, n), *[(0, 0)] * (part.ndim - 2)], constant_values=empty)
+            for part, n in zip(parts, lacking, strict=True)
+        ]
+        return torch.from_numpy(np.stack(padded)).float()
+
+    parts = {name: stack(name, 0.0) for name in ("corners", "neighbour_values", "birth", "death", "step", "presence")}
+    return States(**parts | {"presence": parts["presence"].double().logit(1e-6).float()})
