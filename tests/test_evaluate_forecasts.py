@@ -42,7 +42,7 @@ from conftest import DATA
 SMALL = DATA / "data" if not (DATA / "dataset").is_dir() else DATA / "dataset"
 SHARES = {"train": 0.4, "validation": 0.2, "test": 0.4}
 SPLIT = {"seed": 1, "shares": SHARES}
-MODELS = ("ridge", "mlp", "pointnet", "loopcast")
+MODELS = ("ridge", "mlp", "pointnet", "motion")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -102,7 +102,7 @@ def results(checkpoints, tmp_path_factory) -> tuple[dict[str, Any], Path]:
             {"name": "noisy", "split": SPLIT, "windows": 2, "clouds": {"noise": 0.005}},
         ],
         models=checkpoints,
-        ours="loopcast",
+        ours="motion",
     )
     return evaluate_forecasts(config, out=path, clips=path.parent / "clips"), path
 
@@ -114,7 +114,7 @@ def test_the_file_has_the_form_that_was_agreed(results):
     made, path = results
     assert read_results(path) == json.loads(path.read_text()) == made
     assert made["complete"]
-    assert made["ours"] == "loopcast"
+    assert made["ours"] == "motion"
     assert list(made["hull_accuracy"]) == ["seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours"]
     for condition in made["conditions"].values():
         for cells in condition["hull_accuracy"].values():

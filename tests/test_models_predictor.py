@@ -39,9 +39,9 @@ UNITS = Normalisation((0.0, 0.0, 0.85), 0.1, 0.08)
 SMALL = {
     "mlp": {"hidden": [32, 16]},
     "pointnet": {"hidden": [32, 16]},
-    "loopcast": {"width": 16, "step_width": 8},
 }
 NETWORKS = tuple(SMALL)
+OF_WINDOWS = tuple(name for name in MODELS if name != "motion")
 
 
 def make(name, seed=0):
@@ -49,8 +49,6 @@ def make(name, seed=0):
     model = build(name, SHAPE, UNITS, SMALL.get(name)).eval()
     if name == "ridge":
         model.coefficients.data.normal_(std=0.01)
-    if name == "loopcast":
-        torch.nn.init.normal_(model.change.weight, std=0.3)
     return model
 
 
@@ -71,10 +69,10 @@ def save(path, name="mlp", **changes):
     return save_tensors(path, entries, describe(model, name, SMALL.get(name, {})) | changes)
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", OF_WINDOWS)
 def test_shapes_and_finite(window, name):
     with torch.inference_mode():
-        states, present = make(name)(window)
+        states = make(name)(window)
     assert states.corners.shape == (4, HORIZON, SLOTS, 8, 3)
     assert states.neighbour_values.shape == (4, HORIZON, SLOTS, 4)
     for part in ("birth", "death", "step", "presence"):
@@ -82,54 +80,36 @@ def test_shapes_and_finite(window, name):
         assert torch.isfinite(getattr(states, part)).all()
     assert (states.death >= states.birth).all()
     assert (states.birth >= 0).all()
-    assert (present is not None) == (name == "loopcast")
 
 
 @pytest.mark.parametrize("name", NETWORKS)
 def test_every_weight_learns(window, name):
     model = make(name).train()
-    states, present = model(window)
-    weights = LossWeights(centre=1, nll=0.1, now=1, match=True)
-    forecast_loss(states, window, weights, present=present)[0].backward()
+    forecast_loss(model(window), window, LossWeights(centre=1, match=True))[0].backward()
     assert [key for key, part in model.named_parameters() if part.grad is None or not part.grad.any()] == []
 
 
-@pytest.mark.parametrize("name", ["pointnet", "loopcast"])
-def test_the_order_of_points_does_not_count(window, name):
+def test_the_order_of_points_does_not_count_for_a_pointnet(window):
     mixed = window | {"clouds": window["clouds"][:, :, torch.randperm(POINTS)]}
     with torch.inference_mode():
-        assert torch.allclose(make(name)(window)[0].corners, make(name)(mixed)[0].corners, atol=1e-5)
+        assert torch.allclose(make("pointnet")(window).corners, make("pointnet")(mixed).corners, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["loopcast", "carry", "hold"])
+@pytest.mark.parametrize("name", ["carry", "hold"])
 def test_a_step_knows_nothing_of_the_plan_after_it(window, name):
     later = window["actions"].clone()
     later[:, 30:] += 0.1
     with torch.inference_mode():
         model = make(name)
-        one, other = model(window)[0], model(window | {"actions": later})[0]
+        one, other = model(window), model(window | {"actions": later})
     assert torch.equal(one.corners[:, :30], other.corners[:, :30])
     if name != "hold":
         assert not torch.allclose(one.corners[:, 30:], other.corners[:, 30:])
 
 
-def test_loopcast_in_another_place_of_the_room_differs_by_that_alone_when_it_does_not_look_there(window):
-    model = make("loopcast")
-    with torch.no_grad():
-        model.encoder.frame.weight[:, 6:9] = 0  # the middle of the grippers in the room
-        model.join.weight.view(16, 4, -1)[:, :, -4:-1] = 0
-        model.step_in.weight[:, 18:21] = 0
-    away = torch.tensor([0.3, -0.2, 0.1])
-    there = window | {name: window[name] + away for name in ("clouds", "grippers", "actions")}
-    with torch.inference_mode():
-        one, other = model(window)[0], model(there)[0]
-    assert torch.allclose(one.corners + away, other.corners, atol=1e-4)
-    assert torch.allclose(one.death, other.death, atol=1e-5)
-
-
 def test_hold_and_carry_are_what_they_say(window):
     truth = target_states(window)
-    hold, carry = make("hold")(window)[0], make("carry")(window)[0]
+    hold, carry = make("hold")(window), make("carry")(window)
     last = window["past_triangles"][:, -1, 0, 0, 0]
     assert torch.allclose(hold.corners[:, :, 0, 0], last[:, None].expand(-1, HORIZON, -1))
     assert torch.allclose(carry.corners[:, :, 0], truth.corners[:, :, 0], atol=1e-5)  # the ring goes with the grippers
@@ -144,7 +124,7 @@ def test_carry_brings_a_lost_loop_to_where_it_should_be_now(window):
     lost = {name: part.clone() for name, part in window.items()}
     for name in ("triangles", "values", "present"):
         lost[f"past_{name}"][:, 10:, 0] = 0
-    carry, expected = make("carry")(lost)[0], make("carry")(window)[0]
+    carry, expected = make("carry")(lost), make("carry")(window)
     assert torch.allclose(carry.corners[:, :, 0], expected.corners[:, :, 0], atol=1e-5)
     assert (carry.presence[:, :, 0] < 0).all()
 
@@ -166,7 +146,7 @@ def test_ridge_is_the_solution_of_scikit_learn(window):
     assert np.allclose(presence.transpose(1, 2).flatten(0, 1), peer.predict(x[:, 1:]), atol=1e-4)
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", OF_WINDOWS)
 def test_many_plans_are_the_single_ones(window, stream, name):
     predictor = Predictor(make(name))
     for cloud, grippers in stream:
@@ -194,7 +174,7 @@ def test_a_stream_is_the_window(window, stream, name):
     tracked = tk.track([cloud for cloud, _ in frames])
     with torch.inference_mode():
         single = {key: part[1:2] for key, part in window.items()} | past_window(tracked[-HISTORY:], SLOTS)
-        states = make(name)(single)[0]
+        states = make(name)(single)
     assert np.allclose(forecast.corners, states.corners[0], atol=1e-5)
     assert np.allclose(forecast.mean, states.mean[0], atol=1e-5)
     assert np.allclose(forecast.triangles, states.triangles[0], atol=1e-5)
@@ -212,7 +192,7 @@ def test_a_predictor_tracks_with_the_recommended_options(monkeypatch):
 
 
 def test_frames_are_encoded_once(window, stream, monkeypatch):
-    predictor = Predictor(make("loopcast"))
+    predictor = Predictor(make("pointnet"))
     calls = []
     encode = predictor.model.encode_frames
     monkeypatch.setattr(predictor.model, "encode_frames", lambda frames: calls.append(1) or encode(frames))
@@ -235,7 +215,7 @@ def test_carry_follows_the_tracked_loop_of_a_stream(episode_path):
 
 
 def test_loops_of_a_forecast(window, stream):
-    predictor = Predictor(make("loopcast"))
+    predictor = Predictor(make("pointnet"))
     for cloud, grippers in stream:
         predictor.observe(cloud, grippers)
     forecast = predictor.predict(window["actions"][1])
@@ -253,7 +233,7 @@ def test_loops_of_a_forecast(window, stream):
 
 
 def test_what_cannot_be_observed_or_planned_is_refused(stream, window):
-    predictor = Predictor(make("loopcast"))
+    predictor = Predictor(make("pointnet"))
     cloud, grippers = stream[0]
     plan = window["actions"][1].numpy()
     with pytest.raises(ValueError, match="nothing was observed yet"):
@@ -294,11 +274,11 @@ def test_networks_of_clouds_alone_need_no_grippers(stream, window):
 # -- checkpoints ----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", OF_WINDOWS)
 def test_a_checkpoint_gives_the_model_back(tmp_path, window, name):
     loaded, description = load_model(save(tmp_path / "c.safetensors", name))
     with torch.inference_mode():
-        assert torch.equal(loaded(window)[0].corners, make(name)(window)[0].corners)
+        assert torch.equal(loaded(window).corners, make(name)(window).corners)
     assert description["model"] == name
 
 
@@ -335,8 +315,8 @@ def test_checkpoints_for_other_shapes_or_models(tmp_path):
         FormatError, match=r"weights of another shape: .*MLP: size mismatch for rest\.\S+:.*\[7680.*model is .*\[5760"
     ):
         Predictor.load(path)
-    save(path, model="loopcast", options={})
-    with pytest.raises(FormatError, match=r"weights of another shape: .*LoopCast: Missing key.*slot_name"):
+    save(path, model="motion", options={})
+    with pytest.raises(FormatError, match=r"weights of another shape: .*Motion: Missing key.*point"):
         Predictor.load(path)
     save(path, model="transformer")
     with pytest.raises(FormatError, match="no model 'transformer'; there are hold, carry"):
@@ -366,10 +346,10 @@ def test_half_precision_is_half_the_size(tmp_path):
 
 
 def test_predict_command(tmp_path, episode_path, capsys):
-    path = save(tmp_path / "c.safetensors", "loopcast")
+    path = save(tmp_path / "c.safetensors", "pointnet")
     assert main(["predict", str(path), str(episode_path), "--frame", "30", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert answer["model"] == "loopcast"
+    assert answer["model"] == "pointnet"
     assert answer["frame"] == 30
     assert len(answer["steps"]) == HORIZON
     assert main(["predict", str(path), str(episode_path), "--frame", "90"]) == 0
@@ -452,7 +432,7 @@ def test_checkpoints_of_another_schema_are_refused(tmp_path, schema):
         ({"options": 3}, "describes no model"),
         ({"model": ["mlp"]}, "describes no model"),
         ({"model": "ridge", "options": {"penalty": float("nan")}}, "penalty must be more than zero"),
-        ({"model": "loopcast", "options": {"width": -1}}, "width and step_width must be numbers of units"),
+        ({"model": "motion", "options": {"width": -1}}, "width must be a whole number from 1 to 4096, not -1"),
     ],
 )
 def test_descriptions_that_make_no_sense_are_refused_before_memory_is_taken(tmp_path, changes, says):

@@ -11,7 +11,6 @@ import topokit as tk
 from topokit.io import load_episode
 from topokit.models import (
     LossWeights,
-    PredictedLoop,
     States,
     forecast_loss,
     loop_mixtures,
@@ -20,7 +19,7 @@ from topokit.models import (
     target_states,
 )
 from topokit.models._baselines import past_window
-from topokit.models._states import corners_of, sigma_points
+from topokit.models._states import corners_of
 
 from windows import SLOTS, RingWindows
 
@@ -100,17 +99,6 @@ def test_batched_mixtures_are_those_of_numpy(tracked):
     assert triangles.grad.abs().sum() > 0
 
 
-def test_sigma_points_have_the_moments(tracked):
-    loop = tracked[0].loops[0]
-    triangles = np.concatenate([loop.killer_triangles, loop.neighbours])
-    values = np.concatenate([loop.killer_values, loop.neighbour_values])
-    points, weights = (part.numpy() for part in sigma_points(torch.tensor(triangles), torch.tensor(values)))
-    mixture = tk.loop_mixture(loop, noise=1e-12)
-    assert np.isclose(weights.sum(), 1)
-    assert np.allclose(weights @ points, mixture.mean)
-    assert np.allclose(np.cov(points.T, aweights=weights, bias=True), mixture.covariance)
-
-
 def losses(states, window, **options):
     total, parts = forecast_loss(states, window, LossWeights(centre=1, **options))
     return float(total), {name: float(part) for name, part in parts.items()}
@@ -129,28 +117,6 @@ def test_the_truth_has_no_error_and_anything_else_more(window):
         {"presence": -truth.presence},
     ):
         assert losses(truth.replace(**change), window)[0] > best + 1e-3
-
-
-def test_the_log_likelihood_prefers_the_truth(window):
-    """To a mixture that is elsewhere, wider, or surer than it may be; and is that of NumPy."""
-    truth = target_states(window)
-    middle = truth.mean[..., None, :]
-    best = losses(truth, window, nll=1)[1]["nll"]
-    for corners in (
-        truth.corners + 0.02,
-        middle + 2 * (truth.corners - middle),
-        middle + 0.5 * (truth.corners - middle),
-    ):
-        assert losses(truth.replace(corners=corners), window, nll=1)[1]["nll"] > best + 0.05
-    one = truth[:1, :1, :1]
-    first = {name: part[:1, :1, :1] if name in LABELS else part for name, part in window.items()}
-    first |= {f"past_{name}": window[f"past_{name}"][:1, :1, :1] for name in LABELS}
-    killers, near = one.triangles[0, 0, 0].double().split([2, 4])
-    values = one.values[0, 0, 0].double()
-    loop = PredictedLoop(0, 1.0, 0.0, 0.1, 0.0, *(part.numpy() for part in (killers, near, values[:2], values[2:])))
-    points, weights = sigma_points(one.triangles[0, 0, 0], one.values[0, 0, 0])
-    expected = -(weights.numpy() * tk.loop_mixture(loop).log_prob(points.numpy())).sum()
-    assert np.isclose(losses(one, first, nll=1)[1]["nll"], expected, atol=1e-3)
 
 
 def test_an_edge_has_no_direction(window):
@@ -184,15 +150,15 @@ def test_a_batch_without_a_loop_has_a_finite_loss(window):
     empty = window | {"present": torch.zeros_like(window["present"])}
     states = target_states(window)
     leaf = states.corners.clone().requires_grad_()
-    total, _ = forecast_loss(states.replace(corners=leaf), empty, LossWeights(centre=1, nll=1, match=True))
+    total, _ = forecast_loss(states.replace(corners=leaf), empty, LossWeights(centre=1, match=True))
     total.backward()
     assert torch.isfinite(total)
     assert torch.equal(leaf.grad, torch.zeros_like(leaf))
 
 
 def test_bad_weights_are_named():
-    with pytest.raises(ValueError, match=r"nll: .* greater than or equal to 0, not -1"):
-        LossWeights(nll=-1)
+    with pytest.raises(ValueError, match=r"centre: .* greater than or equal to 0, not -1"):
+        LossWeights(centre=-1)
 
 
 def test_states_index_and_replace(window):

@@ -7,6 +7,8 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
+from topokit.models._scenes import scene_at
+
 HISTORY, HORIZON, POINTS, SLOTS = 16, 60, 24, 4
 
 
@@ -22,6 +24,35 @@ class RingWindows(Dataset[dict[str, Tensor]]):
 
     def __getitem__(self, i: int) -> dict[str, Tensor]:
         return self.items[i]
+
+
+class RingScenes(Dataset[dict[str, Tensor]]):
+    """`n` scenes of `topokit.models.Scenes`: a ring between two grippers that swings behind them, about a pin that stands."""
+
+    def __init__(self, n: int, seed: int = 0) -> None:
+        rng = np.random.default_rng(seed)
+        self.items = [scene_at(film(rng), int(rng.integers(12, 30)), rng) for _ in range(n)]
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __getitem__(self, i: int) -> dict[str, Tensor]:
+        return self.items[i]
+
+
+def film(rng: np.random.Generator, frames: int = 80) -> dict[str, np.ndarray]:
+    """What `scene_at` cuts scenes from: each point follows the grippers, the later the farther below them it is."""
+    time, angle = np.arange(frames), rng.uniform(0, 2 * np.pi, 360)  # as many as are looked at: none stands twice
+    way = rng.normal(0, 0.3, 3) * np.array([1, 1, 0.2])
+    middle = way * (1 - np.cos(time / 20))[:, None] / 2 + [0, 0, 1]
+    grippers = middle[:, None] + 0.1 * np.array([[-1, 0, 0], [1, 0, 0]])
+    ring = 0.1 * np.stack([np.cos(angle), rng.normal(0, 0.1, 360), np.sin(angle) - 1.2], axis=1)
+    late = np.clip(time[:, None] - np.round(-60 * ring[:, 2]).astype(int), 0, None)  # (frames, 360)
+    parts = {"points": middle[late] + ring, "grippers": grippers, "actions": grippers}
+    return {name: part.astype(np.float32) for name, part in parts.items()} | {
+        "held": np.ones(frames, bool),
+        "target": np.linspace((0.3, 0.2, 0), (0.3, 0.2, 1), 16).astype(np.float32),
+    }
 
 
 def window(rng: np.random.Generator, index: int) -> dict[str, Tensor]:

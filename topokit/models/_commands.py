@@ -58,7 +58,8 @@ def _predict(options: argparse.Namespace) -> int:
     if not 0 <= t < last:
         raise ValueError(f"--frame {t}: the episode has frames 0 to {last}, and one must be left to forecast")
     for frame in range(max(0, t - shape.history + 1), t + 1):
-        predictor.observe(episode.observed[frame], episode.grippers[frame], bool(episode.held[frame]))
+        seen = episode.observed[frame], episode.grippers[frame], bool(episode.held[frame])
+        predictor.observe(*seen, target=episode.centre_line)
     ahead = np.minimum(np.arange(t + 1, t + 1 + shape.horizon), last)  # past its end the last action goes on
     forecast = predictor.predict(episode.actions[ahead], episode.held[ahead])
     if options.json:

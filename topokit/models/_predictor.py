@@ -174,7 +174,9 @@ class Predictor:
         self._context: dict[str, Tensor] | None = None
 
     @torch.inference_mode()
-    def observe(self, points: ArrayLike, grippers: ArrayLike | None = None, held: bool = True) -> None:
+    def observe(
+        self, points: ArrayLike, grippers: ArrayLike | None = None, held: bool = True, target: ArrayLike | None = None
+    ) -> None:
         """Take in the next frame, and encode it.
 
         Parameters
@@ -185,6 +187,8 @@ class Predictor:
             Metres. A model that reads clouds alone does without.
         held : bool
             Whether they hold the garment.
+        target : (L, 3) array_like, optional
+            Centre line of what it shall be hung on; a `MotionPredictor` looks at it, the models of windows do not.
 
         Raises
         ------

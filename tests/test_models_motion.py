@@ -1,0 +1,354 @@
+"""Motion: what must not matter does not, what it learns is motion, and loops are read off the moved cloud."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import default_collate
+
+import topokit as tk
+from topokit.cli import main
+from topokit.data import Dataset
+from topokit.io import load_episode
+from topokit.models import Motion, MotionPredictor, Normalisation, Predictor, Scenes, Shape, Windows, build, train
+from topokit.models._checkpoint import describe, save_tensors
+from topokit.models._config import TrainConfig, mirrored
+from topokit.models._motion import CARRIERS, KNOTS, UNIT, carried
+from topokit.models._scenes import carriers_first, flow, resampled
+
+from conftest import DATA
+from windows import RingScenes, film
+
+SHAPE = Shape(points=320)
+FILMS = DATA / "motion"
+
+
+def make(width: int = 16, seed: int = 0, strong: float = 0.3) -> Motion:
+    torch.manual_seed(seed)
+    model = build("motion", SHAPE, Normalisation(), {"width": width}).eval()
+    torch.nn.init.normal_(model.out[2].weight, std=strong)  # an untrained one carries, and little can be seen
+    return model
+
+
+@pytest.fixture(scope="module")
+def batch():
+    scenes = RingScenes(4, seed=3)
+    return default_collate([scenes[i] for i in range(4)])
+
+
+@pytest.fixture(scope="module")
+def episode():
+    dataset = Dataset(FILMS)
+    return dataset[next(int(i) for i in dataset.episodes if dataset.group.records[int(i)].garment == "apron")]
+
+
+def observed(predictor, episode, last=20, points=None):
+    predictor.reset()
+    for t in range(last - 15, last + 1):
+        cloud = episode.points[t] if points is None else points[t]
+        predictor.observe(cloud, episode.grippers[t], bool(episode.held[t]), episode.centre_line)
+    return episode.actions[last + 1 : last + 61], episode.held[last + 1 : last + 61]
+
+
+def moved(batch, turn, shift):
+    """The same scenes elsewhere."""
+    places = {
+        name: batch[name] @ turn.T + shift for name in ("cloud", "points", "grippers", "target", "actions", "future")
+    }
+    return {**batch, **places, "flow": batch["flow"] @ turn.T}
+
+
+def about_the_vertical(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=torch.float32)
+
+
+# -- the network ------------------------------------------------------------------------------------------------------------
+
+
+def test_shapes(batch):
+    places, scales = make()(batch)
+    assert places.shape == (4, len(KNOTS), CARRIERS + 16, 3)
+    assert scales.shape == places.shape[:3]
+    assert (scales > 0).all()
+
+
+def test_every_weight_learns(batch):
+    model = make().train()
+    model.loss(batch, torch.Generator().manual_seed(0))[0].backward()
+    assert [name for name, part in model.named_parameters() if part.grad is None or not part.grad.any()] == []
+
+
+@pytest.mark.parametrize("angle", [0.4, 1.6, -2.9])
+def test_a_scene_turned_and_moved_is_the_same_scene(batch, angle):
+    turn, shift = about_the_vertical(angle), torch.tensor([2.0, -1.0, 0.3])
+    model = make()
+    with torch.inference_mode():
+        (places, scales), (others, uncertain) = model(batch), model(moved(batch, turn, shift))
+    assert torch.allclose(places @ turn.T + shift, others, atol=1e-4)
+    assert torch.allclose(scales, uncertain, rtol=1e-4)
+    both = (model.loss(one, torch.Generator().manual_seed(1))[0].item() for one in (batch, moved(batch, turn, shift)))
+    loss, again = both
+    assert loss == pytest.approx(again, abs=1e-4)
+
+
+def test_a_scene_that_is_tilted_is_another(batch):
+    """Gravity counts: only turns about the vertical do nothing."""
+    tilt = torch.tensor([[1, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=torch.float32)
+    model = make()
+    with torch.inference_mode():
+        assert not torch.allclose(model(batch)[0] @ tilt.T, model(moved(batch, tilt, torch.zeros(3)))[0], atol=1e-2)
+
+
+def test_untrained_it_carries(batch):
+    torch.manual_seed(0)
+    model = build("motion", SHAPE, Normalisation())
+    with torch.inference_mode():
+        places, _ = model(batch)
+    start = torch.cat([batch["cloud"][:, :CARRIERS], batch["points"]], dim=1)
+    ahead = carried(start, batch["grippers"][:, 0], batch["actions"][:, -1])
+    assert (places[:, -1] - ahead).norm(dim=-1).max() < UNIT / 2
+    assert (start - ahead).norm(dim=-1).min() > 0.01
+
+
+def test_points_are_forecast_alike_alone_and_in_company(batch):
+    model = make()
+    with torch.inference_mode():
+        whole, _ = model(batch)
+        few = {**batch, "points": batch["points"][:, 5:7]}
+        few["flow"] = torch.cat([batch["flow"][:, :320], batch["flow"][:, 325:327]], dim=1)
+        some, _ = model(few)
+    assert torch.allclose(whole[:, :, CARRIERS + 5 : CARRIERS + 7], some[:, :, CARRIERS:], atol=1e-5)
+    assert torch.allclose(whole[:, :, :CARRIERS], some[:, :, :CARRIERS], atol=1e-5)
+
+
+def test_a_step_knows_nothing_of_the_plan_after_it(batch):
+    later = batch["actions"].clone()
+    later[:, 30:] += 0.1
+    model = make()
+    with torch.inference_mode():
+        one, other = model(batch)[0], model({**batch, "actions": later})[0]
+    early = KNOTS.index(30) + 1
+    assert torch.equal(one[:, :early], other[:, :early])
+    assert not torch.allclose(one[:, early:], other[:, early:], atol=1e-3)
+
+
+def test_after_the_release_the_grippers_do_not_matter(batch):
+    free = torch.zeros_like(batch["actions_held"])
+    away = batch["actions"] + 0.5
+    model = make()
+    with torch.inference_mode():
+        one, other = (model({**batch, "actions_held": free, "actions": plan})[0] for plan in (batch["actions"], away))
+    assert torch.equal(one, other)
+
+
+def test_the_mirror_of_a_scene_has_the_mirror_of_its_motion():
+    scenes, image = RingScenes(2, seed=2), torch.tensor([-1.0, 1.0, 1.0])
+    window = default_collate([scenes[i] for i in range(2)])
+    mirror = mirrored(window, torch.tensor([True, False]))
+    for name in ("cloud", "points", "flow", "target", "future"):
+        assert torch.equal(mirror[name][0], window[name][0] * image)
+        assert torch.equal(mirror[name][1], window[name][1])
+    assert torch.equal(mirror["actions"][0, :, 0], window["actions"][0, :, 1] * image)
+
+
+def test_it_learns_to_swing_and_how_sure_it_is(tmp_path):
+    windows = Windows(RingScenes(96, seed=0), RingScenes(16, seed=1), "rings")
+    config = TrainConfig("motion", out=str(tmp_path), options={"width": 32}, batch=16, epochs=16, threads=1)
+    config = TrainConfig(**{**vars(config), "learning_rate": 5e-3, "shape": SHAPE})
+    train(config, windows)
+    predictor = Predictor.load(tmp_path / "best.safetensors")
+    assert isinstance(predictor, MotionPredictor)
+    test = default_collate([one for one in RingScenes(32, seed=2).items])
+    with torch.inference_mode():
+        places, scales = predictor.model(test)
+    known = test["known"][..., None].expand(scales.shape)
+    error = (places - test["future"]).norm(dim=-1)[known]
+    start = torch.cat([test["cloud"][:, :CARRIERS], test["points"]], dim=1)
+    hands = test["actions"][:, [k - 1 for k in KNOTS]]
+    carry = torch.stack([carried(start, test["grippers"][:, 0], hands[:, k]) for k in range(len(KNOTS))], dim=1)
+    assert error.mean() < 0.7 * (carry - test["future"]).norm(dim=-1)[known].mean()
+    assert 1 < float((error / scales[known]).mean()) < 8  # of a Laplace distribution in three dimensions it is 3
+
+
+# -- what it is shown -------------------------------------------------------------------------------------------------------
+
+
+def test_flow_is_what_grippers_do_not_explain():
+    rng = np.random.default_rng(0)
+    hands = rng.normal(size=(1, 2, 3)).repeat(4, axis=0) + rng.normal(0, 0.05, (4, 1, 3))
+    then = rng.normal(0, 0.3, (200, 3))
+    carriage = hands[0].mean(axis=0) - hands[1:].mean(axis=1)  # of each of the three
+    drift = np.array([0.001, -0.002, 0.0])
+    found = flow(then + drift, [then - step for step in carriage], hands)
+    assert found.shape == (200, 3, 3)
+    assert np.allclose(found, drift, atol=1e-6)
+
+
+def test_carriers_are_spread():
+    rng = np.random.default_rng(0)
+    cloud = np.concatenate([rng.normal(0, 0.01, (300, 3)), [[0.4, 0, 0], [0, 0.4, 0]]])
+    order = carriers_first(cloud)
+    assert sorted(order.tolist()) == list(range(302))
+    assert {300, 301} <= set(order[:CARRIERS].tolist())
+    assert sorted(carriers_first(cloud[:5]).tolist()) == [0, 1, 2, 3, 4]  # fewer than there should be carriers
+
+
+def test_a_line_is_resampled_from_its_tip():
+    line = resampled(np.array([[0.0, 0, 0], [0, 0, 1.4], [0.5, 0, 1.4]]))
+    assert line.shape == (16, 3)
+    assert np.allclose(line[-1], [0.5, 0, 1.4])
+    assert np.allclose(line[0], [0, 0, 1.0])  # 0.9 m of it
+    assert np.isfinite(resampled(np.zeros((0, 3)))).all()
+
+
+def test_scenes_are_windows_of_vertices(episode):
+    dataset = Dataset(FILMS)
+    scenes = Scenes(dataset, dataset.episodes[:2], stride=10)
+    assert len(scenes) > 8
+    one, again = scenes[3], scenes[3]
+    assert all(torch.equal(part, again[name]) for name, part in one.items())
+    number, frame = scenes.index[3].tolist()
+    film = dataset[number]
+    vertices = torch.from_numpy(film.points[frame].astype(np.float32))
+    assert torch.cdist(one["cloud"].double(), vertices.double()).amin(dim=1).max() < 1e-6
+    knot = KNOTS.index(15)
+    start = torch.cat([one["cloud"][:CARRIERS], one["points"]])
+    same = torch.cdist(start.double(), vertices.double()).argmin(dim=1)
+    assert np.allclose(one["future"][knot], film.points[frame + 15][same], atol=1e-5)
+    last = scenes.index[:, 1] > 0
+    assert scenes[int(np.flatnonzero(last)[-1])]["known"].tolist() == [
+        int(scenes.index[-1, 1]) + k < len(dataset[int(scenes.index[-1, 0])]) for k in KNOTS
+    ]
+
+
+def test_scenes_do_not_tell_the_order_of_vertices():
+    parts, rng = film(np.random.default_rng(0)), np.random.default_rng(1)
+    mixed = {**parts, "points": parts["points"][:, rng.permutation(360)]}
+    model, errors = make(), []
+    from topokit.models._scenes import scene_at
+
+    for one in (parts, mixed):
+        scene = default_collate([scene_at(one, 20, np.random.default_rng(5))])
+        errors.append(float(model.loss(scene, torch.Generator().manual_seed(0))[1]["error"]))
+    assert errors[0] == pytest.approx(errors[1], rel=0.5)
+
+
+# -- the predictor ----------------------------------------------------------------------------------------------------------
+
+
+def test_many_plans_are_the_single_ones(episode):
+    predictor = MotionPredictor(make())
+    actions, held = observed(predictor, episode)
+    rng = np.random.default_rng(0)
+    plans = actions + rng.normal(0, 0.05, (3, 60, 2, 3))
+    many = predictor.predict(plans, np.stack([held] * 3))
+    for i in range(3):
+        one = predictor.predict(plans[i], held)
+        assert np.allclose(many.plan(i).corners, one.corners, atol=1e-5)
+        assert np.allclose(many.plan(i).presence, one.presence, atol=1e-5)
+
+
+def test_the_two_tiers_move_the_same_points(episode):
+    """Corners are points of the cloud: the fast tier moves them as the exact one does."""
+    predictor = MotionPredictor(make(strong=0.05))
+    plan = observed(predictor, episode)
+    clouds, scales = predictor.move(*plan)
+    assert clouds.shape == (60, *episode.points[20].shape)
+    assert scales.shape == clouds.shape[:2]
+    fast = predictor.predict(*plan)
+    killer = predictor._loops[0].killer_edge
+    assert np.allclose(fast.corners[29, 0, :2], clouds[29][killer], atol=1e-5)
+    exact = predictor.predict(*plan, exact=(30,))
+    (loop,) = [one for one in tk.follow(predictor._loops, clouds[29]) if one.id == predictor._loops[0].id]
+    assert exact.death[29, 0] == pytest.approx(loop.death)
+    assert np.allclose(exact.corners[28], fast.corners[28])  # nothing else changed
+
+
+def test_the_order_of_points_does_not_count(episode):
+    predictor, rng = MotionPredictor(make(strong=0.05)), np.random.default_rng(0)
+    plan = observed(predictor, episode)
+    one = predictor.move(*plan)[0]
+    order = rng.permutation(episode.points.shape[1])
+    observed(predictor, episode, points=episode.points[:, order])
+    other = predictor.move(*plan)[0]
+    assert np.linalg.norm(one[:, order] - other, axis=-1).mean() < 0.02  # other points are carriers, that is all
+
+
+def test_what_cannot_be_observed_or_planned_is_refused(episode):
+    predictor = MotionPredictor(make())
+    plan = np.repeat(episode.grippers[20][None], 60, axis=0)
+    with pytest.raises(ValueError, match="nothing was observed yet"):
+        predictor.predict(plan)
+    with pytest.raises(ValueError, match="needs to know where the grippers are"):
+        predictor.observe(episode.points[0])
+    with pytest.raises(ValueError, match=r"target must be an \(L, 3\) array"):
+        predictor.observe(episode.points[0], episode.grippers[0], True, [[0, 0]])
+    predictor.observe(episode.points[0], episode.grippers[0])
+    with pytest.raises(ValueError, match=r"actions must be \(60, 2, 3\)"):
+        predictor.move(plan[:5])
+    for exact in ((0,), (61,)):
+        with pytest.raises(ValueError, match="exact names frames from 1 to 60 of a single plan"):
+            predictor.predict(plan, exact=exact)
+    with pytest.raises(ValueError, match="of a single plan"):
+        predictor.predict(plan[None], exact=(1,))
+
+
+def test_a_cloud_without_a_loop_has_a_forecast_without_one():
+    predictor, rng = MotionPredictor(make()), np.random.default_rng(0)
+    hands = np.array([[-0.1, 0, 1.0], [0.1, 0, 1.0]])
+    for _ in range(3):
+        predictor.observe(rng.normal(0, 0.01, (6, 3)) + [0, 0, 0.9], hands)
+    plan = np.repeat(hands[None], 60, axis=0)
+    forecast = predictor.predict(plan, exact=(1, 60))
+    assert len(forecast[0]) == 0
+    assert predictor.move(plan)[0].shape == (60, 6, 3)
+
+
+def test_predict_command(tmp_path, capsys):
+    model = make()
+    weights = {f"model.{name}": part for name, part in model.state_dict().items()}
+    path = save_tensors(tmp_path / "m.safetensors", weights, describe(model, "motion", {"width": 16}))
+    assert main(["predict", str(path), str(DATA / "apron_hook_0.npz"), "--frame", "30", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["model"], len(answer["steps"])) == ("motion", 60)
+
+
+# -- loops of moved clouds --------------------------------------------------------------------------------------------------
+
+
+def test_follow_finds_the_same_loops_where_the_cloud_is_now(episode_path):
+    film = load_episode(episode_path)
+    states = tk.track(film.points[20:36])
+    loops = states[-1].loops
+    same = tk.follow(loops, film.points[35])
+    assert [one.id for one in same] == [one.id for one in loops]
+    assert np.allclose([one.death for one in same], [one.death for one in loops])
+    later = tk.follow(loops, film.points[60])
+    truth = film.points[60][film.loops[0]]
+    assert np.linalg.norm(later[0].centre - truth.mean(axis=0)) < 0.06
+    assert later[0].step > 0
+
+
+def test_follow_loses_what_closes_and_ranks_anew():
+    angle = 2 * np.pi * np.arange(24) / 24
+    ring = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    cloud = np.concatenate([ring, 0.6 * ring + [5, 0, 0]])
+    loops = tk.track([cloud], alpha=0.1)[0].loops
+    assert [round(one.death, 1) for one in loops] == [0.9, 0.5]
+    swapped = np.concatenate([0.6 * ring, ring + [5, 0, 0]])
+    assert [one.id for one in tk.follow(loops, swapped)] == [loops[1].id, loops[0].id]
+    flat = np.concatenate([ring * [1, 0.01, 1], 0.6 * ring + [5, 0, 0]])
+    assert [one.id for one in tk.follow(loops, flat)] == [loops[1].id]
+
+
+def test_follow_refuses_what_it_cannot_follow():
+    angle = 2 * np.pi * np.arange(12) / 12
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    loops = tk.track([ring], alpha=0.1)[0].loops
+    with pytest.raises(ValueError, match=r"a loop goes through point 11, and the cloud has 6"):
+        tk.follow(loops, ring[:6])
+    assert tk.follow([], ring) == []
