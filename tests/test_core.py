@@ -1,4 +1,4 @@
-"""The core is small: its thirteen names need NumPy, SciPy and numba, and no companion's package."""
+"""The core is small: its fourteen names need NumPy, SciPy and numba, and no companion's package."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ FACE = [
         "TopologicalState",
         "covering_radius",
         "farthest_point_sample",
+        "follow",
         "hausdorff",
     ),
     *("linking_number", "loop_mixture", "rips_persistence", "rips_persistence_many", "track"),
@@ -57,6 +58,7 @@ assert isinstance(states[1], tk.TopologicalState)
 assert [loop.id for loop in tk.SeqPH().update(ring).loops] == [0]
 loop = states[1].loops[0]
 assert isinstance(loop, tk.Loop)
+assert [one.id for one in tk.follow([loop], ring)] == [loop.id]
 assert isinstance(tk.loop_mixture(loop), tk.LoopMixture)
 pole = np.array([[0, 0, -9], [0, 0, 9], [99, 0, 9], [99, 0, -9]])
 assert abs(tk.linking_number(loop.cycle_points, pole)) == 1

@@ -51,6 +51,7 @@ TAKES_CLOUD = {
     "rips_persistence_many of an array": lambda cloud: tk.rips_persistence_many(np.ma.stack([cloud, cloud]), n_jobs=1),
     "track": lambda cloud: tk.track([cloud, cloud], n_jobs=1),
     "SeqPH.update": lambda cloud: tk.SeqPH().update(cloud),
+    "follow": lambda cloud: tk.follow([LOOP], cloud),
     "farthest_point_sample": lambda cloud: tk.farthest_point_sample(cloud, 3),
     "covering_radius": lambda cloud: tk.covering_radius(RING, cloud),
     "hausdorff": lambda cloud: tk.hausdorff(cloud, RING),

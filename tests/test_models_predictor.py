@@ -233,7 +233,7 @@ def test_loops_of_a_forecast(window, stream):
 
 
 def test_what_cannot_be_observed_or_planned_is_refused(stream, window):
-    predictor = Predictor(make("pointnet"))
+    predictor = Predictor(make("carry"))
     cloud, grippers = stream[0]
     plan = window["actions"][1].numpy()
     with pytest.raises(ValueError, match="nothing was observed yet"):

@@ -123,9 +123,7 @@ class TrueLoops:
     radii: Array  #: (L,) largest distance of a curve from its centre
     killers: Ids  #: (L, 2) the edge of the full cloud that ends each curve, by the elder rule among them
     present: NDArray[np.bool_]  #: (L,) whether that was at least alpha after the curve's own latest edge
-    tight: tuple[
-        Ids, ...
-    ]  #: of each the vertices of another curve of its class, as short as edges of that length let it be
+    tight: tuple[Ids, ...]  #: of each the vertices of another curve of its class, a tight one
 
 
 def true_loops(
@@ -150,10 +148,8 @@ def _true_loops(vertices: Array, loops: Sequence[NDArray[np.integer]], alpha: fl
     centres, radii = zip(*map(extent, curves), strict=True) if curves else ((), ())
     diagram = rips_persistence(vertices)
     killers, bars = diagram.killers_of(loops), {tuple(edge): i for i, edge in enumerate(diagram.killer_edge.tolist())}
-    tight = tuple(
-        diagram.cycle(bars[edge]) if (edge := tuple(e)) in bars else np.asarray(loop)
-        for e, loop in zip(killers.tolist(), loops, strict=True)
-    )
+    ends = [bars.get(tuple(edge)) for edge in killers.tolist()]
+    tight = tuple(np.asarray(loop) if i is None else diagram.cycle(i) for i, loop in zip(ends, loops, strict=True))
     lives = np.linalg.norm(vertices[killers[:, 0]] - vertices[killers[:, 1]], axis=1) / 2
     lives -= [side_lengths(curve).max() / 2 for curve in curves]
     present = lives >= (spacing(vertices) if alpha is None else alpha)

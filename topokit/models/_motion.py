@@ -173,6 +173,13 @@ class Motion(nn.Module):
 
         Clouds are thinned at random, so that nothing depends on how many points are seen; and grippers change names, which
         is another frame for the same scene.
+
+        Parameters
+        ----------
+        scene : dict of Tensor
+            With its plans, `future` and `known`, as `Scenes` gives it.
+        generator : torch.Generator
+            Of what is random.
         """
         whole = scene["cloud"].shape[1]
         few, swap = torch.randint(64, whole + 1, (2,), generator=generator).tolist()

@@ -26,6 +26,12 @@ class MotionPredictor(Predictor):
 
     Two tiers. For many plans, the corners of each loop's triangles are moved, and no others. For one plan, `exact` names frames
     at which the whole cloud is moved and each loop's killer is sought there anew (`topokit.follow`).
+
+    Parameters
+    ----------
+    model : Motion
+    description : mapping, optional
+        What a checkpoint says of it.
     """
 
     model: Motion
