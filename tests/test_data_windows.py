@@ -165,6 +165,16 @@ def test_what_is_stored_becomes_triangles_and_values():
     assert slots["triangles"].dtype == slots["values"].dtype == slots["birth"].dtype == np.float32
 
 
+def test_what_is_seen_is_in_metres(dataset, windows):
+    number = int(windows.episodes[0])
+    clouds, target = windows.seen(number)
+    episode = dataset[number]
+    assert np.allclose(clouds, episode.points, atol=1e-6)
+    assert np.allclose(target, episode.centre_line, atol=1e-6)
+    observed = WindowDataset(dataset, [number], observe=lambda _, clouds: clouds[:, ::2] + 0.5)
+    assert np.allclose(observed.seen(number)[0], episode.observed[:, : observed.n_points : 2] + 0.5, atol=1e-4)
+
+
 def test_true_loops_are_those_of_the_episode(dataset, windows):
     number, t = windows.index[25]
     episode = dataset[int(number)]

@@ -174,6 +174,7 @@ LAYERS = [
     {"state", "mixture", "_evidence", "_matching"},
     {"_frames"},
     {"seqph"},
+    {"_follow"},
     {"_config"},
     {"sensors"},
     {"io"},

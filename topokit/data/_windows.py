@@ -212,7 +212,9 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     def seen(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the clouds of an episode that its states were tracked on, (T, P, 3), and its target's centre line, (L, 3)."""
         stored = decode(self.dataset.group, self.dataset.document(number), ("points", "observed", "centre_line"))
-        return unpack(self._tracked_clouds(stored, number)).astype(np.float64), stored["centre_line"]
+        return unpack(self._tracked_clouds(stored, number)).astype(np.float64), unpack(stored["centre_line"]).astype(
+            np.float64
+        )
 
     def load(self) -> WindowDataset:
         """Decode the episodes now, as many as `memory` lets; processes forked later share them."""
