@@ -171,7 +171,11 @@ def test_what_is_seen_is_in_metres(dataset, windows):
     episode = dataset[number]
     assert np.allclose(clouds, episode.points, atol=1e-6)
     assert np.allclose(target, episode.centre_line, atol=1e-6)
-    observed = WindowDataset(dataset, [number], observe=lambda _, clouds: clouds[:, ::2] + 0.5)
+
+    def shifted(_, clouds):
+        return clouds[:, ::2] + 0.5
+
+    observed = WindowDataset(dataset, [number], history=H, horizon=K, observe=shifted)
     assert np.allclose(observed.seen(number)[0], episode.observed[:, : observed.n_points : 2] + 0.5, atol=1e-4)
 
 
