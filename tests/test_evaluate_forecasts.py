@@ -211,6 +211,36 @@ def test_noise_spoils_the_tracker_too(results):
     assert noisy["presence"]["seqph"]["mean"]["mean"] < clean["presence"]["seqph"]["mean"]["mean"]
 
 
+def forecasts_of(prepared) -> dict[str, torch.Tensor]:
+    """(K, S, 3) what each forecaster says of the first window."""
+    window = torch.utils.data.default_collate([prepared.observed[0]])
+    with torch.inference_mode():
+        return {name: found[0](window).mean[0] for name, found in prepared.forecasters.items()}
+
+
+def test_a_turned_scene_is_the_same_to_all_but_those_who_know_places_by_heart(checkpoints, tmp_path):
+    paths = {name: checkpoints[name][:1] for name in ("mlp", "motion")}
+    films = {"name": "x", "dataset": str(DATA / "motion"), "part": "all", "shares_no_episode": True, "windows": 1}
+    films |= {"garments": ["apron"]}
+    config = evaluation([films, films | {"name": "turned", "turned": 70.0}], models=paths, ours="motion")
+    one, turned = (forecasts_of(prepare_condition(config, condition, tmp_path)) for condition in config.conditions)
+    for name in ("seqph", "hold", "carry"):
+        assert torch.allclose(one[name], turned[name], atol=1e-4)
+    steps = [step - 1 for step in steps_of(60)]
+    assert torch.allclose(one["ours"][steps, 0], turned["ours"][steps, 0], atol=1e-3)
+    assert (one["mlp"] - turned["mlp"]).norm(dim=-1).mean() > 0.02
+
+
+def test_plans_on_and_off_the_script_are_told_apart(tmp_path):
+    films, dataset = {"dataset": str(DATA / "motion"), "part": "all"}, Dataset(DATA / "motion")
+    plans = ("all", "script", "off script")
+    config = evaluation([films | {"name": name, "plans": name} for name in plans])
+    found = [prepare_condition(config, condition, tmp_path).clean.episodes.tolist() for condition in config.conditions]
+    assert sorted(found[1] + found[2]) == found[0]
+    assert found[1]
+    assert all(("path" in dataset.document(number)["physics"]) for number in found[2])
+
+
 # -- going on ---------------------------------------------------------------------------------------------------------------
 
 
@@ -362,12 +392,13 @@ def test_a_wrong_configuration_says_what_is_wrong(entries, match, tmp_path):
 
 
 def test_the_committed_evaluation_is_a_good_one():
-    config, folder = load_evaluation(DATA.parent / "book" / "evaluation.json")
+    config, folder = load_evaluation(DATA.parent / "book" / "motion.json")
     assert config.ours in config.models
-    assert all(len(config.models[model]) >= 3 for model in ("mlp", "pointnet", config.ours))  # seeds
-    chapter = {"aprons", "all garments", "128 points"}  # chapter 12 asks for these by name
-    assert chapter <= {condition.name for condition in config.conditions}
-    assert folder.name == "book"
+    assert all((folder / path).is_file() for paths in config.models.values() for path in paths)
+    names = [condition.name for condition in config.conditions]
+    chapter = {"aprons", "script", "off script", "turned by 70 degrees", "500 observed points"}  # asked for by name
+    assert names[0] == "all garments"  # whose hulls are treated in several ways
+    assert chapter <= set(names)
 
 
 # -- windows ----------------------------------------------------------------------------------------------------------------

@@ -12,7 +12,10 @@ from ._plots import loop_colour
 _LABELS = {"seqph": "seqPH", "mlp": "MLP", "pointnet": "PointNet"}
 _GREYS = {"seqph": "0.35", "hold": "0.75", "carry": "0.6"}
 _COLOURS = {"ours": 0, "mlp": 1, "pointnet": 2, "ridge": 5}  # those of the identities: the book has one palette
-_NOT_DRAWN = tuple(f"marked curve alone, within {tolerance} cm" for tolerance in (0, 1, 3, 10))  # between the others
+_CURVES = {"marked curve alone": "marked", "any curve of the class": "any"}
+_NOT_DRAWN = tuple(
+    f"{curve}, within {tolerance} cm" for curve in _CURVES for tolerance in (0, 1, 3, 10)
+)  # between others
 _ACCURACY = "mean in the true hull (%)"
 
 
@@ -105,7 +108,10 @@ def plot_treatments(condition: Mapping[str, Any], ax: Axes) -> Axes:
     for model in next(iter(ways.values())):
         values = [100 * rows[model]["mean"]["mean"] for rows in ways.values()]
         ax.plot(range(len(ways)), values, "o-", markersize=4, color=_colour(model), label=model_label(model))
-    names = [name.replace("marked curve alone, within", "marked:").replace(" ", "\n", 1) for name in ways]
+    names = list(ways)
+    for curve, short in _CURVES.items():
+        names = [name.replace(f"{curve}, within", f"{short}:") for name in names]
+    names = [name.replace(" ", "\n", 1) for name in names]
     ax.set_xticks(range(len(ways)), names, fontsize="x-small")
     ax.set(ylabel=_ACCURACY, ylim=(0, 100))
     return _with_legend(ax)
