@@ -142,24 +142,27 @@ class Motion(nn.Module):
         held : (C, 60) bool
         """
         plans, carriers = len(actions), codes.carriers
-        code, place, before, target = (part.expand(plans, *part.shape[1:]) for part in codes[:4])
+        code, place, target = (part.expand(plans, *part.shape[1:]) for part in (codes.code, codes.place, codes.target))
         hands, shares = _hands(_local(actions, codes.origin, codes.turn), held, codes.hands)
-        step, last, places, scales = torch.zeros_like(place), 0, [], []
-        for k, knot in enumerate(KNOTS):
-            frames, last, now, share = (knot - last) / 6, knot, hands[:, k], shares[:, k, None]
-            ahead = carried(place, before, now)
-            own = [((now[:, None] - ahead[:, :, None]) / UNIT).flatten(2), _beside(ahead, target)]
+        before = torch.cat([codes.hands.expand(plans, -1, -1)[:, None], hands[:, :-1]], dim=1)
+        turns, lasts = _turns(before.flatten(0, 1), hands.flatten(0, 1)), torch.tensor((0, *KNOTS)).to(hands).diff() / 6
+        parts = [((hands - before) / UNIT).flatten(2), shares[..., None], lasts.expand(plans, -1)[..., None]]
+        reach = _reach(hands.flatten(0, 1), target[:, None].expand(-1, len(KNOTS), -1, -1).flatten(0, 1))
+        told = torch.cat([*parts, reach.unflatten(0, hands.shape[:2])], dim=-1)  # (C, 13, 24)
+        turns, middles, after = turns.unflatten(0, hands.shape[:2]), before.mean(dim=2), hands.mean(dim=2)
+        step, places, scales = torch.zeros_like(place), [], []
+        for k, frames in enumerate(lasts.tolist()):
+            ahead = (place - middles[:, k, None]) @ turns[:, k] + after[:, k, None]
+            own = [((hands[:, k, None] - ahead[:, :, None]) / UNIT).flatten(2), _beside(ahead, target)]
             own += [(ahead - place) / UNIT, 3 / UNIT * step]
             said = self.pool(code[:, :carriers])
-            told = [((now - before) / UNIT).flatten(1), share, torch.full_like(share, frames), _reach(now, target)]
-            scene = self.scene(torch.cat([*told, said.mean(dim=1), said.amax(dim=1)], dim=1))
+            scene = self.scene(torch.cat([told[:, k], said.mean(dim=1), said.amax(dim=1)], dim=1))
             new, keep, use = (self.own(torch.cat(own, dim=-1)) + scene[:, None]).chunk(3, dim=-1)
             old, kept, used = self.before(code).chunk(3, dim=-1)
-            keep = torch.sigmoid(keep + kept)
-            code = keep * code + (1 - keep) * torch.tanh(new + torch.sigmoid(use + used) * old)
+            code = torch.lerp(torch.tanh(new + torch.sigmoid(use + used) * old), code, torch.sigmoid(keep + kept))
             change = self.out(code)
             goes = ahead - place + UNIT * frames * change[..., :3]
-            step, place, before = goes / frames, place + goes, now
+            step, place = goes / frames, place + goes
             places.append(place)
             scales.append(0.01 * (change[..., 3] + 1).exp())
         found = torch.stack(places, dim=1)
@@ -209,12 +212,17 @@ def _apart(points: Tensor) -> Tensor:
 
 def carried(points: Tensor, before: Tensor, now: Tensor) -> Tensor:
     """Points (B, N, 3) moved as grippers (B, 2, 3) were: with their middle, and about the vertical through it."""
+    return (points - before.mean(dim=1)[:, None]) @ _turns(before, now) + now.mean(dim=1)[:, None]
+
+
+def _turns(before: Tensor, now: Tensor) -> Tensor:
+    """(B, 3, 3) by which rows turn about the vertical as the line between grippers (B, 2, 3) does."""
     one, other = ((hands[:, 1] - hands[:, 0])[:, :2] for hands in (before, now))
     size = (one.norm(dim=1) * other.norm(dim=1)).clamp_min(1e-6)
-    cosine = ((one * other).sum(dim=1) / size)[:, None]
-    sine = ((one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / size)[:, None]
-    x, y, z = (points - before.mean(dim=1)[:, None]).unbind(dim=-1)
-    return torch.stack([cosine * x - sine * y, sine * x + cosine * y, z], dim=-1) + now.mean(dim=1)[:, None]
+    cosine = (one * other).sum(dim=1) / size
+    sine = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / size
+    none, unit = torch.zeros_like(sine), torch.ones_like(sine)
+    return torch.stack([cosine, sine, none, -sine, cosine, none, none, none, unit], dim=1).unflatten(1, (3, 3))
 
 
 def _hands(actions: Tensor, held: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
@@ -229,14 +237,16 @@ def _hands(actions: Tensor, held: Tensor, start: Tensor) -> tuple[Tensor, Tensor
 
 def _beside(points: Tensor, line: Tensor) -> Tensor:
     """(B, N, 5) the way from points (B, N, 3) to a line (B, L, 3) and where along it that ends, which fade; how near it is."""
-    start, along = line[:, None, :-1], line[:, None].diff(dim=2)
-    share = ((points[:, :, None] - start) * along).sum(dim=-1) / along.square().sum(dim=-1).clamp_min(1e-9)
-    away = start + share.clamp(0, 1)[..., None] * along - points[:, :, None]
-    nearest = away.square().sum(dim=-1).argmin(dim=-1, keepdim=True)
-    place = (share.clamp(0, 1).gather(2, nearest) + nearest) / along.shape[2]
-    away = away.gather(2, nearest[..., None].expand(-1, -1, -1, 3))[:, :, 0]
+    start, along = line[:, :-1], line.diff(dim=1)
+    size, base = along.square().sum(dim=-1)[:, None], (start * along).sum(dim=-1)[:, None]  # (B, 1, L - 1)
+    way = points @ along.transpose(1, 2) - base
+    share = (way / size.clamp_min(1e-9)).clamp(0, 1)
+    first = start.square().sum(dim=-1)[:, None] - 2 * points @ start.transpose(1, 2)  # squares of distances to the starts
+    nearest = (first + share * (share * size - 2 * way)).argmin(dim=-1, keepdim=True)  # but for what a point adds to all
+    share, segment = share.gather(2, nearest), nearest.expand(-1, -1, 3)
+    away = start.gather(1, segment) + share * along.gather(1, segment) - points
     near = (-away.norm(dim=-1, keepdim=True) / _REACH).exp()
-    return torch.cat([away * near / UNIT, place * near, near], dim=-1)
+    return torch.cat([away * near / UNIT, (share + nearest) / along.shape[1] * near, near], dim=-1)
 
 
 def _reach(hands: Tensor, target: Tensor) -> Tensor:

@@ -92,14 +92,15 @@ class MotionPredictor(Predictor):
         """
         if len(exact) and (np.ndim(actions) == 4 or not all(1 <= step <= KNOTS[-1] for step in exact)):
             raise ValueError(f"exact names frames from 1 to {KNOTS[-1]} of a single plan, not {list(exact)}")
-        ids = np.array([_corners(loop)[0] for loop in self._loops], dtype=np.int64)
-        places, scales = self._moved(actions, held, ids.ravel())  # (C, 60, S * 8, 3)
-        sizes = (*places.shape[:2], len(self._loops), 8)
+        ids = np.array([_corners(loop)[0] for loop in self._loops], dtype=np.int64)  # (S, 8)
+        places, scales = self._moved(actions, held, None if len(exact) else ids.ravel())
+        if len(exact):
+            clouds, places, scales = places[0], places[:, :, ids.ravel()], scales[:, :, ids.ravel()]
+        sizes = (*places.shape[:2], len(ids), 8)
         forecast = _forecast(places.reshape(*sizes, 3), scales.reshape(sizes), self._loops)
-        if not len(exact):
-            return forecast if np.ndim(actions) == 4 else forecast.plan(0)
+        if np.ndim(actions) == 4:
+            return forecast
         forecast = forecast.plan(0)
-        clouds, _ = self.move(actions, held)
         for step in exact:
             _read(forecast, step - 1, self._loops, clouds[step - 1])
         return forecast
