@@ -401,6 +401,23 @@ def test_the_committed_evaluation_is_a_good_one():
     assert chapter <= set(names)
 
 
+def test_the_readme_says_what_the_results_say():
+    """Its table, line by line: means over the horizons, in per cent."""
+    results = read_results(DATA.parent / "book" / "results" / "motion.json")
+    lines = (DATA.parent / "README.md").read_text().split("<!-- book/results/motion.json -->")[1].strip().splitlines()
+    shown = [cell.strip() for cell in lines[0].strip("|").split("|")]
+    models = [{"Motion": "ours"}.get(name, name.lower()) for name in shown[1:]]
+    said = {row[0].strip(): [int(cell) for cell in row[1:]] for row in (x.strip("|").split("|") for x in lines[2:])}
+    conditions = results["conditions"]
+    whole = conditions["all garments"]["hull_treatments"]
+    found = {name: table["hull_accuracy"] for name, table in conditions.items()}
+    found["all garments, strict"] = whole["marked curve alone, within 0 cm"]
+    found["all garments, any curve of the class"] = whole["any curve of the class, within 1 cm"]
+    assert said == {
+        name: [round(100 * rows[model]["mean"]["mean"]) for model in models] for name, rows in found.items()
+    }
+
+
 # -- windows ----------------------------------------------------------------------------------------------------------------
 
 
