@@ -123,7 +123,7 @@ class TrueLoops:
     radii: Array  #: (L,) largest distance of a curve from its centre
     killers: Ids  #: (L, 2) the edge of the full cloud that ends each curve, by the elder rule among them
     present: NDArray[np.bool_]  #: (L,) whether that was at least alpha after the curve's own latest edge
-    tight: tuple[Ids, ...]  #: of each the vertices of another curve of its class, a tight one
+    tight: tuple[Ids, ...] = ()  #: of each the vertices of another curve of its class, a tight one
 
 
 def true_loops(

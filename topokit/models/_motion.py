@@ -241,8 +241,12 @@ def _beside(points: Tensor, line: Tensor) -> Tensor:
     size, base = along.square().sum(dim=-1)[:, None], (start * along).sum(dim=-1)[:, None]  # (B, 1, L - 1)
     way = points @ along.transpose(1, 2) - base
     share = (way / size.clamp_min(1e-9)).clamp(0, 1)
-    first = start.square().sum(dim=-1)[:, None] - 2 * points @ start.transpose(1, 2)  # squares of distances to the starts
-    nearest = (first + share * (share * size - 2 * way)).argmin(dim=-1, keepdim=True)  # but for what a point adds to all
+    first = start.square().sum(dim=-1)[:, None] - 2 * points @ start.transpose(
+        1, 2
+    )  # squares of distances to the starts
+    nearest = (first + share * (share * size - 2 * way)).argmin(
+        dim=-1, keepdim=True
+    )  # but for what a point adds to all
     share, segment = share.gather(2, nearest), nearest.expand(-1, -1, 3)
     away = start.gather(1, segment) + share * along.gather(1, segment) - points
     near = (-away.norm(dim=-1, keepdim=True) / _REACH).exp()
