@@ -89,6 +89,11 @@ class MotionPredictor(Predictor):
             Whether they hold the garment then; throughout, when not given.
         exact : sequence of int
             Frames ahead, 1 to 60, at which the loops are sought in the moved cloud; of a single plan alone.
+
+        Raises
+        ------
+        ValueError
+            When nothing was observed, or plans or frames cannot be meant.
         """
         if len(exact) and (np.ndim(actions) == 4 or not all(1 <= step <= KNOTS[-1] for step in exact)):
             raise ValueError(f"exact names frames from 1 to {KNOTS[-1]} of a single plan, not {list(exact)}")
