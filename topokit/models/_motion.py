@@ -54,14 +54,14 @@ class Motion(nn.Module):
 
     A scene is a dict of tensors of B windows, in metres:
 
-    =============  ============  ========================================================
-    ``cloud``      (B, M, 3)     the cloth at the present frame, in an order that says nothing
-    ``points``     (B, n, 3)     points of the cloth whose motion is asked for
-    ``flow``       (B, M+n, 3, 3) how cloud and points moved beside the grippers since 1, 4 and 12 frames ago
-    ``grippers``   (B, 4, 2, 3)  at the present frame, and then
-    ``held``       (B,) bool     whether they hold the cloth
-    ``target``     (B, L, 3)     the target's centre line, from its foot to its tip
-    =============  ============  ========================================================
+    ============  ================  ============================================================================
+    ``cloud``     (B, M, 3)         the cloth at the present frame, in an order that says nothing
+    ``points``    (B, n, 3)         points of the cloth whose motion is asked for
+    ``flow``      (B, M + n, 3, 3)  how cloud and points moved beside the grippers since 1, 4 and 12 frames ago
+    ``grippers``  (B, 4, 2, 3)      at the present frame, and then
+    ``held``      (B,) bool         whether they hold the cloth
+    ``target``    (B, L, 3)         the target's centre line, from its foot to its tip
+    ============  ================  ============================================================================
 
     Parameters
     ----------
