@@ -212,9 +212,8 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     def seen(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the clouds of an episode that its states were tracked on, (T, P, 3), and its target's centre line, (L, 3)."""
         stored = decode(self.dataset.group, self.dataset.document(number), ("points", "observed", "centre_line"))
-        return unpack(self._tracked_clouds(stored, number)).astype(np.float64), unpack(stored["centre_line"]).astype(
-            np.float64
-        )
+        clouds, line = (unpack(part) for part in (self._tracked_clouds(stored, number), stored["centre_line"]))
+        return clouds.astype(np.float64), line.astype(np.float64)
 
     def load(self) -> WindowDataset:
         """Decode the episodes now, as many as `memory` lets; processes forked later share them."""
@@ -251,7 +250,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
             labels = self.dataset.labels(self.labels)
             with damage_in(labels, number):
                 found = decode(labels, labels.document(number), ("id", "simplices", "values"))
-                tracked = _Tracked.of(found, cloud_of(stored, labels.manifest))
+                tracked = _Tracked.of(found, self._tracked_clouds(stored, number))
         else:
             clouds = self._tracked_clouds(stored, number)
             slots = self.dataset.labels(self.labels).manifest["slots"]

@@ -134,7 +134,7 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
     shown = {config.ours: "ours"}
     untrained: dict[str, Forecaster] = {"seqph": target_states}
     untrained |= {name: of_windows(kind(config.shape, Normalisation()).eval()) for name, kind in _BASELINES.items()}
-    turn = partial(turned, degrees=condition.turned) if condition.turned else _unchanged
+    turn = partial(turned, degrees=condition.turned)
     forecasters = {shown.get(name, name): [turn(one)] for name, one in untrained.items()}
     checkpoints = {}
     for name, paths in (config.models if condition.models is None else condition.models).items():
@@ -150,10 +150,6 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
         ]
         forecasters[shown.get(name, name)] = [turn(one) for one in made]
     return PreparedCondition(clean, observed, forecasters, _entries(config, condition, clean, checkpoints))
-
-
-def _unchanged(forecaster: Forecaster) -> Forecaster:
-    return forecaster
 
 
 def _entries(

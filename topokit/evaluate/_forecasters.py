@@ -35,7 +35,8 @@ def of_windows(model: PredictiveModel) -> Forecaster:
 def of_stream(predictor: MotionPredictor, windows: WindowDataset) -> Forecaster:
     """A predictor that is shown the frames of each window one by one, as whole as the tracker of its labels sees them.
 
-    Its loops are sought anew in the moved cloud, at the steps that are measured.
+    It is asked through `turned`, which says how the scene stands. Its loops are sought anew in the moved cloud, at the steps
+    that are measured.
     """
     seen = lru_cache(8)(windows.seen)
     steps = steps_of(windows.horizon)
@@ -44,7 +45,7 @@ def of_stream(predictor: MotionPredictor, windows: WindowDataset) -> Forecaster:
         found = []
         for i, (number, frame) in enumerate(zip(window["episode"].tolist(), window["frame"].tolist(), strict=True)):
             clouds, target = seen(number)
-            turn = window["turn"].double().numpy() if "turn" in window else np.eye(3)
+            turn = window["turn"].double().numpy()
             predictor.reset()
             for k in range(windows.history):
                 cloud, hands = clouds[frame - windows.history + 1 + k] @ turn.T, window["grippers"][i, k]

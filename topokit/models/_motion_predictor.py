@@ -16,7 +16,7 @@ from topokit.seqph import SeqPH
 from topokit.state import Loop
 
 from ._motion import KNOTS, PAST, Codes, Motion
-from ._predictor import PLANS_AT_ONCE, Array, Forecast, Predictor, as_cloud, as_grippers
+from ._predictor import Array, Forecast, Predictor, as_cloud, as_grippers
 from ._scenes import carriers_first, flow, resampled
 from ._states import TRIANGLES
 
@@ -124,14 +124,11 @@ class MotionPredictor(Predictor):
 
     def _moved(self, actions: ArrayLike, held: ArrayLike | None, ids: NDArray[np.int64] | None) -> tuple[Array, Array]:
         """(C, 60, n, 3) places and (C, 60, n) scales of some points of the cloud, or all."""
-        plans, holds = self._plans(actions, held)
+        chunks = self._plans(actions, held)
         if not self._clouds:
             raise ValueError("nothing was observed yet: call observe(points, grippers) first")
         codes = self._encode(ids)
-        parts = [
-            self.model.under(codes, *chunk)
-            for chunk in zip(*(part.split(PLANS_AT_ONCE) for part in (plans, holds)), strict=True)
-        ]
+        parts = [self.model.under(codes, *chunk) for chunk in chunks]
         places, scales = (torch.cat(part)[:, :, codes.carriers :].numpy() for part in zip(*parts, strict=True))
         start = codes.place[:, codes.carriers :] @ codes.turn + codes.origin[:, None]
         first = np.broadcast_to(start.numpy()[:, None], (len(places), 1, *places.shape[2:]))

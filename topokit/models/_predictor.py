@@ -24,7 +24,7 @@ from ._checkpoint import Model, load_model
 from ._motion import Motion
 from ._states import TRIANGLES, States
 
-PLANS_AT_ONCE = 250  # so that weights are read seldom, and what lies between layers stays in the cache
+_PLANS_AT_ONCE = 250  # so that weights are read seldom, and what lies between layers stays in the cache
 
 Array = NDArray[np.float32]
 
@@ -218,9 +218,8 @@ class Predictor:
         held : (60,) or (C, 60) array_like of bool, optional
             Whether they hold the garment then; throughout, when not given.
         """
-        plans, holds = self._plans(actions, held)
+        chunks = self._plans(actions, held)
         context = self._encoded()
-        chunks = zip(*(part.split(PLANS_AT_ONCE) for part in (plans, holds)), strict=True)
         parts = (vars(self.model.decode(context, *chunk)).values() for chunk in chunks)
         forecast = Forecast.from_states(States(*map(torch.cat, zip(*parts, strict=True))))
         return forecast if np.ndim(actions) == 4 else forecast.plan(0)
@@ -238,7 +237,8 @@ class Predictor:
             self._context = self.model.gather(kept)
         return self._context
 
-    def _plans(self, actions: ArrayLike, held: ArrayLike | None) -> tuple[Tensor, Tensor]:
+    def _plans(self, actions: ArrayLike, held: ArrayLike | None) -> list[tuple[Tensor, Tensor]]:
+        """Plans (C, 60, 2, 3) and holds (C, 60), some at a time."""
         steps = self.model.shape.horizon
         with np.errstate(over="ignore"):  # infinite here, and said so
             plans = as_reals(actions, "actions").astype(np.float32)
@@ -249,7 +249,8 @@ class Predictor:
         holds = np.ones(plans.shape[:-2], dtype=bool) if held is None else as_reals(held, "held").astype(bool)
         if holds.shape != plans.shape[:-2]:
             raise ValueError(f"held must be {plans.shape[:-2]}, as the actions, not {holds.shape}")
-        return torch.from_numpy(plans).reshape(-1, steps, 2, 3), torch.from_numpy(holds).reshape(-1, steps)
+        parts = torch.from_numpy(plans).reshape(-1, steps, 2, 3), torch.from_numpy(holds).reshape(-1, steps)
+        return list(zip(*(part.split(_PLANS_AT_ONCE) for part in parts), strict=True))
 
 
 def as_cloud(points: ArrayLike) -> NDArray[np.float64]:
