@@ -148,6 +148,37 @@ def test_control_c_stops_the_processes(tmp_path):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_process_starts_leaves_nothing(number, monkeypatch, tmp_path):
+    """It comes when the process is there, and nobody knows it yet."""
+    started, ended = [], []
+
+    class Started(subprocess.Popen):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            started.append(self)
+            signal.raise_signal(number)
+
+    def end(number, frame):
+        ended.append(number)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(_process.subprocess, "Popen", Started)
+    monkeypatch.setattr(_process.tempfile, "tempdir", str(tmp_path))
+    before = signal.signal(number, end)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            _process.Forge("json:dumps").run({}, 60)
+        assert signal.getsignal(number) is end
+    finally:
+        signal.signal(number, before)
+        left = [process for process in started if process.poll() is None]
+        for process in left:
+            process.kill()
+    assert (ended, left, [*tmp_path.iterdir()]) == ([number], [], [])
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
 def test_nothing_is_left_of_an_owner_that_is_killed(tmp_path):
     pids = tmp_path / "pids"
     path = os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])

@@ -20,7 +20,7 @@ import sys
 import tempfile
 import threading
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
@@ -31,6 +31,7 @@ _MAIN = (  # what lies in the working directory, '' on the path, is not imported
 _READY = "ready\n"
 _STARTS = 5
 _PATIENCE = 10  # times the limit of processor time
+_ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 Answer = dict[str, Any]
 
@@ -110,19 +111,20 @@ class Forge:
         environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONPATH": os.pathsep.join(filter(None, path))}
         for _ in range(_STARTS):
             self.close()
-            self._errors = tempfile.TemporaryFile("a+", errors="replace")  # noqa: SIM115 (closed by close)
-            self._folder = tempfile.TemporaryDirectory(prefix="topokit-", ignore_cleanup_errors=True)
-            self._process = process = subprocess.Popen(
-                [sys.executable, "-c", _MAIN, self._folder.name, *self._arguments],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=self._errors,
-                text=True,
-                env=environment,
-                start_new_session=True,  # Ctrl-C reaches us alone, and we stop it
-            )
-            self._lines: queue.Queue[str] = queue.Queue()
-            threading.Thread(target=_read, args=(process.stdout, self._lines), daemon=True).start()
+            with _signals_wait():
+                self._errors = tempfile.TemporaryFile("a+", errors="replace")  # noqa: SIM115 (closed by close)
+                self._folder = tempfile.TemporaryDirectory(prefix="topokit-", ignore_cleanup_errors=True)
+                self._process = process = subprocess.Popen(
+                    [sys.executable, "-c", _MAIN, self._folder.name, *self._arguments],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=self._errors,
+                    text=True,
+                    env=environment,
+                    start_new_session=True,  # Ctrl-C reaches us alone, and we stop it
+                )
+                self._lines: queue.Queue[str] = queue.Queue()
+                threading.Thread(target=_read, args=(process.stdout, self._lines), daemon=True).start()
             while line := self._line(silence):
                 if line == _READY:
                     return process
@@ -136,6 +138,25 @@ class Forge:
     def _last_words(self, process: subprocess.Popen[str]) -> str:
         self._errors.seek(0)
         return _fate(process.wait(), self._errors.read())
+
+
+@contextlib.contextmanager
+def _signals_wait() -> Iterator[None]:
+    """Signals that have a handler come afterwards: what ends us while a process starts would leave it running."""
+    came: list[int] = []
+    ours: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        ours = {number: signal.getsignal(number) for number in _ENDING}
+        ours = {number: handler for number, handler in ours.items() if callable(handler)}
+    for number in ours:
+        signal.signal(number, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in ours.items():
+            signal.signal(number, handler)
+        for number in came:
+            signal.raise_signal(number)
 
 
 def _read(stream: IO[str], lines: queue.Queue[str]) -> None:
