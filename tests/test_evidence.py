@@ -82,7 +82,7 @@ def test_a_loop_seen_well_is_kept_when_it_is_hardly_seen_and_a_chance_bar_is_not
 
 def _most(cloud: np.ndarray) -> float:
     diagram = rips_persistence(cloud)
-    return float(significance(diagram, _gaps(cloud), len(cloud)).max())
+    return float(significance(diagram.birth, diagram.death, _gaps(cloud), len(cloud)).max())
 
 
 def _gaps(cloud: np.ndarray) -> Gaps:
@@ -92,11 +92,11 @@ def _gaps(cloud: np.ndarray) -> Gaps:
 def test_evidence_is_of_no_unit_and_bounded():
     cloud = film()[0]
     diagram, large = rips_persistence(cloud), rips_persistence(1e6 * cloud)
-    said = evidence(diagram, _gaps(cloud), len(cloud))
-    np.testing.assert_allclose(said, evidence(large, _gaps(1e6 * cloud), len(cloud)), atol=1e-6)
+    said = evidence(diagram.birth, diagram.death, _gaps(cloud), len(cloud))
+    np.testing.assert_allclose(said, evidence(large.birth, large.death, _gaps(1e6 * cloud), len(cloud)), atol=1e-6)
     assert said.max() == 2
     assert said.min() == -3
-    assert (significance(diagram, _gaps(cloud), len(cloud)) > 1).sum() == 1
+    assert (significance(diagram.birth, diagram.death, _gaps(cloud), len(cloud)) > 1).sum() == 1
 
 
 def test_unevenness_tells_random_points_from_grids_and_curves():

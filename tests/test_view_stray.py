@@ -87,7 +87,7 @@ def test_script_measures_significance_and_the_mark_that_a_bar_must_reach():
         frame = Frame.cleaned(as_tree(cloud))
         np.testing.assert_array_equal(np.unique(new["cloud"], axis=0), np.unique(cloud[frame.ids], axis=0))
         diagram = rips_persistence(frame.tree.data)
-        expected = significance(diagram, frame.gaps, frame.tree.n)
+        expected = significance(diagram.birth, diagram.death, frame.gaps, frame.tree.n)
         bars = np.array(new["bars"]).reshape(-1, 4)
         np.testing.assert_allclose(np.sort(bars[:, 2]), np.sort(expected), rtol=1e-9)
         for birth, death, strength, needed in new["bars"]:

@@ -17,8 +17,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .rips import Diagram
-
 Array = NDArray[np.float64]
 WEAKEST = -2.5  # evidence of a bar that is looked at at all
 MISSED = -1.0  # evidence of a frame in which nothing is found
@@ -44,27 +42,32 @@ class Gaps(NamedTuple):
         return cls(fifth, min(fifth / middle, 1.4 * float(np.quantile(nearest[:, 0], 0.9)) / middle))
 
 
-def significance(diagram: Diagram, gaps: Gaps, n_points: int) -> Array:
-    """(m,) how much each bar stands out from the sampling: a loop above 1.
+def significance(birth: Array, death: Array, gaps: Gaps, n_points: int) -> Array:
+    """How much each bar stands out from the sampling: a loop above 1.
 
     It is 1.1 lifetime / spacing * log(death / birth)^0.3 * (1000 / n)^p, whatever the unit of length. Points strewn at random
     leave wide gaps, in a small sample as in a large one: for them the spacing counts 1.3 times and p, else 3/4, is 0.3.
     """
     if gaps.spacing == 0:
-        return np.zeros(len(diagram))
+        return np.zeros(np.shape(death))
     power = np.interp(gaps.unevenness, (_EVEN, _STREWN), (0.75, 0.3))
     spacing = gaps.spacing * max(gaps.unevenness / 2, 1.0)
     with np.errstate(divide="ignore"):
-        times = np.log(diagram.death / diagram.birth) ** 0.3
-    return np.asarray(1.1 * diagram.lifetime / spacing * times * (_MANY / max(n_points, _FEW)) ** power)
+        times = np.log(death / birth) ** 0.3
+    return np.asarray(1.1 * (death - birth) / spacing * times * (_MANY / max(n_points, _FEW)) ** power)
 
 
-def evidence(diagram: Diagram, gaps: Gaps, n_points: int) -> Array:
-    """(m,) what this frame says for each bar's being a loop, in natural logarithms of odds."""
+def evidence(birth: Array, death: Array, gaps: Gaps, n_points: int) -> Array:
+    """What this frame says for each bar's being a loop, in natural logarithms of odds."""
     with np.errstate(divide="ignore"):
-        return np.clip(5 * np.log(significance(diagram, gaps, n_points)), _AGAINST, _FOR)
+        return np.clip(5 * np.log(significance(birth, death, gaps, n_points)), _AGAINST, _FOR)
 
 
 def believe(belief: float, evidence: float) -> float:
     """What is believed of a bar, in natural logarithms of odds, once a frame has said something about it."""
     return max(_FORGET * belief + evidence, _LEAST)
+
+
+def remembered(frames: Array) -> Array:
+    """What is left, so many frames later, of the belief in a loop that has long been seen well."""
+    return np.asarray(_FOR / (1 - _FORGET) * _FORGET**frames)

@@ -215,7 +215,7 @@ class SeqPH:
         """(m,) evidence that each bar is a loop; by alpha alone there is no doubt."""
         if self.loops == "alpha":
             return np.where(diagram.lifetime >= frame.alpha, np.inf, -np.inf)
-        return evidence(diagram, frame.gaps, frame.tree.n)
+        return evidence(diagram.birth, diagram.death, frame.gaps, frame.tree.n)
 
     def _motion(self, frame: Frame) -> tuple[Array | float, float]:
         """How far the scene as a whole has moved, and epsilon, given or estimated."""

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from topokit._evidence import Gaps, evidence, remembered
 from topokit._follow import follow
 from topokit._validate import as_points
 from topokit.seqph import SeqPH
@@ -73,6 +74,8 @@ class MotionPredictor(Predictor):
                 raise ValueError(f"target must be an (L, 3) array, not of shape {line.shape}")
             self._target = line
         self._loops = tuple(self._seqph.update(cloud).loops[: self.model.shape.slots])
+        frame: Any = self._seqph._before  # the one that this was
+        self._sampling = frame.gaps, frame.tree.n
         self._clouds.append(cloud)
         self._hands.append(place)
         self._held, self._codes = bool(held), {}
@@ -98,16 +101,15 @@ class MotionPredictor(Predictor):
         if len(exact) and (np.ndim(actions) == 4 or not all(1 <= step <= KNOTS[-1] for step in exact)):
             raise ValueError(f"exact names frames from 1 to {KNOTS[-1]} of a single plan, not {list(exact)}")
         ids = np.array([_corners(loop)[0] for loop in self._loops], dtype=np.int64)  # (S, 8)
-        places, scales = self._moved(actions, held, None if len(exact) else ids.ravel())
+        places, _ = self._moved(actions, held, None if len(exact) else ids.ravel())
         if len(exact):
-            clouds, places, scales = places[0], places[:, :, ids.ravel()], scales[:, :, ids.ravel()]
-        sizes = (*places.shape[:2], len(ids), 8)
-        forecast = _forecast(places.reshape(*sizes, 3), scales.reshape(sizes), self._loops)
+            clouds, places = places[0], places[:, :, ids.ravel()]
+        forecast = _forecast(places.reshape(*places.shape[:2], len(ids), 8, 3), self._loops, self._sampling)
         if np.ndim(actions) == 4:
             return forecast
         forecast = forecast.plan(0)
         for step in exact:
-            _read(forecast, step - 1, self._loops, clouds[step - 1])
+            _read(forecast, step - 1, self._loops, clouds[step - 1], self._sampling)
         return forecast
 
     @torch.inference_mode()
@@ -180,8 +182,8 @@ def _corners(loop: Loop) -> tuple[list[int], list[bool]]:
     return [*corners, *(apexes.get(one, corners[2]) for one in outer)], [one in apexes for one in outer]
 
 
-def _forecast(corners: Array, scales: Array, loops: Sequence[Loop]) -> Forecast:
-    """States (C, 60, S) of loops whose corners (C, 60, S, 8, 3) are where these are, with errors of such scales."""
+def _forecast(corners: Array, loops: Sequence[Loop], sampling: tuple[Gaps, int]) -> Forecast:
+    """States (C, 60, S) of loops whose corners (C, 60, S, 8, 3) are where these are, of a cloud sampled so."""
     now = np.array([loop.killer_edge_points for loop in loops], np.float32).reshape(-1, 2, 3)
     birth = np.broadcast_to(np.array([loop.birth for loop in loops], np.float32), corners.shape[:3])
     ends = corners[..., :2, :]
@@ -191,8 +193,15 @@ def _forecast(corners: Array, scales: Array, loops: Sequence[Loop]) -> Forecast:
     values = _values(corners)
     present = np.array([_corners(loop)[1] for loop in loops], bool).reshape(-1, 4)
     death = np.linalg.norm(ends[..., 0, :] - ends[..., 1, :], axis=-1) / 2
-    presence = 1 / (1 + np.exp(-(death - birth) / scales[..., :2].mean(axis=-1)))
+    presence = _presence(birth, death, np.arange(1, KNOTS[-1] + 1)[:, None], sampling)
     return Forecast(corners, values * present, birth.copy(), death, step, presence)
+
+
+def _presence(birth: ArrayLike, death: ArrayLike, ahead: ArrayLike, sampling: tuple[Gaps, int]) -> Array:
+    """The probability that the tracker believes in loops so many frames ahead: by what it sees there and what it remembers."""
+    start, end = np.asarray(birth, np.float64), np.asarray(death, np.float64)
+    odds = evidence(start, np.maximum(start, end), *sampling) + remembered(np.asarray(ahead, np.float64))
+    return np.asarray(1 / (1 + np.exp(-odds)), np.float32)
 
 
 def _values(corners: Array) -> Array:
@@ -201,7 +210,7 @@ def _values(corners: Array) -> Array:
     return np.asarray(np.linalg.norm(triangles - np.roll(triangles, 1, axis=-2), axis=-1).max(axis=-1) / 2)
 
 
-def _read(forecast: Forecast, index: int, loops: Sequence[Loop], cloud: Array) -> None:
+def _read(forecast: Forecast, index: int, loops: Sequence[Loop], cloud: Array, sampling: tuple[Gaps, int]) -> None:
     """Write into a forecast what is read off a moved cloud at one of its steps."""
     found = {loop.id: loop for loop in follow(loops, cloud)}
     for slot, loop in enumerate(loops):
@@ -211,5 +220,5 @@ def _read(forecast: Forecast, index: int, loops: Sequence[Loop], cloud: Array) -
         ids, present = _corners(found[loop.id])
         forecast.corners[index, slot] = cloud[ids]
         forecast.neighbour_values[index, slot] = _values(cloud[ids]) * present
-        forecast.death[index, slot] = found[loop.id].death
-        forecast.presence[index, slot] = max(forecast.presence[index, slot], 0.5 + 1e-6)
+        forecast.death[index, slot] = death = found[loop.id].death
+        forecast.presence[index, slot] = _presence(loop.birth, death, index + 1, sampling)
