@@ -95,6 +95,14 @@ def test_a_scene_turned_and_moved_is_the_same_scene(batch, angle):
     assert loss == pytest.approx(again, abs=1e-4)
 
 
+def test_which_gripper_is_the_first_does_not_matter(batch):
+    model = make()
+    renamed = {**batch, **{name: batch[name].flip(2) for name in ("grippers", "actions")}}
+    with torch.no_grad():
+        for one, other in zip(model(batch), model(renamed), strict=True):
+            torch.testing.assert_close(one, other, atol=1e-4, rtol=0)
+
+
 def test_a_scene_that_is_tilted_is_another(batch):
     """Gravity counts: only turns about the vertical do nothing."""
     tilt = torch.tensor([[1, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=torch.float32)

@@ -47,6 +47,7 @@ class Codes(NamedTuple):
     origin: Tensor  # (B, 3) of that frame, metres
     turn: Tensor  # (B, 3, 3) its axes
     carriers: int
+    swapped: Tensor  # (B,) whether the grippers changed names
 
 
 class Motion(nn.Module):
@@ -105,10 +106,11 @@ class Motion(nn.Module):
 
     def encode(self, scene: Scene) -> Codes:
         """What the points know, whatever the plan."""
-        origin, turn = _frame(scene["grippers"][:, 0])
-        cloud, points, hands, target = (
-            _local(scene[name], origin, turn) for name in ("cloud", "points", "grippers", "target")
-        )
+        swapped = _behind(scene["grippers"][:, 0], scene["target"][:, -1])
+        grippers = _renamed(scene["grippers"], swapped)
+        origin, turn = _frame(grippers[:, 0])
+        parts = (scene["cloud"], scene["points"], grippers, scene["target"])
+        cloud, points, hands, target = (_local(part, origin, turn) for part in parts)
         size, carriers = cloud.shape[1], min(CARRIERS, cloud.shape[1])
         seen = torch.cat([cloud, points], dim=1)
         flow = (2 / UNIT * scene["flow"].flatten(1, 2) @ turn.transpose(1, 2)).view(len(cloud), -1, 9)
@@ -116,10 +118,10 @@ class Motion(nn.Module):
         opening = (hands[:, 0, 0] - hands[:, 0, 1]).norm(dim=1, keepdim=True) / UNIT
         held = scene["held"].to(cloud)[:, None]
         whole = torch.cat([velocity, held, opening, _reach(hands[:, 0], target)], dim=1)[:, None]
-        parts = [seen / UNIT, flow, _beside(seen, target), torch.cdist(seen, hands[:, 0]) / UNIT]
-        code = self.point(torch.cat([*parts, whole.expand(-1, seen.shape[1], -1)], dim=-1))
-        told = torch.cat([torch.arange(carriers), torch.arange(size, seen.shape[1])])
-        own, place = code[:, told], seen[:, told]
+        told = [seen / UNIT, flow, _beside(seen, target), torch.cdist(seen, hands[:, 0]) / UNIT]
+        code = self.point(torch.cat([*told, whole.expand(-1, seen.shape[1], -1)], dim=-1))
+        asked = torch.cat([torch.arange(carriers), torch.arange(size, seen.shape[1])])
+        own, place = code[:, asked], seen[:, asked]
         near = torch.cdist(place, cloud).topk(min(_NEAR, size), largest=False).indices
         batch = torch.arange(len(cloud), device=cloud.device)[:, None, None]
         away = 2 / UNIT * (cloud[batch, near] - place[:, :, None])
@@ -129,7 +131,7 @@ class Motion(nn.Module):
         cloth = code[:, :size]
         pooled = (part[:, None].expand_as(own) for part in (cloth.mean(dim=1), cloth.amax(dim=1)))
         code = torch.tanh(self.mix(torch.cat([own, edges, moved, *pooled], dim=-1)))
-        return Codes(code, place, hands[:, 0], target, origin, turn, carriers)
+        return Codes(code, place, hands[:, 0], target, origin, turn, carriers, swapped)
 
     def under(self, codes: Codes, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
         """Places and scales, as `forward`, under C plans: one a scene, or any number for a single one.
@@ -143,7 +145,7 @@ class Motion(nn.Module):
         """
         plans, carriers = len(actions), codes.carriers
         code, place, target = (part.expand(plans, *part.shape[1:]) for part in (codes.code, codes.place, codes.target))
-        hands, shares = _hands(_local(actions, codes.origin, codes.turn), held, codes.hands)
+        hands, shares = _hands(_local(_renamed(actions, codes.swapped), codes.origin, codes.turn), held, codes.hands)
         before = torch.cat([codes.hands.expand(plans, -1, -1)[:, None], hands[:, :-1]], dim=1)
         turns, lasts = _turns(before.flatten(0, 1), hands.flatten(0, 1)), torch.tensor((0, *KNOTS)).to(hands).diff() / 6
         parts = [((hands - before) / UNIT).flatten(2), shares[..., None], lasts.expand(plans, -1)[..., None]]
@@ -174,8 +176,7 @@ class Motion(nn.Module):
         The distortion, by how much distances between points are wrong, is what topology depends on: deaths differ by half of
         the largest one at most. An error that all points share moves no killer to another place of the cloth.
 
-        Clouds are thinned at random, so that nothing depends on how many points are seen; and grippers change names, which
-        is another frame for the same scene.
+        Clouds are thinned at random, so that nothing depends on how many points are seen.
 
         Parameters
         ----------
@@ -185,12 +186,9 @@ class Motion(nn.Module):
             Of what is random.
         """
         whole = scene["cloud"].shape[1]
-        few, swap = torch.randint(64, whole + 1, (2,), generator=generator).tolist()
+        few = int(torch.randint(64, whole + 1, (), generator=generator))
         flow = torch.cat([scene["flow"][:, :few], scene["flow"][:, whole:]], dim=1)
-        shown = {**scene, "cloud": scene["cloud"][:, :few], "flow": flow}
-        if swap % 2:
-            shown |= {name: scene[name].flip(2) for name in ("grippers", "actions")}
-        places, scales = self(shown)
+        places, scales = self({**scene, "cloud": scene["cloud"][:, :few], "flow": flow})
         future = scene["future"]
         error = ((places - future).square().sum(dim=-1) + 1e-6).sqrt()
         unlikely = error / scales + 3 * (scales / UNIT).log()  # of a Laplace distribution in three dimensions
@@ -259,6 +257,17 @@ def _reach(hands: Tensor, target: Tensor) -> Tensor:
     return torch.cat(
         [_beside(hands, target), tip / (0.1 + tip.square().sum(dim=-1, keepdim=True)).sqrt()], dim=-1
     ).flatten(1)
+
+
+def _behind(grippers: Tensor, tip: Tensor) -> Tensor:
+    """(B,) whether a tip (B, 3), seen from grippers (B, 2, 3), lies to the right of the way from the first to the second."""
+    across, away = ((end - grippers[:, 0])[:, :2] for end in (grippers[:, 1], tip))
+    return across[:, 0] * away[:, 1] < across[:, 1] * away[:, 0]
+
+
+def _renamed(grippers: Tensor, swapped: Tensor) -> Tensor:
+    """Grippers (B, K, 2, 3), in the other order where they are swapped: which is which makes no difference to the cloth."""
+    return torch.where(swapped[:, None, None, None], grippers.flip(2), grippers)
 
 
 def _frame(grippers: Tensor) -> tuple[Tensor, Tensor]:
