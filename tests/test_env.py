@@ -41,7 +41,7 @@ def play(env, seed, policy=None):
 
 @pytest.mark.parametrize("options", [{}, {"reward": "topological-observed", "cameras": cameras_around(n=2)}])
 def test_gymnasiums_checker_finds_nothing(options):
-    env = gymnasium.make("topokit/Hang-v0", task="apron-hook", garment=COARSE, config=QUICK, n_points=80, **options)
+    env = gymnasium.make("topokit/HangApronHook-v1", garment=COARSE, config=QUICK, n_points=80, **options)
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # its advice comes as warnings
         check_env(env.unwrapped)
