@@ -72,9 +72,9 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     loops are on the target (else it was dropped), and when it is torn: stretched too far. It is **truncated** after
     `max_steps`. `info` holds `success`, `dropped`, `torn`, and the `linked` share and the `distance` of the potential.
 
-    **Options** are keywords here, for all episodes, and entries of `reset(options={...})` for one. The seed draws what they
-    leave open, the same whatever others are given. What moves or shoves begins 0.3 to 1.5 s after the first step. The last
-    four spoil `points` alone: success is judged on the vertices.
+    **Options** are keywords here, for all episodes, and entries of `reset(options={...})` for one. What they leave open is
+    drawn by the seed, for each apart from the others. Moves and shoves begin 0.3 to 1.5 s after the first step. The last four
+    spoil `points` alone: success is judged on the vertices.
 
     ============ =================== ======================================================================================
     option       usual               what it does
@@ -82,8 +82,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     `place`      None                takes the target, and all that goes to it, to (x, y, z, yaw), metres and degrees about
                                      the z axis, or "anywhere": up to 0.4 m along x and y, 0.1 m along z, any yaw
     `start`      None                "anywhere": the garment starts 0.5 to 1 m before or beside the target, at any yaw
-    `moves`      0.0                 metres that the target goes at most, to a place in a ball, within 0.6 s, once
-    `shove`      0.0                 m/s that a push of 0.1 s, once and sideways, would give to free cloth
+    `moves`      0.0                 metres from which, at most, the target comes to its place, within 0.6 s
+    `shove`      0.0                 m/s that a push sideways, of 0.1 s, would give to free cloth
     `late`       0                   steps by which `points` are late; the first ones stay until then
     `noise`      0.0                 metres, the standard deviation of each coordinate of a point
     `missing`    0.0                 share of points that are lost; repeats of others stand for them
@@ -224,7 +224,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             world.release()
             self._released = self._steps
         if self._push.any():
-            world.push(*(self._push * (self._steps in self._frames)).tolist())
+            world.push(self._push * (self._steps in self._frames))
         before, here = self._goal, world.grippers()
         self._goal = np.clip(before + move, here - _LEASH, here + _LEASH)
         _, moves = rods_of(self.target, (self._steps + np.arange(2)) * self.config.frame_time)

@@ -45,9 +45,9 @@ class Options:
         place, way = rng.uniform(-1, 1, 4) * _AWAY, rng.normal(size=3)
         way *= self.moves * np.cbrt(rng.random()) / np.linalg.norm(way)  # anywhere in a ball
         (sets_off, begins), angle = rng.uniform(*_SOON, 2).tolist(), rng.uniform(-np.pi, np.pi)
-        if self.moves:
+        if self.moves:  # to where it stands otherwise: what is planned stays as it is
             x, y, z = way.tolist()
-            target = Moving(target, x, y, z, start=sets_off, seconds=_MOVING)
+            target = Moving(Placed(target, -x, -y, -z), x, y, z, start=sets_off, seconds=_MOVING)
         if self.place is not None:
             target = Placed(target, *(place.tolist() if self.place == "anywhere" else self.place))
         first, frames = round(begins / frame_time), max(1, round(_PUSHING / frame_time))

@@ -112,7 +112,7 @@ class World(contextlib.AbstractContextManager["World"]):
         self._p = _pybullet()
         self._config = config
         self._goals: list[list[float]] | None = None
-        self._push = (0.0, 0.0)
+        self._push = [0.0, 0.0]
         self._rods: list[tuple[int, Array, list[float]]] = []
         with _silent():
             self._client = self._p.connect(self._p.DIRECT)
@@ -173,9 +173,9 @@ class World(contextlib.AbstractContextManager["World"]):
             self._goals = goals
         self._p.stepSimulation(self._client)
 
-    def push(self, x: float, y: float) -> None:
-        """Accelerate the cloth so much sideways, m/s^2, from now on; the grippers feel it through the cloth alone."""
-        self._push = (x, y)
+    def push(self, acceleration: Array) -> None:
+        """Accelerate the cloth by (x, y) m/s^2 from now on; the grippers feel it through the cloth alone."""
+        x, y = self._push = acceleration.tolist()
         self._bullet("setGravity", x, y, -_GRAVITY)
 
     def release(self) -> None:
