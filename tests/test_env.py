@@ -16,13 +16,29 @@ pytest.importorskip("gymnasium")
 import gymnasium
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+from scipy.spatial.distance import cdist
 
-from topokit.sim import TASKS, Garment, HangEnv, SimulationConfig, cameras_around
+from topokit.sim import (
+    TASKS,
+    WARDROBE,
+    Among,
+    Camera,
+    Garment,
+    HangEnv,
+    Hanger,
+    Hook,
+    Placed,
+    SimulationConfig,
+    cameras_around,
+)
 from topokit.sim._env import REWARDS
-from topokit.sim._surface import simple_cycles
+from topokit.sim._options import Options
+from topokit.sim._surface import simple_cycles, turned
 
 COARSE = Garment.apron(spacing=0.05, strap_width=0.05)
 QUICK = SimulationConfig(self_collision=False, settle=0.05)
+SPOILT = {"late": 2, "noise": 0.005, "missing": 0.2, "outliers": 0.05}
+DISTURBED = {"place": "anywhere", "start": "anywhere", "moves": 0.15, "shove": 1.0, **SPOILT}
 
 
 def make(**options):
@@ -39,9 +55,16 @@ def play(env, seed, policy=None):
     return total, info, terminated
 
 
-@pytest.mark.parametrize("options", [{}, {"reward": "topological-observed", "cameras": cameras_around(n=2)}])
-def test_gymnasiums_checker_finds_nothing(options):
-    env = gymnasium.make("topokit/Hang-v0", task="apron-hook", garment=COARSE, config=QUICK, n_points=80, **options)
+@pytest.mark.parametrize(
+    ("version", "options"),
+    [
+        ("topokit/HangApronHook-v1", {}),
+        ("topokit/HangApronHook-v1", {"reward": "topological-observed", "cameras": cameras_around(n=2)}),
+        ("topokit/HangTote2Hanger-v1", {"garment": Garment.tote(handles=2, spacing=0.04), **DISTURBED}),
+    ],
+)
+def test_gymnasiums_checker_finds_nothing(version, options):
+    env = gymnasium.make(version, **{"garment": COARSE, "config": QUICK, "n_points": 80, **options})
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # its advice comes as warnings
         check_env(env.unwrapped)
@@ -64,8 +87,9 @@ def test_the_scripted_path_succeeds_and_rewards_say_so():
         env.close()
 
 
-def test_seeds_repeat_bit_by_bit():
-    env = make(cameras=cameras_around(n=2))
+@pytest.mark.parametrize("options", [{"cameras": cameras_around(n=2)}, DISTURBED])
+def test_seeds_repeat_bit_by_bit(options):
+    env = make(**options)
     runs = []
     for seed in (3, 3, 4):
         observation, _ = env.reset(seed=seed)
@@ -123,6 +147,207 @@ def test_tearing_ends_the_episode():
     assert terminated
     assert info["torn"]
     assert total == 0
+    env.close()
+
+
+# Options: where it happens, what disturbs, what is seen.
+
+
+def film(steps=4, seed=2, **options):
+    """What is observed while the grippers stay where they are, and the infos; all vertices are seen."""
+    env = make(n_points=len(COARSE.vertices))
+    shots = [env.reset(seed=seed, options=options)]
+    shots += [(shot, info) for shot, *_, info in (env.step(np.zeros(7)) for _ in range(steps))]
+    env.close()
+    return [shot for shot, _ in shots], [info for _, info in shots]
+
+
+@pytest.fixture(scope="module")
+def usual():
+    return film(60)
+
+
+def same(shots, others, *names):
+    for shot, other in zip(shots, others, strict=False):
+        for name in names or shot:
+            np.testing.assert_array_equal(shot[name], other[name], err_msg=name)
+
+
+def middles(shots):
+    return np.array([shot["points"].mean(axis=0) for shot in shots])
+
+
+ALL_BUT_POINTS = ("grippers", "target", "rods", "wanted", "needed", "held")
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_what_spoils_points_spoils_nothing_else(name, usual):
+    shots, infos = film(**{name: SPOILT[name]})
+    assert {*shots[0]} == {*ALL_BUT_POINTS, "points"}
+    same(shots, usual[0], *ALL_BUT_POINTS)
+    assert infos == usual[1][:5]
+    assert not np.array_equal(shots[-1]["points"], usual[0][4]["points"])
+
+
+def test_late_points_are_those_of_some_steps_before(usual):
+    shots, _ = film(late=2)
+    for t in range(5):
+        np.testing.assert_array_equal(shots[t]["points"], usual[0][max(t - 2, 0)]["points"])
+
+
+def test_noise_losses_and_outliers_are_as_many_as_asked_for(usual):
+    clean, n = usual[0][0]["points"], len(COARSE.vertices)
+    noisy = film(0, noise=0.005)[0][0]["points"]
+    assert np.std(noisy - clean) == pytest.approx(0.005, rel=0.1)
+    left = {*map(tuple, film(0, missing=0.2)[0][0]["points"].tolist())}
+    assert len(left) == round(0.8 * n)
+    assert left < {*map(tuple, clean.tolist())}
+    stray = film(0, outliers=0.05)[0][0]["points"]
+    assert (stray != clean).any(axis=1).sum() == round(0.05 * n)
+
+
+def test_a_shove_moves_the_cloth_and_nothing_else(usual):
+    shots, _ = film(60, shove=1.0)
+    same(shots[:8], usual[0])  # it begins after 0.3 s
+    same(shots, usual[0], "target", "rods", "wanted", "needed", "held")
+    still, by, twice = (middles(each) for each in (usual[0], shots, film(60, shove=2.0)[0]))
+    by, twice = by - still, twice - still
+    aside = np.linalg.norm(by[:, :2], axis=1)
+    assert 0.03 < aside.max() < 0.2
+    assert aside[-1] < aside.max() / 2  # it swings back
+    for one, other in zip(shots, usual[0], strict=True):
+        np.testing.assert_allclose(one["grippers"], other["grippers"], atol=0.02)
+    peak = aside.argmax()
+    assert twice[peak, :2] @ by[peak, :2] / aside[peak] ** 2 == pytest.approx(2, abs=0.4)  # the same push, harder
+
+
+def test_a_target_moves_to_its_place(usual):
+    shots, _ = film(60, moves=0.15)
+    for name in ("points", "grippers", "wanted"):  # as if nothing were: the script is that of the place where it ends
+        for one, other in zip(shots, usual[0], strict=True):
+            np.testing.assert_allclose(one[name], other[name], atol=1e-4)
+    ways = np.array([one["target"] - other["target"] for one, other in zip(shots, usual[0], strict=True)])
+    np.testing.assert_allclose(ways, np.repeat(ways[:, :1], 4, axis=1), atol=1e-6)
+    far = np.linalg.norm(ways[:, 0], axis=1)
+    assert 0.02 < far[0] <= 0.15
+    assert (np.diff(far) < 1e-6).all()
+    assert far[8] == pytest.approx(far[0])  # it sets off after 0.3 s
+    assert far[-1] < 1e-6
+    rods = np.array([one["rods"] - other["rods"] for one, other in zip(shots, usual[0], strict=True)])
+    np.testing.assert_allclose(rods[:, :, :6], np.repeat(np.tile(ways[:, :1], 2), 3, axis=1), atol=1e-6)
+    assert not rods[:, :, 6].any()
+
+
+def test_all_goes_along_to_another_place(usual):
+    shot = film(0, place=(0.3, -0.2, 0.05, 130.0))[0][0]
+    for name in ("points", "grippers", "target", "wanted"):
+        gaps = cdist(shot[name], turned(usual[0][0][name], 130.0) + [0.3, -0.2, 0.05])
+        assert max(gaps.min(axis=0).max(), gaps.min(axis=1).max()) < 1e-3, (
+            name
+        )  # farthest points may come in another order
+
+
+def test_anywhere_has_bounds():
+    env = make(place="anywhere")
+    places = []
+    for seed in range(12):
+        seen, _ = env.reset(seed=seed)
+        places.append([*env.target.place, env.target.yaw])
+        np.testing.assert_allclose(seen["target"], env.target.centre_line, atol=1e-6)
+    env.reset(seed=0, options={"place": None})
+    assert env.target == TASKS["apron-hook"].target
+    env.close()
+    assert (np.abs(places) <= [0.4, 0.4, 0.1, 180]).all()
+    assert (np.ptp(places, axis=0) > [0.4, 0.4, 0.1, 180]).all()
+
+
+def test_a_start_anywhere_turns_the_garment_with_the_grippers(usual):
+    yaws = []
+    for seed in range(4):
+        here, there = (film(0, seed=seed, **options)[0][0] for options in ({}, {"start": "anywhere"}))
+        same([here], [there], "target", "rods", "needed", "held")
+        away = there["grippers"].mean(axis=0) - Hook().seat
+        assert 0.5 < np.hypot(*away[:2]) < 1.0
+        spans = [np.diff(shot["grippers"], axis=0)[0] for shot in (here, there)]
+        yaw = np.subtract(*(np.degrees(np.arctan2(span[1], span[0])) for span in spans[::-1]))
+        hangs = [shot["points"].mean(axis=0) - shot["grippers"].mean(axis=0) for shot in (here, there)]
+        np.testing.assert_allclose(hangs[1], turned(hangs[0], yaw), atol=1e-3)
+        yaws.append(yaw % 360)
+    assert np.ptp(yaws) > 60
+
+
+def test_the_script_knows_the_way_from_elsewhere():
+    env = make(place="anywhere", start="anywhere", moves=0.1, config=dataclasses.replace(QUICK, settle=0.4))
+    assert play(env, seed=1)[1]["success"]
+    env.close()
+
+
+def test_cameras_that_see_nothing_show_what_was_seen(usual):
+    away = make(cameras=[Camera(target=(0, -9, 1.2))])
+    seen, _ = away.reset(seed=2)
+    np.testing.assert_array_equal(np.unique(seen["points"], axis=0), np.unique(seen["grippers"], axis=0))
+    away.close()
+    x, y, z = usual[0][0]["grippers"].mean(axis=0).tolist()
+    env = make(cameras=[Camera(eye=(x, y - 0.6, z), target=(x, y, z), fov=30)])
+    clouds = [env.reset(seed=2)[0]["points"]]
+    clouds += [env.step([0] * 6 + [1])[0]["points"] for _ in range(20)]  # it falls out of view
+    env.close()
+    assert not np.array_equal(clouds[0], clouds[5])
+    np.testing.assert_array_equal(clouds[-1], clouds[-2])
+
+
+def test_rods_and_loops_of_a_task():
+    both = Among(Hanger(), (Placed(Hook(), x=0.6),))
+    needed = {}
+    for name in ("tote2", "backpack", "sheet"):
+        garment = WARDROBE[name](spacing=0.04)
+        env = HangEnv(f"{name}-hanger", garment=garment, target=both, n_points=40, config=QUICK)
+        seen, _ = env.reset(seed=0)
+        assert seen in env.observation_space
+        ends = [[*start, *end, radius] for start, end, radius in both.rods]
+        np.testing.assert_allclose(seen["rods"], ends, atol=1e-6)
+        needed[name] = (len(seen["wanted"]), seen["needed"])
+        assert np.abs(seen["wanted"] - seen["grippers"].mean(axis=0)).max() < 0.6
+        env.close()
+    assert needed == {"tote2": (2, 2), "backpack": (2, 1), "sheet": (1, 1)}
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"lat": 2}, "there is no 'lat'; there are place, start, moves, shove, late, noise, missing, outliers"),
+        ({"place": "here"}, "place: must be 'anywhere', or x, y and z in metres and a yaw in degrees, not 'here'"),
+        ({"place": (0, 0, float("nan"), 0)}, "place: must be"),
+        ({"start": (0, 0, 1)}, "start: Input should be 'anywhere'"),
+        ({"moves": -0.1}, "moves: .* greater than or equal to 0"),
+        ({"late": 1.5}, "late: .* integer"),
+        ({"missing": 1.0}, "missing: .* less than 1"),
+        ({"outliers": "few"}, "outliers: .* number"),
+    ],
+)
+def test_a_wrong_option_is_refused_with_words(options, words):
+    with pytest.raises(ValueError, match=words):
+        make(**options)
+    env = make()
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=words):
+        env.reset(options=options)
+    env.step(np.zeros(7))  # the episode goes on
+    env.close()
+
+
+def test_every_option_is_told():
+    assert all(f"`{field.name}` " in HangEnv.__doc__ for field in dataclasses.fields(Options))
+
+
+def test_every_task_has_an_id():
+    ours = {spec.kwargs["task"]: name for name, spec in gymnasium.registry.items() if name.startswith("topokit/")}
+    assert ours.keys() == TASKS.keys()
+    assert ours["apron2-hanger"] == "topokit/HangApron2Hanger-v1"
+    env = gymnasium.make(ours["apron-hook"], garment=COARSE, config=QUICK, n_points=50, late=1).unwrapped
+    env.reset(seed=0)
+    assert env.task is TASKS["apron-hook"]
+    assert isinstance(env.target, Placed)
     env.close()
 
 

@@ -167,7 +167,7 @@ def test_the_environment_is_elsewhere_too():
     seen = []
     for target in (Hook(), Placed(Hook(), **PLACED)):
         options = {"garment": coarse("tote"), "target": target, "config": config, "n_points": 30}
-        env = gymnasium.make("topokit/Hang-v0", task="tote-hook", **options).unwrapped
+        env = gymnasium.make("topokit/HangToteHook-v1", place=None, **options).unwrapped
         seen.append(env.reset(seed=1)[0])
         env.step(env.scripted_action())
         env.close()

@@ -23,9 +23,14 @@ if TYPE_CHECKING:
     from ._tasks import TASKS, Task, task_for
     from ._world import SimulationConfig, World, observe
 
-if importlib.util.find_spec("gymnasium"):  # so that gymnasium.make knows the environment once this package is imported
+# So that gymnasium.make knows the environments once this package is imported.
+if importlib.util.find_spec("gymnasium") and importlib.util.find_spec("pydantic"):
     from gymnasium import register
 
-    register("topokit/Hang-v0", "topokit.sim:HangEnv")
+    from topokit.sim._tasks import TASKS
+
+    for _task in TASKS:
+        _id = f"topokit/Hang{_task.title().replace('-', '')}-v1"
+        register(_id, "topokit.sim:HangEnv", kwargs={"task": _task, "place": "anywhere"})
 
 __getattr__, __all__ = attach(__name__, __file__, "sim")

@@ -19,6 +19,7 @@ from topokit._config import NotNegative, Place, Positive, checked
 from ._surface import Array
 
 Mask = NDArray[np.bool_]
+_MARGIN = 0.1  # metres around a cloud's box in which outliers lie
 Pixels = Annotated[int, Field(ge=1, le=4096)]
 
 
@@ -153,3 +154,38 @@ def cameras_around(
     around = np.column_stack([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.full(n, np.sin(tilt))])
     x, y, z = middle.tolist()
     return tuple(Camera(tuple(eye), (x, y, z), noise=noise) for eye in (middle + distance * around).tolist())
+
+
+def spoil(
+    clouds: NDArray[np.floating],
+    rng: np.random.Generator,
+    *,
+    noise: ArrayLike = 0.0,
+    outliers: ArrayLike = 0.0,
+    keep: ArrayLike = 1.0,
+) -> NDArray[np.float64]:
+    """Return clouds with points missing, noise and outliers, every cloud for itself.
+
+    Parameters
+    ----------
+    clouds : (..., P, 3) array
+    rng : numpy.random.Generator
+    noise : float or array that broadcasts to the leading axes of `clouds`
+        Standard deviation of each coordinate, metres.
+    outliers : float or such an array
+        Share of the points that are anywhere in the cloud's box, which is grown by 10 cm on each side.
+    keep : float or such an array
+        Share of the points that are kept, at least one. They come first, in the order in which they were; repeats of them, in
+        their order, stand for the others.
+    """
+    clouds = np.asarray(clouds, dtype=np.float64)
+    each = [np.broadcast_to(amount, clouds.shape[:-2])[..., None] for amount in (noise, outliers, keep)]
+    noise, outliers, keep = each
+    places = np.broadcast_to(np.arange(clouds.shape[-2]), clouds.shape[:-1])
+    left = np.maximum(np.round(keep * clouds.shape[-2]), 1).astype(np.int64)
+    order = np.argsort(rng.permuted(places, axis=-1) >= left, axis=-1, kind="stable")  # kept ones first, as they were
+    kept = np.take_along_axis(order, places % left, axis=-1)
+    spoilt = np.take_along_axis(clouds, kept[..., None], axis=-2) + noise[..., None] * rng.standard_normal(clouds.shape)
+    low, high = clouds.min(axis=-2, keepdims=True) - _MARGIN, clouds.max(axis=-2, keepdims=True) + _MARGIN
+    wild = rng.permuted(places, axis=-1) < np.round(outliers * clouds.shape[-2])
+    return np.where(wild[..., None], rng.uniform(low, high, clouds.shape), spoilt)

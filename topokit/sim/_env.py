@@ -1,7 +1,7 @@
 """Hanging garments as a reinforcement-learning environment, with Gymnasium's interface.
 
     >>> import gymnasium, topokit.sim
-    >>> env = gymnasium.make("topokit/Hang-v0", task="apron-hook", reward="topological")
+    >>> env = gymnasium.make("topokit/HangApronHook-v1", reward="topological")
 
 Source: Towers et al. 2024, *Gymnasium: a standard interface for reinforcement learning environments*; Ng, Harada and Russell
 1999, *Policy invariance under reward transformations*. Taught in chapter 7.
@@ -9,7 +9,9 @@ Source: Towers et al. 2024, *Gymnasium: a standard interface for reinforcement l
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
+from dataclasses import asdict, replace
 from typing import Any
 
 import gymnasium
@@ -21,14 +23,15 @@ from topokit._validate import as_reals, whole
 from topokit.rips import rips_persistence
 from topokit.sampling import farthest_point_sample
 
-from ._camera import Camera
+from ._camera import Camera, spoil
 from ._episode import AT_REST, rods_of
 from ._garments import Garment
+from ._options import Options
 from ._process import SimulationError
 from ._surface import Array, simple_cycles
 from ._targets import Target
 from ._tasks import Task, as_task, asked, check_loops, planned
-from ._world import SimulationConfig, World, check_stretch, observe
+from ._world import SimulationConfig, World, check_stretch, seen
 
 Observation = dict[str, Any]
 REWARDS = ("sparse", "dense", "topological", "topological-observed")
@@ -41,11 +44,18 @@ _REST_AFTER = 0.5  # s after the release: cloth that is not held by the target i
 class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """Carry a garment to its target with two grippers, hang it there, let go.
 
-    **Observation**, a dict of float32 arrays in metres (and `held`):
+    Every task of `TASKS` has an id for `gymnasium.make`: that of "apron2-hook" is "topokit/HangApron2Hook-v1", with the
+    target anywhere. A seed gives the same start to every agent as long as the version of the id is the same.
 
-    - `points` (n_points, 3): farthest-point samples of the garment's vertices, or of what the cameras see of it;
+    **Observation**, a dict of float32 arrays in metres, and of two numbers:
+
+    - `points` (n_points, 3): farthest-point samples of the garment's vertices, or of what the cameras see of it. While they
+      see none of it: the last that they saw, and before that the grippers;
     - `grippers` (2, 3): where the grippers are;
     - `target` (K, 3): the target's centre line;
+    - `rods` (R, 7): its shape and that of all that stands about it, capsules: start, end, radius;
+    - `wanted` (L, 3): the middles of the loops that the task asks for, before the first step: somebody points at them;
+    - `needed`: how many of these must hang: all of them, or one, whichever it is;
     - `held`: 1 until the release, then 0.
 
     **Action**, seven numbers from -1 to 1: the displacements of the first and of the second gripper's goal (x, y, z each) as
@@ -61,6 +71,24 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     An episode **terminates** when the garment has been free for half a second and is at rest, with success if the task's
     loops are on the target (else it was dropped), and when it is torn: stretched too far. It is **truncated** after
     `max_steps`. `info` holds `success`, `dropped`, `torn`, and the `linked` share and the `distance` of the potential.
+
+    **Options** are keywords here, for all episodes, and entries of `reset(options={...})` for one. What they leave open is
+    drawn by the seed, for each apart from the others. Moves and shoves begin 0.3 to 1.5 s after the first step. The last four
+    spoil `points` alone: success is judged on the vertices.
+
+    ============ =================== ======================================================================================
+    option       usual               what it does
+    ============ =================== ======================================================================================
+    `place`      None                takes the target, and all that goes to it, to (x, y, z, yaw), metres and degrees about
+                                     the z axis, or "anywhere": up to 0.4 m along x and y, 0.1 m along z, any yaw
+    `start`      None                "anywhere": the garment starts 0.5 to 1 m before or beside the target, at any yaw
+    `moves`      0.0                 metres from which, at most, the target comes to its place, within 0.6 s
+    `shove`      0.0                 m/s that a push sideways, of 0.1 s, would give to free cloth
+    `late`       0                   steps by which `points` are late; the first ones stay until then
+    `noise`      0.0                 metres, the standard deviation of each coordinate of a point
+    `missing`    0.0                 share of points that are lost; repeats of others stand for them
+    `outliers`   0.0                 share of points that are anywhere in the cloud's box, grown by 10 cm on each side
+    ============ =================== ======================================================================================
 
     Parameters
     ----------
@@ -79,6 +107,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         A step takes `config.frame_time` seconds.
     render_mode : str, optional
         `"rgb_array"`: `render()` gives a picture (360, 480, 3) uint8.
+    **options
+        See above.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 28}  # noqa: RUF012
@@ -95,13 +125,16 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         config: SimulationConfig | None = None,
         max_steps: int = 200,
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
         if reward not in REWARDS:
             raise ValueError(f"reward must be one of {', '.join(REWARDS)}, not {reward!r}")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
+        self._usual = Options(**options)
         self.task = as_task(task)
-        self.garment, self.target = garment or self.task.garment(), target or self.task.target
+        self.garment, self._described = garment or self.task.garment(), target or self.task.target
+        self.target = self._described
         check_loops(self.task, self.garment)
         self.config = config or SimulationConfig(self_collision=False)
         self.n_points = whole(n_points, "n_points", 1, len(self.garment.vertices))
@@ -110,9 +143,14 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.max_steps = whole(max_steps, "max_steps", 1)
         self._world: World | None = None
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
-        sizes = {"points": self.n_points, "grippers": 2, "target": len(self.target.centre_line)}
+        self._asked = asked(self.task, self.garment.named_loops)
+        n = len(self._asked)
+        self._needed = n if self.task.every else min(n, 1)
+        sizes = {"points": self.n_points, "grippers": 2, "target": len(self.target.centre_line), "wanted": n}
         places = {name: spaces.Box(-_ROOM, _ROOM, (size, 3), np.float32) for name, size in sizes.items()}
-        self.observation_space = spaces.Dict({**places, "held": spaces.Discrete(2)})
+        places["rods"] = spaces.Box(-_ROOM, _ROOM, (len(self.target.rods), 7), np.float32)
+        counts = {"needed": spaces.Discrete(n + 1), "held": spaces.Discrete(2)}
+        self.observation_space = spaces.Dict({**places, **counts})
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -124,11 +162,15 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         seed : int, optional
             That the path is drawn with; the generator goes on when not given.
         options : dict, optional
-            None are known.
+            For this episode, in place of the environment's own; a ValueError tells what is not known or cannot be.
         """
+        now = Options(**{**asdict(self._usual), **(options or {})})
         super().reset(seed=seed)
         self.close()
-        self._path = planned(self.task, self.garment, self.target, self.np_random)
+        drawn, start, self._sensor = self.np_random.spawn(3)
+        self.target, self._frames, self._push = now.scene(self._described, self.config.frame_time, drawn)
+        task = replace(self.task, plan=now.plan(self.task.plan, start))
+        self._path = planned(task, self.garment, self.target, self.np_random)
         self._goal = self._path.at(0.0)
         garment = self.garment.turned(self._path.vias[0].yaw)
         offset = self._goal.mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
@@ -138,7 +180,9 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         for _ in range(round(self.config.settle / self.config.dt)):
             self._world.step(self._goal)
         self._steps, self._released = 0, -1
-        self._points = self._world.vertices()
+        self._points, self._options = self._world.vertices(), now
+        self._cloud, self._clouds = self._world.grippers(), deque[Array](maxlen=now.late + 1)
+        self._wanted = np.array([self._points[loop].mean(axis=0) for loop in self._asked]).reshape(-1, 3)
         return self._observe(), self._info()
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -179,6 +223,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self._released < 0 and release:
             world.release()
             self._released = self._steps
+        if self._push.any():
+            world.push(self._push * (self._steps in self._frames))
         before, here = self._goal, world.grippers()
         self._goal = np.clip(before + move, here - _LEASH, here + _LEASH)
         _, moves = rods_of(self.target, (self._steps + np.arange(2)) * self.config.frame_time)
@@ -220,15 +266,25 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _observe(self) -> Observation:
         """Look at the scene, and take note of how far the task has come."""
-        world = self._running()
-        if self.cameras:
-            points = observe(world, self.cameras, self.n_points, self.np_random)
-        else:
-            points = self._points[farthest_point_sample(self._points, self.n_points)[0]]
+        world, there = self._running(), self._there
+        points = self._look(world)
         self._linked, self._distance = self._progress(points)
-        places = {"points": points, "grippers": world.grippers(), "target": self._there.centre_line}
+        places = {"points": points, "grippers": world.grippers(), "target": there.centre_line, "wanted": self._wanted}
+        places["rods"] = np.array([[*start, *end, radius] for start, end, radius in there.rods])
         clipped = {name: np.clip(place, -_ROOM, _ROOM).astype(np.float32) for name, place in places.items()}
-        return {**clipped, "held": int(self._released < 0)}
+        return {**clipped, "needed": self._needed, "held": int(self._released < 0)}
+
+    def _look(self, world: World) -> Array:
+        """The points that are observed now."""
+        if self.cameras:
+            cloud = seen(world, self.cameras, self.n_points, self._sensor)
+            self._cloud = cloud if len(cloud) else np.resize(self._cloud, (self.n_points, 3))
+        else:
+            self._cloud = self._points[farthest_point_sample(self._points, self.n_points)[0]]
+        how, keep = self._options, 1 - self._options.missing
+        cloud = spoil(self._cloud, self._sensor, noise=how.noise, outliers=how.outliers, keep=keep)
+        self._clouds.append(cloud)
+        return self._clouds[0]
 
     def _progress(self, observed: Array) -> tuple[float, float]:
         """Share of the task's loops that are around the target, and their distance from its seat."""
@@ -238,7 +294,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             n = min(len(self.garment.loops), len(diagram))
             curves = [[cloud[part] for part in simple_cycles(diagram.cycle(i).tolist())] for i in range(n)]
         else:
-            curves = [[self._points[loop]] for loop in asked(self.task, self.garment.named_loops)]
+            curves = [[self._points[loop]] for loop in self._asked]
         if not curves:
             return 0.0, float(np.linalg.norm(observed.mean(axis=0) - self._there.seat))
         on = [any(self._there.holds(part) for part in parts) for parts in curves]

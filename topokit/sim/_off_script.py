@@ -36,7 +36,7 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
         As it stands in the script's coordinates.
     rng : numpy.random.Generator
     """
-    way = np.array([[v.time, *np.asarray(v.place), v.opening, v.yaw, v.rest] for v in path.vias], dtype=np.float64)
+    way = _table(path)
     drawn, kind, longest = dict[str, float](), rng.random(), max(LONGEST, path.end)
     drop = float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min()) + _ABOVE
     if kind < 0.15:
@@ -74,11 +74,26 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
     cloth = float(EdgeGraph(garment.vertices, garment.edges).distances(garment.grips)[0, 1])
     most = max(_TAUT * cloth, path.widest)  # as in the script, if that draws it wider
     while True:
-        vias = [Via(v[_TIME], v[_PLACE], v[_OPENING], bool(v[_REST]), v[_YAW]) for v in way]
-        other = replace(path, vias=vias, release=drawn["release"], end=end, drawn=drawn)
+        other = replace(path, vias=_vias(way), release=drawn["release"], end=end, drawn=drawn)
         if other.widest <= most:
             return other
         way[1:, _OPENING] = way[1:, _OPENING] * 0.99 * most / other.widest
+
+
+def from_elsewhere(path: GripperPath, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
+    """The script from another start, turned by any yaw; as it is when nothing is free."""
+    way = _table(path)
+    _elsewhere(way, garment, target, rng)
+    later = float(way[-1, _TIME]) - path.vias[-1].time
+    return replace(path, vias=_vias(way), release=path.release + later, end=path.end + later)
+
+
+def _table(path: GripperPath) -> Array:
+    return np.array([[v.time, *np.asarray(v.place), v.opening, v.yaw, v.rest] for v in path.vias], dtype=np.float64)
+
+
+def _vias(way: Array) -> list[Via]:
+    return [Via(v[_TIME], v[_PLACE], v[_OPENING], bool(v[_REST]), v[_YAW]) for v in way]
 
 
 def _wander(start: Array, seat: Array, drop: float, rng: np.random.Generator) -> Array:

@@ -112,6 +112,7 @@ class World(contextlib.AbstractContextManager["World"]):
         self._p = _pybullet()
         self._config = config
         self._goals: list[list[float]] | None = None
+        self._push = [0.0, 0.0]
         self._rods: list[tuple[int, Array, list[float]]] = []
         with _silent():
             self._client = self._p.connect(self._p.DIRECT)
@@ -171,6 +172,11 @@ class World(contextlib.AbstractContextManager["World"]):
                 self._draw(body, goal, before)
             self._goals = goals
         self._p.stepSimulation(self._client)
+
+    def push(self, acceleration: Array) -> None:
+        """Accelerate the cloth by (x, y) m/s^2 from now on; the grippers feel it through the cloth alone."""
+        x, y = self._push = acceleration.tolist()
+        self._bullet("setGravity", x, y, -_GRAVITY)
 
     def release(self) -> None:
         """Let go of the garment; the grippers stay, without a shape that could touch it."""
@@ -234,8 +240,8 @@ class World(contextlib.AbstractContextManager["World"]):
         place, _ = self._p.getBasePositionAndOrientation(body, client)
         (u, v, w), _ = self._p.getBaseVelocity(body, client)
         carried = config.mass / 2 if self._anchors else 0.0  # fed forward: the error alone would let it sag
-        x = kp * (goal[0] - place[0]) + kd * ((goal[0] - before[0]) / dt - u)
-        y = kp * (goal[1] - place[1]) + kd * ((goal[1] - before[1]) / dt - v)
+        x = kp * (goal[0] - place[0]) + kd * ((goal[0] - before[0]) / dt - u) - self._push[0] * config.gripper_mass
+        y = kp * (goal[1] - place[1]) + kd * ((goal[1] - before[1]) / dt - v) - self._push[1] * config.gripper_mass
         z = kp * (goal[2] - place[2]) + kd * ((goal[2] - before[2]) / dt - w)
         z += _GRAVITY * (config.gripper_mass + carried)
         size = math.sqrt(x * x + y * y + z * z)
@@ -267,6 +273,15 @@ def observe(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Gene
         raise ValueError("observe needs one camera at least")
     if n < 1:
         raise ValueError(f"n must be 1 or more, not {n}")
+    points = seen(world, cameras, n, rng)
+    if not len(points):
+        places = ", ".join(str(camera.eye) for camera in cameras)
+        raise ValueError(f"no cloth is in view of the cameras at {places}; move them or widen their fov")
+    return points
+
+
+def seen(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
+    """What `observe` returns, or (0, 3) when no cloth is in view."""
     views = []
     for camera in cameras:
         depth, mask = world.image(camera)
@@ -275,8 +290,7 @@ def observe(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Gene
         views.append(camera.unproject(depth, mask))
     points = np.concatenate(views)
     if not len(points):
-        places = ", ".join(str(camera.eye) for camera in cameras)
-        raise ValueError(f"no cloth is in view of the cameras at {places}; move them or widen their fov")
+        return points
     chosen = farthest_point_sample(points, min(n, len(points)))[0]
     return np.asarray(points[np.resize(chosen, n)])
 

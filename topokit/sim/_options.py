@@ -1,0 +1,59 @@
+"""What episodes of `HangEnv` vary in: where the target stands, where the garment starts, what disturbs and what blurs."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
+
+from topokit._config import NotNegative, as_tuple, checked
+
+from ._off_script import from_elsewhere
+from ._placed import Moving, Placed
+from ._surface import Array
+from ._targets import Target
+from ._tasks import Planner
+
+_AWAY = (0.4, 0.4, 0.1, 180.0)  # metres along x, y and z, and degrees: as far at most is "anywhere"
+_SOON = (0.3, 1.5)  # seconds after the first frame between which a target sets off and a push begins
+_MOVING, _PUSHING = 0.6, 0.1  # seconds that they take
+
+
+def _somewhere(value: Any, check: ValidatorFunctionWrapHandler) -> Any:
+    try:
+        return check(as_tuple(value))
+    except ValidationError as error:
+        raise ValueError("must be 'anywhere', or x, y and z in metres and a yaw in degrees") from error
+
+
+@checked
+class Options:
+    """What `HangEnv` takes as keywords for all its episodes, and `reset` as options for one."""
+
+    place: Annotated[tuple[float, float, float, float] | Literal["anywhere"] | None, WrapValidator(_somewhere)] = None
+    start: Literal["anywhere"] | None = None
+    moves: NotNegative = 0.0
+    shove: NotNegative = 0.0
+    late: Annotated[int, Field(ge=0)] = 0
+    noise: NotNegative = 0.0
+    missing: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    outliers: Annotated[float, Field(ge=0, le=1)] = 0.0
+
+    def scene(self, target: Target, frame_time: float, rng: np.random.Generator) -> tuple[Target, range, Array]:
+        """The target, and the frames and the acceleration (x, y) of the push; all is drawn, whether or not it is asked for."""
+        place, way = rng.uniform(-1, 1, 4) * _AWAY, rng.normal(size=3)
+        way *= self.moves * np.cbrt(rng.random()) / np.linalg.norm(way)  # anywhere in a ball
+        (sets_off, begins), angle = rng.uniform(*_SOON, 2).tolist(), rng.uniform(-np.pi, np.pi)
+        if self.moves:  # to where it stands otherwise: what is planned stays as it is
+            x, y, z = way.tolist()
+            target = Moving(Placed(target, -x, -y, -z), x, y, z, start=sets_off, seconds=_MOVING)
+        if self.place is not None:
+            target = Placed(target, *(place.tolist() if self.place == "anywhere" else self.place))
+        first, frames = round(begins / frame_time), max(1, round(_PUSHING / frame_time))
+        push = self.shove / (frames * frame_time) * np.array([np.cos(angle), np.sin(angle)])
+        return target, range(first, first + frames), push
+
+    def plan(self, plan: Planner, rng: np.random.Generator) -> Planner:
+        """A task's plan, from the start that is asked for."""
+        return plan if self.start is None else lambda g, t, own: from_elsewhere(plan(g, t, own), g, t, rng)
