@@ -130,6 +130,15 @@ class Opening:
         """The same, to be hung with the other side ahead."""
         return replace(self, normal=-self.normal)
 
+    @property
+    def mirrored(self) -> Opening:
+        """Its mirror image, left and right exchanged."""
+        return replace(self, rim=self.rim * [-1, 1, 1], normal=self.normal * [-1, 1, 1])
+
+    def gap(self, other: Opening) -> float:
+        """How far two openings are from being one, metres."""
+        return float(np.linalg.norm(self.rim - other.rim)) + abs(self.height - other.height) / 2
+
     def outside(self, hands: Hands) -> Opening:
         """The same in the world."""
         return replace(self, rim=hands.outside(self.rim), normal=turned(self.normal, hands.yaw))

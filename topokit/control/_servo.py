@@ -52,11 +52,10 @@ _RAIL = (
 )
 
 
-@dataclass
+@dataclass(eq=False)
 class _Known:
     """A loop as it is remembered, in the frame of the grippers."""
 
-    id: int
     cycle: Array
     opening: Opening
     seen: int = 1  # frames
@@ -126,38 +125,30 @@ class Servo:
             return np.zeros(7, np.float32)
         for loop in self._chosen:
             loop.around = loop.around + 1 if arm.holds(hands.outside(loop.cycle)) else 0
-        sure = min(loop.around for loop in self._chosen) >= _SURE
-        if sure and _RAIL[self._stop].name == "down" and self._waited > _SURE:
-            return np.eye(7, dtype=np.float32)[6]
         return self._along(arm, hands, grippers)
 
     # -- which loops there are, and which of them shall hang
 
     def _look(self, points: Array, hands: Hands) -> None:
         """Bring what is known of the loops up to date; one that is not seen stays where it was beside the grippers."""
+        unseen = list(self._known)
         for loop in self._tracker.update(np.unique(points, axis=0)).loops:
             cycle = hands.inside(loop.cycle_points)
             opening = Opening.of(cycle)
             if opening is None:
                 continue
-            known = self._same(loop.id, opening)
-            if known is None:
-                self._known.append(_Known(loop.id, cycle, opening))
+            same = min(unseen, key=lambda known: known.opening.gap(opening), default=None)
+            if same is None or same.opening.gap(opening) > _SAME:
+                self._known.append(_Known(cycle, opening))
                 continue
-            known.id, known.cycle, known.seen = loop.id, cycle, known.seen + 1
-            known.opening = known.opening.blended(opening, _NEW)
-
-    def _same(self, identity: int, opening: Opening) -> _Known | None:
-        """The known loop of that identity, or else the one that was there."""
-        for known in self._known:
-            if known.id == identity:
-                return known
-        gaps = [float(np.linalg.norm(known.opening.rim - opening.rim)) for known in self._known]
-        return self._known[int(np.argmin(gaps))] if gaps and min(gaps) < _SAME else None
+            same.cycle, same.opening, same.seen = cycle, same.opening.blended(opening, _NEW), same.seen + 1
+            unseen.remove(same)
 
     def _choose(self, arm: Arm, hands: Hands, cloud: Array) -> None:
         """Choose the loops that shall hang, and the side of them that the arm shall come out of."""
         section = 2 * (arm.rise + 4 * self.radius)  # around the arm with its tip, at the least
+        if self._count > 1:
+            self._mirror()
         seen = [loop for loop in self._known if loop.seen > 1]
         fit = [loop for loop in seen if loop.opening.length >= section]
         if len(fit) < self._count:
@@ -171,11 +162,17 @@ class Servo:
 
         for loop in fit:
             loop.opening = min(loop.opening, loop.opening.flipped, key=turn)
-        cost = {loop.id: self._distance(loop) + 0.1 * turn(loop.opening) for loop in fit}
-        self._chosen = sorted(fit, key=lambda loop: cost[loop.id])[: self._count]
+        self._chosen = sorted(fit, key=lambda loop: self._distance(loop) + 0.1 * turn(loop.opening))[: self._count]
         lead, *others = self._chosen
         for loop in others:
             loop.opening = loop.opening if loop.opening.normal @ lead.opening.normal > 0 else loop.opening.flipped
+
+    def _mirror(self) -> None:
+        """Take it that a loop has a twin between the grippers where none is seen: of two handles often only one is."""
+        for loop in list(self._known):
+            twin = loop.opening.mirrored
+            if min(known.opening.gap(twin) for known in self._known) > _SAME / 2:
+                self._known.append(_Known(loop.cycle * [-1, 1, 1], twin, loop.seen))
 
     def _distance(self, loop: _Known) -> float:
         """Metres from the place that was asked for, or of the rim from the line between the grippers, which bears the weight."""
@@ -188,11 +185,16 @@ class Servo:
 
     def _along(self, arm: Arm, hands: Hands, grippers: Array) -> NDArray[np.float32]:
         """Bring the rim nearer to the stop, and the opening to face the arm; then comes the next stop."""
-        stop, opening = _RAIL[self._stop], self._opening(arm, hands)
+        stop, opening = _RAIL[self._stop], self._opening(arm, hands, grippers)
         gap, facing = self._goal(stop, arm, opening) - opening.rim, self._facing(opening, arm)
         there = float(np.linalg.norm(gap)) < _NEAR and abs(facing) < _FACING
         self._waited += 1
-        if (there and stop.name != "down") or self._waited > _PATIENCE:
+        if stop.name == "down":
+            sure = min(loop.around for loop in self._chosen) >= _SURE
+            if sure and (there or self._waited > _PATIENCE // 2):
+                return np.eye(7, dtype=np.float32)[6]
+            there = False  # it may take a few frames to be sure
+        if there or self._waited > _PATIENCE:
             self._next()
         way = _GAIN * gap
         way *= min(1.0, stop.pace * self.max_step / max(float(np.linalg.norm(way)), 1e-9))
@@ -209,12 +211,14 @@ class Servo:
         if self._tries == _TRIES:
             self.reason = f"the loop was not around the target after {_TRIES} tries"
 
-    def _opening(self, arm: Arm, hands: Hands) -> Opening:
-        """Of all chosen loops together, in the world: the rim that is last to pass the tip, and as low as the lowest."""
-        openings = [loop.opening.outside(hands) for loop in self._chosen]
-        last = max(openings, key=lambda opening: float(opening.rim @ arm.out))
-        low = min(float(opening.rim[2]) for opening in openings)
-        return replace(last, rim=np.array([*last.rim[:2], low]), height=min(opening.height for opening in openings))
+    def _opening(self, arm: Arm, hands: Hands, grippers: Array) -> Opening:
+        """Of all chosen loops together, in the world: as low as the lowest rim, and where the last to pass the tip is."""
+        first, *others = openings = [loop.opening.outside(hands) for loop in self._chosen]
+        rims = np.array([opening.rim for opening in openings])
+        last = (np.concatenate([rims, grippers]) if others else rims) @ arm.out  # each gripper holds one of several
+        rim = rims.mean(axis=0) * [1, 1, 0] + [0, 0, rims[:, 2].min()]
+        rim = rim + (last.max() - rim @ arm.out) * arm.out
+        return replace(first, rim=rim, height=min(opening.height for opening in openings))
 
     def _goal(self, stop: _Stop, arm: Arm, opening: Opening) -> Array:
         """Where the rim should be."""
