@@ -10,10 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial import cKDTree
 
 from topokit.linking import close_far, curve_centroid, linking_number, side_lengths
 
 Array = NDArray[np.float64]
+_NEAR = 0.06  # metres at which cloth can still be that of a curve
 _BLEND = ("rim", "normal", "height", "width", "length")
 
 
@@ -31,6 +34,14 @@ def heading(direction: Array) -> float:
 def wrapped(angle: float) -> float:
     """The same angle between -pi and pi."""
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def drawn(cycle: Array, last: Array, cloth: cKDTree) -> Array:
+    """A closed curve that is not seen, drawn to the cloth nearest to it, evenly, and a little to where it was seen last."""
+    distance, nearest = cloth.query(cycle)
+    pull = np.where((distance < _NEAR)[:, None], cloth.data[nearest] - cycle, 0)
+    pull = uniform_filter1d(pull, max(3, len(cycle) // 3), axis=0, mode="wrap")
+    return np.asarray(0.9 * (cycle + pull / 2) + 0.1 * last)
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import as_reals, positive, whole
+from topokit.sampling import as_tree
 from topokit.seqph import SeqPH
 
-from ._geometry import Arm, Array, Hands, Opening, heading, turned, wrapped
+from ._geometry import Arm, Array, Hands, Opening, drawn, heading, turned, wrapped
 
 _LOOK = 6  # frames in which the loops are looked at before anything moves
 _SURE = 5  # frames in a row in which the loops must be around the target
@@ -57,6 +58,7 @@ class _Known:
     """A loop as it is remembered, in the frame of the grippers."""
 
     cycle: Array
+    last: Array  # where it was when it was seen
     opening: Opening
     seen: int = 1  # frames
     around: int = 0  # frames in a row in which it was around the target
@@ -119,7 +121,7 @@ class Servo:
             return np.zeros(7, np.float32)
         self._look(points, hands)
         self._frame += 1
-        if self._frame == _LOOK:
+        if not self._chosen and self._frame >= _LOOK:
             self._choose(arm, hands, hands.inside(points))
         if not self._chosen:
             return np.zeros(7, np.float32)
@@ -130,7 +132,7 @@ class Servo:
     # -- which loops there are, and which of them shall hang
 
     def _look(self, points: Array, hands: Hands) -> None:
-        """Bring what is known of the loops up to date; one that is not seen stays where it was beside the grippers."""
+        """Bring what is known of the loops up to date; one that is not seen goes with the grippers and the cloth about it."""
         unseen = list(self._known)
         for loop in self._tracker.update(np.unique(points, axis=0)).loops:
             cycle = hands.inside(loop.cycle_points)
@@ -139,10 +141,15 @@ class Servo:
                 continue
             same = min(unseen, key=lambda known: known.opening.gap(opening), default=None)
             if same is None or same.opening.gap(opening) > _SAME:
-                self._known.append(_Known(cycle, opening))
+                self._known.append(_Known(cycle, cycle, opening))
                 continue
-            same.cycle, same.opening, same.seen = cycle, same.opening.blended(opening, _NEW), same.seen + 1
+            same.cycle = same.last = cycle
+            same.opening, same.seen = same.opening.blended(opening, _NEW), same.seen + 1
             unseen.remove(same)
+        cloth = as_tree(hands.inside(points))
+        for known in unseen:
+            known.cycle = drawn(known.cycle, known.last, cloth)
+            known.opening = known.opening.blended(Opening.of(known.cycle) or known.opening, _NEW)
 
     def _choose(self, arm: Arm, hands: Hands, cloud: Array) -> None:
         """Choose the loops that shall hang, and the side of them that the arm shall come out of."""
@@ -152,6 +159,8 @@ class Servo:
         seen = [loop for loop in self._known if loop.seen > 1]
         fit = [loop for loop in seen if loop.opening.length >= section]
         if len(fit) < self._count:
+            if self._frame < _PATIENCE:
+                return
             largest = max((loop.opening.length for loop in seen), default=0.0)
             self.reason = f"{len(fit)} loops are seen that fit over the tip, and {self._count} are wanted"
             self.reason += f"; the longest is {largest:.2f} m around, and {section:.2f} m are needed" if seen else ""
@@ -172,7 +181,8 @@ class Servo:
         for loop in list(self._known):
             twin = loop.opening.mirrored
             if min(known.opening.gap(twin) for known in self._known) > _SAME / 2:
-                self._known.append(_Known(loop.cycle * [-1, 1, 1], twin, loop.seen))
+                curve = loop.cycle * [-1, 1, 1]
+                self._known.append(_Known(curve, curve, twin, loop.seen))
 
     def _distance(self, loop: _Known) -> float:
         """Metres from the place that was asked for, or of the rim from the line between the grippers, which bears the weight."""
