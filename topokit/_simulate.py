@@ -10,7 +10,7 @@ from typing import Any
 
 from ._archive import FormatError, atomic_file, existing, read_json
 
-_TASKS = """tasks, a garment and a target:
+TASKS_HELP = """tasks, a garment and a target:
   {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2,scarf,belt,net,trousers}-hook
   {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2,scarf,belt,net,trousers}-hanger
   {apron,apron2,backpack,shirt,vest}-mannequin
@@ -24,7 +24,7 @@ def add(commands: Any) -> None:
         "simulate",
         help="record an episode: a garment carried to a target and let go there",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog=_TASKS,
+        epilog=TASKS_HELP,
     )
     option = simulate.add_argument
     option("--task", help="what goes where (default apron-hook; hook with --mesh), see below")
@@ -37,19 +37,19 @@ def add(commands: Any) -> None:
     patience = "stop a simulation that shows no sign of life for so many seconds (default 60)"
     option("--time-limit", type=float, default=60.0, metavar="S", help=patience)
     option("--mesh", type=Path, metavar="FILE", help="a garment of one's own (.obj, .ply, .stl)")
-    _add_of_mesh(simulate)
+    add_of_mesh(simulate)
     simulate.set_defaults(run=_simulate)
 
     mesh = commands.add_parser(
         "mesh", help="say, and show, what is understood of a mesh: borders, loops by name, grips"
     )
     mesh.add_argument("mesh", type=Path, metavar="FILE", help="a garment of one's own (.obj, .ply, .stl)")
-    _add_of_mesh(mesh)
+    add_of_mesh(mesh)
     mesh.add_argument("--plot", type=Path, metavar="PICTURE", help="also draw it (.png, .svg or .pdf)")
     mesh.set_defaults(run=_mesh)
 
 
-def _add_of_mesh(command: Any) -> None:
+def add_of_mesh(command: Any) -> None:
     ids = "auto (default), borders, or a file of vertex ids: {NAME: [ID, ...], ...} or [[ID, ...], ...] (.json)"
     command.add_argument("--loops", metavar="LOOPS", help=f"of the mesh: {ids}")
     command.add_argument("--unit", choices=_UNITS, help="of the mesh (default: the one that makes it a garment's size)")
@@ -77,18 +77,11 @@ def _simulate(options: argparse.Namespace) -> int:
 
 def _simulated(options: argparse.Namespace) -> Any:
     """The episode that was asked for."""
-    from .sim import TASKS, DepthNoise, Hanger, Hook, Mannequin, Randomisation, cameras_around, simulate, task_for
-    from .sim._tasks import tall_enough
+    from .sim import DepthNoise, Randomisation, cameras_around, simulate
 
-    targets = {kind.name: kind for kind in (Hook, Hanger, Mannequin)} if options.mesh else {}
-    name = options.task or ("hook" if options.mesh else "apron-hook")
-    if name not in {**TASKS, **targets}:
-        raise ValueError(f"--task {name}: there is no such task; there are {', '.join([*TASKS, *targets])}")
     if options.cameras < 0 or (options.noise and not options.cameras):
         raise ValueError(f"--cameras {options.cameras}: a number of cameras, one at least with --noise")
-    garment = _garment(options)
-    own = garment and name in targets
-    task = task_for(garment, tall_enough(garment, targets[name]())) if own else TASKS[name]
+    garment, task = garment_and_task(options, "apron-hook")
     noise = DepthNoise() if options.noise else None
     return simulate(
         garment,
@@ -100,6 +93,21 @@ def _simulated(options: argparse.Namespace) -> Any:
         time_limit=options.time_limit,
         progress=sys.stderr.isatty() and not options.json,
     )
+
+
+def garment_and_task(options: argparse.Namespace, default: str) -> tuple[Any, Any]:
+    """The garment of a mesh, None when none is given, and the task that was asked for."""
+    from .sim import TASKS, Hanger, Hook, Mannequin, task_for
+    from .sim._tasks import tall_enough
+
+    targets = {kind.name: kind for kind in (Hook, Hanger, Mannequin)} if options.mesh else {}
+    name = options.task or ("hook" if options.mesh else default)
+    if name not in {**TASKS, **targets}:
+        raise ValueError(f"--task {name}: there is no such task; there are {', '.join([*TASKS, *targets])}")
+    garment = _garment(options)
+    if garment and name in targets:
+        return garment, task_for(garment, tall_enough(garment, targets[name]()))
+    return garment, TASKS[name]
 
 
 def _garment(options: argparse.Namespace) -> Any:
