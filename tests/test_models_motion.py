@@ -284,6 +284,17 @@ def test_the_two_tiers_move_the_same_points(episode):
     assert np.allclose(exact.corners[28], fast.corners[28])  # nothing else changed
 
 
+def test_any_points_can_be_moved_under_many_plans(episode):
+    predictor = MotionPredictor(make())
+    plan, held = observed(predictor, episode)
+    cloud, some = predictor.move(plan, held)[0], episode.points[20][[5, 50]]
+    many = predictor.move(np.stack([plan, plan + [0, 0, 0.1]]), np.stack([held, held]), some)
+    assert many[0].shape == (2, 60, 2, 3)
+    assert many[1].shape == (2, 60, 2)
+    np.testing.assert_allclose(many[0][0], cloud[:, [5, 50]], atol=1e-4)
+    assert not np.allclose(many[0][0], many[0][1], atol=1e-2)
+
+
 def test_the_order_of_points_does_not_count(episode):
     predictor, rng = MotionPredictor(make(strong=0.05)), np.random.default_rng(0)
     plan = observed(predictor, episode)

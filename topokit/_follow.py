@@ -1,7 +1,7 @@
 """The loops of a cloud whose points have moved: the same classes, at other places.
 
 Idea: a tracked loop is more than its killer. Its cycle names vertices, and the class of that cycle can be asked for in any cloud
-of the same points: the edge that ends it there is where the loop is widest there. So whoever knows how points move, or guesses
+of the same points: the edge that ends it there lies across what closes last. So whoever knows how points move, or guesses
 it, knows how loops do, and no two frames are matched.
 
 Source: the elder rule for given cycles is that of `Diagram.killers_of`. Taught in chapter 11.

@@ -44,7 +44,7 @@ class MotionPredictor(Predictor):
         self._held, self._target = True, np.zeros((0, 3))
         self._loops: tuple[Loop, ...] = ()
         self._seqph = SeqPH()
-        self._codes: dict[bool, Codes] = {}
+        self._codes: dict[bytes, Codes] = {}
 
     def observe(
         self, points: ArrayLike, grippers: ArrayLike | None = None, held: bool = True, target: ArrayLike | None = None
@@ -101,7 +101,8 @@ class MotionPredictor(Predictor):
         if len(exact) and (np.ndim(actions) == 4 or not all(1 <= step <= KNOTS[-1] for step in exact)):
             raise ValueError(f"exact names frames from 1 to {KNOTS[-1]} of a single plan, not {list(exact)}")
         ids = np.array([_corners(loop)[0] for loop in self._loops], dtype=np.int64)  # (S, 8)
-        places, _ = self._moved(actions, held, None if len(exact) else ids.ravel())
+        corners = None if len(exact) or not self._clouds else self._clouds[-1][ids.ravel()]
+        places, _ = self._moved(actions, held, corners)
         if len(exact):
             clouds, places = places[0], places[:, :, ids.ravel()]
         forecast = _forecast(places.reshape(*places.shape[:2], len(ids), 8, 3), self._loops, self._sampling)
@@ -113,23 +114,28 @@ class MotionPredictor(Predictor):
         return forecast
 
     @torch.inference_mode()
-    def move(self, actions: ArrayLike, held: ArrayLike | None = None) -> tuple[Array, Array]:
-        """Return where the points of the last cloud will be (60, n, 3), metres, and the scale (60, n) of the error there.
+    def move(
+        self, actions: ArrayLike, held: ArrayLike | None = None, points: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
+        """Return where points of the cloth will be (60, n, 3), metres, and the scale (60, n) of the error there.
 
         Parameters
         ----------
-        actions : (60, 2, 3) array_like
-        held : (60,) array_like of bool, optional
+        actions : (60, 2, 3) or (C, 60, 2, 3) array_like
+            A plan, or C plans: then the answers have another axis, the first.
+        held : (60,) or (C, 60) array_like of bool, optional
+        points : (n, 3) array_like, optional
+            Where they are now; those of the last cloud when not given.
         """
-        places, scales = self._moved(actions, held, None)
-        return places[0], scales[0]
+        places, scales = self._moved(actions, held, None if points is None else as_cloud(points))
+        return (places, scales) if np.ndim(actions) == 4 else (places[0], scales[0])
 
-    def _moved(self, actions: ArrayLike, held: ArrayLike | None, ids: NDArray[np.int64] | None) -> tuple[Array, Array]:
-        """(C, 60, n, 3) places and (C, 60, n) scales of some points of the cloud, or all."""
+    def _moved(self, actions: ArrayLike, held: ArrayLike | None, asked: NDArray[Any] | None) -> tuple[Array, Array]:
+        """(C, 60, n, 3) places and (C, 60, n) scales of some points, or of the last cloud's."""
         chunks = self._plans(actions, held)
         if not self._clouds:
             raise ValueError("nothing was observed yet: call observe(points, grippers) first")
-        codes = self._encode(ids)
+        codes = self._encode(self._clouds[-1] if asked is None else asked)
         parts = [self.model.under(codes, *chunk) for chunk in chunks]
         places, scales = (torch.cat(part)[:, :, codes.carriers :].numpy() for part in zip(*parts, strict=True))
         start = codes.place[:, codes.carriers :] @ codes.turn + codes.origin[:, None]
@@ -138,12 +144,13 @@ class MotionPredictor(Predictor):
             np.concatenate([scales[:, :1], scales], axis=1)
         )
 
-    def _encode(self, ids: NDArray[np.int64] | None) -> Codes:
-        """What points of the last cloud know, or all of them; made once for all plans until the next frame."""
-        if (ids is None) not in self._codes:
+    def _encode(self, asked: NDArray[np.float64]) -> Codes:
+        """What points know; made once for all plans until the next frame."""
+        key = asked.tobytes()
+        if key not in self._codes:
             cloud, last = self._clouds[-1], len(self._clouds) - 1
             then = [max(last - ago, 0) for ago in (0, *PAST)]
-            seen, asked = _shuffled(cloud)[: self.model.shape.points], cloud if ids is None else cloud[ids]
+            seen = _shuffled(cloud)[: self.model.shape.points]
             seen = seen[carriers_first(seen)]
             hands = np.stack([self._hands[i] for i in then])
             scene = {
@@ -155,8 +162,8 @@ class MotionPredictor(Predictor):
             }
             tensors = {name: torch.from_numpy(part.astype(np.float32))[None] for name, part in scene.items()}
             tensors["held"] = torch.tensor([self._held])
-            self._codes[ids is None] = self.model.encode(tensors)
-        return self._codes[ids is None]
+            self._codes[key] = self.model.encode(tensors)
+        return self._codes[key]
 
 
 def _shuffled(array: NDArray[Any]) -> NDArray[Any]:
