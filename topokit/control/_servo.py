@@ -25,7 +25,7 @@ from topokit.seqph import SeqPH
 from ._geometry import Arm, Array, Hands, Opening, drawn, heading, turned, wrapped
 
 _LOOK = 6  # frames in which the loops are looked at before anything moves
-_SURE = 5  # frames in a row in which the loops must be around the target
+SURE = 5  # frames in a row in which the loops must be around the target
 _TRIES = 4
 _PATIENCE = 60  # frames for a stop on the rail
 _NEAR, _FACING = 0.025, 0.12  # metres and radians that are near enough to a stop
@@ -200,7 +200,7 @@ class Servo:
         there = float(np.linalg.norm(gap)) < _NEAR and abs(facing) < _FACING
         self._waited += 1
         if stop.name == "down":
-            sure = min(loop.around for loop in self._chosen) >= _SURE
+            sure = min(loop.around for loop in self._chosen) >= SURE
             if sure and (there or self._waited > _PATIENCE // 2):
                 return np.eye(7, dtype=np.float32)[6]
             there = False  # it may take a few frames to be sure
@@ -209,6 +209,10 @@ class Servo:
         way = _GAIN * gap
         way *= min(1.0, stop.pace * self.max_step / max(float(np.linalg.norm(way)), 1e-9))
         goals = opening.rim + turned(self._goals - opening.rim, float(np.clip(_GAIN * facing, -_TURN, _TURN))) + way
+        return self._step(goals, grippers)
+
+    def _step(self, goals: Array, grippers: Array) -> NDArray[np.float32]:
+        """The action that brings the goals there, or as near as may be."""
         move = np.clip((goals - self._goals) / self.max_step, -1, 1)
         self._goals = np.clip(self._goals + self.max_step * move, grippers - _LEASH, grippers + _LEASH)
         return np.append(move.ravel(), 0.0).astype(np.float32)

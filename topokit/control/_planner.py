@@ -1,0 +1,279 @@
+"""A planner: of many paths of the grippers the one whose forecast brings the loop nearest to where it hangs.
+
+Idea: the servo asks where a loop's rim is, the planner where it will be. Smooth paths are drawn about a first guess and about
+the last plan, the motion of the loop is forecast under each, and a mean of the best is followed for a few frames, until the
+next look. What a path is worth is a *guide*: the metres that the rim has to go up to the tip, over it, in, and down, and by how
+much the opening looks aside. Whether the loop is around the target is no guide but an integer, the linking number of its moved
+cycle; it says which part of the way is done, and it alone lets go.
+
+Source: the cross-entropy method of Rubinstein and Kroese 2004, as in Chua et al. 2018, *Deep reinforcement learning in a handful
+of trials using probabilistic dynamics models*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+from topokit._validate import whole
+from topokit.linking import linking_numbers
+
+from ._geometry import Arm, Array, Hands, Opening, heading, turned, wrapped
+from ._servo import SURE, Servo
+
+_KNOTS = np.array([0, 8, 18, 30, 44, 60])  # frames at which a path is described
+_SEEN = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])  # frames of a path, from 0, at which the guide is asked
+_SPREAD = np.array([0.06, 0.06, 0.04, 0.25])  # metres and radians by which paths differ, at first
+_BEST = 4  # paths whose mean is followed
+_CORNERS = 24  # of a cycle, at most
+_PACE = 0.8  # share of the largest step in a first guess
+_SEATED, _STILL = 0.03, 0.008  # metres from the seat, and metres in a frame, below which a linked rim is let go
+_TURN_COSTS = 0.15  # metres for a radian
+_LOW_COSTS = 2.0  # metres for a metre below the tip when the arm is near
+
+
+class Forecast(Protocol):
+    """What a planner asks of a forecast; `topokit.models.MotionPredictor` is one."""
+
+    def reset(self) -> None:
+        """Forget everything observed."""
+
+    def observe(self, points: ArrayLike, grippers: ArrayLike, held: bool, target: ArrayLike) -> None:
+        """Take in the next frame.
+
+        Parameters
+        ----------
+        points : (n, 3) array_like
+        grippers : (2, 3) array_like
+        held : bool
+        target : (L, 3) array_like
+        """
+
+    def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]:
+        """Return places (C, 60, n, 3) of points under plans, and what is said of their errors.
+
+        Parameters
+        ----------
+        actions : (C, 60, 2, 3) array_like
+        held : (C, 60) array_like of bool
+        points : (n, 3) array_like
+        """
+
+
+class Carried:
+    """The forecast that the cloth goes with the grippers as a rigid body does: with their middle, and about the vertical."""
+
+    def reset(self) -> None:
+        """Forget everything observed."""
+        self._hands = Hands(np.zeros(3), 0.0)
+
+    def observe(self, points: ArrayLike, grippers: ArrayLike, held: bool = True, target: ArrayLike | None = None) -> None:
+        """Take in the next frame, of which only the grippers count.
+
+        Parameters
+        ----------
+        points, grippers, held, target
+            As in `Forecast`.
+        """
+        self._hands = Hands.of(np.asarray(grippers, np.float64))
+
+    def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]:
+        """Return places (C, 60, n, 3) of points under plans, and None.
+
+        Parameters
+        ----------
+        actions, held, points
+            As in `Forecast`.
+        """
+        there = np.asarray(actions, np.float64)
+        across = there[..., 1, :] - there[..., 0, :]
+        angle = np.arctan2(across[..., 1], across[..., 0])
+        cos, sin, none = np.cos(angle), np.sin(angle), np.zeros_like(angle)
+        turn = np.stack([cos, sin, none, -sin, cos, none, none, none, none + 1], axis=-1).reshape(*angle.shape, 3, 3)
+        return self._hands.inside(np.asarray(points, np.float64)) @ turn + there.mean(axis=-2)[..., None, :], None
+
+
+class Planner(Servo):
+    """Hang a garment by the best of many paths under a forecast: a `Controller` that sees and lets go as `Servo` does.
+
+    Parameters
+    ----------
+    forecast : Forecast
+        `Carried()`, a `topokit.models.MotionPredictor`, or one's own.
+    goal : optional
+    radius : float
+    max_step : float
+        As in `Servo`.
+    plans : int
+        Paths that are compared at a time.
+    rounds : int
+        How often new ones are drawn about the best.
+    every : int
+        Frames that a plan is followed for.
+    seed : int
+        Of the draws.
+    """
+
+    def __init__(
+        self,
+        forecast: Forecast,
+        goal: ArrayLike | None = None,
+        *,
+        radius: float = 0.02,
+        max_step: float = 0.0432,
+        plans: int = 24,
+        rounds: int = 2,
+        every: int = 3,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(goal, radius=radius, max_step=max_step)
+        self._forecast, self._seed = forecast, seed
+        self._plans, self._rounds = whole(plans, "plans", _BEST), whole(rounds, "rounds", 1)
+        self._every = whole(every, "every", 1)
+
+    def reset(self, observation: Mapping[str, Any]) -> None:
+        """Forget everything; begin with a first observation.
+
+        Parameters
+        ----------
+        observation : mapping
+            As `topokit.sim.HangEnv` gives it.
+        """
+        super().reset(observation)
+        self._forecast.reset()
+        self._random = np.random.default_rng(self._seed)
+        self._path, self._followed = np.zeros((0, 2, 3)), 0
+        self._last: CubicSpline | None = None
+        self._was = np.zeros(3)
+
+    def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
+        """Return the next action (7,); none moves anything once there is a `reason` to give up.
+
+        Parameters
+        ----------
+        observation : mapping
+        """
+        points, grippers, line = (np.asarray(observation[name], float) for name in ("points", "grippers", "target"))
+        self._forecast.observe(points, grippers, bool(observation["held"]), line)
+        return super().act(observation)
+
+    def _along(self, arm: Arm, hands: Hands, grippers: Array) -> NDArray[np.float32]:
+        """The next step of the plan, which is made anew every few frames."""
+        opening = self._opening(arm, hands, grippers)
+        speed, self._was = float(np.linalg.norm(opening.rim - self._was)), opening.rim
+        seated = np.linalg.norm(self._seat(arm) - opening.rim) < _SEATED and speed < _STILL
+        if seated and min(loop.around for loop in self._chosen) >= SURE:
+            return np.eye(7, dtype=np.float32)[6]
+        if self._followed in (self._every, len(self._path)):
+            self._path, self._followed = self._best(arm, hands, opening), 0
+        self._followed += 1
+        return self._step(self._path[self._followed - 1], grippers)
+
+    # -- paths
+
+    def _best(self, arm: Arm, hands: Hands, opening: Opening) -> Array:
+        """The goals (60, 2, 3) of the path that is followed now."""
+        cycles = [_thinned(hands.outside(loop.cycle)) for loop in self._chosen]
+        rims = np.array([loop.opening.outside(hands).rim for loop in self._chosen])
+        linked = min(loop.around for loop in self._chosen) > 0
+        means, spread = [self._guess(arm, opening, linked)], _SPREAD * np.ones((len(_KNOTS) - 1, 1))
+        if self._last is not None:  # from where it is now
+            means.append(self._last(np.minimum(_KNOTS[1:] + self._every, _KNOTS[-1])) - self._last(self._every))
+        kept = np.array(means)
+        for _ in range(self._rounds):
+            about = kept[self._random.integers(len(kept), size=self._plans - len(kept))]
+            ways = np.concatenate([kept, about + spread * self._random.normal(size=about.shape)])
+            goals = self._goals_of(ways, opening.rim)
+            costs = self._costs(goals, cycles, rims, arm, opening)
+            order = np.argsort(costs)[:_BEST]
+            kept, spread = ways[order], spread / 2
+        self._last = _through(kept[0])
+        return goals[order[0]]
+
+    def _guess(self, arm: Arm, opening: Opening, linked: bool) -> Array:
+        """Where the rim would be at the knots, and how far turned, on its way at an even pace, if all went with it."""
+        stops = [self._seat(arm)] if linked else self._stops(arm, opening)
+        legs = np.array([opening.rim, *stops])
+        length = np.append(0, np.linalg.norm(np.diff(legs, axis=0), axis=1).cumsum())
+        gone = _PACE * self.max_step * _KNOTS[1:]
+        places = np.stack([np.interp(gone, length, axis) for axis in legs.T], axis=1)
+        facing = self._facing(opening, arm)
+        yaw = np.sign(facing) * np.minimum(abs(facing), 0.06 * _KNOTS[1:])
+        return np.column_stack([places - opening.rim, yaw])
+
+    def _stops(self, arm: Arm, opening: Opening) -> list[Array]:
+        """Places that the rim shall pass: up beside the target, before it, above the tip, above the seat, the seat."""
+        seat, over = self._seat(arm), self._over(arm, opening)
+        here = opening.rim - arm.tip
+        aside = abs(wrapped(heading(here) - heading(arm.out))) > np.pi / 3 or np.linalg.norm(here[:2]) > 0.3
+        before = [np.array([*arm.around(opening.rim, 0.13)[:2], over[2]])] if aside else []
+        return [*before, over, np.array([*seat[:2], over[2]]), seat]
+
+    def _over(self, arm: Arm, opening: Opening) -> Array:
+        slack = (opening.height - arm.rise - 2 * self.radius) / 2
+        return arm.tip + [0, 0, self.radius + float(np.clip(slack, 0.015, 0.06))]
+
+    def _seat(self, arm: Arm) -> Array:
+        return (arm.start + arm.end) / 2 + [0, 0, self.radius - 0.02]
+
+    def _goals_of(self, ways: Array, pivot: Array) -> Array:
+        """Goals (C, 60, 2, 3) of ways (C, knots, 4), no faster than can be."""
+        path = _through(ways)(np.arange(1, _KNOTS[-1] + 1))
+        goals = _turned_about(self._goals, pivot, path[..., 3]) + path[..., None, :3]
+        last = np.broadcast_to(self._goals, goals[:, 0].shape)
+        for k in range(goals.shape[1]):
+            goals[:, k] = last = last + np.clip(goals[:, k] - last, -self.max_step, self.max_step)
+        return goals
+
+    def _costs(self, goals: Array, cycles: list[Array], rims: Array, arm: Arm, opening: Opening) -> Array:
+        """(C,) what is missing to a hanging loop along paths, in metres, in the mean over the frames that are looked at."""
+        asked = np.concatenate([rims, *cycles])
+        places = np.asarray(self._forecast.move(goals, np.ones(goals.shape[:2], bool), asked)[0][:, _SEEN], float)
+        parts = np.split(places, np.cumsum([len(rims), *map(len, cycles)])[:-1], axis=2)
+        costs = []
+        for i, cycle in enumerate(parts[1:]):
+            costs.append(self._to_go(parts[0][:, :, i], cycle, arm, opening))
+        return np.max(costs, axis=0).mean(axis=1)
+
+    def _to_go(self, rim: Array, cycle: Array, arm: Arm, opening: Opening) -> Array:
+        """(C, F) the guide for a rim (C, F, 3) of a cycle (C, F, L, 3)."""
+        seat, over = self._seat(arm), self._over(arm, opening)
+        above = np.array([*seat[:2], over[2]])
+        area = np.cross(cycle, np.roll(cycle, -1, axis=2)).sum(axis=2) * [1, 1, 0]
+        area = area / np.maximum(np.linalg.norm(area, axis=-1, keepdims=True), 1e-9)
+        first = area[:, :1] @ opening.normal  # the side that was chosen
+        aside = np.arccos(np.clip(np.sign(first) * (area @ arm.out), -1, 1))
+        before = (rim - arm.tip) @ arm.out
+        low = np.maximum(over[2] - rim[..., 2], 0) * np.exp(-((before / 0.13) ** 2))
+        way = np.linalg.norm(rim - over, axis=-1) + np.linalg.norm(over - above) + np.linalg.norm(above - seat)
+        missing = way + _TURN_COSTS * aside + _LOW_COSTS * low
+        return np.where(self._around(cycle, arm), np.linalg.norm(rim - seat, axis=-1), missing)
+
+    def _around(self, cycle: Array, arm: Arm) -> Array:
+        """(C, F) whether cycles (C, F, L, 3) wind around the target."""
+        try:
+            numbers, _ = linking_numbers(cycle.reshape(-1, *cycle.shape[2:]), arm.closed)
+        except ValueError:  # one of them touches the centre line
+            return np.zeros(cycle.shape[:2], bool)
+        return numbers.reshape(cycle.shape[:2]) != 0
+
+
+def _through(ways: Array) -> CubicSpline:
+    """The smooth curves from 0 through ways (..., knots, 4)."""
+    table = np.concatenate([np.zeros_like(ways[..., :1, :]), ways], axis=-2)
+    return CubicSpline(_KNOTS, table, axis=table.ndim - 2, bc_type="natural")
+
+
+def _thinned(cycle: Array) -> Array:
+    return cycle[:: -(-len(cycle) // _CORNERS)]
+
+
+def _turned_about(goals: Array, pivot: Array, angle: Array) -> Array:
+    """(C, 60, 2, 3) goals (2, 3) turned about the vertical through a pivot by angles (C, 60)."""
+    x, y, z = (goals - pivot).T
+    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    return np.stack([cos * x - sin * y, sin * x + cos * y, np.broadcast_to(z, (*angle.shape, 2))], axis=-1) + pivot
