@@ -30,7 +30,7 @@ _SEEN = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])  # frames of a path, from 0
 _SPREAD = np.array([0.06, 0.06, 0.04, 0.25])  # metres and radians by which paths differ, at first
 _BEST = 4  # paths whose mean is followed
 _CORNERS = 24  # of a cycle, at most
-_PACE = 0.8  # share of the largest step in a first guess
+_PACE, _HARDER = 0.6, 0.06  # shares of the largest step: the largest that is planned, and by how much it changes in a frame
 _SEATED, _STILL = 0.03, 0.008  # metres from the seat, and metres in a frame, below which a linked rim is let go
 _TURN_COSTS = 0.15  # metres for a radian
 _LOW_COSTS = 2.0  # metres for a metre below the tip when the arm is near
@@ -148,7 +148,7 @@ class Planner(Servo):
         self._random = np.random.default_rng(self._seed)
         self._path, self._followed = np.zeros((0, 2, 3)), 0
         self._last: CubicSpline | None = None
-        self._was = np.zeros(3)
+        self._was, self._speed = np.zeros(3), np.zeros((2, 3))
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the next action (7,); none moves anything once there is a `reason` to give up.
@@ -171,7 +171,10 @@ class Planner(Servo):
         if self._followed in (self._every, len(self._path)):
             self._path, self._followed = self._best(arm, hands, opening), 0
         self._followed += 1
-        return self._step(self._path[self._followed - 1], grippers)
+        before = self._goals
+        action = self._step(self._path[self._followed - 1], grippers)
+        self._speed = self._goals - before
+        return action
 
     # -- paths
 
@@ -224,9 +227,11 @@ class Planner(Servo):
         """Goals (C, 60, 2, 3) of ways (C, knots, 4), no faster than can be."""
         path = _through(ways)(np.arange(1, _KNOTS[-1] + 1))
         goals = _turned_about(self._goals, pivot, path[..., 3]) + path[..., None, :3]
-        last = np.broadcast_to(self._goals, goals[:, 0].shape)
+        last, step = np.broadcast_to(self._goals, goals[:, 0].shape), np.broadcast_to(self._speed, goals[:, 0].shape)
+        fast, harder = _PACE * self.max_step, _HARDER * self.max_step
         for k in range(goals.shape[1]):
-            goals[:, k] = last = last + np.clip(goals[:, k] - last, -self.max_step, self.max_step)
+            step = np.clip(np.clip(goals[:, k] - last, -fast, fast), step - harder, step + harder)
+            goals[:, k] = last = last + step
         return goals
 
     def _costs(self, goals: Array, cycles: list[Array], rims: Array, arm: Arm, opening: Opening) -> Array:
