@@ -3,7 +3,7 @@
 Idea: the data are packed once beside scripts without dependencies, and the page is handed to the browser as the `srcdoc` of an
 iframe. So it works the same in Jupyter, on a built page and as a file, and asks nothing of the network. `rips.js` computes loops
 by the same lunes as `topokit.rips`, `match.js` matches diagrams as `topokit.lemmas` does, and `rules.js` says which bars are
-loops, in a few milliseconds, so that points can be dragged. Tests hold their answers to topokit's. Taught in chapters 1 to 6.
+loops, in a few milliseconds, so that points can be dragged. Tests hold their answers to topokit's. Taught in chapters 1 to 6, 13.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import as_points, positive
 from topokit.lemmas import vertex_ids
+from topokit.linking import close_far, linking_number
 from topokit.view._plots import OKABE_ITO
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
@@ -245,6 +246,32 @@ def stray(points: ArrayLike, start: ArrayLike, end: ArrayLike) -> Framed:
     }
     title, scripts = f"{len(cloud)} points and a stray one", ("rips.js", "planar.js", "places.js", "rules.js")
     return framed("stray", scripts, {"points": cloud.tolist(), **way}, 480, "drag the stray point away", title)
+
+
+def linked(curve: ArrayLike, line: ArrayLike, way: ArrayLike) -> Framed:
+    """Return an interactive figure of a closed curve that is bent by its handles, and its linking number with a hook.
+
+    The crossings that are seen have their signs, the view turns under the hand, and a slider takes the curve along a way, over
+    which stand charts of the number and of the distance. The line is closed by `topokit.linking.close_far`.
+
+    Parameters
+    ----------
+    curve : (n, 3) array_like
+        At most 24 handles; the curve runs through them smoothly. It must not touch the line.
+    line : (m, 3) array_like
+        At most 24 corners of an open line, such as the centre line of a hook.
+    way : (k, 3) array_like
+        How far the curve is moved, from the left end of the slider to the right; two shifts at least.
+    """
+    shifts, corners = as_points(way, "way"), close_far(line)
+    if shifts.shape[1:] != (3,) or not 2 <= len(shifts) <= MOST_NUDGED:
+        raise ValueError(f"way must be a (k, 3) array of 2 to {MOST_NUDGED} shifts, not of shape {shifts.shape}")
+    handles, number = as_points(curve, "curve"), linking_number(curve, corners)
+    if max(len(handles), len(corners) - 4) > MOST_NUDGED:
+        raise ValueError(f"curve and line must have at most {MOST_NUDGED} corners each; leave some out")
+    data = {"curve": handles.tolist(), "line": corners.tolist(), "corners": len(corners) - 4, "way": shifts.tolist()}
+    title, scripts = f"A curve and a hook, linking number {number}", ("link.js", "planar.js")
+    return framed("linked", scripts, data, 480, "drag a handle, or turn the view", title)
 
 
 def planar(points: ArrayLike, name: str, most: int | None = None) -> NDArray[np.float64]:
