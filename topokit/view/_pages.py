@@ -1,9 +1,9 @@
-"""Figures of the browser: the data-flow picture, and planar clouds that the reader changes, on pages without a kernel.
+"""Figures of the browser: the data-flow picture, and points that the reader moves, on pages without a kernel.
 
 Idea: the data are packed once beside scripts without dependencies, and the page is handed to the browser as the `srcdoc` of an
 iframe. So it works the same in Jupyter, on a built page and as a file, and asks nothing of the network. `rips.js` computes loops
-by the same lunes as `topokit.rips`, `match.js` matches diagrams as `topokit.lemmas` does, and `rules.js` says which bars are
-loops, in a few milliseconds, so that points can be dragged. Tests hold their answers to topokit's. Taught in chapters 1 to 6, 13.
+by the same lunes as `topokit.rips`, `match.js` matches diagrams as `topokit.lemmas` does, `link.js` links, and `rules.js` says
+which bars are loops, all in milliseconds. Tests hold their answers to topokit's. Taught in chapters 1 to 6 and 13.
 """
 
 from __future__ import annotations
@@ -249,29 +249,26 @@ def stray(points: ArrayLike, start: ArrayLike, end: ArrayLike) -> Framed:
 
 
 def linked(curve: ArrayLike, line: ArrayLike, way: ArrayLike) -> Framed:
-    """Return an interactive figure of a closed curve that is bent by its handles, and its linking number with a hook.
-
-    The crossings that are seen have their signs, the view turns under the hand, and a slider takes the curve along a way, over
-    which stand charts of the number and of the distance. The line is closed by `topokit.linking.close_far`.
+    """Return an interactive figure of a closed curve on its way to a hook, with their crossings, linking number and distance.
 
     Parameters
     ----------
-    curve : (n, 3) array_like
-        At most 24 handles; the curve runs through them smoothly. It must not touch the line.
-    line : (m, 3) array_like
-        At most 24 corners of an open line, such as the centre line of a hook.
-    way : (k, 3) array_like
-        How far the curve is moved, from the left end of the slider to the right; two shifts at least.
+    curve, line, way : (n, 3), (m, 3), (k, 3) array_like
+        Handles that the reader drags; corners of an open line, which `topokit.linking.close_far` closes; and how far the
+        curve is moved, from the left end of a slider to the right. At most 24 each.
+
+    Raises
+    ------
+    ValueError
+        When they are more, or less than two shifts, or curve and line touch.
     """
-    shifts, corners = as_points(way, "way"), close_far(line)
-    if shifts.shape[1:] != (3,) or not 2 <= len(shifts) <= MOST_NUDGED:
-        raise ValueError(f"way must be a (k, 3) array of 2 to {MOST_NUDGED} shifts, not of shape {shifts.shape}")
-    handles, number = as_points(curve, "curve"), linking_number(curve, corners)
-    if max(len(handles), len(corners) - 4) > MOST_NUDGED:
-        raise ValueError(f"curve and line must have at most {MOST_NUDGED} corners each; leave some out")
-    data = {"curve": handles.tolist(), "line": corners.tolist(), "corners": len(corners) - 4, "way": shifts.tolist()}
-    title, scripts = f"A curve and a hook, linking number {number}", ("link.js", "planar.js")
-    return framed("linked", scripts, data, 480, "drag a handle, or turn the view", title)
+    handles, corners, shifts = as_points(curve, "curve"), close_far(line), as_points(way, "way")
+    if shifts.shape[1] != 3 or len(shifts) < 2 or max(map(len, (handles, corners[4:], shifts))) > MOST_NUDGED:
+        wrong = f"not {len(handles)}, {len(corners) - 4} and {shifts.shape}"
+        raise ValueError(f"curve, line and way must have at most {MOST_NUDGED} rows, and way (2, 3) at least, {wrong}")
+    title = f"A curve and a hook, linking number {linking_number(handles, corners)}"
+    data = {"curve": handles.tolist(), "line": corners.tolist(), "way": shifts.tolist()}
+    return framed("linked", ("link.js", "planar.js"), data, 480, "drag a handle, or turn the view", title)
 
 
 def planar(points: ArrayLike, name: str, most: int | None = None) -> NDArray[np.float64]:

@@ -2,7 +2,7 @@
 // Idea: numbers and distances for all places of the slider are computed at once; the picture shows one place, from one side.
 (() => {
   const [scene, numbers, gaps] = [$("scene"), $("numbers"), $("gaps")], STEPS = 60, DRAGGED = 6, PIECES = 6, home = { az: -50, el: 18 };
-  const tip = data.corners - 1, far = data.line, cam = { ...home };
+  const far = data.line, tip = far.length - 5, cam = { ...home };
   let handles, vertex, step, rows;
 
   // ---- places --------------------------------------------------------------------------------------------------
