@@ -199,12 +199,12 @@ def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = F
     """A tree of checked points, or the one that is given: built once, it answers for several distances."""
     from scipy.spatial import cKDTree  # here, because importing topokit must be quick
 
-    return points if isinstance(points, cKDTree) else cKDTree(_measurable(points, name, copy=copy))
+    return points if isinstance(points, cKDTree) else cKDTree(_measurable(points, name), copy_data=copy)
 
 
-def _measurable(points: ArrayLike, name: str, *, copy: bool = False) -> NDArray[np.float64]:
+def _measurable(points: ArrayLike, name: str) -> NDArray[np.float64]:
     """Checked points whose distances have squares that neither overflow nor vanish."""
-    array = as_points(points, name, copy=copy)
+    array = as_points(points, name)
     largest = np.abs(array).max(initial=0.0)
     if largest > 1e150 or 0 < largest < 1e-150:
         raise ValueError(

@@ -97,8 +97,7 @@ class GripperPath:
     @functools.cached_property
     def _table(self) -> Array:
         """(k, 6) times, middles, openings, yaws."""
-        rows = [[v.time, *np.asarray(v.place, dtype=np.float64), v.opening, v.yaw] for v in self.vias]
-        return np.array(rows, dtype=np.float64)
+        return np.array([[v.time, *np.asarray(v.place), v.opening, v.yaw] for v in self.vias], dtype=np.float64)
 
     @functools.cached_property
     def _derivatives(self) -> tuple[Array, Array]:
