@@ -59,12 +59,11 @@ _KIND = "topokit-episode"
 _STATES_KIND, _STATES_SCHEMA = "topokit-states", 2
 _MAX_PACKING_ERROR = 1e-4  # metres
 _PACKED = ("points", "observed", "actions", "grippers", "centre_line")
-_TEXT: dict[str, type] = dict.fromkeys(("garment", "target", "task"), str) | {
-    "success": bool,
-    "seed": int,
-    "schema": int,
+_TEXT: dict[str, type] = {
+    **dict.fromkeys(("garment", "target", "task"), str),
+    **{"success": bool, "seed": int, "schema": int, "dt": float},
+    **dict.fromkeys(("observation", "physics", "provenance"), dict),
 }
-_TEXT |= {"dt": float, **dict.fromkeys(("observation", "physics", "provenance"), dict)}
 
 
 @dataclass(frozen=True, eq=False)
