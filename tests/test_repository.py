@@ -236,7 +236,7 @@ def lengths_of_functions(path: Path) -> list[int]:
 
 
 MOST_LINES = (
-    19_030  # far from the 17,000 that it shall be: what moves, names and neighbours came faster than others went
+    19_000  # far from the 17,000 that it shall be: what moves, names and neighbours came faster than others went
 )
 
 

@@ -47,10 +47,7 @@ class GripperPath:
         if len(self.vias) < 2:
             raise ValueError(f"a path needs two places at least, not {len(self.vias)}")
         table, spread = self._table, np.asarray(self.spread)
-        for name, values, shape in (
-            ("vias", table, (len(self.vias), 6)),
-            ("spread", spread, (2, 3)),
-        ):
+        for name, values, shape in (("vias", table, (len(self.vias), 6)), ("spread", spread, (2, 3))):
             if values.shape != shape or not np.isfinite(values).all():
                 raise ValueError(f"{name} must be finite numbers of shape {shape}, not {values.tolist()}")
         if not ((np.diff(table[:, 0]) > 0).all() and (table[:, 4] > 0).all()):
