@@ -35,16 +35,18 @@ _SAME = 0.08  # metres between the openings of one loop in two frames, at most
 _GAIN, _TURN = 0.15, 3.5  # share of what is missing that is made up for in a frame; degrees in a frame, at most
 _LEASH = 0.2  # metres by which a goal may lead its gripper along an axis
 # The stops of the rail: metres before the tip, or, below 0, share of the arm behind it; speed as a share of the largest step.
-_RAIL = {"far": (0.35, 0.5), "near": (0.13, 0.3), "over": (-0.5, 0.2), "down": (-0.5, 0.2)}
+_RAIL = {"far": (0.35, 0.5), "near": (0.13, 0.3), "over": (-0.5, 0.2), "down": (-0.5, 0.25)}
 _RAIL |= {"lift": (-0.5, 0.2), "back": (0.13, 0.3)}
+_DOWN = list(_RAIL).index("down")
 
 
 @dataclass(eq=False)
 class _Known:
     """A loop as it is remembered, in the frame of the grippers."""
 
-    cycle: Array
-    last: Array  # the cycle when it was seen
+    cycle: Array  # as short as can be at its birth, when it is seen
+    curve: Array  # the same class, shorter: later in its life
+    last: Array  # the curve when it was seen
     opening: Opening
     seen: int = 1  # frames
     around: int = 0  # frames in a row in which it was around the target
@@ -98,7 +100,13 @@ class Servo:
         if not self._chosen:
             return np.zeros(7, np.float32)
         for loop in self._chosen:
-            loop.around = loop.around + 1 if arm.holds(self._outside(loop.cycle)) else 0
+            carried = (
+                loop.cycle is loop.curve
+            )  # and, when it is lowered, pressed through the arm: that does not count against it
+            if arm.holds(self._outside(loop.cycle)):
+                loop.around += 1
+            elif not carried or self._stop < _DOWN:
+                loop.around = 0
         return self._along(arm, grippers)
 
     def _inside(self, points: Array) -> Array:
@@ -113,25 +121,22 @@ class Servo:
         unseen = list(self._known)
         points = np.unique(points, axis=0)
         for loop in self._tracker.update(points).loops:
-            cycle, middle = self._inside(loop.cycle_points), (loop.birth + loop.death) / 2
-            opening = Opening.of(
-                self._inside(points[tighten(points, loop.cycle, radius=middle)])
-            )  # later in life it is tighter
+            cycle = self._inside(loop.cycle_points)
+            curve = self._inside(points[tighten(points, loop.cycle, radius=(loop.birth + loop.death) / 2)])
+            opening = Opening.of(curve)
             if opening is None:
                 continue
             same = min(unseen, key=lambda known: known.opening.gap(opening), default=None)
             if same is None or same.opening.gap(opening) > _SAME:
-                self._known.append(_Known(cycle, cycle, opening))
+                self._known.append(_Known(cycle, curve, curve, opening))
                 continue
-            same.cycle, same.last, same.opening = cycle, cycle, same.opening.blended(opening, _NEW)
-            same.seen += 1
+            same.cycle, same.curve, same.last, same.seen = cycle, curve, curve, same.seen + 1
+            same.opening = same.opening.blended(opening, _NEW)
             unseen.remove(same)
         cloth = as_tree(self._inside(points))
         for known in unseen:
-            moved, rim = drawn(known.cycle, known.last, cloth), known.opening.rim
-            k = int(np.linalg.norm(known.cycle - rim, axis=1).argmin())
-            known.opening = known.opening._replace(rim=rim + moved[k] - known.cycle[k])
-            known.cycle = moved
+            known.cycle = known.curve = drawn(known.curve, known.last, cloth)
+            known.opening = known.opening.blended(Opening.of(known.curve) or known.opening, _NEW)
 
     def _choose(self, arm: Arm, cloud: Array) -> None:
         """Choose the loops that shall hang, and the side of them that the arm shall come from."""
@@ -139,7 +144,8 @@ class Servo:
             mirror = np.array([-1, 1, 1])
             twin = Opening(loop.opening.rim * mirror, loop.opening.normal * mirror, loop.opening.size)
             if min(known.opening.gap(twin) for known in self._known) > _SAME / 2:
-                self._known.append(_Known(loop.cycle * mirror, loop.cycle * mirror, twin, loop.seen))
+                curve = loop.curve * mirror
+                self._known.append(_Known(curve, curve, curve, twin, loop.seen))
         needed = arm.tip[2] - arm.end[2] + 4 * self.radius  # metres, half around the arm with its tip
         seen = [loop for loop in self._known if loop.seen > 1]
         fit = [loop for loop in seen if loop.opening.size.sum() >= needed]
@@ -155,11 +161,7 @@ class Servo:
         def distance(loop: _Known) -> float:
             if self._place is not None:
                 return float(np.linalg.norm(loop.cycle.mean(axis=0) - self._place))
-            bears = [
-                np.clip(loop.opening.rim[0], -half, half),
-                0,
-                0,
-            ]  # the line between the grippers: straps are held there
+            bears = [np.clip(loop.opening.rim[0], -half, half), 0, 0]  # on the line between the grippers
             return float(np.linalg.norm(loop.opening.rim - bears)) + effort(loop.opening)
 
         for loop in fit:
@@ -175,6 +177,8 @@ class Servo:
         last = (np.concatenate([rims, grippers]) if len(rims) > 1 else rims) @ arm.out  # each holds one of several
         rim = np.array([*rims.mean(axis=0)[:2], rims[:, 2].min()])
         rim += (last.max() - rim @ arm.out) * arm.out  # as low as the lowest, where the last to pass the tip is
+        if stop == "down":  # until nothing can fall any more
+            rim[2] = self._middle[2]
         gap = self._goal(stop, arm, rim) - rim
         facing = angle(turned(self._chosen[0].opening.normal, self._yaw), arm.out)
         there = np.linalg.norm(gap) < _NEAR and abs(facing) < _FACING
@@ -186,6 +190,8 @@ class Servo:
             self._stop, self._waited = self._stop + 1, 0
         if self._stop == len(_RAIL):
             self._stop, self._tries = 1, self._tries + 1
+            for loop in self._chosen:
+                loop.around = 0
             self.reason = "" if self._tries < _TRIES else f"in {_TRIES} tries the loop did not come around the target"
         way = _GAIN * gap
         way *= min(1.0, _RAIL[stop][1] * self.max_step / max(float(np.linalg.norm(way)), 1e-9))
@@ -200,8 +206,8 @@ class Servo:
         level = (
             arm.before(rim, before) if stop == "far" else arm.tip + before * (1 if before > 0 else arm.reach) * arm.out
         )
-        if stop == "down":  # a little lower than it can go: the arm shall bear
-            return np.array([*level[:2], (arm.start[2] + arm.end[2]) / 2 + self.radius - 0.02])
+        if stop == "down":
+            return np.array([*level[:2], (arm.start[2] + arm.end[2]) / 2 + self.radius])
         height = min(loop.opening.size[0] for loop in self._chosen)
         clear = (
             height - (arm.tip[2] - arm.end[2]) - 2 * self.radius
