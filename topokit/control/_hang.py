@@ -21,8 +21,6 @@ from topokit.sim._world import check_stretch
 
 from ._servo import Servo
 
-_POINTS = 256  # that a controller sees, at most
-
 
 class Controller(Protocol):
     """What a controller must be: it begins, acts on what it sees, and says why it gives up."""
@@ -63,17 +61,14 @@ def hang(
 
     Parameters
     ----------
-    task : str or Task, optional
-        A name in `topokit.sim.TASKS` or a task; when not given, the one of that garment and target. With neither of
-        these, a tote is hung on a hook.
+    task, garment, target : optional
+        As of `topokit.sim.simulate`; a tote is hung on a hook when none is given.
     seed : int
         Of where it starts.
-    garment, target : optional
-        Those of the task when not given.
     model : None
-        The servo, which needs no forecast. There is nothing else yet.
+        For the servo, which needs no forecast. There is nothing else yet.
     goal : optional
-        Which loop shall hang, as `Servo` takes it; when not given and the task asks for several loops, so many at once.
+        As of `Servo`; when not given and the task asks for several loops, so many at once.
     max_steps : int
         Frames after which it is over.
     progress : bool
@@ -90,7 +85,7 @@ def hang(
     garment, target = garment or task.garment(), target or task.target
     config, n_points = (
         dataclasses.replace(usual_config(garment), self_collision=False),
-        min(_POINTS, len(garment.vertices)),
+        min(256, len(garment.vertices)),
     )
     env = HangEnv(task, garment=garment, target=target, n_points=n_points, config=config, max_steps=max_steps)
     if goal is None and task.every:
@@ -118,21 +113,17 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
             print(
                 f"\rhanging: frame {len(film)} of at most {env.max_steps}", end="\n" * ends, file=sys.stderr, flush=True
             )
-    points, held = film[-1][0], film[-1][-1]
-    linked = tuple(name for name, loop in env.garment.named_loops.items() if env._there.holds(points[loop]))
-    reason = "it was not let go in time" if held else "it was let go, and does not hang"
+    points, grippers, goals, held = (np.array(part) for part in zip(*film, strict=True))
+    config, steps = dataclasses.replace(env.config, frames=len(film)), env.config.steps_per_frame
+    release, nothing = int(held.sum()) * steps, np.zeros((0, 0, 3))
+    run = Run(env.garment, (), nothing, np.repeat(goals, steps, axis=0), release, config, (), env.n_points, noise=0)
+    stretch = np.array([check_stretch(env.garment, config, frame, "hanging") for frame in points])
+    recording = {"points": points.astype(np.float32), "grippers": grippers, "stretch": stretch}
+    told = {"randomisation": None, "controller": type(controller).__name__}
+    episode = _episode(run, recording, env.task, env.target, seed, told)
+    linked = tuple(name for name, loop in env.garment.named_loops.items() if env._there.holds(points[-1][loop]))
+    reason = "it was not let go in time" if held[-1] else "it was let go, and does not hang"
     reason = "it hangs" if info["success"] else "the cloth was stretched too far" if info["torn"] else reason
-    episode = _episode_of(film, env, type(controller).__name__, seed)
     return Hanging(
         info["success"], linked, controller.reason or reason, len(film) - 1, float(np.mean(seconds)), episode
     )
-
-
-def _episode_of(film: list[tuple[Any, ...]], env: HangEnv, controller: str, seed: int) -> Episode:
-    points, grippers, goals, held = (np.array(part) for part in zip(*film, strict=True))
-    config = dataclasses.replace(env.config, frames=len(film))
-    stretch = np.array([check_stretch(env.garment, config, frame, "hanging") for frame in points])
-    goals, release = np.repeat(goals, config.steps_per_frame, axis=0), int(held.sum()) * config.steps_per_frame
-    run = Run(env.garment, (), np.zeros((0, 0, 3)), goals, release, config, (), env.n_points, noise=0)
-    recording = {"points": points.astype(np.float32), "grippers": grippers, "stretch": stretch}
-    return _episode(run, recording, env.task, env.target, seed, {"randomisation": None, "controller": controller})

@@ -122,7 +122,7 @@ class Servo:
         points = np.unique(points, axis=0)
         for loop in self._tracker.update(points).loops:
             cycle = self._inside(loop.cycle_points)
-            curve = self._inside(points[tighten(points, loop.cycle, radius=(loop.birth + loop.death) / 2)])
+            curve = self._inside(points[tighten(points, loop.cycle, radius=loop.birth + loop.lifetime / 4)])
             opening = Opening.of(curve)
             if opening is None:
                 continue
@@ -203,13 +203,11 @@ class Servo:
     def _goal(self, stop: str, arm: Arm, rim: Array) -> Array:
         """Where the rim should be at a stop."""
         before = _RAIL[stop][0]
-        level = (
-            arm.before(rim, before) if stop == "far" else arm.tip + before * (1 if before > 0 else arm.reach) * arm.out
-        )
+        x, y, _ = arm.tip + before * (1 if before > 0 else arm.reach) * arm.out
+        if stop == "far":
+            x, y, _ = arm.before(rim, before)
         if stop == "down":
-            return np.array([*level[:2], (arm.start[2] + arm.end[2]) / 2 + self.radius])
-        height = min(loop.opening.size[0] for loop in self._chosen)
-        clear = (
-            height - (arm.tip[2] - arm.end[2]) - 2 * self.radius
-        ) / 2  # the tip goes through the middle of the opening
-        return np.array([*level[:2], arm.tip[2] + self.radius + np.clip(clear, 0.015, 0.06) + 0.02 * self._tries])
+            return np.array([x, y, (arm.start[2] + arm.end[2]) / 2 + self.radius])
+        opening = min(loop.opening.size[0] for loop in self._chosen)  # the tip shall go through its middle
+        clear = np.clip((opening - arm.tip[2] + arm.end[2]) / 2 - self.radius, 0.015, 0.06) + 0.02 * self._tries
+        return np.array([x, y, arm.tip[2] + self.radius + clear])
