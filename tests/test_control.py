@@ -17,6 +17,7 @@ from topokit.control._geometry import Arm, Opening, angle, drawn
 from topokit.io import load_episode, save_episode
 from topokit.sampling import as_tree
 from topokit.sim import Garment, Hanger, Hook, Mannequin, Placed
+from topokit.sim._surface import turned
 
 from conftest import polygon
 
@@ -46,10 +47,9 @@ def test_the_arm_is_found_wherever_the_target_stands(target):
     arm = Arm.of(placed.centre_line)
     np.testing.assert_allclose((arm.start + arm.end) / 2, placed.seat, atol=1e-9)
     assert angle(Arm.of(target.centre_line).out, arm.out) == pytest.approx(130)
-    loop = ring(radius=0.12, centre=(0, 0, 0))
-    assert arm.holds(loop @ [[-arm.out[1], arm.out[0], 0], [0, 1, 0], [0, 0, 1]] + placed.seat) == placed.holds(
-        loop @ [[-arm.out[1], arm.out[0], 0], [0, 1, 0], [0, 0, 1]] + placed.seat
-    )
+    loop = turned(ring(radius=0.12), 130)  # it looks along the arm
+    for place, on in ((placed.seat, True), (arm.tip + 0.3 * arm.out, False)):
+        assert arm.holds(loop + place) == placed.holds(loop + place) == on
 
 
 def test_a_mannequin_has_no_arm_and_the_servo_says_so():

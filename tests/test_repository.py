@@ -182,6 +182,7 @@ LAYERS = [
     {"sim"},
     {"data"},
     {"models"},
+    {"control"},
     {"view"},
     {"evaluate"},
     {"_simulate", "cli", "__main__"},

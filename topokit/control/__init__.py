@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._hang import Controller, Hanging, hang
-    from ._servo import Servo
+    from ._hang import Hanging, hang
+    from ._servo import Controller, Servo
 
 __getattr__, __all__ = attach(__name__, __file__, "sim")

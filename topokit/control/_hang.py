@@ -5,11 +5,9 @@ from __future__ import annotations
 import dataclasses
 import sys
 import time
-from collections.abc import Mapping
-from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from topokit._validate import WrongKindError
 from topokit.io import Episode
@@ -19,19 +17,7 @@ from topokit.sim._episode import Run, _episode
 from topokit.sim._tasks import as_task, asked
 from topokit.sim._world import check_stretch
 
-from ._servo import Servo
-
-
-class Controller(Protocol):
-    """What a controller must be: it begins, acts on what it sees, and says why it gives up."""
-
-    reason: str  #: why it has given up, in words; empty while it has not
-
-    def reset(self, observation: Mapping[str, Any]) -> None:
-        """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
-
-    def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Return the next action (7,) for `topokit.sim.HangEnv`."""
+from ._servo import Controller, Servo
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,10 +47,12 @@ def hang(
 
     Parameters
     ----------
-    task, garment, target : optional
-        As of `topokit.sim.simulate`; a tote is hung on a hook when none is given.
+    task : str or Task, optional
+        As of `topokit.sim.simulate`; a tote is hung on a hook when neither this nor what follows is given.
     seed : int
         Of where it starts.
+    garment, target : optional
+        Those of the task when not given.
     model : None
         For the servo, which needs no forecast. There is nothing else yet.
     goal : optional

@@ -2,14 +2,15 @@
 
 Idea: in the frame of the grippers a hanging garment hardly changes. So a loop that was seen there a moment ago is still there,
 and where its rim should be says where the grippers should be. The rim goes along a rail that the target's centre line gives: up
-to the tip, over it, half the arm in, down. The grippers let go when the loop's cycle, seen or carried along, has been around the
-centre line for five frames; when it never is, they lift, back off, and try again.
+to the tip, over it, half the arm in, down. The grippers let go when the loop's cycle, seen or carried along with the cloth that
+is nearest to it, has been around the centre line for five frames; when it is not, they lift, back off, and try again.
 
 Source: visual servoing is from Hutchinson, Hager and Corke 1996, *A tutorial on visual servo control*.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -44,16 +45,30 @@ _DOWN = list(_RAIL).index("down")
 class _Known:
     """A loop as it is remembered, in the frame of the grippers."""
 
-    cycle: Array  # as short as can be at its birth, when it is seen
-    curve: Array  # the same class, shorter: later in its life
+    cycle: Array  # when it is seen, of edges no longer than at its birth: what is linked
+    curve: Array  # of the same class, tighter; when it is not seen, carried along, and the cycle too
     last: Array  # the curve when it was seen
     opening: Opening
     seen: int = 1  # frames
-    around: int = 0  # frames in a row in which it was around the target
+    around: int = 0  # frames in a row in which it was around the target, as far as can be told
 
 
-class Servo:
-    """Hang a garment by its tracked loops, without a forecast: a `Controller`.
+class Controller(ABC):
+    """What `hang` asks of a controller: it begins, acts on what it sees, and says why it gives up."""
+
+    reason: str = ""  #: why it has given up, in words; empty while it has not
+
+    @abstractmethod
+    def reset(self, observation: Mapping[str, Any]) -> None:
+        """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
+
+    @abstractmethod
+    def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
+        """Return the next action (7,) for `topokit.sim.HangEnv`."""
+
+
+class Servo(Controller):
+    """Hang a garment by its tracked loops, without a forecast.
 
     Parameters
     ----------
@@ -74,7 +89,6 @@ class Servo:
         if self._place is not None and (self._place.shape != (3,) or not np.isfinite(self._place).all()):
             raise ValueError(f"goal must be None, a number of loops or a place of three numbers, not {goal!r}")
         self.radius, self.max_step = positive(radius, "radius"), positive(max_step, "max_step", zero=False)
-        self.reason = ""  #: why it has given up, in words
 
     def reset(self, observation: Mapping[str, Any]) -> None:
         """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
@@ -85,12 +99,11 @@ class Servo:
         self._frame = self._stop = self._waited = self._tries = 0
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Return the next action (7,); nothing moves once there is a `reason` to give up."""
+        """Return the next action; nothing moves once there is a `reason` to give up."""
         points, grippers, line = (np.asarray(observation[key], np.float64) for key in ("points", "grippers", "target"))
         arm = Arm.of(line)
-        if arm is None:
-            self.reason = "the target has no arm that runs sideways"
         if arm is None or self.reason or not observation["held"]:
+            self.reason = self.reason if arm else "the target has no arm that runs sideways"
             return np.zeros(7, np.float32)
         self._middle, self._yaw = grippers.mean(axis=0), angle(np.eye(3)[0], grippers[1] - grippers[0])
         self._frame += 1
@@ -100,12 +113,9 @@ class Servo:
         if not self._chosen:
             return np.zeros(7, np.float32)
         for loop in self._chosen:
-            carried = (
-                loop.cycle is loop.curve
-            )  # and, when it is lowered, pressed through the arm: that does not count against it
             if arm.holds(self._outside(loop.cycle)):
                 loop.around += 1
-            elif not carried or self._stop < _DOWN:
+            elif loop.cycle is not loop.curve or self._stop < _DOWN:  # what is carried down is pressed through the arm
                 loop.around = 0
         return self._along(arm, grippers)
 
