@@ -132,6 +132,9 @@ class Servo(Controller):
         points = np.unique(points, axis=0)
         for loop in self._tracker.update(points).loops:
             cycle = self._inside(loop.cycle_points)
+            gaps = [np.linalg.norm(known.curve.mean(axis=0) - cycle.mean(axis=0)) for known in self._chosen]
+            if min(gaps, default=0.0) > 2 * _SAME:  # others do not matter any more, and to tighten them takes time
+                continue
             curve = self._inside(points[tighten(points, loop.cycle, radius=loop.birth + loop.lifetime / 4)])
             opening = Opening.of(curve)
             if opening is None:
