@@ -92,15 +92,14 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
         started = time.perf_counter()
         action = controller.act(observation)
         seconds.append(time.perf_counter() - started)
-        if controller.reason:
-            break
-        observation, _, terminated, truncated, info = env.step(action)
-        film.append((env._points, observation["grippers"], env._goal, bool(observation["held"])))
-        ends = terminated or truncated
+        ends = bool(controller.reason)
+        if not ends:
+            observation, _, terminated, truncated, info = env.step(action)
+            film.append((env._points, observation["grippers"], env._goal, bool(observation["held"])))
+            ends = terminated or truncated
         if progress:
-            print(
-                f"\rhanging: frame {len(film)} of at most {env.max_steps}", end="\n" * ends, file=sys.stderr, flush=True
-            )
+            words = f"\rhanging: frame {len(film)} of at most {env.max_steps}"
+            print(words, end="\n" * ends, file=sys.stderr, flush=True)
     points, grippers, goals, held = (np.array(part) for part in zip(*film, strict=True))
     config, steps = dataclasses.replace(env.config, frames=len(film)), env.config.steps_per_frame
     release, nothing = int(held.sum()) * steps, np.zeros((0, 0, 3))
@@ -112,6 +111,5 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
     linked = tuple(name for name, loop in env.garment.named_loops.items() if env._there.holds(points[-1][loop]))
     reason = "it was not let go in time" if held[-1] else "it was let go, and does not hang"
     reason = "it hangs" if info["success"] else "the cloth was stretched too far" if info["torn"] else reason
-    return Hanging(
-        info["success"], linked, controller.reason or reason, len(film) - 1, float(np.mean(seconds)), episode
-    )
+    outcome = (bool(info["success"]), linked, controller.reason or reason)
+    return Hanging(*outcome, len(film) - 1, float(np.mean(seconds)), episode)
