@@ -182,6 +182,7 @@ LAYERS = [
     {"sim"},
     {"data"},
     {"models"},
+    {"control"},
     {"view"},
     {"evaluate"},
     {"_simulate", "cli", "__main__"},
@@ -236,7 +237,7 @@ def lengths_of_functions(path: Path) -> list[int]:
 
 
 MOST_LINES = (
-    19_130  # far from the 17,000 that it shall be: what moves, names and neighbours came faster than others went
+    19_740  # far from the 17,000 that it shall be: control, what moves, names and neighbours came faster than others went
 )
 
 

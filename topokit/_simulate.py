@@ -1,4 +1,4 @@
-"""The commands `topokit simulate` and `mesh`. What they need is imported when they run."""
+"""The commands `topokit simulate`, `hang` and `mesh`. What they need is imported when they run."""
 
 from __future__ import annotations
 
@@ -20,12 +20,9 @@ _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
 def add(commands: Any) -> None:
-    simulate = commands.add_parser(
-        "simulate",
-        help="record an episode: a garment carried to a target and let go there",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog=_TASKS,
-    )
+    form: Any = {"formatter_class": argparse.RawDescriptionHelpFormatter, "epilog": _TASKS}
+    words = "record an episode: a garment carried to a target and let go there"
+    simulate = commands.add_parser("simulate", help=words, **form)
     option = simulate.add_argument
     option("--task", help="what goes where (default apron-hook; hook with --mesh), see below")
     option("--seed", type=int, default=0, help="of everything random (default 0)")
@@ -39,6 +36,17 @@ def add(commands: Any) -> None:
     option("--mesh", type=Path, metavar="FILE", help="a garment of one's own (.obj, .ply, .stl)")
     _add_of_mesh(simulate)
     simulate.set_defaults(run=_simulate)
+
+    words = "hang a garment by what is seen of it, in a closed loop; exit code 1 when it does not hang"
+    hang = commands.add_parser("hang", help=words, **form)
+    option = hang.add_argument
+    option("--task", "--target", help="what goes where (default tote-hook; hook with --mesh), see below")
+    option("--seed", type=int, default=0, help="of where it starts (default 0)")
+    option("--out", type=Path, metavar="EPISODE", help="also write what happened, as an episode (.npz)")
+    option("--film", type=Path, metavar="FILM", help="also write a film of it (.gif, .html)")
+    option("--mesh", type=Path, metavar="FILE", help="a garment of one's own (.obj, .ply, .stl)")
+    _add_of_mesh(hang)
+    hang.set_defaults(run=_hang)
 
     mesh = commands.add_parser(
         "mesh", help="say, and show, what is understood of a mesh: borders, loops by name, grips"
@@ -77,18 +85,11 @@ def _simulate(options: argparse.Namespace) -> int:
 
 def _simulated(options: argparse.Namespace) -> Any:
     """The episode that was asked for."""
-    from .sim import TASKS, DepthNoise, Hanger, Hook, Mannequin, Randomisation, cameras_around, simulate, task_for
-    from .sim._tasks import tall_enough
+    from .sim import DepthNoise, Randomisation, cameras_around, simulate
 
-    targets = {kind.name: kind for kind in (Hook, Hanger, Mannequin)} if options.mesh else {}
-    name = options.task or ("hook" if options.mesh else "apron-hook")
-    if name not in {**TASKS, **targets}:
-        raise ValueError(f"--task {name}: there is no such task; there are {', '.join([*TASKS, *targets])}")
     if options.cameras < 0 or (options.noise and not options.cameras):
         raise ValueError(f"--cameras {options.cameras}: a number of cameras, one at least with --noise")
-    garment = _garment(options)
-    own = garment and name in targets
-    task = task_for(garment, tall_enough(garment, targets[name]())) if own else TASKS[name]
+    garment, task = _garment_and_task(options, "apron-hook")
     noise = DepthNoise() if options.noise else None
     return simulate(
         garment,
@@ -100,6 +101,47 @@ def _simulated(options: argparse.Namespace) -> Any:
         time_limit=options.time_limit,
         progress=sys.stderr.isatty() and not options.json,
     )
+
+
+def _hang(options: argparse.Namespace) -> int:
+    from .control import hang
+    from .io import save_episode
+    from .seqph import track
+
+    for name, known in (("out", (".npz",)), ("film", (".gif", ".html"))):
+        path = getattr(options, name)
+        if path and path.suffix not in known:
+            raise ValueError(f"--{name} {path}: the name ends in {' or '.join(known)}")
+    if options.film:
+        from .view import player, save_animation  # before the work, so that a missing matplotlib is said at once
+    garment, task = _garment_and_task(options, "tote-hook")
+    result = hang(task, seed=options.seed, garment=garment, progress=sys.stderr.isatty() and not options.json)
+    if options.out:
+        save_episode(options.out, result.episode)
+    if options.film and options.film.suffix == ".gif":
+        save_animation(options.film, result.episode)
+    elif options.film:
+        player(result.episode, track(result.episode.observed, times=result.episode.times)).save(options.film)
+    answer = {"task": result.episode.task, "seed": options.seed}
+    answer |= {name: getattr(result, name) for name in ("success", "linked", "reason", "steps", "seconds_a_decision")}
+    words = "{task}: {reason}; {steps} frames, {0:.0f} ms a decision".format(1000 * result.seconds_a_decision, **answer)
+    print(json.dumps(answer) if options.json else words)
+    return 0 if result.success else 1
+
+
+def _garment_and_task(options: argparse.Namespace, default: str) -> tuple[Any, Any]:
+    """The garment of a mesh, None when none is given, and the task that was asked for."""
+    from .sim import TASKS, Hanger, Hook, Mannequin, task_for
+    from .sim._tasks import tall_enough
+
+    targets = {kind.name: kind for kind in (Hook, Hanger, Mannequin)} if options.mesh else {}
+    name = options.task or ("hook" if options.mesh else default)
+    if name not in {**TASKS, **targets}:
+        raise ValueError(f"--task {name}: there is no such task; there are {', '.join([*TASKS, *targets])}")
+    garment = _garment(options)
+    if garment and name in targets:
+        return garment, task_for(garment, tall_enough(garment, targets[name]()))
+    return garment, TASKS[name]
 
 
 def _garment(options: argparse.Namespace) -> Any:

@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"topokit {options.command}: failed: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt as stopped:
-        print(f"topokit {options.command}: {stopped or 'stopped; nothing was written'}", file=sys.stderr)
+        print(f"topokit {options.command}: {str(stopped) or 'stopped; nothing was written'}", file=sys.stderr)
         return 130
 
 

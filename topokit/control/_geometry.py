@@ -1,0 +1,112 @@
+"""What the servo measures: the arm of a target, the opening of a loop.
+
+Idea: a loop is hung by passing its *rim*, the place that will lie on the arm, over the tip. All that this takes of a loop is
+where its rim is, which way its opening looks, and how large it is; of a target, the last part that runs sideways.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial import cKDTree
+
+from topokit.linking import close_far, curve_centroid, linking_number
+from topokit.sim._surface import turned
+
+Array = NDArray[np.float64]
+_NEAR = 0.06  # metres at which cloth can still be that of a curve
+
+
+def angle(start: Array, end: Array) -> float:
+    """Degrees, -180 to 180, from one level direction to another, from x towards y."""
+    return float(np.degrees(np.arctan2(start[0] * end[1] - start[1] * end[0], start[:2] @ end[:2])))
+
+
+def drawn(cycle: Array, last: Array, cloth: cKDTree) -> Array:
+    """A closed curve that is not seen, drawn to the cloth nearest to it, evenly, and a little to where it was seen last."""
+    distance, nearest = cloth.query(cycle)
+    pull = np.where((distance < _NEAR)[:, None], cloth.data[nearest] - cycle, 0)
+    pull = uniform_filter1d(pull, max(3, len(cycle) // 3), axis=0, mode="wrap")
+    return np.asarray(0.9 * (cycle + pull / 2) + 0.1 * last)
+
+
+class Arm(NamedTuple):
+    """The last part of a centre line that runs sideways, and the tip that rises from its end."""
+
+    start: Array  # (3,)
+    end: Array  # (3,)
+    tip: Array  # (3,)
+    out: Array  # (3,) unit, level: where it points
+    reach: float  # metres along `out`
+    closed: Array  # the whole centre line, closed far away
+
+    @classmethod
+    def of(cls, line: Array) -> Arm | None:
+        """Of a centre line (K, 3) from the floor to the tip; None when no part of it runs sideways."""
+        steps = np.diff(line, axis=0)
+        level = np.linalg.norm(steps[:, :2], axis=1)
+        sideways = np.flatnonzero(level > np.abs(steps[:, 2]))
+        if not len(sideways):
+            return None
+        k = sideways[-1]
+        return cls(line[k], line[k + 1], line[-1], steps[k] * [1, 1, 0] / level[k], float(level[k]), close_far(line))
+
+    def holds(self, cycle: Array) -> bool:
+        """Whether a closed curve winds around the target; one that touches its centre line does not, yet."""
+        try:
+            return linking_number(cycle, self.closed) != 0
+        except ValueError:
+            return False
+
+    def before(self, place: Array, far: float) -> Array:
+        """A place so far before the tip; for what is beside or behind the target, one on the way around it."""
+        aside = angle(self.out, place - self.start)
+        if abs(aside) < 60:
+            return np.asarray(self.tip + far * self.out)
+        return np.asarray(self.start + (self.reach + far) * turned(self.out, aside - 30 * np.sign(aside)))
+
+
+class Opening(NamedTuple):
+    """What is to be known of a loop in order to hang it."""
+
+    rim: Array  # (3,) the highest place of the curve above its centroid
+    normal: Array  # (3,) unit, level: the direction that the arm shall have, from its pole to its tip
+    size: Array  # (2,) metres: from the rim down to the curve, and level from side to side
+
+    @classmethod
+    def of(cls, cycle: Array) -> Opening | None:
+        """Of a closed curve (L, 3), its normal either of two; None when it lies flat, or in one line."""
+        after = np.roll(cycle, -1, axis=0)
+        area = np.cross(cycle - cycle[0], after - cycle[0]).sum(axis=0) * [1, 1, 0]
+        if len(cycle) < 3 or np.linalg.norm(area) < 1e-6:
+            return None
+        normal = area / np.linalg.norm(area)
+        across = (cycle - curve_centroid(cycle)) @ np.cross([0, 0, 1], normal)
+        step = np.roll(across, -1) - across
+        crossed = np.flatnonzero((across < 0) != (across + step < 0))
+        share = -(across[crossed] / step[crossed])[:, None]
+        places = (1 - share) * cycle[crossed] + share * after[crossed]
+        return cls(places[places[:, 2].argmax()], normal, np.array([np.ptp(places[:, 2]), np.ptp(across)]))
+
+    def along(self, direction: Array) -> Opening:
+        """The same, its normal the one of two that is nearer to a direction."""
+        return self if self.normal @ direction > 0 else self._replace(normal=-self.normal)
+
+    def blended(self, new: Opening, weight: float) -> Opening:
+        """The mean of this and of a later look, which counts by its weight; the normal keeps its side."""
+        mixed = Opening(*((1 - weight) * a + weight * b for a, b in zip(self, new.along(self.normal), strict=True)))
+        return mixed._replace(normal=mixed.normal / np.linalg.norm(mixed.normal))
+
+    def gap(self, other: Opening) -> float:
+        """How far two openings are from being one, metres."""
+        return float(np.linalg.norm(self.rim - other.rim) + abs(self.size[0] - other.size[0]) / 2)
+
+    def blocked(self, cloud: Array, depth: float) -> int:
+        """How many points (n, 3) lie before the opening, where the arm comes from, or within that depth behind it."""
+        there = cloud - self.rim
+        across, behind = there @ np.cross([0, 0, 1], self.normal), there @ self.normal
+        framed = (np.abs(across) < 0.3 * self.size[1]) & (np.abs(there[:, 2] / self.size[0] + 0.5) < 0.3)
+        return int((framed & (np.abs(behind) > 0.03) & (behind < depth)).sum())

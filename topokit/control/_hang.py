@@ -1,0 +1,115 @@
+"""Hang a garment in a closed loop: a controller looks, acts, looks again; what happened is an episode like any other."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import time
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from topokit._validate import WrongKindError
+from topokit.io import Episode
+from topokit.sim import Garment, HangEnv, Hook, Target, Task, task_for
+from topokit.sim._cloth import usual_config
+from topokit.sim._episode import Run, _episode
+from topokit.sim._tasks import as_task, asked
+from topokit.sim._world import check_stretch
+
+from ._servo import Controller, Servo
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Hanging:
+    """How it went."""
+
+    success: bool  #: whether the task's loops are on the target, and the garment, let go of, is at rest there
+    linked: tuple[str, ...]  #: the garment's true loops that are around the target at the end, by their names
+    reason: str  #: how it ended, in words
+    steps: int  #: frames until then
+    seconds_a_decision: float  #: of the controller, on the mean
+    episode: Episode  #: all of it, to be saved, played and tracked
+
+
+def hang(
+    task: str | Task | None = None,
+    *,
+    seed: int = 0,
+    garment: Garment | None = None,
+    target: Target | None = None,
+    model: None = None,
+    goal: ArrayLike | None = None,
+    max_steps: int = 300,
+    progress: bool = False,
+) -> Hanging:
+    """Hang a garment on a target by what is seen of it, and say how it went.
+
+    Parameters
+    ----------
+    task : str or Task, optional
+        As of `topokit.sim.simulate`; a tote is hung on a hook when neither this nor what follows is given.
+    seed : int
+        Of where it starts.
+    garment, target : optional
+        Those of the task when not given.
+    model : None
+        For the servo, which needs no forecast. There is nothing else yet.
+    goal : optional
+        As of `Servo`; when not given and the task asks for several loops, so many at once.
+    max_steps : int
+        Frames after which it is over.
+    progress : bool
+        Write the frames done to stderr.
+
+    Raises
+    ------
+    TypeError, ValueError
+        When there is a model, or the garment has not the loops of the task.
+    """
+    if model is not None:
+        raise WrongKindError(f"model must be None, for the servo, not {model!r:.80}: nothing plans with a forecast yet")
+    task = task_for(garment or Garment.tote(), target or Hook()) if task is None else as_task(task)
+    garment, target = garment or task.garment(), target or task.target
+    config, n_points = (
+        dataclasses.replace(usual_config(garment), self_collision=False),
+        min(256, len(garment.vertices)),
+    )
+    env = HangEnv(task, garment=garment, target=target, n_points=n_points, config=config, max_steps=max_steps)
+    if goal is None and task.every:
+        goal = len(asked(task, garment.named_loops))
+    try:
+        return _run(env, Servo(goal, radius=target.rods[0][2], max_step=env.max_step), seed, progress)
+    finally:
+        env.close()
+
+
+def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Hanging:
+    observation, info = env.reset(seed=seed)
+    controller.reset(observation)
+    film, seconds, ends = [(env._points, observation["grippers"], env._goal, True)], [], False
+    while not ends:
+        started = time.perf_counter()
+        action = controller.act(observation)
+        seconds.append(time.perf_counter() - started)
+        ends = bool(controller.reason)
+        if not ends:
+            observation, _, terminated, truncated, info = env.step(action)
+            film.append((env._points, observation["grippers"], env._goal, bool(observation["held"])))
+            ends = terminated or truncated
+        if progress:
+            words = f"\rhanging: frame {len(film)} of at most {env.max_steps}"
+            print(words, end="\n" * ends, file=sys.stderr, flush=True)
+    points, grippers, goals, held = (np.array(part) for part in zip(*film, strict=True))
+    config, steps = dataclasses.replace(env.config, frames=len(film)), env.config.steps_per_frame
+    release, nothing = int(held.sum()) * steps, np.zeros((0, 0, 3))
+    run = Run(env.garment, (), nothing, np.repeat(goals, steps, axis=0), release, config, (), env.n_points, noise=0)
+    stretch = np.array([check_stretch(env.garment, config, frame, "hanging") for frame in points])
+    recording = {"points": points.astype(np.float32), "grippers": grippers, "stretch": stretch}
+    told = {"randomisation": None, "controller": type(controller).__name__}
+    episode = _episode(run, recording, env.task, env.target, seed, told)
+    linked = tuple(name for name, loop in env.garment.named_loops.items() if env._there.holds(points[-1][loop]))
+    reason = "it was not let go in time" if held[-1] else "it was let go, and does not hang"
+    reason = "it hangs" if info["success"] else "the cloth was stretched too far" if info["torn"] else reason
+    outcome = (bool(info["success"]), linked, controller.reason or reason)
+    return Hanging(*outcome, len(film) - 1, float(np.mean(seconds)), episode)
