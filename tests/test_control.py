@@ -157,6 +157,11 @@ def test_it_hangs_and_the_episode_is_like_any_other(hanging, tmp_path):
 def test_too_few_frames_and_models_are_told_of():
     late = hang("apron-hook", garment=COARSE, seed=1, max_steps=2)
     assert (late.success, late.reason, late.steps) == (False, "it was not let go in time", 2)
+    elsewhere = hang("apron-hook", garment=COARSE, seed=1, max_steps=2, place=(0.3, 0.1, 0.0, 90.0), start="anywhere")
+    np.testing.assert_allclose(elsewhere.episode.centre_line, Placed(Hook(), 0.3, 0.1, yaw=90.0).centre_line, atol=1e-6)
+    assert not np.allclose(elsewhere.episode.points[0], late.episode.points[0], atol=0.1)
+    with pytest.raises((TypeError, ValueError), match="wind"):
+        hang("apron-hook", garment=COARSE, wind=3)
     with pytest.raises(TypeError, match="model must be None"):
         hang(model="model.safetensors")
 

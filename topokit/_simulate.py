@@ -42,6 +42,7 @@ def add(commands: Any) -> None:
     option = hang.add_argument
     option("--task", "--target", help="what goes where (default tote-hook; hook with --mesh), see below")
     option("--seed", type=int, default=0, help="of where it starts (default 0)")
+    option("--anywhere", action="store_true", help="target and start anywhere in the room, at any yaw, by the seed")
     option("--out", type=Path, metavar="EPISODE", help="also write what happened, as an episode (.npz)")
     option("--film", type=Path, metavar="FILM", help="also write a film of it (.gif, .html)")
     option("--mesh", type=Path, metavar="FILE", help="a garment of one's own (.obj, .ply, .stl)")
@@ -115,7 +116,9 @@ def _hang(options: argparse.Namespace) -> int:
     if options.film:
         from .view import player, save_animation  # before the work, so that a missing matplotlib is said at once
     garment, task = _garment_and_task(options, "tote-hook")
-    result = hang(task, seed=options.seed, garment=garment, progress=sys.stderr.isatty() and not options.json)
+    where: dict[str, Any] = {"place": "anywhere", "start": "anywhere"} if options.anywhere else {}
+    loud = sys.stderr.isatty() and not options.json
+    result = hang(task, seed=options.seed, garment=garment, progress=loud, **where)
     if options.out:
         save_episode(options.out, result.episode)
     if options.film and options.film.suffix == ".gif":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 import time
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,6 +43,7 @@ def hang(
     goal: ArrayLike | None = None,
     max_steps: int = 300,
     progress: bool = False,
+    **options: Any,
 ) -> Hanging:
     """Hang a garment on a target by what is seen of it, and say how it went.
 
@@ -61,21 +63,23 @@ def hang(
         Frames after which it is over.
     progress : bool
         Write the frames done to stderr.
+    **options
+        Where the target stands, what disturbs, what is seen: those of `topokit.sim.HangEnv`, as ``place="anywhere"``.
 
     Raises
     ------
     TypeError, ValueError
-        When there is a model, or the garment has not the loops of the task.
+        When there is a model, an option is not known, or the garment has not the loops of the task.
     """
     if model is not None:
         raise WrongKindError(f"model must be None, for the servo, not {model!r:.80}: nothing plans with a forecast yet")
     task = task_for(garment or Garment.tote(), target or Hook()) if task is None else as_task(task)
     garment, target = garment or task.garment(), target or task.target
-    config, n_points = (
-        dataclasses.replace(usual_config(garment), self_collision=False),
-        min(256, len(garment.vertices)),
-    )
-    env = HangEnv(task, garment=garment, target=target, n_points=n_points, config=config, max_steps=max_steps)
+    usual = {
+        "n_points": min(256, len(garment.vertices)),
+        "config": dataclasses.replace(usual_config(garment), self_collision=False),
+    }
+    env = HangEnv(task, garment=garment, target=target, max_steps=max_steps, **{**usual, **options})
     if goal is None and task.every:
         goal = len(asked(task, garment.named_loops))
     try:
