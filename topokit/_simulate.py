@@ -1,4 +1,4 @@
-"""The commands `topokit simulate` and `mesh`. What they need is imported when they run."""
+"""The commands `topokit simulate`, `hang` and `mesh`. What they need is imported when they run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from ._archive import FormatError, atomic_file, existing, read_json
 
-TASKS_HELP = """tasks, a garment and a target:
+_TASKS = """tasks, a garment and a target:
   {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2,scarf,belt,net,trousers}-hook
   {apron,apron2,tote,tote2,backpack,mask,sheet,sheet2,scarf,belt,net,trousers}-hanger
   {apron,apron2,backpack,shirt,vest}-mannequin
@@ -20,12 +20,9 @@ _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
 def add(commands: Any) -> None:
-    simulate = commands.add_parser(
-        "simulate",
-        help="record an episode: a garment carried to a target and let go there",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog=TASKS_HELP,
-    )
+    form: Any = {"formatter_class": argparse.RawDescriptionHelpFormatter, "epilog": _TASKS}
+    words = "record an episode: a garment carried to a target and let go there"
+    simulate = commands.add_parser("simulate", help=words, **form)
     option = simulate.add_argument
     option("--task", help="what goes where (default apron-hook; hook with --mesh), see below")
     option("--seed", type=int, default=0, help="of everything random (default 0)")
@@ -37,19 +34,31 @@ def add(commands: Any) -> None:
     patience = "stop a simulation that shows no sign of life for so many seconds (default 60)"
     option("--time-limit", type=float, default=60.0, metavar="S", help=patience)
     option("--mesh", type=Path, metavar="FILE", help="a garment of one's own (.obj, .ply, .stl)")
-    add_of_mesh(simulate)
+    _add_of_mesh(simulate)
     simulate.set_defaults(run=_simulate)
+
+    words = "hang a garment by what is seen of it, in a closed loop; exit code 1 when it does not hang"
+    hang = commands.add_parser("hang", help=words, **form)
+    option = hang.add_argument
+    option("--task", "--target", help="what goes where (default tote-hook; hook with --mesh), see below")
+    option("--seed", type=int, default=0, help="of where it starts (default 0)")
+    option("--anywhere", action="store_true", help="target and start anywhere in the room, at any yaw, by the seed")
+    option("--out", type=Path, metavar="EPISODE", help="also write what happened, as an episode (.npz)")
+    option("--film", type=Path, metavar="FILM", help="also write a film of it (.gif, .html)")
+    option("--mesh", type=Path, metavar="FILE", help="a garment of one's own (.obj, .ply, .stl)")
+    _add_of_mesh(hang)
+    hang.set_defaults(run=_hang)
 
     mesh = commands.add_parser(
         "mesh", help="say, and show, what is understood of a mesh: borders, loops by name, grips"
     )
     mesh.add_argument("mesh", type=Path, metavar="FILE", help="a garment of one's own (.obj, .ply, .stl)")
-    add_of_mesh(mesh)
+    _add_of_mesh(mesh)
     mesh.add_argument("--plot", type=Path, metavar="PICTURE", help="also draw it (.png, .svg or .pdf)")
     mesh.set_defaults(run=_mesh)
 
 
-def add_of_mesh(command: Any) -> None:
+def _add_of_mesh(command: Any) -> None:
     ids = "auto (default), borders, or a file of vertex ids: {NAME: [ID, ...], ...} or [[ID, ...], ...] (.json)"
     command.add_argument("--loops", metavar="LOOPS", help=f"of the mesh: {ids}")
     command.add_argument("--unit", choices=_UNITS, help="of the mesh (default: the one that makes it a garment's size)")
@@ -81,7 +90,7 @@ def _simulated(options: argparse.Namespace) -> Any:
 
     if options.cameras < 0 or (options.noise and not options.cameras):
         raise ValueError(f"--cameras {options.cameras}: a number of cameras, one at least with --noise")
-    garment, task = garment_and_task(options, "apron-hook")
+    garment, task = _garment_and_task(options, "apron-hook")
     noise = DepthNoise() if options.noise else None
     return simulate(
         garment,
@@ -95,7 +104,35 @@ def _simulated(options: argparse.Namespace) -> Any:
     )
 
 
-def garment_and_task(options: argparse.Namespace, default: str) -> tuple[Any, Any]:
+def _hang(options: argparse.Namespace) -> int:
+    from .control import hang
+    from .io import save_episode
+    from .seqph import track
+
+    for name, known in (("out", (".npz",)), ("film", (".gif", ".html"))):
+        path = getattr(options, name)
+        if path and path.suffix not in known:
+            raise ValueError(f"--{name} {path}: the name ends in {' or '.join(known)}")
+    if options.film:
+        from .view import player, save_animation  # before the work, so that a missing matplotlib is said at once
+    garment, task = _garment_and_task(options, "tote-hook")
+    where: dict[str, Any] = {"place": "anywhere", "start": "anywhere"} if options.anywhere else {}
+    loud = sys.stderr.isatty() and not options.json
+    result = hang(task, seed=options.seed, garment=garment, progress=loud, **where)
+    if options.out:
+        save_episode(options.out, result.episode)
+    if options.film and options.film.suffix == ".gif":
+        save_animation(options.film, result.episode)
+    elif options.film:
+        player(result.episode, track(result.episode.observed, times=result.episode.times)).save(options.film)
+    answer = {"task": result.episode.task, "seed": options.seed}
+    answer |= {name: getattr(result, name) for name in ("success", "linked", "reason", "steps", "seconds_a_decision")}
+    words = "{task}: {reason}; {steps} frames, {0:.0f} ms a decision".format(1000 * result.seconds_a_decision, **answer)
+    print(json.dumps(answer) if options.json else words)
+    return 0 if result.success else 1
+
+
+def _garment_and_task(options: argparse.Namespace, default: str) -> tuple[Any, Any]:
     """The garment of a mesh, None when none is given, and the task that was asked for."""
     from .sim import TASKS, Hanger, Hook, Mannequin, task_for
     from .sim._tasks import tall_enough

@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"topokit {options.command}: failed: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt as stopped:
-        print(f"topokit {options.command}: {stopped or 'stopped; nothing was written'}", file=sys.stderr)
+        print(f"topokit {options.command}: {str(stopped) or 'stopped; nothing was written'}", file=sys.stderr)
         return 130
 
 
@@ -69,7 +69,6 @@ def _words(error: BaseException) -> str:
 
 def parser() -> argparse.ArgumentParser:
     from . import _simulate
-    from .control import _commands as control
     from .data import _commands as data
     from .evaluate import _commands as evaluate
     from .models import _commands as models
@@ -79,7 +78,7 @@ def parser() -> argparse.ArgumentParser:
     commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _simulate.add(commands)
     _add_track(commands)
-    for part in (control, data, models, evaluate):
+    for part in (data, models, evaluate):
         part.add(commands)
     for command in commands.choices.values():
         command.add_argument("--json", action="store_true", help="print the answer as JSON")

@@ -59,12 +59,11 @@ _KIND = "topokit-episode"
 _STATES_KIND, _STATES_SCHEMA = "topokit-states", 2
 _MAX_PACKING_ERROR = 1e-4  # metres
 _PACKED = ("points", "observed", "actions", "grippers", "centre_line")
-_TEXT: dict[str, type] = dict.fromkeys(("garment", "target", "task"), str) | {
-    "success": bool,
-    "seed": int,
-    "schema": int,
+_TEXT: dict[str, type] = {
+    **dict.fromkeys(("garment", "target", "task"), str),
+    **{"success": bool, "seed": int, "schema": int, "dt": float},
+    **dict.fromkeys(("observation", "physics", "provenance"), dict),
 }
-_TEXT |= {"dt": float, **dict.fromkeys(("observation", "physics", "provenance"), dict)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +127,7 @@ def save_episode(path: str | Path, episode: Episode) -> Path:
     check_episode(episode)
     arrays: dict[str, NDArray[Any]] = {}
     for name in _PACKED:
-        arrays[name], arrays[f"{name}_scale"] = _pack(name, getattr(episode, name))
+        arrays[name], arrays[f"{name}_scale"] = packed(getattr(episode, name), name, _MAX_PACKING_ERROR)
     arrays["held"] = np.asarray(episode.held, dtype=np.bool_)
     arrays["faces"] = np.asarray(episode.faces, dtype=np.int32)
     loops = [np.asarray(loop, dtype=np.int32) for loop in episode.loops]
@@ -206,13 +205,15 @@ def check_episode(episode: Episode) -> None:
         )
 
 
-def _pack(name: str, values: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.float64]]:
+def packed(
+    values: NDArray[Any], name: str = "", most: float = np.inf
+) -> tuple[NDArray[np.uint16], NDArray[np.float64]]:
     """Return 16-bit integers and (step, low x, low y, low z) so that values = low + step * integers, to within step / 2."""
     values = np.asarray(values, dtype=np.float64)
     low = values.reshape(-1, 3).min(axis=0) if values.size else np.zeros(3)
-    span = max(float((values - low).max()) if values.size else 0.0, 1e-9)
+    span = max(float((values - low).max(initial=0.0)), 1e-9)
     step = span / 65535
-    if step / 2 > _MAX_PACKING_ERROR:
+    if step / 2 > most:
         raise ValueError(f"{name} spans {span:.1f} m: 16 bits would cost {1e3 * step / 2:.2f} mm, more than 0.1 mm")
     return np.round((values - low) / step).astype(np.uint16), np.array([step, *low])
 

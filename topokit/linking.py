@@ -4,7 +4,7 @@ Idea: for a segment of either curve the differences `b - a` fill a parallelogram
 sees it, summed over all pairs of segments, is 4 pi times the Gauss integral, hence 4 pi times an integer.
 
 Source: van Oosterom and Strackee, *The solid angle of a plane triangle*, 1983; Arai, *A rigorous numerical algorithm for
-computing the linking number of links*, 2013. Taught in chapter 7.
+computing the linking number of links*, 2013. Taught in chapters 7 and 13.
 """
 
 from __future__ import annotations
@@ -247,8 +247,8 @@ def _touching_pair(a: Array, b: Array, touch: float) -> tuple[int, int] | None:
 
 def _segment_distances(a: Array, a_end: Array, b: Array, b_end: Array) -> Array:
     """(k,) distances between segments, each (k, 3): from an end of one, or inside both along a line orthogonal to them."""
-    ends = [_to_segment(point, b, b_end) for point in (a, a_end)]
-    ends += [_to_segment(point, a, a_end) for point in (b, b_end)]
+    ends = [to_segment(point, b, b_end) for point in (a, a_end)]
+    ends += [to_segment(point, a, a_end) for point in (b, b_end)]
     u, v, w = a_end - a, b_end - b, b - a
     uu, vv, uv, uw, vw = _dot(u, u), _dot(v, v), _dot(u, v), _dot(u, w), _dot(v, w)
     determinant = uu * vv - uv**2
@@ -261,7 +261,7 @@ def _segment_distances(a: Array, a_end: Array, b: Array, b_end: Array) -> Array:
     return nearest
 
 
-def _to_segment(point: Array, start: Array, end: Array) -> Array:
+def to_segment(point: Array, start: Array, end: Array) -> Array:
     """Distances from points to segments, broadcast over the leading axes."""
     along = end - start
     t = np.clip(_dot(point - start, along) / np.maximum(_dot(along, along), np.finfo(float).tiny), 0, 1)

@@ -102,11 +102,7 @@ def hausdorff(a: ArrayLike | cKDTree, b: ArrayLike | cKDTree) -> float:
     2.0
     """
     one, other = as_tree(a, "a"), as_tree(b, "b")
-    if one.n == 0 or one.data.shape != other.data.shape:
-        return max(covering_radius(one.data, other), covering_radius(other.data, one))
-    # A point is no farther from the other cloud than from its point of the same number: in a film, the same particle.
-    bounds = np.linalg.norm(one.data - other.data, axis=1)
-    return _farthest([(other, one.data), (one, other.data)], bounds, 1)
+    return max(covering_radius(one.data, other), covering_radius(other.data, one))
 
 
 def inliers(points: ArrayLike | cKDTree, *, neighbours: int = 5, factor: float = 2.5) -> NDArray[np.int64]:
@@ -188,13 +184,7 @@ def spacing(points: ArrayLike | cKDTree) -> float:
         tree = as_tree(np.unique(tree.data + 0.0, axis=0))  # -0.0 and 0.0 are one place
     if tree.n < 2:
         return 0.0
-    axes = np.take(tree.data.T, tree.indices, axis=1)  # what is near in the tree's order is near in space
-    squares = np.full(tree.n, np.inf)
-    for k in range(1, min(7, tree.n)):
-        apart = ((axes[:, k:] - axes[:, :-k]) ** 2).sum(axis=0)
-        np.minimum(squares[k:], apart, out=squares[k:])
-        np.minimum(squares[:-k], apart, out=squares[:-k])
-    apart = _farthest([(tree, axes.T)], np.sqrt(squares), 2)
+    apart = float(tree.query(tree.data, k=[2])[0].max())
     if apart == 0:
         raise ValueError("points differ so little beside their size that squares of their distances are 0: round them")
     return apart / 2
@@ -209,12 +199,12 @@ def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = F
     """A tree of checked points, or the one that is given: built once, it answers for several distances."""
     from scipy.spatial import cKDTree  # here, because importing topokit must be quick
 
-    return points if isinstance(points, cKDTree) else cKDTree(_measurable(points, name, copy=copy))
+    return points if isinstance(points, cKDTree) else cKDTree(_measurable(points, name), copy_data=copy)
 
 
-def _measurable(points: ArrayLike, name: str, *, copy: bool = False) -> NDArray[np.float64]:
+def _measurable(points: ArrayLike, name: str) -> NDArray[np.float64]:
     """Checked points whose distances have squares that neither overflow nor vanish."""
-    array = as_points(points, name, copy=copy)
+    array = as_points(points, name)
     largest = np.abs(array).max(initial=0.0)
     if largest > 1e150 or 0 < largest < 1e-150:
         raise ValueError(
@@ -222,11 +212,3 @@ def _measurable(points: ArrayLike, name: str, *, copy: bool = False) -> NDArray[
             "them; convert them to another unit"
         )
     return array
-
-
-def _farthest(searches: list[tuple[cKDTree, NDArray[np.float64]]], bounds: NDArray[np.float64], k: int) -> float:
-    """The largest distance from a place to its k-th nearest point of a tree; as none exceeds its bound, few are searched for."""
-    likely = bounds.argsort()[-32:]
-    found = max(tree.query(places[likely], k=[k])[0].max() for tree, places in searches)
-    left = bounds * (1 + 1e-12) > found  # bounds are not rounded as the tree's distances are
-    return max(float(tree.query(places[left], k=[k])[0].max(initial=found)) for tree, places in searches)

@@ -1,15 +1,11 @@
-"""Controllers: hang a garment by what is seen of it, in a closed loop.
-
-Source: Antonova et al. 2021 ends with the promise of real-time planning and control; the servo is ours. It needs
-`pip install 'topokit[sim]'` for `hang`; the controller alone needs the core.
-"""
+"""Controllers: hang a garment by what is seen of it, in a closed loop. Needs `pip install 'topokit[sim]'`."""
 
 from typing import TYPE_CHECKING
 
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._hang import Controller, Hanging, hang
-    from ._servo import Servo
+    from ._hang import Hanging, hang
+    from ._servo import Controller, Servo
 
 __getattr__, __all__ = attach(__name__, __file__, "sim")

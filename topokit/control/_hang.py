@@ -1,53 +1,24 @@
-"""Hang a garment in a closed loop: a controller looks, acts, looks again, and what happened is an episode like any other.
-
-Taught in chapter 7.
-"""
+"""Hang a garment in a closed loop: a controller looks, acts, looks again; what happened is an episode like any other."""
 
 from __future__ import annotations
 
 import dataclasses
 import sys
 import time
-from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from topokit._validate import WrongKindError
 from topokit.io import Episode
 from topokit.sim import Garment, HangEnv, Hook, Target, Task, task_for
 from topokit.sim._cloth import usual_config
 from topokit.sim._episode import Run, _episode
-from topokit.sim._tasks import as_task, asked, check_loops
+from topokit.sim._tasks import as_task, asked
 from topokit.sim._world import check_stretch
 
-from ._servo import Servo
-
-_POINTS = 256  # that a controller sees, at most
-
-
-class Controller(Protocol):
-    """What `hang` asks of a controller: that it can begin, act, and say why it gives up."""
-
-    reason: str  #: why it has given up, in words; empty while it has not
-
-    def reset(self, observation: Mapping[str, Any]) -> None:
-        """Forget everything; begin with a first observation.
-
-        Parameters
-        ----------
-        observation : mapping
-            As `topokit.sim.HangEnv` gives it.
-        """
-
-    def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Return the next action (7,), as `topokit.sim.HangEnv` takes it.
-
-        Parameters
-        ----------
-        observation : mapping
-        """
+from ._servo import Controller, Servo
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -72,55 +43,47 @@ def hang(
     goal: ArrayLike | None = None,
     max_steps: int = 300,
     progress: bool = False,
+    **options: Any,
 ) -> Hanging:
     """Hang a garment on a target by what is seen of it, and say how it went.
 
     Parameters
     ----------
     task : str or Task, optional
-        A name in `topokit.sim.TASKS` or a task; when not given, the one of that garment and target. With neither of
-        these, a tote is hung on a hook.
+        As of `topokit.sim.simulate`; a tote is hung on a hook when neither this nor what follows is given.
     seed : int
         Of where it starts.
     garment, target : optional
         Those of the task when not given.
     model : None
-        The servo, which needs no forecast. There is nothing else yet.
+        For the servo, which needs no forecast. There is nothing else yet.
     goal : optional
-        Which loop shall hang, as `Servo` takes it. When not given, the one that is best to reach; as many at once as the task
-        asks for, where it asks for several.
+        As of `Servo`; when not given and the task asks for several loops, so many at once.
     max_steps : int
         Frames after which it is over.
     progress : bool
         Write the frames done to stderr.
+    **options
+        Where the target stands, what disturbs, what is seen: those of `topokit.sim.HangEnv`, as ``place="anywhere"``.
 
     Raises
     ------
-    ValueError
-        When there is a model, or the garment has not the loops of the task.
-
-    Examples
-    --------
-    >>> hang("tote-hook", seed=3).success  # doctest: +SKIP
-    True
+    TypeError, ValueError
+        When there is a model, an option is not known, or the garment has not the loops of the task.
     """
     if model is not None:
-        raise WrongKindError(
-            f"model must be None, the servo, not {model!r:.80}: no controller plans with a forecast yet"
-        )
-    if task is None:
-        task = task_for(garment or Garment.tote(), target or Hook())
-    task = as_task(task)
+        raise WrongKindError(f"model must be None, for the servo, not {model!r:.80}: nothing plans with a forecast yet")
+    task = task_for(garment or Garment.tote(), target or Hook()) if task is None else as_task(task)
     garment, target = garment or task.garment(), target or task.target
-    check_loops(task, garment)
-    config = dataclasses.replace(usual_config(garment), self_collision=False)
-    n_points = min(_POINTS, len(garment.vertices))
-    env = HangEnv(task, garment=garment, target=target, n_points=n_points, config=config, max_steps=max_steps)
+    usual = {
+        "n_points": min(256, len(garment.vertices)),
+        "config": dataclasses.replace(usual_config(garment), self_collision=False),
+    }
+    env = HangEnv(task, garment=garment, target=target, max_steps=max_steps, **{**usual, **options})
     if goal is None and task.every:
         goal = len(asked(task, garment.named_loops))
-    servo = Servo(goal, radius=max(radius for *_, radius in target.rods), max_step=env.max_step)
     try:
-        return _run(env, servo, seed, progress)
+        return _run(env, Servo(goal, radius=target.rods[0][2], max_step=env.max_step), seed, progress)
     finally:
         env.close()
 
@@ -128,45 +91,29 @@ def hang(
 def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Hanging:
     observation, info = env.reset(seed=seed)
     controller.reset(observation)
-    film, seconds, ends = [_frame(env, observation)], [], False
+    film, seconds, ends = [(env._points, observation["grippers"], env._goal, True)], [], False
     while not ends:
         started = time.perf_counter()
         action = controller.act(observation)
         seconds.append(time.perf_counter() - started)
-        if controller.reason:
-            break
-        observation, _, terminated, truncated, info = env.step(action)
-        film.append(_frame(env, observation))
-        ends = terminated or truncated
+        ends = bool(controller.reason)
+        if not ends:
+            observation, _, terminated, truncated, info = env.step(action)
+            film.append((env._points, observation["grippers"], env._goal, bool(observation["held"])))
+            ends = terminated or truncated
         if progress:
-            print(f"\rhanging: frame {len(seconds)} of at most {env.max_steps}", end="", file=sys.stderr, flush=True)
-    if progress:
-        print(file=sys.stderr)
-    there = env.target.at((len(film) - 1) * env.config.frame_time)
-    linked = tuple(name for name, loop in env.garment.named_loops.items() if there.holds(film[-1][0][loop]))
-    reason = controller.reason or _ending(info, film[-1][-1], env.max_steps)
-    episode = _episode_of(film, env, type(controller).__name__, seed)
-    return Hanging(bool(info["success"]), linked, reason, len(film) - 1, float(np.mean(seconds)), episode)
-
-
-def _ending(info: Mapping[str, Any], held: bool, max_steps: int) -> str:
-    if info["success"]:
-        return "it hangs"
-    if info["torn"]:
-        return "the cloth was stretched too far"
-    return f"it was not let go within {max_steps} frames" if held else "it was let go, and does not hang"
-
-
-def _frame(env: HangEnv, observation: Mapping[str, Any]) -> tuple[Any, Any, Any, bool]:
-    """What an episode keeps of a frame: vertices, grippers, their goals, whether they hold."""
-    return env._points, observation["grippers"], env._goal, bool(observation["held"])
-
-
-def _episode_of(film: list[tuple[Any, Any, Any, bool]], env: HangEnv, controller: str, seed: int) -> Episode:
+            words = f"\rhanging: frame {len(film)} of at most {env.max_steps}"
+            print(words, end="\n" * ends, file=sys.stderr, flush=True)
     points, grippers, goals, held = (np.array(part) for part in zip(*film, strict=True))
-    config = dataclasses.replace(env.config, frames=len(film))
+    config, steps = dataclasses.replace(env.config, frames=len(film)), env.config.steps_per_frame
+    release, nothing = int(held.sum()) * steps, np.zeros((0, 0, 3))
+    run = Run(env.garment, (), nothing, np.repeat(goals, steps, axis=0), release, config, (), env.n_points, noise=0)
     stretch = np.array([check_stretch(env.garment, config, frame, "hanging") for frame in points])
-    goals, release = np.repeat(goals, config.steps_per_frame, axis=0), int(held.sum()) * config.steps_per_frame
-    run = Run(env.garment, (), np.zeros((0, 0, 3)), goals, release, config, (), env.n_points, noise=0)
     recording = {"points": points.astype(np.float32), "grippers": grippers, "stretch": stretch}
-    return _episode(run, recording, env.task, env.target, seed, {"randomisation": None, "controller": controller})
+    told = {"randomisation": None, "controller": type(controller).__name__}
+    episode = _episode(run, recording, env.task, env.target, seed, told)
+    linked = tuple(name for name, loop in env.garment.named_loops.items() if env._there.holds(points[-1][loop]))
+    reason = "it was not let go in time" if held[-1] else "it was let go, and does not hang"
+    reason = "it hangs" if info["success"] else "the cloth was stretched too far" if info["torn"] else reason
+    outcome = (bool(info["success"]), linked, controller.reason or reason)
+    return Hanging(*outcome, len(film) - 1, float(np.mean(seconds)), episode)

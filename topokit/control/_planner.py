@@ -21,18 +21,23 @@ from scipy.interpolate import CubicSpline
 
 from topokit._validate import whole
 from topokit.linking import linking_numbers
+from topokit.sim._surface import turned
 
-from ._geometry import Arm, Array, Hands, Opening, heading, turned, wrapped
+from ._geometry import Arm, Array, angle
 from ._servo import SURE, Servo
 
 _KNOTS = np.array([0, 8, 18, 30, 44, 60])  # frames at which a path is described
 _SEEN = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])  # frames of a path, from 0, at which the guide is asked
-_SPREAD = np.array([0.06, 0.06, 0.04, 0.25])  # metres and radians by which paths differ, at first
+_SPREAD = np.array([0.06, 0.06, 0.04, 15.0])  # metres and degrees by which paths differ, at first
 _BEST = 4  # paths whose mean is followed
 _CORNERS = 24  # of a cycle, at most
-_PACE, _HARDER = 0.6, 0.06  # shares of the largest step: the largest that is planned, and by how much it changes in a frame
+_PACE, _HARDER = (
+    0.6,
+    0.06,
+)  # shares of the largest step: the largest that is planned, and by how much it changes in a frame
 _SEATED, _STILL = 0.03, 0.008  # metres from the seat, and metres in a frame, below which a linked rim is let go
-_TURN_COSTS = 0.15  # metres for a radian
+_TURN = 3.5  # degrees in a frame, at most, in a first guess
+_TURN_COSTS = 0.0026  # metres for a degree
 _LOW_COSTS = 2.0  # metres for a metre below the tip when the arm is near
 
 
@@ -69,9 +74,11 @@ class Carried:
 
     def reset(self) -> None:
         """Forget everything observed."""
-        self._hands = Hands(np.zeros(3), 0.0)
+        self._hands = np.zeros((2, 3))
 
-    def observe(self, points: ArrayLike, grippers: ArrayLike, held: bool = True, target: ArrayLike | None = None) -> None:
+    def observe(
+        self, points: ArrayLike, grippers: ArrayLike, held: bool = True, target: ArrayLike | None = None
+    ) -> None:
         """Take in the next frame, of which only the grippers count.
 
         Parameters
@@ -79,7 +86,7 @@ class Carried:
         points, grippers, held, target
             As in `Forecast`.
         """
-        self._hands = Hands.of(np.asarray(grippers, np.float64))
+        self._hands = np.asarray(grippers, np.float64)
 
     def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]:
         """Return places (C, 60, n, 3) of points under plans, and None.
@@ -90,11 +97,10 @@ class Carried:
             As in `Forecast`.
         """
         there = np.asarray(actions, np.float64)
-        across = there[..., 1, :] - there[..., 0, :]
-        angle = np.arctan2(across[..., 1], across[..., 0])
-        cos, sin, none = np.cos(angle), np.sin(angle), np.zeros_like(angle)
-        turn = np.stack([cos, sin, none, -sin, cos, none, none, none, none + 1], axis=-1).reshape(*angle.shape, 3, 3)
-        return self._hands.inside(np.asarray(points, np.float64)) @ turn + there.mean(axis=-2)[..., None, :], None
+        yaws = _heading(there) - _heading(self._hands)
+        return _turned_about(np.asarray(points) - self._hands.mean(axis=0), yaws) + there.mean(axis=-2)[
+            ..., None, :
+        ], None
 
 
 class Planner(Servo):
@@ -161,99 +167,86 @@ class Planner(Servo):
         self._forecast.observe(points, grippers, bool(observation["held"]), line)
         return super().act(observation)
 
-    def _along(self, arm: Arm, hands: Hands, grippers: Array) -> NDArray[np.float32]:
-        """The next step of the plan, which is made anew every few frames."""
-        opening = self._opening(arm, hands, grippers)
-        speed, self._was = float(np.linalg.norm(opening.rim - self._was)), opening.rim
-        seated = np.linalg.norm(self._seat(arm) - opening.rim) < _SEATED and speed < _STILL
-        if seated and min(loop.around for loop in self._chosen) >= SURE:
+    def _along(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
+        """The next step of the plan, which is made anew every few frames; or they let go."""
+        rim, before = self._rim(arm, grippers), self._goals
+        speed, self._was = float(np.linalg.norm(rim - self._was)), rim
+        linked = min(loop.around for loop in self._chosen)
+        if linked >= SURE and np.linalg.norm(self._seat(arm) - rim) < _SEATED and speed < _STILL:
             return np.eye(7, dtype=np.float32)[6]
         if self._followed in (self._every, len(self._path)):
-            self._path, self._followed = self._best(arm, hands, opening), 0
+            self._path, self._followed = self._best(arm, rim, linked > 0), 0
         self._followed += 1
-        before = self._goals
         action = self._step(self._path[self._followed - 1], grippers)
         self._speed = self._goals - before
         return action
 
     # -- paths
 
-    def _best(self, arm: Arm, hands: Hands, opening: Opening) -> Array:
+    def _best(self, arm: Arm, rim: Array, linked: bool) -> Array:
         """The goals (60, 2, 3) of the path that is followed now."""
-        cycles = [_thinned(hands.outside(loop.cycle)) for loop in self._chosen]
-        rims = np.array([loop.opening.outside(hands).rim for loop in self._chosen])
-        linked = min(loop.around for loop in self._chosen) > 0
-        means, spread = [self._guess(arm, opening, linked)], _SPREAD * np.ones((len(_KNOTS) - 1, 1))
+        cycles = [_thinned(self._outside(loop.curve)) for loop in self._chosen]
+        rims = self._outside(np.array([loop.opening.rim for loop in self._chosen]))
+        kept, spread = self._guess(arm, rim, linked)[None], _SPREAD
         if self._last is not None:  # from where it is now
-            means.append(self._last(np.minimum(_KNOTS[1:] + self._every, _KNOTS[-1])) - self._last(self._every))
-        kept = np.array(means)
+            last = self._last(np.minimum(_KNOTS[1:] + self._every, _KNOTS[-1])) - self._last(self._every)
+            kept = np.concatenate([kept, last[None]])
         for _ in range(self._rounds):
             about = kept[self._random.integers(len(kept), size=self._plans - len(kept))]
             ways = np.concatenate([kept, about + spread * self._random.normal(size=about.shape)])
-            goals = self._goals_of(ways, opening.rim)
-            costs = self._costs(goals, cycles, rims, arm, opening)
-            order = np.argsort(costs)[:_BEST]
+            goals = self._goals_of(ways, rim)
+            order = np.argsort(self._costs(goals, cycles, rims, arm))[:_BEST]
             kept, spread = ways[order], spread / 2
         self._last = _through(kept[0])
-        return goals[order[0]]
+        return np.asarray(goals[order[0]])
 
-    def _guess(self, arm: Arm, opening: Opening, linked: bool) -> Array:
-        """Where the rim would be at the knots, and how far turned, on its way at an even pace, if all went with it."""
-        stops = [self._seat(arm)] if linked else self._stops(arm, opening)
-        legs = np.array([opening.rim, *stops])
+    def _guess(self, arm: Arm, rim: Array, linked: bool) -> Array:
+        """(knots, 4) where the rim would be on its way at an even pace, from here, and how far turned, if all went with it."""
+        legs = np.array([rim, *([self._seat(arm)] if linked else self._stops(arm, rim))])
         length = np.append(0, np.linalg.norm(np.diff(legs, axis=0), axis=1).cumsum())
         gone = _PACE * self.max_step * _KNOTS[1:]
         places = np.stack([np.interp(gone, length, axis) for axis in legs.T], axis=1)
-        facing = self._facing(opening, arm)
-        yaw = np.sign(facing) * np.minimum(abs(facing), 0.06 * _KNOTS[1:])
-        return np.column_stack([places - opening.rim, yaw])
+        facing = angle(turned(self._chosen[0].opening.normal, self._yaw), arm.out)
+        return np.column_stack([places - rim, np.clip(facing, -_TURN * _KNOTS[1:], _TURN * _KNOTS[1:])])
 
-    def _stops(self, arm: Arm, opening: Opening) -> list[Array]:
+    def _stops(self, arm: Arm, rim: Array) -> list[Array]:
         """Places that the rim shall pass: up beside the target, before it, above the tip, above the seat, the seat."""
-        seat, over = self._seat(arm), self._over(arm, opening)
-        here = opening.rim - arm.tip
-        aside = abs(wrapped(heading(here) - heading(arm.out))) > np.pi / 3 or np.linalg.norm(here[:2]) > 0.3
-        before = [np.array([*arm.around(opening.rim, 0.13)[:2], over[2]])] if aside else []
+        seat, over = self._seat(arm), arm.tip + [0, 0, self._clear(arm)]
+        far = abs(angle(arm.out, rim - arm.start)) > 60 or np.linalg.norm((rim - arm.tip)[:2]) > 0.3
+        before = [np.array([*arm.before(rim, 0.13)[:2], over[2]])] if far else []
         return [*before, over, np.array([*seat[:2], over[2]]), seat]
 
-    def _over(self, arm: Arm, opening: Opening) -> Array:
-        slack = (opening.height - arm.rise - 2 * self.radius) / 2
-        return arm.tip + [0, 0, self.radius + float(np.clip(slack, 0.015, 0.06))]
-
     def _seat(self, arm: Arm) -> Array:
-        return (arm.start + arm.end) / 2 + [0, 0, self.radius - 0.02]
+        return np.asarray((arm.start + arm.end) / 2 + [0, 0, self.radius - 0.02])
 
     def _goals_of(self, ways: Array, pivot: Array) -> Array:
-        """Goals (C, 60, 2, 3) of ways (C, knots, 4), no faster than can be."""
+        """Goals (C, 60, 2, 3) of ways (C, knots, 4), no faster, and speeding up no harder, than can be."""
         path = _through(ways)(np.arange(1, _KNOTS[-1] + 1))
-        goals = _turned_about(self._goals, pivot, path[..., 3]) + path[..., None, :3]
-        last, step = np.broadcast_to(self._goals, goals[:, 0].shape), np.broadcast_to(self._speed, goals[:, 0].shape)
+        goals = _turned_about(self._goals - pivot, path[..., 3]) + pivot + path[..., None, :3]
+        last, step = (np.broadcast_to(part, goals[:, 0].shape) for part in (self._goals, self._speed))
         fast, harder = _PACE * self.max_step, _HARDER * self.max_step
         for k in range(goals.shape[1]):
             step = np.clip(np.clip(goals[:, k] - last, -fast, fast), step - harder, step + harder)
             goals[:, k] = last = last + step
         return goals
 
-    def _costs(self, goals: Array, cycles: list[Array], rims: Array, arm: Arm, opening: Opening) -> Array:
+    def _costs(self, goals: Array, cycles: list[Array], rims: Array, arm: Arm) -> Array:
         """(C,) what is missing to a hanging loop along paths, in metres, in the mean over the frames that are looked at."""
         asked = np.concatenate([rims, *cycles])
-        places = np.asarray(self._forecast.move(goals, np.ones(goals.shape[:2], bool), asked)[0][:, _SEEN], float)
-        parts = np.split(places, np.cumsum([len(rims), *map(len, cycles)])[:-1], axis=2)
-        costs = []
-        for i, cycle in enumerate(parts[1:]):
-            costs.append(self._to_go(parts[0][:, :, i], cycle, arm, opening))
-        return np.max(costs, axis=0).mean(axis=1)
+        places = np.asarray(self._forecast.move(goals, np.ones(goals.shape[:2], bool), asked)[0][:, _SEEN], np.float64)
+        tops, *moved = np.split(places, np.cumsum([len(rims), *map(len, cycles)])[:-1], axis=2)
+        costs = [self._to_go(tops[:, :, i], cycle, arm) for i, cycle in enumerate(moved)]
+        return np.asarray(np.max(costs, axis=0).mean(axis=1))
 
-    def _to_go(self, rim: Array, cycle: Array, arm: Arm, opening: Opening) -> Array:
+    def _to_go(self, rim: Array, cycle: Array, arm: Arm) -> Array:
         """(C, F) the guide for a rim (C, F, 3) of a cycle (C, F, L, 3)."""
-        seat, over = self._seat(arm), self._over(arm, opening)
+        seat, over = self._seat(arm), arm.tip + [0, 0, self._clear(arm)]
         above = np.array([*seat[:2], over[2]])
         area = np.cross(cycle, np.roll(cycle, -1, axis=2)).sum(axis=2) * [1, 1, 0]
         area = area / np.maximum(np.linalg.norm(area, axis=-1, keepdims=True), 1e-9)
-        first = area[:, :1] @ opening.normal  # the side that was chosen
-        aside = np.arccos(np.clip(np.sign(first) * (area @ arm.out), -1, 1))
-        before = (rim - arm.tip) @ arm.out
-        low = np.maximum(over[2] - rim[..., 2], 0) * np.exp(-((before / 0.13) ** 2))
+        side = np.sign(area[:, :1] @ turned(self._chosen[0].opening.normal, self._yaw))  # the one that was chosen
+        aside = np.degrees(np.arccos(np.clip(side * (area @ arm.out), -1, 1)))
+        low = np.maximum(over[2] - rim[..., 2], 0) * np.exp(-((((rim - arm.tip) @ arm.out) / 0.13) ** 2))
         way = np.linalg.norm(rim - over, axis=-1) + np.linalg.norm(over - above) + np.linalg.norm(above - seat)
         missing = way + _TURN_COSTS * aside + _LOW_COSTS * low
         return np.where(self._around(cycle, arm), np.linalg.norm(rim - seat, axis=-1), missing)
@@ -277,8 +270,14 @@ def _thinned(cycle: Array) -> Array:
     return cycle[:: -(-len(cycle) // _CORNERS)]
 
 
-def _turned_about(goals: Array, pivot: Array, angle: Array) -> Array:
-    """(C, 60, 2, 3) goals (2, 3) turned about the vertical through a pivot by angles (C, 60)."""
-    x, y, z = (goals - pivot).T
-    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
-    return np.stack([cos * x - sin * y, sin * x + cos * y, np.broadcast_to(z, (*angle.shape, 2))], axis=-1) + pivot
+def _heading(hands: Array) -> Array:
+    """Degrees from x towards y, of the ways (..., 2, 3) from the first gripper to the second."""
+    x, y, _ = np.moveaxis(hands[..., 1, :] - hands[..., 0, :], -1, 0)
+    return np.asarray(np.degrees(np.arctan2(y, x)))
+
+
+def _turned_about(points: Array, yaws: Array) -> Array:
+    """(..., n, 3) points (n, 3) turned about the z axis by yaws (...), degrees."""
+    cos, sin = np.cos(np.radians(yaws))[..., None], np.sin(np.radians(yaws))[..., None]
+    x, y, z = points.T
+    return np.stack([cos * x - sin * y, sin * x + cos * y, np.broadcast_to(z, (*yaws.shape, len(points)))], axis=-1)

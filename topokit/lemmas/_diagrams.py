@@ -64,8 +64,6 @@ def _rank_inequality(step: Step, alpha: float) -> Verdict:
     values where something is born or dies only the ages change: they are largest at the end.
     """
     s, o, tolerance = step.diagram("S_t"), step.diagram("O_t"), step.tolerance
-    if len(s) == 0:
-        return Verdict(0.0, alpha, True)
     events = np.unique(np.concatenate([s.birth, s.death, o.birth, o.death]))
     long = np.diff(events) > tolerance  # equal up to rounding is equal
     start, end = events[:-1][long], events[1:][long]

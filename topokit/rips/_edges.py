@@ -197,13 +197,8 @@ def _sort_slice(keys, lengths, label):
 @njit()
 def sort_edges(room, m, label):
     """Put m edges in the total order: a slice of lengths holds about one edge, and insertion does the rest."""
-    keys, lengths, sorted_keys, sorted_lengths, start = (
-        room.found,
-        room.found_lengths,
-        room.keys,
-        room.lengths,
-        room.start,
-    )
+    keys, lengths, start = room.found, room.found_lengths, room.start
+    sorted_keys, sorted_lengths = room.keys, room.lengths
     shortest, longest = np.inf, 0.0
     for e in range(m):
         shortest, longest = min(shortest, lengths[e]), max(longest, lengths[e])

@@ -27,16 +27,6 @@ def source_digest(folder: Path) -> str:
 _DIGEST = source_digest(Path(__file__).parent)
 
 
-class _CacheFile(IndexDataCacheFile):
-    """numba's list of what was compiled; one that another version wrote is empty, though its types may be unknown here."""
-
-    def _load_index(self) -> Any:
-        try:
-            return super()._load_index()  # type: ignore[no-untyped-call]
-        except (AttributeError, ImportError):
-            return {}
-
-
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function, and keep what was compiled for as long as no file of kernels changes."""
 

@@ -19,30 +19,6 @@ LEAF = 8
 
 
 @njit()
-def _select(points, order, start, end, middle, axis):
-    """Reorder order[start:end] so that position `middle` holds what sorting along `axis` would put there."""
-    low, high = start, end - 1
-    while low < high:
-        pivot = points[order[(low + high) >> 1], axis]
-        i, j = low, high
-        while i <= j:
-            while points[order[i], axis] < pivot:
-                i += 1
-            while points[order[j], axis] > pivot:
-                j -= 1
-            if i <= j:
-                order[i], order[j] = order[j], order[i]
-                i += 1
-                j -= 1
-        if middle <= j:
-            high = j
-        elif middle >= i:
-            low = i
-        else:
-            return
-
-
-@njit()
 def bound_box(points, order, start, end, low, high):
     """Write the corners of the box of points order[start:end] into `low` and `high`; return its longest axis."""
     for k in range(len(low)):
@@ -75,7 +51,8 @@ def build_tree(points, axes):
         axis = bound_box(points, order, start[node], end[node], low[node], high[node])
         if node < first_leaf:
             middle = (start[node] + end[node]) >> 1
-            _select(points, order, start[node], end[node], middle, axis)
+            mine = order[start[node] : end[node]]
+            mine[:] = mine[np.argpartition(points[mine, axis], middle - start[node])]
             start[2 * node + 1], end[2 * node + 1] = start[node], middle
             start[2 * node + 2], end[2 * node + 2] = middle, end[node]
     ordered = np.empty((n, d))
@@ -132,14 +109,10 @@ def centre(tree, a, b, place):
 @njit()
 def nearby_point(tree, place):
     """A point near a place, and its squared distance: the nearest of the leaf that always taking the nearer box leads to."""
-    points, low, high, node = tree.points, tree.low, tree.high, 0
+    points, node = tree.points, 0
     while node < tree.first_leaf:
         node = 2 * node + 1
-        to_left, to_right = 0.0, 0.0
-        for k in range(len(tree.axes)):
-            to_left += max(low[node, k] - place[k], place[k] - high[node, k], 0.0) ** 2
-            to_right += max(low[node + 1, k] - place[k], place[k] - high[node + 1, k], 0.0) ** 2
-        node += to_right < to_left
+        node += nearest_in_box(tree, place, node + 1) < nearest_in_box(tree, place, node)
     best, bound = -1, np.inf
     for z in range(tree.start[node], tree.end[node]):
         square = 0.0

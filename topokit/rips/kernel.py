@@ -55,9 +55,8 @@ def _is_near_middle(data, axes, x, y, z, length):
         return False
     along, apart = 0.0, 0.0
     for k in range(len(axes)):
-        step = 0.5 * (
-            (data[z, k] - data[x, k]) + (data[z, k] - data[y, k])
-        )  # in this order exact for what is very near
+        # In this order it is exact for what is very near.
+        step = 0.5 * ((data[z, k] - data[x, k]) + (data[z, k] - data[y, k]))
         along += step * (data[y, k] - data[x, k])
         apart += step * step
     along = along * along / length
@@ -185,13 +184,8 @@ def pair_edges(data, axes, tree, max_length, m, longest, room, spare, halt):
     rows = np.zeros((n, words), dtype=np.uint64)
     for v in range(n):
         _join(rows, v, v)  # a vertex reaches itself
-    search = Search(
-        np.empty(words, np.uint64),
-        np.empty(words, np.uint64),
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n),
-    )
+    bitsets, places = np.empty((2, words), np.uint64), np.empty((2, n), np.int64)
+    search = Search(bitsets[0], bitsets[1], places[0], places[1], np.empty(n))
     graph, size = Graph(np.full(n, -1), np.empty((8 * n, 3), np.int64)), 0
     loops, born, alive = new_loops(64), 0, 0
     stack, parent, pieces = np.empty((256, 2), dtype=np.int64), np.arange(n), n
@@ -222,21 +216,19 @@ def pair_edges(data, axes, tree, max_length, m, longest, room, spare, halt):
                 continue
             if z >= 0:
                 alive -= _kill(data, axes, rows, label, graph, loops, x, y, search, stack)
-                if alive == 0 and pieces == 1 and last < 0:
-                    last = last_empty_lune(data, axes, tree, length)
-                continue
-            a, b = _root(parent, x), _root(parent, y)
-            graph = with_edge(graph, size, x, y, born if a == b else -1)
-            size += 1
-            if a != b:  # the edge joins two components
-                parent[a] = b
-                pieces -= 1
-                if pieces == 1 and alive == 0:
-                    last = last_empty_lune(data, axes, tree, length)
-            else:  # it creates a loop
-                loops = with_loop(loops, born, x, y, spare // 2, halt)
-                born += 1
-                alive += 1
+            else:
+                a, b = _root(parent, x), _root(parent, y)
+                graph = with_edge(graph, size, x, y, born if a == b else -1)
+                size += 1
+                if a != b:  # the edge joins two components
+                    parent[a] = b
+                    pieces -= 1
+                else:  # it creates a loop
+                    loops = with_loop(loops, born, x, y, spare // 2, halt)
+                    born += 1
+                    alive += 1
+            if alive == 0 and pieces == 1 and last < 0:
+                last = last_empty_lune(data, axes, tree, length)
         done = done or halt[0] != 0 or longest > greatest or (alive == 0 and 0 <= last < longest)
         shortest, longest, m = longest, next_window(data, axes, shortest, longest, m), -1
     return room, loops.created[:born], loops.killed[:born], length

@@ -47,10 +47,7 @@ class GripperPath:
         if len(self.vias) < 2:
             raise ValueError(f"a path needs two places at least, not {len(self.vias)}")
         table, spread = self._table, np.asarray(self.spread)
-        for name, values, shape in (
-            ("vias", table, (len(self.vias), 5 + any(via.yaw for via in self.vias))),
-            ("spread", spread, (2, 3)),
-        ):
+        for name, values, shape in (("vias", table, (len(self.vias), 6)), ("spread", spread, (2, 3))):
             if values.shape != shape or not np.isfinite(values).all():
                 raise ValueError(f"{name} must be finite numbers of shape {shape}, not {values.tolist()}")
         if not ((np.diff(table[:, 0]) > 0).all() and (table[:, 4] > 0).all()):
@@ -72,9 +69,7 @@ class GripperPath:
         value = value - h * cube * (4 - 7 * s + 3 * s * s) * velocities[i + 1]
         value = value + h * h / 2 * (s * s - cube * (3 - 3 * s + s * s)) * accelerations[i]
         value = value + h * h / 2 * cube * (1 - 2 * s + s * s) * accelerations[i + 1]
-        spread = (
-            self.spread if value.shape[-1] == 4 else np.stack([turned(one, value[..., 4]) for one in self.spread], -2)
-        )
+        spread = np.stack([turned(one, value[..., 4]) for one in self.spread], -2)
         return np.asarray(value[..., None, :3] + value[..., None, 3:4] * spread)
 
     def moved(self, place: ArrayLike, yaw: float) -> GripperPath:
@@ -98,14 +93,12 @@ class GripperPath:
 
     @functools.cached_property
     def _table(self) -> Array:
-        """(k, 5) times, middles, openings; (k, 6) with yaws where there are any."""
-        turns = any(via.yaw for via in self.vias)
-        rows = [[via.time, *np.asarray(via.place, dtype=np.float64), via.opening] for via in self.vias]
-        return np.array([[*row, via.yaw] if turns else row for row, via in zip(rows, self.vias, strict=True)])
+        """(k, 6) times, middles, openings, yaws."""
+        return np.array([[v.time, *np.asarray(v.place), v.opening, v.yaw] for v in self.vias], dtype=np.float64)
 
     @functools.cached_property
     def _derivatives(self) -> tuple[Array, Array]:
-        """(k, 4) velocities and accelerations at the places: 0 at a rest, the minimum-jerk spline's between two rests."""
+        """(k, 5) velocities and accelerations at the places: 0 at a rest, the minimum-jerk spline's between two rests."""
         times, places = self._table[:, 0], self._table[:, 1:]
         velocities, accelerations = np.zeros_like(places), np.zeros_like(places)
         still = ([(1, np.zeros(places.shape[1])), (2, np.zeros(places.shape[1]))],) * 2

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from topokit._config import Positive, checked
 from topokit._validate import as_points
-from topokit.linking import close_far, linking_number
+from topokit.linking import close_far, linking_number, to_segment
 
 from ._surface import Array
 
@@ -239,12 +239,7 @@ class Mannequin(Target):
 
 def gap(points: Array, target: Target) -> float:
     """The least distance of points (N, 3) from the surface of the target."""
-    gaps = []
-    for start, end, radius in target.rods:
-        along = (end - start) / max(float((end - start) @ (end - start)), 1e-12)
-        nearest = start + np.clip((points - start) @ along, 0, 1)[:, None] * (end - start)
-        gaps.append(float(np.linalg.norm(points - nearest, axis=1).min()) - radius)
-    return min(gaps)
+    return min(float(to_segment(points, start, end).min()) - radius for start, end, radius in target.rods)
 
 
 def _linked(loop: ArrayLike, *lines: Array) -> bool:

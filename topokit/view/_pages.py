@@ -1,9 +1,9 @@
-"""Figures of the browser: the data-flow picture, and planar clouds that the reader changes, on pages without a kernel.
+"""Figures of the browser: the data-flow picture, and points that the reader moves, on pages without a kernel.
 
 Idea: the data are packed once beside scripts without dependencies, and the page is handed to the browser as the `srcdoc` of an
 iframe. So it works the same in Jupyter, on a built page and as a file, and asks nothing of the network. `rips.js` computes loops
-by the same lunes as `topokit.rips`, `match.js` matches diagrams as `topokit.lemmas` does, and `rules.js` says which bars are
-loops, in a few milliseconds, so that points can be dragged. Tests hold their answers to topokit's. Taught in chapters 1 to 6.
+by the same lunes as `topokit.rips`, `match.js` matches diagrams as `topokit.lemmas` does, `link.js` links, and `rules.js` says
+which bars are loops, all in milliseconds. Tests hold their answers to topokit's. Taught in chapters 1 to 6 and 13.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import as_points, positive
 from topokit.lemmas import vertex_ids
+from topokit.linking import close_far, linking_number
 from topokit.view._plots import OKABE_ITO
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
@@ -245,6 +246,29 @@ def stray(points: ArrayLike, start: ArrayLike, end: ArrayLike) -> Framed:
     }
     title, scripts = f"{len(cloud)} points and a stray one", ("rips.js", "planar.js", "places.js", "rules.js")
     return framed("stray", scripts, {"points": cloud.tolist(), **way}, 480, "drag the stray point away", title)
+
+
+def linked(curve: ArrayLike, line: ArrayLike, way: ArrayLike) -> Framed:
+    """Return an interactive figure of a closed curve on its way to a hook, with their crossings, linking number and distance.
+
+    Parameters
+    ----------
+    curve, line, way : (n, 3), (m, 3), (k, 3) array_like
+        Handles that the reader drags; corners of an open line, which `topokit.linking.close_far` closes; and how far the
+        curve is moved, from the left end of a slider to the right. At most 24 each.
+
+    Raises
+    ------
+    ValueError
+        When they are more, or less than two shifts, or curve and line touch.
+    """
+    handles, corners, shifts = as_points(curve, "curve"), close_far(line), as_points(way, "way")
+    if shifts.shape[1] != 3 or len(shifts) < 2 or max(map(len, (handles, corners[4:], shifts))) > MOST_NUDGED:
+        wrong = f"not {len(handles)}, {len(corners) - 4} and {shifts.shape}"
+        raise ValueError(f"curve, line and way must have at most {MOST_NUDGED} rows, and way (2, 3) at least, {wrong}")
+    title = f"A curve and a hook, linking number {linking_number(handles, corners)}"
+    data = {"curve": handles.tolist(), "line": corners.tolist(), "way": shifts.tolist()}
+    return framed("linked", ("link.js", "planar.js"), data, 480, "drag a handle, or turn the view", title)
 
 
 def planar(points: ArrayLike, name: str, most: int | None = None) -> NDArray[np.float64]:

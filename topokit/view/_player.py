@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topokit.io import Episode
+from topokit.io import Episode, packed
 from topokit.state import Loop, TopologicalState
 from topokit.view._looks import cloth_marks
 from topokit.view._pages import Framed, framed
@@ -29,11 +29,8 @@ def pack(array: NDArray[Any]) -> dict[str, Any]:
 
 def pack_coordinates(points: NDArray[np.floating[Any]]) -> dict[str, Any]:
     """(..., 3) coordinates packed to 16 bits with one scale for the three axes; the error is at most half the scale."""
-    flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-    low = flat.min(axis=0) if len(flat) else np.zeros(3)
-    scale = float((flat - low).max(initial=0.0)) / (2**16 - 1) or 1.0  # all points equal
-    steps = np.rint((flat - low) / scale).astype(np.uint16).reshape(np.shape(points))
-    return pack(steps) | {"scale": scale, "low": low.tolist()}
+    steps, scale = packed(points)
+    return pack(steps) | {"scale": float(scale[0]), "low": scale[1:].tolist()}
 
 
 def player(

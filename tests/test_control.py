@@ -1,0 +1,202 @@
+"""The loop servo: what it measures, what it chooses, when it lets go; one short hanging; the command."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pybullet")
+pytest.importorskip("gymnasium")
+
+from topokit import cli
+from topokit.control import Servo, hang
+from topokit.control._geometry import Arm, Opening, angle, drawn
+from topokit.io import load_episode, save_episode
+from topokit.sampling import as_tree
+from topokit.sim import Garment, Hanger, Hook, Mannequin, Placed
+from topokit.sim._surface import turned
+
+from conftest import polygon
+
+COARSE = Garment.apron(spacing=0.05, strap_width=0.05)
+
+
+def ring(n=40, radius=0.15, centre=(0.0, 0.0, 0.0)):
+    """A ring that stands upright and looks along y."""
+    x, z = radius * polygon(n).T
+    return np.column_stack([x, 0 * x, z]) + centre
+
+
+def seen(points, grippers, target=None, held=1):
+    target = target or Hook()
+    return {"points": points, "grippers": np.asarray(grippers), "target": target.centre_line, "held": held}
+
+
+def plan(servo, observation, frames=8):
+    """The actions of a few frames in which nothing moves."""
+    servo.reset(observation)
+    return [servo.act(observation) for _ in range(frames)]
+
+
+@pytest.mark.parametrize("target", [Hook(), Hanger()])
+def test_the_arm_is_found_wherever_the_target_stands(target):
+    placed = Placed(target, 0.3, -0.2, 0.1, yaw=130.0)
+    arm = Arm.of(placed.centre_line)
+    np.testing.assert_allclose((arm.start + arm.end) / 2, placed.seat, atol=1e-9)
+    assert angle(Arm.of(target.centre_line).out, arm.out) == pytest.approx(130)
+    loop = turned(ring(radius=0.12), 130)  # it looks along the arm
+    for place, on in ((placed.seat, True), (arm.tip + 0.3 * arm.out, False)):
+        assert arm.holds(loop + place) == placed.holds(loop + place) == on
+
+
+def test_a_mannequin_has_no_arm_and_the_servo_says_so():
+    assert Arm.of(Mannequin().centre_line) is None
+    servo = Servo()
+    plan(servo, seen(ring(), [[-0.1, 0, 0.2], [0.1, 0, 0.2]], Mannequin()))
+    assert "no arm" in servo.reason
+
+
+def test_the_way_to_the_front_goes_around_the_target():
+    arm = Arm.of(Hook().centre_line)
+    place, before = arm.start - 0.8 * arm.out + [0.05, 0, 0], arm.tip + 0.35 * arm.out
+    for _ in range(200):
+        way = (arm.before(place, 0.35) - place) * [1, 1, 0]
+        place = place + 0.05 * way
+        assert np.linalg.norm((place - arm.start)[:2]) > 0.4
+    np.testing.assert_allclose(place[:2], before[:2], atol=0.02)
+
+
+def test_an_opening_is_measured():
+    rim, normal, (height, width) = Opening.of(ring(centre=(1, 2, 3)))
+    np.testing.assert_allclose(rim, [1, 2, 3.15], atol=2e-3)
+    assert abs(normal @ [0, 1, 0]) == pytest.approx(1)
+    np.testing.assert_allclose((height, width), 0.3, atol=2e-3)
+    assert Opening.of(ring()[:, [0, 2, 1]]) is None  # it lies flat
+
+
+def test_cloth_before_an_opening_is_counted_on_its_side_only():
+    opening = Opening.of(ring()).along(np.array([0.0, 1.0, 0.0]))
+    board = np.column_stack([np.linspace(-0.05, 0.05, 9), np.full(9, -0.3), np.zeros(9)])
+    assert opening.blocked(board, 0.1) > 0
+    assert opening.along(-opening.normal).blocked(board, 0.1) == 0
+
+
+def test_a_curve_that_is_not_seen_follows_the_cloth_and_keeps_its_shape():
+    curve = ring(30)
+    moved = curve
+    for step in range(1, 21):
+        cloth = ring(200, centre=(0, 0.004 * step, 0))
+        moved = drawn(moved, curve, as_tree(cloth))
+    assert 0.05 < moved[:, 1].mean() < 0.08
+    assert Opening.of(moved).size == pytest.approx(Opening.of(curve).size, rel=0.1)
+
+
+def test_it_looks_before_it_moves_and_turns_towards_the_arm():
+    loop = ring(60, centre=(0, -0.6, 1.25))
+    actions = plan(Servo(), seen(loop, [[-0.1, -0.6, 1.42], [0.1, -0.6, 1.42]], Placed(Hook(), yaw=30.0)), 9)
+    assert not np.any(actions[:5])
+    first, second = actions[-1][:6].reshape(2, 3)
+    assert angle(np.array([1.0, 0]), np.array([0.2 + 0.0432 * (second - first)[0], 0.0432 * (second - first)[1]])) > 1
+    assert actions[-1][6] == 0
+
+
+def two_rings(gap=0.5):
+    upper, lower = ring(60, 0.1, (0, 0, 1.3)), ring(60, 0.15, (0, 0, 1.3 - gap))
+    return np.concatenate([upper, lower])
+
+
+@pytest.mark.parametrize(("goal", "z"), [(None, 1.3), ((0, 0, -0.6), 0.8)])
+def test_it_hangs_the_loop_that_bears_or_the_one_it_was_told(goal, z):
+    servo = Servo(goal)
+    plan(servo, seen(two_rings(), [[-0.1, 0, 1.42], [0.1, 0, 1.42]]))
+    assert len(servo._chosen) == 1
+    assert servo._chosen[0].cycle[:, 2].mean() == pytest.approx(z - 1.42, abs=0.03)
+
+
+def test_of_two_handles_the_one_that_is_not_seen_is_the_twin():
+    servo = Servo(2)
+    plan(servo, seen(ring(60, centre=(0.15, 0, 1.2)), [[-0.15, 0, 1.37], [0.15, 0, 1.37]]))
+    places = sorted(float(loop.cycle[:, 0].mean()) for loop in servo._chosen)
+    assert places == pytest.approx([-0.15, 0.15], abs=0.02)
+
+
+def test_a_loop_that_is_too_small_is_refused_in_words():
+    servo = Servo()
+    actions = plan(servo, seen(ring(20, 0.03), [[-0.1, 0, 0.05], [0.1, 0, 0.05]]), 70)
+    assert "1 loops are seen, 0 of them as large as this target needs" in servo.reason
+    assert not np.any(actions)
+
+
+@pytest.mark.parametrize("goal", [0, 1.5, "left", [1, 2], [0, 0, np.nan]])
+def test_a_goal_that_is_none_is_refused(goal):
+    with pytest.raises((TypeError, ValueError), match="goal"):
+        Servo(goal)
+
+
+@pytest.fixture(scope="module")
+def hanging():
+    return hang("apron-hook", garment=COARSE, seed=1)
+
+
+def test_it_hangs_and_the_episode_is_like_any_other(hanging, tmp_path):
+    assert hanging.success
+    assert hanging.linked == ("neck",)
+    assert hanging.reason == "it hangs"
+    assert hanging.seconds_a_decision > 0
+    episode = load_episode(save_episode(tmp_path / "e.npz", hanging.episode))
+    assert len(episode) == hanging.steps + 1
+    assert episode.success
+    assert episode.held[0]
+    assert not episode.held[-1]
+    assert episode.physics["controller"] == "Servo"
+
+
+def test_too_few_frames_and_models_are_told_of():
+    late = hang("apron-hook", garment=COARSE, seed=1, max_steps=2)
+    assert (late.success, late.reason, late.steps) == (False, "it was not let go in time", 2)
+    elsewhere = hang("apron-hook", garment=COARSE, seed=1, max_steps=2, place=(0.3, 0.1, 0.0, 90.0), start="anywhere")
+    np.testing.assert_allclose(elsewhere.episode.centre_line, Placed(Hook(), 0.3, 0.1, yaw=90.0).centre_line, atol=1e-6)
+    assert not np.allclose(elsewhere.episode.points[0], late.episode.points[0], atol=0.1)
+    with pytest.raises((TypeError, ValueError), match="wind"):
+        hang("apron-hook", garment=COARSE, wind=3)
+    with pytest.raises(TypeError, match="model must be None"):
+        hang(model="model.safetensors")
+
+
+def test_the_command(hanging, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("topokit.control.hang", lambda *_, **__: hanging)
+    out, film = tmp_path / "e.npz", tmp_path / "film.html"
+    assert cli.main(["hang", "--task", "apron-hook", "--out", str(out), "--film", str(film), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["linked"] == ["neck"]
+    assert load_episode(out).success
+    assert "<canvas" in film.read_text()
+    failed = dataclasses.replace(hanging, success=False, reason="it was let go, and does not hang")
+    monkeypatch.setattr("topokit.control.hang", lambda *_, **__: failed)
+    assert cli.main(["hang"]) == 1
+    assert "does not hang" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--film", "a.mp4"], "the name ends in .gif or .html"),
+        (["--out", "a.txt"], "the name ends in .npz"),
+        (["--task", "cat-hook"], "there is no such task"),
+        (["--loops", "auto"], "give --mesh FILE"),
+    ],
+)
+def test_bad_calls_of_hang(options, says, capsys):
+    assert cli.main(["hang", *options]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_ctrl_c_ends_a_hanging_cleanly(monkeypatch, capsys):
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("topokit.control.hang", stopped)
+    assert cli.main(["hang"]) == 130
+    assert "nothing was written" in capsys.readouterr().err
