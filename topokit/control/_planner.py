@@ -24,7 +24,7 @@ from topokit.linking import linking_numbers
 from topokit.sim._surface import turned
 
 from ._geometry import Arm, Array, angle
-from ._servo import SURE, Servo
+from ._servo import LIFT, PATIENCE, SURE, Servo
 
 _KNOTS = np.array([0, 8, 18, 30, 44, 60])  # frames at which a path is described
 _SEEN = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])  # frames of a path, from 0, at which the guide is asked
@@ -36,6 +36,7 @@ _PACE, _HARDER = (
     0.06,
 )  # shares of the largest step: the largest that is planned, and by how much it changes in a frame
 _SEATED, _STILL = 0.03, 0.008  # metres from the seat, and metres in a frame, below which a linked rim is let go
+_CLOSE = 0.25  # metres from the tip within which frames are counted
 _TURN = 3.5  # degrees in a frame, at most, in a first guess
 _TURN_COSTS = 0.0026  # metres for a degree
 _LOW_COSTS = 2.0  # metres for a metre below the tip when the arm is near
@@ -171,9 +172,18 @@ class Planner(Servo):
         """The next step of the plan, which is made anew every few frames; or they let go."""
         rim, before = self._rim(arm, grippers), self._goals
         speed, self._was = float(np.linalg.norm(rim - self._was)), rim
+        if self._stop:  # it did not go in: lift, back off
+            self._followed, self._speed = len(self._path), np.zeros((2, 3))
+            action = super()._along(arm, grippers)
+            self._stop = self._stop if self._stop >= LIFT else 0
+            return action
         linked = min(loop.around for loop in self._chosen)
-        if linked >= SURE and np.linalg.norm(self._seat(arm) - rim) < _SEATED and speed < _STILL:
+        self._waited += bool(np.linalg.norm(rim - arm.tip) < _CLOSE)
+        seated = np.linalg.norm(self._seat(arm) - rim) < _SEATED and speed < _STILL
+        if linked >= SURE and (seated or self._waited > PATIENCE / 2):
             return np.eye(7, dtype=np.float32)[6]
+        if self._waited > PATIENCE:
+            self._stop, self._waited, self._last = LIFT, 0, None
         if self._followed in (self._every, len(self._path)):
             self._path, self._followed = self._best(arm, rim, linked > 0), 0
         self._followed += 1
@@ -195,7 +205,7 @@ class Planner(Servo):
             about = kept[self._random.integers(len(kept), size=self._plans - len(kept))]
             ways = np.concatenate([kept, about + spread * self._random.normal(size=about.shape)])
             goals = self._goals_of(ways, rim)
-            order = np.argsort(self._costs(goals, cycles, rims, arm))[:_BEST]
+            order = np.argsort(self._costs(goals, cycles, rims, arm, linked))[:_BEST]
             kept, spread = ways[order], spread / 2
         self._last = _through(kept[0])
         return np.asarray(goals[order[0]])
@@ -210,11 +220,11 @@ class Planner(Servo):
         return np.column_stack([places - rim, np.clip(facing, -_TURN * _KNOTS[1:], _TURN * _KNOTS[1:])])
 
     def _stops(self, arm: Arm, rim: Array) -> list[Array]:
-        """Places that the rim shall pass: up beside the target, before it, above the tip, above the seat, the seat."""
+        """Places that the rim shall pass before it sinks: up beside the target, before it, above the tip, above the seat."""
         seat, over = self._seat(arm), arm.tip + [0, 0, self._clear(arm)]
         far = abs(angle(arm.out, rim - arm.start)) > 60 or np.linalg.norm((rim - arm.tip)[:2]) > 0.3
         before = [np.array([*arm.before(rim, 0.13)[:2], over[2]])] if far else []
-        return [*before, over, np.array([*seat[:2], over[2]]), seat]
+        return [*before, over, np.array([*seat[:2], over[2]])]
 
     def _seat(self, arm: Arm) -> Array:
         return np.asarray((arm.start + arm.end) / 2 + [0, 0, self.radius - 0.02])
@@ -230,16 +240,16 @@ class Planner(Servo):
             goals[:, k] = last = last + step
         return goals
 
-    def _costs(self, goals: Array, cycles: list[Array], rims: Array, arm: Arm) -> Array:
+    def _costs(self, goals: Array, cycles: list[Array], rims: Array, arm: Arm, linked: bool) -> Array:
         """(C,) what is missing to a hanging loop along paths, in metres, in the mean over the frames that are looked at."""
         asked = np.concatenate([rims, *cycles])
         places = np.asarray(self._forecast.move(goals, np.ones(goals.shape[:2], bool), asked)[0][:, _SEEN], np.float64)
         tops, *moved = np.split(places, np.cumsum([len(rims), *map(len, cycles)])[:-1], axis=2)
-        costs = [self._to_go(tops[:, :, i], cycle, arm) for i, cycle in enumerate(moved)]
+        costs = [self._to_go(tops[:, :, i], cycle, arm, linked) for i, cycle in enumerate(moved)]
         return np.asarray(np.max(costs, axis=0).mean(axis=1))
 
-    def _to_go(self, rim: Array, cycle: Array, arm: Arm) -> Array:
-        """(C, F) the guide for a rim (C, F, 3) of a cycle (C, F, L, 3)."""
+    def _to_go(self, rim: Array, cycle: Array, arm: Arm, linked: bool) -> Array:
+        """(C, F) the guide for a rim (C, F, 3) of a cycle (C, F, L, 3); it shall not sink before the loop is seen around."""
         seat, over = self._seat(arm), arm.tip + [0, 0, self._clear(arm)]
         above = np.array([*seat[:2], over[2]])
         area = np.cross(cycle, np.roll(cycle, -1, axis=2)).sum(axis=2) * [1, 1, 0]
@@ -248,8 +258,9 @@ class Planner(Servo):
         aside = np.degrees(np.arccos(np.clip(side * (area @ arm.out), -1, 1)))
         low = np.maximum(over[2] - rim[..., 2], 0) * np.exp(-((((rim - arm.tip) @ arm.out) / 0.13) ** 2))
         way = np.linalg.norm(rim - over, axis=-1) + np.linalg.norm(over - above) + np.linalg.norm(above - seat)
-        missing = way + _TURN_COSTS * aside + _LOW_COSTS * low
-        return np.where(self._around(cycle, arm), np.linalg.norm(rim - seat, axis=-1), missing)
+        missing = way + _TURN_COSTS * aside
+        left = np.linalg.norm(rim - (seat if linked else above), axis=-1)
+        return np.where(self._around(cycle, arm), left, missing) + (0 if linked else _LOW_COSTS * low)
 
     def _around(self, cycle: Array, arm: Arm) -> Array:
         """(C, F) whether cycles (C, F, L, 3) wind around the target."""

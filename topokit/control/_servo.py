@@ -28,7 +28,7 @@ from ._geometry import Arm, Array, Opening, angle, drawn
 
 _LOOK = 6  # frames in which the loops are looked at before anything moves
 SURE = 5  # frames in a row in which the loops must be around the target
-_PATIENCE = 60  # frames for a stop on the rail, and for a loop to be seen
+PATIENCE = 60  # frames for a stop on the rail, and for a loop to be seen
 _TRIES = 4
 _NEAR, _FACING = 0.025, 7.0  # metres and degrees that are near enough to a stop
 _NEW = 0.3  # weight of a new look at an opening
@@ -38,7 +38,7 @@ _LEASH = 0.2  # metres by which a goal may lead its gripper along an axis
 # The stops of the rail: metres before the tip, or, below 0, share of the arm behind it; speed as a share of the largest step.
 _RAIL = {"far": (0.35, 0.5), "near": (0.13, 0.3), "over": (-0.5, 0.2), "down": (-0.5, 0.25)}
 _RAIL |= {"lift": (-0.5, 0.2), "back": (0.13, 0.3)}
-_DOWN = list(_RAIL).index("down")
+_DOWN, LIFT = list(_RAIL).index("down"), list(_RAIL).index("lift")
 
 
 @dataclass(eq=False)
@@ -164,7 +164,7 @@ class Servo(Controller):
         fit = [loop for loop in seen if loop.opening.size.sum() >= needed]
         if len(fit) < self._count:
             words = f"{len(seen)} loops are seen, {len(fit)} of them as large as this target needs, {2 * needed:.2f} m around"
-            self.reason = words if self._frame >= _PATIENCE else ""
+            self.reason = words if self._frame >= PATIENCE else ""
             return
         half, front = float(np.linalg.norm(self._goals[1] - self._goals[0])) / 2, turned(arm.out, -self._yaw)
 
@@ -194,9 +194,9 @@ class Servo(Controller):
         there = np.linalg.norm(gap) < _NEAR and abs(facing) < _FACING
         sure = min(loop.around for loop in self._chosen) >= SURE
         self._waited += 1
-        if stop == "down" and sure and (there or self._waited > _PATIENCE / 2):
+        if stop == "down" and sure and (there or self._waited > PATIENCE / 2):
             return np.eye(7, dtype=np.float32)[6]
-        if (there and stop != "down") or self._waited > _PATIENCE:
+        if (there and stop != "down") or self._waited > PATIENCE:
             self._stop, self._waited = self._stop + 1, 0
         if self._stop == len(_RAIL):
             self._stop, self._tries = 1, self._tries + 1
