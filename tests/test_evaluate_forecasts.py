@@ -486,7 +486,7 @@ def test_baselines_are_tracked_on_what_the_networks_see(dataset):
         ("seqph.py", "next_id + 1, None", "next_id + 2, None"),
         ("_matching.py", "2 * alpha + epsilon", "3 * alpha + epsilon"),
         ("models/_states.py", "clamp_min(1e-9)", "clamp_min(1e-6)"),
-        ("data/_windows.py", "_MARGIN = 0.1", "_MARGIN = 0.2"),
+        ("sim/_camera.py", "_MARGIN = 0.1", "_MARGIN = 0.2"),
     ],
 )
 def test_results_of_other_code_are_stale_and_words_do_not_count(module, old, new, tmp_path):
