@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ pytest.importorskip("pybullet")
 pytest.importorskip("gymnasium")
 
 from topokit import cli
-from topokit.control import Servo, hang
+from topokit.control import Carried, Planner, Servo, hang
 from topokit.control._geometry import Arm, Opening, angle, drawn
 from topokit.io import load_episode, save_episode
 from topokit.sampling import as_tree
@@ -21,6 +22,7 @@ from topokit.sim._surface import turned
 
 from conftest import polygon
 
+CHECKPOINTS = Path(__file__).parents[1] / "data_small" / "checkpoints"
 COARSE = Garment.apron(spacing=0.05, strap_width=0.05)
 
 
@@ -163,7 +165,46 @@ def test_too_few_frames_and_models_are_told_of():
     with pytest.raises((TypeError, ValueError), match="wind"):
         hang("apron-hook", garment=COARSE, wind=3)
     with pytest.raises(TypeError, match="model must be None"):
-        hang(model="model.safetensors")
+        hang(model=CHECKPOINTS / "mlp.safetensors")
+
+
+def test_a_plan_hangs_it_sooner(hanging):
+    planned = hang("apron-hook", garment=COARSE, seed=1, model="carry")
+    assert (planned.success, planned.linked) == (True, ("neck",))
+    assert planned.steps < hanging.steps
+    assert planned.episode.physics["controller"] == "Planner"
+
+
+def test_a_motion_model_can_be_planned_with():
+    result = hang("apron-hook", garment=COARSE, seed=1, model=CHECKPOINTS / "motion.safetensors", max_steps=12)
+    assert result.steps == 12
+    assert np.ptp(result.episode.grippers, axis=0).max() > 0.02
+
+
+def test_what_is_carried_turns_with_the_grippers():
+    forecast, hands = Carried(), np.array([[-0.2, 0.0, 1.0], [0.2, 0.0, 1.0]])
+    forecast.reset()
+    forecast.observe(ring(), hands)
+    plan = np.tile(turned(hands, 90) + [0.5, 0, 0.1], (2, 60, 1, 1))
+    places, _ = forecast.move(plan, None, ring())
+    assert places.shape == (2, 60, 40, 3)
+    np.testing.assert_allclose(places[1, 30], turned(ring(), 90) + [0.5, 0, 0.1], atol=1e-12)
+
+
+def test_planned_paths_are_no_faster_and_no_harder_than_said():
+    planner, observation = (
+        Planner(Carried()),
+        seen(ring(60, centre=(0, -0.6, 1.25)), [[-0.1, -0.6, 1.42], [0.1, -0.6, 1.42]]),
+    )
+    actions = np.array(plan(planner, observation, 16))[:, :6]  # the leash is not yet taut
+    assert 0.2 < abs(actions).max() <= 0.6
+    assert abs(np.diff(actions, axis=0)).max() <= 0.06 + 1e-6
+
+
+@pytest.mark.parametrize("wrong", [{"plans": 3}, {"rounds": 0}, {"every": 0}])
+def test_a_planner_with_too_little_is_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        Planner(Carried(), **wrong)
 
 
 def test_the_command(hanging, tmp_path, monkeypatch, capsys):

@@ -42,6 +42,7 @@ def add(commands: Any) -> None:
     option = hang.add_argument
     option("--task", "--target", help="what goes where (default tote-hook; hook with --mesh), see below")
     option("--seed", type=int, default=0, help="of where it starts (default 0)")
+    option("--model", help="plan by a forecast: carry, or a checkpoint of a motion model (default: a servo, without)")
     option("--anywhere", action="store_true", help="target and start anywhere in the room, at any yaw, by the seed")
     option("--out", type=Path, metavar="EPISODE", help="also write what happened, as an episode (.npz)")
     option("--film", type=Path, metavar="FILM", help="also write a film of it (.gif, .html)")
@@ -118,7 +119,7 @@ def _hang(options: argparse.Namespace) -> int:
     garment, task = _garment_and_task(options, "tote-hook")
     where: dict[str, Any] = {"place": "anywhere", "start": "anywhere"} if options.anywhere else {}
     loud = sys.stderr.isatty() and not options.json
-    result = hang(task, seed=options.seed, garment=garment, progress=loud, **where)
+    result = hang(task, seed=options.seed, garment=garment, model=options.model, progress=loud, **where)
     if options.out:
         save_episode(options.out, result.episode)
     if options.film and options.film.suffix == ".gif":

@@ -6,6 +6,7 @@ from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._hang import Hanging, hang
+    from ._planner import Carried, Planner
     from ._servo import Controller, Servo
 
 __getattr__, __all__ = attach(__name__, __file__, "sim")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from topokit.sim._episode import Run, _episode
 from topokit.sim._tasks import as_task, asked
 from topokit.sim._world import check_stretch
 
+from ._planner import Carried, Forecast, Planner
 from ._servo import Controller, Servo
 
 
@@ -39,8 +41,9 @@ def hang(
     seed: int = 0,
     garment: Garment | None = None,
     target: Target | None = None,
-    model: None = None,
+    model: Any = None,
     goal: ArrayLike | None = None,
+    controller: Controller | None = None,
     max_steps: int = 300,
     progress: bool = False,
     **options: Any,
@@ -55,10 +58,13 @@ def hang(
         Of where it starts.
     garment, target : optional
         Those of the task when not given.
-    model : None
-        For the servo, which needs no forecast. There is nothing else yet.
+    model : optional
+        Which forecast plans are made by (`Planner`): "carry", the checkpoint of a `topokit.models.Motion`, or one of one's own.
+        None is for the servo, which needs none.
     goal : optional
         As of `Servo`; when not given and the task asks for several loops, so many at once.
+    controller : Controller, optional
+        One of one's own, in place of those.
     max_steps : int
         Frames after which it is over.
     progress : bool
@@ -69,10 +75,9 @@ def hang(
     Raises
     ------
     TypeError, ValueError
-        When there is a model, an option is not known, or the garment has not the loops of the task.
+        When the model forecasts no motion, an option is not known, or the garment has not the loops of the task.
     """
-    if model is not None:
-        raise WrongKindError(f"model must be None, for the servo, not {model!r:.80}: nothing plans with a forecast yet")
+    forecast = _forecast(model)
     task = task_for(garment or Garment.tote(), target or Hook()) if task is None else as_task(task)
     garment, target = garment or task.garment(), target or task.target
     usual = {
@@ -83,9 +88,26 @@ def hang(
     if goal is None and task.every:
         goal = len(asked(task, garment.named_loops))
     try:
-        return _run(env, Servo(goal, radius=target.rods[0][2], max_step=env.max_step), seed, progress)
+        radius, step = target.rods[0][2], env.max_step
+        if controller is None and forecast is not None:
+            controller = Planner(forecast, goal, radius=radius, max_step=step, seed=seed)
+        return _run(env, controller or Servo(goal, radius=radius, max_step=step), seed, progress)
     finally:
         env.close()
+
+
+def _forecast(model: Any) -> Forecast | None:
+    """The forecast that was asked for."""
+    if model == "carry":
+        return Carried()
+    if isinstance(model, str | Path):
+        from topokit.models import Predictor
+
+        model = Predictor.load(model)
+    if model is not None and not callable(getattr(model, "move", None)):
+        ways = "None for the servo, 'carry', the checkpoint of a motion model, or a forecast that has `move`"
+        raise WrongKindError(f"model must be {ways}, not {model!r:.80}")
+    return model
 
 
 def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Hanging:

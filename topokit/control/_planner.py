@@ -43,31 +43,13 @@ _LOW_COSTS = 2.0  # metres for a metre below the tip when the arm is near
 
 
 class Forecast(Protocol):
-    """What a planner asks of a forecast; `topokit.models.MotionPredictor` is one."""
+    """What a planner asks of a forecast; `Carried` tells of its methods."""
 
-    def reset(self) -> None:
-        """Forget everything observed."""
+    def reset(self) -> None: ...
 
-    def observe(self, points: ArrayLike, grippers: ArrayLike, held: bool, target: ArrayLike) -> None:
-        """Take in the next frame.
+    def observe(self, points: ArrayLike, grippers: ArrayLike, held: bool, target: ArrayLike) -> None: ...
 
-        Parameters
-        ----------
-        points : (n, 3) array_like
-        grippers : (2, 3) array_like
-        held : bool
-        target : (L, 3) array_like
-        """
-
-    def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]:
-        """Return places (C, 60, n, 3) of points under plans, and what is said of their errors.
-
-        Parameters
-        ----------
-        actions : (C, 60, 2, 3) array_like
-        held : (C, 60) array_like of bool
-        points : (n, 3) array_like
-        """
+    def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]: ...
 
 
 class Carried:
@@ -80,22 +62,28 @@ class Carried:
     def observe(
         self, points: ArrayLike, grippers: ArrayLike, held: bool = True, target: ArrayLike | None = None
     ) -> None:
-        """Take in the next frame, of which only the grippers count.
+        """Take in the next frame; this forecast looks at the grippers alone.
 
         Parameters
         ----------
-        points, grippers, held, target
-            As in `Forecast`.
+        points : (n, 3) array_like
+        grippers : (2, 3) array_like
+        held : bool
+        target : (L, 3) array_like, optional
+            A centre line.
         """
         self._hands = np.asarray(grippers, np.float64)
 
     def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]:
-        """Return places (C, 60, n, 3) of points under plans, and None.
+        """Return places (C, 60, n, 3) of points under plans, and what is said of their errors, here None.
 
         Parameters
         ----------
-        actions, held, points
-            As in `Forecast`.
+        actions : (C, 60, 2, 3) array_like
+            Where the grippers are told to be at each of the next frames, metres.
+        held : (C, 60) array_like of bool, optional
+        points : (n, 3) array_like
+            Where they are now.
         """
         there = np.asarray(actions, np.float64)
         yaws = _heading(there) - _heading(self._hands)
@@ -110,7 +98,7 @@ class Planner(Servo):
     Parameters
     ----------
     forecast : Forecast
-        `Carried()`, a `topokit.models.MotionPredictor`, or one's own.
+        `Carried()`, a `topokit.models.MotionPredictor`, or one's own with the methods of these.
     goal : optional
     radius : float
     max_step : float

@@ -1,0 +1,93 @@
+"""How often garments are hung in a closed loop, and how soon. python tests/benchmarks/hanging.py --help
+
+Every controller gets the same starts: the target anywhere and at any yaw, the garment before it (`HangEnv`, place="anywhere").
+Each episode is appended to the results when it is done, and not done again. Success is that of the environment: the task's true
+loops are around the target when the garment is at rest there, let go of. Read *straight* first: where that succeeds, a success
+proves nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+from tqdm import tqdm
+
+from topokit._archive import atomic_file
+from topokit.control import Controller, Hanging, hang
+
+GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
+WHO = ("straight", "servo", "carry", "motion")
+MOTION = Path(__file__).parents[2] / "data_small" / "checkpoints" / "motion.safetensors"
+SCENES: dict[str, dict[str, Any]] = {
+    "still": {},
+    "128 points": {"n_points": 128},
+    "noise": {"noise": 0.003, "missing": 0.1, "outliers": 0.02},
+    "target moves": {"moves": 0.15},
+    "shove": {"shove": 1.0},
+    "late by 3 frames": {"late": 3},
+}
+
+
+class Straight(Controller):
+    """Drives the middle of the cloud to the middle of the arm, and lets go there: it knows nothing of loops."""
+
+    def reset(self, observation: Mapping[str, Any]) -> None:
+        self.reason, self._away = "", np.inf
+
+    def act(self, observation: Mapping[str, Any]) -> Any:
+        line = np.asarray(observation["target"], np.float64)
+        way = (line[-3] + line[-2]) / 2 - np.asarray(observation["points"], np.float64).mean(axis=0)
+        arrived, self._away = np.linalg.norm(way) < 0.03, float(np.linalg.norm(way))
+        move = np.clip(0.15 * way / 0.0432, -0.4, 0.4)
+        return np.append(np.tile(move, 2), float(arrived)).astype(np.float32)
+
+
+def run(task: str, who: str, scene: str, seed: int) -> Hanging:
+    own = {"controller": Straight()} if who == "straight" else {"model": {"carry": "carry", "motion": MOTION}.get(who)}
+    return hang(task, seed=seed, place="anywhere", **own, **SCENES[scene])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--tasks", nargs="+", default=[f"{g}-{t}" for t in ("hook", "hanger") for g in GARMENTS])
+    parser.add_argument("--who", nargs="+", choices=WHO, default=list(WHO))
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["still"])
+    parser.add_argument("--starts", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=1000, help="of the first start")
+    parser.add_argument("--out", type=Path, default=Path("book/results/hanging.json"))
+    options = parser.parse_args()
+    rows = json.loads(options.out.read_text())["episodes"] if options.out.exists() else []
+    done = {(row["task"], row["who"], row["scene"], row["seed"]) for row in rows}
+    seeds = range(options.seed, options.seed + options.starts)
+    asked = [(t, w, s, n) for n in seeds for s in options.scenes for t in options.tasks for w in options.who]
+    for task, who, scene, seed in tqdm([one for one in asked if one not in done], unit="episode"):
+        began = time.perf_counter()
+        result = run(task, who, scene, seed)
+        rows.append({"task": task, "who": who, "scene": scene, "seed": seed, "success": result.success})
+        rows[-1] |= {"frames": result.steps, "reason": result.reason, "linked": list(result.linked)}
+        rows[-1] |= {"decision_ms": round(1000 * result.seconds_a_decision, 1), "seconds": time.perf_counter() - began}
+        with atomic_file(options.out) as file:
+            file.write(json.dumps({"command": "python tests/benchmarks/hanging.py", "episodes": rows}).encode())
+    show(rows)
+
+
+def show(rows: list[dict[str, Any]]) -> None:
+    """A line for every task, scene and controller: successes with Wilson's 95 % interval, the median of frames when it hangs."""
+    for key in sorted({(row["scene"], row["task"], row["who"]) for row in rows}):
+        mine = [row for row in rows if (row["scene"], row["task"], row["who"]) == key]
+        hung = [row["frames"] for row in mine if row["success"]]
+        interval = binomtest(len(hung), len(mine)).proportion_ci(method="wilson")
+        share = f"{len(hung):3d} of {len(mine):3d} ({100 * interval.low:3.0f} to {100 * interval.high:3.0f} %)"
+        frames = f"{np.median(hung):4.0f} frames" if hung else ""
+        print(f"{key[0]:16} {key[1]:16} {key[2]:9} {share} {frames}")
+
+
+if __name__ == "__main__":
+    main()
