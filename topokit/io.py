@@ -214,7 +214,8 @@ def packed(
     span = max(float((values - low).max(initial=0.0)), 1e-9)
     step = span / 65535
     if step / 2 > most:
-        raise ValueError(f"{name} spans {span:.1f} m: 16 bits would cost {1e3 * step / 2:.2f} mm, more than 0.1 mm")
+        cost = f"16 bits would cost {1e3 * step / 2:.2f} mm, more than {1e3 * most:g} mm"
+        raise ValueError(f"{name} spans {span:.1f} m: {cost}")
     return np.round((values - low) / step).astype(np.uint16), np.array([step, *low])
 
 

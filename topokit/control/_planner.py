@@ -87,7 +87,7 @@ class Carried:
         """
         there = np.asarray(actions, np.float64)
         yaws = _heading(there) - _heading(self._hands)
-        return _turned_about(np.asarray(points) - self._hands.mean(axis=0), yaws) + there.mean(axis=-2)[
+        return turned(np.asarray(points) - self._hands.mean(axis=0), yaws[..., None]) + there.mean(axis=-2)[
             ..., None, :
         ], None
 
@@ -220,7 +220,7 @@ class Planner(Servo):
     def _goals_of(self, ways: Array, pivot: Array) -> Array:
         """Goals (C, 60, 2, 3) of ways (C, knots, 4), no faster, and speeding up no harder, than can be."""
         path = _through(ways)(np.arange(1, _KNOTS[-1] + 1))
-        goals = _turned_about(self._goals - pivot, path[..., 3]) + pivot + path[..., None, :3]
+        goals = turned(self._goals - pivot, path[..., 3, None]) + pivot + path[..., None, :3]
         last, step = (np.broadcast_to(part, goals[:, 0].shape) for part in (self._goals, self._speed))
         fast, harder = _PACE * self.max_step, _HARDER * self.max_step
         for k in range(goals.shape[1]):
@@ -273,10 +273,3 @@ def _heading(hands: Array) -> Array:
     """Degrees from x towards y, of the ways (..., 2, 3) from the first gripper to the second."""
     x, y, _ = np.moveaxis(hands[..., 1, :] - hands[..., 0, :], -1, 0)
     return np.asarray(np.degrees(np.arctan2(y, x)))
-
-
-def _turned_about(points: Array, yaws: Array) -> Array:
-    """(..., n, 3) points (n, 3) turned about the z axis by yaws (...), degrees."""
-    cos, sin = np.cos(np.radians(yaws))[..., None], np.sin(np.radians(yaws))[..., None]
-    x, y, z = points.T
-    return np.stack([cos * x - sin * y, sin * x + cos * y, np.broadcast_to(z, (*yaws.shape, len(points)))], axis=-1)
