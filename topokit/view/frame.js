@@ -92,6 +92,16 @@ function playback(at, go, end, seconds) { // the button plays at() from where it
   play(false);
   return play;
 }
+function stepped(slider, steps, set) { // a slider of whole steps, 0 to `steps`, and its play button: each calls set(step)
+  let played = 0; // where the play button is: not rounded, or it would stand still
+  const go = (k) => {
+    played = clamp(k, 0, steps);
+    set(Math.round(played));
+  };
+  const play = playback(() => played, go, () => steps, 6);
+  slider.oninput = (e) => (play(false), go(+e.target.value));
+  return [go, play];
+}
 
 // ---- hands ---------------------------------------------------------------------------------------------------
 function clamp(value, low, high) {

@@ -101,14 +101,10 @@
       + "the arrow keys, which turn the view while none is chosen; Escape puts the loop back.");
   }
   const later = lazily(draw);
-  let played = 0; // where the play button is: not rounded, or it would stand still
-  const go = (k) => {
-    played = clamp(k, 0, STEPS);
-    step = Math.round(played);
+  const [go, play] = stepped($("way"), STEPS, (k) => {
+    step = k;
     later();
-  };
-  const play = playback(() => played, go, () => STEPS, 6);
-  $("way").oninput = (e) => (play(false), go(+e.target.value));
+  });
 
   // ---- hands ---------------------------------------------------------------------------------------------------
   function turn(az, el) {

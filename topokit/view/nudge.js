@@ -79,14 +79,10 @@
     scene.setAttribute("aria-label", text + ". Drag a point, or choose one with the keys n and p and move it with the arrow keys; Escape puts the points back.");
   }
   const later = lazily(draw);
-  let played = 0; // where the play button is: not rounded, or it would stand still
-  const go = (k) => {
-    played = clamp(k, 0, STEPS);
-    step = Math.round(played);
+  const [go, play] = stepped($("nudge"), STEPS, (k) => {
+    step = k;
     later();
-  };
-  const play = playback(() => played, go, () => STEPS, 6);
-  $("nudge").oninput = (e) => (play(false), go(+e.target.value));
+  });
   $("reach").onchange = $("way").onchange = () => sweep();
 
   // ---- points --------------------------------------------------------------------------------------------------
