@@ -195,6 +195,38 @@ def test_late_points_are_those_of_some_steps_before(usual):
         np.testing.assert_array_equal(shots[t]["points"], usual[0][max(t - 2, 0)]["points"])
 
 
+def test_a_cloud_stays_until_the_next_comes(usual):
+    shots, _ = film(every=3, late=1)
+    for t in range(5):
+        np.testing.assert_array_equal(shots[t]["points"], usual[0][max(t - 1, 0) // 3 * 3]["points"])
+
+
+def test_what_swings_begins_so(usual):
+    shots, _ = film(30, swing=1.0)
+    aside = np.linalg.norm((middles(shots) - middles(usual[0][:31]))[:, :2], axis=1)
+    assert 0.01 < aside[0] < 0.2
+    assert aside[-1] < aside.max()
+    np.testing.assert_allclose(shots[0]["grippers"], usual[0][0]["grippers"], atol=0.02)
+
+
+def test_a_target_travels_steadily_and_takes_along_what_counts(usual):
+    shots, _ = film(30, travels=0.3)
+    ways = np.array([one["target"] - other["target"] for one, other in zip(shots, usual[0], strict=False)])
+    steps = np.diff(ways[:, 0], axis=0)
+    np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 0.3 * 0.036, rtol=1e-3)
+    np.testing.assert_allclose(steps, np.repeat(steps[:1], 30, axis=0), atol=1e-6)
+    same(shots[:1], usual[0])
+    rods = np.array([one["rods"] - other["rods"] for one, other in zip(shots, usual[0], strict=False)])
+    np.testing.assert_allclose(rods[:, :, :3], np.repeat(ways[:, :1], rods.shape[1], axis=1), atol=1e-6)
+
+
+def test_at_the_limit_they_let_go():
+    shots, _ = film(20, limit=0.4)
+    held = [int(shot["held"]) for shot in shots]
+    assert held.index(0) == 13  # 0.4 s are over after the twelfth step
+    assert not any(held[13:])
+
+
 def test_noise_losses_and_outliers_are_as_many_as_asked_for(usual):
     clean, n = usual[0][0]["points"], len(COARSE.vertices)
     noisy = film(0, noise=0.005)[0][0]["points"]
@@ -315,7 +347,10 @@ def test_rods_and_loops_of_a_task():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"lat": 2}, "there is no 'lat'; there are place, start, moves, shove, late, noise, missing, outliers"),
+        (
+            {"lat": 2},
+            "there is no 'lat'; there are place, start, moves, shove, late, noise, missing, outliers, limit, swing",
+        ),
         ({"place": "here"}, "place: must be 'anywhere', or x, y and z in metres and a yaw in degrees, not 'here'"),
         ({"place": (0, 0, float("nan"), 0)}, "place: must be"),
         ({"start": (0, 0, 1)}, "start: Input should be 'anywhere'"),

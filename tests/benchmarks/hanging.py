@@ -21,18 +21,54 @@ from tqdm import tqdm
 
 from topokit._archive import atomic_file
 from topokit.control import Controller, Hanging, hang
+from topokit.sim import Camera, HangEnv
 
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
-WHO = ("straight", "servo", "carry", "motion")
+WHO = ("random", "straight", "servo", "hold", "carry", "motion", "script")
 MOTION = Path(__file__).parents[2] / "data_small" / "checkpoints" / "motion.safetensors"
+CAMERA = Camera((-1.3, -1.6, 1.6), (0.0, 0.3, 1.1), width=160, height=120)
+FAST = {"pace": 1.0}
 SCENES: dict[str, dict[str, Any]] = {
     "still": {},
+    "500 points": {"n_points": 500},
     "128 points": {"n_points": 128},
+    "one camera": {"cameras": [CAMERA]},
     "noise": {"noise": 0.003, "missing": 0.1, "outliers": 0.02},
     "target moves": {"moves": 0.15},
     "shove": {"shove": 1.0},
-    "late by 3 frames": {"late": 3},
+    "let go at 1.2 s": {"limit": 1.2, **FAST},
+    "swings, let go at 1.2 s": {"swing": 2.0, "limit": 1.2, **FAST},
+    "target travels at 0.3 m/s": {"travels": 0.3},
+    "late by 200 ms": {"late": 6},
+    "10 clouds a second": {"every": 3},
 }
+
+
+class Hold:
+    """The forecast that the cloth stays where it is: `topokit.control.Planner` can be asked what that is worth."""
+
+    def reset(self) -> None:
+        """There is nothing to forget."""
+
+    def observe(self, *_: Any) -> None:
+        """There is nothing to take in."""
+
+    def move(self, actions: Any, held: Any, points: Any) -> tuple[Any, None]:
+        return np.broadcast_to(np.asarray(points), (*np.shape(actions)[:2], *np.shape(points))), None
+
+
+class Random(Controller):
+    """Draws a way for every half second, and lets go at some time: chance."""
+
+    def reset(self, observation: Mapping[str, Any]) -> None:
+        self.reason, self._frame = "", 0
+        self._random = np.random.default_rng(np.frombuffer(observation["grippers"].tobytes(), np.uint32))
+
+    def act(self, observation: Mapping[str, Any]) -> Any:
+        if self._frame % 14 == 0:
+            self._move = np.tile(self._random.uniform(-0.6, 0.6, 3), 2)
+        self._frame += 1
+        return np.append(self._move, float(self._random.random() < 1 / 60)).astype(np.float32)
 
 
 class Straight(Controller):
@@ -50,14 +86,38 @@ class Straight(Controller):
 
 
 def run(task: str, who: str, scene: str, seed: int) -> Hanging:
-    own = {"controller": Straight()} if who == "straight" else {"model": {"carry": "carry", "motion": MOTION}.get(who)}
-    return hang(task, seed=seed, place="anywhere", **own, **SCENES[scene])
+    options = {"place": "anywhere", **SCENES[scene]}
+    if who == "script":
+        return scripted(task, seed, {name: value for name, value in options.items() if name != "pace"})
+    own = {"straight": {"controller": Straight()}, "random": {"controller": Random()}, "servo": {}}
+    model = {"carry": "carry", "motion": MOTION, "hold": Hold()}.get(who)
+    return hang(task, seed=seed, **own.get(who, {"model": model}), **options)
+
+
+def scripted(task: str, seed: int, options: dict[str, Any]) -> Hanging:
+    """The script that knows mesh, loop and target."""
+    env = HangEnv(task, max_steps=300, **options)
+
+    class Script(Controller):
+        def reset(self, observation: Mapping[str, Any]) -> None:
+            self.reason = ""
+            env.reset(seed=seed)
+
+        def act(self, observation: Mapping[str, Any]) -> Any:
+            action = env.scripted_action()
+            env.step(action)
+            return action
+
+    try:
+        return hang(task, seed=seed, controller=Script(), **options)
+    finally:
+        env.close()
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tasks", nargs="+", default=[f"{g}-{t}" for t in ("hook", "hanger") for g in GARMENTS])
-    parser.add_argument("--who", nargs="+", choices=WHO, default=list(WHO))
+    parser.add_argument("--who", nargs="+", choices=WHO, default=["straight", "servo", "carry", "motion"])
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["still"])
     parser.add_argument("--starts", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1000, help="of the first start")
@@ -86,7 +146,7 @@ def show(rows: list[dict[str, Any]]) -> None:
         interval = binomtest(len(hung), len(mine)).proportion_ci(method="wilson")
         share = f"{len(hung):3d} of {len(mine):3d} ({100 * interval.low:3.0f} to {100 * interval.high:3.0f} %)"
         frames = f"{np.median(hung):4.0f} frames" if hung else ""
-        print(f"{key[0]:16} {key[1]:16} {key[2]:9} {share} {frames}")
+        print(f"{key[0]:26} {key[1]:16} {key[2]:9} {share} {frames}")
 
 
 if __name__ == "__main__":

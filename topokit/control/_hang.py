@@ -44,6 +44,7 @@ def hang(
     model: Any = None,
     goal: ArrayLike | None = None,
     controller: Controller | None = None,
+    pace: float = 0.6,
     max_steps: int = 300,
     progress: bool = False,
     **options: Any,
@@ -65,6 +66,8 @@ def hang(
         As of `Servo`; when not given and the task asks for several loops, so many at once.
     controller : Controller, optional
         One of one's own, in place of those.
+    pace : float
+        As of `Planner`, for those that plan.
     max_steps : int
         Frames after which it is over.
     progress : bool
@@ -88,10 +91,12 @@ def hang(
     if goal is None and task.every:
         goal = len(asked(task, garment.named_loops))
     try:
-        radius, step = target.rods[0][2], env.max_step
-        if controller is None and forecast is not None:
-            controller = Planner(forecast, goal, radius=radius, max_step=step, seed=seed)
-        return _run(env, controller or Servo(goal, radius=radius, max_step=step), seed, progress)
+        how = {"radius": target.rods[0][2], "max_step": env.max_step, "late": options.get("late", 0)}
+        if controller is None:
+            controller = (
+                Servo(goal, **how) if forecast is None else Planner(forecast, goal, pace=pace, seed=seed, **how)
+            )
+        return _run(env, controller, seed, progress)
     finally:
         env.close()
 
@@ -133,7 +138,7 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
     stretch = np.array([check_stretch(env.garment, config, frame, "hanging") for frame in points])
     recording = {"points": points.astype(np.float32), "grippers": grippers, "stretch": stretch}
     told = {"randomisation": None, "controller": type(controller).__name__}
-    episode = _episode(run, recording, env.task, env.target, seed, told)
+    episode = _episode(run, recording, env.task, env._there, seed, told)
     linked = tuple(name for name, loop in env.garment.named_loops.items() if env._there.holds(points[-1][loop]))
     reason = "it was not let go in time" if held[-1] else "it was let go, and does not hang"
     reason = "it hangs" if info["success"] else "the cloth was stretched too far" if info["torn"] else reason

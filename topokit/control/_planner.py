@@ -19,22 +19,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from topokit._validate import whole
+from topokit._validate import positive, whole
 from topokit.linking import linking_numbers
 from topokit.sim._surface import turned
 
 from ._geometry import Arm, Array, angle
-from ._servo import LIFT, PATIENCE, SURE, Servo
+from ._servo import DOWN, LIFT, PATIENCE, SURE, Servo
 
 _KNOTS = np.array([0, 8, 18, 30, 44, 60])  # frames at which a path is described
 _SEEN = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])  # frames of a path, from 0, at which the guide is asked
 _SPREAD = np.array([0.06, 0.06, 0.04, 15.0])  # metres and degrees by which paths differ, at first
 _BEST = 4  # paths whose mean is followed
 _CORNERS = 24  # of a cycle, at most
-_PACE, _HARDER = (
-    0.6,
-    0.06,
-)  # shares of the largest step: the largest that is planned, and by how much it changes in a frame
+_HARDER = 0.1  # share of the largest planned step by which it changes in a frame
 _SEATED, _STILL = 0.03, 0.008  # metres from the seat, and metres in a frame, below which a linked rim is let go
 _CLOSE = 0.25  # metres from the tip within which frames are counted
 _TURN = 3.5  # degrees in a frame, at most, in a first guess
@@ -93,7 +90,7 @@ class Carried:
 
 
 class Planner(Servo):
-    """Hang a garment by the best of many paths under a forecast: a `Controller` that sees and lets go as `Servo` does.
+    """Hang a garment by the best of many paths under a forecast: a `Controller` that sees as `Servo` does.
 
     Parameters
     ----------
@@ -102,7 +99,10 @@ class Planner(Servo):
     goal : optional
     radius : float
     max_step : float
+    late : int
         As in `Servo`.
+    pace : float
+        Share of the largest step at which the rim shall go; fast cloth swings, and lags behind.
     plans : int
         Paths that are compared at a time.
     rounds : int
@@ -120,13 +120,16 @@ class Planner(Servo):
         *,
         radius: float = 0.02,
         max_step: float = 0.0432,
+        late: int = 0,
+        pace: float = 0.6,
         plans: int = 24,
         rounds: int = 2,
         every: int = 3,
         seed: int = 0,
     ) -> None:
-        super().__init__(goal, radius=radius, max_step=max_step)
+        super().__init__(goal, radius=radius, max_step=max_step, late=late)
         self._forecast, self._seed = forecast, seed
+        self._pace = positive(pace, "pace", zero=False)
         self._plans, self._rounds = whole(plans, "plans", _BEST), whole(rounds, "rounds", 1)
         self._every = whole(every, "every", 1)
 
@@ -144,32 +147,56 @@ class Planner(Servo):
         self._path, self._followed = np.zeros((0, 2, 3)), 0
         self._last: CubicSpline | None = None
         self._was, self._speed = np.zeros(3), np.zeros((2, 3))
+        self._slow: bool | None = None
+        self._told, self._carried = 0, np.zeros((0, 3))
 
-    def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Return the next action (7,); none moves anything once there is a `reason` to give up.
+    def _look(self, points: Array) -> None:
+        """Tell the forecast too; what was not seen since it was told, it is told carried."""
+        super()._look(points)
+        frame = self._frame - self._age
+        for then in list(self._past)[len(self._past) - self._age - frame + self._told : -1 - self._age]:
+            self._forecast.observe(turned(self._carried, then.yaw) + then.middle, then.grippers, True, then.line)
+        self._forecast.observe(points, self._then.grippers, True, self._then.line)
+        self._told, self._carried = frame, self._inside(points)
 
-        Parameters
-        ----------
-        observation : mapping
-        """
-        points, grippers, line = (np.asarray(observation[name], float) for name in ("points", "grippers", "target"))
-        self._forecast.observe(points, grippers, bool(observation["held"]), line)
-        return super().act(observation)
+    def _outside(self, points: Array) -> Array:
+        """Where the points are now, by the forecast for what was done since they were seen."""
+        there = self._seen(points)
+        return self._moved(np.zeros((1, 0, 2, 3)), there)[0, self._age - 1] if self._age else there
+
+    def _seen(self, points: Array) -> Array:
+        """Where the points were when they were seen."""
+        return turned(points, self._then.yaw) + self._then.middle
+
+    def _moved(self, goals: Array, points: Array) -> Array:
+        """(C, 60, n, 3) points that were seen, under what the grippers were told since, and then under goals (C, F, 2, 3)."""
+        since = [then.goals for then in self._past][len(self._past) - self._age :]
+        past = np.broadcast_to(np.reshape(since, (-1, 2, 3)), (len(goals), self._age, 2, 3))
+        plans = np.concatenate([past, goals], axis=1)
+        plans = plans[:, np.minimum(np.arange(_KNOTS[-1]), plans.shape[1] - 1)]
+        return np.asarray(self._forecast.move(plans, np.ones(plans.shape[:2], bool), points)[0], np.float64)
 
     def _along(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
         """The next step of the plan, which is made anew every few frames; or they let go."""
+        if self._slow is None:
+            self._slow = min(loop.opening.size[0] for loop in self._chosen) < self._needed(arm)
+        if self._slow:  # there is no room for cloth that swings
+            return super()._along(arm, grippers)
         rim, before = self._rim(arm, grippers), self._goals
-        speed, self._was = float(np.linalg.norm(rim - self._was)), rim
-        if self._stop:  # it did not go in: lift, back off
+        speed, self._was = float(np.linalg.norm(rim - self._was - self._drift)), rim
+        if self._stop:  # down for certain; or it did not go in: lift, back off
             self._followed, self._speed = len(self._path), np.zeros((2, 3))
             action = super()._along(arm, grippers)
-            self._stop = self._stop if self._stop >= LIFT else 0
+            self._stop = self._stop if self._stop >= DOWN else 0
             return action
         linked = min(loop.around for loop in self._chosen)
         self._waited += bool(np.linalg.norm(rim - arm.tip) < _CLOSE)
         seated = np.linalg.norm(self._seat(arm) - rim) < _SEATED and speed < _STILL
         if linked >= SURE and (seated or self._waited > PATIENCE / 2):
-            return np.eye(7, dtype=np.float32)[6]
+            if all(loop.cycle is not loop.curve for loop in self._chosen):
+                return np.eye(7, dtype=np.float32)[6]
+            self._stop, self._waited = DOWN, 0  # what is not seen is let go when it cannot fall any more
+            return super()._along(arm, grippers)
         if self._waited > PATIENCE:
             self._stop, self._waited, self._last = LIFT, 0, None
         if self._followed in (self._every, len(self._path)):
@@ -183,8 +210,8 @@ class Planner(Servo):
 
     def _best(self, arm: Arm, rim: Array, linked: bool) -> Array:
         """The goals (60, 2, 3) of the path that is followed now."""
-        cycles = [_thinned(self._outside(loop.curve)) for loop in self._chosen]
-        rims = self._outside(np.array([loop.opening.rim for loop in self._chosen]))
+        cycles = [_thinned(self._seen(loop.curve)) for loop in self._chosen]
+        rims = self._seen(np.array([loop.opening.rim for loop in self._chosen]))
         kept, spread = self._guess(arm, rim, linked)[None], _SPREAD
         if self._last is not None:  # from where it is now
             last = self._last(np.minimum(_KNOTS[1:] + self._every, _KNOTS[-1])) - self._last(self._every)
@@ -202,7 +229,7 @@ class Planner(Servo):
         """(knots, 4) where the rim would be on its way at an even pace, from here, and how far turned, if all went with it."""
         legs = np.array([rim, *([self._seat(arm)] if linked else self._stops(arm, rim))])
         length = np.append(0, np.linalg.norm(np.diff(legs, axis=0), axis=1).cumsum())
-        gone = _PACE * self.max_step * _KNOTS[1:]
+        gone = self._pace * self.max_step * _KNOTS[1:]
         places = np.stack([np.interp(gone, length, axis) for axis in legs.T], axis=1)
         facing = angle(turned(self._chosen[0].opening.normal, self._yaw), arm.out)
         return np.column_stack([places - rim, np.clip(facing, -_TURN * _KNOTS[1:], _TURN * _KNOTS[1:])])
@@ -219,19 +246,22 @@ class Planner(Servo):
 
     def _goals_of(self, ways: Array, pivot: Array) -> Array:
         """Goals (C, 60, 2, 3) of ways (C, knots, 4), no faster, and speeding up no harder, than can be."""
-        path = _through(ways)(np.arange(1, _KNOTS[-1] + 1))
+        frames = np.arange(1, _KNOTS[-1] + 1)
+        path = _through(ways)(frames)
+        path[..., :3] += frames[:, None] * self._drift
         goals = turned(self._goals - pivot, path[..., 3, None]) + pivot + path[..., None, :3]
         last, step = (np.broadcast_to(part, goals[:, 0].shape) for part in (self._goals, self._speed))
-        fast, harder = _PACE * self.max_step, _HARDER * self.max_step
+        fast = self._pace * self.max_step
         for k in range(goals.shape[1]):
-            step = np.clip(np.clip(goals[:, k] - last, -fast, fast), step - harder, step + harder)
+            step = np.clip(np.clip(goals[:, k] - last, -fast, fast), step - _HARDER * fast, step + _HARDER * fast)
             goals[:, k] = last = last + step
         return goals
 
     def _costs(self, goals: Array, cycles: list[Array], rims: Array, arm: Arm, linked: bool) -> Array:
         """(C,) what is missing to a hanging loop along paths, in metres, in the mean over the frames that are looked at."""
-        asked = np.concatenate([rims, *cycles])
-        places = np.asarray(self._forecast.move(goals, np.ones(goals.shape[:2], bool), asked)[0][:, _SEEN], np.float64)
+        frames = np.minimum(_SEEN + self._age, _SEEN[-1])
+        gone = (frames + 1 - self._age)[:, None, None] * self._drift  # by the target, until then
+        places = self._moved(goals, np.concatenate([rims, *cycles]))[:, frames] - gone
         tops, *moved = np.split(places, np.cumsum([len(rims), *map(len, cycles)])[:-1], axis=2)
         costs = [self._to_go(tops[:, :, i], cycle, arm, linked) for i, cycle in enumerate(moved)]
         return np.asarray(np.max(costs, axis=0).mean(axis=1))

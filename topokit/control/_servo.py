@@ -11,9 +11,10 @@ Source: visual servoing is from Hutchinson, Hager and Corke 1996, *A tutorial on
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +31,7 @@ _LOOK = 6  # frames in which the loops are looked at before anything moves
 SURE = 5  # frames in a row in which the loops must be around the target
 PATIENCE = 60  # frames for a stop on the rail, and for a loop to be seen
 _TRIES = 4
+_LONGEST = 30  # frames by which a cloud can be late
 _NEAR, _FACING = 0.025, 7.0  # metres and degrees that are near enough to a stop
 _NEW = 0.3  # weight of a new look at an opening
 _SAME = 0.08  # metres between the openings of one loop in two frames, at most
@@ -38,7 +40,17 @@ _LEASH = 0.2  # metres by which a goal may lead its gripper along an axis
 # The stops of the rail: metres before the tip, or, below 0, share of the arm behind it; speed as a share of the largest step.
 _RAIL = {"far": (0.35, 0.5), "near": (0.13, 0.3), "over": (-0.5, 0.2), "down": (-0.5, 0.25)}
 _RAIL |= {"lift": (-0.5, 0.2), "back": (0.13, 0.3)}
-_DOWN, LIFT = list(_RAIL).index("down"), list(_RAIL).index("lift")
+DOWN, LIFT = list(_RAIL).index("down"), list(_RAIL).index("lift")
+
+
+class _Then(NamedTuple):
+    """A frame as it was."""
+
+    grippers: Array  # (2, 3)
+    line: Array  # (K, 3) the target's
+    goals: Array  # (2, 3) that the grippers were told before it
+    middle: Array  # (3,)
+    yaw: float  # degrees
 
 
 @dataclass(eq=False)
@@ -80,15 +92,20 @@ class Servo(Controller):
         Of the target's rods, metres.
     max_step : float
         Metres that a gripper's goal goes along an axis when an action says 1.
+    late : int
+        Frames by which clouds are known to be late: what they show was in the frame of the grippers of then.
     """
 
-    def __init__(self, goal: ArrayLike | None = None, *, radius: float = 0.02, max_step: float = 0.0432) -> None:
+    def __init__(
+        self, goal: ArrayLike | None = None, *, radius: float = 0.02, max_step: float = 0.0432, late: int = 0
+    ) -> None:
         counts = goal is None or np.ndim(goal) == 0
         self._count = 1 if goal is None or not counts else whole(goal, "goal", 1)
         self._place = None if counts else as_reals(goal, "goal").astype(np.float64)
         if self._place is not None and (self._place.shape != (3,) or not np.isfinite(self._place).all()):
             raise ValueError(f"goal must be None, a number of loops or a place of three numbers, not {goal!r}")
         self.radius, self.max_step = positive(radius, "radius"), positive(max_step, "max_step", zero=False)
+        self._late = whole(late, "late", 0, _LONGEST)
 
     def reset(self, observation: Mapping[str, Any]) -> None:
         """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
@@ -97,6 +114,8 @@ class Servo(Controller):
         self._known: list[_Known] = []
         self._chosen: list[_Known] = []
         self._frame = self._stop = self._waited = self._tries = 0
+        self._past = deque[_Then](maxlen=_LONGEST + 1)
+        self._cloud, self._age, self._drift = np.zeros((0, 3)), 0, np.zeros(3)
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the next action; nothing moves once there is a `reason` to give up."""
@@ -105,9 +124,8 @@ class Servo(Controller):
         if arm is None or self.reason or not observation["held"]:
             self.reason = self.reason if arm else "the target has no arm that runs sideways"
             return np.zeros(7, np.float32)
-        self._middle, self._yaw = grippers.mean(axis=0), angle(np.eye(3)[0], grippers[1] - grippers[0])
         self._frame += 1
-        self._look(points)
+        self._follow(points, grippers, line)
         if not self._chosen and self._frame >= _LOOK:
             self._choose(arm, self._inside(points))
         if not self._chosen:
@@ -115,13 +133,31 @@ class Servo(Controller):
         for loop in self._chosen:
             if arm.holds(self._outside(loop.cycle)):
                 loop.around += 1
-            elif loop.cycle is not loop.curve or self._stop < _DOWN:  # what is carried down is pressed through the arm
+            elif loop.cycle is not loop.curve or self._stop < DOWN:  # what is carried down is pressed through the arm
                 loop.around = 0
         return self._along(arm, grippers)
 
+    def _follow(self, points: Array, grippers: Array, line: Array) -> None:
+        """Take in a frame: how old its cloud is, what the cloud shows when it is new, and how fast the target goes."""
+        new = not np.array_equal(points, self._cloud)
+        if self._past:
+            new |= np.array_equal(grippers, self._past[-1].grippers)  # nothing moves, so nothing is old
+            self._drift = (self._drift + line[-1] - self._past[-1].line[-1]) / 2
+        self._middle, self._yaw = grippers.mean(axis=0), angle(np.eye(3)[0], grippers[1] - grippers[0])
+        self._past.append(_Then(grippers, line, self._goals, self._middle, self._yaw))
+        self._age = min(self._late if new else self._age + 1, len(self._past) - 1)
+        self._cloud = points
+        if new:
+            self._look(points)
+
+    @property
+    def _then(self) -> _Then:
+        """When the cloud was taken that is seen now."""
+        return self._past[-1 - self._age]
+
     def _inside(self, points: Array) -> Array:
-        """Places in the frame of the grippers: level, from midway between them, x from the first to the second."""
-        return turned(points - self._middle, -self._yaw)
+        """Places of a cloud in the frame of the grippers of then: level, from midway between them, x from first to second."""
+        return turned(points - self._then.middle, -self._then.yaw)
 
     def _outside(self, points: Array) -> Array:
         return turned(points, self._yaw) + self._middle
@@ -159,7 +195,7 @@ class Servo(Controller):
             if min(known.opening.gap(twin) for known in self._known) > _SAME / 2:
                 curve = loop.curve * mirror
                 self._known.append(_Known(curve, curve, curve, twin, loop.seen))
-        needed = arm.tip[2] - arm.end[2] + 4 * self.radius  # metres, half around the arm with its tip
+        needed = self._needed(arm)
         seen = [loop for loop in self._known if loop.seen > 1]
         fit = [loop for loop in seen if loop.opening.size.sum() >= needed]
         if len(fit) < self._count:
@@ -205,7 +241,7 @@ class Servo(Controller):
             self.reason = "" if self._tries < _TRIES else f"in {_TRIES} tries the loop did not come around the target"
         way = _GAIN * gap
         way *= min(1.0, _RAIL[stop][1] * self.max_step / max(float(np.linalg.norm(way)), 1e-9))
-        goals = rim + turned(self._goals - rim, np.clip(_GAIN * facing, -_TURN, _TURN)) + way
+        goals = rim + turned(self._goals - rim, np.clip(_GAIN * facing, -_TURN, _TURN)) + way + self._drift
         return self._step(goals, grippers)
 
     def _rim(self, arm: Arm, grippers: Array) -> Array:
@@ -220,6 +256,10 @@ class Servo(Controller):
         move = np.clip((goals - self._goals) / self.max_step, -1, 1)
         self._goals = np.clip(self._goals + self.max_step * move, grippers - _LEASH, grippers + _LEASH)
         return np.append(move.ravel(), 0.0).astype(np.float32)
+
+    def _needed(self, arm: Arm) -> float:
+        """Half around the arm with its tip, metres."""
+        return float(arm.tip[2] - arm.end[2] + 4 * self.radius)
 
     def _clear(self, arm: Arm) -> float:
         """How far above the tip the rim should pass, metres: the tip shall go through the middle of the opening."""

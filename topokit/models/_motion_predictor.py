@@ -21,6 +21,8 @@ from ._predictor import Array, Forecast, Predictor, as_cloud, as_grippers
 from ._scenes import carriers_first, flow, resampled
 from ._states import TRIANGLES
 
+_UNTRACKED = 16  # clouds that are kept until their loops are asked for
+
 
 class MotionPredictor(Predictor):
     """Forecasts by a `Motion`: of the cloud, and of the loops that the tracker sees in the present one.
@@ -42,14 +44,14 @@ class MotionPredictor(Predictor):
         self._clouds: deque[NDArray[np.float64]] = deque(maxlen=PAST[-1] + 1)
         self._hands: deque[NDArray[np.float64]] = deque(maxlen=PAST[-1] + 1)
         self._held, self._target = True, np.zeros((0, 3))
-        self._loops: tuple[Loop, ...] = ()
-        self._seqph = SeqPH()
+        self._seqph, self._loops = SeqPH(), tuple[Loop, ...]()
+        self._untracked: deque[NDArray[np.float64]] = deque(maxlen=_UNTRACKED)
         self._codes: dict[bytes, Codes] = {}
 
     def observe(
         self, points: ArrayLike, grippers: ArrayLike | None = None, held: bool = True, target: ArrayLike | None = None
     ) -> None:
-        """Take in the next frame, and track its loops.
+        """Take in the next frame.
 
         Parameters
         ----------
@@ -73,10 +75,8 @@ class MotionPredictor(Predictor):
             if line.shape[1] != 3:
                 raise ValueError(f"target must be an (L, 3) array, not of shape {line.shape}")
             self._target = line
-        self._loops = tuple(self._seqph.update(cloud).loops[: self.model.shape.slots])
-        frame: Any = self._seqph._before  # the one that this was
-        self._sampling = frame.gaps, frame.tree.n
         self._clouds.append(cloud)
+        self._untracked.append(cloud)
         self._hands.append(place)
         self._held, self._codes = bool(held), {}
 
@@ -100,6 +100,7 @@ class MotionPredictor(Predictor):
         """
         if len(exact) and (np.ndim(actions) == 4 or not all(1 <= step <= KNOTS[-1] for step in exact)):
             raise ValueError(f"exact names frames from 1 to {KNOTS[-1]} of a single plan, not {list(exact)}")
+        self._track()
         ids = np.array([_corners(loop)[0] for loop in self._loops], dtype=np.int64)  # (S, 8)
         corners = None if len(exact) or not self._clouds else self._clouds[-1][ids.ravel()]
         places, _ = self._moved(actions, held, corners)
@@ -129,6 +130,13 @@ class MotionPredictor(Predictor):
         """
         places, scales = self._moved(actions, held, None if points is None else as_cloud(points))
         return (places, scales) if np.ndim(actions) == 4 else (places[0], scales[0])
+
+    def _track(self) -> None:
+        """Track the loops of the clouds that came since; a forecast of points alone does not need them."""
+        while self._untracked:
+            self._loops = self._seqph.update(self._untracked.popleft()).loops[: self.model.shape.slots]
+            frame: Any = self._seqph._before  # the one that this was
+            self._sampling = frame.gaps, frame.tree.n
 
     def _moved(self, actions: ArrayLike, held: ArrayLike | None, asked: NDArray[Any] | None) -> tuple[Array, Array]:
         """(C, 60, n, 3) places and (C, 60, n) scales of some points, or of the last cloud's."""

@@ -73,7 +73,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     `max_steps`. `info` holds `success`, `dropped`, `torn`, and the `linked` share and the `distance` of the potential.
 
     **Options** are keywords here, for all episodes, and entries of `reset(options={...})` for one. What they leave open is
-    drawn by the seed, for each apart from the others. Moves and shoves begin 0.3 to 1.5 s after the first step. The last four
+    drawn by the seed, for each apart from the others. Moves and shoves begin 0.3 to 1.5 s after the first step. The last five
     spoil `points` alone: success is judged on the vertices.
 
     ============ =================== ======================================================================================
@@ -84,7 +84,11 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     `start`      None                "anywhere": the garment starts 0.5 to 1 m before or beside the target, at any yaw
     `moves`      0.0                 metres from which, at most, the target comes to its place, within 0.6 s
     `shove`      0.0                 m/s that a push sideways, of 0.1 s, would give to free cloth
+    `swing`      0.0                 m/s that a push like that, just before the first observation, would give to free cloth
+    `travels`    0.0                 m/s of the target, level and steady, from the first step on; at rest is who moves with it
+    `limit`      0.0                 seconds after which the grippers let go, whatever the action says; 0 for never
     `late`       0                   steps by which `points` are late; the first ones stay until then
+    `every`      1                   steps from one new cloud to the next
     `noise`      0.0                 metres, the standard deviation of each coordinate of a point
     `missing`    0.0                 share of points that are lost; repeats of others stand for them
     `outliers`   0.0                 share of points that are anywhere in the cloud's box, grown by 10 cm on each side
@@ -168,7 +172,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         super().reset(seed=seed)
         self.close()
         drawn, start, self._sensor = self.np_random.spawn(3)
-        self.target, self._frames, self._push = now.scene(self._described, self.config.frame_time, drawn)
+        self.target, self._frames, self._push, swing = now.scene(self._described, self.config.frame_time, drawn)
         task = replace(self.task, plan=now.plan(self.task.plan, start))
         self._path = planned(task, self.garment, self.target, self.np_random)
         self._goal = self._path.at(0.0)
@@ -179,6 +183,11 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._world.add_rods(self._rods)
         for _ in range(round(self.config.settle / self.config.dt)):
             self._world.step(self._goal)
+        if swing.any():
+            self._world.push(swing)
+            for _ in range(len(self._frames) * self.config.steps_per_frame):
+                self._world.step(self._goal)
+            self._world.push(0 * swing)
         self._steps, self._released = 0, -1
         self._points, self._options = self._world.vertices(), now
         self._cloud, self._clouds = self._world.grippers(), deque[Array](maxlen=now.late + 1)
@@ -197,7 +206,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         move = as_reals(action, "action").astype(np.float64)
         if move.shape != (7,) or not np.isfinite(move).all():
             raise ValueError(f"an action is seven finite numbers, not {action!r}")
-        points, linked, distance = self._points, self._linked, self._distance
+        points, linked, distance, there = self._points, self._linked, self._distance, self._there
         self._advance(self.max_step * np.clip(move[:6], -1, 1).reshape(2, 3), release=move[6] > 0.5)
         torn = False
         try:
@@ -205,7 +214,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         except SimulationError:
             torn, self._points = True, points  # the last that made sense
         observation = self._observe()
-        speed = np.linalg.norm(self._points - points, axis=1).mean() / self.config.frame_time
+        gone = self._there.seat - there.seat if self._options.travels else np.zeros(3)
+        speed = np.linalg.norm(self._points - points - gone, axis=1).mean() / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
         rests = not torn and free and speed < AT_REST
         hangs = rests and self.task.hangs(self._points, self.garment.named_loops, self._there)
@@ -219,8 +229,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return observation, reward, ends, not ends and self._steps >= self.max_steps, info
 
     def _advance(self, move: Array, release: bool) -> None:
-        world = self._running()
-        if self._released < 0 and release:
+        world, limit = self._running(), self._options.limit
+        if self._released < 0 and (release or 0 < limit <= self._steps * self.config.frame_time):
             world.release()
             self._released = self._steps
         if self._push.any():
@@ -276,6 +286,9 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _look(self, world: World) -> Array:
         """The points that are observed now."""
+        if self._steps % self._options.every:
+            self._clouds.append(self._clouds[-1])
+            return self._clouds[0]
         if self.cameras:
             cloud = seen(world, self.cameras, self.n_points, self._sensor)
             self._cloud = cloud if len(cloud) else np.resize(self._cloud, (self.n_points, 3))

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapV
 from topokit._config import NotNegative, as_tuple, checked
 
 from ._off_script import from_elsewhere
-from ._placed import Moving, Placed
+from ._placed import Moving, Placed, Travelling
 from ._surface import Array
 from ._targets import Target
 from ._tasks import Planner
@@ -39,20 +39,31 @@ class Options:
     noise: NotNegative = 0.0
     missing: Annotated[float, Field(ge=0, lt=1)] = 0.0
     outliers: Annotated[float, Field(ge=0, le=1)] = 0.0
+    limit: NotNegative = 0.0
+    swing: NotNegative = 0.0
+    travels: NotNegative = 0.0
+    every: Annotated[int, Field(ge=1)] = 1
 
-    def scene(self, target: Target, frame_time: float, rng: np.random.Generator) -> tuple[Target, range, Array]:
-        """The target, and the frames and the acceleration (x, y) of the push; all is drawn, whether or not it is asked for."""
+    def scene(self, target: Target, frame_time: float, rng: np.random.Generator) -> tuple[Target, range, Array, Array]:
+        """The target, the frames and the acceleration (x, y) of the push, and that of the swing, which takes as many frames.
+
+        All is drawn, whether or not it is asked for.
+        """
         place, way = rng.uniform(-1, 1, 4) * _AWAY, rng.normal(size=3)
         way *= self.moves * np.cbrt(rng.random()) / np.linalg.norm(way)  # anywhere in a ball
-        (sets_off, begins), angle = rng.uniform(*_SOON, 2).tolist(), rng.uniform(-np.pi, np.pi)
+        sets_off, begins = rng.uniform(*_SOON, 2).tolist()
+        pushed, swung, gone = (np.array([np.cos(a), np.sin(a)]) for a in rng.uniform(-np.pi, np.pi, 3))
         if self.moves:  # to where it stands otherwise: what is planned stays as it is
             x, y, z = way.tolist()
             target = Moving(Placed(target, -x, -y, -z), x, y, z, start=sets_off, seconds=_MOVING)
+        if self.travels:
+            vx, vy = (self.travels * gone).tolist()
+            target = Travelling(target, vx=vx, vy=vy)
         if self.place is not None:
             target = Placed(target, *(place.tolist() if self.place == "anywhere" else self.place))
         first, frames = round(begins / frame_time), max(1, round(_PUSHING / frame_time))
-        push = self.shove / (frames * frame_time) * np.array([np.cos(angle), np.sin(angle)])
-        return target, range(first, first + frames), push
+        push, swing = self.shove * pushed, self.swing * swung
+        return target, range(first, first + frames), push / (frames * frame_time), swing / (frames * frame_time)
 
     def plan(self, plan: Planner, rng: np.random.Generator) -> Planner:
         """A task's plan, from the start that is asked for."""

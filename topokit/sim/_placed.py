@@ -97,6 +97,20 @@ class Moving(Placed):
 
 
 @checked
+class Travelling(Placed):
+    """A target that goes on and on at one speed, level; what is planned and described is where it was at first."""
+
+    vx: float = 0.0  #: m/s
+    vy: float = 0.0  #: m/s
+
+    def at(self, time: float) -> Target:
+        return Placed(self.target.at(time), self.x + self.vx * time, self.y + self.vy * time, self.z, self.yaw)
+
+    def describe(self) -> dict[str, Any]:
+        return {**super().describe(), "velocity": [self.vx, self.vy]}
+
+
+@checked
 class Among(Target):
     """A target with others about it, which are in the way: nothing counts that hangs on those."""
 
