@@ -134,6 +134,36 @@ class Diagram:
         edges = [edge or (-1, -1) for edge in self._homology.killers_of(ids)]
         return np.array(edges, dtype=np.int64).reshape(-1, 2)
 
+    def to_gudhi(
+        self,
+    ) -> tuple[NDArray[np.int64], list[NDArray[np.int64]], NDArray[np.int64], list[NDArray[np.int64]]]:
+        """Return the pairs in the form of GUDHI's ``SimplexTree.flag_persistence_generators``, larger vertices first.
+
+        GUDHI itself is not needed. Which of two components that are born at the same time dies is open; here it is that of
+        the larger first vertex.
+
+        Returns
+        -------
+        (c, 3) int64, list of (n, 4) int64, (k,) int64, list of (m, 2) int64
+            Of components that merge, a vertex and the edge; of loops that end, birth edge and killer edge; a vertex of each
+            component that stays; the birth edges of loops that stay. The lists are empty when there is no such loop.
+
+        Examples
+        --------
+        >>> from topokit import rips_persistence
+        >>> rips_persistence([[0, 0], [2, 0], [2, 2.1], [0, 2.1]]).to_gudhi()[1]
+        [array([[3, 0, 2, 0]])]
+        """
+        from ._merges import elders, merges  # numba takes a while to import
+
+        edges, radii = merges(self._cloud, self.max_radius)
+        dying, staying = elders(edges, self.n_points)
+        pairs_0 = np.column_stack([np.array(dying, np.int64), edges[:, ::-1]])[radii > 0]
+        stays = np.isinf(self.death)
+        ends = np.hstack([self.birth_edge[:, ::-1], self.killer_edge[:, ::-1]])[~stays]
+        open_ = self.birth_edge[stays][:, ::-1]
+        return pairs_0, [ends] if len(ends) else [], np.array(staying, np.int64), [open_] if len(open_) else []
+
     @cached_property
     def _homology(self) -> Homology:
         from ._cycles import Homology  # numba takes a while to import
