@@ -8,13 +8,13 @@ import sys
 import gudhi
 import numpy as np
 import pytest
-from clouds import random_cloud
 from scipy import sparse
 from scipy.spatial.distance import cdist
 
 from topokit import rips_persistence
 from topokit.compat import from_gudhi, ripser
 
+from clouds import random_cloud
 from conftest import polygon
 
 RING = polygon(12)

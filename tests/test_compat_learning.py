@@ -6,22 +6,25 @@ import pickle
 
 import numpy as np
 import pytest
-from clouds import random_cloud
 
 from topokit import rips_persistence
 
+from clouds import random_cloud
 from conftest import DATA, polygon
 
-# -- scikit-learn -----------------------------------------------------------------------------------------------------------
-
 pytest.importorskip("sklearn")
+pytest.importorskip("torch")
+
+import torch
 from sklearn.base import clone
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import StratifiedGroupKFold, cross_val_score
 from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import check_estimator
 
-from topokit.compat import LoopFeatures
+from topokit.compat import LoopFeatures, births_and_deaths
+
+# -- scikit-learn -----------------------------------------------------------------------------------------------------------
 
 ARRAY_API = "check_array_api_input"  # scikit-learn itself skips it where SCIPY_ARRAY_API is not set
 
@@ -119,10 +122,6 @@ def test_garments_are_told_apart_by_their_loops():
 
 
 # -- PyTorch ----------------------------------------------------------------------------------------------------------------
-
-torch = pytest.importorskip("torch")
-
-from topokit.compat import births_and_deaths
 
 
 def cloud(*shape: int, seed: int = 0, **how: object):

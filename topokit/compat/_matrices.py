@@ -18,8 +18,8 @@ def filled(matrix: Any, name: str) -> tuple[NDArray[np.float64], float]:
     from scipy.sparse import csr_array, issparse  # SciPy takes a while to import
 
     if issparse(matrix):
-        entries = csr_array(matrix).tocoo()
-        row, column, value = *entries.coords, as_reals(entries.data, name)
+        entries: Any = csr_array(matrix).tocoo()
+        (row, column), value = entries.coords, as_reals(entries.data, name)
         dense, upper = np.full(entries.shape, np.inf), row < column
         np.fill_diagonal(dense, matrix.diagonal())
         for part in (~upper & (row != column), upper):

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 def ripser(
-    X: ArrayLike,  # noqa: N803
+    X: ArrayLike,
     maxdim: int = 1,
     thresh: float = np.inf,
     coeff: int = 2,
@@ -73,34 +73,31 @@ def ripser(
     Examples
     --------
     >>> from topokit.compat import ripser
-    >>> found = ripser(np.array([[0, 0], [2, 0], [2, 2], [0, 2], [1, 2]]), do_cycles=True)
-    >>> found["dgms"][1], found["killer_edge"], found["cycles"]
-    (array([[2.        , 2.23606798]]), array([[0, 4]]), [array([2, 1, 0, 3, 4])])
+    >>> found = ripser([[0, 0], [2, 0], [2, 2], [0, 2], [1, 2]], do_cycles=True)
+    >>> found["dgms"][1].round(3), found["killer_edge"], found["cycles"]
+    (array([[2.   , 2.236]]), array([[1, 4]]), [array([1, 0, 3, 4, 2])])
     """
-    _refuse(maxdim, coeff, do_cocycles)
-    bound, by_points = positive(thresh, "thresh", infinite=True), not distance_matrix and metric == "euclidean"
+    _refuse(maxdim, coeff, do_cocycles, n_perm and hasattr(X, "tocsr"))
+    bound, is_sparse = positive(thresh, "thresh", infinite=True), hasattr(X, "tocsr")
     distances, most = filled(X, "X") if distance_matrix else (_distances(X, metric), np.inf)
     if distances.ndim != 2 or len(distances) != distances.shape[1]:
         raise ValueError(f"Distance matrix is not square: X has shape {distances.shape}")
     index, cover, from_all = np.arange(len(distances)), 0.0, X if distance_matrix else distances
-    if n_perm and hasattr(X, "tocsr"):
-        raise ValueError("n_perm: Greedy permutation is not supported for sparse distance matrices")
     if n_perm and whole(n_perm, "n_perm", 1, len(distances)) < len(distances):
         index, cover = _greedy(distances, n_perm)
         from_all, distances = distances[index], distances[np.ix_(index, index)]
-    given = as_points(X)[index] if by_points else distances
-    diagram = rips_persistence(
-        given, metric="euclidean" if by_points else "precomputed", max_radius=min(bound, most) / 2
-    )
+    if distance_matrix or metric != "euclidean":
+        diagram = rips_persistence(distances, metric="precomputed", max_radius=min(bound, most) / 2)
+    else:
+        diagram = rips_persistence(as_points(X)[index], max_radius=bound / 2)
     rows = np.argsort(-diagram.birth, kind="stable") if maxdim else np.empty(0, np.int64)
-    lengths = distances[np.triu_indices(len(distances), 1)]
-    encloses = np.inf if hasattr(X, "tocsr") else distances.max(axis=1, initial=0.0).min(initial=np.inf)
     dgms = [_components(diagram), 2 * np.column_stack([diagram.birth, diagram.death])[rows]][: maxdim + 1]
-    within = min(bound, most if hasattr(X, "tocsr") else np.inf, encloses)
+    encloses = distances.max(axis=1, initial=0.0).min(initial=np.inf)  # beyond that length nothing is left to die
+    lengths = distances[np.triu_indices(len(distances), 1)]
     return {
         "dgms": dgms,
         "cocycles": [[] for _ in dgms],
-        "num_edges": int(np.count_nonzero(lengths <= within)),
+        "num_edges": int(np.count_nonzero(lengths <= min(bound, most if is_sparse else encloses))),
         "dperm2all": from_all,
         "idx_perm": index,
         "r_cover": cover,
@@ -110,16 +107,18 @@ def ripser(
     }
 
 
-def _refuse(maxdim: int, coeff: int, do_cocycles: bool) -> None:
+def _refuse(maxdim: int, coeff: int, do_cocycles: bool, few_of_sparse: Any) -> None:
     if whole(maxdim, "maxdim") > 1:
         raise ValueError(f"maxdim={maxdim} is not offered: topokit finds components and loops, maxdim=1")
     if coeff != 2:
         raise ValueError(f"coeff={coeff} is not offered: topokit computes over Z/2, coeff=2")
     if do_cocycles:
         raise ValueError("do_cocycles=True is not offered: do_cycles=True finds closed walks around the loops instead")
+    if few_of_sparse:
+        raise ValueError("n_perm: Greedy permutation is not supported for sparse distance matrices")
 
 
-def _distances(X: ArrayLike, metric: Any) -> Array:  # noqa: N803
+def _distances(X: ArrayLike, metric: Any) -> Array:
     """The (n, n) distances of points; Ripser's question about an array whose rows may be no points."""
     points = as_points(X, "X")
     if len(points) <= points.shape[1]:

@@ -44,13 +44,13 @@ class LoopFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     def __init__(self, n_loops: int = 4, n_dims: int = 3, n_jobs: int | None = None) -> None:
         self.n_loops, self.n_dims, self.n_jobs = n_loops, n_dims, n_jobs
 
-    def fit(self, X: Any, y: object = None) -> LoopFeatures:  # noqa: N803
+    def fit(self, X: Any, y: object = None) -> LoopFeatures:
         """Look at the parameters and the clouds, as of `transform`; `y` is not looked at."""
         whole(self.n_loops, "n_loops", 1)
         self._clouds(X, reset=True)
         return self
 
-    def transform(self, X: Any) -> NDArray[np.float64]:  # noqa: N803
+    def transform(self, X: Any) -> NDArray[np.float64]:
         """Return (m, 2 * n_loops): birth and lifetime, half lengths of edges, of the longest-lived loop, of the next, and so on.
 
         Parameters
@@ -65,7 +65,7 @@ class LoopFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
             row[:, 1] -= row[:, 0]
         return rows.reshape(len(rows), -1)
 
-    def diagrams(self, X: Any) -> list[NDArray[np.float64]]:  # noqa: N803
+    def diagrams(self, X: Any) -> list[NDArray[np.float64]]:
         """Return for each cloud its loops (k, 2), birth and death, as persim plots and compares them.
 
         Parameters
@@ -81,7 +81,7 @@ class LoopFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         names = [f"{name}{i}" for i in range(self.n_loops) for name in ("birth", "lifetime")]
         return np.array(names, dtype=object)
 
-    def _clouds(self, X: Any, reset: bool) -> list[NDArray[np.float64]]:  # noqa: N803
+    def _clouds(self, X: Any, reset: bool) -> list[NDArray[np.float64]]:
         """Clouds as they are given, or from the rows of an array that scikit-learn has checked."""
         if isinstance(X, (list, tuple, np.ndarray)) and len(X) and np.ndim(X[0]) == 2:
             return as_sequence(X, "X")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._validate import as_ids, positive
-from ._cloud import Cloud, pairs
+from ._cloud import Cloud, Ids, pairs
 
 if TYPE_CHECKING:
     from ._cycles import Homology
@@ -134,13 +134,11 @@ class Diagram:
         edges = [edge or (-1, -1) for edge in self._homology.killers_of(ids)]
         return np.array(edges, dtype=np.int64).reshape(-1, 2)
 
-    def to_gudhi(
-        self,
-    ) -> tuple[NDArray[np.int64], list[NDArray[np.int64]], NDArray[np.int64], list[NDArray[np.int64]]]:
+    def to_gudhi(self) -> tuple[Ids, list[Ids], Ids, list[Ids]]:
         """Return the pairs in the form of GUDHI's ``SimplexTree.flag_persistence_generators``, larger vertices first.
 
-        GUDHI itself is not needed. Which of two components that are born at the same time dies is open; here it is that of
-        the larger first vertex.
+        GUDHI is not needed for it. Which of two components dies when they merge is open, as all are born at 0: here it is the
+        one whose first vertex has the larger number.
 
         Returns
         -------
@@ -151,18 +149,17 @@ class Diagram:
         Examples
         --------
         >>> from topokit import rips_persistence
-        >>> rips_persistence([[0, 0], [2, 0], [2, 2.1], [0, 2.1]]).to_gudhi()[1]
-        [array([[3, 0, 2, 0]])]
+        >>> rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]]).to_gudhi()[1]
+        [array([[3, 2, 2, 0]])]
         """
         from ._merges import elders, merges  # numba takes a while to import
 
         edges, radii = merges(self._cloud, self.max_radius)
         dying, staying = elders(edges, self.n_points)
-        pairs_0 = np.column_stack([np.array(dying, np.int64), edges[:, ::-1]])[radii > 0]
-        stays = np.isinf(self.death)
-        ends = np.hstack([self.birth_edge[:, ::-1], self.killer_edge[:, ::-1]])[~stays]
-        open_ = self.birth_edge[stays][:, ::-1]
-        return pairs_0, [ends] if len(ends) else [], np.array(staying, np.int64), [open_] if len(open_) else []
+        merged, stays = np.column_stack([dying, edges[:, ::-1]])[radii > 0], np.isinf(self.death)
+        birth_edge, killer_edge = self.birth_edge[:, ::-1], self.killer_edge[:, ::-1]
+        ended, staying_loops = np.hstack([birth_edge, killer_edge])[~stays], birth_edge[stays]
+        return merged, [ended][: len(ended)], staying, [staying_loops][: len(staying_loops)]
 
     @cached_property
     def _homology(self) -> Homology:

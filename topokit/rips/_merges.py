@@ -44,7 +44,7 @@ def merges(cloud: Cloud, max_radius: float) -> tuple[NDArray[np.int64], NDArray[
     return edges[inside], radii[inside]
 
 
-def elders(edges: NDArray[np.int64], n: int) -> tuple[list[int], list[int]]:
+def elders(edges: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The vertex that dies with each merge, the one with the larger number of two first vertices; and those that never die."""
     first, dying = list(range(n)), list[int]()
     for edge in edges.tolist():
@@ -55,4 +55,4 @@ def elders(edges: NDArray[np.int64], n: int) -> tuple[list[int], list[int]]:
             roots.append(v)
         first[max(roots)] = min(roots)
         dying.append(max(roots))
-    return dying, [v for v in range(n) if first[v] == v]
+    return np.array(dying, np.int64), np.array([v for v in range(n) if first[v] == v], np.int64)
