@@ -1,6 +1,6 @@
 """A simplex tree of GUDHI as a diagram. Nothing of GUDHI is imported: the tree brings its methods.
 
-Source: Boissonnat, Maria 2014, *The simplex tree*; Maria, Boissonnat, Glisse, Yvinec 2014, *The GUDHI library*.
+Source: Boissonnat, Maria 2014, *The simplex tree*.
 """
 
 from __future__ import annotations
@@ -8,28 +8,27 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_array
 
 from topokit._validate import WrongKindError
 from topokit.rips import Diagram, rips_persistence
 
-from ._matrices import filled
+from ._ripser import filled
 
 
 def from_gudhi(tree: Any) -> Diagram:
-    """Compute the loops of a ``gudhi.SimplexTree`` that a graph fills, as a Rips complex.
-
-    A tree of dimension 1 is a graph, and stands for all the simplices that its expansion would have. Of a larger tree the
-    triangles are compared with those.
+    """Compute the loops of a ``gudhi.SimplexTree`` that is a Rips complex, or the graph of one.
 
     Parameters
     ----------
     tree : gudhi.SimplexTree
-        Vertices 0 to n - 1, which enter at 0; other simplices enter with their longest edge.
+        Vertices 0 to n - 1, which enter at 0; other simplices enter with their longest edge. One of dimension 1 stands for its
+        expansion.
 
     Returns
     -------
     Diagram
-        Births and deaths are half the filtration values, as everywhere in topokit. Loops that the tree does not fill stay.
+        Births and deaths are half the filtration values. Loops that the complex does not fill have death inf.
 
     Raises
     ------
@@ -44,40 +43,20 @@ def from_gudhi(tree: Any) -> Diagram:
     >>> from_gudhi(gudhi.RipsComplex(points=corners).create_simplex_tree(max_dimension=2)).birth
     array([1.])
     """
-    if not hasattr(tree, "get_skeleton"):
+    if not hasattr(tree, "prune_above_dimension"):
         raise WrongKindError(f"tree must be a gudhi.SimplexTree, not {type(tree).__name__}")
-    simplices = list(tree.get_skeleton(2))
-    vertices = sorted(simplex[0] for simplex, _ in simplices if len(simplex) == 1)
-    if vertices != list(range(len(vertices))):
-        raise ValueError(
-            f"tree must have the vertices 0 to n - 1, not {vertices[:3]} to {vertices[-1]}: number them anew"
-        )
-    late = [simplex for simplex, value in simplices if len(simplex) == 1 and value != 0]
-    if late:
-        raise ValueError(f"vertex {late[0][0]} does not enter at 0: topokit takes Rips complexes, not lower stars")
-    matrix = np.full((len(vertices), len(vertices)), np.inf)
-    np.fill_diagonal(matrix, 0.0)
-    for simplex, value in simplices:
-        if len(simplex) == 2:
-            a, b = simplex
-            matrix[a, b] = matrix[b, a] = value
+    graph = tree.copy()
+    graph.prune_above_dimension(1)
+    simplices = list(graph.get_filtration())
+    vertices = {simplex[0]: value for simplex, value in simplices if len(simplex) == 1}
+    if sorted(vertices) != list(range(len(vertices))) or any(vertices.values()):
+        raise ValueError("tree must have the vertices 0 to n - 1, and they must enter at 0: number them anew")
+    ends = np.array([simplex for simplex, _ in simplices if len(simplex) == 2], np.int64).reshape(-1, 2)
+    lengths = [value for simplex, value in simplices if len(simplex) == 2]
     if tree.dimension() > 1:
-        _check_triangles(matrix, simplices)
-    distances, longest = filled(matrix, "the edges")
+        graph.expansion(tree.dimension())
+        if graph != tree:
+            words = "some simplex is missing, or enters later than its longest edge; give its graph alone"
+            raise ValueError(f"tree is no Rips complex: {words} (prune_above_dimension(1))")
+    distances, longest = filled(coo_array((lengths, ends.T), (len(vertices),) * 2), "the edges")
     return rips_persistence(distances, metric="precomputed", max_radius=longest / 2)
-
-
-def _check_triangles(matrix: Any, simplices: list[tuple[list[int], float]]) -> None:
-    """Raise ValueError when a triangle of the graph is missing, or enters later than its longest edge."""
-    count = 0
-    for simplex, value in simplices:
-        if len(simplex) == 3:
-            count += 1
-            if value != matrix[np.ix_(simplex, simplex)].max():
-                raise ValueError(f"triangle {simplex} enters at {value}, not with its longest edge: no Rips complex")
-    graph = np.isfinite(matrix).astype(np.float64) - np.eye(len(matrix))
-    there = round(float((graph @ graph * graph).sum()) / 6)
-    if there != count:
-        raise ValueError(
-            f"tree has {count} of the {there} triangles of its graph: no Rips complex; give its edges alone"
-        )

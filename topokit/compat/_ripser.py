@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points, positive, whole
+from topokit._validate import as_points, as_reals, positive, whole
 from topokit.rips import Diagram, rips_persistence
 from topokit.rips._merges import merges
-
-from ._matrices import filled
 
 Array = NDArray[np.float64]
 
@@ -41,8 +39,7 @@ def ripser(
     Parameters
     ----------
     X : (n, d) array_like
-        Points, or with `distance_matrix` the (n, n) distances, dense or sparse. Edges that are infinite, or not stored in a
-        sparse matrix, are not there.
+        Points, or with `distance_matrix` the (n, n) distances, dense or sparse; edges infinite or not stored are not there.
     maxdim : {1, 0}
     thresh : float
         The longest edge that is looked at.
@@ -147,3 +144,24 @@ def _components(diagram: Diagram) -> Array:
     radii = merges(diagram._cloud, diagram.max_radius)[1]
     deaths = np.append(2 * radii[radii > 0], np.full(diagram.n_points - len(radii), np.inf))
     return np.column_stack([np.zeros(len(deaths)), deaths])
+
+
+def filled(matrix: Any, name: str) -> tuple[NDArray[np.float64], float]:
+    """A whole matrix, of its upper triangle if it has one, and the longest edge: those infinite or not stored are longer."""
+    from scipy.sparse import csr_array, issparse  # SciPy takes a while to import
+
+    if issparse(matrix):
+        entries: Any = csr_array(matrix).tocoo()
+        (row, column), value = entries.coords, as_reals(entries.data, name)
+        dense, upper = np.full(entries.shape, np.inf), row < column
+        np.fill_diagonal(dense, matrix.diagonal())
+        for part in (~upper & (row != column), upper):
+            dense[row[part], column[part]] = dense[column[part], row[part]] = value[part]
+    else:
+        dense = np.array(as_reals(matrix, name), np.float64)
+        mirrored = np.triu(dense) + np.triu(dense, 1).T if dense.ndim == 2 and len(dense) == dense.shape[1] else dense
+        dense = mirrored if np.allclose(dense, mirrored, rtol=1e-6, atol=0) else dense  # by rounding, not by mistake
+    there = np.isfinite(dense)
+    longest = float(dense.max(initial=0.0, where=there))
+    dense[np.isposinf(dense)] = 2 * longest or 1.0
+    return dense, np.inf if there.all() else longest

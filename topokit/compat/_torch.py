@@ -3,8 +3,7 @@
 Idea: which edges these are does not change under small motions of the points, almost everywhere; so the gradient of a bar is
 that of the lengths of its birth edge and its killer edge.
 
-Source: Gameiro, Hiraoka, Obayashi 2016, *Continuation of point clouds via persistence diagrams*; Carriere et al. 2021,
-*Optimizing persistent homology based functions*.
+Source: Gameiro, Hiraoka, Obayashi 2016, *Continuation of point clouds via persistence diagrams*.
 """
 
 from __future__ import annotations
@@ -25,8 +24,7 @@ def births_and_deaths(points: Tensor, n_loops: int | None = None, *, n_jobs: int
     points : (n, d) or (batch, n, d) Tensor
         On any device; persistence itself is computed on the processor.
     n_loops : int, optional
-        As many loops of each cloud, the longest-lived first; those that it has not have birth and death 0. By default as many
-        as the cloud has that has most.
+        As many of each cloud, longest lifetime first, by default as many as one has at most; what is not there is (0, 0).
     n_jobs : int, optional
         Threads for a batch; by default one for each core.
 
@@ -71,6 +69,6 @@ def births_and_deaths(points: Tensor, n_loops: int | None = None, *, n_jobs: int
 
 
 def _edges(diagram: Diagram, n: int) -> np.ndarray:
-    """(n, 2, 2) birth and killer edges of the first loops; for those that there are not, an edge from a vertex to itself."""
+    """(n, 2, 2) birth and killer edges of the first loops, or an edge from a vertex to itself."""
     edges = np.stack([diagram.birth_edge, diagram.killer_edge], axis=1)[:n]
     return np.concatenate([edges, np.zeros((n - len(edges), 2, 2), np.int64)])

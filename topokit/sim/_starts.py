@@ -13,20 +13,14 @@ from topokit._validate import whole
 class HangingStarts(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Episodes of a `HangEnv` that start where those of the hanging benchmark do (`tests/benchmarks/hanging.py`).
 
-    Each `reset` takes the next seed, and after the last one the first again. A seed given to `reset` says which of them comes
-    next by its place in the row; so every environment of a vector can begin at another one.
+    Each `reset` takes the next seed, and after the last one the first again; ``reset(seed=k)`` goes on from the k-th.
 
     Parameters
     ----------
     env : gymnasium.Env
-        ``gymnasium.make("topokit/HangApronHook-v1")``, for example; its target is anywhere, as in the benchmark.
+        Made by its id: the target is anywhere then, as in the benchmark.
     seeds : sequence of int
         Those of the benchmark when not given. Learn on others: ``range(1000)``.
-
-    Raises
-    ------
-    ValueError
-        When there is no seed.
 
     Examples
     --------
@@ -47,7 +41,7 @@ class HangingStarts(gymnasium.Wrapper[Any, Any, Any, Any]):
         Parameters
         ----------
         seed : int, optional
-            Which of the starts comes next, counted from 0, and from 0 again after the last.
+            Which of the starts comes next, counted from 0 and around.
         options : dict, optional
             Those of `HangEnv.reset`.
         """

@@ -18,13 +18,12 @@ from topokit.view._plots import loop_colour, one_a_frame
 def rerun(film: Episode | Sequence[ArrayLike], states: Sequence[TopologicalState], path: str | Path) -> Path:
     """Write what was tracked as a recording that Rerun's viewer opens (``rerun tracks.rrd``).
 
-    Each identity has its colour, its killer triangles, its cycle, and a curve of its lifetime; of an episode there are also
-    the target, the grippers, and where they will be told to go.
+    Each identity has its colour, killer triangles, cycle, and curve of lifetimes; an episode also its target and its grippers,
+    with what they will be told.
 
     Parameters
     ----------
     film : Episode or sequence of (n, 3) array_like
-        What was tracked.
     states : sequence of TopologicalState
         One a frame, as `topokit.track` returns them.
     path : str or Path
