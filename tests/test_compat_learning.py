@@ -89,7 +89,7 @@ def test_clouds_in_rows_are_the_same_clouds():
 @pytest.mark.parametrize(
     ("clouds", "options", "says"),
     [
-        ([[1.0, 2, 3, 4]], {}, "a row of X has 4 numbers, which are no points of n_dims=3"),
+        ([[1.0, 2, 3, 4]], {}, "a row of X has 4 numbers: no points of n_dims=3"),
         ([np.eye(3), np.eye(2)], {}, r"X\[1\] has 2 dimensions"),
         ([np.full((3, 2), np.nan)], {}, r"X\[0\] has 3 of 3 points with a NaN"),
         ([np.eye(3)], {"n_loops": 0}, "n_loops must be 1 or more"),

@@ -33,9 +33,8 @@ def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], An
         except ModuleNotFoundError as error:
             if (error.name or "").startswith("topokit"):
                 raise
-            missing = str(error.name).partition(".")[0]
-            install = wanted.replace("*", missing)
-            raise ImportError(f"{package}.{name} needs {missing}: pip install '{install}'") from error
+            need = str(error.name).partition(".")[0]
+            raise ImportError(f"{package}.{name} needs {need}: pip install '{wanted.replace('*', need)}'") from error
         setattr(sys.modules[package], name, value)  # the next time Python finds it without asking here
         return value
 

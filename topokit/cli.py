@@ -98,12 +98,8 @@ def _add_track(commands: Any) -> None:
     option("--fps", type=float, help="frames a second, of clouds without times")
     live = "instead of a file, read clouds from standard input, .npy arrays one after another, and print a line of JSON"
     option("--live", action="store_true", help=f"{live} for each as it comes")
-    option(
-        "--out",
-        type=Path,
-        metavar="TRACKS",
-        help="tracks to write (default PATH.tracks.npz): .npz, or .jsonl, a line a frame",
-    )
+    tracks = "tracks to write (default PATH.tracks.npz), or a line of JSON a frame (.jsonl)"
+    option("--out", type=Path, metavar="TRACKS", help=tracks)
     option("--plot", type=Path, metavar="PICTURE", help="also draw the tracks (.png, .svg or .pdf)")
     option("--rerun", type=Path, metavar="FILE", help="also write a recording for Rerun's viewer (.rrd)")
     clouds = "all vertices (default) or the subsample an observer sees"

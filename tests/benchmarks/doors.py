@@ -8,7 +8,7 @@ processor's time, which other programs stretch less.
 from __future__ import annotations
 
 import argparse
-import datetime
+import datetime as dt
 import importlib.metadata
 import json
 import os
@@ -24,7 +24,6 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 
 import numpy as np
 import torch
-from rips_clouds import cloud
 from sklearn.base import TransformerMixin
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import StratifiedGroupKFold, cross_val_score
@@ -35,6 +34,8 @@ from topokit._archive import atomic_file
 from topokit.compat import LoopFeatures, births_and_deaths, from_gudhi, ripser
 from topokit.data import Dataset
 from topokit.io import load_episode
+
+from rips_clouds import cloud
 
 ROOT = Path(__file__).parents[2]
 MARKS = ("<!-- python tests/benchmarks/doors.py -->", "<!-- until here -->")
@@ -77,21 +78,31 @@ def works() -> dict[str, Work]:
         return 2 * np.column_stack([found.birth, found.death])
 
     return {
-        "ripser.py": ("degrees 0 and 1 of 500 points", lambda: theirs(apron)["dgms"][1], lambda: ripser(apron)["dgms"][1]),
+        "ripser.py": (
+            "degrees 0 and 1 of 500 points",
+            lambda: theirs(apron)["dgms"][1],
+            lambda: ripser(apron)["dgms"][1],
+        ),
         "GUDHI": (
             "generators of 150 points, which need all triangles",
             lambda: generators(small)[1][0],
             lambda: tk.rips_persistence(small).to_gudhi()[1][0],
         ),
         "GUDHI, edges collapsed": ("a graph of 150 points in a tree", collapsed, from_graph),
-        "PyTorch": ("a gradient, 150 points, generators by GUDHI", lambda: step(by_gudhi), lambda: step(births_and_deaths)),
+        "PyTorch": (
+            "a gradient, 150 points, generators by GUDHI",
+            lambda: step(by_gudhi),
+            lambda: step(births_and_deaths),
+        ),
     }
 
 
 def alike(one: Any, other: Any) -> bool:
     """Whether two arrays hold the same rows, whatever their order; Ripser's numbers are float32."""
     a, b = (np.asarray(part, float) for part in (one, other))
-    return a.shape == b.shape and np.allclose(*(part[np.lexsort(part.T.round(4))] for part in (a, b)), rtol=1e-4, atol=1e-6)
+    return a.shape == b.shape and np.allclose(
+        *(part[np.lexsort(part.T.round(4))] for part in (a, b)), rtol=1e-4, atol=1e-6
+    )
 
 
 class Lifetimes(TransformerMixin):
@@ -113,7 +124,8 @@ class Lifetimes(TransformerMixin):
 
 def garments(features: Any) -> dict[str, Any]:
     """Garments told apart by the loops of what is observed, cross-validated by episode: seconds, and the share told right."""
-    films = [data[i] for folder in ("dataset", "motion") for data in [Dataset(ROOT / "data_small" / folder)] for i in data.episodes]
+    folders = [Dataset(ROOT / "data_small" / name) for name in ("dataset", "motion")]
+    films = [data[i] for data in folders for i in data.episodes]
     kinds = [film.garment for film in films]
     films = [film for film in films if kinds.count(film.garment) > 3]
     frames = [(film.observed[t], film.garment, i) for i, film in enumerate(films) for t in range(0, len(film), 12)]
@@ -153,13 +165,17 @@ def measured(repeat: int) -> dict[str, Any]:
     for name, (what, there, here) in works().items():
         assert alike(there(), here()), f"{name}: not the same numbers"
         turns = [(least(there, 1), least(here, 3)) for _ in range(repeat)]
-        rows.append({"neighbour": name, "what": what, "there_ms": min(t for t, _ in turns), "here_ms": min(h for _, h in turns)})
+        rows.append(
+            {"neighbour": name, "what": what, "there_ms": min(t for t, _ in turns), "here_ms": min(h for _, h in turns)}
+        )
         print(rows[-1])
     packages = ("topokit", "ripser", "gudhi", "scikit-learn", "torch", "rerun-sdk")
-    versions = {name: importlib.metadata.version(name) for name in packages if name != "topokit"} | {"topokit": tk.__version__}
+    versions = {name: importlib.metadata.version(name) for name in packages if name != "topokit"} | {
+        "topokit": tk.__version__
+    }
     return {
         "command": "python tests/benchmarks/doors.py",
-        "date": str(datetime.datetime.now(datetime.timezone.utc).date()),
+        "date": str(dt.datetime.now(dt.timezone.utc).date()),
         "machine": {"processor": processor(), "python": platform.python_version(), "versions": versions},
         "rows": rows,
         "garments": {"topokit": garments(LoopFeatures(n_loops=6, n_jobs=1)), "ripser.py": garments(Lifetimes())},
@@ -168,7 +184,9 @@ def measured(repeat: int) -> dict[str, Any]:
 
 
 def processor() -> str:
-    names = [line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line]
+    names = [
+        line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line
+    ]
     return names[0] if names else platform.processor()
 
 
@@ -182,8 +200,13 @@ def table(found: dict[str, Any]) -> str:
         lines.append(f"| {row['neighbour']} | {row['what']} | {row['there_ms']:,.3g} ms | {row['here_ms']:,.3g} ms |")
     what = f"{one['clouds']} clouds of {one['episodes']} episodes, {one['kinds']} garments, cross-validated"
     lines.append(f"| scikit-learn, bars by ripser.py | {what} | {other['seconds']:.3g} s | {one['seconds']:.3g} s |")
-    told = f"{100 * one['score']:.0f} % of the clouds are told right, with bars by ripser.py {100 * other['score']:.0f} %"
-    lines += ["", f"In the last row {told}; always saying the most frequent garment, {100 * one['most_frequent']:.0f} %."]
+    told = (
+        f"{100 * one['score']:.0f} % of the clouds are told right, with bars by ripser.py {100 * other['score']:.0f} %"
+    )
+    lines += [
+        "",
+        f"In the last row {told}; always saying the most frequent garment, {100 * one['most_frequent']:.0f} %.",
+    ]
     size = f"{film['frames']} frames take {film['seconds']:.2g} s and {film['megabytes']:.2g} MB"
     return "\n".join([*lines, f"As a recording for Rerun, cycles found, {size}."])
 

@@ -1,7 +1,4 @@
-"""A simplex tree of GUDHI as a diagram. Nothing of GUDHI is imported: the tree brings its methods.
-
-Source: Boissonnat, Maria 2014, *The simplex tree*.
-"""
+"""A simplex tree of GUDHI as a diagram. Nothing of GUDHI is imported: the tree brings its methods."""
 
 from __future__ import annotations
 

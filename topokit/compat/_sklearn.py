@@ -20,8 +20,6 @@ from topokit.rips import rips_persistence_many
 class LoopFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     """The longest-lived loops of clouds as numbers: a transformer of scikit-learn.
 
-    Nothing is learned: `fit` looks at the parameters, and at how long a row is.
-
     Parameters
     ----------
     n_loops : int
@@ -45,7 +43,13 @@ class LoopFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         self.n_loops, self.n_dims, self.n_jobs = n_loops, n_dims, n_jobs
 
     def fit(self, X: Any, y: object = None) -> LoopFeatures:
-        """Look at the parameters and the clouds, as of `transform`; `y` is not looked at."""
+        """Look at the parameters, and at how long a row is: nothing is learned.
+
+        Parameters
+        ----------
+        X, y
+            As of `transform`; nothing.
+        """
         whole(self.n_loops, "n_loops", 1)
         self._clouds(X, reset=True)
         return self
@@ -88,9 +92,7 @@ class LoopFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         rows = validate_data(self, X, reset=reset, dtype=np.float64)
         n_dims = whole(self.n_dims, "n_dims", 1)
         if rows.shape[1] % n_dims:
-            raise ValueError(
-                f"a row of X has {rows.shape[1]} numbers, which are no points of n_dims={n_dims} coordinates"
-            )
+            raise ValueError(f"a row of X has {rows.shape[1]} numbers: no points of n_dims={n_dims} coordinates")
         return list(rows.reshape(len(rows), -1, n_dims))
 
     def __sklearn_tags__(self) -> Tags:

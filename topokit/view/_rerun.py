@@ -32,14 +32,6 @@ def rerun(film: Episode | Sequence[ArrayLike], states: Sequence[TopologicalState
     ------
     ImportError, ValueError
         When Rerun is not installed; when there is not one state a frame.
-
-    Examples
-    --------
-    >>> from topokit import track
-    >>> from topokit.io import load_episode
-    >>> film = load_episode("data_small/apron_hook_0.npz")
-    >>> rerun(film, track(film.points), "apron.rrd")  # doctest: +SKIP
-    PosixPath('apron.rrd')
     """
     rr, episode = sdk(), film if isinstance(film, Episode) else None
     clouds: Any = film if episode is None else episode.points
@@ -74,12 +66,8 @@ def sdk() -> Any:
 
 
 def _log(rr: Any, stream: Any, loop: Loop) -> None:
-    place, look = (
-        f"loops/{loop.id}",
-        {"colors": [list(bytes.fromhex(loop_colour(loop.id)[1:]))], "labels": f"loop {loop.id}"},
-    )
+    place, colour = f"loops/{loop.id}", [list(bytes.fromhex(loop_colour(loop.id)[1:]))]
     closed = np.concatenate([loop.cycle_points, loop.cycle_points[:1]])
-    triangles = loop.killer_triangles[:, [0, 1, 2, 0]]
-    stream.log(f"{place}/cycle", rr.LineStrips3D([closed], **look))
-    stream.log(f"{place}/killer", rr.LineStrips3D(triangles, colors=look["colors"]))
+    stream.log(f"{place}/cycle", rr.LineStrips3D([closed], colors=colour, labels=f"loop {loop.id}"))
+    stream.log(f"{place}/killer", rr.LineStrips3D(loop.killer_triangles[:, [0, 1, 2, 0]], colors=colour))
     stream.log(f"lifetimes/{loop.id}", rr.Scalars(loop.lifetime))
