@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from topokit import rips_persistence
+
 from conftest import DATA, polygon
 
 ROOT = Path(__file__).parent.parent
@@ -29,6 +31,17 @@ def test_there_are_pieces_of_all_neighbours():
     assert names <= set().union(*map(imported, BLOCKS))
 
 
+def write_parquet(folder: Path, clouds: list[np.ndarray]) -> None:
+    """Frames of an episode as LeRobot's datasets hold them, and one of another episode."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    folder.mkdir(parents=True)
+    rows = {"observation.pointcloud": [cloud.tolist() for cloud in [*clouds, clouds[0]]]}
+    rows |= {"timestamp": [0.0, 0.1, 0.0], "frame_index": [0, 1, 0], "episode_index": [0, 0, 1]}
+    parquet.write_table(pa.table(rows), folder / "file-000.parquet")
+
+
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
 def test_a_piece_runs(number, tmp_path, monkeypatch):
@@ -41,9 +54,16 @@ def test_a_piece_runs(number, tmp_path, monkeypatch):
     whole = "rerun(film, track(film.points, times=film.times)"
     code = BLOCKS[number].replace(whole, "rerun(film.points[:2], track(film.points[:2])")  # two frames are quick
     names = {"points": points, "clouds": [points, points[:15]]}
+    if "parquet" in BLOCKS[number]:
+        write_parquet(tmp_path / "data" / "chunk-000", [points, 1.1 * points])
     exec(compile(code, "coming_from.md", "exec"), names)
-    loops = [len(names[name]) for name in ("diagram", "bars") if name in names]
+    loops = [len(names[name]) for name in ("diagram", "bars") if name in names and "worst" not in names]
     assert all(count == (0 if "descent" in names else 1) for count in loops)
+    if "worst" in names:
+        known = rips_persistence(points).lifetime[0]
+        assert 0.005 < known - float(names["bars"].detach().diff()[0]) <= 0.02 + 1e-9
+    if "states" in names:
+        assert [state.loops[0].id for state in names["states"]] == [0, 0]
     if "env" in names:
         names["env"].close()
 
