@@ -59,7 +59,7 @@ DOORS := .venv-doors
 doors: env
 	$(BIN)/python -m venv --clear $(DOORS)
 	$(BIN)/python -c "import site; print(site.getsitepackages()[0])" > $(DOORS)/lib/python3.11/site-packages/beside.pth
-	$(DOORS)/bin/python -m pip install --quiet --editable '.[rerun,stable_baselines3]' persim pyarrow ripser
+	$(DOORS)/bin/python -m pip install --quiet --editable '.[rerun,rl]' persim pyarrow ripser
 	$(DOORS)/bin/python -m pytest -o addopts=-ra tests/test_compat*.py tests/test_coming_from.py
 
 # torch stays outside: its builds (CPU, CUDA) come from several indexes, each with hashes of its own.
