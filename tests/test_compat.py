@@ -35,7 +35,7 @@ def bars(tree: gudhi.SimplexTree, degree: int) -> np.ndarray:
 
 
 @pytest.mark.filterwarnings("ignore:X has shape")
-@pytest.mark.parametrize("thresh", [np.inf, 0.8])
+@pytest.mark.parametrize("thresh", [np.inf, 0.8, 3.0])
 @pytest.mark.parametrize("n", [2, 3, 5, 40])
 def test_ripser_gives_whole_lengths_in_both_degrees(n, thresh):
     points = random(n, 3 if n == 3 else 2)
@@ -45,7 +45,7 @@ def test_ripser_gives_whole_lengths_in_both_degrees(n, thresh):
     for degree in (0, 1):
         np.testing.assert_allclose(found["dgms"][degree], bars(tree, degree), rtol=1e-12)
     lengths = cdist(points, points)
-    within = min(thresh, lengths.max(axis=1).min())
+    within = lengths.max(axis=1).min() if thresh == np.inf else thresh
     assert found["num_edges"] == (lengths[np.triu_indices(n, 1)] <= within).sum()
 
 
@@ -132,7 +132,13 @@ def test_a_matrix_that_is_none_is_refused_and_asked_about():
 
 def test_ripsers_own_answers_where_it_is_installed():
     theirs = pytest.importorskip("ripser").ripser
-    for n, options in ((100, {}), (60, {"thresh": 0.7}), (80, {"n_perm": 30}), (50, {"metric": "manhattan"})):
+    for n, options in (
+        (100, {}),
+        (60, {"thresh": 0.7}),
+        (60, {"thresh": 3.0}),
+        (80, {"n_perm": 30}),
+        (50, {"metric": "manhattan"}),
+    ):
         points = random(n, 3)
         one, other = theirs(points, **options), ripser(points, **options)
         assert one.keys() <= other.keys()

@@ -89,12 +89,13 @@ def ripser(
         diagram = rips_persistence(as_points(X)[index], max_radius=bound / 2)
     rows = np.argsort(-diagram.birth, kind="stable") if maxdim else np.empty(0, np.int64)
     dgms = [_components(diagram), 2 * np.column_stack([diagram.birth, diagram.death])[rows]][: maxdim + 1]
-    encloses = distances.max(axis=1, initial=0.0).min(initial=np.inf)  # beyond that length nothing is left to die
-    lengths = distances[np.triu_indices(len(distances), 1)]
+    if bound == np.inf and not is_sparse:  # beyond the enclosing radius nothing is left to die
+        most = distances.max(axis=1, initial=0.0).min(initial=np.inf)
+    lengths = distances[np.triu_indices(len(distances), 1)].astype(np.float32)  # as Ripser counts
     return {
         "dgms": dgms,
         "cocycles": [[] for _ in dgms],
-        "num_edges": int(np.count_nonzero(lengths <= min(bound, most if is_sparse else encloses))),
+        "num_edges": int(np.count_nonzero(lengths <= np.float32(min(bound, most)))),
         "dperm2all": from_all,
         "idx_perm": index,
         "r_cover": cover,
