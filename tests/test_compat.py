@@ -77,6 +77,7 @@ def test_ripser_reads_matrices_sparse_or_with_gaps():
         (sparse.csr_array(short), cut),
     ]
     matrices += [(np.where(lengths <= 0.8, lengths, np.inf), cut), (sparse.csc_matrix(np.tril(short)), cut)]
+    matrices += [(sparse.coo_array(np.triu(lengths) + 2 * np.tril(lengths)), whole)]  # the upper triangle counts
     for matrix, expected in matrices:
         found = ripser(matrix, distance_matrix=True)
         for ours, theirs in zip(found["dgms"], expected, strict=True):
