@@ -2,6 +2,7 @@
 # make test   the same environment; unit tests, doctests, notebooks, lint
 # make core   the small library alone, in an environment with NumPy, SciPy and numba, under any Python that it supports (PYTHON=...)
 # make lowest the same with the lowest versions that pyproject.toml states; EXTRAS="sim data learn sensors view" adds theirs, and every test
+# make doors  tests of the doors to neighbours that the environment lacks (Ripser, persim, Rerun, Stable-Baselines3), in one beside it
 # make hashes requirements-hashed.txt anew: after every change of requirements.txt
 # make supply licences and a bill of materials of the environment, into _build, and an audit for known vulnerabilities
 # make lab    open JupyterLab on the first chapter
@@ -15,7 +16,7 @@ READY := $(VENV)/ready
 export PYTHONHASHSEED = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: book test core lowest hashes supply lint lab env clean help
+.PHONY: book test core lowest doors hashes supply lint lab env clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -52,6 +53,14 @@ lowest: $(TOOLS)/ready
 	  $(EXTRAS:%=--extra %) pyproject.toml --output-file $(TOOLS)/lowest.txt
 	$(MAKE) core PINS="--requirement $(TOOLS)/lowest.txt $(if $(EXTRAS),$(EXTRAS_TOOLS))" \
 	  $(if $(EXTRAS),CORE_TESTS="$(patsubst tests/test_%.py,%,$(filter-out %_repository.py %_docstrings.py,$(wildcard tests/test_*.py)))")
+
+# The neighbours come on top of the environment and leave it as it is.
+DOORS := .venv-doors
+doors: env
+	$(BIN)/python -m venv --clear $(DOORS)
+	$(BIN)/python -c "import site; print(site.getsitepackages()[0])" > $(DOORS)/lib/python3.11/site-packages/beside.pth
+	$(DOORS)/bin/python -m pip install --quiet --editable '.[rerun,rl]' persim pyarrow ripser
+	$(DOORS)/bin/python -m pytest -o addopts=-ra tests/test_compat*.py tests/test_coming_from.py
 
 # torch stays outside: its builds (CPU, CUDA) come from several indexes, each with hashes of its own.
 hashes: $(TOOLS)/ready
@@ -91,4 +100,4 @@ opengl: env
 	@$(BIN)/python -c 'from topokit.view import pyvista_works; ok, why = pyvista_works(); ok or print("topokit:", why)'
 
 clean:
-	rm -rf $(VENV) $(CORE) $(TOOLS) _build build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis *.egg-info
+	rm -rf $(VENV) $(CORE) $(DOORS) $(TOOLS) _build build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis *.egg-info

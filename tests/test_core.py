@@ -22,6 +22,7 @@ COMPANIONS = [
         "pypcd4",
     ),
     *("pyvista", "safetensors", "sklearn", "torch", "tqdm", "trimesh", "vtk", "yaml", "zarr"),
+    *("gudhi", "networkx", "rerun", "ripser"),
 ]
 FACE = [
     *(

@@ -26,6 +26,7 @@ FACES = (
     "topokit.mixture",
     "topokit.linking",
     "topokit.io",
+    "topokit.compat",
     "topokit.sensors",
     "topokit.lemmas",
     "topokit.sim",

@@ -18,7 +18,8 @@ def shown(path: str) -> dict[str, str]:
 def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], Any], list[str]]:
     """`__getattr__` and `__all__` of a package: what it imports under ``if TYPE_CHECKING:`` is imported when used.
 
-    When something is missing that it needs, the error tells to ``pip install 'topokit[extra]'``.
+    When something is missing that it needs, the error tells to ``pip install 'topokit[extra]'``; an extra "*" is one of the
+    name of what is missing.
     """
     where, wanted = shown(path), f"topokit[{extra}]" if extra else "topokit"
 
@@ -32,7 +33,8 @@ def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], An
         except ModuleNotFoundError as error:
             if (error.name or "").startswith("topokit"):
                 raise
-            raise ImportError(f"{package}.{name} needs {error.name}: pip install '{wanted}'") from error
+            need = str(error.name).partition(".")[0]
+            raise ImportError(f"{package}.{name} needs {need}: pip install '{wanted.replace('*', need)}'") from error
         setattr(sys.modules[package], name, value)  # the next time Python finds it without asking here
         return value
 

@@ -98,8 +98,10 @@ def _add_track(commands: Any) -> None:
     option("--fps", type=float, help="frames a second, of clouds without times")
     live = "instead of a file, read clouds from standard input, .npy arrays one after another, and print a line of JSON"
     option("--live", action="store_true", help=f"{live} for each as it comes")
-    option("--out", type=Path, metavar="TRACKS", help="tracks to write (default PATH.tracks.npz)")
+    tracks = "tracks to write (default PATH.tracks.npz), or a line of JSON a frame (.jsonl)"
+    option("--out", type=Path, metavar="TRACKS", help=tracks)
     option("--plot", type=Path, metavar="PICTURE", help="also draw the tracks (.png, .svg or .pdf)")
+    option("--rerun", type=Path, metavar="FILE", help="also write a recording for Rerun's viewer (.rrd)")
     clouds = "all vertices (default) or the subsample an observer sees"
     option("--cloud", choices=("points", "observed"), default="points", help=clouds)
     for name, what in (("alpha", "sampling"), ("beta", "jitter of killers"), ("epsilon", "motion a frame")):
@@ -128,9 +130,21 @@ def _track(options: argparse.Namespace) -> int:
     if given:
         kind = "episodes" if film else "clouds"
         raise ValueError(f"{given[0]} is for {kind}, and {options.episode} is not: leave it out")
-    states, truth, answer, words = (_track_film if film else _track_episode)(options, how)
+    if options.rerun:
+        if options.rerun.suffix != ".rrd":
+            raise ValueError(f"--rerun {options.rerun}: the name of a recording ends in .rrd")
+        from .view._rerun import rerun, sdk
+
+        sdk()  # before the work, so that it is said at once when it is missing
+    states, truth, answer, words, shown = (_track_film if film else _track_episode)(options, how)
     summaries = summarise_tracks(states, *truth)
-    save_states(out, states)
+    if out.suffix == ".jsonl":
+        with atomic_file(out) as lines:
+            lines.writelines(f"{json.dumps(state.as_dict())}\n".encode() for state in states)
+    else:
+        save_states(out, states)
+    if options.rerun:
+        rerun(shown, states, options.rerun)
     if options.json:
         rows = [dict(list(dataclasses.asdict(summary).items())[: 5 if film else None]) for summary in summaries]
         print(json.dumps({**answer, "frames": len(states), "tracks": str(out), "loops": rows}))
@@ -156,23 +170,25 @@ def _track_episode(options: argparse.Namespace, how: dict[str, Any]) -> tuple[An
         with atomic_file(options.plot) as picture:
             track_figure(episode, states).savefig(picture, format=options.plot.suffix[1:])
     words = f"{options.episode}: {episode.garment} to {episode.target}, {len(states)} frames, {options.cloud}"
-    return states, (episode.points, episode.loops), {"episode": str(options.episode)}, words
+    return states, (episode.points, episode.loops), {"episode": str(options.episode)}, words, episode
 
 
 def _track_film(options: argparse.Namespace, how: dict[str, Any]) -> tuple[Any, ...]:
-    """As of an episode, but that there is nothing to compare with."""
+    """As of an episode, but that there is nothing to compare with; clouds are kept where they are to be shown."""
     from .io import read_clouds
 
     asked = {name: getattr(options, name) for name in ("unit", "intrinsics", "topic", "fps")}
-    tracker, clean, states, removed = SeqPH(**how), _cleaner(options), [], Counter[str]()
+    tracker, clean, states, removed, shown = SeqPH(**how), _cleaner(options), [], Counter[str](), []
     for time, cloud in read_clouds(options.episode, columns=_columns(options), **asked):
-        states.append(tracker.update(clean(cloud), time=time))
+        left = clean(cloud)
+        states.append(tracker.update(left, time=time))
+        shown += [left] if options.rerun else []
         removed.update(clean.removed)
     if not states:
         raise ValueError(f"{options.episode}: it holds no cloud")
     told = ", ".join(f"{n / len(states):.0f} {name}" for name, n in removed.items())
     words = f"{options.episode}: {len(states)} frames\nremoved a frame: {told}"
-    return states, (np.empty((len(states), 0, 3)), ()), {"film": str(options.episode), "removed": removed}, words
+    return states, (np.empty((len(states), 0, 3)), ()), {"film": str(options.episode), "removed": removed}, words, shown
 
 
 def _is_film(path: Path) -> bool:
@@ -204,8 +220,8 @@ def _tracks_file(options: argparse.Namespace) -> Path:
         raise ValueError(f"--out: say where to write the tracks of {options.episode}")
     if out.resolve() == options.episode.resolve():
         raise ValueError(f"--out {out}: that is the episode itself")
-    if out.suffix != ".npz":
-        raise ValueError(f"--out {out}: the name of tracks ends in .npz")
+    if out.suffix not in (".npz", ".jsonl"):
+        raise ValueError(f"--out {out}: the name of tracks ends in .npz or .jsonl")
     return out
 
 
@@ -225,7 +241,7 @@ def _print_table(summaries: Sequence[Any], width: int | None) -> None:
 
 def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
     """Track clouds as they come; what is kept does not grow."""
-    given = [name for name in ("episode", "out", "plot", "topic", "fps") if getattr(options, name)]
+    given = [name for name in ("episode", "out", "plot", "rerun", "topic", "fps") if getattr(options, name)]
     if given:
         raise ValueError(f"--live reads standard input and writes standard output: leave out {', '.join(given)}")
     if sys.stdin is None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._validate import as_ids, positive
-from ._cloud import Cloud, pairs
+from ._cloud import Cloud, Ids, pairs
 
 if TYPE_CHECKING:
     from ._cycles import Homology
@@ -133,6 +133,33 @@ class Diagram:
             raise ValueError("a walk must have an edge, not a single vertex")
         edges = [edge or (-1, -1) for edge in self._homology.killers_of(ids)]
         return np.array(edges, dtype=np.int64).reshape(-1, 2)
+
+    def to_gudhi(self) -> tuple[Ids, list[Ids], Ids, list[Ids]]:
+        """Return the pairs in the form of GUDHI's ``SimplexTree.flag_persistence_generators``, larger vertices first.
+
+        GUDHI is not needed for it. Which of two components dies when they merge is open, as all are born at 0: here it is the
+        one whose first vertex has the larger number.
+
+        Returns
+        -------
+        (c, 3) int64, list of (n, 4) int64, (k,) int64, list of (m, 2) int64
+            Of components that merge, a vertex and the edge; of loops that end, birth edge and killer edge; a vertex of each
+            component that stays; the birth edges of loops that stay. The lists are empty when there is no such loop.
+
+        Examples
+        --------
+        >>> from topokit import rips_persistence
+        >>> rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]]).to_gudhi()[1]
+        [array([[3, 2, 2, 0]])]
+        """
+        from ._merges import elders, merges  # numba takes a while to import
+
+        edges, radii = merges(self._cloud, self.max_radius)
+        dying, staying = elders(edges, self.n_points)
+        merged, stays = np.column_stack([dying, edges[:, ::-1]])[radii > 0], np.isinf(self.death)
+        birth_edge, killer_edge = self.birth_edge[:, ::-1], self.killer_edge[:, ::-1]
+        ended, staying_loops = np.hstack([birth_edge, killer_edge])[~stays], birth_edge[stays]
+        return merged, [ended][: len(ended)], staying, [staying_loops][: len(staying_loops)]
 
     @cached_property
     def _homology(self) -> Homology:

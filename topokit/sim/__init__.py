@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ._placed import Among, Moving, Placed
     from ._process import SimulationError
     from ._randomisation import Randomisation
+    from ._starts import HangingStarts
     from ._targets import Hanger, Hook, Mannequin, Target
     from ._tasks import TASKS, Task, task_for
     from ._world import SimulationConfig, World, observe

@@ -1,6 +1,7 @@
 """Pictures: diagrams, tracks, cloths, and figures that move without a kernel.
 
-Everything here needs Matplotlib; `render_cloth` draws better with PyVista, which is imported only there.
+Everything here needs Matplotlib; `render_cloth` draws better with PyVista, and `rerun` writes for Rerun: each is imported only
+there.
 """
 
 from importlib.util import find_spec
@@ -16,5 +17,6 @@ from ._player import player
 from ._plots import Scene, appearances, loop_colour, plot_cloth, plot_diagram, plot_tracks, track_figure
 from ._render import pyvista_works, render_cloth, save_animation
 from ._report import model_label, plot_accuracy, plot_by_horizon, plot_conditions, plot_treatments
+from ._rerun import rerun
 
 __all__ = sorted(shown(__file__))

@@ -1,0 +1,16 @@
+"""Doors to the neighbours: topokit from code that was written for Ripser, GUDHI, scikit-learn or PyTorch.
+
+Each takes a library's own types and gives them back. What a door needs is imported with it alone.
+"""
+
+from typing import TYPE_CHECKING
+
+from topokit._lazy import attach
+
+if TYPE_CHECKING:
+    from ._gudhi import from_gudhi
+    from ._ripser import ripser
+    from ._sklearn import LoopFeatures
+    from ._torch import births_and_deaths
+
+__getattr__, __all__ = attach(__name__, __file__, "*")

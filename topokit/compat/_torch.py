@@ -1,0 +1,74 @@
+"""Births and deaths that PyTorch differentiates: each is half the length of an edge, and an edge has two ends.
+
+Idea: which edges these are does not change under small motions of the points, almost everywhere; so the gradient of a bar is
+that of the lengths of its birth edge and its killer edge.
+
+Source: Gameiro, Hiraoka, Obayashi 2016, *Continuation of point clouds via persistence diagrams*.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from topokit._validate import WrongKindError, whole
+from topokit.rips import Diagram, rips_persistence_many
+
+
+def births_and_deaths(points: Tensor, n_loops: int | None = None, *, n_jobs: int | None = None) -> Tensor:
+    """Return births and deaths of the loops of clouds, as functions of the points.
+
+    Parameters
+    ----------
+    points : (n, d) or (batch, n, d) Tensor
+        On any device; persistence itself is computed on the processor.
+    n_loops : int, optional
+        As many of each cloud, longest lifetime first, by default as many as one has at most; what is not there is (0, 0).
+    n_jobs : int, optional
+        Threads for a batch; by default one for each core.
+
+    Returns
+    -------
+    (n_loops, 2) or (batch, n_loops, 2) Tensor
+        Birth and death, of the type and on the device of the points.
+
+    Raises
+    ------
+    TypeError, ValueError
+        When `points` is no tensor of clouds, or holds a NaN or an infinite coordinate.
+
+    Examples
+    --------
+    A square, seen as a loop: it dies later when its first diagonal grows.
+
+    >>> import torch
+    >>> from topokit.compat import births_and_deaths
+    >>> points = torch.tensor([[0.0, 0], [2, 0], [2, 2], [0, 2]], requires_grad=True)
+    >>> birth, death = births_and_deaths(points)[0]
+    >>> death.backward()
+    >>> points.grad[2]
+    tensor([0.3536, 0.3536])
+    """
+    if not isinstance(points, Tensor) or not points.is_floating_point():
+        what = points.dtype if isinstance(points, Tensor) else type(points).__name__
+        raise WrongKindError(f"points must be a tensor of floating point, not {what}")
+    if points.ndim not in (2, 3):
+        raise ValueError(f"points must be of shape (n, d) or (batch, n, d), not {tuple(points.shape)}")
+    batch = points if points.ndim == 3 else points[None]
+    if not len(batch):
+        raise ValueError(f"points holds no cloud: its shape is {tuple(points.shape)}")
+    diagrams = rips_persistence_many(batch.detach().cpu().double().numpy(), n_jobs)
+    most = max(map(len, diagrams), default=0) if n_loops is None else whole(n_loops, "n_loops")
+    edges = torch.from_numpy(np.stack([_edges(diagram, most) for diagram in diagrams])).to(points.device)
+    ends = batch[
+        torch.arange(len(batch), device=points.device)[:, None, None, None], edges
+    ]  # (batch, n_loops, 2, 2, d)
+    bars = torch.linalg.vector_norm(ends[..., 0, :] - ends[..., 1, :], dim=-1) / 2
+    return bars if points.ndim == 3 else bars[0]
+
+
+def _edges(diagram: Diagram, n: int) -> np.ndarray:
+    """(n, 2, 2) birth and killer edges of the first loops, or an edge from a vertex to itself."""
+    edges = np.stack([diagram.birth_edge, diagram.killer_edge], axis=1)[:n]
+    return np.concatenate([edges, np.zeros((n - len(edges), 2, 2), np.int64)])
