@@ -40,11 +40,15 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
+    "sphinx_exercise",
+    "sphinx_proof",
     "sphinxcontrib.bibtex",
 ]
 myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath", "smartquotes"]
 myst_heading_anchors = 3
 numfig = True
+# Theorems, definitions and remarks share one count, so that a number finds its place; exercises have their own.
+prf_realtyp_to_countertyp = {kind: "theorem" for kind in ("corollary", "definition", "example", "lemma", "remark", "proposition")}
 bibtex_bibfiles = ["references.bib"]
 bibtex_reference_style = "author_year"
 autodoc_typehints = "none"
