@@ -49,6 +49,7 @@ myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "
 myst_heading_anchors = 3
 numfig = True
 # Theorems, definitions and remarks share one count, so that a number finds its place; exercises have their own.
+proof_minimal_theme = True
 prf_realtyp_to_countertyp = {kind: "theorem" for kind in ("corollary", "definition", "example", "lemma", "remark", "proposition")}
 bibtex_bibfiles = ["references.bib"]
 bibtex_reference_style = "author_year"
