@@ -45,16 +45,18 @@ def resolve(name: str) -> object:
     raise ModuleNotFoundError(name)
 
 
-def test_every_item_of_the_paper_has_a_row():
+def test_every_item_of_the_paper_has_an_entry():
     for item, count in ITEMS.items():
-        assert [int(k) for k in re.findall(rf"^\| {item} (\d)", MAP, re.M)] == list(range(1, count + 1)), item
+        assert [int(k) for k in re.findall(rf"^{item} (\d)", MAP, re.M)] == list(range(1, count + 1)), item
 
 
-def test_every_row_names_a_chapter_a_function_and_a_test():
-    rows = [line.split(" | ") for line in MAP.splitlines() if line.startswith("| ") and not line.startswith("| item")]
-    assert len(rows) > 25
-    for row in rows:
-        assert len(row) == 6 and "../notebooks/" in row[2] and "`topokit." in row[3] and ".py" in row[4], row[0]  # noqa: PT018
+def test_every_entry_names_a_chapter_a_function_and_a_test():
+    entries = re.findall(r"^(.+)\n: (.+)\n: (.+) · (.+) · (.+)$", MAP, re.M)
+    assert len(entries) == MAP.count("\n: The paper: ") > 25
+    for item, _, chapter, function, test in entries:
+        assert "../notebooks/" in chapter, item
+        assert "`topokit." in function, item
+        assert "`test_" in test, item
 
 
 @pytest.mark.parametrize("name", sorted(set(re.findall(r"`(topokit[\w.]+)`", MAP))))
