@@ -50,7 +50,9 @@ myst_heading_anchors = 3
 numfig = True
 # Theorems, definitions and remarks share one count, so that a number finds its place; exercises have their own.
 proof_minimal_theme = True
-prf_realtyp_to_countertyp = {kind: "theorem" for kind in ("corollary", "definition", "example", "lemma", "remark", "proposition")}
+prf_realtyp_to_countertyp = {
+    kind: "theorem" for kind in ("corollary", "definition", "example", "lemma", "remark", "proposition")
+}
 bibtex_bibfiles = ["references.bib"]
 bibtex_reference_style = "author_year"
 autodoc_typehints = "none"
@@ -145,7 +147,9 @@ def _hover(app: Any, doctree: Any, docname: str) -> None:
     entries = app.env.get_doctree("book/glossary").findall(nodes.definition_list_item)
     meanings = {name: entry[-1][0].astext() for entry in entries for term in entry[:-1] for name in term["ids"]}
     for reference in doctree.findall(nodes.reference):
-        if any("std-term" in child.get("classes", ()) for child in reference.children if isinstance(child, nodes.Element)):
+        if any(
+            "std-term" in child.get("classes", ()) for child in reference.children if isinstance(child, nodes.Element)
+        ):
             where = reference.get("refid") or reference["refuri"].partition("#")[2]
             reference["reftitle"] = meanings[where]
 
