@@ -18,6 +18,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
+from docutils import nodes  # noqa: E402
 from jupyter_cache import get_cache  # noqa: E402
 
 import topokit  # noqa: E402
@@ -40,11 +41,18 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
+    "sphinx_exercise",
+    "sphinx_proof",
     "sphinxcontrib.bibtex",
 ]
 myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath", "smartquotes"]
 myst_heading_anchors = 3
 numfig = True
+# Theorems, definitions and remarks share one count, so that a number finds its place; exercises have their own.
+proof_minimal_theme = True
+prf_realtyp_to_countertyp = {
+    kind: "theorem" for kind in ("corollary", "definition", "example", "lemma", "remark", "proposition")
+}
 bibtex_bibfiles = ["references.bib"]
 bibtex_reference_style = "author_year"
 autodoc_typehints = "none"
@@ -134,9 +142,22 @@ def _property(app: Any, what: str, name: str, thing: Any, options: Any, lines: l
         lines.insert(0, "")
 
 
+def _hover(app: Any, doctree: Any, docname: str) -> None:
+    """Give every term the first paragraph of its glossary entry as a title, which browsers show under the pointer."""
+    entries = app.env.get_doctree("book/glossary").findall(nodes.definition_list_item)
+    meanings = {name: entry[-1][0].astext() for entry in entries for term in entry[:-1] for name in term["ids"]}
+    for reference in doctree.findall(nodes.reference):
+        if any(
+            "std-term" in child.get("classes", ()) for child in reference.children if isinstance(child, nodes.Element)
+        ):
+            where = reference.get("refid") or reference["refuri"].partition("#")[2]
+            reference["reftitle"] = meanings[where]
+
+
 def setup(app: Any) -> dict[str, bool]:
     # As a value that Sphinx remembers, the digest also makes it read every page again when it changes.
     app.add_config_value("chapters_digest", Path(nb_execution_cache_path).name, "env")
     app.connect("build-finished", _entrance)
+    app.connect("doctree-resolved", _hover)
     app.connect("autodoc-process-docstring", _property, priority=400)  # before napoleon's 500
     return {"parallel_read_safe": True, "parallel_write_safe": True}

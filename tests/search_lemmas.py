@@ -6,7 +6,11 @@ Every random instance is a state, a motion and two observations, and goes throug
 cloud for one version of one statement, whose coordinates, motion and observed vertices change for as long as that brings
 statistic / bound up; a tenth more does the same for statements of the paper that are false, as a control. Counts by version:
 instances tried; those where its hypotheses hold and there is a loop to speak about; violations; the largest ratio among the
-former. Exits with 1 when a version that should be true is violated. Ctrl-C prints what there is so far.
+former. A cloud that is shifted reaches a bound such as beta + epsilon with beta = 0, and says nothing about what must stand
+before beta. So for bounds with a factor before beta there is a second count, over instances whose beta is at least a tenth of
+the killer's length: the largest factor that was needed, (statistic - epsilon) / beta, and the beta there, in killer lengths;
+these instances climb by that. Half of the corollary's start from the seven points that refute the paper's.
+Exits with 1 when a version that should be true is violated. Ctrl-C prints what there is so far.
 """
 
 from __future__ import annotations
@@ -27,6 +31,14 @@ from topokit.lemmas import Check, Verdict
 from clouds import random_cloud
 
 Array = np.ndarray
+
+
+# What stands before beta in the bounds that have it: beta, beta + epsilon, and so many beta + epsilon.
+FACTORS = {("recovering killers", version): 1 for version in ("paper", "corrected")}
+FACTORS |= {("regularity of killers", version): 1 for version in ("paper", "corrected", "intrinsic")}
+FACTORS |= {("corollary", version): 2 for version in ("corrected", "intrinsic", "2 beta + epsilon, all edges")}
+FACTORS |= {("corollary", "3 beta + epsilon, all edges"): 3}
+LARGE_BETA = 0.1  # of the killer's length
 
 
 @dataclass(frozen=True)
@@ -201,11 +213,36 @@ def two_rivals(rng: np.random.Generator, n: int) -> Instance:
     return Instance(*moved, *ids)
 
 
+def seven_points() -> Instance:
+    """The library's counterexample to the paper's corollary."""
+    case = lemmas.COUNTEREXAMPLES["killers two beta apart"]
+    return Instance(case.before, case.after, case.observed_before, case.observed_after)
+
+
 def ratio(verdict: Verdict) -> float:
     """statistic / bound: above 1 is a violation."""
     if verdict.statistic <= 0:
         return 0.0
     return verdict.statistic / verdict.bound if verdict.bound > 0 else float("inf")
+
+
+def needed_factor(check: Check, version: str) -> tuple[float, float] | None:
+    """The factor before beta that would have done, and beta in killer lengths; None where beta is small or not in the bound."""
+    verdict, times = check.versions[version], FACTORS.get((check.statement, version))
+    if times is None or not verdict.loops or verdict.witness is None:
+        return None
+    beta = (verdict.bound - check.epsilon) / times
+    share = beta / (2 * verdict.witness.death)
+    return ((verdict.statistic - check.epsilon) / beta, share) if share >= LARGE_BETA else None
+
+
+def tightness(check: Check, version: str) -> float:
+    """How near to a violation, 1 being on the bound: by the factor before beta where there is one and beta is large."""
+    verdict = check.versions[version]
+    if verdict.violated or (check.statement, version) not in FACTORS:
+        return ratio(verdict)
+    needed = needed_factor(check, version)
+    return needed[0] / FACTORS[check.statement, version] if needed else 0.1 * ratio(verdict)
 
 
 def mutate(rng: np.random.Generator, instance: Instance, size: float) -> Instance:
@@ -237,7 +274,9 @@ def score(check: Check, version: str) -> float:
     if not (verdict.applies or verdict.violated):
         return -0.5
     legs = [sum(row.legs) / max(row.bounds[version], 1e-12) for row in check.loops if version in row.bounds]
-    return ratio(verdict) + (0.5 * min(max(legs, default=0.0), 3.0) if check.statement == "corollary" else 0.0)
+    return tightness(check, version) + (
+        0.5 * min(max(legs, default=0.0), 3.0) if check.statement == "corollary" else 0.0
+    )
 
 
 def optimised_instance(rng: np.random.Generator, statement: str, version: str, steps: int) -> tuple[Instance, Check]:
@@ -245,8 +284,10 @@ def optimised_instance(rng: np.random.Generator, statement: str, version: str, s
     kinds = {"recovering killers": rivals, "regularity of killers": rivals, "corollary": rivals, "converse": two_rivals}
     make = kinds.get(statement, random_instance)
     starts = [make(rng, int(rng.integers(5, 9))) for _ in range(30)]
+    if statement == "corollary" and (statement, version) in FACTORS and rng.random() < 0.5:
+        starts = [mutate(rng, seven_points(), 0.01) for _ in range(30)]
     instance, check = max(((i, CHECKS[statement](i)) for i in starts), key=lambda pair: score(pair[1], version))
-    worst = instance, check  # with the largest ratio
+    worst = instance, check  # the tightest
     best, size = score(check, version), 0.1
     for _ in range(steps):
         other = mutate(rng, instance, size)
@@ -255,7 +296,7 @@ def optimised_instance(rng: np.random.Generator, statement: str, version: str, s
         if reached >= best:
             size = min(1.5 * size, 0.3) if reached > best else size
             instance, check, best = other, found, reached
-            if ratio(check.versions[version]) > ratio(worst[1].versions[version]):
+            if tightness(check, version) > tightness(worst[1], version):
                 worst = instance, check
         else:
             size = max(0.95 * size, 1e-4)
@@ -270,13 +311,22 @@ class Count:
     applies: int = 0
     violated: int = 0
     largest_ratio: float = 0.0
+    large_beta: int = 0  #: instances whose beta is large for their scale
+    largest_factor: float | None = None  #: before beta, needed by one of these
+    beta_there: float | None = None  #: in killer lengths
 
-    def add(self, verdict: Verdict) -> None:
+    def add(self, check: Check, version: str) -> None:
+        verdict = check.versions[version]
         self.tried += 1
         self.applies += verdict.applies
         self.violated += verdict.violated
-        if verdict.applies:
-            self.largest_ratio = max(self.largest_ratio, ratio(verdict))
+        if not verdict.applies:
+            return
+        self.largest_ratio = max(self.largest_ratio, ratio(verdict))
+        if needed := needed_factor(check, version):
+            self.large_beta += 1
+            if self.largest_factor is None or needed[0] > self.largest_factor:
+                self.largest_factor, self.beta_there = needed
 
 
 class Search:
@@ -334,7 +384,7 @@ class Search:
         versions: dict[str, Verdict] | None = None,
     ) -> None:
         for version, verdict in (versions or check.versions).items():
-            counts.setdefault((name, version), Count()).add(verdict)
+            counts.setdefault((name, version), Count()).add(check, version)
             if verdict.violated and (name, version) in TRUE_VERSIONS + PAPER_IS_TRUE:
                 where = {key: getattr(instance, key).tolist() for key in ("before", "after", "seen", "seen_after")}
                 self.news.append({"instance": label, "statement": name, "version": version, "says": str(check)} | where)
@@ -348,6 +398,7 @@ class Search:
                     if statement == name:
                         should = (name, version) in TRUE_VERSIONS + PAPER_IS_TRUE
                         row = {"instances": kind, "statement": name, "version": version, "should_be_true": should}
+                        row["factor"] = FACTORS.get((name, version))
                         largest = (
                             count.largest_ratio if np.isfinite(count.largest_ratio) else None
                         )  # JSON has no infinity
@@ -402,13 +453,15 @@ def main() -> int:
     else:
         print(
             f"{'instances':10} {'statement':22} {'version':28} {'tried':>7} {'applies':>8} {'violated':>9} {'largest':>9}"
+            " factor needed"
         )
         for row in rows:
             largest = np.inf if row["largest_ratio"] is None else row["largest_ratio"]
+            factor = f" {row['largest_factor']:.4f} of {row['factor']}" if row["largest_factor"] is not None else ""
             mark = " !" if row["violated"] and row["should_be_true"] else ""
             print(
                 f"{row['instances']:10} {row['statement']:22} {row['version']:28} {row['tried']:7d} "
-                f"{row['applies']:8d} {row['violated']:9d} {largest:9.4f}{mark}"
+                f"{row['applies']:8d} {row['violated']:9d} {largest:9.4f}{factor}{mark}"
             )
         print(f"{len(search.news)} violations of what should be true")
         for news in search.news[:3]:

@@ -471,6 +471,19 @@ def test_the_search_finds_no_violation_and_would_find_one(monkeypatch):
     assert lemmas.feature_approximation(less.before, less.seen).paper.violated
 
 
+def test_the_factor_before_beta_is_what_seven_points_need():
+    case = lemmas.COUNTEREXAMPLES["killers two beta apart"]
+    check = lemmas.corollary(case.before, case.observed_before, case.after, case.observed_after)
+    needed, share = search_lemmas.needed_factor(check, "2 beta + epsilon, all edges")
+    assert needed == pytest.approx(1.516 / 0.781, abs=0.002)
+    assert share == pytest.approx(0.781 / (2 * 0.816), abs=0.002)
+    assert search_lemmas.tightness(check, "2 beta + epsilon, all edges") == pytest.approx(needed / 2)
+    # A shift has no beta to speak of, and says nothing about the factor.
+    shifted = lemmas.regularity_of_killers(case.before, case.before + [0.1, 0.0])
+    assert search_lemmas.ratio(shifted.intrinsic) == pytest.approx(1)
+    assert search_lemmas.needed_factor(shifted, "intrinsic") is None
+
+
 def test_the_killer_of_a_square_jumps_by_a_side_and_its_cycle_stays():
     """A motion of 1e-9 and the other diagonal is the killer; the triangle's barycentre jumps a third as far."""
     square = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])

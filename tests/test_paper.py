@@ -1,0 +1,115 @@
+"""What the book's map of the paper names exists; every theorem has a proof or a source, every exercise a hint and a solution."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import re
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+MAP = (ROOT / "book" / "paper.md").read_text()
+ITEMS = {"Definition": 3, "Assumption": 3, "Lemma": 5, "Corollary": 1, "Algorithm": 1, "Equation": 1, "Figure": 4}
+
+
+def pages() -> dict[str, str]:
+    """The text of every chapter and page, by file name."""
+    texts = {path.name: path.read_text() for path in (ROOT / "book").glob("*.md")}
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        cells = json.loads(path.read_text())["cells"]
+        texts[path.name] = "\n\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
+    return texts
+
+
+PAGES = pages()
+ALL = "\n".join(PAGES.values())
+
+
+def resolve(name: str) -> object:
+    """The thing of a dotted name: the longest module, then attributes."""
+    parts = name.split(".")
+    for k in range(len(parts), 0, -1):
+        try:
+            thing = importlib.import_module(".".join(parts[:k]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[k:]:
+            # A field of a dataclass without a default is annotated, and no attribute of the class.
+            thing = (
+                thing.__annotations__[part] if part in vars(thing).get("__annotations__", {}) else getattr(thing, part)
+            )
+        return thing
+    raise ModuleNotFoundError(name)
+
+
+def test_every_item_of_the_paper_has_an_entry():
+    for item, count in ITEMS.items():
+        assert [int(k) for k in re.findall(rf"^{item} (\d)", MAP, re.M)] == list(range(1, count + 1)), item
+
+
+def test_every_entry_names_a_chapter_a_function_and_a_test():
+    entries = re.findall(r"^(.+)\n: (.+)\n: (.+) · (.+) · (.+)$", MAP, re.M)
+    assert len(entries) == MAP.count("\n: The paper: ") > 25
+    for item, _, chapter, function, test in entries:
+        assert "../notebooks/" in chapter, item
+        assert "`topokit." in function, item
+        assert "`test_" in test, item
+
+
+@pytest.mark.parametrize("name", sorted(set(re.findall(r"`(topokit[\w.]+)`", MAP))))
+def test_every_function_of_the_map_exists(name):
+    assert resolve(name) is not None
+
+
+def test_every_test_of_the_map_exists():
+    named = re.findall(r"`(test_\w+\.py)(?:::(\w+))?`", MAP)
+    assert len(named) > 30
+    for file, name in named:
+        text = (ROOT / "tests" / file).read_text()
+        assert not name or re.search(rf"^def {name}\(", text, re.M), f"{file}::{name}"
+
+
+def test_every_link_to_a_chapter_leads_there():
+    for page, text in PAGES.items():
+        folder = ROOT / ("notebooks" if page.endswith(".ipynb") else "book")
+        for link in re.findall(r"\]\(([^)#\s]+\.(?:ipynb|md))[)#]", text):
+            assert (folder / link).exists(), f"{page}: {link}"
+
+
+def test_every_chapter_is_in_the_table_of_contents():
+    listed = re.findall(r"^/notebooks/(\w+)$", PAGES["index.md"], re.M)
+    assert sorted(listed) == sorted(path.stem for path in (ROOT / "notebooks").glob("*.ipynb"))
+
+
+def test_labels_are_given_once_and_references_have_one():
+    given = Counter(re.findall(r"^:label: (\S+)$", ALL, re.M))
+    assert max(given.values()) == 1
+    assert set(re.findall(r"\{(?:prf:ref|numref)\}`(?:[^`<]*<)?([^`>]+)>?`", ALL)) <= set(given)
+
+
+def test_every_theorem_has_a_proof_or_a_source_with_the_place():
+    """A statement in an environment is followed by its proof, or cites a work and says where in it."""
+    seen = Counter()
+    for page, text in PAGES.items():
+        for match in re.finditer(r"^:::\{prf:(theorem|proposition|lemma|corollary)\}.*?^:::$", text, re.M | re.S):
+            seen[match[1]] += 1
+            proof = text.find(":::{prf:proof}", match.end())
+            after = text.find(":::{prf:", match.end())
+            sourced = re.search(r"\{cite:p\}`[^`]+` \((Theorem|chapter|section) [\w.]+\)", match[0])
+            assert sourced or 0 <= proof == after, f"{page}: {match[0].splitlines()[1]}"
+    assert seen["theorem"] >= 10
+
+
+@pytest.mark.parametrize("chapter", ["00", "01", "02", "03", "04", "05_", "05b"])
+def test_every_exercise_has_a_hint_and_a_folded_solution(chapter):
+    (path,) = (ROOT / "notebooks").glob(f"{chapter}*.ipynb")
+    cells = json.loads(path.read_text())["cells"]
+    asked = [k for k, cell in enumerate(cells) if "::::{exercise}" in "".join(cell["source"])]
+    assert 3 <= len(asked) <= 5
+    for k in asked:
+        assert "<summary>Hint</summary>" in "".join(cells[k]["source"])
+        assert "hide-cell" in cells[k + 1]["metadata"]["tags"]
+        assert cells[k + 1]["metadata"]["jupyter"]["source_hidden"]  # folded in JupyterLab too
