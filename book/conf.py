@@ -120,7 +120,7 @@ html_copy_source = False
 html_show_sourcelink = False
 html_last_updated_fmt = None
 html_theme_options: dict[str, Any] = {
-    "home_page_in_toc": True,
+    "home_page_in_toc": False,
     "show_toc_level": 2,
     "use_download_button": False,
     "use_fullscreen_button": False,
@@ -131,7 +131,9 @@ html_theme_options: dict[str, Any] = {
 html_favicon = html_logo = "_static/logo.svg"
 html_title = "topokit"
 html_context = {"default_mode": "auto"}
-mathjax_path = "katex/katex.min.js"  # Sphinx writes formulas for MathJax; book.js hands them to KaTeX, a tenth of its size
+mathjax_path = (
+    "katex/katex.min.js"  # Sphinx writes formulas for MathJax; book.js hands them to KaTeX, a tenth of its size
+)
 myst_update_mathjax = False
 
 

@@ -7,7 +7,10 @@ import logging
 
 c = get_config()  # noqa: F821 - IPython hands it over
 c.InlineBackend.figure_formats = {"svg"}
-c.InlineBackend.print_figure_kwargs = {"bbox_inches": "tight", "dpi": 144}  # of the parts that stay pixels, such as cloth
+c.InlineBackend.print_figure_kwargs = {
+    "bbox_inches": "tight",
+    "dpi": 144,
+}  # of the parts that stay pixels, such as cloth
 c.InlineBackend.rc = {"svg.fonttype": "none", "svg.hashsalt": "topokit", "font.size": 11, "figure.facecolor": "white"}
 # Marks and pieces of lines that are many stay pixels too: thousands of shapes weigh megabytes and scroll badly.
 c.InteractiveShellApp.exec_lines = [
@@ -18,9 +21,11 @@ def _pixels():
         from matplotlib import collections, lines, pyplot
         for figure in map(pyplot.figure, pyplot.get_fignums()):
             for artist in figure.findobj(collections.Collection):
-                artist.set_rasterized(max(len(artist.get_offsets()), len(artist.get_paths())) > 300)
+                if "3D" in type(artist).__name__ or max(len(artist.get_offsets()), len(artist.get_paths())) > 1000:
+                    artist.set_rasterized(True)
             for artist in figure.findobj(lines.Line2D):
-                artist.set_rasterized(len(artist.get_xdata()) > (300 if artist.get_linestyle() == "None" else 3000))
+                if len(artist.get_xdata()) > (1000 if artist.get_linestyle() == "None" else 3000):
+                    artist.set_rasterized(True)
 get_ipython().events.register("post_execute", _pixels)
 del _pixels
 """

@@ -1,4 +1,4 @@
-"""What the book adds to Sphinx: numbers and parts, pictures in the colours of the page, the first page, a search that works from a folder.
+"""What the book adds to Sphinx: numbers, pictures in the colours of the page, the first page, a search that works from a folder.
 
 An extension that `conf.py` names. Nothing here is typed twice: numbers come from the names of files, what a chapter is about from
 the table in README.md, figures of the first page from book/results.
@@ -16,9 +16,12 @@ import uuid
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from sphinx import addnodes
+
+import topokit
 
 ROOT = Path(__file__).resolve().parent.parent
 CHAPTER = re.compile(r"notebooks/0*(\d+)_")
@@ -31,6 +34,7 @@ def setup(app: Any) -> dict[str, bool]:
     app.add_directive("film", Film)
     app.connect("source-read", _figures_of_the_first_page)
     app.connect("doctree-read", _number, priority=400)  # before titles are collected, at 500
+    app.connect("doctree-read", _tidy, priority=400)
     app.connect("doctree-resolved", _cards)
     app.connect("doctree-resolved", _drawings)
     app.connect("html-page-context", _head)
@@ -49,6 +53,30 @@ def _number(app: Any, doctree: nodes.document) -> None:
     found, title = CHAPTER.match(app.env.docname), next(doctree.findall(nodes.title), None)
     if found and title is not None:
         title.insert(0, nodes.Text(f"{found[1]}. "))
+
+
+_NOTHING = re.compile(r"\[?<(Axes|matplotlib|Figure)[^>]*>")  # what a plotting call returns
+
+
+def _tidy(app: Any, doctree: nodes.document) -> None:
+    """Leave out what says nothing, name the corners of tables, and fold what is long on the page of results."""
+    for block in list(doctree.findall(nodes.literal_block)):
+        if "text_plain" in block["classes"] and _NOTHING.match(block.astext()):
+            block.parent.remove(block)
+    if app.env.docname.endswith("report/tables"):
+        for head in doctree.findall(nodes.thead):
+            head[0][0] += nodes.paragraph("", "model")
+        for condition in filter(_is_section, doctree[0].children):
+            for table in list(filter(_is_section, condition.children))[1:]:
+                title, *content = table.children
+                summary = f"<details><summary>{html.escape(title.astext())}</summary>"
+                table.replace_self(
+                    [nodes.raw("", summary, format="html"), *content, nodes.raw("", "</details>", format="html")]
+                )
+
+
+def _is_section(node: nodes.Node) -> bool:
+    return isinstance(node, nodes.section)
 
 
 # ---- pictures ----------------------------------------------------------------------------------------------------
@@ -82,7 +110,9 @@ def _in_page(svg: str, told: str) -> str:
     svg = _GREY.sub(lambda m: _between(int(m[1], 16)), svg)
     # Lines without a colour of their own, and text, are black.
     width = float(re.search(r'width="([\d.]+)pt"', svg)[1]) * 4 / 3
-    svg = re.sub(r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', rf'<svg viewBox="\1" width="{width:.0f}" role="img">', svg, count=1)
+    svg = re.sub(
+        r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', rf'<svg viewBox="\1" width="{width:.0f}" role="img">', svg, count=1
+    )
     label = html.escape(told or _labels(svg), quote=True)
     svg = svg.replace('role="img"', f'role="img" aria-label="{label}"', 1)
     least = min(round(width), 560)
@@ -106,7 +136,7 @@ def _labels(svg: str) -> str:
 # ---- the first page ----------------------------------------------------------------------------------------------
 
 
-class chapter_cards(nodes.General, nodes.Element):  # noqa: N801 - docutils names nodes so
+class chapter_cards(nodes.General, nodes.Element):
     """Where the cards of all chapters go."""
 
 
@@ -163,7 +193,9 @@ def _cards(app: Any, doctree: nodes.document, docname: str) -> None:
         for toc in app.env.tocs[docname].findall(addnodes.toctree):
             cards = [_card(app, chapter, about) for _, chapter in toc["entries"] if CHAPTER.match(chapter or "")]
             if cards:
-                parts.append(f'<h3 class="topokit-part">{toc["caption"]}</h3><ul class="topokit-cards">{"".join(cards)}</ul>')
+                parts.append(
+                    f'<h3 class="topokit-part">{toc["caption"]}</h3><ul class="topokit-cards">{"".join(cards)}</ul>'
+                )
         place.replace_self(nodes.raw("", "".join(parts), format="html"))
 
 
@@ -178,9 +210,10 @@ def _card(app: Any, chapter: str, about: dict[str, str]) -> str:
 
 
 def _thumbnail(app: Any, chapter: str) -> Path:
-    """The first picture that a chapter draws."""
-    images = app.env.get_doctree(chapter).findall(nodes.image)
-    return next(path for image in images if "jupyter_execute" in (path := Path(app.srcdir) / image["uri"]).parts)
+    """Of the pictures that a chapter draws the richest that is not heavy."""
+    images = {Path(app.srcdir) / image["uri"] for image in app.env.get_doctree(chapter).findall(nodes.image)}
+    drawn = [path for path in images if "jupyter_execute" in path.parts and path.stat().st_size < 250_000]
+    return max(drawn, key=lambda path: (path.stat().st_size, path.name))
 
 
 # ---- what every page has, and what is laid beside the pages --------------------------------------------------------
@@ -215,7 +248,9 @@ def _finish(app: Any, error: Exception | None) -> None:
     _texts_to_search(app, out)
 
 
-_ICON = re.compile(r'(?<=[{,])("[a-z0-9-]+"|[a-z0-9]+):\[\d+,\d+,\[[^\]]*\],"[0-9a-f]+",(?:"[^"]*"|\["[^"]*","[^"]*"\])\]')
+_ICON = re.compile(
+    r'(?<=[{,])("[a-z0-9-]+"|[a-z0-9]+):\[\d+,\d+,\[[^\]]*\],"[0-9a-f]+",(?:"[^"]*"|\["[^"]*","[^"]*"\])\]'
+)
 
 
 def _fewer_icons(out: Path) -> None:
@@ -247,8 +282,16 @@ _start: dict[str, float] = {}
 
 
 def _say_what_runs(app: Any) -> None:
+    """Compile what is compiled once on a machine, so that no chapter says so on its page, and say what will take time."""
+    for tiny in (np.eye(4, 3), np.eye(4, 2)):
+        topokit.rips_persistence(tiny)
+    topokit.rips_persistence_many(np.eye(4, 3)[None])
     count = len(list((ROOT / "notebooks").glob("*.ipynb")))
-    print(f"topokit: {count} chapters run now, about ten minutes in all; those that ran before and have not changed do not", file=sys.stderr, flush=True)
+    print(
+        f"topokit: {count} chapters run now, about ten minutes in all; those that ran before and have not changed do not",
+        file=sys.stderr,
+        flush=True,
+    )
 
 
 def _began(app: Any, docname: str, source: list[str]) -> None:

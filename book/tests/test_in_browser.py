@@ -20,7 +20,10 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 BOOK = Path(os.environ.get("TOPOKIT_BOOK", ROOT / "_build" / "html")).resolve()
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-PAGES = sorted(page.relative_to(BOOK).as_posix() for page in BOOK.glob("*/**/*.html")) + ["genindex.html", "search.html"]
+PAGES = sorted(page.relative_to(BOOK).as_posix() for page in BOOK.glob("*/**/*.html")) + [
+    "genindex.html",
+    "search.html",
+]
 CHAPTERS = [page for page in PAGES if page.startswith("notebooks/")]
 
 # Pictures of chapters whose text alternative nobody has written yet: at most so many, and no new ones.
@@ -33,10 +36,24 @@ pytestmark = [
 ]
 
 # Rows and entries after the first few are made as those are; the shapes of a drawing are one picture.
-REPEATED = {"exclude": [["iframe"], [".topokit-plot svg > g"], ["tr:nth-child(n+4)"], ["dl.py ~ dl.py ~ dl.py"], [".toc-entry ~ .toc-entry"], ["pre ~ *, pre span:nth-child(n+20)"]]}
+REPEATED = {
+    "exclude": [
+        [part]
+        for part in (
+            "iframe",
+            ".topokit-plot svg > g",
+            ".katex",
+            "tr:nth-child(n+4)",
+            "dl.py ~ dl.py",
+            ".toc-entry ~ .toc-entry",
+            ".cell ~ .cell pre",
+        )
+    ]
+}
 SETTLED = "async () => { for (let i = 0; i < 2; i++) await new Promise(requestAnimationFrame); }"
 # What a figure shows: its canvases, what it says, and where its controls stand.
-SHOWN = """() => [...document.querySelectorAll("canvas")].map((c) => c.toDataURL()).join() + document.querySelector("#status")?.textContent"""
+SHOWN = """() => [...document.querySelectorAll("canvas")].map((c) => c.toDataURL()).join()
+  + document.querySelector("#status")?.textContent"""
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +87,9 @@ class Visit:
         return self.page.evaluate(script, *given)
 
     def theme(self, name: str) -> None:
-        self.ask("name => { document.documentElement.dataset.theme = document.documentElement.dataset.mode = name; }", name)
+        self.ask(
+            "name => { document.documentElement.dataset.theme = document.documentElement.dataset.mode = name; }", name
+        )
 
     def figures(self) -> list[Any]:
         """The frames of the moving figures, each scrolled to, so that it has been loaded and drawn."""
@@ -91,7 +110,9 @@ class Visit:
         found = []
         for frame in (self.page.main_frame, *self.figures()):
             frame.evaluate(axe)
-            for rule in frame.evaluate("([context, options]) => axe.run(context, options)", [REPEATED, only])["violations"]:
+            for rule in frame.evaluate("([context, options]) => axe.run(context, options)", [REPEATED, only])[
+                "violations"
+            ]:
                 if rule["impact"] in ("serious", "critical"):
                     places = " | ".join(str(node["target"]) for node in rule["nodes"][:4])
                     found.append(f"{rule['id']} ({len(rule['nodes'])}): {places}")
@@ -107,15 +128,18 @@ class Visit:
 OVERFLOW = """() => {
   const wide = document.documentElement.clientWidth;
   if (document.documentElement.scrollWidth <= wide) return [];
-  const out = [...document.querySelectorAll("main *")].filter((e) => e.getBoundingClientRect().right > wide + 1);
-  return out.slice(-3).map((e) => e.tagName + "." + e.className + ": " + e.textContent.trim().slice(0, 60));
+  const out = [...document.querySelectorAll("main *:not(.bd-sidebar-secondary, .bd-sidebar-secondary *)")]
+    .filter((e) => e.getBoundingClientRect().right > wide + 1);
+  return out.slice(0, 3).map((e) => e.tagName + "." + e.className + ": " + e.textContent.trim().slice(0, 60));
 }"""
-MATHS = """() => [...document.querySelectorAll(".math")].filter((m) => !m.querySelector(".katex") || m.querySelector(".katex-error"))
+MATHS = """() => [...document.querySelectorAll(".math")]
+  .filter((m) => !m.querySelector(".katex") || m.querySelector(".katex-error"))
   .map((m) => m.textContent.slice(0, 80))"""
 # A picture is told by its alt text, a drawing in the page by its label; neither by the name of a file.
 TOLD = """() => [...document.querySelectorAll("main img, main svg[role=img]")].filter((e) => {
   const text = e.alt ?? e.getAttribute("aria-label") ?? "";
-  return (e.alt !== "" || !e.closest("a, [aria-hidden]")) && (text.trim().length < 12 || /\\.(png|svg|gif)$/.test(text));
+  const heard = !e.closest("[aria-hidden=true]") && (e.alt !== "" || !e.closest("a"));
+  return heard && (text.trim().length < 12 || /\\.(png|svg|gif)$/.test(text));
 }).length"""
 
 
@@ -155,13 +179,17 @@ def _use(frame: Any, control: Any) -> None:
     """Move a control as a hand does."""
     kind = control.evaluate("e => e.type || e.tagName.toLowerCase()")
     if kind == "range":
-        control.evaluate("e => { e.value = +e.value > (+e.min + +e.max) / 2 ? e.min : e.max; e.oninput({ target: e }); }")
+        control.evaluate(
+            "e => { e.value = +e.value > (+e.min + +e.max) / 2 ? e.min : e.max; e.oninput({ target: e }); }"
+        )
     elif kind == "canvas":
         control.focus()
         for key in ("n", "ArrowLeft", "ArrowUp", "ArrowLeft"):
             control.press(key)
     elif kind.startswith("select"):
-        last = control.evaluate("e => e.options[e.selectedIndex === e.options.length - 1 ? 0 : e.options.length - 1].value")
+        last = control.evaluate(
+            "e => e.options[e.selectedIndex === e.options.length - 1 ? 0 : e.options.length - 1].value"
+        )
         control.select_option(last)
     else:
         if control.get_attribute("id") == "reset":  # there must be something to undo
