@@ -113,7 +113,7 @@ def _in_page(svg: str, told: str) -> str:
     svg = re.sub(
         r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', rf'<svg viewBox="\1" width="{width:.0f}" role="img">', svg, count=1
     )
-    label = html.escape(told or _labels(svg), quote=True)
+    label = html.escape(told or _labels(svg) or "Drawing", quote=True)
     svg = svg.replace('role="img"', f'role="img" aria-label="{label}"', 1)
     least = min(round(width), 560)
     return f'<div class="topokit-plot" tabindex="0" role="group" aria-label="figure" style="--least: {least}px">{svg}</div>'

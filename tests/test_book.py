@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import importlib.util
 import json
 import re
@@ -74,8 +75,8 @@ def test_a_drawing_takes_the_colours_of_the_page(shell, tmp_path):
     assert not {"#000000", "#ffffff"} & set(re.findall("#[0-9a-f]{6}", drawn))  # neither ink nor ground of its own
     assert "color-mix(in srgb, var(--ink), var(--ground) 50%)" in drawn
     assert "#d55e00" in drawn
-    label = re.search('aria-label="(Plot: [^"]*)"', drawn)[1]
-    assert set(label.removeprefix("Plot: ").split("; ")) == {"birth &amp; more", "a plot"}
+    label = html.unescape(re.search('aria-label="(Plot: [^"]*)"', drawn)[1])
+    assert set(label.removeprefix("Plot: ").split("; ")) == {"birth & more", "a plot"}
     assert 'aria-label="two &quot;lines&quot;"' in shell._in_page(svg, 'two "lines"')
     names = re.findall(r'\bid="([^"]*)"', drawn)
     assert names

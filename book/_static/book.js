@@ -9,6 +9,7 @@ document.addEventListener("DOMContentLoaded", () => {
     place.replaceChildren(...(number ? [number] : []), formula);
     if (block) place.tabIndex = 0; // a wide one is scrolled to by the keys
   }
+  for (const fold of document.querySelectorAll(".bd-sidebar-primary summary")) fold.ariaLabel = "its parts";
   for (const film of document.querySelectorAll("main img[src$='.gif']")) pausable(film);
 });
 

@@ -46,6 +46,7 @@ REPEATED = {
             "tr:nth-child(n+4)",
             "dl.py ~ dl.py",
             ".toc-entry ~ .toc-entry",
+            "p ~ p ~ p",
             ".cell ~ .cell pre",
         )
     ]
@@ -136,7 +137,7 @@ MATHS = """() => [...document.querySelectorAll(".math")]
   .filter((m) => !m.querySelector(".katex") || m.querySelector(".katex-error"))
   .map((m) => m.textContent.slice(0, 80))"""
 # A picture is told by its alt text, a drawing in the page by its label; neither by the name of a file.
-TOLD = """() => [...document.querySelectorAll("main img, main svg[role=img]")].filter((e) => {
+TOLD = """() => [...document.querySelectorAll(".bd-article img, .bd-article svg[role=img]")].filter((e) => {
   const text = e.alt ?? e.getAttribute("aria-label") ?? "";
   const heard = !e.closest("[aria-hidden=true]") && (e.alt !== "" || !e.closest("a"));
   return heard && (text.trim().length < 12 || /\\.(png|svg|gif)$/.test(text));
