@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from docutils import nodes
 from docutils.parsers.rst import Directive
+from PIL import Image
 from sphinx import addnodes
 
 import topokit
@@ -172,7 +173,7 @@ def _figures_of_the_first_page(app: Any, docname: str, source: list[str]) -> Non
     def number(match: re.Match[str]) -> str:
         whole = json.loads((ROOT / "book" / "results" / f"{match[1]}.json").read_text(encoding="utf-8"))
         value = _at(whole, match[2].split("/"))
-        return {"%": f"{100 * value:.0f} %", "ms": f"{value:.1f} ms", None: f"{value:,}"}[match[3]]
+        return {"%": f"{100 * value:.0f}\u00a0%", "ms": f"{value:.1f}\u00a0ms", None: f"{value:,}"}[match[3]]
 
     source[0] = re.sub(r"\{\{ (\w+): (\S+)(?: \| (\S+))? \}\}", number, source[0])
 
@@ -210,10 +211,14 @@ def _card(app: Any, chapter: str, about: dict[str, str]) -> str:
 
 
 def _thumbnail(app: Any, chapter: str) -> Path:
-    """Of the pictures that a chapter draws the richest that is not heavy."""
+    """Of the pictures that a chapter draws a photograph-like one, else the richest drawing that is not heavy."""
     images = {Path(app.srcdir) / image["uri"] for image in app.env.get_doctree(chapter).findall(nodes.image)}
-    drawn = [path for path in images if "jupyter_execute" in path.parts and path.stat().st_size < 250_000]
-    return max(drawn, key=lambda path: (path.stat().st_size, path.name))
+    drawn = [
+        path
+        for path in images
+        if "jupyter_execute" in path.parts and (path.suffix == ".png" or path.stat().st_size < 250_000)
+    ]
+    return max(drawn, key=lambda path: (path.suffix == ".png", path.stat().st_size, path.name))
 
 
 # ---- what every page has, and what is laid beside the pages --------------------------------------------------------
@@ -241,7 +246,11 @@ def _finish(app: Any, error: Exception | None) -> None:
     thumbnails = out / "_static" / "thumbnails"
     thumbnails.mkdir(parents=True, exist_ok=True)
     for chapter in filter(CHAPTER.match, app.env.found_docs):
-        shutil.copy(_thumbnail(app, chapter), thumbnails)
+        picture = Path(shutil.copy(_thumbnail(app, chapter), thumbnails))
+        if picture.suffix == ".png":
+            with Image.open(picture) as whole:
+                whole.thumbnail((640, 640))
+                whole.save(picture)
     for leftover in (out / "_static").rglob("*.map"):
         leftover.unlink()
     _fewer_icons(out)
