@@ -235,7 +235,8 @@ const context = () => {
 const nodes = {};
 const node = (id) => (nodes[id] ??= {
   style: {}, classList: { toggle() {} }, dataset: {}, clientWidth: 400, clientHeight: 400, drawing: context(),
-  setAttribute() {}, getAttribute: () => "", before() {}, addEventListener() {}, closest: () => ({}), getContext() { return this.drawing; },
+  setAttribute() {}, getAttribute: () => "", before() {},
+  addEventListener() {}, closest: () => ({}), getContext() { return this.drawing; },
 });
 node("data").textContent = TEXT;
 globalThis.document = {
