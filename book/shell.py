@@ -251,7 +251,7 @@ def _finish(app: Any, error: Exception | None) -> None:
             with Image.open(picture) as whole:
                 whole.thumbnail((640, 640))
                 whole.save(picture)
-    for leftover in (out / "_static").rglob("*.map"):
+    for leftover in (*(out / "_static").rglob("*.map"), *(out / "_static").rglob("*.html")):
         leftover.unlink()
     _fewer_icons(out)
     _texts_to_search(app, out)
