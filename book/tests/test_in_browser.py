@@ -117,15 +117,14 @@ class Visit:
     def violations(self, *rules: str) -> list[str]:
         """What axe-core calls serious or critical, on the page and in its figures."""
         axe = resources.files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8")
-        only: dict[str, Any] = {"resultTypes": ["violations"], "preload": False} | (
-            {"runOnly": list(rules)} if rules else {}
-        )
+        options: dict[str, Any] = {"resultTypes": ["violations"], "preload": False}
+        if rules:
+            options["runOnly"] = list(rules)
         found = []
         for frame in (self.page.main_frame, *self.figures()):
             frame.evaluate(axe)
-            for rule in frame.evaluate("([context, options]) => axe.run(context, options)", [REPEATED, only])[
-                "violations"
-            ]:
+            result = frame.evaluate("([context, options]) => axe.run(context, options)", [REPEATED, options])
+            for rule in result["violations"]:
                 if rule["impact"] in ("serious", "critical"):
                     places = " | ".join(str(node["target"]) for node in rule["nodes"][:4])
                     found.append(f"{rule['id']} ({len(rule['nodes'])}): {places}")
