@@ -98,9 +98,7 @@ class Visit:
         return self.page.evaluate(script, *given)
 
     def theme(self, name: str) -> None:
-        self.ask(
-            "name => { document.documentElement.dataset.theme = document.documentElement.dataset.mode = name; }", name
-        )
+        self.ask(THEME, name)
 
     def figures(self) -> list[Any]:
         """The frames of the moving figures, each scrolled to, so that it has been loaded and drawn."""
@@ -137,6 +135,11 @@ class Visit:
         self.context.close()
 
 
+# Colours change over some time; what is judged is where they arrive.
+THEME = """async (name) => {
+  document.documentElement.dataset.theme = document.documentElement.dataset.mode = name;
+  await Promise.all(document.getAnimations().map((change) => change.finished));
+}"""
 OVERFLOW = """() => {
   const wide = document.documentElement.clientWidth;
   if (document.documentElement.scrollWidth <= wide) return [];
