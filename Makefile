@@ -5,6 +5,7 @@
 # make doors  tests of the doors to neighbours that the environment lacks (Ripser, persim, Rerun, Stable-Baselines3), in one beside it
 # make hashes requirements-hashed.txt anew: after every change of requirements.txt
 # make supply licences and a bill of materials of the environment, into _build, and an audit for known vulnerabilities
+# make check-book  open every page of the built book in Chromium, without a network, and use every control of its figures
 # make lab    open JupyterLab on the first chapter
 # make clean  remove what the others made (environments, book, caches)
 
@@ -16,7 +17,7 @@ READY := $(VENV)/ready
 export PYTHONHASHSEED = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: book test core lowest doors hashes supply lint lab env clean help
+.PHONY: book check-book test core lowest doors hashes supply lint lab env clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -24,8 +25,19 @@ help:
 
 book: env opengl
 	@$(BIN)/python -m topokit report book/results/evaluation.json --out book/report >/dev/null
-	@$(BIN)/python -m sphinx -n -W --keep-going -q -j auto -b html -c book . _build/html
+	@rm -rf _build/html
+	@$(BIN)/python -m sphinx -n -W --keep-going -q -j auto -b html -c book -d _build/doctrees . _build/html
 	@echo "The book: file://$(CURDIR)/_build/html/index.html"
+
+# The system's own Chromium, asked by Playwright: no browser is fetched.
+BROWSER := .venv-browser
+$(BROWSER)/ready: Makefile
+	$(PYTHON) -m venv --clear $(BROWSER)
+	$(BROWSER)/bin/python -m pip install --quiet axe-playwright-python==0.1.8 playwright==1.65.2 pytest==9.2.0
+	@touch $@
+
+check-book: $(BROWSER)/ready
+	$(BROWSER)/bin/pytest -o addopts= -o filterwarnings= -ra book/tests
 
 test: env opengl lint
 	$(BIN)/python -m pytest -n auto --dist loadfile
@@ -81,7 +93,7 @@ lint: env
 	$(BIN)/nbstripout --keep-id --verify notebooks/*.ipynb
 
 lab: env opengl
-	$(BIN)/jupyter lab notebooks/00_an_apron_finds_its_hook.ipynb
+	$(BIN)/jupyter lab --ServerApp.root_dir=$(CURDIR) --LabApp.default_url=/lab/tree/$(firstword $(sort $(wildcard notebooks/*.ipynb)))
 
 # The environment is rebuilt when the requirements or the package's own metadata change.
 env: $(READY)
@@ -100,4 +112,4 @@ opengl: env
 	@$(BIN)/python -c 'from topokit.view import pyvista_works; ok, why = pyvista_works(); ok or print("topokit:", why)'
 
 clean:
-	rm -rf $(VENV) $(CORE) $(DOORS) $(TOOLS) _build build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis *.egg-info
+	rm -rf $(VENV) $(CORE) $(DOORS) $(TOOLS) $(BROWSER) _build build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis *.egg-info

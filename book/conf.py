@@ -1,8 +1,8 @@
 """How the book is built: the source directory is the repository, so that chapters and prose refer to each other.
 
-    python -m sphinx -n -W --keep-going -b html -c book . _build/html
+    python -m sphinx -n -W --keep-going -b html -c book -d _build/doctrees . _build/html
 
-Nothing is fetched: MathJax lies in `_static`, and the moving figures bring their own script.
+Nothing is fetched: KaTeX lies in `_static`, and the moving figures bring their own script.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "book")]
 
 from docutils import nodes  # noqa: E402
 from jupyter_cache import get_cache  # noqa: E402
@@ -38,6 +38,7 @@ include_patterns = ["book/**", "notebooks/**"]
 exclude_patterns = ["**/_build/**", "**/.ipynb_checkpoints/**"]
 extensions = [
     "myst_nb",
+    "shell",
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
@@ -72,7 +73,7 @@ def _digest() -> str:
     a new cache, so no output on a page can be older than what made it.
     """
     hashed = hashlib.sha256()
-    files = [ROOT / "requirements.txt"]
+    files = [ROOT / "requirements.txt", ROOT / "book" / "kernel.py"]
     for folder, pattern in (
         ("topokit", "**/*"),
         ("data_small", "**/*"),
@@ -89,6 +90,14 @@ def _digest() -> str:
     return hashed.hexdigest()[:16]
 
 
+def _kernels() -> None:
+    """Give the kernels that run the chapters the configuration in kernel.py, and no other of this machine."""
+    profile = ROOT / "_build" / "ipython" / "profile_default"
+    profile.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(ROOT / "book" / "kernel.py", profile / "ipython_kernel_config.py")
+    os.environ["IPYTHONDIR"] = str(profile.parent)
+
+
 def _fresh_cache() -> str:
     """Return the folder of the cache for the present digest; older ones are removed."""
     caches, digest = ROOT / "_build" / "jupyter_cache", _digest()
@@ -100,6 +109,7 @@ def _fresh_cache() -> str:
     return str(caches / digest)
 
 
+_kernels()
 nb_execution_mode = "cache"
 nb_execution_cache_path = _fresh_cache()
 nb_execution_raise_on_error = True
@@ -111,29 +121,28 @@ nb_merge_streams = True
 # ---- how it looks
 
 html_theme = "sphinx_book_theme"
-html_title = "topokit"
 html_static_path = ["_static"]
-html_css_files = ["topokit.css"]
+html_css_files = ["katex/katex.min.css", "topokit.css"]
+html_js_files = ["book.js"]
 html_copy_source = False
 html_show_sourcelink = False
 html_last_updated_fmt = None
 html_theme_options: dict[str, Any] = {
-    "home_page_in_toc": True,
+    "home_page_in_toc": False,
     "show_toc_level": 2,
     "use_download_button": False,
     "use_fullscreen_button": False,
     "navbar_persistent": [],  # the theme would show its search field twice
     "navbar_end": [],
+    "logo": {"text": "topokit"},
 }
-mathjax_path = "mathjax/tex-svg.js"
-
-
-def _entrance(app: Any, error: Exception | None) -> None:
-    """Make index.html of the built folder lead to the landing page, which lies in the folder of its source."""
-    if error is None and app.builder.name == "html":
-        page = '<!doctype html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url=book/index.html">'
-        page += '<title>topokit</title><a href="book/index.html">topokit</a>\n'
-        (Path(app.outdir) / "index.html").write_text(page, encoding="utf-8")
+html_favicon = html_logo = "_static/logo.svg"
+html_title = "topokit"
+html_context = {"default_mode": "auto"}
+mathjax_path = (
+    "katex/katex.min.js"  # Sphinx writes formulas for MathJax; book.js hands them to KaTeX, a tenth of its size
+)
+myst_update_mathjax = False
 
 
 def _property(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
@@ -157,7 +166,6 @@ def _hover(app: Any, doctree: Any, docname: str) -> None:
 def setup(app: Any) -> dict[str, bool]:
     # As a value that Sphinx remembers, the digest also makes it read every page again when it changes.
     app.add_config_value("chapters_digest", Path(nb_execution_cache_path).name, "env")
-    app.connect("build-finished", _entrance)
     app.connect("doctree-resolved", _hover)
     app.connect("autodoc-process-docstring", _property, priority=400)  # before napoleon's 500
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -235,11 +235,13 @@ const context = () => {
 const nodes = {};
 const node = (id) => (nodes[id] ??= {
   style: {}, classList: { toggle() {} }, dataset: {}, clientWidth: 400, clientHeight: 400, drawing: context(),
-  setAttribute() {}, addEventListener() {}, closest: () => ({}), getContext() { return this.drawing; },
+  setAttribute() {}, getAttribute: () => "", before() {},
+  addEventListener() {}, closest: () => ({}), getContext() { return this.drawing; },
 });
 node("data").textContent = TEXT;
 globalThis.document = {
   getElementById: node, documentElement: node("root"), body: node("body"), querySelector: () => node("caption"),
+  createElement: node,
 };
 globalThis.parent = globalThis.window = globalThis;
 globalThis.matchMedia = () => ({ matches: DARK, addEventListener() {} });

@@ -41,6 +41,7 @@ def player(
     start: int | None = None,
     view: tuple[float, float] = (-60.0, 15.0),
     show_truth: bool = False,
+    film: bool = False,
 ) -> Framed:
     """Return an interactive figure of an episode: the cloth, its loops, their diagram and their lifetimes over time.
 
@@ -58,6 +59,8 @@ def player(
         Azimuth and elevation of the eye in degrees, as in Matplotlib's `view_init`.
     show_truth : bool
         Whether the garment's true loops are drawn from the start; the reader can turn them on and off.
+    film : bool
+        Without the charts, and playing again and again until a hand stops it, unless the reader asked for less motion.
 
     Raises
     ------
@@ -73,6 +76,7 @@ def player(
         "start": int(start),
         "view": [float(view[0]), float(view[1])],
         "show_truth": bool(show_truth),
+        "film": bool(film),
         "long": list(long_lived(states)),
     }
     data["arrays"] |= _tracks(states)

@@ -145,15 +145,19 @@ def draw_cloth(axes: Any, scene: Scene) -> None:
         raise ValueError("ax must be a 3D one: plt.figure().add_subplot(projection='3d')")
     axes.set_autoscale_on(False)  # `_fit` sets the limits
     axes.computed_zorder = False
+    # In SVG thousands of faces stay pixels.
     # Matplotlib sorts by depth only inside a collection; it would pad faces of several lengths with what is in memory.
     rods = np.concatenate([np.zeros((0, 3, 3)), *(tube(subdivide(line, 40), r) for line, r in scene.capsules)])
     parts = [*_cloth(scene), (rods, _shaded(-face_normals(rods), ROD, scene.view))]
     polygons, colours = (np.concatenate(part) for part in zip(*parts, strict=True))
     if len(scene.shadow):
-        axes.add_collection3d(Poly3DCollection(scene.shadow, facecolors=(0, 0, 0, scene.darkness), zorder=0))
-    axes.add_collection3d(Poly3DCollection(polygons, facecolors=colours, edgecolors=colours, linewidths=0.8, zorder=1))
+        axes.add_collection3d(
+            Poly3DCollection(scene.shadow, facecolors=(0, 0, 0, scene.darkness), zorder=0, rasterized=True)
+        )
+    look = {"facecolors": colours, "edgecolors": colours, "linewidths": 0.8}
+    axes.add_collection3d(Poly3DCollection(polygons, zorder=1, rasterized=True, **look))
     if not len(scene.faces):
-        axes.scatter(*scene.points.T, s=4, color=ROD, zorder=1)
+        axes.scatter(*scene.points.T, s=4, color=ROD, zorder=1, rasterized=True)
     for cycle in scene.cycles:
         axes.plot(*cycle.T, color=INK, linewidth=1.6, zorder=2)
     for loop in scene.loops:

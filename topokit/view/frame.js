@@ -36,6 +36,11 @@ function line(g, x, y, u, v, dash = []) {
   g.stroke();
   g.setLineDash([]);
 }
+function word(g, text, x, y) { // on a rim of the ground, so that no line strikes it through
+  [g.strokeStyle, g.lineWidth] = [css("--panel"), 4];
+  g.strokeText(text, x, y);
+  g.fillText(text, x, y);
+}
 function ticks(high) {
   const rough = high / 5, ten = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((m) => m * ten).find((s) => s >= rough);
@@ -79,11 +84,14 @@ function playback(at, go, end, seconds) { // the button plays at() from where it
     playing = on;
     $("icon").setAttribute("d", on ? "M1 0h3v10h-3zM6 0h3v10h-3z" : "M1.5 0 9.5 5 1.5 10z");
     $("play").setAttribute("aria-label", on ? "pause" : "play");
+    $("status").setAttribute("aria-live", on ? "off" : "polite"); // it would speak at every step
     const step = (now) => {
       if (runs !== mine) return; // paused or started anew
       go(from + (Math.max(0, now - began) / seconds / 1000) * end());
-      if (at() >= end()) play(false);
-      else requestAnimationFrame(step);
+      if (at() >= end()) {
+        play(false);
+        if (data.film) setTimeout((last) => runs === last && play(true), 1500, runs); // again, until a hand stops it
+      } else requestAnimationFrame(step);
     };
     if (on) requestAnimationFrame(step);
   };
@@ -120,6 +128,20 @@ function scrub(canvas, go) { // go to a share of a chart's width
     go((e.offsetX - canvas.box.x) / canvas.box.w);
   };
 }
+function explain() { // a button that shows what a screen reader is told: the keys, and what can be dragged
+  const button = Object.assign(document.createElement("button"), { type: "button", textContent: "?", title: "keys", id: "help" });
+  const show = (on) => {
+    button.setAttribute("aria-expanded", on);
+    $("keys").hidden = !on;
+    $("keys").textContent = $("scene").getAttribute("aria-label").replace(/^.*?\. (?=Drag|Click)/, "");
+  };
+  button.setAttribute("aria-label", "keys and hands");
+  button.setAttribute("aria-controls", "keys");
+  button.onclick = () => show($("keys").hidden);
+  button.onkeydown = (e) => e.key === "Escape" && show(false);
+  show(false);
+  $("status").before(button);
+}
 function onReset(reset) {
   $("reset").innerHTML = svg('<path d="M5 1.2a3.9 3.9 0 1 1-3.8 4.9l1.3-.3A2.6 2.6 0 1 0 5 2.5v1.6L1.7 1.9 5-.4z"/>');
   $("reset").onclick = reset;
@@ -144,4 +166,5 @@ function watch(draw, resized) { // redraw when the theme or the size changes
   document.querySelector("figcaption").textContent = data.title;
   theme();
   layout();
+  requestAnimationFrame(explain); // once the first drawing has said what can be done
 }

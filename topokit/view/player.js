@@ -199,11 +199,17 @@
         g.stroke();
       }
     }
-    for (const i of loopsOf(frame).filter(main)) { // names last, above everything
+    const names = []; // last, above everything, and none above another
+    for (const i of loopsOf(frame).filter(main)) {
       const corners = [2, 3, 4, 5, 6, 7].map((n) => place(a.killer, 24 * i + 3 * n));
       const x = Math.max(...corners.map((c) => c[0])) + 8, y = corners.reduce((s, c) => s + c[1], 0) / 6;
-      tag(g, "loop " + a.id[i], Math.min(x, w - 58), y, colour(i));
+      names.push([Math.min(x, w - 58), y, i]);
     }
+    names.sort((p, s) => p[1] - s[1]).forEach((name, n) => {
+      const [x, y] = names[n - 1] || [-1e9, 0];
+      if (Math.abs(name[0] - x) < 58) name[1] = Math.max(name[1], y + 21);
+      tag(g, "loop " + a.id[name[2]], name[0], name[1], colour(name[2]));
+    });
   }
   function tag(g, text, x, y, ink) {
     const width = g.measureText(text).width;
@@ -235,7 +241,7 @@
       const stop = Math.min(wide, top - alpha);
       line(g, X(0), Y(alpha), X(stop), Y(stop + alpha), [4, 4]);
       g.fillStyle = css("--soft");
-      g.fillText("alpha", X(stop) - 40, Y(stop + alpha) + 18);
+      word(g, "alpha", X(stop) - 40, Y(stop + alpha) + 18);
     }
     const list = loopsOf(frame).reverse();
     for (const i of list.filter(main)) for (let t = frame, now = i; t > Math.max(0, frame - 14); t--) { // where it came from
@@ -255,9 +261,11 @@
       g.lineWidth = 1;
       g.stroke();
     }
-    for (const i of list.filter(main)) {
+    let free = Infinity; // names go upwards, each above the last
+    for (const i of list.filter(main).sort((i, j) => a.death[i] - a.death[j])) {
       g.fillStyle = css("--ink");
-      g.fillText("loop " + a.id[i], X(a.birth[i]) + 11, Y(a.death[i]));
+      free = Math.min(Y(a.death[i]), free - 15);
+      word(g, "loop " + a.id[i], X(a.birth[i]) + 11, free);
     }
   }
   const seconds = Math.max(data.dt * (frames - 1), 1e-9);
@@ -297,8 +305,7 @@
   // ---- time --------------------------------------------------------------------------------------------------
   function draw() {
     drawScene();
-    drawDiagram();
-    drawStrip();
+    if (!data.film) (drawDiagram(), drawStrip());
     const loops = loopsOf(frame), best = loops[0];
     const text = `frame ${frame} of ${frames - 1} \u00b7 ${(frame * data.dt).toFixed(2)} s \u00b7 ${loops.length} loop${loops.length === 1 ? "" : "s"}`;
     $("status").textContent = text;
@@ -306,7 +313,8 @@
     $("time").setAttribute("aria-valuetext", text);
     const word = best === undefined ? "no loops" : `the longest is loop ${a.id[best]}: born ${a.birth[best].toFixed(3)}, dies ${a.death[best].toFixed(3)}`;
     diagram.setAttribute("aria-label", `persistence diagram, ${text}; ${word} ${data.unit}`);
-    scene.setAttribute("aria-label", `${data.title}, ${text}. Drag or use the arrow keys to turn it, plus and minus to zoom.`);
+    strip.setAttribute("aria-label", `lifetimes of ${ids.length} loops over ${seconds.toFixed(1)} s; now ${text}`);
+    scene.setAttribute("aria-label", `${data.title}, ${text}. Drag or use the arrow keys to turn it, plus and minus or two fingers to zoom; space plays.`);
   }
   const later = lazily(draw);
   const go = (t) => {
@@ -326,9 +334,20 @@
     later();
   };
   const zoom = (by) => ((cam.zoom = clamp(cam.zoom * by, 0.4, 8)), later());
-  scene.onpointerdown = (e) => scene.setPointerCapture(e.pointerId);
-  scene.onpointermove = (e) => e.buttons && turn(e.movementX / 120, e.movementY / 120);
-  scene.ondblclick = () => (Object.assign(cam, home), later());
+  const fingers = new Map(); // one turns, two zoom by how far apart they are
+  scene.onpointerdown = (e) => (scene.setPointerCapture(e.pointerId), fingers.set(e.pointerId, [e.offsetX, e.offsetY]));
+  scene.onpointerup = scene.onpointercancel = (e) => fingers.delete(e.pointerId);
+  scene.onpointermove = (e) => {
+    const last = fingers.get(e.pointerId), here = [e.offsetX, e.offsetY];
+    if (!last) return;
+    const [other] = [...fingers].filter(([id]) => id !== e.pointerId).map(([, place]) => place);
+    const apart = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]) || 1;
+    if (other) zoom(apart(here) / apart(last));
+    else turn((here[0] - last[0]) / 120, (here[1] - last[1]) / 120);
+    fingers.set(e.pointerId, here);
+  };
+  onReset(() => (Object.assign(cam, home), later()));
+  scene.ondblclick = $("reset").onclick;
   const act = { ArrowLeft: () => turn(0.1, 0), ArrowRight: () => turn(-0.1, 0), ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1),
     "+": () => zoom(1.15), "=": () => zoom(1.15), "-": () => zoom(0.87), " ": () => play() };
   keys(scene, () => act);
@@ -343,4 +362,8 @@
   $("truth").checked = data.show_truth;
   $("truth").closest("label").hidden = !data.truth.length;
   watch(later, () => (fit = null));
+  if (data.film) {
+    document.body.classList.add("film");
+    if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
+  }
 })();

@@ -1,0 +1,35 @@
+// What the pages of the book do by themselves: formulas are set, films can be stopped, a search finds text in a folder.
+"use strict";
+document.addEventListener("DOMContentLoaded", () => {
+  for (const place of document.querySelectorAll(".math")) {
+    const number = place.querySelector(".eqno"), text = place.lastChild.textContent.trim();
+    const block = place.tagName === "DIV", tex = text.replace(/^\\[[(]|\\[\])]$/g, "");
+    const formula = document.createElement("span");
+    katex.render(tex, formula, { displayMode: block, throwOnError: false, macros: { "\\hdots": "\\dots" } });
+    place.replaceChildren(...(number ? [number] : []), formula);
+    if (block) place.tabIndex = 0; // a wide one is scrolled to by the keys
+  }
+  for (const fold of document.querySelectorAll(".bd-sidebar-primary summary")) fold.ariaLabel = "its parts";
+  for (const film of document.querySelectorAll("main img[src$='.gif']")) pausable(film);
+});
+
+function pausable(film) { // a still of where it stands lies on the film while it is stopped
+  const still = document.createElement("canvas"), button = document.createElement("button"), box = document.createElement("span");
+  const stop = (on) => {
+    if (on) {
+      [still.width, still.height] = [film.naturalWidth, film.naturalHeight];
+      still.getContext("2d").drawImage(film, 0, 0);
+    }
+    still.hidden = !on;
+    button.textContent = on ? "play" : "pause";
+  };
+  box.className = "topokit-gif";
+  button.type = "button";
+  button.onclick = () => stop(still.hidden);
+  still.setAttribute("aria-hidden", "true");
+  film.replaceWith(box);
+  box.append(film, still, button);
+  const quiet = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  if (film.complete) stop(quiet);
+  else film.onload = () => stop(quiet);
+}

@@ -1,0 +1,313 @@
+"""What the book adds to Sphinx: numbers, pictures in the colours of the page, the first page, a search that works from a folder.
+
+An extension that `conf.py` names. Nothing here is typed twice: numbers come from the names of files, what a chapter is about from
+the table in README.md, figures of the first page from book/results.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import sys
+import time
+import uuid
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from docutils import nodes
+from docutils.parsers.rst import Directive
+from PIL import Image
+from sphinx import addnodes
+
+import topokit
+
+ROOT = Path(__file__).resolve().parent.parent
+CHAPTER = re.compile(r"notebooks/0*(\d+)_")
+TOPICS = re.compile(r"^\| \d+ \[[^]]*\]\((notebooks/\w+)\.ipynb\) \| (.*) \|$", re.MULTILINE)
+DESCRIPTION = "Find the loops of cloth in a cloud of points, say where they are, and follow them through time."
+
+
+def setup(app: Any) -> dict[str, bool]:
+    app.add_directive("chapters", Chapters)
+    app.add_directive("film", Film)
+    app.connect("source-read", _figures_of_the_first_page)
+    app.connect("doctree-read", _number, priority=400)  # before titles are collected, at 500
+    app.connect("doctree-read", _tidy, priority=400)
+    app.connect("doctree-resolved", _cards)
+    app.connect("doctree-resolved", _drawings)
+    app.connect("html-page-context", _head)
+    app.connect("build-finished", _finish)
+    app.connect("builder-inited", _say_what_runs)
+    app.connect("source-read", _began)
+    app.connect("doctree-read", _done)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+# ---- numbers -----------------------------------------------------------------------------------------------------
+
+
+def _number(app: Any, doctree: nodes.document) -> None:
+    """Put a chapter's number, which is that of its file, before its title: on the page, in the sidebar, in the tab."""
+    found, title = CHAPTER.match(app.env.docname), next(doctree.findall(nodes.title), None)
+    if found and title is not None:
+        title.insert(0, nodes.Text(f"{found[1]}. "))
+
+
+_NOTHING = re.compile(r"\[?<(Axes|matplotlib|Figure)[^>]*>")  # what a plotting call returns
+
+
+def _tidy(app: Any, doctree: nodes.document) -> None:
+    """Leave out what says nothing, name the corners of tables, and fold what is long on the page of results."""
+    for block in list(doctree.findall(nodes.literal_block)):
+        if "text_plain" in block["classes"] and _NOTHING.match(block.astext()):
+            block.parent.remove(block)
+    if app.env.docname.endswith("report/tables"):
+        for head in doctree.findall(nodes.thead):
+            head[0][0] += nodes.paragraph("", "model")
+        for condition in filter(_is_section, doctree[0].children):
+            for table in list(filter(_is_section, condition.children))[1:]:
+                title, *content = table.children
+                summary = f"<details><summary>{html.escape(title.astext())}</summary>"
+                table.replace_self(
+                    [nodes.raw("", summary, format="html"), *content, nodes.raw("", "</details>", format="html")]
+                )
+
+
+def _is_section(node: nodes.Node) -> bool:
+    return isinstance(node, nodes.section)
+
+
+# ---- pictures ----------------------------------------------------------------------------------------------------
+
+_GREY = re.compile(r"#([0-9a-f]{2})\1\1\b")
+_INK = "#1c2733"  # of true loops, topokit.view's INK
+_LABEL = re.compile(r"<text[^>]*>(.*?)</text>", re.DOTALL)
+
+
+def _drawings(app: Any, doctree: nodes.document, docname: str) -> None:
+    """Put Matplotlib's SVG into the page itself, where its greys follow the theme and its text is the page's."""
+    if app.builder.format != "html":
+        return
+    for image in list(doctree.findall(nodes.image)):
+        path = Path(app.srcdir) / image["uri"]
+        if path.suffix == ".svg" and "jupyter_execute" in path.parts:
+            drawing = _in_page(path.read_text(encoding="utf-8"), image.get("alt", ""))
+            image.replace_self(nodes.raw("", drawing, format="html"))
+
+
+def _in_page(svg: str, told: str) -> str:
+    """An SVG of Matplotlib as part of a page: names of its own, its size as it is, no ground, greys between ink and ground."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    # The ground of figure and axes is the first shape of each.
+    svg = re.sub(r'(<g id="patch_1">\s*<path [^>]*style="fill: )#[0-9a-f]{6}', r"\1none", svg)
+    svg = re.sub(r'(<g id="axes_\d+">\s*<g id="patch_\d+">\s*<path [^>]*style="fill: )#ffffff', r"\1none", svg)
+    own = uuid.uuid5(uuid.NAMESPACE_OID, svg).hex[:8]
+    svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{own}-", svg)
+    svg = svg.replace(_INK, "var(--ink)")
+    svg = _GREY.sub(lambda m: _between(int(m[1], 16)), svg)
+    # Lines without a colour of their own, and text, are black.
+    width = float(re.search(r'width="([\d.]+)pt"', svg)[1]) * 4 / 3
+    svg = re.sub(
+        r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', rf'<svg viewBox="\1" width="{width:.0f}" role="img">', svg, count=1
+    )
+    label = html.escape(told or _labels(svg) or "Drawing", quote=True)
+    svg = svg.replace('role="img"', f'role="img" aria-label="{label}"', 1)
+    least = min(round(width), 560)
+    return f'<div class="topokit-plot" tabindex="0" role="group" aria-label="figure" style="--least: {least}px">{svg}</div>'
+
+
+def _between(level: int) -> str:
+    """The grey of a level, from the page's ink at 0 to its ground at 255."""
+    if level in (0, 255):
+        return "var(--ground)" if level else "var(--ink)"
+    return f"color-mix(in srgb, var(--ink), var(--ground) {round(level / 2.55)}%)"
+
+
+def _labels(svg: str) -> str:
+    """What is written in a drawing, numbers left out: the words for it until its author gives better ones."""
+    texts = [html.unescape(re.sub(r"<[^>]*>", "", text)).strip() for text in _LABEL.findall(svg)]
+    words = dict.fromkeys(text for text in texts if re.search(r"[^\W\d_]{2}", text))
+    return "Plot: " + "; ".join(words)[:300] if words else ""
+
+
+# ---- the first page ----------------------------------------------------------------------------------------------
+
+
+class chapter_cards(nodes.General, nodes.Element):
+    """Where the cards of all chapters go."""
+
+
+class Chapters(Directive):
+    """The chapters as cards, part by part, from the tables of contents of this page."""
+
+    def run(self) -> list[nodes.Node]:
+        return [chapter_cards()]
+
+
+class Film(Directive):
+    """A recorded hanging that plays and turns under the hand."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        from topokit import track
+        from topokit.io import load_episode
+        from topokit.view import player
+
+        path = self.arguments[0]
+        self.state.document.settings.env.note_dependency(str(ROOT / path))
+        episode = load_episode(ROOT / path)
+        film = player(episode, track(episode.observed), height=460, start=0, film=True)
+        return [nodes.raw("", f'<div class="topokit-film">{film._repr_html_()}</div>', format="html")]
+
+
+def _figures_of_the_first_page(app: Any, docname: str, source: list[str]) -> None:
+    """Put results into the first page: `{{ file: path/of/a/number }}`, and with ` | %` or ` | ms` in that unit."""
+    if docname != app.config.root_doc:
+        return
+
+    def number(match: re.Match[str]) -> str:
+        whole = json.loads((ROOT / "book" / "results" / f"{match[1]}.json").read_text(encoding="utf-8"))
+        value = _at(whole, match[2].split("/"))
+        return {"%": f"{100 * value:.0f}\u00a0%", "ms": f"{value:.1f}\u00a0ms", None: f"{value:,}"}[match[3]]
+
+    source[0] = re.sub(r"\{\{ (\w+): (\S+)(?: \| (\S+))? \}\}", number, source[0])
+
+
+def _at(value: Any, path: list[str]) -> Any:
+    """What stands at a path in a file of results; a star is the sum over a list."""
+    for k, key in enumerate(path):
+        if key == "*":
+            return sum(_at(item, path[k + 1 :]) for item in value)
+        value = value[int(key) if isinstance(value, list) else key]
+    return value
+
+
+def _cards(app: Any, doctree: nodes.document, docname: str) -> None:
+    for place in list(doctree.findall(chapter_cards)):
+        about = dict(TOPICS.findall((ROOT / "README.md").read_text(encoding="utf-8")))
+        parts = []
+        for toc in app.env.tocs[docname].findall(addnodes.toctree):
+            cards = [_card(app, chapter, about) for _, chapter in toc["entries"] if CHAPTER.match(chapter or "")]
+            if cards:
+                parts.append(
+                    f'<h3 class="topokit-part">{toc["caption"]}</h3><ul class="topokit-cards">{"".join(cards)}</ul>'
+                )
+        place.replace_self(nodes.raw("", "".join(parts), format="html"))
+
+
+def _card(app: Any, chapter: str, about: dict[str, str]) -> str:
+    number, _, title = app.env.titles[chapter].astext().partition(". ")
+    link = app.builder.get_relative_uri(app.config.root_doc, chapter)
+    picture = f"../_static/thumbnails/{_thumbnail(app, chapter).name}"
+    return (
+        f'<li><a href="{link}"><img src="{picture}" alt="" loading="lazy"><span>{number}</span>'
+        f"<strong>{html.escape(title)}</strong></a><p>{html.escape(about.get(chapter, ''))}</p></li>"
+    )
+
+
+def _thumbnail(app: Any, chapter: str) -> Path:
+    """Of the pictures that a chapter draws a photograph-like one, else the richest drawing that is not heavy."""
+    images = {Path(app.srcdir) / image["uri"] for image in app.env.get_doctree(chapter).findall(nodes.image)}
+    drawn = [
+        path
+        for path in images
+        if "jupyter_execute" in path.parts and (path.suffix == ".png" or path.stat().st_size < 250_000)
+    ]
+    return max(drawn, key=lambda path: (path.suffix == ".png", path.stat().st_size, path.name))
+
+
+# ---- what every page has, and what is laid beside the pages --------------------------------------------------------
+
+
+def _head(app: Any, pagename: str, templatename: str, context: dict[str, Any], doctree: Any) -> None:
+    about = dict(TOPICS.findall((ROOT / "README.md").read_text(encoding="utf-8"))).get(pagename, DESCRIPTION)
+    # A list of ARIA's has items of ARIA's, which these are not.
+    context["body"] = context.get("body", "").replace('role="list" class="citation-list"', 'class="citation-list"')
+    context["metatags"] = context.get("metatags", "") + f'<meta name="description" content="{html.escape(about)}">\n'
+    if pagename == app.config.root_doc:
+        context["title"] = "the loops of cloth, found and followed"
+    if pagename == "search":
+        for script in ("texts.js", "search_here.js"):
+            app.add_js_file(script)
+
+
+def _finish(app: Any, error: Exception | None) -> None:
+    if error is not None or app.builder.name != "html":
+        return
+    out = Path(app.outdir)
+    page = '<!doctype html><html lang="en"><meta charset="utf-8"><meta http-equiv="refresh" content="0; url=book/index.html">'
+    page += '<title>topokit</title><a href="book/index.html">topokit</a>\n'
+    (out / "index.html").write_text(page, encoding="utf-8")
+    thumbnails = out / "_static" / "thumbnails"
+    thumbnails.mkdir(parents=True, exist_ok=True)
+    for chapter in filter(CHAPTER.match, app.env.found_docs):
+        picture = Path(shutil.copy(_thumbnail(app, chapter), thumbnails))
+        if picture.suffix == ".png":
+            with Image.open(picture) as whole:
+                whole.thumbnail((640, 640))
+                whole.save(picture)
+    for leftover in (*(out / "_static").rglob("*.map"), *(out / "_static").rglob("*.html")):
+        leftover.unlink()
+    _fewer_icons(out)
+    _texts_to_search(app, out)
+
+
+_ICON = re.compile(
+    r'(?<=[{,])("[a-z0-9-]+"|[a-z0-9]+):\[\d+,\d+,\[[^\]]*\],"[0-9a-f]+",(?:"[^"]*"|\["[^"]*","[^"]*"\])\]'
+)
+
+
+def _fewer_icons(out: Path) -> None:
+    """Of Font Awesome's two thousand icons leave those that the pages show: 1.5 MB less to load."""
+    script = out / "_static" / "scripts" / "fontawesome.js"
+    pages = [path.read_text(encoding="utf-8") for path in out.rglob("*.html")]
+    code = [path.read_text(encoding="utf-8") for path in (out / "_static").rglob("*.js") if path != script]
+    used = {name for text in pages + code for name in re.findall(r"\bfa-([a-z0-9-]+)", text)}
+    whole = script.read_text(encoding="utf-8")
+    kept = _ICON.sub(lambda m: m[0] if m[1].strip('"') in used else "_:0", whole)
+    script.write_text(re.sub(r"(?<=[{,])_:0,|,?_:0(?=})", "", kept), encoding="utf-8")
+
+
+def _texts_to_search(app: Any, out: Path) -> None:
+    """The words of all pages in one file for the search page: a page in a folder may not read the pages beside it."""
+    texts = {}
+    for docname in app.env.found_docs:
+        doctree = app.env.get_doctree(docname)
+        texts_of = (node for node in doctree.findall(nodes.TextElement) if not isinstance(node, nodes.raw))
+        words = [node.astext() for node in texts_of if not isinstance(node.parent, nodes.TextElement)]
+        texts[docname] = re.sub(r"\s+", " ", " ".join(words))
+    code = "const TEXTS = " + json.dumps(texts, ensure_ascii=False) + ";\n"
+    (out / "_static" / "texts.js").write_text(code, encoding="utf-8")
+
+
+# ---- what the build says -------------------------------------------------------------------------------------------
+
+_start: dict[str, float] = {}
+
+
+def _say_what_runs(app: Any) -> None:
+    """Compile what is compiled once on a machine, so that no chapter says so on its page, and say what will take time."""
+    for tiny in (np.eye(4, 3), np.eye(4, 2)):
+        topokit.rips_persistence(tiny)
+    topokit.rips_persistence_many(np.eye(4, 3)[None])
+    count = len(list((ROOT / "notebooks").glob("*.ipynb")))
+    print(
+        f"topokit: {count} chapters run now, about ten minutes in all; those that ran before and have not changed do not",
+        file=sys.stderr,
+        flush=True,
+    )
+
+
+def _began(app: Any, docname: str, source: list[str]) -> None:
+    _start[docname] = time.monotonic()
+
+
+def _done(app: Any, doctree: nodes.document) -> None:
+    seconds = time.monotonic() - _start.get(app.env.docname, time.monotonic())
+    if CHAPTER.match(app.env.docname):
+        print(f"  {Path(app.env.docname).name}: {seconds:.0f} s", file=sys.stderr, flush=True)

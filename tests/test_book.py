@@ -1,0 +1,92 @@
+"""The book's shell: drawings that go into a page, results that go into the first one, chapters called by their numbers."""
+
+from __future__ import annotations
+
+import html
+import importlib.util
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("sphinx", reason="the book's extension needs Sphinx: pip install 'topokit[book]'")
+ROOT = Path(__file__).resolve().parent.parent
+NUMBER = re.compile(r"\b[Cc]hapters?\s+(\d+)")
+LINK = re.compile(r"\[([^][]*)\]\([^()]*?(\d+)_\w+\.ipynb[^()]*\)")
+
+
+@pytest.fixture(scope="module")
+def shell():
+    spec = importlib.util.spec_from_file_location("book_shell", ROOT / "book" / "shell.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def prose() -> dict[str, str]:
+    """The pages that people wrote, notebooks by their text cells, code left out."""
+    pages = {name: (ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "book/index.md")}
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        pages[path.name] = "\n\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
+    return {name: re.sub(r"`[^`]*`", "", text) for name, text in pages.items()}
+
+
+@pytest.mark.parametrize("page", prose())
+def test_links_to_chapters_say_the_number_of_their_file(page):
+    links = [(text, int(number)) for text, number in LINK.findall(prose()[page])]
+    said = [(int(found[1]), number) for text, number in links if (found := NUMBER.search(text))]
+    assert [pair for pair in said if pair[0] != pair[1]] == []
+
+
+@pytest.mark.parametrize("page", ["README.md", "book/index.md"])
+def test_every_chapter_that_is_named_by_its_number_is_a_link(page):
+    bare = LINK.sub("", prose()[page])
+    assert [bare[max(0, m.start() - 30) : m.end() + 30] for m in NUMBER.finditer(bare)] == []
+
+
+def test_chapters_are_numbered_from_zero_without_a_gap_and_in_the_order_of_the_first_page():
+    files = sorted(path.stem for path in (ROOT / "notebooks").glob("*.ipynb"))
+    assert [int(name[:2]) for name in files] == list(range(len(files)))
+    assert (
+        re.findall(r"^/notebooks/(\w+)$", (ROOT / "book/index.md").read_text(encoding="utf-8"), re.MULTILINE) == files
+    )
+
+
+def test_readme_says_what_every_chapter_is_about(shell):
+    about = dict(shell.TOPICS.findall((ROOT / "README.md").read_text(encoding="utf-8")))
+    assert sorted(about) == sorted(f"notebooks/{path.stem}" for path in (ROOT / "notebooks").glob("*.ipynb"))
+    assert all(about.values())
+
+
+def test_a_drawing_takes_the_colours_of_the_page(shell, tmp_path):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    figure, axes = plt.subplots()
+    axes.plot([0, 1], [0, 1], color="0.5")
+    axes.plot([0, 1], [1, 0], color="#d55e00")
+    axes.set(xlabel="birth & more", title="a plot")
+    with plt.rc_context({"svg.fonttype": "none"}):
+        file = tmp_path / "drawing.svg"
+        figure.savefig(file)
+    plt.close(figure)
+    svg = file.read_text(encoding="utf-8")
+    drawn = shell._in_page(svg, "")
+    assert not {"#000000", "#ffffff"} & set(re.findall("#[0-9a-f]{6}", drawn))  # neither ink nor ground of its own
+    assert "color-mix(in srgb, var(--ink), var(--ground) 50%)" in drawn
+    assert "#d55e00" in drawn
+    label = html.unescape(re.search('aria-label="(Plot: [^"]*)"', drawn)[1])
+    assert set(label.removeprefix("Plot: ").split("; ")) == {"birth & more", "a plot"}
+    assert 'aria-label="two &quot;lines&quot;"' in shell._in_page(svg, 'two "lines"')
+    names = re.findall(r'\bid="([^"]*)"', drawn)
+    assert names
+    assert not set(names) & set(re.findall(r'\bid="([^"]*)"', svg))
+    assert set(re.findall(r'(?:href="#|url\(#)([^")]*)', drawn)) <= set(names)
+
+
+def test_a_result_is_found_by_its_path_and_a_star_is_a_sum(shell):
+    results = {"rows": [{"hung": 3}, {"hung": 4}]}
+    assert shell._at(results, ["rows", "1", "hung"]) == 4
+    assert shell._at(results, ["rows", "*", "hung"]) == 7
+    with pytest.raises(KeyError):
+        shell._at(results, ["row"])
