@@ -305,6 +305,14 @@ SET = "set, not measured: the cell below it has it"
 LEVEL = "a level of confidence"
 MADE = "how the checkpoints were made: data_small/checkpoints"
 GIVEN: list[tuple[str, str, str]] = [
+    ("seqph_following", "for three choices of the place; 63 episodes", "the chapter's text has it from the file"),
+    ("seqph_following", "with 95 % intervals over 63 episodes", "the chapter's text has it from the file"),
+    ("seqph_following", "on the same episodes, with 95 % intervals", LEVEL),
+    (
+        "honest_evaluation",
+        "by horizon, with 95 % intervals; 800 windows of 85 episodes",
+        "the cell above prints it from the file",
+    ),
     ("README.md", "what 23,000 episodes cost", "the paper's number of trajectories"),
     ("README.md", "*strict* asks for 0 cm", "the name of a treatment in motion.json"),
     ("CONTRIBUTING.md", "nine of ten 20 or fewer", "tests/test_repository.py counts"),

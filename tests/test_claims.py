@@ -32,9 +32,19 @@ def cells_of(page: str, kind: str) -> list[str]:
     return ["".join(cell["source"]) for cell in cells if cell["cell_type"] == kind]
 
 
+def captions_of(page: str) -> list[str]:
+    """Captions and text alternatives of a chapter's figures."""
+    cells = [cell["metadata"].get("mystnb", {}) for cell in json.loads(CHAPTERS[page].read_text())["cells"]]
+    return [cell["figure"]["caption"] + "\n\n" + cell["image"]["alt"] for cell in cells if "figure" in cell]
+
+
 def prose_of(page: str) -> str:
     """What is said, in one line: links by their words, without blocks of code, of formulas, and tables that other tests hold."""
-    text = (ROOT / page).read_text() if page.endswith(".md") else "\n\n".join(cells_of(page, "markdown"))
+    text = (
+        (ROOT / page).read_text()
+        if page.endswith(".md")
+        else "\n\n".join([*captions_of(page), *cells_of(page, "markdown")])
+    )
     text = re.sub(r"<!--.*?-->.*?<!--.*?-->|```.*?```|\$\$.*?\$\$", " ", text, flags=re.DOTALL)
     return " ".join(re.sub(r"!?\[([^]]*)\]\([^)]*\)", r"\1", text).split())
 
@@ -148,3 +158,13 @@ def test_no_exemption_is_idle(prose):
         assert reason
         assert any(numbers_in(sentence)), f"{sentence} has no number that needs a source"
         assert sentence in prose[page], f"{page} does not say: {sentence}"
+
+
+def test_every_figure_has_a_caption_and_a_text_alternative():
+    for page in CHAPTERS:
+        for cell in json.loads(CHAPTERS[page].read_text())["cells"]:
+            drawn = re.search(r"plt\.(figure|subplots)\(", "".join(cell["source"]))
+            if drawn and "hide-cell" not in cell["metadata"].get("tags", []):
+                told = cell["metadata"].get("mystnb", {})
+                assert told.get("figure", {}).get("caption"), f"{page}, {cell['id']}: no caption"
+                assert told.get("image", {}).get("alt"), f"{page}, {cell['id']}: no text alternative"
