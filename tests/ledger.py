@@ -244,6 +244,14 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
         "The converse's hypotheses hold in {1} of the {0} steps",
         lambda r: next((spoke, WORDS.get(held, held)) for spoke, held in [converse(r)]),
     ),
+    # -- captions
+    ("seqph_following", "for three choices of the place; {} episodes", lambda r: (len(r["tracking"]["episodes"]),)),
+    ("seqph_following", "with 95 % intervals over {} episodes", lambda r: (len(r["tracking"]["episodes"]),)),
+    (
+        "honest_evaluation",
+        "with 95 % intervals; {} windows of {} episodes",
+        lambda r: tuple(r["evaluation"]["conditions"]["aprons"][key] for key in ("windows", "episodes")),
+    ),
     # -- what other files of the repository say
     ("README.md", "Motion is one training on {} episodes", lambda r: (trained_on(r),)),
     ("README.md", "tables of bits and edges take at most {:.1f} GB", lambda _: (MEMORY / 1e9,)),
@@ -305,14 +313,6 @@ SET = "set, not measured: the cell below it has it"
 LEVEL = "a level of confidence"
 MADE = "how the checkpoints were made: data_small/checkpoints"
 GIVEN: list[tuple[str, str, str]] = [
-    ("seqph_following", "for three choices of the place; 63 episodes", "the chapter's text has it from the file"),
-    ("seqph_following", "with 95 % intervals over 63 episodes", "the chapter's text has it from the file"),
-    ("seqph_following", "on the same episodes, with 95 % intervals", LEVEL),
-    (
-        "honest_evaluation",
-        "by horizon, with 95 % intervals; 800 windows of 85 episodes",
-        "the cell above prints it from the file",
-    ),
     ("README.md", "what 23,000 episodes cost", "the paper's number of trajectories"),
     ("README.md", "*strict* asks for 0 cm", "the name of a treatment in motion.json"),
     ("CONTRIBUTING.md", "nine of ten 20 or fewer", "tests/test_repository.py counts"),
