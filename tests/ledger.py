@@ -209,7 +209,6 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
             hull(r, where, name) for name in ("ours", "pointnet") for where in ("half the points", "128 points")
         ),
     ),
-    ),
     (
         "honest_evaluation",
         "LoopCast's mean is in the outline and near the plane in {:.0f} % of the windows, and in the hull in {:.0f} %",
