@@ -255,7 +255,7 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
     # -- what other files of the repository say
     ("README.md", "Motion is one training on {} episodes", lambda r: (trained_on(r),)),
     ("README.md", "tables of bits and edges take at most {:.1f} GB", lambda _: (MEMORY / 1e9,)),
-    ("CONTRIBUTING.md", "shall have 17,000 lines and has {:,}", lambda _: (MOST_LINES,)),
+    ("CONTRIBUTING.md", "shall have 17,000 lines and may have {:,} for now", lambda _: (MOST_LINES,)),
     (
         "from_episodes",
         "leaves the script in about {} of five episodes",
