@@ -1,0 +1,402 @@
+"""A ledger of claims: sentences of README and of the chapters, and where their numbers come from.
+
+`MEASURED` has sentences whose numbers stand in a file of book/results: `{}` is where a number goes, and the function gives
+the numbers of one sentence from the files. `ASSERTED` has sentences that a cell of the same chapter asserts, with a
+part of the assertion. `GIVEN` has numbers
+that nobody has measured, each with its reason. A page is README.md, CONTRIBUTING.md, or the name of a chapter without its number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from test_repository import MOST_LINES
+
+from topokit.rips._cloud import MEMORY
+
+Results = dict[str, Any]  # the files of book/results by their names, without ".json"
+
+
+def hung(results: Results, of: Callable[[str], bool]) -> tuple[int, int, int]:
+    """Episodes that hang, that were made, that were refused, of the tasks chosen."""
+    rows = [row for row in results["simulation"]["success"] if of(row["task"])]
+    return tuple(sum(row[key] for row in rows) for key in ("hung", "episodes", "rejected"))  # type: ignore[return-value]
+
+
+def score(results: Results, condition: str, tracker: str, key: str) -> Any:
+    return results["tracking"]["scores"][condition][tracker][key]
+
+
+def jumps(results: Results, identity: str) -> float:
+    """Share of the steps with a jump, in per cent, over all garments."""
+    rows = [row["all vertices"][identity] for row in results["tracking"]["jumps"].values()]
+    return 100 * sum(row[1] for row in rows) / sum(row[0] for row in rows)
+
+
+def exchanges(results: Results, episode: str, condition: str) -> list[int]:
+    """Frames in which the default exchanged names."""
+    found = results["tracking"]["failures"]
+    rows = [dict(zip(found["columns"], row, strict=True)) for row in found["rows"]]
+    wanted = {"episode": episode, "condition": condition, "tracker": "default", "kind": "switch"}
+    return [row["first"] for row in rows if wanted.items() <= row.items()]
+
+
+def hull(
+    results: Results, condition: str, model: str, garment: str | None = None, measure: str = "hull_accuracy"
+) -> float:
+    """Per cent of the windows of the record, mean over the horizons."""
+    table = results["evaluation"]["conditions"][condition]
+    table = table if garment is None else table["by_garment"][garment]
+    return 100 * table[measure][model]["mean"]["mean"]
+
+
+def seeds_differ(results: Results, condition: str) -> float:
+    """How many points lie between the best and the worst training of LoopCast."""
+    found = results["evaluation"]["conditions"][condition]["by_seed"]["ours"]["mean"]
+    return 100 * (max(found) - min(found))
+
+
+def converse(results: Results) -> tuple[int, int]:
+    """Steps in which the intrinsic converse has a loop to speak about, and in which its hypotheses hold."""
+    rows = results["lemmas_on_test"]["statements"]
+    row = next(row for row in rows if (row["statement"], row["version"]) == ("converse", "intrinsic"))
+    return row["has_a_loop_to_speak_about"], row["and_its_hypotheses_hold"]
+
+
+def trained_on(results: Results) -> str:
+    """Of how many episodes the films are that the model of motion learned from, by the command that made them."""
+    (made,) = (
+        line
+        for line in results["motion"]["commands"]
+        if "generate --config book/datasets/motion.json" in line and "seed 20" in line
+    )
+    return made.partition("--episodes ")[2].split()[0]
+
+
+WORDS = {0: "none", 2: "two", 3: "three"}
+
+MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
+    # -- README
+    (
+        "README.md",
+        "Of {:,} episodes with physics, sizes and paths drawn anew, {:,} hang at the end; {} were refused",
+        lambda r: next((made, on, no) for on, made, no in [hung(r, lambda _: True)]),
+    ),
+    ("README.md", "scores against the truth on {} episodes", lambda r: (len(r["tracking"]["episodes"]),)),
+    (
+        "README.md",
+        "of windows of {} fresh episodes",
+        lambda r: (r["motion"]["conditions"]["all garments"]["dataset"]["episodes"],),
+    ),
+    (
+        "README.md",
+        "({} windows, {} on aprons)",
+        lambda r: tuple(r["motion"]["conditions"][name]["windows"] for name in ("all garments", "aprons")),
+    ),
+    (
+        "README.md",
+        "the hulls of the true loops, or within {:g} cm; *strict*",
+        lambda r: (100 * r["motion"]["tolerance"],),
+    ),
+    (
+        "README.md",
+        "Of {} files, {} garments as other tools write them",
+        lambda r: (
+            len(r["garments"]["meshes"]),
+            sum(row["expected"] == "hangs" for row in r["garments"]["meshes"]),
+        ),
+    ),
+    (
+        "README.md",
+        "{} hang at the end of the film, and {} are refused",
+        lambda r: tuple(
+            sum(row["outcome"] == what for row in r["garments"]["meshes"]) for what in ("hangs", "refused")
+        ),
+    ),
+    # -- seqPH
+    ("seqph_following", "drawn anew: {} episodes of ten garments", lambda r: (len(r["tracking"]["episodes"]),)),
+    (
+        "seqph_following",
+        "has an IDF1 of {:.3f} on whole clouds, where the paper's tracker has {:.3f}",
+        lambda r: tuple(score(r, "all vertices", name, "idf1") for name in ("birth and death", "paper")),
+    ),
+    (
+        "seqph_following",
+        "the default switches {} times, the paper's tracker {} times",
+        lambda r: tuple(score(r, "compared, together", name, "switches") for name in ("default", "paper")),
+    ),
+    (
+        "seqph_following",
+        "The killer edge jumps in {:.1f} % of the steps, the thick triangle in {:.1f} %",
+        lambda r: (jumps(r, "killer-edge"), jumps(r, "killer-triangles")),
+    ),
+    (
+        "seqph_following",
+        "With the memory {:.0f} % of what is told is a true loop ({:.0f} % without), and {:.0f} % of the true loops"
+        " are told ({:.0f} %)",
+        lambda r: tuple(
+            100 * score(r, "one camera", name, key)
+            for key in ("precision", "recall")
+            for name in ("default, with a memory", "default")
+        ),
+    ),
+    (
+        "seqph_following",
+        "exchange them back {} frames later",
+        lambda r: (exchanges(r, "tote-hanger_1", "one camera")[1] - exchanges(r, "tote-hanger_1", "one camera")[0],),
+    ),
+    (
+        "seqph_following",
+        "With noise of 5 mm and behind a hand it is better, by {:.3f} and {:.3f} of IDF1",
+        lambda r: tuple(
+            score(r, name, "yesterday's", "idf1") - score(r, name, "default", "idf1")
+            for name in ("noise of 5 mm", "a hand")
+        ),
+    ),
+    # -- simulator
+    (
+        "a_world_of",
+        "On hooks and hangers {} of {:,} episodes do not hang",
+        lambda r: next((made - on, made) for on, made, _ in [hung(r, lambda task: "mannequin" not in task)]),
+    ),
+    (
+        "a_world_of",
+        "On the mannequin {} garments are hard",
+        lambda r: (
+            WORDS.get(
+                sum(
+                    row["task"].endswith("mannequin") and row["hung"] < row["episodes"]
+                    for row in r["simulation"]["success"]
+                )
+            ),
+        ),
+    ),
+    (
+        "a_world_of",
+        "Of {1} such episodes, {0} hang",
+        lambda r: hung(r, lambda task: task in ("backpack-mannequin", "vest-mannequin")),
+    ),
+    (
+        "a_world_of",
+        "makes {:,} episodes (seed 0)",
+        lambda r: (hung(r, lambda _: True)[1],),
+    ),
+    # -- forecasts
+    (
+        "learning_to_predict",
+        "With GUDHI the loops of one frame take {:.0f} ms here",
+        lambda r: (r["predictors"]["topology"]["GUDHI"]["ms"],),
+    ),
+    ("learning_to_predict", "they take {:.1f} ms", lambda r: (r["predictors"]["topology"]["seqPH"]["ms"],)),
+    (
+        "learning_to_predict",
+        "it put {:.0f} % of its forecasts into the true loops; PointNet {:.0f} %, the MLP {:.0f} %."
+        " Carrying the tracked loop along with the grippers gave {:.0f} %",
+        lambda r: tuple(hull(r, "unseen garments", name) for name in ("ours", "pointnet", "mlp", "carry")),
+    ),
+    (
+        "learning_to_predict",
+        "{} windows of {} episodes; `book/results/evaluation.json`",
+        lambda r: tuple(r["evaluation"]["conditions"]["unseen garments"][key] for key in ("windows", "episodes")),
+    ),
+    # -- evaluation
+    (
+        "honest_evaluation",
+        "LoopCast still has {:.0f} % ({:.0f} % with all 128), and PointNet, which was never shown spoilt clouds,"
+        " {:.0f} % ({:.0f} %)",
+        lambda r: tuple(
+            hull(r, where, name) for name in ("ours", "pointnet") for where in ("half the points", "128 points")
+        ),
+    ),
+    (
+        "honest_evaluation",
+        "LoopCast's mean is in the outline and near the plane in {:.0f} % of the windows, and in the hull in {:.0f} %",
+        lambda r: tuple(hull(r, "unseen garments", "ours", "tote", key) for key in ("in_plane", "hull_accuracy")),
+    ),
+    (
+        "honest_evaluation",
+        "PointNet is near the plane less often ({:.0f} %), and in the hull more often ({:.0f} %)",
+        lambda r: tuple(hull(r, "unseen garments", "pointnet", "tote", key) for key in ("in_plane", "hull_accuracy")),
+    ),
+    (
+        "honest_evaluation",
+        "Three trainings of LoopCast differ by {:.1f} points on aprons, and by {:.1f} here",
+        lambda r: (seeds_differ(r, "aprons"), seeds_differ(r, "unseen garments")),
+    ),
+    (
+        "honest_evaluation",
+        "Three trainings of LoopCast differed by {:.1f} points on garments that they knew, and by {:.1f} on others",
+        lambda r: (seeds_differ(r, "aprons"), seeds_differ(r, "unseen garments")),
+    ),
+    (
+        "honest_evaluation",
+        "Chance alone does not explain a lead of {:.1f} points",
+        lambda r: (100 * r["evaluation"]["conditions"]["aprons"]["gain_of_ours"]["pointnet"]["mean"]["mean"],),
+    ),
+    (
+        "honest_evaluation",
+        "{} windows of each, three seeds",
+        lambda r: (r["evaluation"]["conditions"]["unseen garments"]["by_garment"]["tote2"]["windows"],),
+    ),
+    (
+        "honest_evaluation",
+        "The converse's hypotheses hold in {1} of the {0} steps",
+        lambda r: next((spoke, WORDS.get(held, held)) for spoke, held in [converse(r)]),
+    ),
+    # -- captions
+    ("seqph_following", "for three choices of the place; {} episodes", lambda r: (len(r["tracking"]["episodes"]),)),
+    ("seqph_following", "with 95 % intervals over {} episodes", lambda r: (len(r["tracking"]["episodes"]),)),
+    (
+        "honest_evaluation",
+        "with 95 % intervals; {} windows of {} episodes",
+        lambda r: tuple(r["evaluation"]["conditions"]["aprons"][key] for key in ("windows", "episodes")),
+    ),
+    # -- what other files of the repository say
+    ("README.md", "Motion is one training on {} episodes", lambda r: (trained_on(r),)),
+    ("README.md", "tables of bits and edges take at most {:.1f} GB", lambda _: (MEMORY / 1e9,)),
+    ("CONTRIBUTING.md", "shall have 17,000 lines and may have {:,} for now", lambda _: (MOST_LINES,)),
+    (
+        "from_episodes",
+        "leaves the script in about {} of five episodes",
+        lambda r: (WORDS.get(round(5 * r["datasets/motion"]["off_script"])),),
+    ),
+]
+
+ASSERTED: list[tuple[str, str, str]] = [
+    ("seqph_following", "in every frame more than ten times what the loops need", "all((10 * shift < gate).all()"),
+    ("seqph_following", "By the paper's rule it is never there", "assert seen[1] == 0"),
+    ("a_world_of", "for half a second the two agree to better than ten micrometres", "assert max(gap[:500]) < 1e-5"),
+    ("a_world_of", "PyBullet's and ours agree to ten micrometres", "assert max(gap[:500]) < 1e-5"),
+    ("a_world_of", "The panes see little more than half of the frames", "assert 0.5 < np.abs(panes)[on].mean() < 0.6"),
+    ("a_world_of", "in two frames they are linked while it is not yet", "np.count_nonzero(np.abs(panes)[~on]) == 2"),
+    (
+        "from_episodes",
+        "its true error, more than ten times as large",
+        'assert mean["episode"][-1] > 10 * mean["frame"][-1]',
+    ),
+    ("learning_to_predict", "The means differ by less than eight centimetres", "assert min(gaps) < 0.08"),
+    (
+        "learning_to_predict",
+        "in eight of its 19 films the plan leaves",
+        "assert (len(off_script), len(script)) == (8, 11)",
+    ),
+    ("learning_to_predict", "Three films of two garments are few", '(len(parts["train"]), len(unseen)) == (21, 3)'),
+    ("learning_to_predict", "on the 21 films of the cut, for seconds", '(len(parts["train"]), len(unseen)) == (21, 3)'),
+    ("learning_to_predict", "with 21 films to learn from", '(len(parts["train"]), len(unseen)) == (21, 3)'),
+    ("predict_the", "Six films are ours to learn from. Thirteen are to test on", "== (6, 13)"),
+    ("predict_the", "and see what six films cannot teach it", "== (6, 13)"),
+    ("predict_the", "**six films are six plans**", "== (6, 13)"),
+    ("predict_the", "for some seconds, on the six films", "== (6, 13)"),
+    ("predict_the", "six films are six plans for a network, too", "== (6, 13)"),
+    ("predict_the", "- Six films are six plans", "== (6, 13)"),
+    ("predict_the", "On the thirteen films:", "== (6, 13)"),
+    ("predict_the", "so thirteen films count as about thirteen samples", "== (6, 13)"),
+    ("predict_the", "misses about one loop in five at every step", '75 < shares["mean of the cycle"].mean() < 85'),
+    ("predict_the", "in more than nine cases of ten", "assert known > 90"),
+    ("predict_the", "about one loop in four is missed", "assert 70 < marks[False, 0.01][0] < 80"),
+    (
+        "predict_the",
+        "on these 26 windows *fast* is ahead of *exact* from $t+15$ on",
+        'all(shares["network, fast"][1:] > shares["network, exact"][1:])',
+    ),
+    (
+        "linked_or",
+        "is little more than two centimetres from the rod's axis",
+        "< to_line(handle.mean(axis=0), line) < 0.025",
+    ),
+    ("linked_or", "The guide falls to three centimetres", "allowed = moved[to_line(moved, line).min(axis=1) > 0.03]"),
+    ("linked_or", "the two of twelve runs (seeds 0 to 11)", "assert sum(on for on, _ in last) == 10"),
+]
+
+SET = "set, not measured: the cell below it has it"
+LEVEL = "a level of confidence"
+MADE = "how the checkpoints were made: data_small/checkpoints"
+GIVEN: list[tuple[str, str, str]] = [
+    ("README.md", "what 23,000 episodes cost", "the paper's number of trajectories"),
+    ("README.md", "*strict* asks for 0 cm", "the name of a treatment in motion.json"),
+    ("CONTRIBUTING.md", "nine of ten 20 or fewer", "tests/test_repository.py counts"),
+    (
+        "CONTRIBUTING.md",
+        "linking 92.5 % of 612, mixture 93.7 % of 303, seqph 93.3 % of 372, its matchings 93.2 % of 88, its frames 95.5 % of 66,"
+        " sampling 98.6 % of 217, windows 98.0 % of 642",
+        "printed by tests/mutation.py; its runs take half an hour and are not kept",
+    ),
+    (
+        "CONTRIBUTING.md",
+        "165 of 496): 139 of the 155 that plain Python reaches, 89.7 %",
+        "printed by tests/mutation.py",
+    ),
+    ("CONTRIBUTING.md", "The goal is 90 % of each", "a goal"),
+    (
+        "seqph_following",
+        "is farther than 2.5 times what that is in the median",
+        "a constant of topokit.sampling.inliers",
+    ),
+    ("seqph_following", "counts up to 1.3 times", "constants of the evidence, asserted equal by the cell"),
+    ("seqph_following", "the longer one of the two loops", "no measurement"),
+    (
+        "seqph_following",
+        "Twenty-one tasks, three seeds each, physics and sizes drawn anew: 63 episodes of ten garments",
+        SET,
+    ),
+    ("seqph_following", "the killer edge's length within 36 ms", "the time between two frames"),
+    ("seqph_following", "So here are ten garments of the wardrobe", SET),
+    ("seqph_following", "Bars are 95 % intervals over episodes, drawn with replacement a thousand times", LEVEL),
+    ("seqph_following", "With noise of 5 mm and behind a hand", "the name of a condition"),
+    ("seqph_following", "- *apron*: with noise of 10 mm", "the name of a condition"),
+    (
+        "seqph_following",
+        "below the low end of the tie, 25 cm from its middle",
+        "failure_1 of book/results/clips shows it",
+    ),
+    ("a_world_of", "three per cent below the limit and three per cent above", SET),
+    ("a_world_of", "and $k$ may be four times as large", "it follows from the formula"),
+    ("a_world_of", "falls over it three times", SET),
+    ("a_world_of", "a hundred times its size", "the default of close_far"),
+    ("a_world_of", "which knows that 25 of 25 is not certainty", "an example"),
+    ("from_episodes", "what 23,000 episodes cost", "the paper's number of trajectories"),
+    ("from_episodes", "Six episodes and one checksum", SET),
+    ("from_episodes", "those of our own two runs", SET),
+    ("from_episodes", "Its episode is tried three times", "a constant of topokit.data"),
+    ("from_episodes", "integers in units of 0.1 mm", "the unit of the store"),
+    ("from_episodes", "at three of the sixty frames", SET),
+    ("from_episodes", "measure it with forty episodes", "advice"),
+    ("loops_as", "is it right nine times in ten", "a question"),
+    ("loops_as", "Three films of an apron and a hook", SET),
+    ("loops_as", "one of the three vertices is spent on the mean", "it follows from the formula"),
+    ("loops_as", "the default of 1 cm is nearly honest", SET),
+    ("loops_as", "At $10^{-3}$, 3 cm, it is not sure enough", SET),
+    ("loops_as", "all three films are of one apron", SET),
+    ("loops_as", "the mixture with a noise of 1 cm", SET),
+    ("learning_to_predict", "fed with its own guesses sixty times", SET),
+    ("learning_to_predict", "trained on a dataset of 2,000 episodes", MADE),
+    ("learning_to_predict", "by the same code on a dataset of 2,000 episodes", MADE),
+    ("learning_to_predict", "fitted to some 1,600 films", MADE),
+    ("learning_to_predict", "on some 1,600 films instead of 21", MADE),
+    (
+        "learning_to_predict",
+        "that a scene ten centimetres to the left is the same scene ten centimetres to the left",
+        "an example",
+    ),
+    ("learning_to_predict", "bend the film's plan sideways a thousand times", SET),
+    ("learning_to_predict", "at the same frame of two films", SET),
+    ("predict_the", "**opening**, within two centimetres", SET),
+    ("predict_the", "an opening of ten centimetres is left", "an example"),
+    ("predict_the", "an opening that is ten centimetres wide", "an example"),
+    (
+        "honest_evaluation",
+        "six of the other eight garments; the remaining two were for validation",
+        "`Dataset.split`, seed 1",
+    ),
+    ("honest_evaluation", "whiskers 95 % intervals", LEVEL),
+    ("honest_evaluation", '"95 %" is a promise about a procedure', LEVEL),
+    ("honest_evaluation", "catches the true value 19 times in 20", LEVEL),
+    ("honest_evaluation", "Two windows of an episode share a cloth", "no measurement"),
+    ("honest_evaluation", "thirty episodes, each with its own chance of success, twenty windows each", SET),
+    ("honest_evaluation", "and is 90 % of it 90 %?", LEVEL),
+    ("linked_or", "note where one runs over the other", "no measurement"),
+    ("linked_or", "each a hundred times the size of the hook", "the default of close_far"),
+    ("linked_or", "a stiff ring in the air, 16 cm wide", SET),
+    ("linked_or", "that come within 3 cm of the centre line", SET),
+]
