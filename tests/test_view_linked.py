@@ -1,4 +1,4 @@
-"""The figure of chapter 13: what its page holds, and that its script links curves as topokit.linking does."""
+"""The figure of chapter 14: what its page holds, and that its script links curves as topokit.linking does."""
 
 from __future__ import annotations
 

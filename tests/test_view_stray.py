@@ -1,4 +1,4 @@
-"""The figure of the stray point in chapter 6: what its page holds, and that its script decides as topokit.SeqPH does."""
+"""The figure of the stray point in chapter 7: what its page holds, and that its script decides as topokit.SeqPH does."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ seen well is kept through frames in which it is hardly seen, and a chance bar do
 
 Source: death / birth as what tells loops from noise, and the count of bars in its threshold, are from Bobrowski and Skraba 2023
 (*A universal null-distribution for topological data analysis*); the sum of evidence is Wald's sequential test. The constants
-were chosen on simulated films that no table of the book scores. Taught in chapter 6.
+were chosen on simulated films that no table of the book scores. Taught in chapter 7.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Idea: a tracked loop is more than its killer. Its cycle names vertices, and the 
 of the same points: the edge that ends it there lies across what closes last. So whoever knows how points move, or guesses
 it, knows how loops do, and no two frames are matched.
 
-Source: the elder rule for given cycles is that of `Diagram.killers_of`. Taught in chapter 11.
+Source: the elder rule for given cycles is that of `Diagram.killers_of`. Taught in chapter 12.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Idea: the triangles around a loop's killer are samples of where the loop closes last. Every triangle gives a Gaussian, its
 barycentre the mean, its three vertices the covariance, and weighs as much as its filtration value.
 
-Source: Antonova et al. 2021, section 5, equation 1. Taught in chapter 9. `topokit.models.loop_mixtures` has the same density for
+Source: Antonova et al. 2021, section 5, equation 1. Taught in chapter 10. `topokit.models.loop_mixtures` has the same density for
 batches, differentiable.
 """
 

@@ -6,7 +6,7 @@ killers (beta) allow. The assignment that moves killers least in total hands the
 the diagram and by the film before it (`topokit._evidence`), or, as in the paper, by alpha alone.
 
 Source: Antonova et al. 2021, Algorithm 1 and Corollary 1. In the paper's listing the matching stands inside the loop over
-l; it needs the whole distance matrix, so it follows both loops here. Taught in chapters 0 and 6.
+l; it needs the whole distance matrix, so it follows both loops here. Taught in chapters 0 and 7.
 """
 
 from __future__ import annotations

@@ -32,10 +32,10 @@ UNTOLD = {
     "notebooks/00_an_apron_finds_its_hook.html": 1,
     "notebooks/01_point_clouds_and_rips_complexes.html": 1,
     "notebooks/05_the_edge_that_knows_where_the_loop_is.html": 1,
-    "notebooks/08_from_episodes_to_a_dataset.html": 1,
-    "notebooks/09_loops_as_probability.html": 1,
-    "notebooks/10_learning_to_predict_topology.html": 1,
-    "notebooks/13_linked_or_not.html": 4,
+    "notebooks/09_from_episodes_to_a_dataset.html": 1,
+    "notebooks/10_loops_as_probability.html": 1,
+    "notebooks/11_learning_to_predict_topology.html": 1,
+    "notebooks/14_linked_or_not.html": 4,
 }
 
 pytest.importorskip("playwright", reason="Playwright is not installed: make env")

@@ -1,4 +1,4 @@
-"""Check a dataset: every checksum, shape, unit and identity. Taught in chapter 8."""
+"""Check a dataset: every checksum, shape, unit and identity. Taught in chapter 9."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read a dataset: episodes, labels, splits, and a smaller dataset of some of its episodes. Taught in chapter 8."""
+"""Read a dataset: episodes, labels, splits, and a smaller dataset of some of its episodes. Taught in chapter 9."""
 
 from __future__ import annotations
 

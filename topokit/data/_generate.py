@@ -2,7 +2,7 @@
 
 Idea: every job writes the same bytes whenever it is done, so whatever goes wrong with a Dask worker, its job is given again.
 
-Source: the 23,000 trajectories of Antonova et al. 2021, section 6. Taught in chapter 8.
+Source: the 23,000 trajectories of Antonova et al. 2021, section 6. Taught in chapter 9.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Label the episodes of a dataset: what the tracker sees in every frame, written as safely as the episodes are.
 
-Source: Antonova et al. 2021, Algorithm 1. Taught in chapter 8.
+Source: Antonova et al. 2021, Algorithm 1. Taught in chapter 9.
 """
 
 from __future__ import annotations

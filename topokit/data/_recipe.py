@@ -1,6 +1,6 @@
 """What a dataset is made of: a declared, versioned configuration, and an episode as a pure function of it, a seed and a number.
 
-Source: Antonova et al. 2021, section 6 (garments, paths and physics are randomised). Taught in chapter 8.
+Source: Antonova et al. 2021, section 6 (garments, paths and physics are randomised). Taught in chapter 9.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Idea: where L true loops are there (`topokit.evaluate.true_loops`), the first k 
 first, as in the paper; which is compared with which is chosen in their favour. A true loop is marked by one curve of its class,
 and others are as true (straight across a skirt, or behind a tie), so its hull takes in the edge that ends its class, too.
 
-Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 12.
+Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 13.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ COLUMNS = (
     "outside_marked",  # the same for hulls of the marked curves alone, of loops that are not there, too
     "outside_anyway",  # the same as the first by lifetime times presence, none said to be absent
     "in_plane",  # whether all k are in the curve's outline, seen along its normal, and near its plane
-    "in_opening",  # whether all are nearer to the centres than the curves' farthest vertices, as chapter 6 asks of tracks
+    "in_opening",  # whether all are nearer to the centres than the curves' farthest vertices, as chapter 7 asks of tracks
     "distance",  # of the k means from these centres, metres
     "kept",  # of the true loops found at the first step and still there, the share that is found by the same slot
     *("nll", "cover50", "cover90"),  # of points of the openings: nats, shares in the regions of 50 and 90 % of the mass

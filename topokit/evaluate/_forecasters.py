@@ -1,4 +1,4 @@
-"""Who forecasts in an evaluation, all asked alike: from a batch of windows to the states of all steps. Taught in chapter 12."""
+"""Who forecasts in an evaluation, all asked alike: from a batch of windows to the states of all steps. Taught in chapter 13."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Evaluate predictors on held-out windows: every number of chapter 12, from a dataset and checkpoints.
+"""Evaluate predictors on held-out windows: every number of chapter 13, from a dataset and checkpoints.
 
 One file of results, written again after each condition; a run that was stopped goes on with the conditions that are missing.
 The forecasts that went farthest astray are kept to be looked at: a table says how often, a picture why.
 
-Source: the figure is that of Antonova et al. 2021, section 6. Taught in chapter 12.
+Source: the figure is that of Antonova et al. 2021, section 6. Taught in chapter 13.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The file of results: written, read, and shown; and the code that it is made by. Taught in chapter 12."""
+"""The file of results: written, read, and shown; and the code that it is made by. Taught in chapter 13."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ Idea: windows of one episode are near copies of each other, so a hundred of them
 whole episodes with replacement, within each garment, and seeds likewise; what a statistic does over a thousand such draws is
 its interval. All models get the same draws of episodes, so that differences between them are on the same episodes.
 
-Source: Efron and Tibshirani 1993; for samples in clusters, Davison and Hinkley 1997, section 3.8. Taught in chapter 12.
+Source: Efron and Tibshirani 1993; for samples in clusters, Davison and Hinkley 1997, section 3.8. Taught in chapter 13.
 """
 
 from __future__ import annotations

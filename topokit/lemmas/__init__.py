@@ -4,7 +4,7 @@ One function a statement; each takes the state S (all points, row i the same poi
 (ids of its points, or their coordinates), measures the constants and the two sides of the inequality, and returns a `Check`.
 Throughout, corresponding loops are those that an optimal bottleneck matching pairs.
 
-Source: Antonova et al. 2021, section 4. Taught in chapters 3 to 5.
+Source: Antonova et al. 2021, section 4. Taught in chapters 3 to 6.
 """
 
 from topokit._lazy import shown

@@ -1,6 +1,6 @@
 """The statements about killer edges: recovering them, following them, telling them apart.
 
-Source: Antonova et al. 2021, section 4. Taught in chapter 5.
+Source: Antonova et al. 2021, section 4. Taught in chapter 6.
 
 Edges, each its two end points, are compared by Hausdorff distance, and edges that could be taken for the killer are assumed
 to lie within beta of it: all edges of about its length by the paper's Assumption 3, see `converse` for where that cannot hold,

@@ -1,6 +1,6 @@
 """All statements on one step of a sequence, on every step of a recorded episode, and on small literal counterexamples.
 
-Taught in chapter 5.
+Taught in chapters 3 to 6.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What all predictors have in common, their units and the three parts of a forward pass; and hold, carry and ridge.
 
 These three are to be beaten: they start from the last tracked states, and need no network.
-Source: Hoerl and Kennard 1970 (ridge regression). Taught in chapter 10.
+Source: Hoerl and Kennard 1970 (ridge regression). Taught in chapter 11.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ Each point has a scale of its error, too, learned with the motion as that of a L
 
 Source: rollouts by messages as in Sanchez-Gonzalez et al. 2020, *Learning to simulate complex physics with graph networks*, with
 codes pooled as in Qi et al. 2017, *PointNet*; edge convolutions of Wang et al. 2019, *Dynamic graph CNN*; gates of Cho et al.
-2014, *Learning phrase representations using RNN encoder-decoder*. Taught in chapter 11.
+2014, *Learning phrase representations using RNN encoder-decoder*. Taught in chapter 12.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The two networks of the paper, as faithfully as it tells: they see clouds in the coordinates of the room, and answer in them.
 
 Source: Antonova et al. 2021, section 5; Qi, Su, Mo, Guibas 2017, *PointNet* (a network shared by all points, then the maximum
-over them), without its transforms of the input. Taught in chapter 10.
+over them), without its transforms of the input. Taught in chapter 11.
 """
 
 import itertools

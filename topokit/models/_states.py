@@ -4,7 +4,7 @@ Idea: the two killer triangles share the killer edge, and a neighbour shares an 
 eight corners: the ends x, y of the killer edge, the apexes z1 (thick), z2, and an apex a neighbour. Predicting corners keeps
 triangles that share an edge together and is half the size.
 
-Source: Antonova et al. 2021, section 5 (the L2 loss) and equation 1; slots as in Carion et al. 2020. Taught in chapters 9, 10.
+Source: Antonova et al. 2021, section 5 (the L2 loss) and equation 1; slots as in Carion et al. 2020. Taught in chapters 10, 11.
 """
 
 from __future__ import annotations

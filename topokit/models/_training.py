@@ -5,7 +5,7 @@ training that was killed and started again ends, on a CPU, with the same weights
 threads share them, so that their number is an entry of the configuration: on one kind of machine `best.safetensors` has the
 same bytes wherever it is made. `last.safetensors` has not: it holds the seconds that the training took.
 
-Source: Antonova et al. 2021, section 5 (supervised, from the tracker's labels). Taught in chapter 10.
+Source: Antonova et al. 2021, section 5 (supervised, from the tracker's labels). Taught in chapter 11.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What sensors send, made ready for the tracker: clouds from files, depth images and ROS bags, and a declared pipeline.
 
-`topokit.io.read_clouds` is the door of the files. Taught in chapter 6.
+`topokit.io.read_clouds` is the door of the files. Taught in chapter 7.
 """
 
 from typing import TYPE_CHECKING

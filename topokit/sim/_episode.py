@@ -2,7 +2,7 @@
 
 What varies between episodes is drawn from declared ranges, with a generator for every purpose, and recorded.
 
-Source: Antonova et al. 2021, section 6 (stiffness and paths are randomised). Taught in chapters 0 and 7.
+Source: Antonova et al. 2021, section 6 (stiffness and paths are randomised). Taught in chapters 0 and 8.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Idea: people's reaching movements minimise the integral of squared jerk. Through
 ends, the minimiser is the quintic spline of four continuous derivatives; between two rests it is
 start + (10 s^3 - 15 s^4 + 6 s^5) (end - start) with s the share of the time.
 
-Source: Flash and Hogan 1985, *The coordination of arm movements*. Taught in chapter 7.
+Source: Flash and Hogan 1985, *The coordination of arm movements*. Taught in chapter 8.
 """
 
 from __future__ import annotations

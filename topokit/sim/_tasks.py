@@ -1,6 +1,6 @@
 """Tasks: which garment goes to which target, on which scripted path, and when it hangs there.
 
-Source: Antonova et al. 2021, section 6. Taught in chapter 7.
+Source: Antonova et al. 2021, section 6. Taught in chapter 8.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Idea: the data are packed once beside scripts without dependencies, and the page is handed to the browser as the `srcdoc` of an
 iframe. So it works the same in Jupyter, on a built page and as a file, and asks nothing of the network. `rips.js` computes loops
 by the same lunes as `topokit.rips`, `match.js` matches diagrams as `topokit.lemmas` does, `link.js` links, and `rules.js` says
-which bars are loops, all in milliseconds. Tests hold their answers to topokit's. Taught in chapters 1 to 6 and 13.
+which bars are loops, all in milliseconds. Tests hold their answers to topokit's. Taught in chapters 1 to 7 and 14.
 """
 
 from __future__ import annotations

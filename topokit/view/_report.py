@@ -1,4 +1,4 @@
-"""Figures of an evaluation, from the file of its results (`topokit.evaluate.read_results`). Taught in chapter 12."""
+"""Figures of an evaluation, from the file of its results (`topokit.evaluate.read_results`). Taught in chapter 13."""
 
 from __future__ import annotations
 
