@@ -12,7 +12,8 @@ import pytest
 from ledger import ASSERTED, GIVEN, MEASURED
 
 ROOT = Path(__file__).parent.parent
-NAMES = ["seqph_following", "a_world_of", "from_episodes", "loops_as"]
+NAMES = ["an_apron_finds", "point_clouds", "persistence_and", "seeing_a", "small_motions", "the_edge_that"]
+NAMES += ["where_the", "seqph_following", "a_world_of", "from_episodes", "loops_as"]
 NAMES += ["learning_to_predict", "predict_the", "honest_evaluation", "linked_or"]
 CHAPTERS = {name: path for name in NAMES for path in ROOT.glob(f"notebooks/??_{name}*.ipynb")}
 PAGES = ["README.md", "CONTRIBUTING.md", *CHAPTERS]
