@@ -9,6 +9,7 @@ that nobody has measured, each with its reason. A page is README.md, CONTRIBUTIN
 from __future__ import annotations
 
 from collections.abc import Callable
+from statistics import median
 from typing import Any
 
 from test_repository import MOST_LINES
@@ -74,7 +75,25 @@ def trained_on(results: Results) -> str:
     return made.partition("--episodes ")[2].split()[0]
 
 
-WORDS = {0: "none", 2: "two", 3: "three"}
+def speaks(results: Results, statement: str, version: str) -> tuple[int, int]:
+    """In how many steps of the ten garments a statement speaks, and how many steps there are."""
+    rows = results["lemmas_on_test"]["statements"]
+    row = next(row for row in rows if (row["statement"], row["version"]) == (statement, version))
+    return row["has_a_loop_to_speak_about"], row["steps"]
+
+
+def middle(results: Results, file: str, name: str) -> float:
+    """The median over the steps in which there is a value."""
+    return median(value for value in results[file]["steps"][name] if value)
+
+
+def kinds_tested(results: Results) -> Any:
+    """How many kinds of garments the lemmas were tested on."""
+    kinds = len(results["lemmas_on_test"]["episodes"])
+    return WORDS.get(kinds, kinds)
+
+
+WORDS = {0: "none", 1: "one", 2: "two", 3: "three", 4: "four", 10: "ten"}
 
 MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
     # -- README
@@ -113,6 +132,60 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
         lambda r: tuple(
             sum(row["outcome"] == what for row in r["garments"]["meshes"]) for what in ("hangs", "refused")
         ),
+    ),
+    # -- loops and their mathematics
+    (
+        "persistence_and",
+        "would need more than {:.1f} GB is refused",
+        lambda _: (MEMORY / 1e9,),
+    ),
+    *(
+        (page, "in one episode of each of the {} garments that chapter 13 tests on", lambda r: (kinds_tested(r),))
+        for page in ("seeing_a", "small_motions")
+    ),
+    ("where_the", "at one episode of each of the {} garments that chapter 13", lambda r: (kinds_tested(r),)),
+    (
+        "small_motions",
+        "In {} of {} steps $2\\delta$ is below the longest lifetime, and $2\\varepsilon$ in {}",
+        lambda r: (
+            *speaks(r, "temporal persistence", "intrinsic"),
+            speaks(r, "temporal persistence", "corrected")[0],
+        ),
+    ),
+    (
+        "where_the",
+        "a point moves by up to {:.1f} cm while no distance changes by more than {:.1f} mm (twice the distortion),"
+        " and the paper's $\\beta$ is {:.1f} m",
+        lambda r: (
+            100 * middle(r, "lemmas_on_cloth", "epsilon"),
+            2000 * middle(r, "lemmas_on_cloth", "distortion"),
+            middle(r, "lemmas_on_cloth", "beta_all"),
+        ),
+    ),
+    (
+        "where_the",
+        "the intrinsic corollary speaks in {} of {} steps",
+        lambda r: speaks(r, "corollary", "intrinsic"),
+    ),
+    (
+        "where_the",
+        "about {} times the killer's length; the gates speak in {}",
+        lambda r: (
+            WORDS.get(
+                round(middle(r, "lemmas_on_test", "beta_intrinsic") / (2 * middle(r, "lemmas_on_test", "death")))
+            ),
+            speaks(r, "gates", "intrinsic")[0],
+        ),
+    ),
+    (
+        "where_the",
+        "On {} garments the $\\beta$ is mostly as large as the object",
+        lambda r: (kinds_tested(r),),
+    ),
+    (
+        "where_the",
+        "of the {} steps in which there is a loop to speak about",
+        lambda r: (sum(bool(value) for value in r["lemmas_on_cloth"]["steps"]["beta_critical"]),),
     ),
     # -- seqPH
     ("seqph_following", "drawn anew: {} episodes of ten garments", lambda r: (len(r["tracking"]["episodes"]),)),
@@ -264,6 +337,22 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
 ]
 
 ASSERTED: list[tuple[str, str, str]] = [
+    ("point_clouds", "which by {eq}`ring-death` dies at 8.66 cm", "clean.death[0], 0.1 * np.sqrt(3) / 2"),
+    ("small_motions", "moves by more than two and a half centimetres", "assert epsilon.max() < 0.025"),
+    ("the_edge_that", "the edge leaps in 27 of 285 steps", "(edge_leaps.sum(), len(edge_leaps)) == (27, 285)"),
+    (
+        "the_edge_that",
+        "it jumped in four of forty on each of the two sheets",
+        "assert resampled[:, 2].tolist() == [0, 0, 1, 4, 0, 4]",
+    ),
+    ("where_the", "are 28 mm apart if the unit is a metre", "== (0.028, 0.781, 1.94)"),
+    ("where_the", "they are 1.94 times that apart", "== (0.028, 0.781, 1.94)"),
+    (
+        "where_the",
+        "it is object-sized in nine of ten",
+        "np.allclose([long.mean(), *small], [0.3, 0.75, 0.1], atol=0.02)",
+    ),
+    ("where_the", "Three of the four were refuted by random clouds", 'assert false - refuted == {"corollary"}'),
     ("seqph_following", "in every frame more than ten times what the loops need", "all((10 * shift < gate).all()"),
     ("seqph_following", "By the paper's rule it is never there", "assert seen[1] == 0"),
     ("a_world_of", "for half a second the two agree to better than ten micrometres", "assert max(gap[:500]) < 1e-5"),
@@ -313,6 +402,39 @@ SET = "set, not measured: the cell below it has it"
 LEVEL = "a level of confidence"
 MADE = "how the checkpoints were made: data_small/checkpoints"
 GIVEN: list[tuple[str, str, str]] = [
+    ("point_clouds", "exactly one of the two sets", "no measurement"),
+    ("point_clouds", "counts each triangle six times", "it follows from the formula"),
+    ("persistence_and", "Three of the five die with the edge that bore them", "the cell above it prints them"),
+    ("persistence_and", "makes 0.3 GB for 50,000 of them", "50,000 squared bits"),
+    ("seeing_a", "Show one of the two", "no measurement"),
+    ("seeing_a", "We take the three films, every twelfth frame", SET),
+    ("seeing_a", "about one mesh width, 3 cm", "the figure above it shows it"),
+    ("seeing_a", "that means about four times as many", "it follows from the area of a ball"),
+    ("seeing_a", "with a sheet of 30 by 12 cm", SET),
+    ("seeing_a", "dies at about 0.866 times the radius of the roll", "{eq}`ring-death` of chapter 0"),
+    ("seeing_a", "Cut a hole of radius 3.2 cm", SET),
+    ("seeing_a", "around a bend of 2 cm", SET),
+    ("seeing_a", "the layers are 1.3 cm apart", "twice the bend over pi"),
+    ("small_motions", "the scene at two times, ", "no measurement"),
+    ("small_motions", "from every eighth frame of the three films", SET),
+    ("small_motions", "at each of four frames of the three films", SET),
+    ("small_motions", "from a quarter of a millimetre to 8 mm", SET),
+    ("small_motions", "repeat, 150 times", SET),
+    ("small_motions", "of each step, in three films", SET),
+    ("small_motions", "every fifth step of the three films", SET),
+    ("the_edge_that", "the middle one of the three points", "no measurement"),
+    ("the_edge_that", "the one of the two killer triangles", "no measurement"),
+    ("the_edge_that", "a slot four times as long as wide", SET),
+    ("the_edge_that", "Forty times each (seed 5)", SET),
+    ("the_edge_that", "by a normal error of 2% of the death", SET),
+    ("the_edge_that", "once more by at most 2% of $d$", SET),
+    ("the_edge_that", "the three films of the apron in", SET),
+    ("where_the", "of one of two points that are", "no measurement"),
+    ("where_the", "shaken by up to 5% of the hole's radius", SET),
+    ("where_the", "forty times from different starting points", SET),
+    ("where_the", "two hundred times; on the right", SET),
+    ("where_the", "Three films of one apron", SET),
+    ("where_the", "in every step of three films of an apron", SET),
     ("README.md", "what 23,000 episodes cost", "the paper's number of trajectories"),
     ("README.md", "*strict* asks for 0 cm", "the name of a treatment in motion.json"),
     ("CONTRIBUTING.md", "nine of ten 20 or fewer", "tests/test_repository.py counts"),
