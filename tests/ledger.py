@@ -345,6 +345,8 @@ ASSERTED: list[tuple[str, str, str]] = [
         "it jumped in four of forty on each of the two sheets",
         "assert resampled[:, 2].tolist() == [0, 0, 1, 4, 0, 4]",
     ),
+    ("where_the", "on the sheet and six times on the apron, over critical edges 1.1 and 1.4 times", "== [2, 3, 6]"),
+    ("where_the", "on the slot it is three times that", "== [1.1, 3.2, 1.4]"),
     ("where_the", "are 28 mm apart if the unit is a metre", "== (0.028, 0.781, 1.94)"),
     ("where_the", "they are 1.94 times that apart", "== (0.028, 0.781, 1.94)"),
     (

@@ -29,9 +29,6 @@ CHAPTERS = [page for page in PAGES if page.startswith("notebooks/")]
 # Pictures of chapters without a word in them, whose text alternative nobody has written yet: at most so many, and no new ones.
 # An author writes it into the metadata of the picture's cell: {"mystnb": {"image": {"alt": "..."}}}.
 UNTOLD = {
-    "notebooks/00_an_apron_finds_its_hook.html": 1,
-    "notebooks/01_point_clouds_and_rips_complexes.html": 1,
-    "notebooks/05_the_edge_that_knows_where_the_loop_is.html": 1,
     "notebooks/09_from_episodes_to_a_dataset.html": 1,
     "notebooks/10_loops_as_probability.html": 1,
     "notebooks/11_learning_to_predict_topology.html": 1,
