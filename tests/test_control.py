@@ -54,11 +54,38 @@ def test_the_arm_is_found_wherever_the_target_stands(target):
         assert arm.holds(loop + place) == placed.holds(loop + place) == on
 
 
-def test_a_mannequin_has_no_arm_and_the_servo_says_so():
-    assert Arm.of(Mannequin().centre_line) is None
+def rods_of(target):
+    return np.array([[*start, *end, radius] for start, end, radius in target.rods])
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_head_is_approached_from_where_the_garment_is(side):
+    dummy = Placed(Mannequin(), 0.3, -0.2, 0.0, yaw=70.0)
+    top, ahead = dummy.centre_line[-1], turned(np.array([0.0, -1.0, 0.0]), 70) * side
+    arm = Arm.of_head(dummy.centre_line, rods_of(dummy), top + 0.5 * ahead)
+    np.testing.assert_allclose(arm.out, ahead, atol=1e-9)
+    assert (arm.seat - top) @ ahead < -Mannequin().head_radius  # it is let go behind the neck
+    assert arm.tip[2] == top[2]
+    flat = ring(radius=0.12)[:, [0, 2, 1]]
+    for z in (-0.05, -0.25, -0.3):  # on the crown like a wreath, and lower
+        assert arm.holds(flat + top + [0, 0, z]) == dummy.holds(flat + top + [0, 0, z]) == (z < -0.2)
+
+
+def test_a_pole_has_neither_arm_nor_head_and_the_servo_says_so():
+    line = np.array([[0, 0.5, 0], [0, 0.5, 1.0], [0, 0.5, 1.5]])
+    rods = np.array([[*line[0], *line[2], 0.02]])
     servo = Servo()
-    plan(servo, seen(ring(), [[-0.1, 0, 0.2], [0.1, 0, 0.2]], Mannequin()))
-    assert "no arm" in servo.reason
+    plan(servo, {**seen(ring(), [[-0.1, 0, 0.2], [0.1, 0, 0.2]]), "target": line, "rods": rods})
+    assert "neither an arm" in servo.reason
+
+
+def test_grippers_go_apart_for_a_head():
+    loop, hands = ring(60, 0.2, (0, 0.0, 1.2)), [[-0.08, 0, 1.38], [0.08, 0, 1.38]]
+    servo = Servo(radius=0.08)
+    actions = plan(servo, {**seen(loop, hands, Mannequin()), "rods": rods_of(Mannequin())}, 8)
+    assert servo.reason == ""
+    first, second = actions[-1][:6].reshape(2, 3)
+    assert second[0] - first[0] > 0.1
 
 
 def test_the_way_to_the_front_goes_around_the_target():

@@ -24,6 +24,7 @@ from topokit.control import Controller, Hanging, hang
 from topokit.sim import Camera, HangEnv
 
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
+TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS), "apron-mannequin"]
 WHO = ("random", "straight", "servo", "hold", "carry", "motion", "script")
 MOTION = Path(__file__).parents[2] / "data_small" / "checkpoints" / "motion.safetensors"
 CAMERA = Camera((-1.3, -1.6, 1.6), (0.0, 0.3, 1.1), width=160, height=120)
@@ -116,7 +117,7 @@ def scripted(task: str, seed: int, options: dict[str, Any]) -> Hanging:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--tasks", nargs="+", default=[f"{g}-{t}" for t in ("hook", "hanger") for g in GARMENTS])
+    parser.add_argument("--tasks", nargs="+", default=TASKS)
     parser.add_argument("--who", nargs="+", choices=WHO, default=["straight", "servo", "carry", "motion"])
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["still"])
     parser.add_argument("--starts", type=int, default=50)

@@ -17,6 +17,7 @@ from topokit.linking import close_far, curve_centroid, linking_number
 from topokit.sim._surface import turned
 
 Array = NDArray[np.float64]
+_BEHIND = 0.05  # metres behind a head, and above its shoulders, where a neck strap is let go
 _NEAR = 0.06  # metres at which cloth can still be that of a curve
 
 
@@ -34,7 +35,10 @@ def drawn(cycle: Array, last: Array, cloth: cKDTree) -> Array:
 
 
 class Arm(NamedTuple):
-    """The last part of a centre line that runs sideways, and the tip that rises from its end."""
+    """What a loop is put over: the last part of a centre line that runs sideways, and the tip that rises from its end.
+
+    A head is one, too: it rises from the neck, and a loop that is drawn over it from before lies behind it in the end.
+    """
 
     start: Array  # (3,)
     end: Array  # (3,)
@@ -42,6 +46,9 @@ class Arm(NamedTuple):
     out: Array  # (3,) unit, level: where it points
     reach: float  # metres along `out`
     closed: Array  # the whole centre line, closed far away
+    depth: float = 0.5  # share of the reach at which the rim goes down
+    under: float = np.inf  # metres: a loop whose middle is above that does not hang yet
+    wide: float = 0.0  # metres between the grippers that a loop needs to go over it
 
     @classmethod
     def of(cls, line: Array) -> Arm | None:
@@ -54,10 +61,31 @@ class Arm(NamedTuple):
         k = sideways[-1]
         return cls(line[k], line[k + 1], line[-1], steps[k] * [1, 1, 0] / level[k], float(level[k]), close_far(line))
 
+    @classmethod
+    def of_head(cls, line: Array, rods: Array, place: Array) -> Arm | None:
+        """Of a mannequin's upright line and its rods (R, 7), for what comes from a place; None when it has no shoulders."""
+        head, across = rods[rods[:, 5].argmax()], rods[:, 3:5] - rods[:, :2]
+        shoulder = across[np.linalg.norm(across, axis=1).argmax()]
+        width, radius = float(np.linalg.norm(shoulder)), float(head[6])
+        if width < radius / 2:
+            return None
+        out = np.array([-shoulder[1], shoulder[0], 0]) / width
+        out *= 1 if out @ (place - line[-1]) > 0 else -1
+        front, nape = line[-1] + radius * out, line[-2] - (radius + _BEHIND) * out + [0, 0, _BEHIND - radius]
+        end = np.array([*front[:2], nape[2]])
+        middle = float(head[[2, 5]].mean())
+        reach = 2 * radius + _BEHIND
+        return cls(nape, end, front, out, reach, close_far(line), 1.0, middle, 2 * radius + 0.06)
+
+    @property
+    def seat(self) -> Array:
+        """(3,) on the centre line, or behind the neck: where the rim goes down."""
+        return np.asarray(self.end + self.depth * (self.start - self.end))
+
     def holds(self, cycle: Array) -> bool:
         """Whether a closed curve winds around the target; one that touches its centre line does not, yet."""
         try:
-            return linking_number(cycle, self.closed) != 0
+            return linking_number(cycle, self.closed) != 0 and cycle[:, 2].mean() < self.under
         except ValueError:
             return False
 

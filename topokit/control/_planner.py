@@ -242,7 +242,7 @@ class Planner(Servo):
         return [*before, over, np.array([*seat[:2], over[2]])]
 
     def _seat(self, arm: Arm) -> Array:
-        return np.asarray((arm.start + arm.end) / 2 + [0, 0, self.radius - 0.02])
+        return np.asarray(arm.seat + [0, 0, self.radius - 0.02])
 
     def _goals_of(self, ways: Array, pivot: Array) -> Array:
         """Goals (C, 60, 2, 3) of ways (C, knots, 4), no faster, and speeding up no harder, than can be."""

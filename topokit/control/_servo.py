@@ -36,10 +36,11 @@ _NEAR, _FACING = 0.025, 7.0  # metres and degrees that are near enough to a stop
 _NEW = 0.3  # weight of a new look at an opening
 _SAME = 0.08  # metres between the openings of one loop in two frames, at most
 _GAIN, _TURN = 0.15, 3.5  # share of what is missing that is made up for in a frame; degrees in a frame, at most
+_WIDEN = 0.01  # metres by which grippers go apart in a frame, at most
 _LEASH = 0.2  # metres by which a goal may lead its gripper along an axis
-# The stops of the rail: metres before the tip, or, below 0, share of the arm behind it; speed as a share of the largest step.
-_RAIL = {"far": (0.35, 0.5), "near": (0.13, 0.3), "over": (-0.5, 0.2), "down": (-0.5, 0.25)}
-_RAIL |= {"lift": (-0.5, 0.2), "back": (0.13, 0.3)}
+# The stops of the rail: metres before the tip, or, below 0, above the seat; speed as a share of the largest step.
+_RAIL = {"far": (0.35, 0.5), "near": (0.13, 0.3), "over": (-1, 0.2), "down": (-1, 0.25)}
+_RAIL |= {"lift": (-1, 0.2), "back": (0.13, 0.3)}
 DOWN, LIFT = list(_RAIL).index("down"), list(_RAIL).index("lift")
 
 
@@ -111,6 +112,7 @@ class Servo(Controller):
         """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
         self.reason, self._tracker = "", SeqPH()
         self._goals = np.asarray(observation["grippers"], np.float64)
+        self._front = self._goals.mean(axis=0)  # from where a head is approached
         self._known: list[_Known] = []
         self._chosen: list[_Known] = []
         self._frame = self._stop = self._waited = self._tries = 0
@@ -120,11 +122,13 @@ class Servo(Controller):
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the next action; nothing moves once there is a `reason` to give up."""
         points, grippers, line = (np.asarray(observation[key], np.float64) for key in ("points", "grippers", "target"))
-        arm = Arm.of(line)
+        arm = Arm.of(line) or Arm.of_head(line, np.asarray(observation["rods"], np.float64), self._front)
         if arm is None or self.reason or not observation["held"]:
-            self.reason = self.reason if arm else "the target has no arm that runs sideways"
+            self.reason = (
+                self.reason if arm else "the target has neither an arm that runs sideways nor a head on shoulders"
+            )
             return np.zeros(7, np.float32)
-        self._frame += 1
+        self._frame, self._wide = self._frame + 1, arm.wide
         self._follow(points, grippers, line)
         if not self._chosen and self._frame >= _LOOK:
             self._choose(arm, self._inside(points))
@@ -252,14 +256,17 @@ class Servo(Controller):
         return np.asarray(rim + (last.max() - rim @ arm.out) * arm.out)
 
     def _step(self, goals: Array, grippers: Array) -> NDArray[np.float32]:
-        """The action that brings the goals there, or as near as may be."""
+        """The action that brings the goals there, or as near as may be, and apart when they hold what goes over a head."""
+        apart = goals[1] - goals[0]
+        gap = max(float(np.linalg.norm(apart)), 1e-9)
+        goals = goals + np.array([[-0.5], [0.5]]) * apart / gap * np.clip(self._wide - gap, 0, _WIDEN)
         move = np.clip((goals - self._goals) / self.max_step, -1, 1)
         self._goals = np.clip(self._goals + self.max_step * move, grippers - _LEASH, grippers + _LEASH)
         return np.append(move.ravel(), 0.0).astype(np.float32)
 
     def _needed(self, arm: Arm) -> float:
-        """Half around the arm with its tip, metres."""
-        return float(arm.tip[2] - arm.end[2] + 4 * self.radius)
+        """Half around the arm with its tip, or around a head, metres."""
+        return 1.3 * arm.wide if arm.wide else float(arm.tip[2] - arm.end[2] + 4 * self.radius)
 
     def _clear(self, arm: Arm) -> float:
         """How far above the tip the rim should pass, metres: the tip shall go through the middle of the opening."""
@@ -269,9 +276,9 @@ class Servo(Controller):
     def _goal(self, stop: str, arm: Arm, rim: Array) -> Array:
         """Where the rim should be at a stop."""
         before = _RAIL[stop][0]
-        x, y, _ = arm.tip + before * (1 if before > 0 else arm.reach) * arm.out
+        x, y, _ = arm.tip + before * arm.out if before > 0 else arm.seat
         if stop == "far":
             x, y, _ = arm.before(rim, before)
         if stop == "down":
-            return np.array([x, y, (arm.start[2] + arm.end[2]) / 2 + self.radius])
+            return arm.seat + [0, 0, self.radius]
         return np.array([x, y, arm.tip[2] + self._clear(arm) + 0.02 * self._tries])
