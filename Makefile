@@ -23,10 +23,11 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 help:
 	@sed -n 's/^# //p' Makefile
 
+# One page after another: sphinx-proof cannot merge what several processes have read.
 book: env opengl
 	@$(BIN)/python -m topokit report book/results/evaluation.json --out book/report >/dev/null
 	@rm -rf _build/html
-	@$(BIN)/python -m sphinx -n -W --keep-going -q -j auto -b html -c book -d _build/doctrees . _build/html
+	@$(BIN)/python -m sphinx -n -W --keep-going -q -b html -c book -d _build/doctrees . _build/html
 	@echo "The book: file://$(CURDIR)/_build/html/index.html"
 
 # The system's own Chromium, asked by Playwright: no browser is fetched.
