@@ -23,7 +23,6 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 help:
 	@sed -n 's/^# //p' Makefile
 
-# One page after another: sphinx-proof cannot merge what several processes have read.
 book: env opengl
 	@$(BIN)/python -m topokit report book/results/evaluation.json --out book/report >/dev/null
 	@rm -rf _build/html

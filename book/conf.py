@@ -2,6 +2,7 @@
 
     python -m sphinx -n -W --keep-going -b html -c book -d _build/doctrees . _build/html
 
+One process reads all pages (no `-j`): sphinx-proof cannot merge what several have read.
 Nothing is fetched: KaTeX lies in `_static`, and the moving figures bring their own script.
 """
 
