@@ -36,6 +36,7 @@ from topokit.data import Dataset
 from topokit.io import load_episode
 
 from rips_clouds import cloud
+from rips_tables import processor
 
 ROOT = Path(__file__).parents[2]
 MARKS = ("<!-- python tests/benchmarks/doors.py -->", "<!-- until here -->")
@@ -181,13 +182,6 @@ def measured(repeat: int) -> dict[str, Any]:
         "garments": {"topokit": garments(LoopFeatures(n_loops=6, n_jobs=1)), "ripser.py": garments(Lifetimes())},
         "recording": recording(),
     }
-
-
-def processor() -> str:
-    names = [
-        line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line
-    ]
-    return names[0] if names else platform.processor()
 
 
 def table(found: dict[str, Any]) -> str:

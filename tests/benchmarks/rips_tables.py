@@ -47,16 +47,21 @@ def line(entry: Entry) -> str:
     return f"{entry['what']:>44} {sizes:>12} {entry['ms']:>10.2f} ms  " + ", ".join([*peers, *rest])
 
 
-def machine() -> Entry:
-    """Where the figures are from."""
+def processor() -> str:
+    """The processor's name, as far as the system tells it."""
     info = Path("/proc/cpuinfo")
     models = (
         [row.split(":")[1].strip() for row in info.read_text().splitlines() if "model name" in row]
         if info.exists()
         else []
     )
+    return models[0] if models else platform.processor() or platform.machine()
+
+
+def machine() -> Entry:
+    """Where the figures are from."""
     return {
-        "processor": models[0] if models else platform.processor() or platform.machine(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "python": platform.python_version(),
         "versions": rips_peers.versions(),
