@@ -9,8 +9,9 @@ from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._gudhi import from_gudhi
+    from ._lerobot import from_lerobot, to_lerobot
     from ._ripser import ripser
     from ._sklearn import LoopFeatures
     from ._torch import births_and_deaths
 
-__getattr__, __all__ = attach(__name__, __file__, "*")
+__getattr__, __all__ = attach(__name__, __file__, {"pandas": "lerobot", "pyarrow": "lerobot", "rosbags": "sensors"})
