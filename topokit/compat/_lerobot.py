@@ -1,7 +1,6 @@
-"""Episodes as a dataset of LeRobot, and clouds out of one.
+"""Episodes as a dataset of LeRobot (layout 3.0), and clouds out of one (2.1 or 3.0).
 
-Layout: version 3.0 is written, 2.1 and 3.0 are read. Source: Cadene et al. 2024, *LeRobot: State-of-the-art Machine Learning
-for Real-World Robotics in PyTorch*.
+Source: Cadene et al. 2024, *LeRobot: State-of-the-art Machine Learning for Real-World Robotics in PyTorch*.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ from topokit.sensors._files import Asked, as_cloud
 
 Columns = dict[str, NDArray[Any]]
 _FILE, _A_CHUNK = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet", 1000
-_CLOUD = "observation.pointcloud"
+_CLOUD, _STATE = "observation.pointcloud", "observation.state"
 _HANDS = [f"gripper{i}.{axis}" for i in (0, 1) for axis in "xyz"] + ["held"]
-_NAMES = {_CLOUD: ["point", "axis"], "observation.state": _HANDS, "action": _HANDS}
+_NAMES = {_CLOUD: ["point", "axis"], _STATE: _HANDS, "action": _HANDS}
 
 
 def to_lerobot(
@@ -43,7 +42,7 @@ def to_lerobot(
     folder : path
         A new one.
     episodes : iterable of Episode
-        All with the same `dt`. They are taken one after another: it may be a generator.
+        All with the same `dt`; it may be a generator.
     cloud : {"observed", "points"}
         Which points of an episode.
     n_points : int, optional
@@ -59,55 +58,50 @@ def to_lerobot(
     --------
     >>> from topokit.compat import from_lerobot, to_lerobot
     >>> from topokit.io import load_episode
-    >>> folder = getfixture("tmp_path") / "aprons"
     >>> film = load_episode("data_small/apron_hook_0.npz")
-    >>> clouds, times = from_lerobot(to_lerobot(folder, [film]))
+    >>> clouds, times = from_lerobot(to_lerobot(getfixture("tmp_path") / "aprons", [film]))
     >>> len(clouds), bool((clouds[0] == film.observed[0]).all())
     (96, True)
     """
     if cloud not in ("observed", "points"):
         raise ValueError(f"cloud must be 'observed' or 'points', not {cloud!r}")
-    n, dt = n_points and whole(n_points, "n_points", 1), 0.0
-    tasks, rows, sums, columns = dict[str, int](), list[dict[str, Any]](), dict[str, list[Any]](), Columns()
+    n, start, dt = n_points and whole(n_points, "n_points", 1), 0, 0.0
+    tasks, rows, hands, columns = dict[str, int](), list[dict[str, Any]](), list[Columns](), Columns()
     with new_folder(folder) as new:
         for number, episode in enumerate(episodes):
             if not isinstance(episode, Episode):
                 raise WrongKindError(f"episodes[{number}] must be an Episode, not {type(episode).__name__}")
             points, dt = getattr(episode, cloud), dt or episode.dt
-            n, has = n or points.shape[1], points.shape[1]
+            n, has, end = n or points.shape[1], points.shape[1], start + len(points)
             if not np.isclose(episode.dt, dt, rtol=1e-6):
                 raise ValueError(f"episodes[{number}] has {episode.dt:g} s a frame, those before it {dt:g} s")
             if has > n or (has < n and not n_points):
                 raise ValueError(f"episodes[{number}] has {has} points, not {n}: give the most of any as n_points")
-            sentence = f"Hang the {episode.garment} on the {episode.target}."
-            rows.append(_row(rows, sentence, len(points)))
-            columns = _columns(episode, points[:, np.arange(n) % has], rows[-1], tasks.setdefault(sentence, len(tasks)))
-            _write(new / "data" / _FILE.format(chunk_index=number // _A_CHUNK, file_index=number % _A_CHUNK), columns)
-            for name, values in columns.items():
-                sums.setdefault(name, []).append(_sums(values))
-        _write_meta(new / "meta", rows, tasks, {name: _stats(some) for name, some in sums.items()}, columns, dt)
+            task = f"Hang the {episode.garment} on the {episode.target}."
+            numbers = (number, start, tasks.setdefault(task, len(tasks)))
+            columns = _columns(episode, points[:, np.arange(n) % has], *numbers)
+            hands.append({name: columns[name] for name in (_STATE, "action")})
+            place = dict(zip(("chunk_index", "file_index"), divmod(number, _A_CHUNK), strict=True))
+            _write(new / "data" / _FILE.format(**place), columns)
+            row = {"episode_index": number, "tasks": [task], "length": len(points), "dataset_from_index": start}
+            row |= {f"data/{of}": i for of, i in place.items()} | {f"meta/episodes/{of}": 0 for of in place}
+            rows.append(row | {"dataset_to_index": end})
+            start = end
+        if not rows:
+            raise ValueError("episodes holds none: a dataset has one at least")
+        _write_meta(new / "meta", rows, tasks, hands, columns, dt)
     return Path(folder)
 
 
-def _row(before: list[dict[str, Any]], task: str, length: int) -> dict[str, Any]:
-    """What the metadata tell of the next episode."""
-    number, start = len(before), before[-1]["dataset_to_index"] if before else 0
-    places = {"data/chunk_index": number // _A_CHUNK, "data/file_index": number % _A_CHUNK}
-    places |= {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
-    index = {"dataset_from_index": start, "dataset_to_index": start + length}
-    return {"episode_index": number, "tasks": [task], "length": length, **places, **index}
-
-
-def _columns(episode: Episode, points: NDArray[Any], row: dict[str, Any], task: int) -> Columns:
+def _columns(episode: Episode, points: NDArray[Any], number: int, start: int, task: int) -> Columns:
     """The features of all frames of an episode, a row a frame."""
     n, frame, last = len(points), np.arange(len(points)), np.arange(len(points)) == len(points) - 1
     parts = (episode.grippers, episode.actions)
     hands, told = (np.column_stack([some.reshape(n, 6), episode.held]).astype(np.float32) for some in parts)
-    columns = {_CLOUD: points, "observation.state": hands, "action": told[np.minimum(frame + 1, n - 1)]}
-    columns |= {"next.done": last, "next.success": last & episode.success}
-    columns |= {"timestamp": (frame * episode.dt).astype(np.float32), "frame_index": frame}
-    numbers = {"episode_index": np.full(n, row["episode_index"]), "index": row["dataset_from_index"] + frame}
-    return {**columns, **numbers, "task_index": np.full(n, task)}
+    columns = {_CLOUD: points, _STATE: hands, "action": told[np.minimum(frame + 1, n - 1)]}
+    columns |= {"next.done": last, "next.success": last & episode.success, "frame_index": frame}
+    columns |= {"timestamp": (frame * episode.dt).astype(np.float32), "index": start + frame}
+    return {**columns, "episode_index": np.full(n, number), "task_index": np.full(n, task)}
 
 
 def _write(path: Path, columns: Columns) -> None:
@@ -116,45 +110,29 @@ def _write(path: Path, columns: Columns) -> None:
     parquet.write_table(pa.table(lists), path)
 
 
-def _sums(values: NDArray[Any]) -> tuple[Any, ...]:
-    """Least, greatest, sum, sum of squares and count of each number of a feature; of a cloud, of all its points."""
-    flat = values.reshape(-1, values.shape[-1] if values.ndim > 1 else 1).astype(np.float64)
-    return flat.min(0), flat.max(0), flat.sum(0), (flat**2).sum(0), [len(flat)]
-
-
-def _stats(parts: list[Any]) -> dict[str, list[float]]:
-    low, high, total, squares, counts = (np.array(some) for some in zip(*parts, strict=True))
-    n, mean = counts.sum(0), total.sum(0) / counts.sum()
-    std = np.sqrt(np.maximum(squares.sum(0) / n - mean**2, 0))
-    named = {"min": low.min(0), "max": high.max(0), "mean": mean, "std": std, "count": n}
-    return {name: one.tolist() for name, one in named.items()}
-
-
-def _write_meta(
-    folder: Path, rows: list[dict[str, Any]], tasks: dict[str, int], stats: Any, columns: Columns, dt: float
-) -> None:
-    if not rows:
-        raise ValueError("episodes holds none: a dataset has one at least")
-    (folder / "episodes/chunk-000").mkdir(parents=True)
-    parquet.write_table(pa.Table.from_pylist(rows), folder / "episodes/chunk-000/file-000.parquet")
-    pd.DataFrame({"task_index": list(tasks.values())}, index=list(tasks)).to_parquet(folder / "tasks.parquet")
-    fps, frames = round(1 / dt, 9), rows[-1]["dataset_to_index"]
+def _write_meta(path: Path, rows: Any, tasks: dict[str, int], hands: list[Columns], last: Columns, dt: float) -> None:
+    (path / "episodes/chunk-000").mkdir(parents=True)
+    parquet.write_table(pa.Table.from_pylist(rows), path / "episodes/chunk-000/file-000.parquet")
+    pd.DataFrame({"task_index": list(tasks.values())}, index=list(tasks)).to_parquet(path / "tasks.parquet")
+    fps, n, stats = round(1 / dt, 9), rows[-1]["dataset_to_index"], dict[str, Any]()
+    for name in hands[0]:
+        some = np.concatenate([part[name] for part in hands]).astype(np.float64)
+        stats[name] = {of: getattr(some, of)(axis=0).tolist() for of in ("min", "max", "mean", "std")} | {"count": [n]}
     info: dict[str, Any] = {"codebase_version": "v3.0", "robot_type": "two grippers", "total_episodes": len(rows)}
-    info |= {"total_frames": frames, "total_tasks": len(tasks), "chunks_size": _A_CHUNK, "data_files_size_in_mb": 100}
+    info |= {"total_frames": n, "total_tasks": len(tasks), "chunks_size": _A_CHUNK, "data_files_size_in_mb": 100}
     info |= {"video_files_size_in_mb": 200, "fps": int(fps) if fps % 1 == 0 else fps, "video_path": None}
-    info |= {"splits": {"train": f"0:{len(rows)}"}, "data_path": f"data/{_FILE}"}
-    info["features"] = {
-        name: {"dtype": str(some.dtype), "shape": [*some.shape[1:]] or [1], "names": _NAMES.get(name)}
-        for name, some in columns.items()
-    }
+    info |= {"splits": {"train": f"0:{len(rows)}"}, "data_path": f"data/{_FILE}", "features": {}}
+    for name, one in last.items():
+        shape = [*one.shape[1:]] or [1]
+        info["features"][name] = {"dtype": str(one.dtype), "shape": shape, "names": _NAMES.get(name)}
     for name, text in {"info": info, "stats": stats}.items():
-        (folder / f"{name}.json").write_text(json.dumps(text, indent=4))
+        (path / f"{name}.json").write_text(json.dumps(text, indent=4))
 
 
 def from_lerobot(
     folder: str | Path, episode: int = 0, *, cloud: str | None = None, columns: Sequence[int] | None = None
 ) -> tuple[list[NDArray[Any]], list[float]]:
-    """Read the clouds of an episode, and their times, out of a dataset of LeRobot, for `topokit.track`.
+    """Read the clouds (n, 3) of an episode, and their times in seconds, out of a dataset of LeRobot, for `topokit.track`.
 
     Parameters
     ----------
@@ -165,13 +143,6 @@ def from_lerobot(
         Which feature; when not given, the only one of shape (n, 3), or (n, 6) and the like.
     columns : sequence of int, optional
         Which three numbers of a point are its place; the others may be colours.
-
-    Returns
-    -------
-    clouds : list of (n, 3) array
-        Each of as many points as it has.
-    times : list of float
-        Seconds since the episode began.
 
     Raises
     ------
@@ -184,13 +155,16 @@ def from_lerobot(
     try:
         name = _feature(read_json(path.read_bytes())["features"], cloud)
         for path in one or sorted(where.glob("data/*/*.parquet")):
-            table = _read(path, number, [name, "timestamp"])
+            table = _read(path, number, [name, "timestamp", "frame_index", "episode_index"])
             if len(table):
                 frames = (as_reals(frame, name) for frame in table[name].to_pylist())
-                asked = Asked(columns=columns)
-                return [as_cloud(frame, asked, where) for frame in frames], table["timestamp"].to_pylist()
-    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
+                return [as_cloud(frame, Asked(columns=columns), path) for frame in frames], table[
+                    "timestamp"
+                ].to_pylist()
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise FormatError(f"{path}: {error}") from error
+    except (KeyError, TypeError, AttributeError) as error:
+        raise FormatError(f"{path}: damaged, or of no dataset of LeRobot: {type(error).__name__} {error}") from error
     raise FormatError(f"{where}: no file of data holds episode {number}")
 
 
@@ -209,7 +183,6 @@ def _read(path: Path, episode: int, columns: list[str]) -> pa.Table:
     held = 8 * sum(group.column(i).num_values for group in groups for i in range(group.num_columns))
     if held > FREE + RATIO * size:
         raise ValueError(f"its {size} bytes claim to hold {held}")
-    wanted = [*columns, "frame_index", "episode_index"]
-    if missing := [name for name in wanted if name not in parquet.read_schema(path).names]:
-        raise ValueError(f"it has no column {missing[0]}")
-    return parquet.read_table(path, columns=wanted, filters=[("episode_index", "=", episode)]).sort_by("frame_index")
+    if missing := set(columns) - set(parquet.read_schema(path).names):
+        raise ValueError(f"it has no column {min(missing)}")
+    return parquet.read_table(path, columns=columns, filters=[("episode_index", "=", episode)]).sort_by("frame_index")

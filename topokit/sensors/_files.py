@@ -212,25 +212,34 @@ def _png(path: Path, asked: Asked) -> Frames:
 
 
 def _bag(path: Path, asked: Asked) -> Frames:
-    """The messages of one topic of a bag, at the times in their headers."""
+    for received, message, lens in messages(path, asked.topic):
+        stamp = message.header.stamp
+        yield stamp.sec + 1e-9 * stamp.nanosec or received, as_cloud(rows_of(message), asked, lens)
+
+
+def frame_id(path: Path, topic: str | None) -> str:
+    """The frame of reference that the clouds of a bag are in; "map" of another film."""
+    return str(next(messages(path, topic))[1].header.frame_id) if _kind(path) in (".mcap", ".db3") else "map"
+
+
+def messages(path: Path, asked: str | None) -> Iterator[tuple[float, Any, dict[str, Any]]]:
+    """The messages of one topic of a bag, when each was received, and the matrix of its camera, if there is one."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
         kinds = {each.topic: each.msgtype.split("/")[-1] for each in bag.connections}
-        topic, lens = _topic(kinds, asked.topic), dict[str, Any]()
+        topic, lens = _topic(kinds, asked), dict[str, Any]()
 
-        def messages(name: str) -> Iterator[tuple[float, Any]]:
+        def of(name: str) -> Iterator[tuple[float, Any]]:
             for each, stamp, raw in bag.messages([each for each in bag.connections if each.topic == name]):
                 yield 1e-9 * stamp, bag.deserialize(raw, each.msgtype)
 
         infos = [name for name, kind in kinds.items() if kind == "CameraInfo"]
         beside = [name for name in infos if PurePosixPath(name).parent == PurePosixPath(topic).parent]
         if len(beside or infos) == 1:
-            lens["K"] = next(messages((beside or infos)[0]))[1].k
-        for received, message in messages(topic):
-            stamp = message.header.stamp
-            yield stamp.sec + 1e-9 * stamp.nanosec or received, as_cloud(_rows(message), asked, lens)
+            lens["K"] = next(of((beside or infos)[0]))[1].k
+        yield from ((received, message, lens) for received, message in of(topic))
 
 
 def _topic(kinds: Mapping[str, str], asked: str | None) -> str:
@@ -244,7 +253,7 @@ def _topic(kinds: Mapping[str, str], asked: str | None) -> str:
     return found[0]
 
 
-def _rows(message: Any) -> Array:
+def rows_of(message: Any) -> Array:
     """The points of a PointCloud2, by their names, or the depths of an Image."""
     order = ">" if message.is_bigendian else "<"
     if hasattr(message, "fields"):
@@ -257,6 +266,8 @@ def _rows(message: Any) -> Array:
         steps = (message.step, kind.itemsize)
     else:
         raise ValueError(f"images of encoding {message.encoding}: depth is one of {', '.join(_ROS_DEPTHS)}")
+    if message.height > 1 and steps[0] < message.width * steps[1]:  # one place in the memory would be many points
+        raise ValueError(f"rows of {steps[0]} bytes are none of {message.width} points")
     return np.ndarray((message.height, message.width), kind, message.data, strides=steps)
 
 
