@@ -104,11 +104,6 @@ def test_points_that_come_twice_change_no_loop(tmp_path):
         assert len(one) > 0
 
 
-def test_all_points_where_they_are_asked_for(tmp_path, film):
-    clouds, _ = from_lerobot(to_lerobot(tmp_path / "set", [film], cloud="points"))
-    np.testing.assert_array_equal(clouds, film.points)
-
-
 def test_what_is_no_dataset_is_not_written(tmp_path, film):
     slow = dataclasses.replace(film, dt=2 * film.dt)
     fewer = dataclasses.replace(film, observed=film.observed[:, :5])
@@ -117,9 +112,7 @@ def test_what_is_no_dataset_is_not_written(tmp_path, film):
         r"episodes\[1\] has .* s a frame, those before it": ([film, slow], {}),
         rf"episodes\[1\] has 5 points, not {n}: give the most of any as n_points": ([film, fewer], {}),
         rf"episodes\[0\] has {n} points, not 5": ([film], {"n_points": 5}),
-        r"episodes\[0\] must be an Episode, not ndarray": ([film.points], {}),
         "episodes holds none": ([], {}),
-        "cloud must be 'observed' or 'points', not 'faces'": ([film], {"cloud": "faces"}),
         "n_points must be 1 or more": ([film], {"n_points": -1}),
     }
     for says, (episodes, how) in refused.items():
@@ -134,11 +127,10 @@ def test_what_is_no_dataset_is_not_written(tmp_path, film):
 # -- what others wrote ------------------------------------------------------------------------------------------------------
 
 
-def others(folder, rows, *, name="data/chunk-000/file-000.parquet", shape=(4, 3), **features):
+def others(folder, rows, *, name="data/chunk-000/file-000.parquet"):
     """A dataset of a cloud a frame."""
-    told = {"observation.points": {"dtype": "float32", "shape": shape, "names": None}, **features}
     (folder / "meta").mkdir(parents=True, exist_ok=True)
-    (folder / "meta/info.json").write_text(json.dumps({"codebase_version": "v3.0", "features": told}))
+    (folder / "meta/info.json").write_text("{}")
     (folder / name).parent.mkdir(parents=True, exist_ok=True)
     parquet.write_table(pa.table(rows), folder / name)
     return folder
@@ -146,7 +138,7 @@ def others(folder, rows, *, name="data/chunk-000/file-000.parquet", shape=(4, 3)
 
 def rows_of(clouds, episodes, frame_numbers):
     return {
-        "observation.points": [list(map(list, np.asarray(cloud, np.float32))) for cloud in clouds],
+        "observation.pointcloud": [list(map(list, np.asarray(cloud, np.float32))) for cloud in clouds],
         "timestamp": pa.array(np.array(frame_numbers) / 10, pa.float32()),
         "frame_index": frame_numbers,
         "episode_index": episodes,
@@ -157,7 +149,7 @@ CLOUDS = np.random.default_rng(0).normal(size=(5, 4, 6)).astype(np.float32)
 
 
 def test_colours_are_left_out_and_frames_are_put_in_order(tmp_path):
-    others(tmp_path, rows_of(CLOUDS, [0, 1, 1, 1, 2], [0, 2, 0, 1, 0]), shape=(4, 6))
+    others(tmp_path, rows_of(CLOUDS, [0, 1, 1, 1, 2], [0, 2, 0, 1, 0]))
     clouds, times = from_lerobot(tmp_path, 1, columns=(0, 1, 2))
     np.testing.assert_array_equal(clouds, CLOUDS[[2, 3, 1], :, :3])
     assert times == pytest.approx([0, 0.1, 0.2])
@@ -186,18 +178,16 @@ def test_what_is_no_dataset_is_refused_by_name(tmp_path):
     ):
         with pytest.raises(ValueError, match=says):
             from_lerobot(tmp_path, episode)
-    with pytest.raises(FormatError, match=r"which feature is the cloud\? There is observation\.points: name one"):
-        from_lerobot(tmp_path, cloud="observation.depth")
 
     def without(column):
         return {name: some for name, some in good.items() if name != column}
 
     changed = {
-        "must be an array of numbers": {**good, "observation.points": [[[1.0, 2, 3], [4.0, 5]], [[1.0, 2, 3]]]},
-        "must hold real numbers, not": {**good, "observation.points": [[[1.0, None, 3]], [[1.0, 2, 3]]]},
-        "it is of shape": {**good, "observation.points": [[1.0, 2, 3], [4.0, 5, 6]]},
+        "must be an array of numbers": {**good, "observation.pointcloud": [[[1.0, 2, 3], [4.0, 5]], [[1.0, 2, 3]]]},
+        "must hold real numbers, not": {**good, "observation.pointcloud": [[[1.0, None, 3]], [[1.0, 2, 3]]]},
+        "it is of shape": {**good, "observation.pointcloud": [[1.0, 2, 3], [4.0, 5, 6]]},
         "it has no column timestamp": without("timestamp"),
-        "it has no column observation.points": without("observation.points") | {"other": [1, 2]},
+        "it has no column observation.pointcloud": without("observation.pointcloud") | {"other": [1, 2]},
     }
     for says, rows in changed.items():
         others(tmp_path, rows)
@@ -207,13 +197,6 @@ def test_what_is_no_dataset_is_refused_by_name(tmp_path):
     path.write_bytes(path.read_bytes()[:-20])
     with pytest.raises(FormatError, match=r"file-000\.parquet: "):
         from_lerobot(tmp_path)
-    others(tmp_path, good, **{"observation.depth": {"dtype": "float32", "shape": (4, 3), "names": None}})
-    with pytest.raises(FormatError, match=r"There is observation\.points, observation\.depth: name one as cloud="):
-        from_lerobot(tmp_path)
-    for text in ("[]", '{"features": 3}', '{"features": {"a": {}}}', "{"):
-        (tmp_path / "meta/info.json").write_text(text)
-        with pytest.raises(FormatError, match=r"info\.json: (damaged, or of no dataset|Expecting)"):
-            from_lerobot(tmp_path)
 
 
 def test_a_small_file_that_claims_to_hold_much_is_not_unpacked(tmp_path):

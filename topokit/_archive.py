@@ -146,18 +146,6 @@ def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
         raise
 
 
-@contextlib.contextmanager
-def new_folder(path: str | Path) -> Iterator[Path]:
-    """A folder that becomes `path` when the block ends well, and leaves no trace when it does not."""
-    path = Path(path)
-    if path.exists():
-        raise FileExistsError(f"{path}: it is there already; name a new folder")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".topokit-") as temporary:
-        yield Path(temporary) / path.name
-        os.replace(Path(temporary) / path.name, path)
-
-
 def _digest(arrays: dict[str, NDArray[Any]], document: dict[str, Any] | None) -> str:
     """SHA-256 over names, types, shapes and values, in the order of the names, and over the document, if any."""
     digest = hashlib.sha256()

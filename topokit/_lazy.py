@@ -2,7 +2,7 @@
 
 import ast
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,13 @@ def shown(path: str) -> dict[str, str]:
     return {alias.name: node.module or "" for node in imports for alias in node.names}
 
 
-def attach(package: str, path: str, extra: str | Mapping[str, str] = "") -> tuple[Callable[[str], Any], list[str]]:
+def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], Any], list[str]]:
     """`__getattr__` and `__all__` of a package: what it imports under ``if TYPE_CHECKING:`` is imported when used.
 
-    When something is missing that it needs, the error tells to ``pip install 'topokit[extra]'``; an extra may depend on
-    what is missing, and is of its name when the mapping does not hold it.
+    When something is missing that it needs, the error tells to ``pip install 'topokit[extra]'``; an extra "*" is one of the
+    name of what is missing.
     """
-    where = shown(path)
+    where, wanted = shown(path), f"topokit[{extra}]" if extra else "topokit"
 
     def __getattr__(name: str) -> Any:
         if name in where.values():
@@ -34,9 +34,7 @@ def attach(package: str, path: str, extra: str | Mapping[str, str] = "") -> tupl
             if (error.name or "").startswith("topokit"):
                 raise
             need = str(error.name).partition(".")[0]
-            told = extra if isinstance(extra, str) else extra.get(need, need)
-            wanted = f"topokit[{told}]" if told else "topokit"
-            raise ImportError(f"{package}.{name} needs {need}: pip install '{wanted}'") from error
+            raise ImportError(f"{package}.{name} needs {need}: pip install '{wanted.replace('*', need)}'") from error
         setattr(sys.modules[package], name, value)  # the next time Python finds it without asking here
         return value
 

@@ -102,9 +102,6 @@ def _add_track(commands: Any) -> None:
     option("--out", type=Path, metavar="TRACKS", help=tracks)
     option("--plot", type=Path, metavar="PICTURE", help="also draw the tracks (.png, .svg or .pdf)")
     option("--rerun", type=Path, metavar="FILE", help="also write a recording for Rerun's viewer (.rrd)")
-    option(
-        "--markers", type=Path, metavar="FOLDER", help="also write a bag of ROS 2 with markers of the loops, for RViz"
-    )
     clouds = "all vertices (default) or the subsample an observer sees"
     option("--cloud", choices=("points", "observed"), default="points", help=clouds)
     for name, what in (("alpha", "sampling"), ("beta", "jitter of killers"), ("epsilon", "motion a frame")):
@@ -123,7 +120,6 @@ def _add_track(commands: Any) -> None:
 def _track(options: argparse.Namespace) -> int:
     from .evaluate import summarise_tracks
     from .io import save_states
-    from .sensors._files import frame_id
 
     how = dict(PAPER) if options.paper else {}
     how |= {name: value for name in _TRACKER if (value := getattr(options, name)) is not None}
@@ -140,11 +136,6 @@ def _track(options: argparse.Namespace) -> int:
         from .view._rerun import rerun, sdk
 
         sdk()  # before the work, so that it is said at once when it is missing
-    if options.markers:
-        from .compat import save_markers
-
-        if options.markers.exists():
-            raise FileExistsError(f"--markers {options.markers}: it is there already; name a new folder")
     states, truth, answer, words, shown = (_track_film if film else _track_episode)(options, how)
     summaries = summarise_tracks(states, *truth)
     if out.suffix == ".jsonl":
@@ -154,8 +145,6 @@ def _track(options: argparse.Namespace) -> int:
         save_states(out, states)
     if options.rerun:
         rerun(shown, states, options.rerun)
-    if options.markers:
-        save_markers(options.markers, states, frame_id=frame_id(options.episode, options.topic))
     if options.json:
         rows = [dict(list(dataclasses.asdict(summary).items())[: 5 if film else None]) for summary in summaries]
         print(json.dumps({**answer, "frames": len(states), "tracks": str(out), "loops": rows}))
@@ -252,10 +241,9 @@ def _print_table(summaries: Sequence[Any], width: int | None) -> None:
 
 def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
     """Track clouds as they come; what is kept does not grow."""
-    given = [name for name in ("episode", "out", "plot", "rerun", "markers", "fps") if getattr(options, name)]
-    given += [name for name in ("unit", "columns", "intrinsics") if options.topic and getattr(options, name)]
-    if given:
-        place = "that topic and publishes" if options.topic else "standard input and writes standard output"
+    wrong = ["episode", "out", "plot", "rerun", "fps", *(("unit", "columns", "intrinsics") if options.topic else ())]
+    if given := [name for name in wrong if getattr(options, name)]:
+        place = "a topic and publishes" if options.topic else "standard input and writes standard output"
         raise ValueError(f"--live reads {place}: leave out {', '.join(given)}")
     if options.topic:
         from .compat import LoopMessages, listen

@@ -21,14 +21,8 @@ from ._validate import own_arrays
 __all__ = ["Loop", "TopologicalState", "as_table"]
 
 
-OKABE_ITO = (
-    "#D55E00",
-    "#0072B2",
-    "#009E73",
-    "#CC79A7",
-    "#E69F00",
-    "#56B4E9",
-)  # of identities: read on white and on black
+# Colours of identities: read on white and on black.
+OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 ClosedCurve = tuple[NDArray[np.int64], NDArray[np.float64]]  # vertex ids of a closed walk, and their places
 
 

@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from ._lerobot import from_lerobot, to_lerobot
     from ._ripser import ripser
     from ._ros import LoopMessages, listen
-    from ._rosbags import save_markers
     from ._sklearn import LoopFeatures
     from ._torch import births_and_deaths
 
-__getattr__, __all__ = attach(__name__, __file__, {"pandas": "lerobot", "pyarrow": "lerobot", "rosbags": "sensors"})
+__getattr__, __all__ = attach(__name__, __file__, "*")

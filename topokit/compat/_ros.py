@@ -1,8 +1,7 @@
-"""Tracked loops as messages of ROS 2, in a bag or live.
+"""Tracked loops as messages of ROS 2.
 
-Idea: all that a node answers is made by `LoopMessages`, which needs no ROS; `listen` is the shell around it. A message is made
-empty and then filled, which classes of rclpy and of rosbags both allow. A marker keeps its number as long as its loop lives
-and is deleted with it: RViz flickers when all are deleted and drawn anew.
+Idea: all that a node answers is made by `LoopMessages`, which needs no ROS; `listen` is the shell around it. A marker keeps its
+number as long as its loop lives and is deleted with it: RViz flickers when all are deleted and drawn anew.
 """
 
 from __future__ import annotations
@@ -21,50 +20,42 @@ from topokit.sensors._files import Asked, as_cloud, rows_of
 from topokit.seqph import SeqPH
 from topokit.state import TopologicalState, loop_colour
 
-New = Callable[[str], Any]
-TYPES = {"loops": "visualization_msgs/msg/MarkerArray", "loops/json": "std_msgs/msg/String"}
+_TYPES = {"": "visualization_msgs/msg/MarkerArray", "/json": "std_msgs/msg/String"}  # by the end of the topic
 _ADD, _DELETE, _DELETE_ALL = 0, 2, 3
-# Namespaces of markers, their types (line strip, triangles, text that faces the viewer) and sizes: metres, but of triangles.
-_KINDS = {"cycles": (4, 0.006), "killers": (11, 1.0), "names": (9, 0.03)}
+_KINDS = {"cycles": (4, 0.006), "killers": (11, 1.0), "names": (9, 0.03)}  # line strip, triangles, text; metres thick
 
 
 def of_ros(kind: str) -> Any:
     """An empty message of a type, where ROS is installed."""
     package, _, name = kind.split("/")
-    return getattr(import_module(f"{package}.msg"), name)()
+    try:
+        return getattr(import_module(f"{package}.msg"), name)()
+    except ModuleNotFoundError as error:
+        raise ImportError(f"{package} comes with ROS 2: source its setup.bash first") from error
 
 
 class LoopMessages:
-    """Clouds as messages of ROS 2 in, their tracked loops as messages out: what a node answers.
+    """A PointCloud2 of ROS 2 in, its tracked loops out, as a MarkerArray for RViz and a String of JSON: what a node answers.
+
+    When time goes back, as when a bag is played again, tracking begins anew. A message without a cloud that can follow gets a
+    ValueError; the next is as welcome.
 
     Parameters
     ----------
     pipeline : Pipeline, optional
-        What is left out of a cloud, as of `topokit.sensors.Cleaner`.
+        What is left out of a cloud.
     new : callable, optional
         Makes an empty message of a type such as ``"std_msgs/msg/String"``; by default of the ROS that is installed.
     **tracker
         Options of `topokit.SeqPH`.
     """
 
-    def __init__(self, pipeline: Pipeline | None = None, *, new: New = of_ros, **tracker: Any) -> None:
+    def __init__(self, pipeline: Pipeline | None = None, *, new: Callable[[str], Any] = of_ros, **tracker: Any) -> None:
         self._clean, self._new, self._options, self._tracker = Cleaner(pipeline), new, tracker, SeqPH(**tracker)
         self._time: float | None = None
         self._drawn: set[int] | None = None  # identities; none before the first answer
 
     def __call__(self, message: Any) -> tuple[Any, Any]:
-        """Return a MarkerArray, and a String of JSON, that tell the loops in the cloud of a message, tracked so far.
-
-        Parameters
-        ----------
-        message : sensor_msgs.msg.PointCloud2
-            In metres. Where its time is before the last, as when a bag is played again, tracking begins anew.
-
-        Raises
-        ------
-        ValueError
-            It holds no cloud, or none that can follow the last; the next message may.
-        """
         try:
             cloud = as_cloud(rows_of(message), Asked(), {})
         except (KeyError, TypeError, AttributeError) as error:
@@ -77,28 +68,24 @@ class LoopMessages:
         return self.of(state, message.header)
 
     def of(self, state: TopologicalState, header: Any) -> tuple[Any, Any]:
-        """Return the same two messages for a state that is tracked already.
+        """Return the two messages of a state that is tracked already.
 
         Parameters
         ----------
-        state : TopologicalState
-            Of loops in space.
-        header : std_msgs.msg.Header
+        state, header
+            Of loops in space; a std_msgs Header.
         """
         here, markers = {loop.id for loop in state.loops}, []
-        if self._drawn is None:
-            markers.append(self._marker(header, "", 0, _DELETE_ALL))  # what an earlier node drew
+        markers += [self._marker(header, "", 0, _DELETE_ALL)] if self._drawn is None else []  # of an earlier node
         for gone in sorted((self._drawn or set()) - here):
             markers += [self._marker(header, name, gone, _DELETE) for name in _KINDS]
         for loop in state.loops:
-            if len(loop.centre) != 3:
-                raise ValueError(f"loop {loop.id} is in {len(loop.centre)} dimensions: markers are in space")
             cycle, killer, name = (self._marker(header, name, loop.id, _ADD) for name in _KINDS)
             cycle.points = self._points([*loop.cycle_points, loop.cycle_points[0]])
             killer.points, killer.color.a = self._points(loop.killer_triangles.reshape(6, 3)), 0.5
             name.text, name.pose.position = f"loop {loop.id}", self._points([loop.centre])[0]
             markers += [cycle, killer, name]
-        array, text = map(self._new, TYPES.values())
+        array, text = map(self._new, _TYPES.values())
         array.markers, text.data = markers, json.dumps({"frame_id": header.frame_id, **state.as_dict()})
         self._drawn = here
         return array, text
@@ -113,41 +100,39 @@ class LoopMessages:
         return marker
 
     def _points(self, places: ArrayLike) -> list[Any]:
-        kind = type(self._new("geometry_msgs/msg/Point"))
-        return [kind(x=x, y=y, z=z) for x, y, z in np.asarray(places).tolist()]
+        kind, rows = type(self._new("geometry_msgs/msg/Point")), np.asarray(places)
+        if rows.shape[1] != 3:
+            raise ValueError(f"loops are in {rows.shape[1]} dimensions: markers are in space")
+        return [kind(x=x, y=y, z=z) for x, y, z in rows.tolist()]
 
 
 def listen(topic: str, answer: LoopMessages) -> None:
-    """Run a node that tracks the clouds of a topic, and publishes `topic`/loops (markers) and `topic`/loops/json.
-
-    It takes the newest cloud, of a publisher of any reliability, and logs why it refuses one. Ctrl-C stops it.
+    """Run a node until Ctrl-C: the newest PointCloud2 of `topic` goes to `answer`, and what it answers to `topic`/loops.
 
     Parameters
     ----------
-    topic : str
-        Of PointCloud2.
-    answer : LoopMessages
+    topic, answer
+        JSON is published as `topic`/loops/json. A publisher of any reliability is heard. What is refused is logged.
     """
-    try:
-        import rclpy
-        from rclpy.qos import QoSProfile, ReliabilityPolicy
-    except ModuleNotFoundError as error:
-        raise ImportError("a topic of ROS 2 needs rclpy, which comes with ROS: source its setup.bash first") from error
+    cloud, *kinds = (type(of_ros(kind)) for kind in ("sensor_msgs/msg/PointCloud2", *_TYPES.values()))
+    import rclpy
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+
     rclpy.init()
     node = rclpy.create_node("topokit")
-    outs = [node.create_publisher(type(of_ros(kind)), f"{topic}/{name}", 10) for name, kind in TYPES.items()]
+    outs = [
+        node.create_publisher(*one, 10) for one in zip(kinds, (f"{topic}/loops{end}" for end in _TYPES), strict=True)
+    ]
 
     def heard(message: Any) -> None:
         try:
-            answers = answer(message)
+            for out, told in zip(outs, answer(message), strict=True):
+                out.publish(told)
         except ValueError as error:
             node.get_logger().warning(str(error), throttle_duration_sec=5.0)
-            return
-        for out, told in zip(outs, answers, strict=True):
-            out.publish(told)
 
     newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    node.create_subscription(type(of_ros("sensor_msgs/msg/PointCloud2")), topic, heard, newest)
+    node.create_subscription(cloud, topic, heard, newest)
     try:
         rclpy.spin(node)
     finally:

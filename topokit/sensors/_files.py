@@ -212,34 +212,25 @@ def _png(path: Path, asked: Asked) -> Frames:
 
 
 def _bag(path: Path, asked: Asked) -> Frames:
-    for received, message, lens in messages(path, asked.topic):
-        stamp = message.header.stamp
-        yield stamp.sec + 1e-9 * stamp.nanosec or received, as_cloud(rows_of(message), asked, lens)
-
-
-def frame_id(path: Path, topic: str | None) -> str:
-    """The frame of reference that the clouds of a bag are in; "map" of another film."""
-    return str(next(messages(path, topic))[1].header.frame_id) if _kind(path) in (".mcap", ".db3") else "map"
-
-
-def messages(path: Path, asked: str | None) -> Iterator[tuple[float, Any, dict[str, Any]]]:
-    """The messages of one topic of a bag, when each was received, and the matrix of its camera, if there is one."""
+    """The messages of one topic of a bag, at the times in their headers."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
         kinds = {each.topic: each.msgtype.split("/")[-1] for each in bag.connections}
-        topic, lens = _topic(kinds, asked), dict[str, Any]()
+        topic, lens = _topic(kinds, asked.topic), dict[str, Any]()
 
-        def of(name: str) -> Iterator[tuple[float, Any]]:
+        def messages(name: str) -> Iterator[tuple[float, Any]]:
             for each, stamp, raw in bag.messages([each for each in bag.connections if each.topic == name]):
                 yield 1e-9 * stamp, bag.deserialize(raw, each.msgtype)
 
         infos = [name for name, kind in kinds.items() if kind == "CameraInfo"]
         beside = [name for name in infos if PurePosixPath(name).parent == PurePosixPath(topic).parent]
         if len(beside or infos) == 1:
-            lens["K"] = next(of((beside or infos)[0]))[1].k
-        yield from ((received, message, lens) for received, message in of(topic))
+            lens["K"] = next(messages((beside or infos)[0]))[1].k
+        for received, message in messages(topic):
+            stamp = message.header.stamp
+            yield stamp.sec + 1e-9 * stamp.nanosec or received, as_cloud(rows_of(message), asked, lens)
 
 
 def _topic(kinds: Mapping[str, str], asked: str | None) -> str:
