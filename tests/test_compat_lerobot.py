@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 
 import numpy as np
 import pandas as pd
@@ -132,7 +133,7 @@ def others(folder, rows, *, name="data/chunk-000/file-000.parquet"):
     (folder / "meta").mkdir(parents=True, exist_ok=True)
     (folder / "meta/info.json").write_text("{}")
     (folder / name).parent.mkdir(parents=True, exist_ok=True)
-    parquet.write_table(pa.table(rows), folder / name)
+    parquet.write_table(pa.table(rows or {"nothing": [0]}), folder / name)
     return folder
 
 
@@ -208,3 +209,11 @@ def test_a_small_file_that_claims_to_hold_much_is_not_unpacked(tmp_path):
     assert path.stat().st_size < 10**6
     with pytest.raises(FormatError, match=r"bytes claim to hold"):
         from_lerobot(tmp_path)
+
+
+def test_without_pyarrow_it_is_named(tmp_path, film, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    for work in (lambda: to_lerobot(tmp_path / "other", [film]), lambda: from_lerobot(others(tmp_path, None))):
+        with pytest.raises(ImportError, match=r"needs pyarrow: pip install 'topokit\[pyarrow\]'"):
+            work()
+    assert not (tmp_path / "other").exists()

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pyarrow import ArrowException, Table, parquet
 
 from topokit._archive import FREE, RATIO, FormatError, existing
 from topokit._validate import as_reals, whole
@@ -45,15 +44,6 @@ def to_lerobot(folder: str | Path, episodes: Iterable[Episode], *, n_points: int
     ------
     FileExistsError, ValueError
         When there is such a folder; when an episode does not fit those before, with its number.
-
-    Examples
-    --------
-    >>> from topokit.compat import from_lerobot, to_lerobot
-    >>> from topokit.io import load_episode
-    >>> film = load_episode("data_small/apron_hook_0.npz")
-    >>> clouds, times = from_lerobot(to_lerobot(getfixture("tmp_path") / "aprons", [film]))
-    >>> len(clouds), bool((clouds[0] == film.observed[0]).all())
-    (96, True)
     """
     folder, n, dt, start, columns = Path(folder), n_points and whole(n_points, "n_points", 1), 0.0, 0, Columns()
     if folder.exists():
@@ -71,7 +61,7 @@ def to_lerobot(folder: str | Path, episodes: Iterable[Episode], *, n_points: int
             columns = _columns(episode, n, (i, start, tasks.setdefault(task, len(tasks))))
             hands.append({name: columns[name] for name in _HANDS})
             lists = {name: list(map(list, some)) if some.ndim == 3 else list(some) for name, some in columns.items()}
-            _write(Path(made, "set", _DATA.format(chunk_index=chunk, file_index=file)), Table.from_pydict(lists))
+            _write(Path(made, "set", _DATA.format(chunk_index=chunk, file_index=file)), lists)
             row = {"episode_index": i, "tasks": [task], "length": len(episode), "dataset_from_index": start}
             start += len(episode)
             places = {"data/chunk_index": chunk, "data/file_index": file, "dataset_to_index": start}
@@ -98,17 +88,24 @@ def _columns(episode: Episode, n_points: int, numbers: tuple[int, int, int]) -> 
     return columns | {"episode_index": 0 * frame + number, "index": start + frame, "task_index": 0 * frame + task}
 
 
-def _write(path: Path, table: Table) -> None:
+def _arrow() -> Any:
+    try:
+        import pyarrow.parquet
+    except ModuleNotFoundError as error:
+        raise ImportError("a dataset of LeRobot needs pyarrow: pip install 'topokit[pyarrow]'") from error
+    return pyarrow
+
+
+def _write(path: Path, columns: dict[str, Any], told: dict[str, str] | None = None) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    parquet.write_table(table, path)
+    _arrow().parquet.write_table(_arrow().table(columns, metadata=told), path)
 
 
 def _write_meta(path: Path, rows: Any, tasks: list[str], hands: list[Columns], last: Columns, fps: float) -> None:
-    _write(path / "episodes/chunk-000/file-000.parquet", Table.from_pylist(rows))
+    _write(path / "episodes/chunk-000/file-000.parquet", {name: [row[name] for row in rows] for name in rows[0]})
     index = {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object", "metadata": None}
     of_pandas = {"pandas": json.dumps({"index_columns": ["task"], "columns": [index]})}
-    table = Table.from_pydict({"task_index": range(len(tasks)), "task": tasks})
-    _write(path / "tasks.parquet", table.replace_schema_metadata(of_pandas))
+    _write(path / "tasks.parquet", {"task_index": range(len(tasks)), "task": tasks}, of_pandas)
     n, stats = rows[-1]["dataset_to_index"], dict[str, Any]()
     for name in _HANDS:
         some = np.concatenate([columns[name] for columns in hands]).astype(np.float64)
@@ -145,13 +142,16 @@ def from_lerobot(folder: str | Path, episode: int = 0, *, cloud: str = _CLOUD, c
                 frames = (as_reals(frame, cloud) for frame in table[cloud].to_pylist())
                 clouds = [as_cloud(frame, Asked(columns=columns), path) for frame in frames]
                 return clouds, table["timestamp"].to_pylist()
-    except (ArrowException, OSError, ValueError) as error:
+    except ImportError:
+        raise
+    except Exception as error:  # damage shows in a dozen ways
         raise FormatError(f"{path}: {error}") from error
     raise FormatError(f"{folder}: no file of data holds episode {number}")
 
 
-def _read(path: Path, episode: int, columns: set[str]) -> Table:
+def _read(path: Path, episode: int, columns: set[str]) -> Any:
     """The frames of an episode in a file, when its size allows what it claims to hold."""
+    parquet = _arrow().parquet
     told, names = parquet.read_metadata(path), parquet.read_schema(path).names
     groups = [told.row_group(i) for i in range(told.num_row_groups)]
     held = 8 * sum(group.column(i).num_values for group in groups for i in range(group.num_columns))
