@@ -16,9 +16,10 @@ from topokit.io import Episode
 from topokit.sim import Garment, HangEnv, Hook, Target, Task, task_for
 from topokit.sim._cloth import usual_config
 from topokit.sim._episode import Run, _episode
-from topokit.sim._tasks import as_task, asked
+from topokit.sim._tasks import as_task, asked, dress, put_on_shoulders
 from topokit.sim._world import check_stretch
 
+from ._dress import Dresser, Shoulderer
 from ._planner import Carried, Forecast, Planner
 from ._servo import Controller, Servo
 
@@ -92,7 +93,10 @@ def hang(
         goal = len(asked(task, garment.named_loops))
     try:
         how = {"radius": target.rods[0][2], "max_step": env.max_step, "late": options.get("late", 0)}
-        if controller is None:
+        worn = {dress: Dresser, put_on_shoulders: Shoulderer}.get(task.plan)
+        if controller is None and worn:
+            controller = worn(goal, **how)
+        elif controller is None:
             controller = (
                 Servo(goal, **how) if forecast is None else Planner(forecast, goal, pace=pace, seed=seed, **how)
             )
