@@ -24,7 +24,8 @@ from topokit.control import Controller, Hanging, hang
 from topokit.sim import Camera, HangEnv
 
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
-TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS), "apron-mannequin"]
+TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS)]
+TASKS += [f"{garment}-mannequin" for garment in ("apron", "backpack", "shirt", "vest")]
 WHO = ("random", "straight", "servo", "hold", "carry", "motion", "script")
 MOTION = Path(__file__).parents[2] / "data_small" / "checkpoints" / "motion.safetensors"
 CAMERA = Camera((-1.3, -1.6, 1.6), (0.0, 0.3, 1.1), width=160, height=120)

@@ -28,7 +28,11 @@ _CLEAR = 0.06  # metres from the head to the lowest cloth above it
 _ON = 0.03  # metres above the shoulders at which a shirt is let go
 _ASIDE = 0.11  # metres that grippers pass above and beside the ends of the shoulders
 _NEAR, _FACING, _APART = 0.025, 7.0, 0.03  # metres and degrees that are near enough to a stop, and metres to an opening
-_GAIN, _TURN, _WIDEN = 0.15, 3.5, 0.012  # share of what is missing that is made up for in a frame; degrees, metres, at most
+_GAIN, _TURN, _WIDEN = (
+    0.15,
+    3.5,
+    0.012,
+)  # share of what is missing that is made up for in a frame; degrees, metres, at most
 _SEEN = 2  # looks in which a strap was around its shoulder
 _TRIES = 4
 
@@ -45,7 +49,7 @@ class _Body(NamedTuple):
     def of(cls, line: Array, rods: Array, place: Array) -> _Body | None:
         """Of its centre line and its rods (R, 7), for what comes from a place; None when it has no head on shoulders."""
         arm = Arm.of_head(line, rods, place)
-        if arm is None:
+        if arm is None or Arm.of(line):  # what has an arm is a hook
             return None
         across = rods[:, 3:6] - rods[:, :3]
         wide = np.linalg.norm(across[:, :2], axis=1)
@@ -214,7 +218,9 @@ class Shoulderer(_Wearing):
             As `topokit.sim.HangEnv` gives it.
         """
         super().reset(observation)
-        self._ahead = 0.0  # metres from the cloth's middle to the straps, to the left of the way from gripper to gripper
+        self._ahead = (
+            0.0  # metres from the cloth's middle to the straps, to the left of the way from gripper to gripper
+        )
         self._seen = np.zeros(2, np.int64)
 
     def _measure(self, cloth: Array) -> None:
@@ -243,7 +249,7 @@ class Shoulderer(_Wearing):
     def _worn(self, stop: str, body: _Body) -> bool:
         curves = [self._outside(loop) for loop in self._loops]
         on = [any(_around(curve, line) for curve in curves) for line in body.shoulders]
-        self._seen = (self._seen + on) * (stop in ("together", "down"))
+        self._seen = (self._seen + on) * (stop == "down")
         return bool((self._seen >= _SEEN).all())
 
 

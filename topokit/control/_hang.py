@@ -62,7 +62,7 @@ def hang(
         Those of the task when not given.
     model : optional
         Which forecast plans are made by (`Planner`): "carry", the checkpoint of a `topokit.models.Motion`, or one of one's own.
-        None is for the servo, which needs none.
+        None is for the servo, which needs none; so do `Dresser` and `Shoulderer`, who put on a mannequin what is worn.
     goal : optional
         As of `Servo`; when not given and the task asks for several loops, so many at once.
     controller : Controller, optional
@@ -93,14 +93,13 @@ def hang(
         goal = len(asked(task, garment.named_loops))
     try:
         how = {"radius": target.rods[0][2], "max_step": env.max_step, "late": options.get("late", 0)}
-        worn = {dress: Dresser, put_on_shoulders: Shoulderer}.get(task.plan)
-        if controller is None and worn:
-            controller = worn(goal, **how)
-        elif controller is None:
-            controller = (
-                Servo(goal, **how) if forecast is None else Planner(forecast, goal, pace=pace, seed=seed, **how)
-            )
-        return _run(env, controller, seed, progress)
+        if worn := {dress: Dresser, put_on_shoulders: Shoulderer}.get(task.plan):
+            usually: Controller = worn(goal, **how)
+        elif forecast is None:
+            usually = Servo(goal, **how)
+        else:
+            usually = Planner(forecast, goal, pace=pace, seed=seed, **how)
+        return _run(env, controller or usually, seed, progress)
     finally:
         env.close()
 
