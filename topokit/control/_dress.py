@@ -43,7 +43,7 @@ class _Body(NamedTuple):
     arm: Arm
     line: Array  # (4, 3) from the floor to the top of the head
     ends: Array  # (2, 3) of the shoulders, that to the right of one who comes first
-    shoulders: tuple[Array, Array]  # lines from the floor up and out through them
+    shoulders: tuple[Array, ...]  # lines from the floor up and out through them
 
     @classmethod
     def of(cls, line: Array, rods: Array, place: Array) -> _Body | None:

@@ -23,6 +23,8 @@ from ._dress import Dresser, Shoulderer
 from ._planner import Carried, Forecast, Planner
 from ._servo import Controller, Servo
 
+_WORN: dict[Any, type[Servo]] = {dress: Dresser, put_on_shoulders: Shoulderer}
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Hanging:
@@ -93,8 +95,8 @@ def hang(
         goal = len(asked(task, garment.named_loops))
     try:
         how = {"radius": target.rods[0][2], "max_step": env.max_step, "late": options.get("late", 0)}
-        if worn := {dress: Dresser, put_on_shoulders: Shoulderer}.get(task.plan):
-            usually: Controller = worn(goal, **how)
+        if task.plan in _WORN:
+            usually: Controller = _WORN[task.plan](goal, **how)
         elif forecast is None:
             usually = Servo(goal, **how)
         else:
