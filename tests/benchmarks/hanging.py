@@ -25,7 +25,7 @@ from topokit.control import Controller, Hanging, hang
 from topokit.io import Episode, save_episode
 from topokit.linking import close_far, linking_number
 from topokit.sim import TASKS as KNOWN
-from topokit.sim import Camera, HangEnv, Task
+from topokit.sim import Camera, HangEnv, SimulationConfig, Task
 from topokit.sim._names import kind
 
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
@@ -48,6 +48,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "target travels at 0.3 m/s": {"travels": 0.3},
     "late by 200 ms": {"late": 6},
     "10 clouds a second": {"every": 3},
+    "other cloth": {"config": SimulationConfig(self_collision=False, mass=0.6, friction=0.3, bending=0.01)},
 }
 
 
