@@ -465,6 +465,7 @@ GIVEN: list[tuple[str, str, str]] = [
         SET,
     ),
     ("seqph_following", "the killer edge's length within 36 ms", "the time between two frames"),
+    ("seqph_following", "a hundred times for each number of points", SET),
     ("seqph_following", "So here are ten garments of the wardrobe", SET),
     ("seqph_following", "Bars are 95 % intervals over episodes, drawn with replacement a thousand times", LEVEL),
     ("seqph_following", "With noise of 5 mm and behind a hand", "the name of a condition"),
