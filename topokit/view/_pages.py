@@ -217,12 +217,8 @@ def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> Framed:
     ValueError
         When there is no cloud.
     """
-    given = points if isinstance(points, Mapping) else {"points": points}
-    clouds = {str(name): planar(cloud, str(name), MOST_NUDGED) for name, cloud in given.items()}
-    if not clouds:
-        raise ValueError("points names no cloud; give at least one")
-    data = {"shapes": {name: cloud.tolist() for name, cloud in clouds.items()}, "reaches": list(REACHES)}
-    many = " or ".join(str(len(cloud)) for cloud in clouds.values())
+    clouds, many = shapes(points, MOST_NUDGED)
+    data = {"shapes": clouds, "reaches": list(REACHES)}
     title, scripts = f"Loop of {many} points, nudged", ("rips.js", "planar.js", "places.js")
     return framed("nudge", scripts, data, 480, "nudge a point, or drag one", title)
 
@@ -269,6 +265,15 @@ def linked(curve: ArrayLike, line: ArrayLike, way: ArrayLike) -> Framed:
     title = f"A curve and a hook, linking number {linking_number(handles, corners)}"
     data = {"curve": handles.tolist(), "line": corners.tolist(), "way": shifts.tolist()}
     return framed("linked", ("link.js", "planar.js"), data, 480, "drag a handle, or turn the view", title)
+
+
+def shapes(points: ArrayLike | Mapping[str, ArrayLike], most: int) -> tuple[dict[str, list[list[float]]], str]:
+    """Clouds of the plane by name, and how many points they have, in words; or ValueError."""
+    given = points if isinstance(points, Mapping) else {"points": points}
+    clouds = {str(name): planar(cloud, str(name), most).tolist() for name, cloud in given.items()}
+    if not clouds:
+        raise ValueError("points names no cloud; give at least one")
+    return clouds, " or ".join(str(len(cloud)) for cloud in clouds.values())
 
 
 def planar(points: ArrayLike, name: str, most: int | None = None) -> NDArray[np.float64]:
