@@ -27,6 +27,7 @@ from topokit.view._plots import OKABE_ITO
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
+MOST_REDUCED = 10  # whose 120 triangles are columns that can still be told apart
 REACHES = (0.05, 1e-3, 1e-6, 1e-9)
 
 
@@ -146,6 +147,33 @@ def growth(
         raise ValueError(f"start must be at most max_radius, {last}, not {first}")
     data = {"points": cloud.tolist(), "start": first, "end": last}
     return framed("growth", ("rips.js", "planar.js"), data, height, title, f"Rips complex of {len(cloud)} points")
+
+
+def elimination(points: ArrayLike, max_radius: float) -> Framed:
+    """Return an interactive figure of the reduction of a planar cloud's boundary matrix, one sum of columns at a time.
+
+    The matrix has a row for each edge and a column for each triangle up to `max_radius`, as `topokit.rips.reduction` orders
+    them. The present column's triangles and edges light up in the cloud, and pairs enter a diagram. Points can be dragged.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        2 to 10 points. Radii, births and deaths are in their unit, and half the length of an edge.
+    max_radius : float
+        Of the last simplex.
+
+    Raises
+    ------
+    ValueError
+        When there are more points.
+    """
+    cloud, radius = planar(points, "points", MOST_REDUCED), positive(max_radius, "max_radius", zero=False)
+    title, scripts = (
+        f"The boundary matrix of {len(cloud)} points, reduced",
+        ("rips.js", "planar.js", "places.js", "columns.js"),
+    )
+    data = {"points": cloud.tolist(), "radius": radius}
+    return framed("elimination", scripts, data, 500, "drag a point", title)
 
 
 def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a point to hide or show it") -> Framed:
