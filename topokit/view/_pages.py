@@ -199,11 +199,12 @@ def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a po
     return framed("coverage", scripts, data, 500, title, f"{len(ids)} of {len(cloud)} points observed")
 
 
-def motion(points: ArrayLike, epsilon: float, after: ArrayLike | None = None) -> Framed:
+def motion(points: ArrayLike, epsilon: float, observed: ArrayLike | None = None) -> Framed:
     """Return an interactive figure of a planar cloud whose points can be dragged, each within `epsilon` of where it was.
 
     Dragging beside all points moves them together. The diagram shows every loop before, with the square of side 2 epsilon
-    around it, and after; the dashed lines are lifetimes of epsilon and of 2 epsilon.
+    around it, and after; the dashed lines are lifetimes of epsilon and of 2 epsilon. The play button lets an adversary push on
+    the birth edge and the killer edge, and beside the bars stands what no motion can take from them.
 
     Parameters
     ----------
@@ -211,20 +212,14 @@ def motion(points: ArrayLike, epsilon: float, after: ArrayLike | None = None) ->
         At most 60 points, where they are before the motion.
     epsilon : float
         Radius of the discs at first; the reader can change it up to its double.
-    after : (n, 2) array_like, optional
-        Where the play button takes them, as far as the discs allow; without it there is no such button.
-
-    Raises
-    ------
-    ValueError
-        When `after` is another number of points.
+    observed : (m,) array_like of int, optional
+        Who is seen before the motion, if not all are; what is seen then has a bar of its own, with the paper's filter on it.
     """
     cloud, radius = planar(points, "points", MOST_POINTS), positive(epsilon, "epsilon", zero=False)
-    target = None if after is None else planar(after, "after", MOST_POINTS)
-    if target is not None and target.shape != cloud.shape:
-        raise ValueError(f"after must have a row for each of the {len(cloud)} points, not {len(target)}")
-    data = {"points": cloud.tolist(), "after": None if target is None else target.tolist(), "epsilon": radius}
-    title, scripts = f"{len(cloud)} points, each within {radius:g} of its place", ("rips.js", "match.js", "planar.js")
+    ids = None if observed is None else vertex_ids(cloud, observed).tolist()
+    data = {"points": cloud.tolist(), "observed": ids, "epsilon": radius}
+    title = f"{len(cloud)} points, each within {radius:g} of its place"
+    scripts = ("rips.js", "match.js", "planar.js", "places.js", "adversary.js")
     return framed("motion", scripts, data, 440, "drag the points within their discs", title)
 
 
