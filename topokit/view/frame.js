@@ -104,7 +104,7 @@ function stepped(slider, steps, set, seconds = 6) { // a slider of whole steps, 
   let played = 0; // where the play button is: not rounded, or it would stand still
   const go = (k) => {
     played = clamp(k, 0, steps());
-    set(Math.round(played));
+    set(Math.ceil(played)); // the first step at once
   };
   const play = playback(() => played, go, steps, seconds);
   slider.oninput = (e) => (play(false), go(+e.target.value));

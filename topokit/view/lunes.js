@@ -68,15 +68,15 @@
       const act = complex.does(k);
       dot(g, place(e), act === "nothing" ? 1.5 : 4, act === "nothing" ? css("--soft") : paint(ink[act]));
     });
+    dot(g, place(edge()), 8, null, css("--ink"), 2);
+    [g.strokeStyle, g.lineWidth] = [css("--ink"), 1.2];
+    line(g, X(edge().value), box.y, X(edge().value), box.y + box.h, [3, 3]);
     ["joins", "begins", "kills", "void"].forEach((act, k) => {
       const [x, y] = [box.x + box.w - (k % 2 ? 50 : 110), Y(k < 2 ? 0.5 : 2.5)];
       dot(g, [x, y], 4, paint(ink[act]));
       g.fillStyle = css("--soft");
-      g.fillText(act, x + 9, y);
+      word(g, act, x + 9, y);
     });
-    dot(g, place(edge()), 8, null, css("--ink"), 2);
-    [g.strokeStyle, g.lineWidth] = [css("--ink"), 1.2];
-    line(g, X(edge().value), strip.box.y, X(edge().value), strip.box.y + strip.box.h, [3, 3]);
   }
   function draw() {
     drawScene();
