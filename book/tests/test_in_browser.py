@@ -196,7 +196,10 @@ def test_words_light_up_their_part_of_one_figure(chromium: Any, page: str) -> No
         for word in visit.page.query_selector_all("[data-shows]"):
             part, _, value = str(word.get_attribute("data-shows")).partition("=")
             word.focus()
-            assert sum(frame.evaluate("id => !!document.getElementById(id)?.closest('.lit')", part) for frame in frames) == 1
+            assert (
+                sum(frame.evaluate("id => !!document.getElementById(id)?.closest('.lit')", part) for frame in frames)
+                == 1
+            )
             word.press("Enter")
             now = [frame.evaluate("id => document.getElementById(id)?.value", part) for frame in frames]
             assert not value or value in now, part
