@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from topokit._validate import as_points, positive
 from topokit.lemmas import vertex_ids
 from topokit.linking import close_far, linking_number
-from topokit.view._plots import OKABE_ITO
+from topokit.state import OKABE_ITO
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
