@@ -5,32 +5,16 @@ Idea: everything it shows is packed once, coordinates in 16 bits and base64; `pl
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from topokit.io import Episode, packed
+from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
 from topokit.view._looks import cloth_marks
-from topokit.view._pages import Framed, framed
+from topokit.view._pages import Framed, framed, pack, pack_coordinates
 from topokit.view._plots import lifetimes, long_lived, one_a_frame, rod_radius, subdivide, triples
-
-
-def pack(array: NDArray[Any]) -> dict[str, Any]:
-    """An array as a JSON-ready dict: little-endian bytes in base64, in the smallest type the player reads."""
-    whole = "u2" if array.min(initial=0) >= 0 and array.max(initial=0) < 2**16 else "i4"
-    kind = {"f": "f4", "b": "u1"}.get(array.dtype.kind, whole)
-    values = np.ascontiguousarray(array, dtype=f"<{kind}")
-    return {"type": kind, "shape": list(array.shape), "values": base64.b64encode(values.tobytes()).decode("ascii")}
-
-
-def pack_coordinates(points: NDArray[np.floating[Any]]) -> dict[str, Any]:
-    """(..., 3) coordinates packed to 16 bits with one scale for the three axes; the error is at most half the scale."""
-    steps, scale = packed(points)
-    return pack(steps) | {"scale": float(scale[0]), "low": scale[1:].tolist()}
 
 
 def player(
@@ -80,7 +64,7 @@ def player(
         "long": list(long_lived(states)),
     }
     data["arrays"] |= _tracks(states)
-    return framed("player", (), data, height, title, f"Player: {title}")
+    return framed("player", ("orbit.js",), data, height, title, f"Player: {title}")
 
 
 def telling_frame(states: Sequence[TopologicalState]) -> int:

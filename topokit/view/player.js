@@ -1,17 +1,9 @@
 // The player of topokit.view: a cloth, its loops, their diagram and their lifetimes, on three 2D canvases.
 // Idea: unpack once; every change of frame, camera, size or theme redraws all three canvases from scratch.
 (() => {
-  const types = { u1: Uint8Array, u2: Uint16Array, i4: Int32Array, f4: Float32Array };
-  const unpack = ({ type, values, scale, low }) => {
-    const bytes = Uint8Array.from(atob(values), (c) => c.charCodeAt(0));
-    const array = new types[type](bytes.buffer);
-    return scale === undefined ? array : Float32Array.from(array, (v, i) => v * scale + low[i % 3]);
-  };
   const a = Object.fromEntries(Object.entries(data.arrays).map(([name, packed]) => [name, unpack(packed)]));
   const frames = data.frames, N = a.points.length / 3 / frames, F = a.faces.length / 3;
   const [scene, diagram, strip] = [$("scene"), $("diagram"), $("strip")];
-  const home = { az: (data.view[0] * Math.PI) / 180, el: (data.view[1] * Math.PI) / 180, zoom: 1 };
-  const cam = { ...home };
   let frame = data.start, fit = null;
 
   // ---- the loops of a frame ----------------------------------------------------------------------------------
@@ -24,17 +16,8 @@
   const main = (i) => data.long.includes(a.id[i]);
 
   // ---- the cloth ---------------------------------------------------------------------------------------------
-  function camera() {
-    const [sa, ca, se, ce] = [Math.sin(cam.az), Math.cos(cam.az), Math.sin(cam.el), Math.cos(cam.el)];
-    return (p, i, out) => { // right, up, towards the eye
-      const x = p[i] - data.centre[0], y = p[i + 1] - data.centre[1], z = p[i + 2] - data.centre[2];
-      out[0] = -sa * x + ca * y;
-      out[1] = -se * (ca * x + sa * y) + ce * z;
-      out[2] = ce * (ca * x + sa * y) + se * z;
-    };
-  }
   function measure(w, h) { // one scale for the whole run, so that playing does not make the picture breathe
-    const see = camera(), q = [0, 0, 0], low = [1e9, 1e9], high = [-1e9, -1e9];
+    const see = eye.see(data.centre), q = [0, 0, 0], low = [1e9, 1e9], high = [-1e9, -1e9];
     const take = (p, i) => {
       see(p, i, q);
       for (const k of [0, 1]) [low[k], high[k]] = [Math.min(low[k], q[k]), Math.max(high[k], q[k])];
@@ -115,7 +98,7 @@
   function drawScene() {
     const [g, w, h] = start(scene);
     fit = fit || measure(w, h);
-    const see = camera(), q = [0, 0, 0], size = fit.scale * cam.zoom, far = 5 * data.radius;
+    const see = eye.see(data.centre), q = [0, 0, 0], size = fit.scale * eye.cam.zoom, far = 5 * data.radius;
     const place = (p, i) => {
       see(p, i, q);
       const k = size / (1 - q[2] / far);
@@ -133,7 +116,7 @@
       if (close) g.closePath();
     };
     if (F) dye();
-    if (floor && N && cam.el > 0) drawShadow(g, place);
+    if (floor && N && eye.cam.el > 0) drawShadow(g, place);
     const thin = clamp(0.005 * data.radius * size, 0.7, 3);
     normal.fill(0);
     for (let f = 0; f < F; f++) {
@@ -314,7 +297,7 @@
     const word = best === undefined ? "no loops" : `the longest is loop ${a.id[best]}: born ${a.birth[best].toFixed(3)}, dies ${a.death[best].toFixed(3)}`;
     diagram.setAttribute("aria-label", `persistence diagram, ${text}; ${word} ${data.unit}`);
     strip.setAttribute("aria-label", `lifetimes of ${ids.length} loops over ${seconds.toFixed(1)} s; now ${text}`);
-    scene.setAttribute("aria-label", `${data.title}, ${text}. Drag or use the arrow keys to turn it, plus and minus or two fingers to zoom; space plays.`);
+    scene.setAttribute("aria-label", `${data.title}, ${text}. ${TURN}`);
   }
   const later = lazily(draw);
   const go = (t) => {
@@ -328,34 +311,8 @@
   scrub(strip, (share) => (play(false), go(share * (frames - 1))));
 
   // ---- camera ------------------------------------------------------------------------------------------------
-  const turn = (dx, dy) => {
-    cam.az -= dx;
-    cam.el = clamp(cam.el + dy, -1.5, 1.5);
-    later();
-  };
-  const zoom = (by) => ((cam.zoom = clamp(cam.zoom * by, 0.4, 8)), later());
-  const fingers = new Map(); // one turns, two zoom by how far apart they are
-  scene.onpointerdown = (e) => (scene.setPointerCapture(e.pointerId), fingers.set(e.pointerId, [e.offsetX, e.offsetY]));
-  scene.onpointerup = scene.onpointercancel = (e) => fingers.delete(e.pointerId);
-  scene.onpointermove = (e) => {
-    const last = fingers.get(e.pointerId), here = [e.offsetX, e.offsetY];
-    if (!last) return;
-    const [other] = [...fingers].filter(([id]) => id !== e.pointerId).map(([, place]) => place);
-    const apart = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]) || 1;
-    if (other) zoom(apart(here) / apart(last));
-    else turn((here[0] - last[0]) / 120, (here[1] - last[1]) / 120);
-    fingers.set(e.pointerId, here);
-  };
-  onReset(() => (Object.assign(cam, home), later()));
-  scene.ondblclick = $("reset").onclick;
-  const act = { ArrowLeft: () => turn(0.1, 0), ArrowRight: () => turn(-0.1, 0), ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1),
-    "+": () => zoom(1.15), "=": () => zoom(1.15), "-": () => zoom(0.87), " ": () => play() };
-  keys(scene, () => act);
-  scene.addEventListener("wheel", (e) => { // only once the picture was clicked: a reader who scrolls by is left in peace
-    if (document.activeElement !== scene) return;
-    e.preventDefault();
-    zoom(Math.exp(-e.deltaY / 500));
-  }, { passive: false });
+  const eye = orbit(scene, data.view, later, { " ": () => play() });
+  onReset(eye.back);
 
   // ---- start -------------------------------------------------------------------------------------------------
   $("time").max = frames - 1;
