@@ -45,7 +45,7 @@ class Framed:
     def _repr_html_(self) -> str:
         source = html.escape(self.page, quote=True)
         return (
-            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" '
+            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" allowfullscreen '
             f'style="width:100%;height:{self.height}px;border:0;display:block"></iframe>'
         )
 

@@ -161,7 +161,7 @@
     const word = dead.map((l) => `born ${show(l.birth)}, died ${show(l.death)}`).join("; ") || "no loop has died";
     diagram.setAttribute("aria-label", `persistence diagram at ${text}; ${word}`);
     strip.setAttribute("aria-label", `a bar for every loop, from birth to death, at r = ${show(radius)}`);
-    scene.setAttribute("aria-label", `Rips complex at ${text}. ${film ? TURN : "Drag a point, or choose one with the keys n and p and move it with the arrow keys; Escape puts the points back."}`);
+    scene.setAttribute("aria-label", `Rips complex at ${text}. ${film ? `${TURN}; space plays.` : "Drag a point, or choose one with the keys n and p and move it with the arrow keys; Escape puts the points back."}`);
     $("time").value = time;
   }
   const go = (r) => {

@@ -4,7 +4,7 @@ function unpack({ type, values, scale, low }) {
   const array = new { u1: Uint8Array, u2: Uint16Array, i4: Int32Array, f4: Float32Array }[type](bytes.buffer);
   return scale === undefined ? array : Float32Array.from(array, (v, i) => v * scale + low[i % 3]);
 }
-const TURN = "Drag or use the arrow keys to turn it, plus and minus or two fingers to zoom; space plays.";
+const TURN = "Drag or use the arrow keys to turn it, plus and minus or two fingers to zoom";
 function orbit(canvas, [az, el], later, others = {}) {
   const cam = { az: (az * Math.PI) / 180, el: (el * Math.PI) / 180, zoom: 1 }, home = { ...cam };
   const turn = (dx, dy) => {
