@@ -196,7 +196,13 @@ def _row(diagram: Diagram, i: int) -> NDArray[np.int64]:
     return np.concatenate([diagram.birth_edge[i], diagram.killer_edge[i], apexes, [len(cycle)], cycle])
 
 
-def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a point to hide or show it") -> Framed:
+def coverage(
+    points: ArrayLike,
+    observed: ArrayLike,
+    *,
+    hand: tuple[float, float, float] | None = None,
+    title: str = "click a point to hide or show it",
+) -> Framed:
     """Return an interactive figure of a planar scene of which some points are observed.
 
     Balls of the covering radius alpha stand around the observed points. In the diagram every loop of the scene that lives
@@ -209,12 +215,18 @@ def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a po
         The scene S, at most 60 points. Radii, births and deaths are in their unit.
     observed : (m,) array_like of int
         Which of them are observed at first, O.
+    hand : (3,) float, optional
+        Place and radius of a disc that the reader drags: what is below it is not observed. Beside alpha then stands its guess
+        from the observed points alone, `topokit.sampling.spacing`.
     title : str
         The caption in the corner of the figure.
     """
     cloud = planar(points, "points", MOST_POINTS)
     ids = vertex_ids(cloud, observed)
-    data = {"points": cloud.tolist(), "observed": ids.tolist()}
+    data: dict[str, Any] = {"points": cloud.tolist(), "observed": ids.tolist()}
+    if hand is not None:
+        place, radius = planar([hand[:2]], "hand", 1)[0].tolist(), positive(hand[2], "hand's radius", zero=False)
+        data["hand"] = [*place, radius]
     scripts = ("rips.js", "match.js", "planar.js")
     return framed("coverage", scripts, data, 500, title, f"{len(ids)} of {len(cloud)} points observed")
 

@@ -103,3 +103,7 @@ function told(points, rows) { // the same from rows that topokit wrote: birth ed
   }
   return { edges, loops, merges: edges.filter((e) => joins(e.i, e.j)).map((e) => e.value) };
 }
+function spacing(points) { // half the largest distance from a point to its nearest other one, as topokit.sampling.spacing
+  const apart = points.map((p) => Math.min(...points.map((q) => Math.hypot(...p.map((x, k) => x - q[k]))).filter((d) => d > 0)));
+  return Math.max(0, ...apart.filter(Number.isFinite)) / 2;
+}
