@@ -1,4 +1,5 @@
-// What the pages of the book do by themselves: formulas are set, films can be stopped, a search finds text in a folder.
+// What the pages of the book do by themselves: formulas are set, films can be stopped, words light up their part of a figure,
+// a search finds text in a folder.
 "use strict";
 document.addEventListener("DOMContentLoaded", () => {
   for (const place of document.querySelectorAll(".math")) {
@@ -11,6 +12,7 @@ document.addEventListener("DOMContentLoaded", () => {
   }
   for (const fold of document.querySelectorAll(".bd-sidebar-primary summary")) fold.ariaLabel = "its parts";
   for (const film of document.querySelectorAll("main img[src$='.gif']")) pausable(film);
+  for (const word of document.querySelectorAll("[data-light]")) lamp(word);
 });
 
 function pausable(film) { // a still of where it stands lies on the film while it is stopped
@@ -32,4 +34,13 @@ function pausable(film) { // a still of where it stands lies on the film while i
   const quiet = matchMedia("(prefers-reduced-motion: reduce)").matches;
   if (film.complete) stop(quiet);
   else film.onload = () => stop(quiet);
+}
+
+function lamp(word) { // in the last figure before it, while it is pointed at or has the focus
+  const figures = [...document.querySelectorAll("iframe[srcdoc]")];
+  const figure = figures.filter((f) => f.compareDocumentPosition(word) & Node.DOCUMENT_POSITION_FOLLOWING).pop() ?? figures[0];
+  const shine = (on) => figure?.contentWindow.postMessage({ light: on ? word.dataset.light : null }, "*");
+  for (const [name, value] of [["role", "button"], ["tabindex", 0], ["title", "shows it in the figure"]]) word.setAttribute(name, value);
+  word.onpointerenter = word.onfocus = word.onclick = () => shine(true);
+  word.onpointerleave = word.onblur = () => shine(false);
 }

@@ -207,6 +207,22 @@ def test_a_figure_fills_the_screen_and_comes_back(chromium: Any, width: int) -> 
         assert visit.trouble == []
 
 
+def test_words_light_up_their_part_of_the_figure_before_them(chromium: Any) -> None:
+    lit = "() => [...document.querySelectorAll('canvas')].map((c) => c.toDataURL()).join() + !!document.querySelector('.lit')"
+    with Visit(chromium, "notebooks/01_point_clouds_and_rips_complexes.html") as visit:
+        [figure, *_], words = visit.figures(), visit.page.query_selector_all("[data-light]")
+        assert words
+        for word in words:
+            dark = figure.evaluate(lit)
+            for give in (word.hover, word.focus):
+                give()
+                figure.wait_for_function(f"(dark) => ({lit})() !== dark", arg=dark)
+                visit.page.mouse.move(0, 0)
+                word.evaluate("e => e.blur()")
+                figure.wait_for_function(f"(dark) => ({lit})() === dark", arg=dark)
+        assert visit.trouble == []
+
+
 # Not to an end, where other controls may have nothing to show.
 MOVE = """e => {
   const at = (share) => +e.min + share * (e.max - e.min);

@@ -158,6 +158,15 @@ function onReset(reset) {
 }
 
 // ---- the page around -----------------------------------------------------------------------------------------
+let light = null; // the part of the figure that a word of the page around points at
+function enlighten(draw) {
+  addEventListener("message", ({ source, data: told }) => {
+    if (source !== parent || told?.light === undefined) return;
+    light = told.light;
+    for (const canvas of document.querySelectorAll("canvas")) canvas.parentElement.classList.toggle("lit", canvas.id === light);
+    draw();
+  });
+}
 function watch(draw, resized) { // redraw when the theme or the size changes
   const repaint = () => (theme(), draw());
   const layout = () => {
@@ -174,6 +183,7 @@ function watch(draw, resized) { // redraw when the theme or the size changes
   } catch { /* another origin */ }
   new ResizeObserver(layout).observe(document.body);
   document.querySelector("figcaption").textContent = data.title;
+  enlighten(draw);
   theme();
   layout();
   requestAnimationFrame(() => (fullScreen(), explain())); // once the first drawing has said what can be done

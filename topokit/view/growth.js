@@ -100,6 +100,9 @@
         stroke(loop.killerEdge, ink, flash ? 6 : 4 * weight);
       }
     }
+    const { birthEdge, killerEdge, cycle, triangles: panes } = complex.loops[0] ?? {}; // of the longest, whatever the radius
+    for (const ids of { birth: [birthEdge], killer: [killerEdge], cycle: [cycle], panes }[birthEdge && light] ?? [])
+      for (const [ink, width] of [[css("--ink"), 11], ["#f0e442", 7]]) stroke(ids, ink, width, true);
     S.forEach((p, v) => {
       dot(g, p, film ? 1.5 + 2 * nearness(depth[v]) : 4, css("--ink"));
       if (film) return;
