@@ -55,9 +55,9 @@ function beside(canvas, frame, point, dx, dy) { // a place 4 pixels from a point
 function draggable(canvas, { points, frame, grab = () => false, press = () => {}, move, tap = () => {}, release = () => {}, miss = () => {}, all = false }) {
   // press(v), move(v, where, by), then release(v), or tap(v) when nothing moved; beside all points v is -1 if `all`, else miss()
   const here = () => frame(canvas.clientWidth, canvas.clientHeight);
-  const find = (x, y, type) => { // what grab(where, scale) says goes before the points
-    const { to, back, scale } = here(), held = grab(back(x, y), scale);
-    return held || held === 0 ? held : nearest(points(), to, x, y, type === "mouse" ? 14 : 24);
+  const find = (x, y, type) => { // what grab(where, scale) names, if it names something, goes before the points
+    const { to, back, scale } = here();
+    return grab(back(x, y), scale) || nearest(points(), to, x, y, type === "mouse" ? 14 : 24);
   };
   let held = null;
   canvas.addEventListener("touchstart", (e) => { // a finger on a point drags it, a finger beside one scrolls the page
