@@ -176,6 +176,7 @@ assert [state.loops[0].id for state in states] == [0, 0]
 
 # Data flows downwards in this list; nothing imports from a line below its own.
 LAYERS = [
+    {"book"},
     {"_validate", "_archive", "_cores", "_lazy", "_traversal"},
     {"sampling", "linking", "rips"},
     {"state", "mixture", "_evidence", "_matching"},
