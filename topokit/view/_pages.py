@@ -62,12 +62,15 @@ class Framed:
 def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: int, caption: str, title: str) -> Framed:
     """The page `name`: its parts, `name`.html, in the frame that all share, and its script, `name`.js, after `scripts`."""
     data = data | {"height": int(height), "title": caption, "palette": list(OKABE_ITO)}
-    code = "\n".join(_text(script) for script in ("frame.js", *scripts, f"{name}.js"))
+    lines = [line.strip() for script in ("frame.js", *scripts, f"{name}.js") for line in _text(script).splitlines()]
+    code = "\n".join(
+        line for line in lines if line and not line.startswith("//")
+    )  # whole lines: the rest stays as written
     parts = {
         "NAME": name,
         "STYLE": _text("frame.css"),
         "PARTS": _text(f"{name}.html"),
-        "SCRIPT": f"(() => {{\n{code}}})();",
+        "SCRIPT": f"(() => {{\n{code}\n}})();",
         "DATA": json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),  # it could end the script element
     }
     page = _text("frame.html")
