@@ -63,9 +63,7 @@ def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: in
     """The page `name`: its parts, `name`.html, in the frame that all share, and its script, `name`.js, after `scripts`."""
     data = data | {"height": int(height), "title": caption, "palette": list(OKABE_ITO)}
     lines = [line.strip() for script in ("frame.js", *scripts, f"{name}.js") for line in _text(script).splitlines()]
-    code = "\n".join(
-        line for line in lines if line and not line.startswith("//")
-    )  # whole lines: the rest stays as written
+    code = "\n".join(line for line in lines if line and not line.startswith("//"))  # as written but for these
     parts = {
         "NAME": name,
         "STYLE": _text("frame.css"),
