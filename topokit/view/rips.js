@@ -28,17 +28,14 @@ function rips(points) {
   let cone = Infinity;
   for (let i = 0; i < n; i++) cone = Math.min(cone, edges.reduce((m, e) => (e.i === i || e.j === i ? Math.max(m, e.value) : m), 0));
 
-  function apexes(e, rank) { // one a component of the lune: the point that is joined to both ends first
+  function lune(e, rank) { // its components, each from the point that is joined to both ends first
     const left = [], found = [];
     for (let z = 0; z < n; z++) if (joined(e.i, z, rank) && joined(e.j, z, rank)) left.push(z);
     left.sort((a, b) => later(e, a) - later(e, b) || a - b);
     while (left.length) {
-      const queue = [left.shift()];
-      found.push(queue[0]);
-      while (queue.length && left.length) {
-        const z = queue.pop();
-        for (let k = left.length - 1; k >= 0; k--) if (joined(z, left[k], rank)) queue.push(...left.splice(k, 1));
-      }
+      const part = [left.shift()];
+      for (const z of part) for (let k = left.length - 1; k >= 0; k--) if (joined(z, left[k], rank)) part.push(...left.splice(k, 1));
+      found.push(part);
     }
     return found;
   }
@@ -47,17 +44,21 @@ function rips(points) {
   const through = (e, z) => edge(e.i, z).cycle ^ edge(e.j, z).cycle;
   edges.every((e, rank) => {
     if (e.value > cone) return false;
-    const [first, ...further] = apexes(e, rank);
+    const [first, ...further] = (e.parts = lune(e, rank)).map(([apex]) => apex);
     if (first !== undefined) e.cycle = through(e, first);
-    else if (joins(e.i, e.j)) merges.push(e.value);
-    else {
+    else if (joins(e.i, e.j)) {
+      merges.push(e.value);
+      e.joins = true;
+    } else {
       e.cycle = 1n << BigInt(creators.length);
       creators.push({ e, rank, bit: e.cycle, killer: null });
     }
     for (const z of further) {
       let column = through(e, first) ^ through(e, z), youngest;
       while ((youngest = column && creators[column.toString(2).length - 1]) && youngest.killer) column ^= youngest.column;
-      if (youngest) Object.assign(youngest, { column, killer: e, death: rank, apexes: [z, first] }); // the thick triangle first
+      if (!youngest) continue; // a void begins
+      e.kills = (e.kills || 0) + 1;
+      Object.assign(youngest, { column, killer: e, death: rank, apexes: [z, first] }); // the thick triangle first
     }
     return true;
   });
@@ -93,7 +94,11 @@ function rips(points) {
       return (this.walk ??= cycle(c));
     },
   })).sort((a, b) => b.death - b.birth - (a.death - a.birth));
-  return { edges, merges, loops, cone };
+  const does = (rank) => { // what an edge does when it arrives, after the cone as well
+    const e = edges[rank], c = (e.parts ??= lune(e, rank)).length;
+    return e.kills ? "kills" : e.joins ? "joins" : ["begins", "nothing"][c] || "void";
+  };
+  return { edges, merges, loops, cone, does, joined };
 }
 function told(points, rows) { // the same from rows that topokit wrote: birth edge, killer edge, two apexes, length of a cycle, cycle
   const edges = edgesOf(points), joins = forest(points.length), loops = [], value = (a, b) => edges.find((e) => e.i === a && e.j === b).value;
