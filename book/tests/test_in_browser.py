@@ -179,6 +179,8 @@ def test_every_control_of_every_figure_does_something(chromium: Any, page: str) 
         dead = []
         for k, frame in enumerate(visit.figures()):
             for control in frame.query_selector_all("button, input, select, canvas[tabindex='0']"):
+                if control.get_attribute("id") == "full":  # it would hide the others: a test of its own
+                    continue
                 if control.is_visible() and control.is_enabled():
                     if control.get_attribute("id") == "reset":  # there must be something to undo
                         _use(frame, frame.query_selector("canvas[tabindex='0']"))
@@ -189,20 +191,52 @@ def test_every_control_of_every_figure_does_something(chromium: Any, page: str) 
         assert dead + visit.trouble == []
 
 
-@pytest.mark.parametrize("page", [page for page in CHAPTERS if "data-shows" in (BOOK / page).read_text("utf-8")])
-def test_words_light_up_their_part_of_one_figure(chromium: Any, page: str) -> None:
+@pytest.mark.parametrize("width", [1280, 400])
+def test_a_figure_fills_the_screen_and_comes_back(chromium: Any, width: int) -> None:
+    with Visit(chromium, "notebooks/08_a_world_of_aprons_bags_and_hooks.html", width) as visit:
+        for frame in visit.figures():
+            inside, button = frame.evaluate("innerWidth"), frame.query_selector("#full")
+            if button is None:  # a picture
+                continue
+            for whole in (True, False):
+                button.click()
+                frame.wait_for_function(f"!!document.fullscreenElement === {str(whole).lower()}")
+                frame.evaluate(SETTLED)
+                assert button.get_attribute("aria-pressed") == str(whole).lower()
+                assert frame.evaluate("innerWidth") == (width if whole else inside)
+        assert visit.trouble == []
+
+
+def test_words_light_up_their_part_of_the_figure_before_them(chromium: Any) -> None:
+    lit = "() => [...document.querySelectorAll('canvas')].map((c) => c.toDataURL()).join() + !!document.querySelector('.lit')"
+    with Visit(chromium, "notebooks/01_point_clouds_and_rips_complexes.html") as visit:
+        [figure, *_], words = visit.figures(), visit.page.query_selector_all("[data-light]")
+        assert words
+        for word in words:
+            dark = figure.evaluate(lit)
+            for give in (word.hover, word.focus):
+                give()
+                figure.wait_for_function(f"(dark) => ({lit})() !== dark", arg=dark)
+                visit.page.mouse.move(0, 0)
+                word.evaluate("e => e.blur()")
+                figure.wait_for_function(f"(dark) => ({lit})() === dark", arg=dark)
+        assert visit.trouble == []
+
+
+@pytest.mark.parametrize("page", [page for page in CHAPTERS if "data-light" in (BOOK / page).read_text("utf-8")])
+def test_words_have_a_part_of_one_figure_and_set_it(chromium: Any, page: str) -> None:
+    lit = "() => document.querySelectorAll('.lit').length"
     with Visit(chromium, page) as visit:
         frames = visit.figures()
-        for word in visit.page.query_selector_all("[data-shows]"):
-            part, _, value = str(word.get_attribute("data-shows")).partition("=")
-            word.focus()
-            assert (
-                sum(frame.evaluate("id => !!document.getElementById(id)?.closest('.lit')", part) for frame in frames)
-                == 1
-            )
+        for word in visit.page.query_selector_all("[data-set]"):
+            assert sum(frame.evaluate(lit) for frame in frames) == 0
+            part, value = word.get_attribute("data-light"), word.get_attribute("data-set")
             word.press("Enter")
-            now = [frame.evaluate("id => document.getElementById(id)?.value", part) for frame in frames]
-            assert not value or value in now, part
+            visit.page.wait_for_timeout(100)
+            [frame] = [frame for frame in frames if frame.evaluate(lit)]
+            assert frame.evaluate("id => document.getElementById(id).value", part) == value
+            word.evaluate("e => e.blur()")
+            visit.page.wait_for_timeout(100)
         assert visit.trouble == []
 
 

@@ -8,8 +8,10 @@ which bars are loops, all in milliseconds. Tests hold their answers to topokit's
 
 from __future__ import annotations
 
+import base64
 import html
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -20,14 +22,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points, positive
+from topokit._validate import as_points, as_sequence, positive
+from topokit.io import packed
 from topokit.lemmas import vertex_ids
 from topokit.linking import close_far, linking_number
+from topokit.rips import Diagram, rips_persistence
 from topokit.view._plots import OKABE_ITO
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
+MOST_GROWN = (16, 160)  # frames, and points: edges and triangles are drawn one by one
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
-MOST_REDUCED = 10  # whose 120 triangles are columns that can still be told apart
+BARE = r"(?m)^ *(//.*)?\n?"  # what a page does without: indentation, and lines of comment
 REACHES = (0.05, 1e-3, 1e-6, 1e-9)
 
 
@@ -42,7 +47,7 @@ class Framed:
     def _repr_html_(self) -> str:
         source = html.escape(self.page, quote=True)
         return (
-            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" '
+            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" allowfullscreen '
             f'style="width:100%;height:{self.height}px;border:0;display:block"></iframe>'
         )
 
@@ -64,7 +69,7 @@ def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: in
         "NAME": name,
         "STYLE": _text("frame.css"),
         "PARTS": _text(f"{name}.html"),
-        "SCRIPT": f"(() => {{\n{code}}})();",
+        "SCRIPT": f"(() => {{\n{re.sub(BARE, '', code)}}})();",
         "DATA": json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),  # it could end the script element
     }
     page = _text("frame.html")
@@ -75,6 +80,20 @@ def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: in
 
 def _text(file: str) -> str:
     return resources.files("topokit.view").joinpath(file).read_text(encoding="utf-8")
+
+
+def pack(array: NDArray[Any]) -> dict[str, Any]:
+    """An array as a JSON-ready dict: little-endian bytes in base64, in the smallest type the player reads."""
+    whole = "u2" if array.min(initial=0) >= 0 and array.max(initial=0) < 2**16 else "i4"
+    kind = {"f": "f4", "b": "u1"}.get(array.dtype.kind, whole)
+    values = np.ascontiguousarray(array, dtype=f"<{kind}")
+    return {"type": kind, "shape": list(array.shape), "values": base64.b64encode(values.tobytes()).decode("ascii")}
+
+
+def pack_coordinates(points: NDArray[np.floating[Any]]) -> dict[str, Any]:
+    """(..., 3) coordinates packed to 16 bits with one scale for the three axes; the error is at most half the scale."""
+    steps, scale = packed(points)
+    return pack(steps) | {"scale": float(scale[0]), "low": scale[1:].tolist()}
 
 
 STAGES = ("cloth", "cloud", "loops", "tracks", "mixture", "model", "plan")
@@ -117,15 +136,17 @@ def growth(
     max_radius: float | None = None,
     title: str = "drag a point",
 ) -> Framed:
-    """Return an interactive figure of the Rips complex of a planar cloud as the radius grows, and of its loops.
+    """Return an interactive figure of the Rips complex of a cloud as the radius grows, and of its loops.
 
     Beside the complex stand its diagram, where a loop is a circle while it lives and a dot once it is dead, and its bars.
-    The tightest cycle of a living loop, its killer edge and its killer triangles have one colour. Points can be dragged.
+    The tightest cycle of a living loop, its killer edge and its killer triangles have one colour. The points of the plane can
+    be dragged. A film of space can be turned, and a second slider goes through its frames, whose loops are computed here.
 
     Parameters
     ----------
-    points : (n, 2) array_like
-        At most 60 points. Radii, births and deaths are in their unit, and half the length of an edge.
+    points : (n, 2) or (T, n, 3) array_like
+        At most 60 points of the plane, or a film of space, at most 16 frames of 160 points, kept to the 65,535th part of what
+        they span. Radii, births and deaths are in their unit, and half the length of an edge.
     height : int
         Height of the frame in CSS pixels.
     start : float, optional
@@ -138,45 +159,52 @@ def growth(
     Raises
     ------
     ValueError
-        When `start` lies beyond `max_radius`.
+        When `start` lies beyond `max_radius`, or a film has too many frames or points.
     """
-    cloud = planar(points, "points", MOST_POINTS)
     first = None if start is None else positive(start, "start")
     last = None if max_radius is None else positive(max_radius, "max_radius", zero=False)
     if first is not None and last is not None and first > last:
         raise ValueError(f"start must be at most max_radius, {last}, not {first}")
-    data = {"points": cloud.tolist(), "start": first, "end": last}
-    return framed("growth", ("rips.js", "planar.js"), data, height, title, f"Rips complex of {len(cloud)} points")
+    data: dict[str, Any] = {"start": first, "end": last}
+    scripts, space = ("rips.js", "planar.js"), np.ndim(points) == 3
+    data |= _grown(as_sequence(points), last) if space else {"points": planar(points, "points", MOST_POINTS).tolist()}
+    name = f"Rips complex of {np.shape(points)[-2]} points"
+    return framed("growth", ("orbit.js", *scripts) if space else scripts, data, height, title, name)
 
 
-def elimination(points: ArrayLike, max_radius: float) -> Framed:
-    """Return an interactive figure of the reduction of a planar cloud's boundary matrix, one sum of columns at a time.
-
-    The matrix has a row for each edge and a column for each triangle up to `max_radius`, as `topokit.rips.reduction` orders
-    them. The present column's triangles and edges light up in the cloud, and pairs enter a diagram. Points can be dragged.
-
-    Parameters
-    ----------
-    points : (n, 2) array_like
-        2 to 10 points. Radii, births and deaths are in their unit, and half the length of an edge.
-    max_radius : float
-        Of the last simplex.
-
-    Raises
-    ------
-    ValueError
-        When there are more points.
-    """
-    cloud, radius = planar(points, "points", MOST_REDUCED), positive(max_radius, "max_radius", zero=False)
-    title, scripts = (
-        f"The boundary matrix of {len(cloud)} points, reduced",
-        ("rips.js", "planar.js", "places.js", "columns.js"),
-    )
-    data = {"points": cloud.tolist(), "radius": radius}
-    return framed("elimination", scripts, data, 500, "drag a point", title)
+def _grown(film: list[NDArray[np.float64]], end: float | None) -> dict[str, Any]:
+    """A film of space, packed, and the loops of each frame as the script sees it: what bears, kills and goes around them."""
+    shape = np.shape(film)
+    if not (1 <= shape[0] <= MOST_GROWN[0] and 1 <= shape[1] <= MOST_GROWN[1] and shape[2] == 3):
+        raise ValueError(
+            f"a film must be at most {MOST_GROWN[0]} frames of {MOST_GROWN[1]} points of space, not {shape}"
+        )
+    steps, scale = packed(np.array(film))
+    diagrams = [rips_persistence(cloud) for cloud in np.float32(steps * scale[0] + scale[1:]).astype(float)]
+    return {
+        "film": pack_coordinates(np.array(film)),
+        "told": [
+            pack(np.concatenate([np.zeros(0, np.int64), *(_row(dgm, i) for i in range(len(dgm)))])) for dgm in diagrams
+        ],
+        "view": [-60, 15],
+        "frame": len(film) // 2,
+        "longest": max(float(dgm.lifetime.max(initial=0.0)) for dgm in diagrams),
+        "end": end or 1.15 * max(float(dgm.death.max(initial=0.0)) for dgm in diagrams) or 1.0,
+    }
 
 
-def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a point to hide or show it") -> Framed:
+def _row(diagram: Diagram, i: int) -> NDArray[np.int64]:
+    cycle, apexes = diagram.cycle(i), diagram.killer_triangles[i, :, 2]
+    return np.concatenate([diagram.birth_edge[i], diagram.killer_edge[i], apexes, [len(cycle)], cycle])
+
+
+def coverage(
+    points: ArrayLike,
+    observed: ArrayLike,
+    *,
+    hand: tuple[float, float, float] | None = None,
+    title: str = "click a point to hide or show it",
+) -> Framed:
     """Return an interactive figure of a planar scene of which some points are observed.
 
     Balls of the covering radius alpha stand around the observed points. In the diagram every loop of the scene that lives
@@ -189,12 +217,18 @@ def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a po
         The scene S, at most 60 points. Radii, births and deaths are in their unit.
     observed : (m,) array_like of int
         Which of them are observed at first, O.
+    hand : (3,) float, optional
+        Place and radius of a disc that the reader drags: what is below it is not observed. Beside alpha then stands its guess
+        from the observed points alone, `topokit.sampling.spacing`.
     title : str
         The caption in the corner of the figure.
     """
     cloud = planar(points, "points", MOST_POINTS)
     ids = vertex_ids(cloud, observed)
-    data = {"points": cloud.tolist(), "observed": ids.tolist()}
+    data: dict[str, Any] = {"points": cloud.tolist(), "observed": ids.tolist()}
+    if hand is not None:
+        place, radius = planar([hand[:2]], "hand", 1)[0].tolist(), positive(hand[2], "hand's radius", zero=False)
+        data["hand"] = [*place, radius]
     scripts = ("rips.js", "match.js", "planar.js")
     return framed("coverage", scripts, data, 500, title, f"{len(ids)} of {len(cloud)} points observed")
 
