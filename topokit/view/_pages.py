@@ -8,7 +8,6 @@ which bars are loops, all in milliseconds. Tests hold their answers to topokit's
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 from collections.abc import Mapping
@@ -22,14 +21,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import as_points, as_sequence, positive
-from topokit.io import packed
 from topokit.lemmas import vertex_ids
 from topokit.linking import close_far, linking_number
-from topokit.rips import Diagram, rips_persistence
 from topokit.state import OKABE_ITO
+from topokit.view._packed import grown
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
-MOST_GROWN = (16, 160)  # frames, and points: edges and triangles are drawn one by one
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
 MOST_REDUCED = 10  # whose 120 triangles are columns that can still be told apart
 REACHES = (0.05, 1e-3, 1e-6, 1e-9)
@@ -80,20 +77,6 @@ def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: in
 
 def _text(file: str) -> str:
     return resources.files("topokit.view").joinpath(file).read_text(encoding="utf-8")
-
-
-def pack(array: NDArray[Any]) -> dict[str, Any]:
-    """An array as a JSON-ready dict: little-endian bytes in base64, in the smallest type the player reads."""
-    whole = "u2" if array.min(initial=0) >= 0 and array.max(initial=0) < 2**16 else "i4"
-    kind = {"f": "f4", "b": "u1"}.get(array.dtype.kind, whole)
-    values = np.ascontiguousarray(array, dtype=f"<{kind}")
-    return {"type": kind, "shape": list(array.shape), "values": base64.b64encode(values.tobytes()).decode("ascii")}
-
-
-def pack_coordinates(points: NDArray[np.floating[Any]]) -> dict[str, Any]:
-    """(..., 3) coordinates packed to 16 bits with one scale for the three axes; the error is at most half the scale."""
-    steps, scale = packed(points)
-    return pack(steps) | {"scale": float(scale[0]), "low": scale[1:].tolist()}
 
 
 STAGES = ("cloth", "cloud", "loops", "tracks", "mixture", "model", "plan")
@@ -167,35 +150,9 @@ def growth(
         raise ValueError(f"start must be at most max_radius, {last}, not {first}")
     data: dict[str, Any] = {"start": first, "end": last}
     scripts, space = ("rips.js", "planar.js"), np.ndim(points) == 3
-    data |= _grown(as_sequence(points), last) if space else {"points": planar(points, "points", MOST_POINTS).tolist()}
+    data |= grown(as_sequence(points), last) if space else {"points": planar(points, "points", MOST_POINTS).tolist()}
     name = f"Rips complex of {np.shape(points)[-2]} points"
     return framed("growth", ("orbit.js", *scripts) if space else scripts, data, height, title, name)
-
-
-def _grown(film: list[NDArray[np.float64]], end: float | None) -> dict[str, Any]:
-    """A film of space, packed, and the loops of each frame as the script sees it: what bears, kills and goes around them."""
-    shape = np.shape(film)
-    if not (1 <= shape[0] <= MOST_GROWN[0] and 1 <= shape[1] <= MOST_GROWN[1] and shape[2] == 3):
-        raise ValueError(
-            f"a film must be at most {MOST_GROWN[0]} frames of {MOST_GROWN[1]} points of space, not {shape}"
-        )
-    steps, scale = packed(np.array(film))
-    diagrams = [rips_persistence(cloud) for cloud in np.float32(steps * scale[0] + scale[1:]).astype(float)]
-    return {
-        "film": pack_coordinates(np.array(film)),
-        "told": [
-            pack(np.concatenate([np.zeros(0, np.int64), *(_row(dgm, i) for i in range(len(dgm)))])) for dgm in diagrams
-        ],
-        "view": [-60, 15],
-        "frame": len(film) // 2,
-        "longest": max(float(dgm.lifetime.max(initial=0.0)) for dgm in diagrams),
-        "end": end or 1.15 * max(float(dgm.death.max(initial=0.0)) for dgm in diagrams) or 1.0,
-    }
-
-
-def _row(diagram: Diagram, i: int) -> NDArray[np.int64]:
-    cycle, apexes = diagram.cycle(i), diagram.killer_triangles[i, :, 2]
-    return np.concatenate([diagram.birth_edge[i], diagram.killer_edge[i], apexes, [len(cycle)], cycle])
 
 
 def elimination(points: ArrayLike, max_radius: float) -> Framed:

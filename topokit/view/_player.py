@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
 from topokit.view._looks import cloth_marks
-from topokit.view._pages import Framed, framed, pack, pack_coordinates
+from topokit.view._packed import pack, pack_coordinates
+from topokit.view._pages import Framed, framed
 from topokit.view._plots import lifetimes, long_lived, one_a_frame, rod_radius, subdivide, triples
 
 if TYPE_CHECKING:
