@@ -23,8 +23,8 @@ from numpy.typing import ArrayLike, NDArray
 from topokit._validate import as_points, as_sequence, positive
 from topokit.lemmas import vertex_ids
 from topokit.linking import close_far, linking_number
+from topokit.state import OKABE_ITO
 from topokit.view._packed import grown
-from topokit.view._plots import OKABE_ITO
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
