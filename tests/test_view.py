@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 import topokit as tk
 from topokit import view
 from topokit.io import Episode
+from topokit.state import OKABE_ITO
 from topokit.view import _player, _plots, _render
-from topokit.view._plots import OKABE_ITO, long_lived, tube
+from topokit.view._plots import long_lived, tube
 
 from pages import NETWORK, page_data
 

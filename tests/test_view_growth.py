@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from topokit import rips_persistence, view
-from topokit.view._plots import OKABE_ITO
+from topokit.state import OKABE_ITO
 
 from clouds import gudhi_pairs, sorted_pairs
 from conftest import polygon
