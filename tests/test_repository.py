@@ -31,7 +31,7 @@ CONDA_VERSIONS = {("pybullet", "3.2.7"): "3.25"}  # conda-forge numbers Bullet, 
 
 
 # Extras that no default environment has: their packages are large, and their doors small.
-DOORS = {"rerun": "rerun-sdk", "rl": "stable-baselines3"}
+DOORS = {"pyarrow": "pyarrow", "rerun": "rerun-sdk", "rl": "stable-baselines3"}
 
 
 def pinned() -> tuple[dict[str, str], dict[str, str]]:
