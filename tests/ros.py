@@ -142,8 +142,5 @@ class Rclpy(types.ModuleType):
             self.answer(message)
         raise KeyboardInterrupt
 
-    def destroy_node(self) -> None:
-        self.calls.append("destroy_node")
-
     def try_shutdown(self) -> None:
         self.calls.append("shutdown")

@@ -113,7 +113,7 @@ def test_what_is_no_dataset_is_not_written(tmp_path, film):
         r"episodes\[1\] has .* s a frame, those before it": ([film, slow], {}),
         rf"episodes\[1\] has 5 points, not {n}: give the most of any as n_points": ([film, fewer], {}),
         rf"episodes\[0\] has {n} points, not 5": ([film], {"n_points": 5}),
-        "episodes holds none": ([], {}),
+        "the number of episodes must be 1 or more": ([], {}),
         "n_points must be 1 or more": ([film], {"n_points": -1}),
     }
     for says, (episodes, how) in refused.items():

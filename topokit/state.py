@@ -21,8 +21,7 @@ from ._validate import own_arrays
 __all__ = ["Loop", "TopologicalState", "as_table"]
 
 
-# Colours of identities: read on white and on black.
-OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # of identities
 ClosedCurve = tuple[NDArray[np.int64], NDArray[np.float64]]  # vertex ids of a closed walk, and their places
 
 

@@ -48,43 +48,39 @@ def to_lerobot(folder: str | Path, episodes: Iterable[Episode], *, n_points: int
     folder, n, dt, start, columns = Path(folder), n_points and whole(n_points, "n_points", 1), 0.0, 0, Columns()
     if folder.exists():
         raise FileExistsError(f"{folder}: it is there already; name a new folder")
+    folder.parent.mkdir(parents=True, exist_ok=True)
     tasks, rows, hands = dict[str, int](), list[dict[str, Any]](), list[Columns]()
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".topokit-") as made:
         for i, episode in enumerate(episodes):
-            dt, has = dt or episode.dt, episode.observed.shape[1]
-            n = n or has
+            dt, n, has = dt or episode.dt, n or episode.observed.shape[1], episode.observed.shape[1]
             if not np.isclose(episode.dt, dt, rtol=1e-6):
                 raise ValueError(f"episodes[{i}] has {episode.dt:g} s a frame, those before it {dt:g} s")
             if has > n or (has < n and not n_points):
                 raise ValueError(f"episodes[{i}] has {has} points, not {n}: give the most of any as n_points")
             task, (chunk, file) = f"Hang the {episode.garment} on the {episode.target}.", divmod(i, _A_CHUNK)
-            columns = _columns(episode, n, (i, start, tasks.setdefault(task, len(tasks))))
+            columns = _columns(episode, n, i, start, tasks.setdefault(task, len(tasks)))
             hands.append({name: columns[name] for name in _HANDS})
             lists = {name: list(map(list, some)) if some.ndim == 3 else list(some) for name, some in columns.items()}
             _write(Path(made, "set", _DATA.format(chunk_index=chunk, file_index=file)), lists)
             row = {"episode_index": i, "tasks": [task], "length": len(episode), "dataset_from_index": start}
+            row |= {"data/chunk_index": chunk, "data/file_index": file, "dataset_to_index": start + len(episode)}
+            rows.append(row | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
             start += len(episode)
-            places = {"data/chunk_index": chunk, "data/file_index": file, "dataset_to_index": start}
-            rows.append(row | places | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
-        if not rows:
-            raise ValueError("episodes holds none: a dataset has one at least")
+        whole(len(rows), "the number of episodes", 1)
         _write_meta(Path(made, "set/meta"), rows, list(tasks), hands, columns, round(1 / dt, 9))
         os.replace(Path(made, "set"), folder)
     return folder
 
 
-def _columns(episode: Episode, n_points: int, numbers: tuple[int, int, int]) -> Columns:
+def _columns(episode: Episode, n_points: int, number: int, start: int, task: int) -> Columns:
     """The features of all frames of an episode, a row a frame."""
     n, points, frame = len(episode), episode.observed, np.arange(len(episode))
     parts = (episode.grippers, episode.actions)
     hands, told = (np.column_stack([some.reshape(n, 6), episode.held]).astype(np.float32) for some in parts)
-    columns: Columns = {
-        _CLOUD: points[:, np.arange(n_points) % points.shape[1]],
-        "timestamp": episode.times.astype(np.float32),
-    }
+    clouds, times = points[:, np.arange(n_points) % points.shape[1]], episode.times.astype(np.float32)
+    columns: Columns = {_CLOUD: clouds, "timestamp": times}
     columns |= dict(zip(_HANDS, (hands, told[np.minimum(frame + 1, n - 1)]), strict=True))
     columns |= {"next.done": frame == n - 1, "next.success": (frame == n - 1) & episode.success, "frame_index": frame}
-    number, start, task = numbers
     return columns | {"episode_index": 0 * frame + number, "index": start + frame, "task_index": 0 * frame + task}
 
 
@@ -133,30 +129,24 @@ def from_lerobot(folder: str | Path, episode: int = 0, *, cloud: str = _CLOUD, c
     FileNotFoundError, FormatError
         The message says which file, what is wrong, and what to do.
     """
-    path, number = existing(Path(folder, "meta/info.json")), whole(episode, "episode")
+    path, number, parquet = existing(Path(folder, "meta/info.json")), whole(episode, "episode"), _arrow().parquet
     one = sorted(Path(folder).glob(f"data/*/episode_{number:06d}.parquet"))  # as version 2.1 has it
+    wanted = [cloud, "timestamp", "frame_index", "episode_index"]
     try:
         for path in one or sorted(Path(folder).glob("data/*/*.parquet")):
-            table = _read(path, number, {cloud, "timestamp", "frame_index", "episode_index"}).sort_by("frame_index")
+            told, names, size = parquet.read_metadata(path), parquet.read_schema(path).names, path.stat().st_size
+            groups = map(told.row_group, range(told.num_row_groups))
+            held = 8 * sum(group.column(i).num_values for group in groups for i in range(told.num_columns))
+            if held > FREE + RATIO * size:
+                raise ValueError(f"its {size} bytes claim to hold {held}")
+            if missing := [name for name in wanted if name not in names]:
+                raise ValueError(f"it has no column {missing[0]}: it has {', '.join(names)}")
+            table = parquet.read_table(path, columns=wanted, filters=[("episode_index", "=", number)])
             if len(table):
+                table = table.sort_by("frame_index")
                 frames = (as_reals(frame, cloud) for frame in table[cloud].to_pylist())
                 clouds = [as_cloud(frame, Asked(columns=columns), path) for frame in frames]
                 return clouds, table["timestamp"].to_pylist()
-    except ImportError:
-        raise
     except Exception as error:  # damage shows in a dozen ways
         raise FormatError(f"{path}: {error}") from error
     raise FormatError(f"{folder}: no file of data holds episode {number}")
-
-
-def _read(path: Path, episode: int, columns: set[str]) -> Any:
-    """The frames of an episode in a file, when its size allows what it claims to hold."""
-    parquet = _arrow().parquet
-    told, names = parquet.read_metadata(path), parquet.read_schema(path).names
-    groups = [told.row_group(i) for i in range(told.num_row_groups)]
-    held = 8 * sum(group.column(i).num_values for group in groups for i in range(group.num_columns))
-    if held > FREE + RATIO * path.stat().st_size:
-        raise ValueError(f"its {path.stat().st_size} bytes claim to hold {held}")
-    if missing := columns - set(names):
-        raise ValueError(f"it has no column {min(missing)}: it has {', '.join(names)}")
-    return parquet.read_table(path, columns=sorted(columns), filters=[("episode_index", "=", episode)])

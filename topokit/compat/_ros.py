@@ -12,7 +12,6 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from topokit._archive import FormatError
 from topokit.sensors import Cleaner, Pipeline
@@ -60,8 +59,7 @@ class LoopMessages:
             cloud = as_cloud(rows_of(message), Asked(), {})
         except (KeyError, TypeError, AttributeError) as error:
             raise FormatError(f"no PointCloud2, or a damaged one: {type(error).__name__} {error}") from error
-        stamp = message.header.stamp
-        time = stamp.sec + 1e-9 * stamp.nanosec or None  # not stamped
+        time = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec or None  # not stamped
         if (time is None) != (self._time is None) or (time or 0) < (self._time or 0):
             self._tracker = SeqPH(**self._options)
         state, self._time = self._tracker.update(self._clean(cloud), time=time), time
@@ -99,7 +97,7 @@ class LoopMessages:
         marker.color.r, marker.color.g, marker.color.b = (byte / 255 for byte in bytes.fromhex(loop_colour(number)[1:]))
         return marker
 
-    def _points(self, places: ArrayLike) -> list[Any]:
+    def _points(self, places: Any) -> list[Any]:
         kind, rows = type(self._new("geometry_msgs/msg/Point")), np.asarray(places)
         if rows.shape[1] != 3:
             raise ValueError(f"loops are in {rows.shape[1]} dimensions: markers are in space")
@@ -131,10 +129,8 @@ def listen(topic: str, answer: LoopMessages) -> None:
         except ValueError as error:
             node.get_logger().warning(str(error), throttle_duration_sec=5.0)
 
-    newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    node.create_subscription(cloud, topic, heard, newest)
+    node.create_subscription(cloud, topic, heard, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT))
     try:
         rclpy.spin(node)
     finally:
-        node.destroy_node()
         rclpy.try_shutdown()

@@ -16,9 +16,10 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.distance import cdist
 
 from topokit._validate import positive
+from topokit.state import OKABE_ITO
 from topokit.view._looks import Array, Ids
 from topokit.view._pages import MOST_POINTS, Framed, framed, planar, shapes
-from topokit.view._plots import OKABE_ITO, new_axes
+from topokit.view._plots import new_axes
 
 MOST_REDUCED = 10  # whose 120 triangles are columns that can still be told apart
 _EDGE, *_COMPONENTS = OKABE_ITO

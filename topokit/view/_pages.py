@@ -27,7 +27,7 @@ from topokit.io import packed
 from topokit.lemmas import vertex_ids
 from topokit.linking import close_far, linking_number
 from topokit.rips import Diagram, rips_persistence
-from topokit.view._plots import OKABE_ITO
+from topokit.state import OKABE_ITO
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_GROWN = (16, 160)  # frames, and points: edges and triangles are drawn one by one

@@ -22,9 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from topokit._validate import as_ids, as_points, as_reals
 from topokit.io import Episode
 from topokit.rips import Diagram
-from topokit.state import OKABE_ITO as OKABE_ITO
-from topokit.state import Loop, TopologicalState
-from topokit.state import loop_colour as loop_colour
+from topokit.state import Loop, TopologicalState, loop_colour
 from topokit.view._looks import Array, Ids, cloth_marks, face_normals, shadow, smoothed
 
 CLOTH, LINING, ROD, INK = "#E8E2D4", "#C8C9D0", "#5B6B7C", "#1C2733"
