@@ -122,6 +122,16 @@ def test_matching_with_an_empty_diagram():
         assert found["bottleneck"] == pytest.approx(0 if not (found["s"] or found["o"]) else (np.sqrt(2) - 1) / 2)
 
 
+@needs_node
+def test_script_guesses_alpha_as_topokit_does():
+    rng = np.random.default_rng(7)
+    clouds = [rng.normal(size=(int(n), 2)).round(int(digits)) for n, digits in rng.integers([1, 0], [30, 4], (60, 2))]
+    clouds += [np.ones((1, 2)), np.ones((3, 2)), np.array(SQUARE)[[0, 0, 1]]]
+    guessed = by_script(["rips.js"], "(points) => spacing(points)", [cloud.tolist() for cloud in clouds])
+    np.testing.assert_allclose(guessed, [spacing(cloud) for cloud in clouds])
+    assert guessed[-3:] == [0, 0, 1]
+
+
 ATTACK = """([points, epsilon]) => {
   const lives = [];
   let moved = points, loops;
@@ -169,13 +179,3 @@ def test_the_adversary_is_the_chapters_and_never_beats_the_bound():
         assert lemmas.max_displacement(cloud, np.array(theirs["moved"])) <= epsilon * (1 + 1e-12)
         if cloud is five:  # the bound is reached
             assert len(theirs["lives"]) < 150 if epsilon > 0.1 else min(theirs["lives"]) < ours[0] - 1.9 * epsilon
-
-
-@needs_node
-def test_script_guesses_alpha_as_topokit_does():
-    rng = np.random.default_rng(7)
-    clouds = [rng.normal(size=(int(n), 2)).round(int(digits)) for n, digits in rng.integers([1, 0], [30, 4], (60, 2))]
-    clouds += [np.ones((1, 2)), np.ones((3, 2)), np.array(SQUARE)[[0, 0, 1]]]
-    guessed = by_script(["rips.js"], "(points) => spacing(points)", [cloud.tolist() for cloud in clouds])
-    np.testing.assert_allclose(guessed, [spacing(cloud) for cloud in clouds])
-    assert guessed[-3:] == [0, 0, 1]

@@ -207,36 +207,33 @@ def test_a_figure_fills_the_screen_and_comes_back(chromium: Any, width: int) -> 
         assert visit.trouble == []
 
 
-def test_words_light_up_their_part_of_the_figure_before_them(chromium: Any) -> None:
-    lit = "() => [...document.querySelectorAll('canvas')].map((c) => c.toDataURL()).join() + !!document.querySelector('.lit')"
-    with Visit(chromium, "notebooks/01_point_clouds_and_rips_complexes.html") as visit:
-        [figure, *_], words = visit.figures(), visit.page.query_selector_all("[data-light]")
-        assert words
-        for word in words:
-            dark = figure.evaluate(lit)
-            for give in (word.hover, word.focus):
-                give()
-                figure.wait_for_function(f"(dark) => ({lit})() !== dark", arg=dark)
-                visit.page.mouse.move(0, 0)
-                word.evaluate("e => e.blur()")
-                figure.wait_for_function(f"(dark) => ({lit})() === dark", arg=dark)
+@pytest.mark.parametrize("page", [page for page in CHAPTERS if "data-shows" in (BOOK / page).read_text("utf-8")])
+def test_words_light_up_their_part_of_one_figure(chromium: Any, page: str) -> None:
+    with Visit(chromium, page) as visit:
+        frames = visit.figures()
+        for word in visit.page.query_selector_all("[data-shows]"):
+            part, _, value = str(word.get_attribute("data-shows")).partition("=")
+            word.focus()
+            assert (
+                sum(frame.evaluate("id => !!document.getElementById(id)?.closest('.lit')", part) for frame in frames)
+                == 1
+            )
+            word.press("Enter")
+            now = [frame.evaluate("id => document.getElementById(id)?.value", part) for frame in frames]
+            assert not value or value in now, part
         assert visit.trouble == []
 
 
-@pytest.mark.parametrize("page", [page for page in CHAPTERS if "data-light" in (BOOK / page).read_text("utf-8")])
-def test_words_have_a_part_of_one_figure_and_set_it(chromium: Any, page: str) -> None:
-    lit = "() => document.querySelectorAll('.lit').length"
-    with Visit(chromium, page) as visit:
-        frames = visit.figures()
-        for word in visit.page.query_selector_all("[data-set]"):
-            assert sum(frame.evaluate(lit) for frame in frames) == 0
-            part, value = word.get_attribute("data-light"), word.get_attribute("data-set")
-            word.press("Enter")
-            visit.page.wait_for_timeout(100)
-            [frame] = [frame for frame in frames if frame.evaluate(lit)]
-            assert frame.evaluate("id => document.getElementById(id).value", part) == value
+def test_a_lit_part_of_the_complex_is_drawn(chromium: Any) -> None:
+    drawn = "() => document.querySelector('#scene').toDataURL()"
+    with Visit(chromium, "notebooks/01_point_clouds_and_rips_complexes.html") as visit:
+        [figure, *_] = visit.figures()
+        for part in ("birth", "killer", "cycle"):
+            word, dark = visit.page.query_selector(f"[data-shows={part}]"), figure.evaluate(drawn)
+            word.focus()
+            figure.wait_for_function(f"(dark) => ({drawn})() !== dark", arg=dark)
             word.evaluate("e => e.blur()")
-            visit.page.wait_for_timeout(100)
+            figure.wait_for_function(f"(dark) => ({drawn})() === dark", arg=dark)
         assert visit.trouble == []
 
 

@@ -1,4 +1,4 @@
-"""The lune of an edge, drawn: what it joins and fills when it arrives, and why it is critical or not; and columns, reduced.
+"""The lune of an edge, drawn: what it joins and fills when it arrives, and why it is critical or not.
 
 Taught in chapters 2 and 5.
 """
@@ -21,7 +21,6 @@ from topokit.view._looks import Array, Ids
 from topokit.view._pages import MOST_POINTS, Framed, framed, planar, shapes
 from topokit.view._plots import new_axes
 
-MOST_REDUCED = 10  # whose 120 triangles are columns that can still be told apart
 _EDGE, *_COMPONENTS = OKABE_ITO
 _BLOCKED, _PATH = OKABE_ITO[3], OKABE_ITO[2]
 
@@ -80,31 +79,6 @@ def lunes(points: ArrayLike | Mapping[str, ArrayLike]) -> Framed:
         raise ValueError("one point has no edge; give at least two")
     title, scripts = f"The lunes of {many} points", ("rips.js", "planar.js", "places.js")
     return framed("lunes", scripts, {"shapes": clouds}, 500, "drag a point, or click two", title)
-
-
-def elimination(points: ArrayLike, max_radius: float) -> Framed:
-    """Return an interactive figure of the reduction of a planar cloud's boundary matrix, one sum of columns at a time.
-
-    The matrix has a row for each edge and a column for each triangle up to `max_radius`, as `topokit.rips.reduction` orders
-    them. The present column's triangles and edges light up in the cloud, and pairs enter a diagram. Points can be dragged.
-
-    Parameters
-    ----------
-    points : (n, 2) array_like
-        2 to 10 points. Radii, births and deaths are in their unit, and half the length of an edge.
-    max_radius : float
-        Of the last simplex.
-
-    Raises
-    ------
-    ValueError
-        When there are more points.
-    """
-    cloud, radius = planar(points, "points", MOST_REDUCED), positive(max_radius, "max_radius", zero=False)
-    scripts, data = ("rips.js", "planar.js", "places.js", "columns.js"), {"points": cloud.tolist(), "radius": radius}
-    return framed(
-        "elimination", scripts, data, 500, "drag a point", f"The boundary matrix of {len(cloud)} points, reduced"
-    )
 
 
 def plot_lens(

@@ -11,7 +11,6 @@ from __future__ import annotations
 import base64
 import html
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -32,7 +31,7 @@ from topokit.state import OKABE_ITO
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_GROWN = (16, 160)  # frames, and points: edges and triangles are drawn one by one
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
-BARE = r"(?m)^ *(//.*)?\n?"  # what a page does without: indentation, and lines of comment
+MOST_REDUCED = 10  # whose 120 triangles are columns that can still be told apart
 REACHES = (0.05, 1e-3, 1e-6, 1e-9)
 
 
@@ -64,12 +63,13 @@ class Framed:
 def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: int, caption: str, title: str) -> Framed:
     """The page `name`: its parts, `name`.html, in the frame that all share, and its script, `name`.js, after `scripts`."""
     data = data | {"height": int(height), "title": caption, "palette": list(OKABE_ITO)}
-    code = "\n".join(_text(script) for script in ("frame.js", *scripts, f"{name}.js"))
+    lines = [line.strip() for script in ("frame.js", *scripts, f"{name}.js") for line in _text(script).splitlines()]
+    code = "\n".join(line for line in lines if line and not line.startswith("//"))  # as written but for these
     parts = {
         "NAME": name,
         "STYLE": _text("frame.css"),
         "PARTS": _text(f"{name}.html"),
-        "SCRIPT": f"(() => {{\n{re.sub(BARE, '', code)}}})();",
+        "SCRIPT": f"(() => {{\n{code}\n}})();",
         "DATA": json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),  # it could end the script element
     }
     page = _text("frame.html")
@@ -196,6 +196,33 @@ def _grown(film: list[NDArray[np.float64]], end: float | None) -> dict[str, Any]
 def _row(diagram: Diagram, i: int) -> NDArray[np.int64]:
     cycle, apexes = diagram.cycle(i), diagram.killer_triangles[i, :, 2]
     return np.concatenate([diagram.birth_edge[i], diagram.killer_edge[i], apexes, [len(cycle)], cycle])
+
+
+def elimination(points: ArrayLike, max_radius: float) -> Framed:
+    """Return an interactive figure of the reduction of a planar cloud's boundary matrix, one sum of columns at a time.
+
+    The matrix has a row for each edge and a column for each triangle up to `max_radius`, as `topokit.rips.reduction` orders
+    them. The present column's triangles and edges light up in the cloud, and pairs enter a diagram. Points can be dragged.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        2 to 10 points. Radii, births and deaths are in their unit, and half the length of an edge.
+    max_radius : float
+        Of the last simplex.
+
+    Raises
+    ------
+    ValueError
+        When there are more points.
+    """
+    cloud, radius = planar(points, "points", MOST_REDUCED), positive(max_radius, "max_radius", zero=False)
+    title, scripts = (
+        f"The boundary matrix of {len(cloud)} points, reduced",
+        ("rips.js", "planar.js", "places.js", "columns.js"),
+    )
+    data = {"points": cloud.tolist(), "radius": radius}
+    return framed("elimination", scripts, data, 500, "drag a point", title)
 
 
 def coverage(

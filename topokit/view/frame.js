@@ -158,21 +158,6 @@ function onReset(reset) {
 }
 
 // ---- the page around -----------------------------------------------------------------------------------------
-let light = null; // the part of the figure that a word of the page around points at
-function enlighten(draw) {
-  addEventListener("message", ({ source, data: told }) => {
-    if (source !== parent || told?.light === undefined) return;
-    light = told.light;
-    document.querySelector(".lit")?.classList.remove("lit");
-    const part = light && $(light); // or none: what a figure draws has no id
-    (part?.closest("figure") ?? part)?.classList.add("lit");
-    if (part && told.set !== undefined) {
-      part.value = told.set;
-      part.dispatchEvent(new Event(part.type === "range" ? "input" : "change"));
-    }
-    draw();
-  });
-}
 function watch(draw, resized) { // redraw when the theme or the size changes
   const repaint = () => (theme(), draw());
   const layout = () => {
@@ -189,7 +174,6 @@ function watch(draw, resized) { // redraw when the theme or the size changes
   } catch { /* another origin */ }
   new ResizeObserver(layout).observe(document.body);
   document.querySelector("figcaption").textContent = data.title;
-  enlighten(draw);
   theme();
   layout();
   requestAnimationFrame(() => (fullScreen(), explain())); // once the first drawing has said what can be done

@@ -101,7 +101,7 @@
       }
     }
     const { birthEdge, killerEdge, cycle, triangles: panes } = complex.loops[0] ?? {}; // of the longest, whatever the radius
-    for (const ids of { birth: [birthEdge], killer: [killerEdge], cycle: [cycle], panes }[birthEdge && light] ?? [])
+    for (const ids of { birth: [birthEdge], killer: [killerEdge], cycle: [cycle], panes }[birthEdge && $("parts").querySelector(".lit")?.id] ?? [])
       for (const [ink, width] of [[css("--ink"), 11], ["#f0e442", 7]]) stroke(ids, ink, width, true);
     S.forEach((p, v) => {
       dot(g, p, film ? 1.5 + 2 * nearness(depth[v]) : 4, css("--ink"));
@@ -222,5 +222,6 @@
   else reset();
   const [longest] = complex.loops;
   go(data.start ?? (longest ? (longest.birth + longest.death) / 2 : end / 2));
+  new MutationObserver(later).observe($("parts"), { attributes: true, subtree: true }); // a word of the page around points at one
   watch(later, () => {});
 })();
