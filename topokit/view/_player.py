@@ -72,14 +72,14 @@ def player(
     if not 0 <= start < len(episode):
         raise ValueError(f"start must be a frame from 0 to {len(episode) - 1}, not {start}")
     title = f"{episode.garment}, {episode.target}"
-    data = _scene(episode) | {
+    data = scene_of(episode) | {
         "start": int(start),
         "view": [float(view[0]), float(view[1])],
         "show_truth": bool(show_truth),
         "film": bool(film),
         "long": list(long_lived(states)),
     }
-    data["arrays"] |= _tracks(states)
+    data["arrays"] |= tracks_of(states)
     return framed("player", (), data, height, title, f"Player: {title}")
 
 
@@ -89,7 +89,7 @@ def telling_frame(states: Sequence[TopologicalState]) -> int:
     return int(np.nanargmax(lifetimes(states)[weightiest[0]])) if weightiest else 0
 
 
-def _scene(episode: Episode) -> dict[str, Any]:
+def scene_of(episode: Episode) -> dict[str, Any]:
     points = np.asarray(episode.points, dtype=np.float64)
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
     faces = np.asarray(episode.faces, dtype=np.int64).reshape(-1, 3)
@@ -113,7 +113,7 @@ def _scene(episode: Episode) -> dict[str, Any]:
     }
 
 
-def _tracks(states: Sequence[TopologicalState]) -> dict[str, dict[str, Any]]:
+def tracks_of(states: Sequence[TopologicalState]) -> dict[str, dict[str, Any]]:
     """The loops of all frames in one table; the loops of frame t are its rows first[t] to first[t + 1]."""
     loops: list[Loop] = [loop for state in states for loop in state.loops]
     corners = [np.concatenate([loop.killer_edge_points, loop.killer_triangles.reshape(6, 3)]) for loop in loops]

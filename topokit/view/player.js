@@ -8,6 +8,7 @@
     return scale === undefined ? array : Float32Array.from(array, (v, i) => v * scale + low[i % 3]);
   };
   const a = Object.fromEntries(Object.entries(data.arrays).map(([name, packed]) => [name, unpack(packed)]));
+  const bent = data.plans && bending(a, data.plans); // plans.js: gives a.points and a.grippers, and loops by its own lights
   const frames = data.frames, N = a.points.length / 3 / frames, F = a.faces.length / 3;
   const [scene, diagram, strip] = [$("scene"), $("diagram"), $("strip")];
   const home = { az: (data.view[0] * Math.PI) / 180, el: (data.view[1] * Math.PI) / 180, zoom: 1 };
@@ -199,6 +200,7 @@
         g.stroke();
       }
     }
+    if (bent) bent.show(g, place, frame);
     const names = []; // last, above everything, and none above another
     for (const i of loopsOf(frame).filter(main)) {
       const corners = [2, 3, 4, 5, 6, 7].map((n) => place(a.killer, 24 * i + 3 * n));
@@ -305,16 +307,17 @@
   // ---- time --------------------------------------------------------------------------------------------------
   function draw() {
     drawScene();
-    if (!data.film) (drawDiagram(), drawStrip());
+    if (bent) bent.charts(frame);
+    else if (!data.film) (drawDiagram(), drawStrip());
     const loops = loopsOf(frame), best = loops[0];
-    const text = `frame ${frame} of ${frames - 1} \u00b7 ${(frame * data.dt).toFixed(2)} s \u00b7 ${loops.length} loop${loops.length === 1 ? "" : "s"}`;
+    const text = bent ? bent.text(frame) : `frame ${frame} of ${frames - 1} \u00b7 ${(frame * data.dt).toFixed(2)} s \u00b7 ${loops.length} loop${loops.length === 1 ? "" : "s"}`;
     $("status").textContent = text;
     $("time").value = frame;
     $("time").setAttribute("aria-valuetext", text);
     const word = best === undefined ? "no loops" : `the longest is loop ${a.id[best]}: born ${a.birth[best].toFixed(3)}, dies ${a.death[best].toFixed(3)}`;
-    diagram.setAttribute("aria-label", `persistence diagram, ${text}; ${word} ${data.unit}`);
-    strip.setAttribute("aria-label", `lifetimes of ${ids.length} loops over ${seconds.toFixed(1)} s; now ${text}`);
-    scene.setAttribute("aria-label", `${data.title}, ${text}. Drag or use the arrow keys to turn it, plus and minus or two fingers to zoom; space plays.`);
+    if (!bent) diagram.setAttribute("aria-label", `persistence diagram, ${text}; ${word} ${data.unit}`);
+    if (!bent) strip.setAttribute("aria-label", `lifetimes of ${ids.length} loops over ${seconds.toFixed(1)} s; now ${text}`);
+    scene.setAttribute("aria-label", `${data.title}, ${text}. Drag${bent ? " the ring to bend the plan; beside it drag" : ""} or use the arrow keys to turn it, plus and minus or two fingers to zoom; space plays.`);
   }
   const later = lazily(draw);
   const go = (t) => {
@@ -334,10 +337,12 @@
     later();
   };
   const zoom = (by) => ((cam.zoom = clamp(cam.zoom * by, 0.4, 8)), later());
+  const hand = bent && bent.hands(scene, later, () => play(false));
   const fingers = new Map(); // one turns, two zoom by how far apart they are
-  scene.onpointerdown = (e) => (scene.setPointerCapture(e.pointerId), fingers.set(e.pointerId, [e.offsetX, e.offsetY]));
-  scene.onpointerup = scene.onpointercancel = (e) => fingers.delete(e.pointerId);
+  scene.onpointerdown = (e) => (scene.setPointerCapture(e.pointerId), (hand && hand.grasp(e)) || fingers.set(e.pointerId, [e.offsetX, e.offsetY]));
+  scene.onpointerup = scene.onpointercancel = (e) => (fingers.delete(e.pointerId), hand && hand.release());
   scene.onpointermove = (e) => {
+    if (hand && hand.pull(e)) return;
     const last = fingers.get(e.pointerId), here = [e.offsetX, e.offsetY];
     if (!last) return;
     const [other] = [...fingers].filter(([id]) => id !== e.pointerId).map(([, place]) => place);
@@ -346,7 +351,7 @@
     else turn((here[0] - last[0]) / 120, (here[1] - last[1]) / 120);
     fingers.set(e.pointerId, here);
   };
-  onReset(() => (Object.assign(cam, home), later()));
+  onReset(() => (Object.assign(cam, home), hand && (hand.reset(), go(data.start)), later()));
   scene.ondblclick = $("reset").onclick;
   const act = { ArrowLeft: () => turn(0.1, 0), ArrowRight: () => turn(-0.1, 0), ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1),
     "+": () => zoom(1.15), "=": () => zoom(1.15), "-": () => zoom(0.87), " ": () => play() };
