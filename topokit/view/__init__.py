@@ -12,7 +12,7 @@ if find_spec("matplotlib") is None:
 from topokit._lazy import shown
 
 from ._lunes import plot_lens, plot_lune
-from ._pages import coverage, data_flow, growth, linked, motion, nudge, stray
+from ._pages import coverage, data_flow, growth, linked, mixture, motion, nudge, stray
 from ._plans import plans
 from ._player import player
 from ._plots import Scene, appearances, loop_colour, plot_cloth, plot_diagram, plot_tracks, track_figure

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points, positive
+from topokit._validate import as_points, positive, whole
 from topokit.lemmas import vertex_ids
 from topokit.linking import close_far, linking_number
 from topokit.view._plots import OKABE_ITO
@@ -246,6 +246,28 @@ def stray(points: ArrayLike, start: ArrayLike, end: ArrayLike) -> Framed:
     }
     title, scripts = f"{len(cloud)} points and a stray one", ("rips.js", "planar.js", "places.js", "rules.js")
     return framed("stray", scripts, {"points": cloud.tolist(), **way}, 480, "drag the stray point away", title)
+
+
+def mixture(points: ArrayLike, border: int, *, noise: float = 1e-4) -> Framed:
+    """Return an interactive figure of the mixture of a planar cloud's longest-lived loop, as `topokit.loop_mixture` makes it.
+
+    Sliders take the killer triangles alone or neighbours too, and change the noise; any point can be dragged. Charts show the
+    density along the border of the opening and a reliability diagram of its points; dashed is one Gaussian of the same moments.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        At most 60 points, metres.
+    border : int
+        How many of them, the first ones, are the border of the true opening, in order.
+    noise : float
+        At first, square metres; the slider goes from 1e-6 to 1e-2.
+    """
+    cloud, first = planar(points, "points", MOST_POINTS), whole(border, "border", 3)
+    if first > len(cloud):
+        raise ValueError(f"border must be at most the {len(cloud)} points, not {first}")
+    data = {"points": cloud.tolist(), "border": first, "noise": positive(noise, "noise", zero=False)}
+    return framed("mixture", ("rips.js", "planar.js"), data, 480, "drag a point", f"Mixture of {len(cloud)} points")
 
 
 def linked(curve: ArrayLike, line: ArrayLike, way: ArrayLike) -> Framed:
