@@ -16,7 +16,8 @@ from pages import by_script, check_small_and_whole, needs_node, page_data
 RING = polygon(20, 0.2)
 CALL = """({ points, most, noise, places }) => {
   const [loop] = rips(points).loops, mixture = mixtureOf(points, loop, most, noise), one = matched(mixture);
-  return { death: loop.death, mixture, one, density: places.map((p) => density(mixture, p)), reached: credibilities(mixture, places) };
+  const [found, reached] = [places.map((p) => density(mixture, p)), credibilities(mixture, places)];
+  return { death: loop.death, mixture, one, density: found, reached };
 }"""
 
 

@@ -73,7 +73,14 @@ def plans(
     arrays |= {"shares": pack_coordinates(shares.reshape(len(shares), -1, 3)), "modes": pack_coordinates(modes)}
     grid = {"rows": rows, "columns": columns, "knots": [0, *knots.tolist()], "vertices": len(now)}
     grid |= {"cycle": np.asarray(cycle).tolist(), "target": close_far(episode.centre_line).tolist()}
-    data = scene | {"frames": len(held), "start": 0, "view": [*map(float, view)], "long": [], "plans": grid, "arrays": arrays}
+    data = scene | {
+        "frames": len(held),
+        "start": 0,
+        "view": [*map(float, view)],
+        "long": [],
+        "plans": grid,
+        "arrays": arrays,
+    }
     title = f"{episode.garment}, {episode.target}: {rows * columns} plans"
     return framed("player", ("link.js", "planar.js", "plans.js"), data, height, title, f"Forecasts of {title}")
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 
+from ._pages import Framed, framed
+from ._player import pack
 from ._plots import loop_colour
 
 _LABELS = {"seqph": "seqPH", "mlp": "MLP", "pointnet": "PointNet"}
@@ -114,6 +117,44 @@ def plot_treatments(condition: Mapping[str, Any], ax: Axes) -> Axes:
     ax.set_xticks(range(len(ways)), names, fontsize="x-small")
     ax.set(ylabel=_ACCURACY, ylim=(0, 100))
     return _with_legend(ax)
+
+
+def shares(results: Mapping[str, Any], measures: Mapping[str, str]) -> Framed:
+    """Return an interactive figure of a results file: hull shares with intervals, by predictor, horizon, garment and condition.
+
+    Parameters
+    ----------
+    results : mapping, as `topokit.evaluate.read_results` returns it
+    measures : mapping
+        What the reader may choose: the name of each, and which of the file's `hull_treatments` or tables (`in_plane`) it is.
+    """
+    whole = max(results["conditions"].values(), key=lambda condition: len(condition["by_garment"]))
+    garments, models, horizons = list(whole["by_garment"]), list(whole["hull_accuracy"]), list(results["horizons"])
+
+    def cells(part: Mapping[str, Any]) -> list[Any]:
+        ways = (part.get("hull_treatments", {}).get(way) or part.get(way, {}) for way in measures.values())
+        return [[[_cell(way, model, step) for step in horizons] for model in models] for way in ways]
+
+    parts = ([c, *(c["by_garment"].get(g, {}) for g in garments)] for c in results["conditions"].values())
+    table = np.array([[cells(part) for part in row] for row in parts])
+    data = {
+        "condition": list(results["conditions"]),
+        "garment": ["all", *garments],
+        "measure": list(measures),
+        "model": [results["ours"].capitalize() if m == "ours" else model_label(m) for m in models],
+        "horizon": horizons,
+        "marks": [models.index(m) for m in ("ours", "seqph", "carry")],
+        "cells": pack(table[..., :3]),
+        "counts": pack(table[:, :, :, 0, :, 3:]),
+    }
+    return framed("shares", ("planar.js",), data, 560, "choose a row, or below", f"Shares of {len(models)} predictors")
+
+
+def _cell(way: Mapping[str, Any], model: str, step: str) -> list[int]:
+    """Mean, low and high in ten thousandths, and how many windows; 65535 for what the file does not have."""
+    cell = way.get(model, {}).get(step, {})
+    scaled = [cell.get(name) for name in ("mean", "low", "high")]
+    return [65535 if value is None else round(1e4 * value) for value in scaled] + [cell.get("n", 65535)]
 
 
 def _colour(model: str) -> str:

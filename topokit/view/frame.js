@@ -2,6 +2,11 @@
 "use strict";
 const $ = (id) => document.getElementById(id);
 const data = JSON.parse($("data").textContent);
+const types = { u1: Uint8Array, u2: Uint16Array, i4: Int32Array, f4: Float32Array };
+function unpack({ type, values, scale, low }) { // an array as topokit.view packs it
+  const array = new types[type](Uint8Array.from(atob(values), (c) => c.charCodeAt(0)).buffer);
+  return scale === undefined ? array : Float32Array.from(array, (v, i) => v * scale + low[i % 3]);
+}
 
 // ---- theme ---------------------------------------------------------------------------------------------------
 let dark = false;

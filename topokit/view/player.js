@@ -1,12 +1,6 @@
 // The player of topokit.view: a cloth, its loops, their diagram and their lifetimes, on three 2D canvases.
 // Idea: unpack once; every change of frame, camera, size or theme redraws all three canvases from scratch.
 (() => {
-  const types = { u1: Uint8Array, u2: Uint16Array, i4: Int32Array, f4: Float32Array };
-  const unpack = ({ type, values, scale, low }) => {
-    const bytes = Uint8Array.from(atob(values), (c) => c.charCodeAt(0));
-    const array = new types[type](bytes.buffer);
-    return scale === undefined ? array : Float32Array.from(array, (v, i) => v * scale + low[i % 3]);
-  };
   const a = Object.fromEntries(Object.entries(data.arrays).map(([name, packed]) => [name, unpack(packed)]));
   const bent = data.plans && bending(a, data.plans); // plans.js: gives a.points and a.grippers, and loops by its own lights
   const frames = data.frames, N = a.points.length / 3 / frames, F = a.faces.length / 3;
