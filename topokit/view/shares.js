@@ -18,7 +18,7 @@ if (typeof data !== "undefined") (() => {
   const choose = (kind, to) => ((ask[kind] = clamp(to, 0, data[kind].length - 1)), later());
 
   function rows(canvas, kind, title) { // a row for each of a kind; a click chooses it
-    const [g, w, h] = start(canvas), left = 82, wide = w - left - 122, X = (v) => left + (v / 100) * wide;
+    const [g, w, h] = start(canvas), left = 82, wide = w - left - 130, X = (v) => left + (v / 100) * wide;
     g.textBaseline = "middle";
     g.fillStyle = css("--soft");
     g.fillText(title, 10, kind === "model" ? 42 : 14);
