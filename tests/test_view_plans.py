@@ -11,7 +11,7 @@ from test_view import unpack
 from topokit import view
 from topokit.io import load_episode
 from topokit.linking import close_far, linking_number
-from topokit.view._plans import sums
+from topokit.view._player import sums
 
 from pages import NETWORK, by_script, needs_node, page_data
 

@@ -248,7 +248,7 @@ def stray(points: ArrayLike, start: ArrayLike, end: ArrayLike) -> Framed:
     return framed("stray", scripts, {"points": cloud.tolist(), **way}, 480, "drag the stray point away", title)
 
 
-def mixture(points: ArrayLike, border: int, *, noise: float = 1e-4) -> Framed:
+def mixture(points: ArrayLike, border: int) -> Framed:
     """Return an interactive figure of the mixture of a planar cloud's longest-lived loop, as `topokit.loop_mixture` makes it.
 
     Sliders take the killer triangles alone or neighbours too, and change the noise; any point can be dragged. Charts show the
@@ -260,13 +260,9 @@ def mixture(points: ArrayLike, border: int, *, noise: float = 1e-4) -> Framed:
         At most 60 points, metres.
     border : int
         How many of them, the first ones, are the border of the true opening, in order.
-    noise : float
-        At first, square metres; the slider goes from 1e-6 to 1e-2.
     """
-    cloud, first = planar(points, "points", MOST_POINTS), whole(border, "border", 3)
-    if first > len(cloud):
-        raise ValueError(f"border must be at most the {len(cloud)} points, not {first}")
-    data = {"points": cloud.tolist(), "border": first, "noise": positive(noise, "noise", zero=False)}
+    cloud = planar(points, "points", MOST_POINTS)
+    data = {"points": cloud.tolist(), "border": whole(border, "border", 3, len(cloud))}
     return framed("mixture", ("rips.js", "planar.js"), data, 480, "drag a point", f"Mixture of {len(cloud)} points")
 
 

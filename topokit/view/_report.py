@@ -128,33 +128,25 @@ def shares(results: Mapping[str, Any], measures: Mapping[str, str]) -> Framed:
     measures : mapping
         What the reader may choose: the name of each, and which of the file's `hull_treatments` or tables (`in_plane`) it is.
     """
-    whole = max(results["conditions"].values(), key=lambda condition: len(condition["by_garment"]))
-    garments, models, horizons = list(whole["by_garment"]), list(whole["hull_accuracy"]), list(results["horizons"])
+    parts, none = list(results["conditions"].values()), [65535] * 4
+    garments = max((list(part["by_garment"]) for part in parts), key=len)
+    models, horizons = list(parts[0]["hull_accuracy"]), list(results["horizons"])
 
     def cells(part: Mapping[str, Any]) -> list[Any]:
-        ways = (part.get("hull_treatments", {}).get(way) or part.get(way, {}) for way in measures.values())
-        return [[[_cell(way, model, step) for step in horizons] for model in models] for way in ways]
+        ways = (part.get("hull_treatments", {}).get(way) or part.get(way) for way in measures.values())
+        return [[[_cell(way[m][h]) if way else none for h in horizons] for m in models] for way in ways]
 
-    parts = ([c, *(c["by_garment"].get(g, {}) for g in garments)] for c in results["conditions"].values())
-    table = np.array([[cells(part) for part in row] for row in parts])
-    data = {
-        "condition": list(results["conditions"]),
-        "garment": ["all", *garments],
-        "measure": list(measures),
-        "model": [results["ours"].capitalize() if m == "ours" else model_label(m) for m in models],
-        "horizon": horizons,
-        "marks": [models.index(m) for m in ("ours", "seqph", "carry")],
-        "cells": pack(table[..., :3]),
-        "counts": pack(table[:, :, :, 0, :, 3:]),
-    }
-    return framed("shares", ("planar.js",), data, 560, "choose a row, or below", f"Shares of {len(models)} predictors")
+    table = np.array([[cells(part), *(cells(part["by_garment"].get(g, {})) for g in garments)] for part in parts])
+    names = [results["ours"].capitalize() if m == "ours" else model_label(m) for m in models]
+    data = {"measure": list(measures), "garment": ["all", *garments], "model": names, "horizon": horizons}
+    data |= {"condition": list(results["conditions"]), "marks": [models.index(m) for m in ("ours", "seqph", "carry")]}
+    packed, title = {"cells": pack(table[..., :3]), "counts": pack(table[..., 0, :, 3:])}, f"{len(models)} predictors"
+    return framed("shares", ("planar.js",), data | packed, 560, "choose a row, or below", f"Shares of {title}")
 
 
-def _cell(way: Mapping[str, Any], model: str, step: str) -> list[int]:
+def _cell(cell: Mapping[str, Any]) -> list[int]:
     """Mean, low and high in ten thousandths, and how many windows; 65535 for what the file does not have."""
-    cell = way.get(model, {}).get(step, {})
-    scaled = [cell.get(name) for name in ("mean", "low", "high")]
-    return [65535 if value is None else round(1e4 * value) for value in scaled] + [cell.get("n", 65535)]
+    return [65535 if cell[k] is None else round(1e4 * cell[k]) for k in ("mean", "low", "high")] + [cell["n"]]
 
 
 def _colour(model: str) -> str:

@@ -111,7 +111,7 @@ if (typeof data !== "undefined") (() => {
   }
   const later = lazily(draw), place = (v, where) => ((points[v] = where), compute());
   function reset() {
-    [points, vertex, most, power] = [data.points.map((p) => [...p]), -1, 6, Math.log10(data.noise)];
+    [points, vertex, most, power] = [data.points.map((p) => [...p]), -1, 6, -4];
     compute();
   }
   draggable(scene, { points: () => points, frame, press: (v) => ((vertex = v), later()), move: place });
