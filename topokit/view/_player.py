@@ -75,13 +75,8 @@ def player(
     if not 0 <= start < len(episode):
         raise ValueError(f"start must be a frame from 0 to {len(episode) - 1}, not {start}")
     title = f"{episode.garment}, {episode.target}"
-    data = _scene(episode) | {
-        "start": int(start),
-        "view": [float(view[0]), float(view[1])],
-        "show_truth": bool(show_truth),
-        "film": bool(film),
-        "long": list(long_lived(states)),
-    }
+    told = {"start": int(start), "view": [float(view[0]), float(view[1])], "long": list(long_lived(states))}
+    data = _scene(episode) | told | {"show_truth": bool(show_truth), "film": bool(film)}
     data["arrays"] |= _tracks(states)
     return framed("player", (), data, height, title, f"Player: {title}")
 
