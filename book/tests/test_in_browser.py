@@ -179,6 +179,8 @@ def test_every_control_of_every_figure_does_something(chromium: Any, page: str) 
         dead = []
         for k, frame in enumerate(visit.figures()):
             for control in frame.query_selector_all("button, input, select, canvas[tabindex='0']"):
+                if control.get_attribute("id") == "full":  # it would hide the others: a test of its own
+                    continue
                 if control.is_visible() and control.is_enabled():
                     if control.get_attribute("id") == "reset":  # there must be something to undo
                         _use(frame, frame.query_selector("canvas[tabindex='0']"))
@@ -187,6 +189,52 @@ def test_every_control_of_every_figure_does_something(chromium: Any, page: str) 
                     if frame.evaluate(SHOWN) == before:
                         dead.append(f"figure {k}: {control.evaluate('e => e.outerHTML')[:120]}")
         assert dead + visit.trouble == []
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_a_figure_fills_the_screen_and_comes_back(chromium: Any, width: int) -> None:
+    with Visit(chromium, "notebooks/08_a_world_of_aprons_bags_and_hooks.html", width) as visit:
+        for frame in visit.figures():
+            inside, button = frame.evaluate("innerWidth"), frame.query_selector("#full")
+            if button is None:  # a picture
+                continue
+            for whole in (True, False):
+                button.click()
+                frame.wait_for_function(f"!!document.fullscreenElement === {str(whole).lower()}")
+                frame.evaluate(SETTLED)
+                assert button.get_attribute("aria-pressed") == str(whole).lower()
+                assert frame.evaluate("innerWidth") == (width if whole else inside)
+        assert visit.trouble == []
+
+
+@pytest.mark.parametrize("page", [page for page in CHAPTERS if "data-shows" in (BOOK / page).read_text("utf-8")])
+def test_words_light_up_their_part_of_one_figure(chromium: Any, page: str) -> None:
+    with Visit(chromium, page) as visit:
+        frames = visit.figures()
+        for word in visit.page.query_selector_all("[data-shows]"):
+            part, _, value = str(word.get_attribute("data-shows")).partition("=")
+            word.focus()
+            assert (
+                sum(frame.evaluate("id => !!document.getElementById(id)?.closest('.lit')", part) for frame in frames)
+                == 1
+            )
+            word.press("Enter")
+            now = [frame.evaluate("id => document.getElementById(id)?.value", part) for frame in frames]
+            assert not value or value in now, part
+        assert visit.trouble == []
+
+
+def test_a_lit_part_of_the_complex_is_drawn(chromium: Any) -> None:
+    drawn = "() => document.querySelector('#scene').toDataURL()"
+    with Visit(chromium, "notebooks/01_point_clouds_and_rips_complexes.html") as visit:
+        [figure, *_] = visit.figures()
+        for part in ("birth", "killer", "cycle"):
+            word, dark = visit.page.query_selector(f"[data-shows={part}]"), figure.evaluate(drawn)
+            word.focus()
+            figure.wait_for_function(f"(dark) => ({drawn})() !== dark", arg=dark)
+            word.evaluate("e => e.blur()")
+            figure.wait_for_function(f"(dark) => ({drawn})() === dark", arg=dark)
+        assert visit.trouble == []
 
 
 # Not to an end, where other controls may have nothing to show.

@@ -20,13 +20,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points, positive, whole
+from topokit._validate import as_points, as_sequence, positive, whole
 from topokit.lemmas import vertex_ids
 from topokit.linking import close_far, linking_number
-from topokit.view._plots import OKABE_ITO
+from topokit.state import OKABE_ITO
+from topokit.view._packed import grown
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
+MOST_REDUCED = 10  # whose 120 triangles are columns that can still be told apart
 REACHES = (0.05, 1e-3, 1e-6, 1e-9)
 
 
@@ -41,7 +43,7 @@ class Framed:
     def _repr_html_(self) -> str:
         source = html.escape(self.page, quote=True)
         return (
-            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" '
+            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" allowfullscreen '
             f'style="width:100%;height:{self.height}px;border:0;display:block"></iframe>'
         )
 
@@ -58,12 +60,13 @@ class Framed:
 def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: int, caption: str, title: str) -> Framed:
     """The page `name`: its parts, `name`.html, in the frame that all share, and its script, `name`.js, after `scripts`."""
     data = data | {"height": int(height), "title": caption, "palette": list(OKABE_ITO)}
-    code = "\n".join(_text(script) for script in ("frame.js", *scripts, f"{name}.js"))
+    lines = [line.strip() for script in ("frame.js", *scripts, f"{name}.js") for line in _text(script).splitlines()]
+    code = "\n".join(line for line in lines if line and not line.startswith("//"))  # as written but for these
     parts = {
         "NAME": name,
         "STYLE": _text("frame.css"),
         "PARTS": _text(f"{name}.html"),
-        "SCRIPT": f"(() => {{\n{code}}})();",
+        "SCRIPT": f"(() => {{\n{code}\n}})();",
         "DATA": json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),  # it could end the script element
     }
     page = _text("frame.html")
@@ -116,15 +119,17 @@ def growth(
     max_radius: float | None = None,
     title: str = "drag a point",
 ) -> Framed:
-    """Return an interactive figure of the Rips complex of a planar cloud as the radius grows, and of its loops.
+    """Return an interactive figure of the Rips complex of a cloud as the radius grows, and of its loops.
 
     Beside the complex stand its diagram, where a loop is a circle while it lives and a dot once it is dead, and its bars.
-    The tightest cycle of a living loop, its killer edge and its killer triangles have one colour. Points can be dragged.
+    The tightest cycle of a living loop, its killer edge and its killer triangles have one colour. The points of the plane can
+    be dragged. A film of space can be turned, and a second slider goes through its frames, whose loops are computed here.
 
     Parameters
     ----------
-    points : (n, 2) array_like
-        At most 60 points. Radii, births and deaths are in their unit, and half the length of an edge.
+    points : (n, 2) or (T, n, 3) array_like
+        At most 60 points of the plane, or a film of space, at most 16 frames of 160 points, kept to the 65,535th part of what
+        they span. Radii, births and deaths are in their unit, and half the length of an edge.
     height : int
         Height of the frame in CSS pixels.
     start : float, optional
@@ -137,18 +142,53 @@ def growth(
     Raises
     ------
     ValueError
-        When `start` lies beyond `max_radius`.
+        When `start` lies beyond `max_radius`, or a film has too many frames or points.
     """
-    cloud = planar(points, "points", MOST_POINTS)
     first = None if start is None else positive(start, "start")
     last = None if max_radius is None else positive(max_radius, "max_radius", zero=False)
     if first is not None and last is not None and first > last:
         raise ValueError(f"start must be at most max_radius, {last}, not {first}")
-    data = {"points": cloud.tolist(), "start": first, "end": last}
-    return framed("growth", ("rips.js", "planar.js"), data, height, title, f"Rips complex of {len(cloud)} points")
+    data: dict[str, Any] = {"start": first, "end": last}
+    scripts, space = ("rips.js", "planar.js"), np.ndim(points) == 3
+    data |= grown(as_sequence(points), last) if space else {"points": planar(points, "points", MOST_POINTS).tolist()}
+    name = f"Rips complex of {np.shape(points)[-2]} points"
+    return framed("growth", ("orbit.js", *scripts) if space else scripts, data, height, title, name)
 
 
-def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a point to hide or show it") -> Framed:
+def elimination(points: ArrayLike, max_radius: float) -> Framed:
+    """Return an interactive figure of the reduction of a planar cloud's boundary matrix, one sum of columns at a time.
+
+    The matrix has a row for each edge and a column for each triangle up to `max_radius`, as `topokit.rips.reduction` orders
+    them. The present column's triangles and edges light up in the cloud, and pairs enter a diagram. Points can be dragged.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        2 to 10 points. Radii, births and deaths are in their unit, and half the length of an edge.
+    max_radius : float
+        Of the last simplex.
+
+    Raises
+    ------
+    ValueError
+        When there are more points.
+    """
+    cloud, radius = planar(points, "points", MOST_REDUCED), positive(max_radius, "max_radius", zero=False)
+    title, scripts = (
+        f"The boundary matrix of {len(cloud)} points, reduced",
+        ("rips.js", "planar.js", "places.js", "columns.js"),
+    )
+    data = {"points": cloud.tolist(), "radius": radius}
+    return framed("elimination", scripts, data, 500, "drag a point", title)
+
+
+def coverage(
+    points: ArrayLike,
+    observed: ArrayLike,
+    *,
+    hand: tuple[float, float, float] | None = None,
+    title: str = "click a point to hide or show it",
+) -> Framed:
     """Return an interactive figure of a planar scene of which some points are observed.
 
     Balls of the covering radius alpha stand around the observed points. In the diagram every loop of the scene that lives
@@ -161,21 +201,28 @@ def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a po
         The scene S, at most 60 points. Radii, births and deaths are in their unit.
     observed : (m,) array_like of int
         Which of them are observed at first, O.
+    hand : (3,) float, optional
+        Place and radius of a disc that the reader drags: what is below it is not observed. Beside alpha then stands its guess
+        from the observed points alone, `topokit.sampling.spacing`.
     title : str
         The caption in the corner of the figure.
     """
     cloud = planar(points, "points", MOST_POINTS)
     ids = vertex_ids(cloud, observed)
-    data = {"points": cloud.tolist(), "observed": ids.tolist()}
+    data: dict[str, Any] = {"points": cloud.tolist(), "observed": ids.tolist()}
+    if hand is not None:
+        place, radius = planar([hand[:2]], "hand", 1)[0].tolist(), positive(hand[2], "hand's radius", zero=False)
+        data["hand"] = [*place, radius]
     scripts = ("rips.js", "match.js", "planar.js")
     return framed("coverage", scripts, data, 500, title, f"{len(ids)} of {len(cloud)} points observed")
 
 
-def motion(points: ArrayLike, epsilon: float, after: ArrayLike | None = None) -> Framed:
+def motion(points: ArrayLike, epsilon: float, observed: ArrayLike | None = None) -> Framed:
     """Return an interactive figure of a planar cloud whose points can be dragged, each within `epsilon` of where it was.
 
     Dragging beside all points moves them together. The diagram shows every loop before, with the square of side 2 epsilon
-    around it, and after; the dashed lines are lifetimes of epsilon and of 2 epsilon.
+    around it, and after; the dashed lines are lifetimes of epsilon and of 2 epsilon. The play button lets an adversary push on
+    the birth edge and the killer edge, and beside the bars stands what no motion can take from them.
 
     Parameters
     ----------
@@ -183,20 +230,14 @@ def motion(points: ArrayLike, epsilon: float, after: ArrayLike | None = None) ->
         At most 60 points, where they are before the motion.
     epsilon : float
         Radius of the discs at first; the reader can change it up to its double.
-    after : (n, 2) array_like, optional
-        Where the play button takes them, as far as the discs allow; without it there is no such button.
-
-    Raises
-    ------
-    ValueError
-        When `after` is another number of points.
+    observed : (m,) array_like of int, optional
+        Who is seen before the motion, if not all are; what is seen then has a bar of its own, with the paper's filter on it.
     """
     cloud, radius = planar(points, "points", MOST_POINTS), positive(epsilon, "epsilon", zero=False)
-    target = None if after is None else planar(after, "after", MOST_POINTS)
-    if target is not None and target.shape != cloud.shape:
-        raise ValueError(f"after must have a row for each of the {len(cloud)} points, not {len(target)}")
-    data = {"points": cloud.tolist(), "after": None if target is None else target.tolist(), "epsilon": radius}
-    title, scripts = f"{len(cloud)} points, each within {radius:g} of its place", ("rips.js", "match.js", "planar.js")
+    ids = None if observed is None else vertex_ids(cloud, observed).tolist()
+    data = {"points": cloud.tolist(), "observed": ids, "epsilon": radius}
+    title = f"{len(cloud)} points, each within {radius:g} of its place"
+    scripts = ("rips.js", "match.js", "planar.js", "places.js", "adversary.js")
     return framed("motion", scripts, data, 440, "drag the points within their discs", title)
 
 
@@ -217,12 +258,8 @@ def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> Framed:
     ValueError
         When there is no cloud.
     """
-    given = points if isinstance(points, Mapping) else {"points": points}
-    clouds = {str(name): planar(cloud, str(name), MOST_NUDGED) for name, cloud in given.items()}
-    if not clouds:
-        raise ValueError("points names no cloud; give at least one")
-    data = {"shapes": {name: cloud.tolist() for name, cloud in clouds.items()}, "reaches": list(REACHES)}
-    many = " or ".join(str(len(cloud)) for cloud in clouds.values())
+    clouds, many = shapes(points, MOST_NUDGED)
+    data = {"shapes": clouds, "reaches": list(REACHES)}
     title, scripts = f"Loop of {many} points, nudged", ("rips.js", "planar.js", "places.js")
     return framed("nudge", scripts, data, 480, "nudge a point, or drag one", title)
 
@@ -287,6 +324,15 @@ def linked(curve: ArrayLike, line: ArrayLike, way: ArrayLike) -> Framed:
     title = f"A curve and a hook, linking number {linking_number(handles, corners)}"
     data = {"curve": handles.tolist(), "line": corners.tolist(), "way": shifts.tolist()}
     return framed("linked", ("link.js", "planar.js"), data, 480, "drag a handle, or turn the view", title)
+
+
+def shapes(points: ArrayLike | Mapping[str, ArrayLike], most: int) -> tuple[dict[str, list[list[float]]], str]:
+    """Clouds of the plane by name, and how many points they have, in words; or ValueError."""
+    given = points if isinstance(points, Mapping) else {"points": points}
+    clouds = {str(name): planar(cloud, str(name), most).tolist() for name, cloud in given.items()}
+    if not clouds:
+        raise ValueError("points names no cloud; give at least one")
+    return clouds, " or ".join(str(len(cloud)) for cloud in clouds.values())
 
 
 def planar(points: ArrayLike, name: str, most: int | None = None) -> NDArray[np.float64]:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from ._packed import pack
 from ._pages import Framed, framed
-from ._player import pack
 from ._plots import loop_colour
 
 _LABELS = {"seqph": "seqPH", "mlp": "MLP", "pointnet": "PointNet"}
@@ -141,7 +141,9 @@ def shares(results: Mapping[str, Any], measures: Mapping[str, str]) -> Framed:
     data = {"measure": list(measures), "garment": ["all", *garments], "model": names, "horizon": horizons}
     data |= {"condition": list(results["conditions"]), "marks": [models.index(m) for m in ("ours", "seqph", "carry")]}
     packed, title = {"cells": pack(table[..., :3]), "counts": pack(table[..., 0, :, 3:])}, f"{len(models)} predictors"
-    return framed("shares", ("planar.js",), data | packed, 560, "choose a row, or below", f"Shares of {title}")
+    return framed(
+        "shares", ("orbit.js", "planar.js"), data | packed, 560, "choose a row, or below", f"Shares of {title}"
+    )
 
 
 def _cell(cell: Mapping[str, Any]) -> list[int]:

@@ -2,11 +2,6 @@
 "use strict";
 const $ = (id) => document.getElementById(id);
 const data = JSON.parse($("data").textContent);
-const types = { u1: Uint8Array, u2: Uint16Array, i4: Int32Array, f4: Float32Array };
-function unpack({ type, values, scale, low }) { // an array as topokit.view packs it
-  const array = new types[type](Uint8Array.from(atob(values), (c) => c.charCodeAt(0)).buffer);
-  return scale === undefined ? array : Float32Array.from(array, (v, i) => v * scale + low[i % 3]);
-}
 
 // ---- theme ---------------------------------------------------------------------------------------------------
 let dark = false;
@@ -85,7 +80,7 @@ const svg = (path) => `<svg viewBox="0 0 10 10" aria-hidden="true">${path}</svg>
 function playback(at, go, end, seconds) { // the button plays at() from where it is, or from 0, to end() by calling go
   let playing = false, runs = 0;
   const play = (on = !playing) => {
-    const began = performance.now(), from = at() >= end() ? 0 : at(), mine = ++runs;
+    const began = performance.now(), from = on && at() < end() ? at() : 0, mine = ++runs;
     playing = on;
     $("icon").setAttribute("d", on ? "M1 0h3v10h-3zM6 0h3v10h-3z" : "M1.5 0 9.5 5 1.5 10z");
     $("play").setAttribute("aria-label", on ? "pause" : "play");
@@ -105,13 +100,13 @@ function playback(at, go, end, seconds) { // the button plays at() from where it
   play(false);
   return play;
 }
-function stepped(slider, steps, set) { // a slider of whole steps, 0 to `steps`, and its play button: each calls set(step)
+function stepped(slider, steps, set, seconds = 6) { // a slider of whole steps, 0 to steps(), and its play button: each calls set(step)
   let played = 0; // where the play button is: not rounded, or it would stand still
   const go = (k) => {
-    played = clamp(k, 0, steps);
-    set(Math.round(played));
+    played = clamp(k, 0, steps());
+    set(Math.ceil(played)); // the first step at once
   };
-  const play = playback(() => played, go, () => steps, 6);
+  const play = playback(() => played, go, steps, seconds);
   slider.oninput = (e) => (play(false), go(+e.target.value));
   return [go, play];
 }
@@ -132,6 +127,16 @@ function scrub(canvas, go) { // go to a share of a chart's width
     canvas.setPointerCapture(e.pointerId);
     go((e.offsetX - canvas.box.x) / canvas.box.w);
   };
+}
+function fullScreen() { // where the browser and the page around allow it
+  if (!document.fullscreenEnabled) return;
+  const button = Object.assign(document.createElement("button"), { type: "button", title: "full screen", id: "full" });
+  button.innerHTML = svg('<path d="M0 0h4v1.5H1.5V4H0zM6 0h4v4H8.5V1.5H6zM0 6h1.5v2.5H4V10H0zM8.5 6H10v4H6V8.5h2.5z"/>');
+  button.setAttribute("aria-label", "full screen");
+  button.onclick = () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
+  document.onfullscreenchange = () => button.setAttribute("aria-pressed", !!document.fullscreenElement);
+  button.setAttribute("aria-pressed", false);
+  $("status").before(button);
 }
 function explain() { // a button that shows what a screen reader is told: the keys, and what can be dragged
   const button = Object.assign(document.createElement("button"), { type: "button", textContent: "?", title: "keys", id: "help" });
@@ -171,5 +176,5 @@ function watch(draw, resized) { // redraw when the theme or the size changes
   document.querySelector("figcaption").textContent = data.title;
   theme();
   layout();
-  requestAnimationFrame(explain); // once the first drawing has said what can be done
+  requestAnimationFrame(() => (fullScreen(), explain())); // once the first drawing has said what can be done
 }

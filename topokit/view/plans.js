@@ -95,18 +95,19 @@ function bending(a, { rows, columns, knots, cycle, target, vertices }) { // rows
       const { left, top } = scene.getBoundingClientRect(), { clientX, clientY } = e.touches[0];
       if (near(clientX - left, clientY - top, 26)) e.preventDefault();
     }, { passive: false });
-    const grasp = (e) => {
-      if (!near(e.offsetX, e.offsetY, e.pointerType === "mouse" ? 16 : 26)) return false;
-      held = { x: e.offsetX, y: e.offsetY, at: [...at], matrix: turned.matrix };
-      return true;
+    const { onpointerdown: press, onpointermove: move, onpointerup: lift } = scene; // of the eye, which turns where no end is grasped
+    scene.onpointerdown = (e) => {
+      held = near(e.offsetX, e.offsetY, e.pointerType === "mouse" ? 16 : 26) ? { x: e.offsetX, y: e.offsetY, at: [...at], matrix: turned.matrix } : null;
+      if (held) scene.setPointerCapture(e.pointerId);
+      else press(e);
     };
-    const pull = (e) => { // what the hand moved in the picture, as steps of the grid
-      if (!held) return false;
+    scene.onpointermove = (e) => { // what the hand moved in the picture, as steps of the grid
+      if (!held) return move(e);
       const [x, y, [p, q, u, v]] = [e.offsetX - held.x, e.offsetY - held.y, held.matrix], det = p * v - q * u;
       if (Math.abs(det) > 4) go(held.at[0] + (x * v - y * u) / det, held.at[1] + (y * p - x * q) / det);
-      return true;
     };
-    return { grasp, pull, reset, release: () => (held = null) };
+    scene.onpointerup = scene.onpointercancel = (e) => ((held = null), lift(e));
+    return reset;
   }
   choose(...home);
   return { coordinates, number, show, text, charts: (t) => (map(t), chart(t)), hands };
