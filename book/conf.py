@@ -40,6 +40,8 @@ exclude_patterns = ["**/_build/**", "**/.ipynb_checkpoints/**"]
 extensions = [
     "myst_nb",
     "shell",
+    "cards",
+    "links",
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",

@@ -17,26 +17,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cards import CHAPTER, TOPICS, thumbnail
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from PIL import Image
-from sphinx import addnodes
 
 import topokit
 
 ROOT = Path(__file__).resolve().parent.parent
-CHAPTER = re.compile(r"notebooks/0*(\d+)_")
-TOPICS = re.compile(r"^\| \d+ \[[^]]*\]\((notebooks/\w+)\.ipynb\) \| (.*) \|$", re.MULTILINE)
 DESCRIPTION = "Find the loops of cloth in a cloud of points, say where they are, and follow them through time."
 
 
 def setup(app: Any) -> dict[str, bool]:
-    app.add_directive("chapters", Chapters)
     app.add_directive("film", Film)
     app.connect("source-read", _figures_of_the_first_page)
     app.connect("doctree-read", _number, priority=400)  # before titles are collected, at 500
     app.connect("doctree-read", _tidy, priority=400)
-    app.connect("doctree-resolved", _cards)
     app.connect("doctree-resolved", _drawings)
     app.connect("html-page-context", _head)
     app.connect("build-finished", _finish)
@@ -137,17 +133,6 @@ def _labels(svg: str) -> str:
 # ---- the first page ----------------------------------------------------------------------------------------------
 
 
-class chapter_cards(nodes.General, nodes.Element):
-    """Where the cards of all chapters go."""
-
-
-class Chapters(Directive):
-    """The chapters as cards, part by part, from the tables of contents of this page."""
-
-    def run(self) -> list[nodes.Node]:
-        return [chapter_cards()]
-
-
 class Film(Directive):
     """A recorded hanging that plays and turns under the hand."""
 
@@ -187,40 +172,6 @@ def _at(value: Any, path: list[str]) -> Any:
     return value
 
 
-def _cards(app: Any, doctree: nodes.document, docname: str) -> None:
-    for place in list(doctree.findall(chapter_cards)):
-        about = dict(TOPICS.findall((ROOT / "README.md").read_text(encoding="utf-8")))
-        parts = []
-        for toc in app.env.tocs[docname].findall(addnodes.toctree):
-            cards = [_card(app, chapter, about) for _, chapter in toc["entries"] if CHAPTER.match(chapter or "")]
-            if cards:
-                parts.append(
-                    f'<h3 class="topokit-part">{toc["caption"]}</h3><ul class="topokit-cards">{"".join(cards)}</ul>'
-                )
-        place.replace_self(nodes.raw("", "".join(parts), format="html"))
-
-
-def _card(app: Any, chapter: str, about: dict[str, str]) -> str:
-    number, _, title = app.env.titles[chapter].astext().partition(". ")
-    link = app.builder.get_relative_uri(app.config.root_doc, chapter)
-    picture = f"../_static/thumbnails/{_thumbnail(app, chapter).name}"
-    return (
-        f'<li><a href="{link}"><img src="{picture}" alt="" loading="lazy"><span>{number}</span>'
-        f"<strong>{html.escape(title)}</strong></a><p>{html.escape(about.get(chapter, ''))}</p></li>"
-    )
-
-
-def _thumbnail(app: Any, chapter: str) -> Path:
-    """Of the pictures that a chapter draws a photograph-like one, else the richest drawing that is not heavy."""
-    images = {Path(app.srcdir) / image["uri"] for image in app.env.get_doctree(chapter).findall(nodes.image)}
-    drawn = [
-        path
-        for path in images
-        if "jupyter_execute" in path.parts and (path.suffix == ".png" or path.stat().st_size < 250_000)
-    ]
-    return max(drawn, key=lambda path: (path.suffix == ".png", path.stat().st_size, path.name))
-
-
 # ---- what every page has, and what is laid beside the pages --------------------------------------------------------
 
 
@@ -246,7 +197,7 @@ def _finish(app: Any, error: Exception | None) -> None:
     thumbnails = out / "_static" / "thumbnails"
     thumbnails.mkdir(parents=True, exist_ok=True)
     for chapter in filter(CHAPTER.match, app.env.found_docs):
-        picture = Path(shutil.copy(_thumbnail(app, chapter), thumbnails))
+        picture = Path(shutil.copy(thumbnail(app, chapter), thumbnails))
         if picture.suffix == ".png":
             with Image.open(picture) as whole:
                 whole.thumbnail((640, 640))

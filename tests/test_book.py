@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-import importlib.util
+import importlib
 import json
 import re
 from pathlib import Path
@@ -17,11 +17,16 @@ LINK = re.compile(r"\[([^][]*)\]\([^()]*?(\d+)_\w+\.ipynb[^()]*\)")
 
 
 @pytest.fixture(scope="module")
-def shell():
-    spec = importlib.util.spec_from_file_location("book_shell", ROOT / "book" / "shell.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def book():
+    """The extensions in the folder book, by their names."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT / "book")
+        yield importlib.import_module
+
+
+@pytest.fixture(scope="module")
+def shell(book):
+    return book("shell")
 
 
 def prose() -> dict[str, str]:
@@ -54,8 +59,8 @@ def test_chapters_are_numbered_from_zero_without_a_gap_and_in_the_order_of_the_f
     )
 
 
-def test_readme_says_what_every_chapter_is_about(shell):
-    about = dict(shell.TOPICS.findall((ROOT / "README.md").read_text(encoding="utf-8")))
+def test_readme_says_what_every_chapter_is_about(book):
+    about = dict(book("cards").TOPICS.findall((ROOT / "README.md").read_text(encoding="utf-8")))
     assert sorted(about) == sorted(f"notebooks/{path.stem}" for path in (ROOT / "notebooks").glob("*.ipynb"))
     assert all(about.values())
 
@@ -90,3 +95,40 @@ def test_a_result_is_found_by_its_path_and_a_star_is_a_sum(shell):
     assert shell._at(results, ["rows", "*", "hung"]) == 7
     with pytest.raises(KeyError):
         shell._at(results, ["row"])
+
+
+def test_chapters_build_on_earlier_ones_and_say_the_same_themselves(book):
+    builds_on = book("cards").BUILDS_ON
+    assert list(builds_on) == list(range(len(list((ROOT / "notebooks").glob("*.ipynb")))))
+    assert all(before < chapter for chapter, befores in builds_on.items() for before in befores)
+    said = 0
+    for name, text in prose().items():
+        found = re.search(r"^\*\*Before:\*\* .*", text, re.MULTILINE)
+        if found:
+            numbers = [int(number) for _, number in LINK.findall(found[0])]
+            assert [int(k) for k in re.findall(r"\[(?:chapters? )?(\d+)\]", found[0])] == numbers, name
+            if re.search(r"\) to \[", found[0]):
+                numbers = list(range(numbers[0], numbers[-1] + 1))
+            assert numbers == builds_on[int(name[:2])], name
+            said += 1
+    assert said
+
+
+def test_time_to_read_is_of_words_and_of_code_that_is_shown(book):
+    words = {"cell_type": "markdown", "source": ["word " * 1500], "metadata": {}}
+    shown = {"cell_type": "code", "source": ["1"], "metadata": {}}
+    folded = shown | {"metadata": {"tags": ["hide-input"]}}
+    minutes = book("cards").minutes_to_read
+    assert minutes({"cells": [words]}) == 5 * round(1500 / book("cards").WORDS / 5)
+    assert minutes({"cells": [words] + [shown] * 20}) == minutes({"cells": [words] + [folded] * 20}) + 10
+    assert minutes({"cells": []}) == 5
+    assert [book("cards").time_to_run(s) for s in (None, 1, 41, 130)] == ["", "5 s", "40 s", "2 min"]
+
+
+def test_chapters_called_by_their_numbers_are_found(book):
+    pieces = book("links").pieces
+    assert pieces("as in chapter 3.") == [("as in ", None), ("chapter 3", 3), (".", None)]
+    said = "Chapters 3 to 6 say, and chapters 1, 2 and 14"
+    assert "".join(text for text, _ in pieces(said)) == said
+    assert [(text, k) for text, k in pieces(said) if k is not None] == [(str(k), k) for k in (3, 6, 1, 2, 14)]
+    assert pieces("the chapter after 3") == [("the chapter after 3", None)]

@@ -1,0 +1,54 @@
+"""Chapters that the prose calls by their numbers become links; what is a link already, code and headings are left alone."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from cards import CHAPTER, chapters
+from docutils import nodes
+
+# "chapter 3", "chapters 3 to 6", "chapters 5, 10 and 12"
+CALLED = re.compile(r"\b[Cc]hapters?\s+\d+(?:(?:,| to| and| or)\s+\d+)*")
+KEPT = (nodes.reference, nodes.literal, nodes.literal_block, nodes.title, nodes.raw, nodes.math, nodes.caption)
+
+
+def setup(app: Any) -> dict[str, bool]:
+    app.connect("doctree-resolved", _link)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def pieces(text: str) -> list[tuple[str, int | None]]:
+    """A text in pieces, each with the chapter that it shall lead to: a single one with its word, several by number."""
+    found, at = [], 0
+    for called in CALLED.finditer(text):
+        numbers = list(re.finditer(r"\d+", called[0]))
+        for number in numbers:
+            start = called.start() + (0 if len(numbers) == 1 else number.start())
+            end = called.start() + number.end()
+            found += [(text[at:start], None), (text[start:end], int(number[0]))]
+            at = end
+    return [piece for piece in (*found, (text[at:], None)) if piece[0]]
+
+
+def _link(app: Any, doctree: nodes.document, docname: str) -> None:
+    if app.builder.format != "html":
+        return
+    pages, own = chapters(app), CHAPTER.match(docname)
+    for text in list(doctree.findall(nodes.Text)):
+        if CALLED.search(text) and not _within(text, KEPT):
+            text.parent.replace(text, [_piece(app, docname, own, pages, *piece) for piece in pieces(str(text))])
+
+
+def _piece(app: Any, docname: str, own: Any, pages: dict[int, str], text: str, chapter: int | None) -> nodes.Node:
+    if chapter not in pages or (own and int(own[1]) == chapter):
+        return nodes.Text(text)
+    uri = app.builder.get_relative_uri(docname, pages[chapter])
+    return nodes.reference(text, text, internal=True, refuri=uri, reftitle=app.env.titles[pages[chapter]].astext())
+
+
+def _within(node: nodes.Node, kinds: tuple[type, ...]) -> bool:
+    while (node := node.parent) is not None:
+        if isinstance(node, kinds):
+            return True
+    return False
