@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import base64
 import html
 import importlib
+import io
 import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("sphinx", reason="the book's extension needs Sphinx: pip install 'topokit[book]'")
@@ -87,6 +90,25 @@ def test_a_drawing_takes_the_colours_of_the_page(shell, tmp_path):
     assert names
     assert not set(names) & set(re.findall(r'\bid="([^"]*)"', svg))
     assert set(re.findall(r'(?:href="#|url\(#)([^")]*)', drawn)) <= set(names)
+
+
+def test_a_drawing_weighs_less_and_looks_the_same(shell, tmp_path):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    Image = pytest.importorskip("PIL.Image")
+    figure, axes = plt.subplots()
+    angle = np.linspace(0, 6, 400)
+    axes.plot(np.cos(angle), np.sin(angle))
+    axes.scatter(np.cos(angle), np.sin(2 * angle), c=angle, rasterized=True)
+    figure.savefig(tmp_path / "drawing.svg")
+    plt.close(figure)
+    svg = (tmp_path / "drawing.svg").read_text(encoding="utf-8")
+    drawn = shell._in_page(svg, "")
+    assert len(drawn) < 0.6 * len(svg)
+    before, after = (Image.open(io.BytesIO(base64.b64decode(shell._PIXELS.search(text)[0]))) for text in (svg, drawn))
+    assert before.size == after.size
+    difference = np.asarray(before.convert("RGBA"), int) - np.asarray(after.convert("RGBA"), int)
+    assert np.abs(difference).mean() < 2
+    assert shell._NUMBER.sub(shell._hundredths, "M -1.239999 20.000001") == "M -1.24 20"
 
 
 def test_a_result_is_found_by_its_path_and_a_star_is_a_sum(shell):
