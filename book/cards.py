@@ -102,6 +102,8 @@ def _line(app: Any, doctree: nodes.document, docname: str) -> None:
         at = title.parent.index(title) + 1
         says_so = title.parent[at].astext().startswith("Before:")
         words = takes(app, docname) if says_so else _about(app, docname, docname)
+        notebook = docname.rpartition("/")[2] + ".ipynb"
+        words += f' &middot; <a href="{notebook}" download>download</a>, <a href="?slides">slides</a>'
         title.parent.insert(at, nodes.raw("", f'<p class="topokit-takes">{words}</p>', format="html"))
 
 

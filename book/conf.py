@@ -42,6 +42,7 @@ extensions = [
     "shell",
     "cards",
     "links",
+    "teach",
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
@@ -126,7 +127,7 @@ nb_merge_streams = True
 html_theme = "sphinx_book_theme"
 html_static_path = ["_static"]
 html_css_files = ["katex/katex.min.css", "topokit.css"]
-html_js_files = ["book.js"]
+html_js_files = ["book.js", "slides.js"]
 html_copy_source = False
 html_show_sourcelink = False
 html_last_updated_fmt = None

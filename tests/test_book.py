@@ -154,3 +154,29 @@ def test_chapters_called_by_their_numbers_are_found(book):
     assert "".join(text for text, _ in pieces(said)) == said
     assert [(text, k) for text, k in pieces(said) if k is not None] == [(str(k), k) for k in (3, 6, 1, 2, 14)]
     assert pieces("the chapter after 3") == [("the chapter after 3", None)]
+
+
+def test_teachers_see_every_question_with_its_answer_folded(book):
+    from topokit.book import questions
+
+    for name, question in questions().items():
+        told = book("teach").told(name, question)
+        before, _, folded = told.partition("<details>")
+        assert question.question in before
+        assert all(text in before for text in (question.choices or {}).values())
+        assert f"**{question.answer}**" in folded
+        assert all(each["remark"] in folded for each in question.wrong)
+
+
+def test_files_for_other_places_name_what_is_there():
+    container = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8"))
+    assert container["image"].endswith(":3.11")
+    assert container["postCreateCommand"] == "make env"
+    packages = (ROOT / ".binder" / "apt.txt").read_text(encoding="utf-8").split()
+    assert all(package in container["onCreateCommand"] for package in packages)
+    assert all(package in (ROOT / "README.md").read_text(encoding="utf-8") for package in packages)
+    assert (ROOT / ".binder" / "runtime.txt").read_text(encoding="utf-8").strip() == "python-3.11"
+    assert "-r ../requirements.txt" in (ROOT / ".binder" / "requirements.txt").read_text(encoding="utf-8").splitlines()
+    linked = re.findall(r"lab/tree/(\S+)", (ROOT / "book" / "elsewhere.md").read_text(encoding="utf-8"))
+    assert linked
+    assert all((ROOT / path).is_file() for path in linked)
