@@ -163,7 +163,7 @@ def _hover(app: Any, doctree: Any, docname: str) -> None:
         if any(
             "std-term" in child.get("classes", ()) for child in reference.children if isinstance(child, nodes.Element)
         ):
-            where = reference.get("refid") or reference["refuri"].partition("#")[2]
+            where = reference.get("refid") or reference["refuri"].rpartition("#")[2]
             reference["reftitle"] = meanings[where]
 
 

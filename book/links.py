@@ -1,4 +1,8 @@
-"""Chapters that the prose calls by their numbers become links; what is a link already, code and headings are left alone."""
+"""What leads from page to page: chapters that the prose calls by their numbers become links, and terms stand in the index.
+
+What is a link already, code and headings are left alone. The index has what the chapters define and prove, by its title, and for
+every term of the glossary the first place in each chapter that uses it.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,8 @@ from typing import Any
 
 from cards import CHAPTER, chapters
 from docutils import nodes
+from sphinx import addnodes
+from sphinx.transforms import SphinxTransform
 
 # "chapter 3", "chapters 3 to 6", "chapters 5, 10 and 12"
 CALLED = re.compile(r"\b[Cc]hapters?\s+\d+(?:(?:,| to| and| or)\s+\d+)*")
@@ -15,6 +21,7 @@ KEPT = (nodes.reference, nodes.literal, nodes.literal_block, nodes.title, nodes.
 
 def setup(app: Any) -> dict[str, bool]:
     app.connect("doctree-resolved", _link)
+    app.add_transform(Index)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
@@ -52,3 +59,35 @@ def _within(node: nodes.Node, kinds: tuple[type, ...]) -> bool:
         if isinstance(node, kinds):
             return True
     return False
+
+
+class Index(SphinxTransform):
+    """Give definitions, theorems and first uses of terms an entry in the index each."""
+
+    default_priority = 800  # before the domains collect what is in a page, at 850
+
+    def apply(self, **kwargs: Any) -> None:
+        if not CHAPTER.match(self.env.docname) and self.env.docname != "book/modules":
+            return
+        for stated in [
+            node for node in self.document.findall(nodes.Element) if node.get("realtype") and node.get("title")
+        ]:
+            for name in names(stated["title"]):
+                _enter(stated, name, stated["ids"][0], stated["realtype"])
+        seen = set()
+        for used in list(self.document.findall(addnodes.pending_xref)):
+            if used.get("reftype") == "term" and used["reftarget"].casefold() not in seen:
+                seen.add(used["reftarget"].casefold())
+                place = f"term-used-{nodes.make_id(used['reftarget'])}"
+                used.parent.insert(used.parent.index(used), nodes.target("", "", ids=[place]))
+                _enter(used, used["reftarget"], place, "")
+
+
+def names(title: str) -> list[str]:
+    """What a title names: "(Bar, killer edge, diagram)" are three things."""
+    return [name for part in title.strip(" ()").split(",") if (name := part.strip().removeprefix("and "))]
+
+
+def _enter(node: nodes.Node, name: str, place: str, kind: str) -> None:
+    entry = addnodes.index(entries=[("single", f"{name} ({kind})" if kind else name, place, "", None)])
+    node.parent.insert(node.parent.index(node), entry)

@@ -154,6 +154,7 @@ def test_chapters_called_by_their_numbers_are_found(book):
     assert "".join(text for text, _ in pieces(said)) == said
     assert [(text, k) for text, k in pieces(said) if k is not None] == [(str(k), k) for k in (3, 6, 1, 2, 14)]
     assert pieces("the chapter after 3") == [("the chapter after 3", None)]
+    assert book("links").names(" (Bar, killer edge, and diagram)") == ["Bar", "killer edge", "diagram"]
 
 
 def test_teachers_see_every_question_with_its_answer_folded(book):

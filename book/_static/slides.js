@@ -20,12 +20,11 @@ function slidesOf(section) { // each: the headings above it, what it shows, the 
   return slides;
 }
 
-function worthASlide(block) { // code alone is shown when it is short; folded code never
-  if (block.matches(".proof.admonition")) return !block.matches(".proof:not([class*=' '])") && block.querySelector(".admonition-title") !== null;
-  if (!block.matches(".cell")) return true;
-  if (block.querySelector("iframe, .topokit-plot, img, table")) return true;
-  const code = block.querySelector(".cell_input pre");
-  return code !== null && !block.querySelector("details") && code.textContent.split("\n").length <= 13;
+function worthASlide(block) { // of a cell what it shows: pictures, tables, and what a few lines print
+  if (block.matches(".proof") && !block.matches(".theorem, .definition, .lemma, .proposition, .corollary, .remark, .example")) return false;
+  if (!block.matches(".cell") || block.querySelector(".cell_output :is(iframe, .topokit-plot, img, table)")) return true;
+  const code = block.querySelector(".cell_input pre"), lines = code === null ? 0 : code.textContent.split("\n").length;
+  return block.querySelector(".cell_output") !== null && !block.querySelector("details") && lines <= 13;
 }
 
 function present() {
