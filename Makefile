@@ -27,6 +27,7 @@ help:
 book: env opengl
 	@$(BIN)/python -m topokit report book/results/evaluation.json --out book/report >/dev/null
 	@rm -rf _build/html
+	@$(BIN)/python book/ahead.py
 	@$(BIN)/python -m sphinx -n -W --keep-going -q -b html -c book -d _build/doctrees . _build/html
 	@echo "The book: file://$(CURDIR)/_build/html/index.html"
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,10 +22,15 @@ from tqdm import tqdm
 
 from topokit._archive import atomic_file
 from topokit.control import Controller, Hanging, hang
-from topokit.sim import Camera, HangEnv
+from topokit.io import Episode, save_episode
+from topokit.linking import close_far, linking_number
+from topokit.sim import TASKS as KNOWN
+from topokit.sim import Camera, HangEnv, SimulationConfig, Task
+from topokit.sim._names import kind
 
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
-TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS), "apron-mannequin"]
+TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS)]
+TASKS += [f"{garment}-mannequin" for garment in ("apron", "backpack", "shirt", "vest")]
 WHO = ("random", "straight", "servo", "hold", "carry", "motion", "script")
 MOTION = Path(__file__).parents[2] / "data_small" / "checkpoints" / "motion.safetensors"
 CAMERA = Camera((-1.3, -1.6, 1.6), (0.0, 0.3, 1.1), width=160, height=120)
@@ -42,6 +48,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "target travels at 0.3 m/s": {"travels": 0.3},
     "late by 200 ms": {"late": 6},
     "10 clouds a second": {"every": 3},
+    "other cloth": {"config": SimulationConfig(self_collision=False, mass=0.6, friction=0.3, bending=0.01)},
 }
 
 
@@ -115,6 +122,32 @@ def scripted(task: str, seed: int, options: dict[str, Any]) -> Hanging:
         env.close()
 
 
+def cause(task: Task, result: Hanging) -> str:
+    """Why a hanging failed, by which loops wound around the target's centre line when it ended or was let go."""
+    episode, last = result.episode, int(result.episode.held.sum()) - 1
+    wanted = {name for name in episode.named_loops if {name, kind(name)} & {*task.loops}}
+    around = {name for name, loop in episode.named_loops.items() if holds(episode, last, loop)}
+    enough = wanted <= around if task.every else bool(wanted & around)
+    if result.success:
+        return ""
+    if "stretched" in result.reason:
+        return "torn"
+    if episode.held.all():
+        lost = "are seen" in result.reason
+        return "never let go" if enough else "loop not seen" if lost else "did not get around"
+    if enough:
+        return "fell after it was let go"
+    return "another loop" if around - wanted and not wanted & around else "let go too early"
+
+
+def holds(episode: Episode, frame: int, loop: Any) -> bool:
+    """Whether a loop is around the target in a frame; the target where it is at the end."""
+    try:
+        return linking_number(episode.points[frame][loop], close_far(episode.centre_line)) != 0
+    except ValueError:
+        return False
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tasks", nargs="+", default=TASKS)
@@ -122,6 +155,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["still"])
     parser.add_argument("--starts", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1000, help="of the first start")
+    parser.add_argument("--films", type=Path, help="a folder for the episodes of those that failed")
     parser.add_argument("--out", type=Path, default=Path("book/results/hanging.json"))
     options = parser.parse_args()
     rows = json.loads(options.out.read_text())["episodes"] if options.out.exists() else []
@@ -133,6 +167,9 @@ def main() -> None:
         result = run(task, who, scene, seed)
         rows.append({"task": task, "who": who, "scene": scene, "seed": seed, "success": result.success})
         rows[-1] |= {"frames": result.steps, "reason": result.reason, "linked": list(result.linked)}
+        rows[-1] |= {"cause": cause(KNOWN[task], result)}
+        if options.films and not result.success:
+            save_episode(options.films / f"{task} {who} {scene} {seed}.npz", result.episode)
         rows[-1] |= {"decision_ms": round(1000 * result.seconds_a_decision, 1), "seconds": time.perf_counter() - began}
         with atomic_file(options.out) as file:
             file.write(json.dumps({"command": "python tests/benchmarks/hanging.py", "episodes": rows}).encode())
@@ -147,7 +184,8 @@ def show(rows: list[dict[str, Any]]) -> None:
         interval = binomtest(len(hung), len(mine)).proportion_ci(method="wilson")
         share = f"{len(hung):3d} of {len(mine):3d} ({100 * interval.low:3.0f} to {100 * interval.high:3.0f} %)"
         frames = f"{np.median(hung):4.0f} frames" if hung else ""
-        print(f"{key[0]:26} {key[1]:16} {key[2]:9} {share} {frames}")
+        causes = Counter(row["cause"] for row in mine if row.get("cause"))
+        print(f"{key[0]:26} {key[1]:16} {key[2]:9} {share} {frames}", *(f"{n} {why}," for why, n in causes.items()))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
+    from ._dress import Dresser, Shoulderer
     from ._hang import Hanging, hang
     from ._planner import Carried, Planner
     from ._servo import Controller, Servo

@@ -16,11 +16,14 @@ from topokit.io import Episode
 from topokit.sim import Garment, HangEnv, Hook, Target, Task, task_for
 from topokit.sim._cloth import usual_config
 from topokit.sim._episode import Run, _episode
-from topokit.sim._tasks import as_task, asked
+from topokit.sim._tasks import as_task, asked, dress, put_on_shoulders
 from topokit.sim._world import check_stretch
 
+from ._dress import Dresser, Shoulderer
 from ._planner import Carried, Forecast, Planner
 from ._servo import Controller, Servo
+
+_WORN: dict[Any, type[Servo]] = {dress: Dresser, put_on_shoulders: Shoulderer}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,7 +64,7 @@ def hang(
         Those of the task when not given.
     model : optional
         Which forecast plans are made by (`Planner`): "carry", the checkpoint of a `topokit.models.Motion`, or one of one's own.
-        None is for the servo, which needs none.
+        None is for the servo, which needs none; so do `Dresser` and `Shoulderer`, who put on a mannequin what is worn.
     goal : optional
         As of `Servo`; when not given and the task asks for several loops, so many at once.
     controller : Controller, optional
@@ -92,11 +95,13 @@ def hang(
         goal = len(asked(task, garment.named_loops))
     try:
         how = {"radius": target.rods[0][2], "max_step": env.max_step, "late": options.get("late", 0)}
-        if controller is None:
-            controller = (
-                Servo(goal, **how) if forecast is None else Planner(forecast, goal, pace=pace, seed=seed, **how)
-            )
-        return _run(env, controller, seed, progress)
+        if task.plan in _WORN:
+            usually: Controller = _WORN[task.plan](goal, **how)
+        elif forecast is None:
+            usually = Servo(goal, **how)
+        else:
+            usually = Planner(forecast, goal, pace=pace, seed=seed, **how)
+        return _run(env, controller or usually, seed, progress)
     finally:
         env.close()
 

@@ -1,0 +1,260 @@
+"""Put on a mannequin what is worn: over its head from above, or by two straps over its shoulders.
+
+Idea: what is held by two grippers moves with them, so a fixed row of stops does, as long as it is told in the frame of the body
+and of what the cloth is seen to be. A shirt hangs open below the grippers as a tube does: its flat loops say where the middle of
+the tube is, its lowest point how high it must be lifted. Straps go past the ends of the shoulders, one on either side, and are
+drawn together behind them. The loops decide about the end: the grippers let go when they were seen around the neck, or around
+both shoulders, where they now are; else they go back and try again.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topokit.linking import close_far, curve_centroid, linking_number
+from topokit.sim._surface import turned
+
+from ._geometry import Arm, Array, angle
+from ._servo import PATIENCE, SURE, Servo
+
+_FLAT = 0.7  # share of a loop's area that looks up, at least, when its middle is one of the tube
+_NEW = 0.1  # weight of a new look at the middle
+_CLEAR = 0.06  # metres from the head to the lowest cloth above it
+_ON = 0.03  # metres above the shoulders at which a shirt is let go
+_ASIDE = 0.11  # metres that grippers pass above and beside the ends of the shoulders
+_NEAR, _FACING, _APART = 0.025, 7.0, 0.03  # metres and degrees that are near enough to a stop, and metres to an opening
+_GAIN, _TURN, _WIDEN = (
+    0.15,
+    3.5,
+    0.012,
+)  # share of what is missing that is made up for in a frame; degrees, metres, at most
+_SEEN = 2  # looks in which a strap was around its shoulder
+_TRIES = 4
+
+
+class _Body(NamedTuple):
+    """A mannequin: its axis, and its shoulders as seen from where it is approached."""
+
+    arm: Arm
+    line: Array  # (4, 3) from the floor to the top of the head
+    ends: Array  # (2, 3) of the shoulders, that to the right of one who comes first
+    shoulders: tuple[Array, ...]  # lines from the floor up and out through them
+
+    @classmethod
+    def of(cls, line: Array, rods: Array, place: Array) -> _Body | None:
+        """Of its centre line and its rods (R, 7), for what comes from a place; None when it has no head on shoulders."""
+        arm = Arm.of_head(line, rods, place)
+        if arm is None or Arm.of(line):  # what has an arm is a hook
+            return None
+        across = rods[:, 3:6] - rods[:, :3]
+        wide = np.linalg.norm(across[:, :2], axis=1)
+        ends = rods[np.argsort(-wide, kind="stable")[:2], 3:6]
+        right = np.cross(arm.out, [0, 0, -1.0])
+        ends = ends[np.argsort(ends @ right)[::-1]]
+        lines = (close_far(np.array([line[0], [*line[-1, :2], x[2]], x]), end=x - [*line[-1, :2], x[2]]) for x in ends)
+        return cls(arm, line, ends, tuple(lines))
+
+
+class _Wearing(Servo):
+    """Goes along stops in the frame of a body, and lets go when the loops are on."""
+
+    _SPEEDS: ClassVar[dict[str, float]]  # the stops, and the shares of the largest step on the way to them
+
+    def reset(self, observation: Mapping[str, Any]) -> None:
+        """Forget everything; begin with a first observation.
+
+        Parameters
+        ----------
+        observation : mapping
+            As `topokit.sim.HangEnv` gives it.
+        """
+        super().reset(observation)
+        self._loops: list[Array] = []
+        self._natural = float(np.linalg.norm(self._goals[1] - self._goals[0]))
+
+    def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
+        """Return the next action; nothing moves once there is a `reason` to give up."""
+        points, grippers, line, rods = (
+            np.asarray(observation[key], np.float64) for key in ("points", "grippers", "target", "rods")
+        )
+        body = _Body.of(line, rods, self._front)
+        if body is None or self.reason or not observation["held"]:
+            self.reason = self.reason or ("" if body else "the target has no head on shoulders")
+            return np.zeros(7, np.float32)
+        self._frame, self._wide = self._frame + 1, 0.0
+        self._follow(points, grippers, line)
+        return self._onward(body, grippers)
+
+    def _look(self, points: Array) -> None:
+        """Take in the loops that are seen now."""
+        found = self._tracker.update(np.unique(points, axis=0)).loops
+        self._loops = [self._inside(loop.cycle_points) for loop in found]
+        self._measure(self._inside(points))
+
+    def _onward(self, body: _Body, grippers: Array) -> NDArray[np.float32]:
+        """Bring the grippers nearer to the stop; then comes the next stop, or they let go."""
+        stop, here = list(self._SPEEDS)[self._stop], self._here()
+        goal, gap = self._goal_of(stop, here, body)
+        way, facing = goal - here, self._facing(stop, body, grippers)
+        apart = gap - float(np.linalg.norm(self._goals[1] - self._goals[0]))
+        there = np.linalg.norm(way) < _NEAR and abs(facing) < _FACING and abs(apart) < _APART
+        self._waited += 1
+        if self._worn(stop, body) and stop == "down" and (there or self._waited > PATIENCE):
+            return np.eye(7, dtype=np.float32)[6]
+        if (there and stop != "down") or self._waited > 2 * PATIENCE:
+            self._stop, self._waited = self._stop + 1, 0
+        if self._stop == len(self._SPEEDS):
+            self._stop, self._tries = 0, self._tries + 1
+            self.reason = "" if self._tries < _TRIES else f"in {_TRIES} tries it was not seen to be worn"
+        way = _GAIN * way
+        way *= min(1.0, self._SPEEDS[stop] * self.max_step / max(float(np.linalg.norm(way)), 1e-9))
+        goals = here + turned(self._goals - here, np.clip(_GAIN * facing, -_TURN, _TURN)) + way + self._drift
+        across = (goals[1] - goals[0]) / np.linalg.norm(goals[1] - goals[0])
+        goals = goals + np.array([[-0.5], [0.5]]) * across * np.clip(apart, -_WIDEN, _WIDEN)
+        return self._step(goals, grippers)
+
+    def _here(self) -> Array:
+        """What is brought to the stops: midway between the grippers."""
+        return self._middle
+
+    @abstractmethod
+    def _measure(self, cloth: Array) -> None:
+        """Take in the cloth (n, 3) and the loops, in the frame of the grippers."""
+
+    @abstractmethod
+    def _goal_of(self, stop: str, here: Array, body: _Body) -> tuple[Array, float]:
+        """Where that should be at a stop, and how far apart the grippers."""
+
+    @abstractmethod
+    def _facing(self, stop: str, body: _Body, grippers: Array) -> float:
+        """Degrees by which the garment has to turn."""
+
+    @abstractmethod
+    def _worn(self, stop: str, body: _Body) -> bool:
+        """Whether the loops were seen to be on."""
+
+
+class Dresser(_Wearing):
+    """Put a shirt on a mannequin from above: a `Controller` that sees as `Servo` does, and needs no forecast.
+
+    Parameters
+    ----------
+    goal, radius, max_step, late
+        As in `Servo`; whatever the goal, it is one garment that is put on.
+    """
+
+    _SPEEDS: ClassVar[dict[str, float]] = {"up": 0.5, "above": 0.45, "down": 0.35, "lift": 0.4}
+
+    def reset(self, observation: Mapping[str, Any]) -> None:
+        """Forget everything; begin with a first observation.
+
+        Parameters
+        ----------
+        observation : mapping
+            As `topokit.sim.HangEnv` gives it.
+        """
+        super().reset(observation)
+        self._centre, self._length, self._around = np.zeros(3), 0.0, 0
+
+    def _measure(self, cloth: Array) -> None:
+        self._length = -float(cloth[:, 2].min())
+        for loop in self._loops:
+            area = np.cross(loop - loop[0], np.roll(loop, -1, axis=0) - loop[0]).sum(axis=0)
+            if abs(area[2]) > _FLAT * np.linalg.norm(area):
+                self._centre = (1 - _NEW) * self._centre + _NEW * curve_centroid(loop) * [1, 1, 0]
+
+    def _here(self) -> Array:
+        return self._outside(self._centre[None])[0]
+
+    def _goal_of(self, stop: str, here: Array, body: _Body) -> tuple[Array, float]:
+        top, shoulders = body.line[-1], body.line[-2]
+        above = top[2] + _CLEAR + self._length
+        if stop in ("up", "lift"):
+            return np.array([*here[:2], max(above, here[2]) if stop == "up" else above]), self._natural
+        return np.array([*top[:2], above if stop == "above" else shoulders[2] + _ON]), self._natural
+
+    def _facing(self, stop: str, body: _Body, grippers: Array) -> float:
+        """To the line of the shoulders, either way round; not before the garment is up."""
+        aside = angle(grippers[1] - grippers[0], body.ends[1] - body.ends[0])
+        return 0.0 if stop == "up" else (aside + 90) % 180 - 90
+
+    def _worn(self, stop: str, body: _Body) -> bool:
+        on = any(body.arm.holds(self._outside(loop)) for loop in self._loops)
+        self._around = self._around + 1 if on else 0
+        return self._around >= SURE
+
+
+class Shoulderer(_Wearing):
+    """Put two straps over the shoulders of a mannequin: a `Controller` that sees as `Servo` does, and needs no forecast.
+
+    Parameters
+    ----------
+    goal, radius, max_step, late
+        As in `Servo`; whatever the goal, it is both straps that are put on.
+    """
+
+    _SPEEDS: ClassVar[dict[str, float]] = {
+        "far": 0.4,
+        "before": 0.25,
+        "past": 0.2,
+        "together": 0.2,
+        "down": 0.2,
+        "lift": 0.2,
+        "apart": 0.2,
+        "back": 0.2,
+    }
+
+    def reset(self, observation: Mapping[str, Any]) -> None:
+        """Forget everything; begin with a first observation.
+
+        Parameters
+        ----------
+        observation : mapping
+            As `topokit.sim.HangEnv` gives it.
+        """
+        super().reset(observation)
+        self._ahead = (
+            0.0  # metres from the cloth's middle to the straps, to the left of the way from gripper to gripper
+        )
+        self._seen = np.zeros(2, np.int64)
+
+    def _measure(self, cloth: Array) -> None:
+        self._ahead = (1 - _NEW) * self._ahead - _NEW * float(cloth[:, 1].mean())
+
+    def _goal_of(self, stop: str, here: Array, body: _Body) -> tuple[Array, float]:
+        end = body.ends.mean(axis=0)
+        x = float(np.linalg.norm(body.ends[1] - body.ends[0])) / 2
+        away, up, half = {
+            "far": (0.45, _ASIDE, self._natural / 2),
+            "before": (0.1, _ASIDE, x + _ASIDE),
+            "past": (-0.13, _ASIDE, x + _ASIDE),
+            "together": (-0.13, _ASIDE, x - 0.08),
+            "down": (-0.1, -0.07, x - 0.08),
+            "lift": (-0.13, _ASIDE, x - 0.08),
+            "apart": (-0.13, _ASIDE, x + _ASIDE),
+            "back": (0.3, _ASIDE, x + _ASIDE),
+        }[stop]
+        return end + away * body.arm.out + [0, 0, up], 2 * half
+
+    def _facing(self, stop: str, body: _Body, grippers: Array) -> float:
+        """The straps ahead, to the body."""
+        ahead = turned(np.array([0, np.sign(self._ahead), 0]), self._yaw)
+        return angle(ahead, -body.arm.out)
+
+    def _worn(self, stop: str, body: _Body) -> bool:
+        curves = [self._outside(loop) for loop in self._loops]
+        on = [any(_around(curve, line) for curve in curves) for line in body.shoulders]
+        self._seen = (self._seen + on) * (stop == "down")
+        return bool((self._seen >= _SEEN).all())
+
+
+def _around(curve: Array, line: Array) -> bool:
+    try:
+        return linking_number(curve, line) != 0
+    except ValueError:  # they touch
+        return False
