@@ -32,9 +32,7 @@ book: env opengl
 	@echo "The book: file://$(CURDIR)/_build/html/index.html"
 
 pdf: book
-	@rm -rf _build/single
-	@$(BIN)/python -m sphinx -q -b singlehtml -c book -d _build/doctrees . _build/single
-	@$(BIN)/python book/on_paper.py _build/single
+	@$(BIN)/python book/on_paper.py
 
 # The system's own Chromium, asked by Playwright: no browser is fetched.
 BROWSER := .venv-browser

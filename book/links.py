@@ -73,7 +73,9 @@ class Index(SphinxTransform):
             node for node in self.document.findall(nodes.Element) if node.get("realtype") and node.get("title")
         ]:
             for name in names(stated["title"]):
-                _enter(stated, name, stated["ids"][0], stated["realtype"])
+                kind = stated["realtype"]
+                name = name[0].lower() + name[1:] if kind == "definition" else name
+                _enter(stated, name, stated["ids"][0], "" if name.endswith(kind) else kind)
         seen = set()
         for used in list(self.document.findall(addnodes.pending_xref)):
             if used.get("reftype") == "term" and used["reftarget"].casefold() not in seen:

@@ -11,7 +11,8 @@ function slidesOf(section) { // each: the headings above it, what it shows, the 
       else if (block.matches("h1, h2, h3")) heads = [block];
       else if (block.matches(".exercise, .topokit-takes, details")) continue;
       else if (block.matches(SHOWN) && worthASlide(block)) {
-        slides.push({ heads, block, notes });
+        const lead = block.matches("ul, ol") && notes.at(-1)?.textContent.length < 80 ? [notes.pop()] : []; // "Afterwards you can"
+        slides.push({ heads: [...heads, ...lead], block, notes });
         notes = [];
       } else notes.push(block);
     }
