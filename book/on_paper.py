@@ -1,9 +1,9 @@
-"""The whole book as one page, `_build/paper.html`, and that page printed by the Chromium of the machine, `_build/topokit.pdf`.
+"""The book as one page, `_build/paper.html`, and that page printed by the Chromium of the machine, `_build/topokit.pdf`.
 
     make pdf
 
 The articles of the built pages stand one after another; links between them stay inside. Moving figures are printed as they stand,
-hints are open, code that is folded stays so.
+hints are open, code that is folded stays so. The reference of functions and the tables of results are for the screen.
 """
 
 from __future__ import annotations
@@ -23,17 +23,19 @@ CHILD = re.compile(r'<li class="toctree-l\d[^"]*"><a class="reference internal" 
 LINK = re.compile(r'(\b(?:xlink:)?href|\bsrc)="(?!\w+:|data:)([^"#]*)(#[^"]*)?"')
 STYLE = """<style>
 @page { size: A4; margin: 16mm 14mm; }
+html { font-size: 85%; }
 article { break-before: page; max-width: 46rem; margin: 0 auto; }
 .cell, figure, .math, .topokit-plot, table { break-inside: avoid; }
+h1, h2, h3 { break-after: avoid; }
 .headerlink, .topokit-takes a[download], .topokit-gif button, .topokit-copy { display: none !important; }
 </style>"""
 
 
 def order(html: Path) -> list[str]:
-    """The pages in the order of the table of contents."""
+    """The pages for paper, in the order of the table of contents."""
     text = (html / FIRST).read_text(encoding="utf-8")
     pages = [posixpath.normpath(posixpath.join("book", href)) for href in CHILD.findall(text)]
-    return list(dict.fromkeys([FIRST, *pages]))
+    return [page for page in dict.fromkeys([FIRST, *pages]) if not page.startswith(("book/api", "book/report"))]
 
 
 def article(html: Path, pages: list[str], page: str) -> str:
@@ -58,7 +60,9 @@ def article(html: Path, pages: list[str], page: str) -> str:
 def whole(html: Path) -> str:
     """The one page, for a file beside the folder of the built book, which it takes its looks from."""
     pages = order(html)
-    head = re.search(r"<head>(.*?)</head>", (html / FIRST).read_text(encoding="utf-8"), re.DOTALL)[1]
+    chapter = next(page for page in pages if 'class="math' in (html / page).read_text(encoding="utf-8"))
+    head = re.search(r"<head>(.*?)</head>", (html / chapter).read_text(encoding="utf-8"), re.DOTALL)[1]
+    head = re.sub("<title>.*?</title>", "<title>topokit</title>", head, flags=re.DOTALL)
     head = LINK.sub(lambda link: f'{link[1]}="html/{posixpath.normpath(posixpath.join("book", link[2]))}"', head)
     articles = "\n".join(article(html, pages, page) for page in pages)
     body = f'<div class="bd-content"><main class="bd-main">{articles}</main></div>'
