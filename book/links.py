@@ -16,6 +16,7 @@ from sphinx.transforms import SphinxTransform
 
 # "chapter 3", "chapters 3 to 6", "chapters 5, 10 and 12"
 CALLED = re.compile(r"\b[Cc]hapters?\s+\d+(?:(?:,| to| and| or)\s+\d+)*")
+STATED = ("definition", "theorem", "lemma", "proposition", "corollary")
 KEPT = (nodes.reference, nodes.literal, nodes.literal_block, nodes.title, nodes.raw, nodes.math, nodes.caption)
 
 
@@ -69,12 +70,9 @@ class Index(SphinxTransform):
     def apply(self, **kwargs: Any) -> None:
         if not CHAPTER.match(self.env.docname) and self.env.docname != "book/modules":
             return
-        for stated in [
-            node for node in self.document.findall(nodes.Element) if node.get("realtype") and node.get("title")
-        ]:
-            for name in names(stated["title"]):
-                kind = stated["realtype"]
-                name = name[0].lower() + name[1:] if kind == "definition" else name
+        for stated in [node for node in self.document.findall(nodes.Element) if node.get("realtype") in STATED]:
+            kind = stated["realtype"]
+            for name in names(kind, stated.get("title", "")):
                 _enter(stated, name, stated["ids"][0], "" if name.endswith(kind) else kind)
         seen = set()
         for used in list(self.document.findall(addnodes.pending_xref)):
@@ -85,9 +83,13 @@ class Index(SphinxTransform):
                 _enter(used, used["reftarget"], place, "")
 
 
-def names(title: str) -> list[str]:
-    """What a title names: "(Bar, killer edge, diagram)" are three things."""
-    return [name for part in title.strip(" ()").split(",") if (name := part.strip().removeprefix("and "))]
+def names(kind: str, title: str) -> list[str]:
+    """What a title names: the definition "(Bar, killer edge, diagram)" three things, a theorem itself."""
+    title = title.strip(" ()")
+    if kind != "definition":
+        return [title] if title else []
+    parts = [part.strip().removeprefix("and ") for part in title.split(",")]
+    return [part[0].lower() + part[1:] for part in parts if part]
 
 
 def _enter(node: nodes.Node, name: str, place: str, kind: str) -> None:

@@ -154,7 +154,10 @@ def test_chapters_called_by_their_numbers_are_found(book):
     assert "".join(text for text, _ in pieces(said)) == said
     assert [(text, k) for text, k in pieces(said) if k is not None] == [(str(k), k) for k in (3, 6, 1, 2, 14)]
     assert pieces("the chapter after 3") == [("the chapter after 3", None)]
-    assert book("links").names(" (Bar, killer edge, and diagram)") == ["Bar", "killer edge", "diagram"]
+    names = book("links").names
+    assert names("definition", " (Bar, killer edge, and diagram)") == ["bar", "killer edge", "diagram"]
+    assert names("theorem", " (Lune theorem)") == ["Lune theorem"]
+    assert names("lemma", "") == []
 
 
 def test_teachers_see_every_question_with_its_answer_folded(book):
@@ -181,3 +184,24 @@ def test_files_for_other_places_name_what_is_there():
     linked = re.findall(r"lab/tree/(\S+)", (ROOT / "book" / "elsewhere.md").read_text(encoding="utf-8"))
     assert linked
     assert all((ROOT / path).is_file() for path in linked)
+
+
+def test_a_page_for_paper_leads_its_links_to_itself(book, tmp_path):
+    paper = book("on_paper")
+    nav = '<li class="toctree-l1"><a class="reference internal" href="../notebooks/00.html">0</a></li>'
+    pages = {
+        "book/index.html": f'<head><title>x</title></head>{nav}<article class="bd-article"><a href="#a">a</a></article>',
+        "notebooks/00.html": '<head><title>x</title><link href="../_static/a.css"></head><article class="bd-article">'
+        '<p id="b" class="math">b</p><a href="../book/index.html#a">a</a><img src="../_images/c.png" loading="lazy">'
+        '<svg><path id="q"/><use xlink:href="#q"/><g clip-path="url(#q)"/></svg><a href="https://x.org/#y">x</a></article>',
+    }
+    for name, text in pages.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    page = paper.whole(tmp_path)
+    for part in ('href="#p0-a"', 'id="p1-b"', 'src="html/_images/c.png"', 'xlink:href="#p1-q"', "url(#p1-q)"):
+        assert part in page
+    assert page.count('href="#p0-a"') == 2
+    assert 'href="html/_static/a.css"' in page
+    assert 'href="https://x.org/#y"' in page
+    assert "lazy" not in page
