@@ -2,7 +2,7 @@
 # make test   the same environment; unit tests, doctests, notebooks, lint
 # make core   the small library alone, in an environment with NumPy, SciPy and numba, under any Python that it supports (PYTHON=...)
 # make lowest the same with the lowest versions that pyproject.toml states; EXTRAS="sim data learn sensors view" adds theirs, and every test
-# make doors  tests of the doors to neighbours that the environment lacks (Ripser, persim, Rerun, Stable-Baselines3), in one beside it
+# make doors  tests of the doors to neighbours that the environment lacks (Ripser, persim, pyarrow, Rerun, Stable-Baselines3), in one beside it
 # make hashes requirements-hashed.txt anew: after every change of requirements.txt
 # make supply licences and a bill of materials of the environment, into _build, and an audit for known vulnerabilities
 # make pdf    the whole book as one page, and that printed by Chromium
@@ -76,7 +76,7 @@ DOORS := .venv-doors
 doors: env
 	$(BIN)/python -m venv --clear $(DOORS)
 	$(BIN)/python -c "import site; print(site.getsitepackages()[0])" > $(DOORS)/lib/python3.11/site-packages/beside.pth
-	$(DOORS)/bin/python -m pip install --quiet --editable '.[rerun,rl]' persim pyarrow ripser
+	$(DOORS)/bin/python -m pip install --quiet --editable '.[pyarrow,rerun,rl]' persim ripser
 	$(DOORS)/bin/python -m pytest -o addopts=-ra tests/test_compat*.py tests/test_coming_from.py
 
 # torch stays outside: its builds (CPU, CUDA) come from several indexes, each with hashes of its own.

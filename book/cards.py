@@ -1,6 +1,7 @@
 """What a chapter takes: its card on the first page, and the line at its top. Numbers are counted or measured, not typed.
 
-Time to read comes from words and from code that is shown, time to run from the last run of the notebook.
+Time to read comes from words and from code that is shown, time to run from the last run of the notebook, what a chapter builds on
+from its own first sentence.
 """
 
 from __future__ import annotations
@@ -20,12 +21,7 @@ CHAPTER = re.compile(r"notebooks/0*(\d+)_")
 TOPICS = re.compile(r"^\| \d+ \[[^]]*\]\((notebooks/\w+)\.ipynb\) \| (.*) \|$", re.MULTILINE)
 WORDS, CELL = 200, 0.5  # words that are read in a minute; minutes for a cell of code that is shown
 
-# Which chapters one must have read. Where a chapter says so itself ("**Before:** ..."), a test holds the two together.
-BUILDS_ON: dict[int, list[int]] = {
-    **{0: [], 1: [], 2: [1], 3: [2], 4: [3], 5: [2], 6: [4, 5]},
-    **{7: [2, 3, 4, 5], 8: [0], 9: [8], 10: [7], 11: [9, 10], 12: [7, 11]},
-    **{13: [9, 10, 11, 12], 14: [5, 8], 15: [7, 12, 14], 16: [2, 15]},
-}
+BEFORE = re.compile(r"^\*\*Before:\*\* .*", re.MULTILINE)
 
 
 class chapter_cards(nodes.General, nodes.Element):
@@ -51,6 +47,19 @@ def chapters(app: Any) -> dict[int, str]:
     return {int(found[1]): name for name in sorted(app.env.found_docs) if (found := CHAPTER.match(name))}
 
 
+def read(chapter: str) -> dict[str, Any]:
+    """A chapter's notebook."""
+    return json.loads((ROOT / f"{chapter}.ipynb").read_text(encoding="utf-8"))
+
+
+def builds_on(notebook: dict[str, Any]) -> list[int]:
+    """The chapters that a chapter asks for where it says "**Before:** ..."; "[...] to [...]" are all between, too."""
+    said = BEFORE.search("".join(notebook["cells"][0]["source"]))[0]
+    said = re.sub(r"; [^;]* at least", "", said)  # that is for who skips these
+    numbers = [int(number) for number in re.findall(r"\]\((\d+)_\w+\.ipynb\)", said)]
+    return list(range(numbers[0], numbers[-1] + 1)) if ") to [" in said else numbers
+
+
 def minutes_to_read(notebook: dict[str, Any]) -> int:
     """From the words and the code that is not folded, to five minutes."""
     words = code = 0
@@ -71,10 +80,9 @@ def time_to_run(seconds: float | None) -> str:
 
 def takes(app: Any, chapter: str) -> str:
     """How long a chapter takes."""
-    notebook = json.loads((ROOT / f"{chapter}.ipynb").read_text(encoding="utf-8"))
     ran = app.env.nb_metadata.get(chapter, {}).get("exec_data", {}).get("runtime")
     run = time_to_run(ran)
-    return f"{minutes_to_read(notebook)} min to read" + (f", {run} to run" if run else "")
+    return f"{minutes_to_read(read(chapter))} min to read" + (f", {run} to run" if run else "")
 
 
 def links_to(app: Any, page: str, numbers: list[int]) -> str:
@@ -89,22 +97,22 @@ def links_to(app: Any, page: str, numbers: list[int]) -> str:
 
 
 def _about(app: Any, page: str, chapter: str) -> str:
-    before = BUILDS_ON[int(CHAPTER.match(chapter)[1])]
+    before = builds_on(read(chapter))
     return f"{takes(app, chapter)}; " + (
         f"builds on {links_to(app, page, before)}" if before else "needs no other chapter"
     )
 
 
 def _line(app: Any, doctree: nodes.document, docname: str) -> None:
-    """Say below a chapter's title what it takes, and what it builds on unless its first sentence does."""
+    """Say below a chapter's title how long it takes; its first sentence says what it builds on."""
     title = next(doctree.findall(nodes.title), None)
     if CHAPTER.match(docname) and title is not None and app.builder.format == "html":
-        at = title.parent.index(title) + 1
-        says_so = title.parent[at].astext().startswith("Before:")
-        words = takes(app, docname) if says_so else _about(app, docname, docname)
         notebook = docname.rpartition("/")[2] + ".ipynb"
-        words += f' &middot; <a href="{notebook}" download>download</a>, <a href="?slides">slides</a>'
-        title.parent.insert(at, nodes.raw("", f'<p class="topokit-takes">{words}</p>', format="html"))
+        words = (
+            f'{takes(app, docname)} &middot; <a href="{notebook}" download>download</a>, <a href="?slides">slides</a>'
+        )
+        line = nodes.raw("", f'<p class="topokit-takes">{words}</p>', format="html")
+        title.parent.insert(title.parent.index(title) + 1, line)
 
 
 def _cards(app: Any, doctree: nodes.document, docname: str) -> None:

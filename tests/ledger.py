@@ -164,12 +164,12 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
     ),
     (
         "where_the",
-        "the intrinsic corollary speaks in {} of {} steps",
+        "The intrinsic corollary speaks in {} of {} steps",
         lambda r: speaks(r, "corollary", "intrinsic"),
     ),
     (
         "where_the",
-        "about {} times the killer's length; the gates speak in {}",
+        "about {} times the killer's length. The gates speak in {}",
         lambda r: (
             WORDS.get(
                 round(middle(r, "lemmas_on_test", "beta_intrinsic") / (2 * middle(r, "lemmas_on_test", "death")))
@@ -342,16 +342,16 @@ ASSERTED: list[tuple[str, str, str]] = [
     ("the_edge_that", "the edge leaps in 27 of 285 steps", "(edge_leaps.sum(), len(edge_leaps)) == (27, 285)"),
     (
         "the_edge_that",
-        "it jumped in four of forty on each of the two sheets",
+        "it jumped in four of forty on the sheet with a hole and on the apron",
         "assert resampled[:, 2].tolist() == [0, 0, 1, 4, 0, 4]",
     ),
     ("where_the", "on the sheet and six times on the apron, over critical edges 1.1 and 1.4 times", "== [2, 3, 6]"),
-    ("where_the", "on the slot it is three times that", "== [1.1, 3.2, 1.4]"),
+    ("where_the", "On the slot it is three times that", "== [1.1, 3.2, 1.4]"),
     ("where_the", "are 28 mm apart if the unit is a metre", "== (0.028, 0.781, 1.94)"),
     ("where_the", "they are 1.94 times that apart", "== (0.028, 0.781, 1.94)"),
     (
         "where_the",
-        "it is object-sized in nine of ten",
+        "is object-sized in nine of ten",
         "np.allclose([long.mean(), *small], [0.3, 0.75, 0.1], atol=0.02)",
     ),
     ("where_the", "Three of the four were refuted by random clouds", 'assert false - refuted == {"corollary"}'),
@@ -434,7 +434,7 @@ GIVEN: list[tuple[str, str, str]] = [
     ("where_the", "of one of two points that are", "no measurement"),
     ("where_the", "shaken by up to 5% of the hole's radius", SET),
     ("where_the", "forty times from different starting points", SET),
-    ("where_the", "two hundred times; on the right", SET),
+    ("where_the", "two hundred times, each coordinate shaken", SET),
     ("where_the", "Three films of one apron", SET),
     ("where_the", "in every step of three films of an apron", SET),
     ("README.md", "what 23,000 episodes cost", "the paper's number of trajectories"),
@@ -465,6 +465,7 @@ GIVEN: list[tuple[str, str, str]] = [
         SET,
     ),
     ("seqph_following", "the killer edge's length within 36 ms", "the time between two frames"),
+    ("seqph_following", "a hundred times for each number of points", SET),
     ("seqph_following", "So here are ten garments of the wardrobe", SET),
     ("seqph_following", "Bars are 95 % intervals over episodes, drawn with replacement a thousand times", LEVEL),
     ("seqph_following", "With noise of 5 mm and behind a hand", "the name of a condition"),

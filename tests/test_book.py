@@ -119,21 +119,22 @@ def test_a_result_is_found_by_its_path_and_a_star_is_a_sum(shell):
         shell._at(results, ["row"])
 
 
-def test_chapters_build_on_earlier_ones_and_say_the_same_themselves(book):
-    builds_on = book("cards").BUILDS_ON
-    assert list(builds_on) == list(range(len(list((ROOT / "notebooks").glob("*.ipynb")))))
-    assert all(before < chapter for chapter, befores in builds_on.items() for before in befores)
-    said = 0
+def test_chapters_build_on_earlier_ones(book):
+    cards, on = book("cards"), {}
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        on[int(path.name[:2])] = cards.builds_on(cards.read(f"notebooks/{path.stem}"))
+    assert all(before < chapter for chapter, befores in on.items() for before in befores)
+    assert not on[0]
+    assert all(befores for chapter, befores in on.items() if chapter)
+    words = "**Before:** [chapters 2](02_a.ipynb) to [4](04_b.ipynb); [chapter 0](00_c.ipynb) at least."
+    assert cards.builds_on({"cells": [{"source": ["# A\n", "\n", words]}]}) == [2, 3, 4]
+
+
+def test_first_sentences_call_chapters_by_the_numbers_of_their_files():
     for name, text in prose().items():
-        found = re.search(r"^\*\*Before:\*\* .*", text, re.MULTILINE)
-        if found:
-            numbers = [int(number) for _, number in LINK.findall(found[0])]
-            assert [int(k) for k in re.findall(r"\[(?:chapters? )?(\d+)\]", found[0])] == numbers, name
-            if re.search(r"\) to \[", found[0]):
-                numbers = list(range(numbers[0], numbers[-1] + 1))
-            assert numbers == builds_on[int(name[:2])], name
-            said += 1
-    assert said
+        for said in re.findall(r"^\*\*Before:\*\* .*", text, re.MULTILINE):
+            called = re.findall(r"\[(?:chapters? )?(\d+)\]\((\d+)_", said)
+            assert all(int(number) == int(file) for number, file in called), name
 
 
 def test_time_to_read_is_of_words_and_of_code_that_is_shown(book):

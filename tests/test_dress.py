@@ -87,9 +87,16 @@ def test_what_has_no_loop_is_never_let_go():
 @pytest.mark.parametrize("turn", [0.0, 40.0])
 def test_straps_go_over_both_shoulders(turn):
     start = DUMMY.seat + turned(np.array([0.1, -0.8, 0.0]), 70)
-    clouds, action = carried(Shoulderer(), straps(), start, 70.0 + turn, 0.44)
+    clouds, action = carried(Shoulderer(), straps() * [1.25, 1, 1], start, 70.0 + turn, 0.55)
     assert action[6] == 1
     assert all(DUMMY.holds(clouds[-1][part]) for part in (slice(0, 24), slice(24, 48)))
+
+
+def test_straps_that_are_too_narrow_are_refused_before_anything_tears():
+    controller = Shoulderer()
+    clouds, _ = carried(controller, straps() * [0.7, 1, 1], DUMMY.seat + [0, -0.8, 0], 70.0, 0.3)
+    assert len(clouds) == 1
+    assert "0.30 m apart do not pass shoulders that take 0.5" in controller.reason
 
 
 @pytest.mark.parametrize("kind", [Dresser, Shoulderer])

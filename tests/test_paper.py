@@ -103,13 +103,17 @@ def test_every_theorem_has_a_proof_or_a_source_with_the_place():
     assert seen["theorem"] >= 10
 
 
-@pytest.mark.parametrize("chapter", ["00", "01", "02", "03", "04", "05", "06"])
-def test_every_exercise_has_a_hint_and_a_folded_solution(chapter):
+@pytest.mark.parametrize("chapter", [f"{k:02}" for k in range(9)])
+def test_every_exercise_says_its_level_and_has_a_hint_and_a_folded_solution(chapter):
     (path,) = (ROOT / "notebooks").glob(f"{chapter}*.ipynb")
-    cells = json.loads(path.read_text())["cells"]
-    asked = [k for k, cell in enumerate(cells) if "::::{exercise}" in "".join(cell["source"])]
-    assert 3 <= len(asked) <= 5
-    for k in asked:
-        assert "<summary>Hint</summary>" in "".join(cells[k]["source"])
-        assert "hide-cell" in cells[k + 1]["metadata"]["tags"]
-        assert cells[k + 1]["metadata"]["jupyter"]["source_hidden"]  # folded in JupyterLab too
+    cells, levels = json.loads(path.read_text())["cells"], []
+    for cell, after in zip(cells, [*cells[1:], {"metadata": {}}], strict=True):
+        for asked in re.findall(r"^::::\{exercise\}.*?^::::$", "".join(cell["source"]), re.M | re.S):
+            levels += [re.search(r":label: ex-[\w-]+\n\n\*\*([\w -]+)\.\*\* ", asked)[1]]
+            assert "<summary>Hint</summary>" in asked
+            folded = "hide-cell" in after["metadata"].get("tags", [])
+            assert not folded or after["metadata"]["jupyter"]["source_hidden"]  # folded in JupyterLab too
+            assert (
+                "<summary>What is known</summary>" in asked if "Open" in levels[-1] else folded or "Solution</" in asked
+            )
+    assert set(levels) - {"Project"} == {"Warm-up", "Exercise", "Proof", "Open question"}

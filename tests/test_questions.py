@@ -90,7 +90,7 @@ def test_words_are_compared_without_case_and_brackets_and_numbers_with_their_tol
 
 
 def test_what_cannot_be_asked_or_answered_says_so():
-    with pytest.raises(ValueError, match="no question 'lune'; there are lune-1, half-1"):
+    with pytest.raises(ValueError, match="no question 'lune'; there are rectangle-1, ring-1"):
         check("lune", 3)
     with pytest.raises(ValueError, match="'lune-1' asks for a number, and 'four' is none"):
         check("lune-1", "four")

@@ -31,7 +31,7 @@ CONDA_VERSIONS = {("pybullet", "3.2.7"): "3.25"}  # conda-forge numbers Bullet, 
 
 
 # Extras that no default environment has: their packages are large, and their doors small.
-DOORS = {"rerun": "rerun-sdk", "rl": "stable-baselines3"}
+DOORS = {"pyarrow": "pyarrow", "rerun": "rerun-sdk", "rl": "stable-baselines3"}
 
 
 def pinned() -> tuple[dict[str, str], dict[str, str]]:
@@ -131,7 +131,7 @@ def test_nothing_that_topokit_imports_is_copyleft():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
     listed = [entry for name in ("sim", "learn", "data", "sensors", "view") for entry in extras[name]]
-    absent = {name for name in DOORS.values() if name not in installed()}
+    absent = {name for name in {*DOORS.values(), "rclpy"} if name not in installed()}  # rclpy comes with ROS
     below = needed([*project["dependencies"], *listed, *imported_distributions() - absent])
     assert {"numpy", "zarr", "pillow"} <= below
     assert not {name for name in below if name in COPYLEFT or is_copyleft(name)}

@@ -612,7 +612,7 @@ def test_track_takes_an_archive_of_clouds_that_topokit_did_not_write(tmp_path, c
         (["episode.npz", "--unit", "mm"], "--unit is for clouds, and episode.npz is not: leave it out"),
         (["cloud.txt"], "holds files .txt"),
         (["depth.npy", "--intrinsics", "none.json"], "error: none.json: there is no such file"),
-        (["--live", "--topic", "/points"], "leave out topic"),
+        (["--live", "--topic", "/points", "--fps", "3"], "leave out fps"),
     ],
 )
 def test_bad_calls_write_nothing(arguments, says, film, tmp_path, episode_path, capsys, monkeypatch):

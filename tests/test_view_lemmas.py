@@ -23,14 +23,13 @@ def test_coverage_holds_the_scene_and_who_is_observed():
     assert (data["observed"], data["title"]) == ([0, 2, 4], "thirty </script> points")
 
 
-def test_motion_holds_both_ends_and_the_leash():
-    after = np.array(SQUARE) + 0.1
-    data = page_data(view.motion(SQUARE, 0.25, after))
-    assert (data["points"], data["after"], data["epsilon"]) == (SQUARE, after.tolist(), 0.25)
-    assert page_data(view.motion(SQUARE, 1))["after"] is None
+def test_motion_holds_the_points_the_leash_and_who_is_seen():
+    data = page_data(view.motion(SQUARE, 0.25, [2, 0, 1]))
+    assert (data["points"], data["observed"], data["epsilon"]) == (SQUARE, [0, 1, 2], 0.25)
+    assert page_data(view.motion(SQUARE, 1))["observed"] is None
 
 
-@pytest.mark.parametrize("figure", [view.coverage(SQUARE, [0, 1, 2]), view.motion(SQUARE, 0.1, SQUARE)])
+@pytest.mark.parametrize("figure", [view.coverage(SQUARE, [0, 1, 2]), view.motion(SQUARE, 0.1, [0, 1])])
 def test_pages_are_whole_small_and_ask_nothing_of_the_network(figure, tmp_path):
     page = figure.save(tmp_path / "figure.html").read_text(encoding="utf-8")
     assert page.startswith("<!doctype html>")
@@ -51,12 +50,7 @@ def test_pages_are_whole_small_and_ask_nothing_of_the_network(figure, tmp_path):
         (lambda: view.coverage(SQUARE, [1, 4]), ValueError, "observed names vertex 4; there are 4"),
         (lambda: view.motion(np.zeros((5, 3)), 1), ValueError, "points must lie in the plane"),
         (lambda: view.motion(SQUARE, 0), ValueError, "epsilon must be more than zero"),
-        (
-            lambda: view.motion(SQUARE, 1, SQUARE[:3]),
-            ValueError,
-            "after must have a row for each of the 4 points, not 3",
-        ),
-        (lambda: view.motion(SQUARE, 1, np.zeros((4, 3))), ValueError, "after must lie in the plane"),
+        (lambda: view.motion(SQUARE, 1, [4]), ValueError, "observed names vertex 4; there are 4"),
     ],
 )
 def test_refuses_what_it_cannot_show(call, error, message):
@@ -121,3 +115,52 @@ def test_matching_with_an_empty_diagram():
         [found] = by_script(SCRIPTS, MATCH, [(a, b, False)])
         assert found["partner"] == partner
         assert found["bottleneck"] == pytest.approx(0 if not (found["s"] or found["o"]) else (np.sqrt(2) - 1) / 2)
+
+
+ATTACK = """([points, epsilon]) => {
+  const lives = [];
+  let moved = points, loops;
+  for (let k = 0; k < 150 && (loops = rips(moved).loops).length; k++) {
+    lives.push(loops[0].death - loops[0].birth);
+    moved = push(moved, points, loops[0], epsilon, 1 - k / 150);
+  }
+  return { lives, moved };
+}"""
+
+
+def attack(points: np.ndarray, epsilon: float) -> list[float]:
+    """The longest life before each round of chapter 4's adversary."""
+    moved, lives = points.copy(), []
+    for k in range(150):
+        found = rips_persistence(moved)
+        if not len(found):
+            break
+        lives.append(found.lifetime[0])
+        for edge, way in ((found.birth_edge[0], -1), (found.killer_edge[0], 1)):
+            step = moved[edge[1]] - moved[edge[0]]
+            step *= way * epsilon * (0.02 + 0.4 * (1 - k / 150)) / np.linalg.norm(step)
+            moved[edge[0]] += step
+            moved[edge[1]] -= step
+        off = moved - points
+        moved = points + off / np.maximum(np.linalg.norm(off, axis=1, keepdims=True) / epsilon, 1)
+    return lives
+
+
+@needs_node
+def test_the_adversary_is_the_chapters_and_never_beats_the_bound():
+    """Round by round until rounding decides a tie; and whatever it does is within epsilon, and leaves LT - 2 epsilon."""
+    rng = np.random.default_rng(3)
+    five = lemmas.COUNTEREXAMPLES["a loop that five points lose"].before
+    clouds = [five, *(polygon(n, 1.5) + rng.normal(0, 0.1, (n, 2)) for n in (8, 15, 30))]
+    given = [(cloud, share * rips_persistence(cloud).lifetime[0]) for cloud in clouds for share in (0.2, 0.4, 0.505)]
+    scripts = ["rips.js", "adversary.js"]
+    for (cloud, epsilon), theirs in zip(
+        given, by_script(scripts, ATTACK, [(c.tolist(), e) for c, e in given]), strict=True
+    ):
+        ours = attack(cloud, epsilon)
+        np.testing.assert_allclose(theirs["lives"][:10], ours[:10], rtol=1e-9)
+        assert min(theirs["lives"]) == pytest.approx(min(ours), abs=0.02 * ours[0])
+        assert min(theirs["lives"]) >= ours[0] - 2 * epsilon - 1e-12
+        assert lemmas.max_displacement(cloud, np.array(theirs["moved"])) <= epsilon * (1 + 1e-12)
+        if cloud is five:  # the bound is reached
+            assert len(theirs["lives"]) < 150 if epsilon > 0.1 else min(theirs["lives"]) < ours[0] - 1.9 * epsilon

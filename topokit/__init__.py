@@ -9,7 +9,7 @@ Loops of point clouds by exact Vietoris-Rips persistence, located by the edge th
 
 from typing import TYPE_CHECKING
 
-from ._lazy import attach
+from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._follow import follow
@@ -21,21 +21,4 @@ if TYPE_CHECKING:
     from .state import Loop, TopologicalState
 
 __version__ = "0.2.0"
-__getattr__, _ = attach(__name__, __file__)  # so that the command hears Ctrl-C before NumPy is imported
-
-__all__ = [
-    "Diagram",
-    "Loop",
-    "LoopMixture",
-    "SeqPH",
-    "TopologicalState",
-    "covering_radius",
-    "farthest_point_sample",
-    "follow",
-    "hausdorff",
-    "linking_number",
-    "loop_mixture",
-    "rips_persistence",
-    "rips_persistence_many",
-    "track",
-]
+__getattr__, __all__ = attach(__name__, __file__)  # so that the command hears Ctrl-C before NumPy is imported

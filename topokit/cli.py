@@ -94,7 +94,7 @@ def _add_track(commands: Any) -> None:
     option("--unit", choices=("m", "cm", "mm"), help="of clouds (default: metres; millimetres for depth images)")
     option("--columns", metavar="X,Y,Z", help="which numbers, or names, of a point are its place")
     option("--intrinsics", type=Path, metavar="FILE", help="fx, fy, cx, cy of a depth camera (.json)")
-    option("--topic", help="of a bag")
+    option("--topic", help="of a bag; with --live, of a node of ROS 2 that publishes the loops as TOPIC/loops")
     option("--fps", type=float, help="frames a second, of clouds without times")
     live = "instead of a file, read clouds from standard input, .npy arrays one after another, and print a line of JSON"
     option("--live", action="store_true", help=f"{live} for each as it comes")
@@ -241,9 +241,15 @@ def _print_table(summaries: Sequence[Any], width: int | None) -> None:
 
 def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
     """Track clouds as they come; what is kept does not grow."""
-    given = [name for name in ("episode", "out", "plot", "rerun", "topic", "fps") if getattr(options, name)]
-    if given:
-        raise ValueError(f"--live reads standard input and writes standard output: leave out {', '.join(given)}")
+    wrong = ["episode", "out", "plot", "rerun", "fps", *(("unit", "columns", "intrinsics") if options.topic else ())]
+    if given := [name for name in wrong if getattr(options, name)]:
+        place = "a topic and publishes" if options.topic else "standard input and writes standard output"
+        raise ValueError(f"--live reads {place}: leave out {', '.join(given)}")
+    if options.topic:
+        from .compat import LoopMessages, listen
+
+        listen(options.topic, LoopMessages(_cleaner(options).pipeline, **how))
+        return 0
     if sys.stdin is None:
         raise ValueError("standard input is closed; pipe the clouds in")
     frames = 0

@@ -22,20 +22,8 @@ from ._validate import WrongKindError, as_ids, as_reals
 from .sensors._files import read_clouds
 from .state import Loop, TopologicalState
 
-__all__ = [
-    "FEWEST_FRAMES",
-    "HISTORY",
-    "HORIZON",
-    "LOOP_NAMES",
-    "SCHEMA",
-    "Episode",
-    "FormatError",
-    "load_episode",
-    "load_states",
-    "read_clouds",
-    "save_episode",
-    "save_states",
-]
+__all__ = ["FEWEST_FRAMES", "HISTORY", "HORIZON", "LOOP_NAMES", "SCHEMA", "Episode", "FormatError", "load_episode"]
+__all__ += ["load_states", "read_clouds", "save_episode", "save_states"]
 
 SCHEMA = 1
 HISTORY, HORIZON = 16, 60  # frames that a forecast looks back on, and ahead to (Antonova et al. 2021, section 5)

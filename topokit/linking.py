@@ -97,11 +97,7 @@ def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[n
 
 
 def close_far(
-    curve: ArrayLike,
-    *,
-    start: ArrayLike = (0.0, 0.0, -1.0),
-    end: ArrayLike = (0.0, 0.0, 1.0),
-    far: float = 100.0,
+    curve: ArrayLike, *, start: ArrayLike = (0.0, 0.0, -1.0), end: ArrayLike = (0.0, 0.0, 1.0), far: float = 100.0
 ) -> Array:
     """Return an open curve, such as the centre line of a hook or a pole, closed far away and always in the same way.
 

@@ -21,6 +21,7 @@ from ._validate import own_arrays
 __all__ = ["Loop", "TopologicalState", "as_table"]
 
 
+OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # of identities
 ClosedCurve = tuple[NDArray[np.int64], NDArray[np.float64]]  # vertex ids of a closed walk, and their places
 
 
@@ -87,6 +88,11 @@ class Loop:
         apex = ~np.isin(self.killer_triangle_ids, self.killer_edge)
         (x, y), (z1, z2) = self.killer_edge_points, self.killer_triangles[apex]
         return np.array([x, z1, y, z2])
+
+
+def loop_colour(loop_id: int) -> str:
+    """Return the colour of an identity as `#RRGGBB`; identities six apart share one."""
+    return OKABE_ITO[int(loop_id) % len(OKABE_ITO)]
 
 
 def loop_of(cloud: NDArray[np.float64], cycle: Callable[[], NDArray[np.int64]], **told: Any) -> Loop:

@@ -1,4 +1,5 @@
-// What the pages of the book do by themselves: formulas are set, films can be stopped, code can be copied, a search finds text in a folder.
+// What the pages of the book do by themselves: formulas are set, films can be stopped, code can be copied, words light up their
+// part of a figure.
 "use strict";
 document.addEventListener("DOMContentLoaded", () => {
   for (const place of document.querySelectorAll(".math")) {
@@ -12,6 +13,7 @@ document.addEventListener("DOMContentLoaded", () => {
   for (const fold of document.querySelectorAll(".bd-sidebar-primary summary")) fold.ariaLabel = "its parts";
   for (const code of document.querySelectorAll(".bd-article div.highlight")) copyable(code);
   for (const film of document.querySelectorAll("main img[src$='.gif']")) pausable(film);
+  for (const word of document.querySelectorAll("[data-shows]")) lighting(word);
 });
 
 function copyable(box) { // a button that copies the code, without the prompts of a shell
@@ -45,4 +47,30 @@ function pausable(film) { // a still of where it stands lies on the film while i
   const quiet = matchMedia("(prefers-reduced-motion: reduce)").matches;
   if (film.complete) stop(quiet);
   else film.onload = () => stop(quiet);
+}
+
+// <span data-shows="edge"> lights up what has this id in the nearest figure; "shape=hexagon" chooses it as well, "step=3" slides there.
+function lighting(word) {
+  const [id, value] = word.dataset.shows.split("="), top = (e) => e.getBoundingClientRect().top;
+  const parts = () => [...document.querySelectorAll("iframe[srcdoc]")].map((frame) => frame.contentDocument?.getElementById(id)).filter((part) => part);
+  const frameOf = (part) => part.ownerDocument.defaultView.frameElement;
+  const nearest = () => parts().sort((a, b) => Math.abs(top(frameOf(a)) - top(word)) - Math.abs(top(frameOf(b)) - top(word)))[0];
+  const light = (on) => {
+    const part = nearest(); // none while the figure has not been loaded
+    if (part) (part.closest("figure, label") ?? part).classList.toggle("lit", on);
+    return part;
+  };
+  word.tabIndex = 0;
+  word.role = "button";
+  word.onmouseenter = word.onfocus = () => light(true);
+  word.onmouseleave = word.onblur = () => light(false);
+  word.onclick = () => {
+    const part = light(true);
+    if (!part) return;
+    frameOf(part).scrollIntoView({ block: "nearest" });
+    if (value === undefined) return;
+    part.value = value;
+    part.dispatchEvent(new Event(part.type === "range" ? "input" : "change"));
+  };
+  word.onkeydown = (e) => ["Enter", " "].includes(e.key) && (e.preventDefault(), word.onclick());
 }

@@ -216,6 +216,23 @@ def test_code_can_be_copied(chromium: Any) -> None:
         assert copied == visit.page.locator(".topokit-code pre").last.text_content().rstrip()
 
 
+@pytest.mark.parametrize("page", [page for page in CHAPTERS if "data-shows" in (BOOK / page).read_text("utf-8")])
+def test_words_light_up_their_part_of_one_figure(chromium: Any, page: str) -> None:
+    with Visit(chromium, page) as visit:
+        frames = visit.figures()
+        for word in visit.page.query_selector_all("[data-shows]"):
+            part, _, value = str(word.get_attribute("data-shows")).partition("=")
+            word.focus()
+            assert (
+                sum(frame.evaluate("id => !!document.getElementById(id)?.closest('.lit')", part) for frame in frames)
+                == 1
+            )
+            word.press("Enter")
+            now = [frame.evaluate("id => document.getElementById(id)?.value", part) for frame in frames]
+            assert not value or value in now, part
+        assert visit.trouble == []
+
+
 # Not to an end, where other controls may have nothing to show.
 MOVE = """e => {
   const at = (share) => +e.min + share * (e.max - e.min);

@@ -1,4 +1,4 @@
-"""Doors to the neighbours: topokit from code that was written for Ripser, GUDHI, scikit-learn or PyTorch.
+"""Doors to the neighbours: topokit from code that was written for other libraries.
 
 Each takes a library's own types and gives them back. What a door needs is imported with it alone.
 """
@@ -9,7 +9,9 @@ from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._gudhi import from_gudhi
+    from ._lerobot import from_lerobot, to_lerobot
     from ._ripser import ripser
+    from ._ros import LoopMessages, listen
     from ._sklearn import LoopFeatures
     from ._torch import births_and_deaths
 

@@ -82,8 +82,7 @@ class LoopFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
 
     def get_feature_names_out(self, input_features: object = None) -> NDArray[np.object_]:
         """Return what the columns are: birth0, lifetime0, birth1, and so on; `input_features` is not looked at."""
-        names = [f"{name}{i}" for i in range(self.n_loops) for name in ("birth", "lifetime")]
-        return np.array(names, dtype=object)
+        return np.array([f"{name}{i}" for i in range(self.n_loops) for name in ("birth", "lifetime")], dtype=object)
 
     def _clouds(self, X: Any, reset: bool) -> list[NDArray[np.float64]]:
         """Clouds as they are given, or from the rows of an array that scikit-learn has checked."""

@@ -61,9 +61,8 @@ def births_and_deaths(points: Tensor, n_loops: int | None = None, *, n_jobs: int
     diagrams = rips_persistence_many(batch.detach().cpu().double().numpy(), n_jobs)
     most = max(map(len, diagrams), default=0) if n_loops is None else whole(n_loops, "n_loops")
     edges = torch.from_numpy(np.stack([_edges(diagram, most) for diagram in diagrams])).to(points.device)
-    ends = batch[
-        torch.arange(len(batch), device=points.device)[:, None, None, None], edges
-    ]  # (batch, n_loops, 2, 2, d)
+    clouds = torch.arange(len(batch), device=points.device)[:, None, None, None]
+    ends = batch[clouds, edges]  # (batch, n_loops, 2, 2, d)
     bars = torch.linalg.vector_norm(ends[..., 0, :] - ends[..., 1, :], dim=-1) / 2
     return bars if points.ndim == 3 else bars[0]
 

@@ -27,6 +27,7 @@ _NEW = 0.1  # weight of a new look at the middle
 _CLEAR = 0.06  # metres from the head to the lowest cloth above it
 _ON = 0.03  # metres above the shoulders at which a shirt is let go
 _ASIDE = 0.11  # metres that grippers pass above and beside the ends of the shoulders
+_STRETCH = 1.1  # of what is held, at most
 _NEAR, _FACING, _APART = 0.025, 7.0, 0.03  # metres and degrees that are near enough to a stop, and metres to an opening
 _GAIN, _TURN, _WIDEN = (
     0.15,
@@ -88,7 +89,8 @@ class _Wearing(Servo):
             return np.zeros(7, np.float32)
         self._frame, self._wide = self._frame + 1, 0.0
         self._follow(points, grippers, line)
-        return self._onward(body, grippers)
+        self.reason = self._unfit(body)
+        return np.zeros(7, np.float32) if self.reason else self._onward(body, grippers)
 
     def _look(self, points: Array) -> None:
         """Take in the loops that are seen now."""
@@ -117,6 +119,10 @@ class _Wearing(Servo):
         across = (goals[1] - goals[0]) / np.linalg.norm(goals[1] - goals[0])
         goals = goals + np.array([[-0.5], [0.5]]) * across * np.clip(apart, -_WIDEN, _WIDEN)
         return self._step(goals, grippers)
+
+    def _unfit(self, body: _Body) -> str:
+        """Why the garment cannot be put on this body; nothing when it can."""
+        return ""
 
     def _here(self) -> Array:
         """What is brought to the stops: midway between the grippers."""
@@ -223,12 +229,17 @@ class Shoulderer(_Wearing):
         )
         self._seen = np.zeros(2, np.int64)
 
+    def _unfit(self, body: _Body) -> str:
+        needed = 2 * (_half(body) + _ASIDE)
+        narrow = _STRETCH * self._natural < needed
+        return f"straps held {self._natural:.2f} m apart do not pass shoulders that take {needed:.2f} m" * narrow
+
     def _measure(self, cloth: Array) -> None:
         self._ahead = (1 - _NEW) * self._ahead - _NEW * float(cloth[:, 1].mean())
 
     def _goal_of(self, stop: str, here: Array, body: _Body) -> tuple[Array, float]:
         end = body.ends.mean(axis=0)
-        x = float(np.linalg.norm(body.ends[1] - body.ends[0])) / 2
+        x = _half(body)
         away, up, half = {
             "far": (0.45, _ASIDE, self._natural / 2),
             "before": (0.1, _ASIDE, x + _ASIDE),
@@ -251,6 +262,10 @@ class Shoulderer(_Wearing):
         on = [any(_around(curve, line) for curve in curves) for line in body.shoulders]
         self._seen = (self._seen + on) * (stop == "down")
         return bool((self._seen >= _SEEN).all())
+
+
+def _half(body: _Body) -> float:
+    return float(np.linalg.norm(body.ends[1] - body.ends[0])) / 2
 
 
 def _around(curve: Array, line: Array) -> bool:

@@ -132,12 +132,7 @@ class Dataset:
             return states_of(decode(labels, labels.document(int(episode))), cloud, document["dt"])
 
     def split(
-        self,
-        by: str = "episode",
-        shares: Mapping[str, float] = _PARTS,
-        *,
-        seed: int = 0,
-        held_out: Sequence[str] = (),
+        self, by: str = "episode", shares: Mapping[str, float] = _PARTS, *, seed: int = 0, held_out: Sequence[str] = ()
     ) -> dict[str, Ids]:
         """Divide the numbers of the episodes into parts, never within an episode: neighbouring frames are nearly the same.
 

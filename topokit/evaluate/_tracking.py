@@ -68,9 +68,7 @@ class TrackSummary:
 
 
 def summarise_tracks(
-    states: Sequence[TopologicalState],
-    points: NDArray[np.floating],
-    loops: Sequence[NDArray[np.integer]],
+    states: Sequence[TopologicalState], points: NDArray[np.floating], loops: Sequence[NDArray[np.integer]]
 ) -> list[TrackSummary]:
     """Summarise every identity, the one seen in most frames first.
 

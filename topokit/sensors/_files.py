@@ -230,7 +230,7 @@ def _bag(path: Path, asked: Asked) -> Frames:
             lens["K"] = next(messages((beside or infos)[0]))[1].k
         for received, message in messages(topic):
             stamp = message.header.stamp
-            yield stamp.sec + 1e-9 * stamp.nanosec or received, as_cloud(_rows(message), asked, lens)
+            yield stamp.sec + 1e-9 * stamp.nanosec or received, as_cloud(rows_of(message), asked, lens)
 
 
 def _topic(kinds: Mapping[str, str], asked: str | None) -> str:
@@ -244,7 +244,7 @@ def _topic(kinds: Mapping[str, str], asked: str | None) -> str:
     return found[0]
 
 
-def _rows(message: Any) -> Array:
+def rows_of(message: Any) -> Array:
     """The points of a PointCloud2, by their names, or the depths of an Image."""
     order = ">" if message.is_bigendian else "<"
     if hasattr(message, "fields"):
@@ -257,6 +257,8 @@ def _rows(message: Any) -> Array:
         steps = (message.step, kind.itemsize)
     else:
         raise ValueError(f"images of encoding {message.encoding}: depth is one of {', '.join(_ROS_DEPTHS)}")
+    if message.height > 1 and steps[0] < message.width * steps[1]:  # one place in the memory would be many points
+        raise ValueError(f"rows of {steps[0]} bytes are none of {message.width} points")
     return np.ndarray((message.height, message.width), kind, message.data, strides=steps)
 
 

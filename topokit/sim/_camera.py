@@ -124,11 +124,7 @@ class Camera:
 
 
 def cameras_around(
-    place: ArrayLike = (0.0, 0.1, 1.0),
-    n: int = 3,
-    *,
-    distance: float = 1.6,
-    noise: DepthNoise | None = None,
+    place: ArrayLike = (0.0, 0.1, 1.0), n: int = 3, *, distance: float = 1.6, noise: DepthNoise | None = None
 ) -> tuple[Camera, ...]:
     """Return `n` cameras evenly around a place, 20 degrees over its horizon, the first in front of it (towards -y).
 

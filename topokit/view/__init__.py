@@ -11,8 +11,8 @@ if find_spec("matplotlib") is None:
 
 from topokit._lazy import shown
 
-from ._lunes import plot_lens, plot_lune
-from ._pages import coverage, data_flow, growth, linked, motion, nudge, stray
+from ._lunes import lunes, plot_lens, plot_lune
+from ._pages import coverage, data_flow, elimination, growth, linked, motion, nudge, stray
 from ._player import player
 from ._plots import Scene, appearances, loop_colour, plot_cloth, plot_diagram, plot_tracks, track_figure
 from ._render import pyvista_works, render_cloth, save_animation

@@ -5,7 +5,7 @@ Taught in chapters 2 and 5.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,10 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.distance import cdist
 
 from topokit._validate import positive
+from topokit.state import OKABE_ITO
 from topokit.view._looks import Array, Ids
-from topokit.view._pages import planar
-from topokit.view._plots import OKABE_ITO, new_axes
+from topokit.view._pages import MOST_POINTS, Framed, framed, planar, shapes
+from topokit.view._plots import new_axes
 
 _EDGE, *_COMPONENTS = OKABE_ITO
 _BLOCKED, _PATH = OKABE_ITO[3], OKABE_ITO[2]
@@ -55,6 +56,29 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
             axes.fill(*triangle.T, facecolor=_EDGE, alpha=0.22, zorder=1)
     title = {0: "empty", 1: "connected"}.get(len(components), f"{len(components)} components")
     return _finished(axes, cloud[[x, y]], title)
+
+
+def lunes(points: ArrayLike | Mapping[str, ArrayLike]) -> Framed:
+    """Return an interactive figure of the lune of one edge after another, in the order in which the edges arrive.
+
+    The lune has a colour for each component, and the edge is said to join, to begin or to kill a loop, or to do neither. Beside
+    the cloud the lune is drawn alone: its points and the edge's two ends, by whose suspension the lune theorem is proved.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like, or mapping of str to (n, 2) array_like
+        2 to 60 points; or several such clouds by name, of which the reader chooses.
+
+    Raises
+    ------
+    ValueError
+        When there is no cloud, or a cloud of one point.
+    """
+    clouds, many = shapes(points, MOST_POINTS)
+    if min(map(len, clouds.values())) < 2:
+        raise ValueError("one point has no edge; give at least two")
+    title, scripts = f"The lunes of {many} points", ("rips.js", "planar.js", "places.js")
+    return framed("lunes", scripts, {"shapes": clouds}, 500, "drag a point, or click two", title)
 
 
 def plot_lens(

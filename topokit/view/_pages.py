@@ -23,10 +23,11 @@ from numpy.typing import ArrayLike, NDArray
 from topokit._validate import as_points, positive
 from topokit.lemmas import vertex_ids
 from topokit.linking import close_far, linking_number
-from topokit.view._plots import OKABE_ITO
+from topokit.state import OKABE_ITO
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
+MOST_REDUCED = 10  # whose 120 triangles are columns that can still be told apart
 REACHES = (0.05, 1e-3, 1e-6, 1e-9)
 
 
@@ -148,6 +149,33 @@ def growth(
     return framed("growth", ("rips.js", "planar.js"), data, height, title, f"Rips complex of {len(cloud)} points")
 
 
+def elimination(points: ArrayLike, max_radius: float) -> Framed:
+    """Return an interactive figure of the reduction of a planar cloud's boundary matrix, one sum of columns at a time.
+
+    The matrix has a row for each edge and a column for each triangle up to `max_radius`, as `topokit.rips.reduction` orders
+    them. The present column's triangles and edges light up in the cloud, and pairs enter a diagram. Points can be dragged.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        2 to 10 points. Radii, births and deaths are in their unit, and half the length of an edge.
+    max_radius : float
+        Of the last simplex.
+
+    Raises
+    ------
+    ValueError
+        When there are more points.
+    """
+    cloud, radius = planar(points, "points", MOST_REDUCED), positive(max_radius, "max_radius", zero=False)
+    title, scripts = (
+        f"The boundary matrix of {len(cloud)} points, reduced",
+        ("rips.js", "planar.js", "places.js", "columns.js"),
+    )
+    data = {"points": cloud.tolist(), "radius": radius}
+    return framed("elimination", scripts, data, 500, "drag a point", title)
+
+
 def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a point to hide or show it") -> Framed:
     """Return an interactive figure of a planar scene of which some points are observed.
 
@@ -171,11 +199,12 @@ def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a po
     return framed("coverage", scripts, data, 500, title, f"{len(ids)} of {len(cloud)} points observed")
 
 
-def motion(points: ArrayLike, epsilon: float, after: ArrayLike | None = None) -> Framed:
+def motion(points: ArrayLike, epsilon: float, observed: ArrayLike | None = None) -> Framed:
     """Return an interactive figure of a planar cloud whose points can be dragged, each within `epsilon` of where it was.
 
     Dragging beside all points moves them together. The diagram shows every loop before, with the square of side 2 epsilon
-    around it, and after; the dashed lines are lifetimes of epsilon and of 2 epsilon.
+    around it, and after; the dashed lines are lifetimes of epsilon and of 2 epsilon. The play button lets an adversary push on
+    the birth edge and the killer edge, and beside the bars stands what no motion can take from them.
 
     Parameters
     ----------
@@ -183,20 +212,14 @@ def motion(points: ArrayLike, epsilon: float, after: ArrayLike | None = None) ->
         At most 60 points, where they are before the motion.
     epsilon : float
         Radius of the discs at first; the reader can change it up to its double.
-    after : (n, 2) array_like, optional
-        Where the play button takes them, as far as the discs allow; without it there is no such button.
-
-    Raises
-    ------
-    ValueError
-        When `after` is another number of points.
+    observed : (m,) array_like of int, optional
+        Who is seen before the motion, if not all are; what is seen then has a bar of its own, with the paper's filter on it.
     """
     cloud, radius = planar(points, "points", MOST_POINTS), positive(epsilon, "epsilon", zero=False)
-    target = None if after is None else planar(after, "after", MOST_POINTS)
-    if target is not None and target.shape != cloud.shape:
-        raise ValueError(f"after must have a row for each of the {len(cloud)} points, not {len(target)}")
-    data = {"points": cloud.tolist(), "after": None if target is None else target.tolist(), "epsilon": radius}
-    title, scripts = f"{len(cloud)} points, each within {radius:g} of its place", ("rips.js", "match.js", "planar.js")
+    ids = None if observed is None else vertex_ids(cloud, observed).tolist()
+    data = {"points": cloud.tolist(), "observed": ids, "epsilon": radius}
+    title = f"{len(cloud)} points, each within {radius:g} of its place"
+    scripts = ("rips.js", "match.js", "planar.js", "places.js", "adversary.js")
     return framed("motion", scripts, data, 440, "drag the points within their discs", title)
 
 
@@ -217,12 +240,8 @@ def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> Framed:
     ValueError
         When there is no cloud.
     """
-    given = points if isinstance(points, Mapping) else {"points": points}
-    clouds = {str(name): planar(cloud, str(name), MOST_NUDGED) for name, cloud in given.items()}
-    if not clouds:
-        raise ValueError("points names no cloud; give at least one")
-    data = {"shapes": {name: cloud.tolist() for name, cloud in clouds.items()}, "reaches": list(REACHES)}
-    many = " or ".join(str(len(cloud)) for cloud in clouds.values())
+    clouds, many = shapes(points, MOST_NUDGED)
+    data = {"shapes": clouds, "reaches": list(REACHES)}
     title, scripts = f"Loop of {many} points, nudged", ("rips.js", "planar.js", "places.js")
     return framed("nudge", scripts, data, 480, "nudge a point, or drag one", title)
 
@@ -269,6 +288,15 @@ def linked(curve: ArrayLike, line: ArrayLike, way: ArrayLike) -> Framed:
     title = f"A curve and a hook, linking number {linking_number(handles, corners)}"
     data = {"curve": handles.tolist(), "line": corners.tolist(), "way": shifts.tolist()}
     return framed("linked", ("link.js", "planar.js"), data, 480, "drag a handle, or turn the view", title)
+
+
+def shapes(points: ArrayLike | Mapping[str, ArrayLike], most: int) -> tuple[dict[str, list[list[float]]], str]:
+    """Clouds of the plane by name, and how many points they have, in words; or ValueError."""
+    given = points if isinstance(points, Mapping) else {"points": points}
+    clouds = {str(name): planar(cloud, str(name), most).tolist() for name, cloud in given.items()}
+    if not clouds:
+        raise ValueError("points names no cloud; give at least one")
+    return clouds, " or ".join(str(len(cloud)) for cloud in clouds.values())
 
 
 def planar(points: ArrayLike, name: str, most: int | None = None) -> NDArray[np.float64]:

@@ -22,16 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 from topokit._validate import as_ids, as_points, as_reals
 from topokit.io import Episode
 from topokit.rips import Diagram
-from topokit.state import Loop, TopologicalState
+from topokit.state import Loop, TopologicalState, loop_colour
 from topokit.view._looks import Array, Ids, cloth_marks, face_normals, shadow, smoothed
 
-OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 CLOTH, LINING, ROD, INK = "#E8E2D4", "#C8C9D0", "#5B6B7C", "#1C2733"
-
-
-def loop_colour(loop_id: int) -> str:
-    """Return the colour of an identity as `#RRGGBB`; identities six apart share one."""
-    return OKABE_ITO[int(loop_id) % len(OKABE_ITO)]
 
 
 def lifetimes(states: Sequence[TopologicalState]) -> dict[int, Array]:

@@ -12,7 +12,9 @@ from numpy.typing import ArrayLike
 from topokit._archive import atomic_file
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
-from topokit.view._plots import loop_colour, one_a_frame
+from topokit.view._plots import ROD, loop_colour, one_a_frame
+
+_GREY, _ROD = (138, 147, 160), tuple(bytes.fromhex(ROD[1:]))  # of what is no loop: seen on white and on black
 
 
 def rerun(film: Episode | Sequence[ArrayLike], states: Sequence[TopologicalState], path: str | Path) -> Path:
@@ -38,18 +40,22 @@ def rerun(film: Episode | Sequence[ArrayLike], states: Sequence[TopologicalState
     one_a_frame(clouds, states)
     with atomic_file(path) as file, rr.RecordingStream("topokit") as stream:
         recorded = stream.binary_stream()
+        curves = rr.blueprint.TimeSeriesView(origin="lifetimes", name="lifetimes, metres")
+        shown = rr.blueprint.Horizontal(rr.blueprint.Spatial3DView(name="scene"), curves, column_shares=[2, 1])
+        stream.send_blueprint(rr.blueprint.Blueprint(shown, collapse_panels=True))
         if episode is not None:
-            stream.log("target", rr.LineStrips3D([episode.centre_line]), static=True)
+            stream.log("target", rr.LineStrips3D([episode.centre_line], colors=_ROD), static=True)
         for t, state in enumerate(states):
             stream.set_time("frame", sequence=state.frame)
             stream.set_time("time", duration=state.time)
             if episode is not None:
-                stream.log("grippers", rr.Points3D(episode.grippers[t], radii=0.01))
-                stream.log("plan", rr.LineStrips3D(np.moveaxis(episode.actions[t:], 1, 0)))
-            stream.log("cloud", rr.Points3D(clouds[t]))
+                stream.log("grippers", rr.Points3D(episode.grippers[t], radii=0.01, colors=_ROD))
+                stream.log("plan", rr.LineStrips3D(np.moveaxis(episode.actions[t:], 1, 0), colors=_GREY))
+            stream.log("cloud", rr.Points3D(clouds[t], colors=_GREY))
             before = states[t - 1].loops if t else ()
             for gone in {loop.id for loop in before} - {loop.id for loop in state.loops}:
-                stream.log(f"loops/{gone}", rr.Clear(recursive=True))
+                for place in ("loops", "lifetimes"):
+                    stream.log(f"{place}/{gone}", rr.Clear(recursive=True))
             for loop in state.loops:
                 _log(rr, stream, loop)
         file.write(recorded.read() or b"")
@@ -70,4 +76,5 @@ def _log(rr: Any, stream: Any, loop: Loop) -> None:
     closed = np.concatenate([loop.cycle_points, loop.cycle_points[:1]])
     stream.log(f"{place}/cycle", rr.LineStrips3D([closed], colors=colour, labels=f"loop {loop.id}"))
     stream.log(f"{place}/killer", rr.LineStrips3D(loop.killer_triangles[:, [0, 1, 2, 0]], colors=colour))
-    stream.log(f"lifetimes/{loop.id}", rr.Scalars(loop.lifetime))
+    curve = rr.SeriesLines(colors=colour, names=f"loop {loop.id}")
+    stream.log(f"lifetimes/{loop.id}", rr.Scalars(loop.lifetime), curve)

@@ -80,7 +80,7 @@ const svg = (path) => `<svg viewBox="0 0 10 10" aria-hidden="true">${path}</svg>
 function playback(at, go, end, seconds) { // the button plays at() from where it is, or from 0, to end() by calling go
   let playing = false, runs = 0;
   const play = (on = !playing) => {
-    const began = performance.now(), from = at() >= end() ? 0 : at(), mine = ++runs;
+    const began = performance.now(), from = on && at() < end() ? at() : 0, mine = ++runs;
     playing = on;
     $("icon").setAttribute("d", on ? "M1 0h3v10h-3zM6 0h3v10h-3z" : "M1.5 0 9.5 5 1.5 10z");
     $("play").setAttribute("aria-label", on ? "pause" : "play");
@@ -100,13 +100,13 @@ function playback(at, go, end, seconds) { // the button plays at() from where it
   play(false);
   return play;
 }
-function stepped(slider, steps, set) { // a slider of whole steps, 0 to `steps`, and its play button: each calls set(step)
+function stepped(slider, steps, set, seconds = 6) { // a slider of whole steps, 0 to steps(), and its play button: each calls set(step)
   let played = 0; // where the play button is: not rounded, or it would stand still
   const go = (k) => {
-    played = clamp(k, 0, steps);
-    set(Math.round(played));
+    played = clamp(k, 0, steps());
+    set(Math.ceil(played)); // the first step at once
   };
-  const play = playback(() => played, go, () => steps, 6);
+  const play = playback(() => played, go, steps, seconds);
   slider.oninput = (e) => (play(false), go(+e.target.value));
   return [go, play];
 }

@@ -101,7 +101,7 @@
       + "the arrow keys, which turn the view while none is chosen; Escape puts the loop back.");
   }
   const later = lazily(draw);
-  const [go, play] = stepped($("way"), STEPS, (k) => {
+  const [go, play] = stepped($("way"), () => STEPS, (k) => {
     step = k;
     later();
   });

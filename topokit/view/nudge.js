@@ -79,7 +79,7 @@
     scene.setAttribute("aria-label", text + ". Drag a point, or choose one with the keys n and p and move it with the arrow keys; Escape puts the points back.");
   }
   const later = lazily(draw);
-  const [go, play] = stepped($("nudge"), STEPS, (k) => {
+  const [go, play] = stepped($("nudge"), () => STEPS, (k) => {
     step = k;
     later();
   });
@@ -97,8 +97,8 @@
     go(0);
     sweep();
   }
-  function choose(name) {
-    home = data.shapes[name];
+  function choose(cloud) {
+    home = cloud;
     frame = framing(home, 0.3 * reach() + 0.12 * Math.max(...[0, 1].map((k) => Math.max(...home.map((p) => Math.abs(p[k] - home[0][k]))))));
     reset();
   }
@@ -119,13 +119,9 @@
     " ": () => play(),
   });
   onReset(reset);
-  $("shape").onchange = () => choose($("shape").value);
 
   // ---- start ---------------------------------------------------------------------------------------------------
-  const names = Object.keys(data.shapes), options = (id, values, text) => $(id).append(...values.map((v, k) => new Option(text[k], v)));
-  options("reach", data.reaches, data.reaches.map((r) => (r < 1e-3 ? r.toExponential(0) : r)));
-  options("shape", names, names);
-  $("shape").hidden = names.length < 2;
-  choose(names[0]);
+  $("reach").append(...data.reaches.map((r) => new Option(r < 1e-3 ? r.toExponential(0) : r, r)));
+  shapes(choose);
   watch(later, () => {});
 })();

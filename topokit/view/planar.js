@@ -86,3 +86,10 @@ function draggable(canvas, { points, frame, press = () => {}, move, tap = () => 
     else tap(v);
   };
 }
+function shapes(choose) { // one of the clouds that have names
+  const select = $("shape"), names = Object.keys(data.shapes);
+  select.append(...names.map((name) => new Option(name)));
+  select.hidden = names.length < 2;
+  select.onchange = () => choose(data.shapes[select.value]);
+  select.onchange();
+}

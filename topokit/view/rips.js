@@ -22,17 +22,14 @@ function rips(points) {
   let cone = Infinity;
   for (let i = 0; i < n; i++) cone = Math.min(cone, edges.reduce((m, e) => (e.i === i || e.j === i ? Math.max(m, e.value) : m), 0));
 
-  function apexes(e, rank) { // one a component of the lune: the point that is joined to both ends first
+  function lune(e, rank) { // its components, each from the point that is joined to both ends first
     const left = [], found = [];
     for (let z = 0; z < n; z++) if (joined(e.i, z, rank) && joined(e.j, z, rank)) left.push(z);
     left.sort((a, b) => later(e, a) - later(e, b) || a - b);
     while (left.length) {
-      const queue = [left.shift()];
-      found.push(queue[0]);
-      while (queue.length && left.length) {
-        const z = queue.pop();
-        for (let k = left.length - 1; k >= 0; k--) if (joined(z, left[k], rank)) queue.push(...left.splice(k, 1));
-      }
+      const part = [left.shift()];
+      for (const z of part) for (let k = left.length - 1; k >= 0; k--) if (joined(z, left[k], rank)) part.push(...left.splice(k, 1));
+      found.push(part);
     }
     return found;
   }
@@ -41,11 +38,12 @@ function rips(points) {
   const through = (e, z) => edge(e.i, z).cycle ^ edge(e.j, z).cycle;
   edges.every((e, rank) => {
     if (e.value > cone) return false;
-    const [first, ...further] = apexes(e, rank);
+    const [first, ...further] = (e.parts = lune(e, rank)).map(([apex]) => apex);
     if (first !== undefined) e.cycle = through(e, first);
     else if (find(e.i) !== find(e.j)) {
       ends[find(e.i)] = find(e.j);
       merges.push(e.value);
+      e.joins = true;
     } else {
       e.cycle = 1n << BigInt(creators.length);
       creators.push({ e, rank, bit: e.cycle, killer: null });
@@ -53,7 +51,9 @@ function rips(points) {
     for (const z of further) {
       let column = through(e, first) ^ through(e, z), youngest;
       while ((youngest = column && creators[column.toString(2).length - 1]) && youngest.killer) column ^= youngest.column;
-      if (youngest) Object.assign(youngest, { column, killer: e, death: rank, apexes: [z, first] }); // the thick triangle first
+      if (!youngest) continue; // a void begins
+      e.kills = (e.kills || 0) + 1;
+      Object.assign(youngest, { column, killer: e, death: rank, apexes: [z, first] }); // the thick triangle first
     }
     return true;
   });
@@ -89,5 +89,9 @@ function rips(points) {
       return (this.walk ??= cycle(c));
     },
   })).sort((a, b) => b.death - b.birth - (a.death - a.birth));
-  return { edges, merges, loops, cone };
+  const does = (rank) => { // what an edge does when it arrives, after the cone as well
+    const e = edges[rank], c = (e.parts ??= lune(e, rank)).length;
+    return e.kills ? "kills" : e.joins ? "joins" : ["begins", "nothing"][c] || "void";
+  };
+  return { edges, merges, loops, cone, does, joined };
 }
