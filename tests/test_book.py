@@ -123,9 +123,9 @@ def test_chapters_build_on_earlier_ones(book):
     cards, on = book("cards"), {}
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
         on[int(path.name[:2])] = cards.builds_on(cards.read(f"notebooks/{path.stem}"))
-    assert all(before < chapter for chapter, befores in on.items() for before in befores)
+    assert all(before < chapter for chapter, asked in on.items() for before in asked)
     assert not on[0]
-    assert all(befores for chapter, befores in on.items() if chapter)
+    assert all(asked for chapter, asked in on.items() if chapter)
     words = "**Before:** [chapters 2](02_a.ipynb) to [4](04_b.ipynb); [chapter 0](00_c.ipynb) at least."
     assert cards.builds_on({"cells": [{"source": ["# A\n", "\n", words]}]}) == [2, 3, 4]
 
