@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 import topokit as tk
 from topokit import view
 from topokit.io import Episode
+from topokit.state import OKABE_ITO
 from topokit.view import _player, _plots, _render
-from topokit.view._plots import OKABE_ITO, long_lived, tube
+from topokit.view._plots import long_lived, tube
 
 from pages import NETWORK, page_data
 
@@ -364,3 +365,45 @@ def test_an_animation_of_an_episode(episode, tmp_path, monkeypatch):
     for name, options in (("film.mp4", {}), ("film.gif", {"every": 0}), ("film.gif", {"states": states[1:]})):
         with pytest.raises(ValueError, match=r"\.gif|every|states has 5 frames where episode has 6"):
             view.save_animation(tmp_path / name, episode, **options)
+
+
+# ---- the wardrobe
+
+
+@pytest.fixture(scope="module")
+def garments():
+    from topokit.sim import WARDROBE
+
+    return {name: WARDROBE[name]() for name in ("mask", "shirt")}
+
+
+def test_wardrobe_holds_every_mesh_and_its_true_loops(garments):
+    data = page_data(view.wardrobe(garments, title="two"))
+    assert data["title"] == "two"
+    assert [mesh["name"] for mesh in data["garments"]] == ["mask", "shirt"]
+    for mesh, garment in zip(data["garments"], garments.values(), strict=True):
+        np.testing.assert_allclose(unpack(mesh["points"])[0], garment.vertices, atol=mesh["points"]["scale"])
+        assert mesh["points"]["scale"] < 1e-4
+        np.testing.assert_array_equal(unpack(mesh["faces"]), garment.faces)
+        assert [list(loop) for loop in garment.loops] == mesh["truth"]
+        reach = np.linalg.norm(garment.vertices - mesh["centre"], axis=1).max()
+        assert 0 < reach <= mesh["radius"] * (1 + 1e-9)
+        for mark in mesh["marks"]:  # shares of a face's corners
+            ends = unpack(mark["ends"])
+            np.testing.assert_allclose(ends.sum(axis=-1), 1, atol=1e-4)
+            assert unpack(mark["face"]).max(initial=0) < len(garment.faces)
+
+
+def test_wardrobe_is_whole_and_asks_nothing_of_the_network(garments):
+    page = view.wardrobe({"a </script> mask": garments["mask"]})
+    assert not NETWORK.search(page.page)
+    assert page.page.count("</script>") == 2
+    assert "__" not in page.page
+    assert len(page.page) < 60_000
+    assert page._repr_html_().count('"') == 8  # nothing inside breaks out
+    assert "allowfullscreen" in page._repr_html_()
+
+
+def test_wardrobe_must_hold_a_garment():
+    with pytest.raises(ValueError, match="garments names no garment"):
+        view.wardrobe({})

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from topokit import rips_persistence, view
-from topokit.view._plots import OKABE_ITO
+from topokit.state import OKABE_ITO
 
 from clouds import gudhi_pairs, sorted_pairs
 from conftest import polygon
@@ -69,11 +69,77 @@ def test_saves_a_small_whole_page(tmp_path):
         (SQUARE, {"max_radius": 0}, "max_radius must be more than zero"),
         (SQUARE, {"start": -1}, "start must be zero or more"),
         (SQUARE, {"start": 2, "max_radius": 1}, "start must be at most max_radius, 1.0, not 2.0"),
+        (np.zeros((17, 3, 3)), {}, r"at most 16 frames of 160 points of space, not \(17, 3, 3\)"),
+        (np.zeros((2, 161, 3)), {}, "of 160 points of space, not"),
+        (np.zeros((2, 9, 2)), {}, "of 160 points of space, not"),
+        (np.full((1, 9, 3), np.nan), {}, "NaN or infinite"),
     ],
 )
 def test_refuses_what_it_cannot_show(points, options, message):
     with pytest.raises(ValueError, match=message):
         view.growth(points, **options)
+
+
+# ---- a film of space
+
+FILM = """({ film, told: rows }) => {
+  const all = unpack(film), n = all.length / 3 / rows.length;
+  return rows.map((row, t) => {
+    const points = Array.from({ length: n }, (_, v) => [...all.subarray(3 * (n * t + v), 3 * (n * t + v + 1))]);
+    const read = told(points, unpack(row)), own = rips(points);
+    return { points, merges: [read.merges, own.merges],
+      loops: [read, own].map((found) => found.loops.map(({ cycle, ...rest }) => ({ ...rest, cycle }))) };
+  });
+}"""
+
+
+def film_of_space() -> np.ndarray:
+    """A ring in space that tilts and shrinks, with points beside it."""
+    rng = np.random.default_rng(6)
+    ring, beside = np.insert(polygon(24, 30.0), 2, 0.0, axis=1), rng.normal(0, 20, (16, 3)) + [40, 0, 9]
+    shaken = np.vstack([ring, beside]) + rng.normal(0, 0.5, (40, 3))
+    return np.stack([shaken * [1, 1 - 0.2 * t, 1] + [0, 3 * t, 0] for t in range(3)])
+
+
+@needs_node
+def test_a_film_is_told_as_topokit_finds_it_on_the_points_of_the_page():
+    film = film_of_space()
+    [frames] = by_script(["orbit.js", "rips.js"], FILM, [page_data(view.growth(film))])
+    for cloud, frame in zip(film, frames, strict=True):
+        points = np.array(frame["points"])
+        np.testing.assert_allclose(points, cloud, atol=1.1e-3)  # of a span of 130, kept in 16 bits
+        diagram = rips_persistence(points)
+        told, own = frame["loops"]
+        assert len(told) == len(diagram) > 0
+        for i, loop in enumerate(told):
+            assert (loop["birth"], loop["death"]) == pytest.approx((diagram.birth[i], diagram.death[i]), rel=1e-12)
+            assert loop["birthEdge"] == diagram.birth_edge[i].tolist()
+            assert loop["killerEdge"] == diagram.killer_edge[i].tolist()
+            assert loop["triangles"] == diagram.killer_triangles[i].tolist()
+            assert loop["cycle"] == diagram.cycle(i).tolist()
+            assert {loop["cycle"][0], loop["cycle"][-1]} == set(loop["birthEdge"])
+        pairs = [sorted((x["birthEdge"], x["killerEdge"]) for x in found) for found in (told, own)]
+        assert pairs[0] == pairs[1]  # and the page's own reduction finds them in space too
+        np.testing.assert_allclose(*frame["merges"])
+        assert len(frame["merges"][0]) == len(points) - 1
+
+
+def test_a_film_opens_in_its_middle_and_ends_after_the_last_death_of_all():
+    film = film_of_space()
+    data = page_data(view.growth(film))
+    assert (data["frame"], len(data["told"]), "points" in data) == (1, 3, False)
+    last = max(rips_persistence(cloud).death.max() for cloud in film)
+    assert data["end"] == pytest.approx(1.15 * last, rel=1e-4)
+    assert page_data(view.growth(film, max_radius=7))["end"] == 7.0
+    page = view.growth(film).page
+    assert not NETWORK.search(page)
+    assert "__" not in page
+    assert len(page) < 50_000
+
+
+def test_a_film_without_loops_is_shown():
+    data = page_data(view.growth([np.eye(3)]))
+    assert (data["told"][0]["values"], data["end"]) == ("", 1.0)
 
 
 # ---- its script, run by node

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from topokit import lemmas, rips_persistence, view
+from topokit.sampling import spacing
 
 from conftest import polygon
 from pages import NETWORK, by_script, needs_node, page_data
@@ -21,6 +22,8 @@ def test_coverage_holds_the_scene_and_who_is_observed():
     data = page_data(view.coverage(points, [4, 2, 4, 0], title="thirty </script> points"))
     np.testing.assert_array_equal(data["points"], points)
     assert (data["observed"], data["title"]) == ([0, 2, 4], "thirty </script> points")
+    assert "hand" not in data
+    assert page_data(view.coverage(points, [0], hand=(1, 0.5, 2)))["hand"] == [1.0, 0.5, 2.0]
 
 
 def test_motion_holds_the_points_the_leash_and_who_is_seen():
@@ -48,6 +51,8 @@ def test_pages_are_whole_small_and_ask_nothing_of_the_network(figure, tmp_path):
         (lambda: view.coverage(SQUARE, []), ValueError, "observed is empty"),
         (lambda: view.coverage(SQUARE, [0.5]), TypeError, "observed must hold whole numbers"),
         (lambda: view.coverage(SQUARE, [1, 4]), ValueError, "observed names vertex 4; there are 4"),
+        (lambda: view.coverage(SQUARE, [0], hand=(0, 0, 0)), ValueError, "hand's radius must be more than zero"),
+        (lambda: view.coverage(SQUARE, [0], hand=(np.nan, 0, 1)), ValueError, "hand has 1 of 1 points with a NaN"),
         (lambda: view.motion(np.zeros((5, 3)), 1), ValueError, "points must lie in the plane"),
         (lambda: view.motion(SQUARE, 0), ValueError, "epsilon must be more than zero"),
         (lambda: view.motion(SQUARE, 1, [4]), ValueError, "observed names vertex 4; there are 4"),
@@ -115,6 +120,16 @@ def test_matching_with_an_empty_diagram():
         [found] = by_script(SCRIPTS, MATCH, [(a, b, False)])
         assert found["partner"] == partner
         assert found["bottleneck"] == pytest.approx(0 if not (found["s"] or found["o"]) else (np.sqrt(2) - 1) / 2)
+
+
+@needs_node
+def test_script_guesses_alpha_as_topokit_does():
+    rng = np.random.default_rng(7)
+    clouds = [rng.normal(size=(int(n), 2)).round(int(digits)) for n, digits in rng.integers([1, 0], [30, 4], (60, 2))]
+    clouds += [np.ones((1, 2)), np.ones((3, 2)), np.array(SQUARE)[[0, 0, 1]]]
+    guessed = by_script(["rips.js"], "(points) => spacing(points)", [cloud.tolist() for cloud in clouds])
+    np.testing.assert_allclose(guessed, [spacing(cloud) for cloud in clouds])
+    assert guessed[-3:] == [0, 0, 1]
 
 
 ATTACK = """([points, epsilon]) => {

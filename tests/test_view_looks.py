@@ -234,7 +234,7 @@ const context = () => {
 };
 const nodes = {};
 const node = (id) => (nodes[id] ??= {
-  style: {}, classList: { toggle() {} }, dataset: {}, clientWidth: 400, clientHeight: 400, drawing: context(),
+  style: {}, classList: { toggle() {}, add() {} }, dataset: {}, clientWidth: 400, clientHeight: 400, drawing: context(),
   setAttribute() {}, getAttribute: () => "", before() {},
   addEventListener() {}, closest: () => ({}), getContext() { return this.drawing; },
 });
@@ -249,6 +249,7 @@ globalThis.getComputedStyle = () => ({ font: "", getPropertyValue: () => "#12345
 globalThis.ResizeObserver = class { observe() {} };
 globalThis.MutationObserver = class { observe() {} };
 globalThis.devicePixelRatio = 1;
+globalThis.addEventListener = () => {};
 globalThis.requestAnimationFrame = setImmediate;
 process.on("exit", () => console.log(JSON.stringify({ fills, shadows })));
 """

@@ -180,6 +180,8 @@ def test_every_control_of_every_figure_does_something(chromium: Any, page: str) 
         dead = []
         for k, frame in enumerate(visit.figures()):
             for control in frame.query_selector_all("button, input, select, canvas[tabindex='0']"):
+                if control.get_attribute("id") == "full":  # it would hide the others: a test of its own
+                    continue
                 if control.is_visible() and control.is_enabled():
                     if control.get_attribute("id") == "reset":  # there must be something to undo
                         _use(frame, frame.query_selector("canvas[tabindex='0']"))
@@ -216,6 +218,22 @@ def test_code_can_be_copied(chromium: Any) -> None:
         assert copied == visit.page.locator(".topokit-code pre").last.text_content().rstrip()
 
 
+@pytest.mark.parametrize("width", [1280, 400])
+def test_a_figure_fills_the_screen_and_comes_back(chromium: Any, width: int) -> None:
+    with Visit(chromium, "notebooks/08_a_world_of_aprons_bags_and_hooks.html", width) as visit:
+        for frame in visit.figures():
+            inside, button = frame.evaluate("innerWidth"), frame.query_selector("#full")
+            if button is None:  # a picture
+                continue
+            for whole in (True, False):
+                button.click()
+                frame.wait_for_function(f"!!document.fullscreenElement === {str(whole).lower()}")
+                frame.evaluate(SETTLED)
+                assert button.get_attribute("aria-pressed") == str(whole).lower()
+                assert frame.evaluate("innerWidth") == (width if whole else inside)
+        assert visit.trouble == []
+
+
 @pytest.mark.parametrize("page", [page for page in CHAPTERS if "data-shows" in (BOOK / page).read_text("utf-8")])
 def test_words_light_up_their_part_of_one_figure(chromium: Any, page: str) -> None:
     with Visit(chromium, page) as visit:
@@ -230,6 +248,19 @@ def test_words_light_up_their_part_of_one_figure(chromium: Any, page: str) -> No
             word.press("Enter")
             now = [frame.evaluate("id => document.getElementById(id)?.value", part) for frame in frames]
             assert not value or value in now, part
+        assert visit.trouble == []
+
+
+def test_a_lit_part_of_the_complex_is_drawn(chromium: Any) -> None:
+    drawn = "() => document.querySelector('#scene').toDataURL()"
+    with Visit(chromium, "notebooks/01_point_clouds_and_rips_complexes.html") as visit:
+        [figure, *_] = visit.figures()
+        for part in ("birth", "killer", "cycle"):
+            word, dark = visit.page.query_selector(f"[data-shows={part}]"), figure.evaluate(drawn)
+            word.focus()
+            figure.wait_for_function(f"(dark) => ({drawn})() !== dark", arg=dark)
+            word.evaluate("e => e.blur()")
+            figure.wait_for_function(f"(dark) => ({drawn})() === dark", arg=dark)
         assert visit.trouble == []
 
 

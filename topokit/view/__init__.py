@@ -13,7 +13,7 @@ from topokit._lazy import shown
 
 from ._lunes import lunes, plot_lens, plot_lune
 from ._pages import coverage, data_flow, elimination, growth, linked, motion, nudge, stray
-from ._player import player
+from ._player import player, wardrobe
 from ._plots import Scene, appearances, loop_colour, plot_cloth, plot_diagram, plot_tracks, track_figure
 from ._render import pyvista_works, render_cloth, save_animation
 from ._report import model_label, plot_accuracy, plot_by_horizon, plot_conditions, plot_treatments

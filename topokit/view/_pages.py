@@ -20,10 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points, positive
+from topokit._validate import as_points, as_sequence, positive
 from topokit.lemmas import vertex_ids
 from topokit.linking import close_far, linking_number
 from topokit.state import OKABE_ITO
+from topokit.view._packed import grown
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
@@ -42,7 +43,7 @@ class Framed:
     def _repr_html_(self) -> str:
         source = html.escape(self.page, quote=True)
         return (
-            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" '
+            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" allowfullscreen '
             f'style="width:100%;height:{self.height}px;border:0;display:block"></iframe>'
         )
 
@@ -59,12 +60,13 @@ class Framed:
 def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: int, caption: str, title: str) -> Framed:
     """The page `name`: its parts, `name`.html, in the frame that all share, and its script, `name`.js, after `scripts`."""
     data = data | {"height": int(height), "title": caption, "palette": list(OKABE_ITO)}
-    code = "\n".join(_text(script) for script in ("frame.js", *scripts, f"{name}.js"))
+    lines = [line.strip() for script in ("frame.js", *scripts, f"{name}.js") for line in _text(script).splitlines()]
+    code = "\n".join(line for line in lines if line and not line.startswith("//"))  # as written but for these
     parts = {
         "NAME": name,
         "STYLE": _text("frame.css"),
         "PARTS": _text(f"{name}.html"),
-        "SCRIPT": f"(() => {{\n{code}}})();",
+        "SCRIPT": f"(() => {{\n{code}\n}})();",
         "DATA": json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),  # it could end the script element
     }
     page = _text("frame.html")
@@ -117,15 +119,17 @@ def growth(
     max_radius: float | None = None,
     title: str = "drag a point",
 ) -> Framed:
-    """Return an interactive figure of the Rips complex of a planar cloud as the radius grows, and of its loops.
+    """Return an interactive figure of the Rips complex of a cloud as the radius grows, and of its loops.
 
     Beside the complex stand its diagram, where a loop is a circle while it lives and a dot once it is dead, and its bars.
-    The tightest cycle of a living loop, its killer edge and its killer triangles have one colour. Points can be dragged.
+    The tightest cycle of a living loop, its killer edge and its killer triangles have one colour. The points of the plane can
+    be dragged. A film of space can be turned, and a second slider goes through its frames, whose loops are computed here.
 
     Parameters
     ----------
-    points : (n, 2) array_like
-        At most 60 points. Radii, births and deaths are in their unit, and half the length of an edge.
+    points : (n, 2) or (T, n, 3) array_like
+        At most 60 points of the plane, or a film of space, at most 16 frames of 160 points, kept to the 65,535th part of what
+        they span. Radii, births and deaths are in their unit, and half the length of an edge.
     height : int
         Height of the frame in CSS pixels.
     start : float, optional
@@ -138,15 +142,17 @@ def growth(
     Raises
     ------
     ValueError
-        When `start` lies beyond `max_radius`.
+        When `start` lies beyond `max_radius`, or a film has too many frames or points.
     """
-    cloud = planar(points, "points", MOST_POINTS)
     first = None if start is None else positive(start, "start")
     last = None if max_radius is None else positive(max_radius, "max_radius", zero=False)
     if first is not None and last is not None and first > last:
         raise ValueError(f"start must be at most max_radius, {last}, not {first}")
-    data = {"points": cloud.tolist(), "start": first, "end": last}
-    return framed("growth", ("rips.js", "planar.js"), data, height, title, f"Rips complex of {len(cloud)} points")
+    data: dict[str, Any] = {"start": first, "end": last}
+    scripts, space = ("rips.js", "planar.js"), np.ndim(points) == 3
+    data |= grown(as_sequence(points), last) if space else {"points": planar(points, "points", MOST_POINTS).tolist()}
+    name = f"Rips complex of {np.shape(points)[-2]} points"
+    return framed("growth", ("orbit.js", *scripts) if space else scripts, data, height, title, name)
 
 
 def elimination(points: ArrayLike, max_radius: float) -> Framed:
@@ -176,7 +182,13 @@ def elimination(points: ArrayLike, max_radius: float) -> Framed:
     return framed("elimination", scripts, data, 500, "drag a point", title)
 
 
-def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a point to hide or show it") -> Framed:
+def coverage(
+    points: ArrayLike,
+    observed: ArrayLike,
+    *,
+    hand: tuple[float, float, float] | None = None,
+    title: str = "click a point to hide or show it",
+) -> Framed:
     """Return an interactive figure of a planar scene of which some points are observed.
 
     Balls of the covering radius alpha stand around the observed points. In the diagram every loop of the scene that lives
@@ -189,12 +201,18 @@ def coverage(points: ArrayLike, observed: ArrayLike, *, title: str = "click a po
         The scene S, at most 60 points. Radii, births and deaths are in their unit.
     observed : (m,) array_like of int
         Which of them are observed at first, O.
+    hand : (3,) float, optional
+        Place and radius of a disc that the reader drags: what is below it is not observed. Beside alpha then stands its guess
+        from the observed points alone, `topokit.sampling.spacing`.
     title : str
         The caption in the corner of the figure.
     """
     cloud = planar(points, "points", MOST_POINTS)
     ids = vertex_ids(cloud, observed)
-    data = {"points": cloud.tolist(), "observed": ids.tolist()}
+    data: dict[str, Any] = {"points": cloud.tolist(), "observed": ids.tolist()}
+    if hand is not None:
+        place, radius = planar([hand[:2]], "hand", 1)[0].tolist(), positive(hand[2], "hand's radius", zero=False)
+        data["hand"] = [*place, radius]
     scripts = ("rips.js", "match.js", "planar.js")
     return framed("coverage", scripts, data, 500, title, f"{len(ids)} of {len(cloud)} points observed")
 

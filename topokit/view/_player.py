@@ -5,32 +5,24 @@ Idea: everything it shows is packed once, coordinates in 16 bits and base64; `pl
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from topokit.io import Episode, packed
+from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
 from topokit.view._looks import cloth_marks
+from topokit.view._packed import pack, pack_coordinates
 from topokit.view._pages import Framed, framed
 from topokit.view._plots import lifetimes, long_lived, one_a_frame, rod_radius, subdivide, triples
 
+if TYPE_CHECKING:
+    from topokit.sim import Garment
 
-def pack(array: NDArray[Any]) -> dict[str, Any]:
-    """An array as a JSON-ready dict: little-endian bytes in base64, in the smallest type the player reads."""
-    whole = "u2" if array.min(initial=0) >= 0 and array.max(initial=0) < 2**16 else "i4"
-    kind = {"f": "f4", "b": "u1"}.get(array.dtype.kind, whole)
-    values = np.ascontiguousarray(array, dtype=f"<{kind}")
-    return {"type": kind, "shape": list(array.shape), "values": base64.b64encode(values.tobytes()).decode("ascii")}
-
-
-def pack_coordinates(points: NDArray[np.floating[Any]]) -> dict[str, Any]:
-    """(..., 3) coordinates packed to 16 bits with one scale for the three axes; the error is at most half the scale."""
-    steps, scale = packed(points)
-    return pack(steps) | {"scale": float(scale[0]), "low": scale[1:].tolist()}
+Points = NDArray[np.floating[Any]]
+SPACE = ("orbit.js", "mesh.js")  # the scripts that draw cloth under a hand
 
 
 def player(
@@ -80,7 +72,7 @@ def player(
         "long": list(long_lived(states)),
     }
     data["arrays"] |= _tracks(states)
-    return framed("player", (), data, height, title, f"Player: {title}")
+    return framed("player", SPACE, data, height, title, f"Player: {title}")
 
 
 def telling_frame(states: Sequence[TopologicalState]) -> int:
@@ -89,23 +81,58 @@ def telling_frame(states: Sequence[TopologicalState]) -> int:
     return int(np.nanargmax(lifetimes(states)[weightiest[0]])) if weightiest else 0
 
 
-def _scene(episode: Episode) -> dict[str, Any]:
-    points = np.asarray(episode.points, dtype=np.float64)
+def wardrobe(garments: Mapping[str, Garment], *, height: int = 480, title: str = "turn it") -> Framed:
+    """Return an interactive figure of garments, one at a time and in the hand, with their true loops in colours.
+
+    Parameters
+    ----------
+    garments : mapping of str to topokit.sim.Garment
+        By the names of which the reader chooses; the first is shown first.
+    height : int
+        Height of the frame in CSS pixels.
+    title : str
+        The caption in the corner of the figure.
+
+    Raises
+    ------
+    ValueError
+        When there is no garment.
+    """
+    if not garments:
+        raise ValueError("garments names no garment; give at least one")
+    meshes = []
+    for name, garment in garments.items():
+        mesh, arrays = _mesh(garment.vertices[None], garment.faces, garment.loops)
+        meshes.append({"name": str(name)} | mesh | arrays)
+    data = {"garments": meshes, "view": [-65.0, 18.0]}
+    return framed("wardrobe", (*SPACE, "planar.js"), data, height, title, f"Wardrobe: {', '.join(garments)}")
+
+
+def _mesh(points: Points, faces: ArrayLike, loops: Iterable[ArrayLike]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the script asks of a mesh in (T, N, 3) places, and its arrays."""
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
-    faces = np.asarray(episode.faces, dtype=np.int64).reshape(-1, 3)
-    marks = cloth_marks(points[0], faces, smooth=True)
-    return {
-        "frames": len(episode),
-        "dt": float(episode.dt),
-        "unit": "m",
+    corners = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+    marks = cloth_marks(np.asarray(points[0], dtype=np.float64), corners, smooth=True)
+    told = {
+        "frames": len(points),
         "centre": ((low + high) / 2).tolist(),
         "radius": float(np.linalg.norm(high - low) / 2) or 1.0,
+        "marks": [
+            {"face": pack(face), "ends": pack_coordinates(ends), "bright": bright} for face, ends, bright in marks
+        ],
+        "truth": [np.asarray(loop).tolist() for loop in loops],
+    }
+    return told, {"points": pack_coordinates(points), "faces": pack(corners)}
+
+
+def _scene(episode: Episode) -> dict[str, Any]:
+    told, arrays = _mesh(np.asarray(episode.points, dtype=np.float64), episode.faces, episode.loops)
+    return told | {
+        "dt": float(episode.dt),
+        "unit": "m",
         "thickness": rod_radius(episode),
-        "marks": [{"face": pack(face), "ends": pack(ends), "bright": bright} for face, ends, bright in marks],
-        "truth": [np.asarray(loop).tolist() for loop in episode.loops],
-        "arrays": {
-            "points": pack_coordinates(points),
-            "faces": pack(faces),
+        "arrays": arrays
+        | {
             "line": pack_coordinates(subdivide(triples(episode.centre_line, "centre_line"))),
             "grippers": pack_coordinates(episode.grippers),
             "held": pack(np.asarray(episode.held, dtype=bool)),

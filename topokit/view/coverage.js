@@ -1,13 +1,15 @@
 // A planar scene and what is observed of it: the covering radius, the loops of both, and where each loop must be seen.
-// Idea: the state is the points and a flag for each, whether it is observed. Both diagrams are computed anew at every change.
+// Idea: the state is the points, a flag for each, whether it is observed, and a hand, a disc that hides what is below it. Both
+// diagrams are computed anew at every change.
 (() => {
   const [scene, diagram, strip] = [$("scene"), $("diagram"), $("strip")];
   const n = data.points.length, frame = framing(data.points, 0);
-  let points, seen, all, some, match, alpha, worst, spread, chosen = -1;
+  let points, seen, all, some, match, alpha, worst, spread, hand, reach, from, chosen = -1; // the hand is chosen as point n
 
   // ---- what follows from the state ---------------------------------------------------------------------------
   const away = (i, j) => Math.hypot(points[i][0] - points[j][0], points[i][1] - points[j][1]);
-  const ids = () => [...points.keys()].filter((v) => seen[v]);
+  const within = ([x, y], far) => data.hand && Math.hypot(x - hand[0], y - hand[1]) < far;
+  const ids = () => [...points.keys()].filter((v) => seen[v] && !within(points[v], reach));
   function farthestFirst() { // the order of farthest-point sampling from point 0, and the covering radius after each
     const gap = new Array(n).fill(Infinity), order = [], radius = [];
     for (let next = 0; order.length < n;) {
@@ -39,14 +41,18 @@
     spread = farthestFirst();
     compute();
   }
-  function observe(flags) {
-    seen = flags;
+  function attempt(what) { // nothing observed has no covering radius
+    const before = [seen, hand, reach];
+    what();
+    if (!ids().length) [seen, hand, reach] = before;
     compute();
   }
+  const observe = (flags) => attempt(() => (seen = flags));
   const first = (count) => observe(points.map((_, v) => spread.order.indexOf(v) < count));
   function reset() {
     points = data.points.map((p) => [...p]);
     seen = points.map((_, v) => data.observed.includes(v));
+    if (data.hand) [hand, reach] = [data.hand.slice(0, 2), data.hand[2]];
     chosen = -1;
     change();
   }
@@ -71,11 +77,13 @@
       g.fillStyle = css("--ink");
       g.fillText("\u03b1", (a[0] + b[0]) / 2 + 6, (a[1] + b[1]) / 2 - 8);
     }
+    const there = ids();
     S.forEach((p, v) => {
-      if (seen[v]) dot(g, p, 5, css("--ink"), css("--panel"), 1.5);
+      if (there.includes(v)) dot(g, p, 5, css("--ink"), css("--panel"), 1.5);
       else dot(g, p, 4, css("--panel"), css("--soft"), 1.5);
       if (v === chosen) dot(g, p, 9, null, css("--accent"), 2.5);
     });
+    if (data.hand) dot(g, to(hand), scale * reach, fade(dark ? "#9fadbc" : "#5d6b7a", 0.4), css(chosen === n ? "--accent" : "--soft"), chosen === n ? 3 : 1.5);
   }
   function drawDiagram() {
     const high = 1.1 * Math.max(all.cone, ...all.loops.map((l) => l.death + Math.min(alpha, life(l)))) || 1;
@@ -123,6 +131,8 @@
     const size = Math.max(all.cone, 1e-9), digits = Math.max(0, 2 - Math.floor(Math.log10(size))), show = (v) => v.toFixed(digits);
     const [loop] = all.loops, there = loop && some.loops[match.partner[0]], count = ids().length;
     const text = [`${count} of ${n} points`, `\u03b1 = ${show(alpha)}`];
+    if (data.hand) text.push(`guessed ${show(spacing(ids().map((v) => points[v])))}`);
+    if (data.hand) $("hand").value = 100 * reach / data.hand[2];
     if (loop) {
       text.push(`longest lifetime ${show(life(loop))}` + (alpha > 0 ? `, ${(life(loop) / alpha).toFixed(alpha < life(loop) && life(loop) < 1.01 * alpha ? 4 : 2)} \u03b1` : ""));
       text.push(there ? `seen: ${show(there.birth - loop.birth)} later born, ${show(there.death - loop.death)} later dead` : "not seen");
@@ -130,34 +140,33 @@
     $("status").textContent = text.join(" \u00b7 ");
     $("count").value = count;
     $("count").setAttribute("aria-valuetext", $("status").textContent);
-    scene.setAttribute("aria-label", `A scene of ${n} points; ${$("status").textContent}. Click a point to hide or show it, drag it to move it; or choose one with the keys n and p, hide or show it with Enter, and move it with the arrow keys; Escape begins anew.`);
+    scene.setAttribute("aria-label", `A scene of ${n} points; ${$("status").textContent}. ${data.hand ? "Drag the hand, which the key p chooses. " : ""}Click a point to hide or show it, drag it to move it; or choose one with the keys n and p, hide or show it with Enter, and move it with the arrow keys; Escape begins anew.`);
     diagram.setAttribute("aria-label", `diagrams of all and of the observed points; ${$("status").textContent}`);
     strip.setAttribute("aria-label", `covering radius of farthest-point samples, and of the present one: ${show(alpha)} with ${count} points`);
   }
   const later = lazily(draw);
 
   // ---- hands -------------------------------------------------------------------------------------------------
-  function toggle(v) {
-    const flags = seen.map((flag, i) => (i === v ? !flag : flag));
-    if (flags.some((flag) => flag)) observe(flags); // nothing observed has no covering radius
-  }
-  const choose = (v) => ((chosen = v), later());
-  function place(v, where) {
+  const toggle = (v) => observe(seen.map((flag, i) => (i === v ? !flag : flag)));
+  const choose = (v) => ((chosen = v), (from = hand), later());
+  function place(v, where, by) {
+    if (v === n) return attempt(() => (hand = by ? from.map((c, k) => c + by[k]) : where));
     points[v] = where;
     change();
   }
   draggable(scene, {
     points: () => points,
     frame,
+    grab: (where, scale) => within(where, Math.max(reach, 12 / scale)) && n,
     press: choose,
     move: place,
     tap: toggle,
   });
   walk(scene, {
-    count: () => n,
+    count: () => n + !!data.hand,
     chosen: () => chosen,
     choose,
-    move: (v, dx, dy) => place(v, beside(scene, frame, points[v], dx, dy)),
+    move: (v, dx, dy) => place(v, beside(scene, frame, points[v] || hand, dx, dy)),
     Escape: reset,
     Enter: () => chosen >= 0 && toggle(chosen),
   });
@@ -169,6 +178,8 @@
     observe(points.map((_, v) => drawn.includes(v)));
   };
   $("balls").onchange = later;
+  $("hand").closest("label").hidden = !data.hand;
+  $("hand").oninput = (e) => attempt(() => (reach = (e.target.value / 100) * data.hand[2]));
   onReset(reset);
 
   // ---- start -------------------------------------------------------------------------------------------------

@@ -128,6 +128,16 @@ function scrub(canvas, go) { // go to a share of a chart's width
     go((e.offsetX - canvas.box.x) / canvas.box.w);
   };
 }
+function fullScreen() { // where the browser and the page around allow it
+  if (!document.fullscreenEnabled) return;
+  const button = Object.assign(document.createElement("button"), { type: "button", title: "full screen", id: "full" });
+  button.innerHTML = svg('<path d="M0 0h4v1.5H1.5V4H0zM6 0h4v4H8.5V1.5H6zM0 6h1.5v2.5H4V10H0zM8.5 6H10v4H6V8.5h2.5z"/>');
+  button.setAttribute("aria-label", "full screen");
+  button.onclick = () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
+  document.onfullscreenchange = () => button.setAttribute("aria-pressed", !!document.fullscreenElement);
+  button.setAttribute("aria-pressed", false);
+  $("status").before(button);
+}
 function explain() { // a button that shows what a screen reader is told: the keys, and what can be dragged
   const button = Object.assign(document.createElement("button"), { type: "button", textContent: "?", title: "keys", id: "help" });
   const show = (on) => {
@@ -166,5 +176,5 @@ function watch(draw, resized) { // redraw when the theme or the size changes
   document.querySelector("figcaption").textContent = data.title;
   theme();
   layout();
-  requestAnimationFrame(explain); // once the first drawing has said what can be done
+  requestAnimationFrame(() => (fullScreen(), explain())); // once the first drawing has said what can be done
 }

@@ -52,10 +52,13 @@ function beside(canvas, frame, point, dx, dy) { // a place 4 pixels from a point
   const { to, back } = frame(canvas.clientWidth, canvas.clientHeight), [x, y] = to(point);
   return back(...inside(canvas, x + 4 * dx, y + 4 * dy));
 }
-function draggable(canvas, { points, frame, press = () => {}, move, tap = () => {}, release = () => {}, miss = () => {}, all = false }) {
+function draggable(canvas, { points, frame, grab = () => false, press = () => {}, move, tap = () => {}, release = () => {}, miss = () => {}, all = false }) {
   // press(v), move(v, where, by), then release(v), or tap(v) when nothing moved; beside all points v is -1 if `all`, else miss()
   const here = () => frame(canvas.clientWidth, canvas.clientHeight);
-  const find = (x, y, type) => nearest(points(), here().to, x, y, type === "mouse" ? 14 : 24);
+  const find = (x, y, type) => { // what grab(where, scale) names, if it names something, goes before the points
+    const { to, back, scale } = here();
+    return grab(back(x, y), scale) || nearest(points(), to, x, y, type === "mouse" ? 14 : 24);
+  };
   let held = null;
   canvas.addEventListener("touchstart", (e) => { // a finger on a point drags it, a finger beside one scrolls the page
     const { left, top } = canvas.getBoundingClientRect(), { clientX, clientY } = e.touches[0];

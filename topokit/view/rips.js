@@ -1,18 +1,24 @@
-// Degree-1 Rips persistence of a small planar cloud, by lunes, as topokit.rips does it.
+// Degree-1 Rips persistence of a small cloud, by lunes, as topokit.rips does it.
 // Idea: edges arrive by (length, smaller index, larger index). The lune of an edge is the set of points already joined to
 // both of its ends. An empty lune joins two components or creates a loop; each further component of a lune is a relation
 // that may kill one. A cycle is written in creators, a bit each: an edge with a lune counts as the two other edges of a
 // triangle on it, an edge of the spanning forest as nothing.
-function rips(points) {
-  const n = points.length, edges = [], at = new Int32Array(n * n).fill(-1), ends = [...points.keys()];
-  const find = (i) => (ends[i] === i ? i : (ends[i] = find(ends[i])));
-  for (let i = 0; i < n; i++) for (let j = i + 1; j < n; j++) {
-    const dx = points[i][0] - points[j][0], dy = points[i][1] - points[j][1];
-    edges.push({ i, j, square: dx * dx + dy * dy, cycle: 0n });
+function edgesOf(points) { // in order
+  const edges = [];
+  for (let i = 0; i < points.length; i++) for (let j = i + 1; j < points.length; j++) {
+    const square = points[i].reduce((sum, x, k) => sum + (x - points[j][k]) * (x - points[j][k]), 0);
+    edges.push({ i, j, square, value: Math.sqrt(square) / 2 });
   }
-  edges.sort((a, b) => a.square - b.square); // stable, and i, j came in order
+  return edges.sort((a, b) => a.square - b.square); // stable, and i, j came in order
+}
+function forest(n) { // joins two components, unless they are one
+  const ends = [...Array(n).keys()], find = (i) => (ends[i] === i ? i : (ends[i] = find(ends[i])));
+  return (i, j) => find(i) !== find(j) && ((ends[find(i)] = find(j)), true);
+}
+function rips(points) {
+  const n = points.length, edges = edgesOf(points), at = new Int32Array(n * n).fill(-1), joins = forest(n);
   edges.forEach((edge, rank) => {
-    edge.value = Math.sqrt(edge.square) / 2;
+    edge.cycle = 0n;
     at[edge.i * n + edge.j] = at[edge.j * n + edge.i] = rank;
   });
   const edge = (i, j) => edges[at[i * n + j]], joined = (i, j, rank) => at[i * n + j] >= 0 && at[i * n + j] < rank;
@@ -40,8 +46,7 @@ function rips(points) {
     if (e.value > cone) return false;
     const [first, ...further] = (e.parts = lune(e, rank)).map(([apex]) => apex);
     if (first !== undefined) e.cycle = through(e, first);
-    else if (find(e.i) !== find(e.j)) {
-      ends[find(e.i)] = find(e.j);
+    else if (joins(e.i, e.j)) {
       merges.push(e.value);
       e.joins = true;
     } else {
@@ -94,4 +99,16 @@ function rips(points) {
     return e.kills ? "kills" : e.joins ? "joins" : ["begins", "nothing"][c] || "void";
   };
   return { edges, merges, loops, cone, does, joined };
+}
+function told(points, rows) { // the same from rows that topokit wrote: birth edge, killer edge, two apexes, length of a cycle, cycle
+  const edges = edgesOf(points), joins = forest(points.length), loops = [], value = (a, b) => edges.find((e) => e.i === a && e.j === b).value;
+  for (let k = 0; k < rows.length; k += 7 + rows[k + 6]) {
+    const [a, b, i, j, y, z, many] = rows.subarray(k, k + 7), cycle = [...rows.subarray(k + 7, k + 7 + many)];
+    loops.push({ birth: value(a, b), death: value(i, j), birthEdge: [a, b], killerEdge: [i, j], triangles: [[i, j, y], [i, j, z]], cycle });
+  }
+  return { edges, loops, merges: edges.filter((e) => joins(e.i, e.j)).map((e) => e.value) };
+}
+function spacing(points) { // half the largest distance from a point to its nearest other one, as topokit.sampling.spacing
+  const apart = points.map((p) => Math.min(...points.map((q) => Math.hypot(...p.map((x, k) => x - q[k]))).filter((d) => d > 0)));
+  return Math.max(0, ...apart.filter(Number.isFinite)) / 2;
 }
