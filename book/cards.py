@@ -147,4 +147,5 @@ def thumbnail(app: Any, chapter: str) -> Path:
         for path in images
         if "jupyter_execute" in path.parts and (path.suffix == ".png" or path.stat().st_size < 250_000)
     ]
-    return max(drawn, key=lambda path: (path.suffix == ".png", path.stat().st_size, path.name))
+    nothing = ROOT / "book" / "_static" / "apron.png"  # of a chapter that has not run
+    return max(drawn, key=lambda path: (path.suffix == ".png", path.stat().st_size, path.name), default=nothing)

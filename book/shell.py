@@ -12,19 +12,14 @@ import io
 import json
 import re
 import shutil
-import sys
-import time
 import uuid
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from cards import CHAPTER, TOPICS, thumbnail
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from PIL import Image
-
-import topokit
 
 ROOT = Path(__file__).resolve().parent.parent
 DESCRIPTION = "Find the loops of cloth in a cloud of points, say where they are, and follow them through time."
@@ -38,9 +33,6 @@ def setup(app: Any) -> dict[str, bool]:
     app.connect("doctree-resolved", _drawings)
     app.connect("html-page-context", _head)
     app.connect("build-finished", _finish)
-    app.connect("builder-inited", _say_what_runs)
-    app.connect("source-read", _began)
-    app.connect("doctree-read", _done)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
@@ -256,31 +248,3 @@ def _texts_to_search(app: Any, out: Path) -> None:
         texts[docname] = re.sub(r"\s+", " ", " ".join(words))
     code = "const TEXTS = " + json.dumps(texts, ensure_ascii=False) + ";\n"
     (out / "_static" / "texts.js").write_text(code, encoding="utf-8")
-
-
-# ---- what the build says -------------------------------------------------------------------------------------------
-
-_start: dict[str, float] = {}
-
-
-def _say_what_runs(app: Any) -> None:
-    """Compile what is compiled once on a machine, so that no chapter says so on its page, and say what will take time."""
-    for tiny in (np.eye(4, 3), np.eye(4, 2)):
-        topokit.rips_persistence(tiny)
-    topokit.rips_persistence_many(np.eye(4, 3)[None])
-    count = len(list((ROOT / "notebooks").glob("*.ipynb")))
-    print(
-        f"topokit: {count} chapters run now, about ten minutes in all; those that ran before and have not changed do not",
-        file=sys.stderr,
-        flush=True,
-    )
-
-
-def _began(app: Any, docname: str, source: list[str]) -> None:
-    _start[docname] = time.monotonic()
-
-
-def _done(app: Any, doctree: nodes.document) -> None:
-    seconds = time.monotonic() - _start.get(app.env.docname, time.monotonic())
-    if CHAPTER.match(app.env.docname):
-        print(f"  {Path(app.env.docname).name}: {seconds:.0f} s", file=sys.stderr, flush=True)
