@@ -5,6 +5,7 @@
 # make doors  tests of the doors to neighbours that the environment lacks (Ripser, persim, pyarrow, Rerun, Stable-Baselines3), in one beside it
 # make hashes requirements-hashed.txt anew: after every change of requirements.txt
 # make supply licences and a bill of materials of the environment, into _build, and an audit for known vulnerabilities
+# make pdf    the whole book as one page, and that printed by Chromium
 # make check-book  open every page of the built book in Chromium, without a network, and use every control of its figures
 # make lab    open JupyterLab on the first chapter
 # make clean  remove what the others made (environments, book, caches)
@@ -17,7 +18,7 @@ READY := $(VENV)/ready
 export PYTHONHASHSEED = 0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: book check-book test core lowest doors hashes supply lint lab env clean help
+.PHONY: book pdf check-book test core lowest doors hashes supply lint lab env clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -29,6 +30,9 @@ book: env opengl
 	@$(BIN)/python book/ahead.py
 	@$(BIN)/python -m sphinx -n -W --keep-going -q -b html -c book -d _build/doctrees . _build/html
 	@echo "The book: file://$(CURDIR)/_build/html/index.html"
+
+pdf: book
+	@$(BIN)/python book/on_paper.py
 
 # The system's own Chromium, asked by Playwright: no browser is fetched.
 BROWSER := .venv-browser

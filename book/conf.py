@@ -40,6 +40,9 @@ exclude_patterns = ["**/_build/**", "**/.ipynb_checkpoints/**"]
 extensions = [
     "myst_nb",
     "shell",
+    "cards",
+    "links",
+    "teach",
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
@@ -124,7 +127,7 @@ nb_merge_streams = True
 html_theme = "sphinx_book_theme"
 html_static_path = ["_static"]
 html_css_files = ["katex/katex.min.css", "topokit.css"]
-html_js_files = ["book.js"]
+html_js_files = ["book.js", "slides.js"]
 html_copy_source = False
 html_show_sourcelink = False
 html_last_updated_fmt = None
@@ -160,7 +163,7 @@ def _hover(app: Any, doctree: Any, docname: str) -> None:
         if any(
             "std-term" in child.get("classes", ()) for child in reference.children if isinstance(child, nodes.Element)
         ):
-            where = reference.get("refid") or reference["refuri"].partition("#")[2]
+            where = reference.get("refid") or reference["refuri"].rpartition("#")[2]
             reference["reftitle"] = meanings[where]
 
 

@@ -6,7 +6,9 @@ the table in README.md, figures of the first page from book/results.
 
 from __future__ import annotations
 
+import base64
 import html
+import io
 import json
 import re
 import shutil
@@ -17,26 +19,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cards import CHAPTER, TOPICS, thumbnail
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from PIL import Image
-from sphinx import addnodes
 
 import topokit
 
 ROOT = Path(__file__).resolve().parent.parent
-CHAPTER = re.compile(r"notebooks/0*(\d+)_")
-TOPICS = re.compile(r"^\| \d+ \[[^]]*\]\((notebooks/\w+)\.ipynb\) \| (.*) \|$", re.MULTILINE)
 DESCRIPTION = "Find the loops of cloth in a cloud of points, say where they are, and follow them through time."
 
 
 def setup(app: Any) -> dict[str, bool]:
-    app.add_directive("chapters", Chapters)
     app.add_directive("film", Film)
     app.connect("source-read", _figures_of_the_first_page)
     app.connect("doctree-read", _number, priority=400)  # before titles are collected, at 500
     app.connect("doctree-read", _tidy, priority=400)
-    app.connect("doctree-resolved", _cards)
     app.connect("doctree-resolved", _drawings)
     app.connect("html-page-context", _head)
     app.connect("build-finished", _finish)
@@ -114,10 +112,30 @@ def _in_page(svg: str, told: str) -> str:
     svg = re.sub(
         r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', rf'<svg viewBox="\1" width="{width:.0f}" role="img">', svg, count=1
     )
+    svg = _PLACES.sub(lambda m: _NUMBER.sub(_hundredths, " ".join(m[0].split())), _PIXELS.sub(_lighter, svg))
     label = html.escape(told or _labels(svg) or "Drawing", quote=True)
     svg = svg.replace('role="img"', f'role="img" aria-label="{label}"', 1)
     least = min(round(width), 560)
     return f'<div class="topokit-plot" tabindex="0" role="group" aria-label="figure" style="--least: {least}px">{svg}</div>'
+
+
+_PIXELS = re.compile(r"(?<=data:image/png;base64,)[A-Za-z0-9+/=\s]+")
+_PLACES = re.compile(r'\b[dxy]="[^"]*"')
+_NUMBER = re.compile(r"-?\d+\.\d+")
+
+
+def _hundredths(number: re.Match[str]) -> str:
+    """A coordinate to a hundredth of a point, which nobody sees; Matplotlib writes millionths."""
+    return f"{float(number[0]):.2f}".rstrip("0").rstrip(".")
+
+
+def _lighter(image: re.Match[str]) -> str:
+    """The pixels in a drawing with a table of 256 colours where that is smaller: a half of the weight of a page."""
+    raw, out = base64.b64decode(image[0]), io.BytesIO()
+    with Image.open(io.BytesIO(raw)) as whole:
+        table = whole.convert("RGBA").quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    table.save(out, "PNG", optimize=True)
+    return base64.b64encode(min(raw, out.getvalue(), key=len)).decode()
 
 
 def _between(level: int) -> str:
@@ -135,17 +153,6 @@ def _labels(svg: str) -> str:
 
 
 # ---- the first page ----------------------------------------------------------------------------------------------
-
-
-class chapter_cards(nodes.General, nodes.Element):
-    """Where the cards of all chapters go."""
-
-
-class Chapters(Directive):
-    """The chapters as cards, part by part, from the tables of contents of this page."""
-
-    def run(self) -> list[nodes.Node]:
-        return [chapter_cards()]
 
 
 class Film(Directive):
@@ -187,40 +194,6 @@ def _at(value: Any, path: list[str]) -> Any:
     return value
 
 
-def _cards(app: Any, doctree: nodes.document, docname: str) -> None:
-    for place in list(doctree.findall(chapter_cards)):
-        about = dict(TOPICS.findall((ROOT / "README.md").read_text(encoding="utf-8")))
-        parts = []
-        for toc in app.env.tocs[docname].findall(addnodes.toctree):
-            cards = [_card(app, chapter, about) for _, chapter in toc["entries"] if CHAPTER.match(chapter or "")]
-            if cards:
-                parts.append(
-                    f'<h3 class="topokit-part">{toc["caption"]}</h3><ul class="topokit-cards">{"".join(cards)}</ul>'
-                )
-        place.replace_self(nodes.raw("", "".join(parts), format="html"))
-
-
-def _card(app: Any, chapter: str, about: dict[str, str]) -> str:
-    number, _, title = app.env.titles[chapter].astext().partition(". ")
-    link = app.builder.get_relative_uri(app.config.root_doc, chapter)
-    picture = f"../_static/thumbnails/{_thumbnail(app, chapter).name}"
-    return (
-        f'<li><a href="{link}"><img src="{picture}" alt="" loading="lazy"><span>{number}</span>'
-        f"<strong>{html.escape(title)}</strong></a><p>{html.escape(about.get(chapter, ''))}</p></li>"
-    )
-
-
-def _thumbnail(app: Any, chapter: str) -> Path:
-    """Of the pictures that a chapter draws a photograph-like one, else the richest drawing that is not heavy."""
-    images = {Path(app.srcdir) / image["uri"] for image in app.env.get_doctree(chapter).findall(nodes.image)}
-    drawn = [
-        path
-        for path in images
-        if "jupyter_execute" in path.parts and (path.suffix == ".png" or path.stat().st_size < 250_000)
-    ]
-    return max(drawn, key=lambda path: (path.suffix == ".png", path.stat().st_size, path.name))
-
-
 # ---- what every page has, and what is laid beside the pages --------------------------------------------------------
 
 
@@ -246,7 +219,7 @@ def _finish(app: Any, error: Exception | None) -> None:
     thumbnails = out / "_static" / "thumbnails"
     thumbnails.mkdir(parents=True, exist_ok=True)
     for chapter in filter(CHAPTER.match, app.env.found_docs):
-        picture = Path(shutil.copy(_thumbnail(app, chapter), thumbnails))
+        picture = Path(shutil.copy(thumbnail(app, chapter), thumbnails))
         if picture.suffix == ".png":
             with Image.open(picture) as whole:
                 whole.thumbnail((640, 640))

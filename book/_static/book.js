@@ -1,4 +1,5 @@
-// What the pages of the book do by themselves: formulas are set, films can be stopped, words light up their part of a figure.
+// What the pages of the book do by themselves: formulas are set, films can be stopped, code can be copied, words light up their
+// part of a figure.
 "use strict";
 document.addEventListener("DOMContentLoaded", () => {
   for (const place of document.querySelectorAll(".math")) {
@@ -10,9 +11,22 @@ document.addEventListener("DOMContentLoaded", () => {
     if (block) place.tabIndex = 0; // a wide one is scrolled to by the keys
   }
   for (const fold of document.querySelectorAll(".bd-sidebar-primary summary")) fold.ariaLabel = "its parts";
+  for (const code of document.querySelectorAll(".bd-article div.highlight")) copyable(code);
   for (const film of document.querySelectorAll("main img[src$='.gif']")) pausable(film);
   for (const word of document.querySelectorAll("[data-shows]")) lighting(word);
 });
+
+function copyable(box) { // a button that copies the code, without the prompts of a shell
+  const button = document.createElement("button"), text = box.querySelector("pre").textContent;
+  if (!navigator.clipboard || box.closest(".cell_output")) return;
+  [button.type, button.className, button.textContent, button.ariaLabel] = ["button", "topokit-copy", "copy", "copy this code"];
+  button.onclick = () => navigator.clipboard.writeText(text.replace(/^\$ /gm, "").trimEnd()).then(() => {
+    button.textContent = "copied";
+    setTimeout(() => { button.textContent = "copy"; }, 1500);
+  });
+  box.classList.add("topokit-code");
+  box.append(button);
+}
 
 function pausable(film) { // a still of where it stands lies on the film while it is stopped
   const still = document.createElement("canvas"), button = document.createElement("button"), box = document.createElement("span");

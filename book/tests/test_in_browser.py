@@ -144,6 +144,7 @@ OVERFLOW = """() => {
     .filter((e) => e.getBoundingClientRect().right > wide + 1);
   return out.slice(0, 3).map((e) => e.tagName + "." + e.className + ": " + e.textContent.trim().slice(0, 60));
 }"""
+ON_SLIDE = "() => [...document.querySelectorAll('[data-slide=shown]')].at(-1).offsetHeight"
 MATHS = """() => [...document.querySelectorAll(".math")]
   .filter((m) => !m.querySelector(".katex") || m.querySelector(".katex-error"))
   .map((m) => m.textContent.slice(0, 80))"""
@@ -189,6 +190,32 @@ def test_every_control_of_every_figure_does_something(chromium: Any, page: str) 
                     if frame.evaluate(SHOWN) == before:
                         dead.append(f"figure {k}: {control.evaluate('e => e.outerHTML')[:120]}")
         assert dead + visit.trouble == []
+
+
+@pytest.mark.parametrize("page", CHAPTERS)
+def test_slides_show_one_thing_at_a_time(chromium: Any, page: str) -> None:
+    with Visit(chromium, page) as visit:
+        visit.page.goto((BOOK / page).as_uri() + "?slides", wait_until="load")
+        count = int(visit.ask("() => document.querySelector('.topokit-turn output').textContent.split('/')[1]"))
+        assert count >= 10
+        seen = []
+        for _ in range(count):
+            seen.append(visit.ask(ON_SLIDE))
+            assert visit.ask("() => [...document.querySelectorAll('[data-slide=note]')].every((e) => !e.offsetHeight)")
+            assert not visit.ask(OVERFLOW)
+            visit.page.keyboard.press("ArrowRight")
+        assert all(height > 0 for height in seen), seen
+        assert visit.trouble == []
+        visit.page.keyboard.press("Escape")
+        visit.page.wait_for_url((BOOK / page).as_uri())
+
+
+def test_code_can_be_copied(chromium: Any) -> None:
+    with Visit(chromium, "book/elsewhere.html", permissions=["clipboard-read", "clipboard-write"]) as visit:
+        visit.page.locator(".topokit-copy").last.click()
+        visit.page.get_by_text("copied").wait_for()
+        copied = visit.ask("() => navigator.clipboard.readText()")
+        assert copied == visit.page.locator(".topokit-code pre").last.text_content().rstrip()
 
 
 @pytest.mark.parametrize("width", [1280, 400])

@@ -3,7 +3,7 @@ function framing(points, margin) { // from the plane to the canvas and back; the
   const low = [0, 1].map((k) => Math.min(...points.map((p) => p[k])) - margin);
   const size = [0, 1].map((k) => Math.max(...points.map((p) => p[k])) + margin - low[k]);
   return (w, h) => {
-    const scale = Math.min((w - 32) / (size[0] || 1), (h - 56) / (size[1] || 1));
+    const scale = Math.max(1e-6, Math.min((w - 32) / (size[0] || 1), (h - 56) / (size[1] || 1))); // a folded frame has no width
     const x = w / 2 - scale * (low[0] + size[0] / 2), y = h / 2 + 12 + scale * (low[1] + size[1] / 2);
     return { scale, to: (p) => [x + scale * p[0], y - scale * p[1]], back: (a, b) => [(a - x) / scale, (y - b) / scale] };
   };

@@ -1,0 +1,97 @@
+"""What leads from page to page: chapters that the prose calls by their numbers become links, and terms stand in the index.
+
+What is a link already, code and headings are left alone. The index has what the chapters define and prove, by its title, and for
+every term of the glossary the first place in each chapter that uses it.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from cards import CHAPTER, chapters
+from docutils import nodes
+from sphinx import addnodes
+from sphinx.transforms import SphinxTransform
+
+# "chapter 3", "chapters 3 to 6", "chapters 5, 10 and 12"
+CALLED = re.compile(r"\b[Cc]hapters?\s+\d+(?:(?:,| to| and| or)\s+\d+)*")
+STATED = ("definition", "theorem", "lemma", "proposition", "corollary")
+KEPT = (nodes.reference, nodes.literal, nodes.literal_block, nodes.title, nodes.raw, nodes.math, nodes.caption)
+
+
+def setup(app: Any) -> dict[str, bool]:
+    app.connect("doctree-resolved", _link)
+    app.add_transform(Index)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def pieces(text: str) -> list[tuple[str, int | None]]:
+    """A text in pieces, each with the chapter that it shall lead to: a single one with its word, several by number."""
+    found, at = [], 0
+    for called in CALLED.finditer(text):
+        numbers = list(re.finditer(r"\d+", called[0]))
+        for number in numbers:
+            start = called.start() + (0 if len(numbers) == 1 else number.start())
+            end = called.start() + number.end()
+            found += [(text[at:start], None), (text[start:end], int(number[0]))]
+            at = end
+    return [piece for piece in (*found, (text[at:], None)) if piece[0]]
+
+
+def _link(app: Any, doctree: nodes.document, docname: str) -> None:
+    if app.builder.format != "html":
+        return
+    pages, own = chapters(app), CHAPTER.match(docname)
+    for text in list(doctree.findall(nodes.Text)):
+        if CALLED.search(text) and not _within(text, KEPT):
+            text.parent.replace(text, [_piece(app, docname, own, pages, *piece) for piece in pieces(str(text))])
+
+
+def _piece(app: Any, docname: str, own: Any, pages: dict[int, str], text: str, chapter: int | None) -> nodes.Node:
+    if chapter not in pages or (own and int(own[1]) == chapter):
+        return nodes.Text(text)
+    uri = app.builder.get_relative_uri(docname, pages[chapter])
+    return nodes.reference(text, text, internal=True, refuri=uri, reftitle=app.env.titles[pages[chapter]].astext())
+
+
+def _within(node: nodes.Node, kinds: tuple[type, ...]) -> bool:
+    while (node := node.parent) is not None:
+        if isinstance(node, kinds):
+            return True
+    return False
+
+
+class Index(SphinxTransform):
+    """Give definitions, theorems and first uses of terms an entry in the index each."""
+
+    default_priority = 800  # before the domains collect what is in a page, at 850
+
+    def apply(self, **kwargs: Any) -> None:
+        if not CHAPTER.match(self.env.docname) and self.env.docname != "book/modules":
+            return
+        for stated in [node for node in self.document.findall(nodes.Element) if node.get("realtype") in STATED]:
+            kind = stated["realtype"]
+            for name in names(kind, stated.get("title", "")):
+                _enter(stated, name, stated["ids"][0], "" if name.endswith(kind) else kind)
+        seen = set()
+        for used in list(self.document.findall(addnodes.pending_xref)):
+            if used.get("reftype") == "term" and used["reftarget"].casefold() not in seen:
+                seen.add(used["reftarget"].casefold())
+                place = f"term-used-{nodes.make_id(used['reftarget'])}"
+                used.parent.insert(used.parent.index(used), nodes.target("", "", ids=[place]))
+                _enter(used, used["reftarget"], place, "")
+
+
+def names(kind: str, title: str) -> list[str]:
+    """What a title names: the definition "(Bar, killer edge, diagram)" three things, a theorem itself."""
+    title = title.strip(" ()")
+    if kind != "definition":
+        return [title] if title else []
+    parts = [part.strip().removeprefix("and ") for part in title.split(",")]
+    return [part[0].lower() + part[1:] for part in parts if part]
+
+
+def _enter(node: nodes.Node, name: str, place: str, kind: str) -> None:
+    entry = addnodes.index(entries=[("single", f"{name} ({kind})" if kind else name, place, "", None)])
+    node.parent.insert(node.parent.index(node), entry)

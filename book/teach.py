@@ -1,0 +1,69 @@
+"""What teachers get: the questions of all chapters with answers and remarks; and notebooks to take away, beside their pages."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+from cards import ROOT, chapters
+from docutils import nodes
+from docutils.parsers.rst import Directive
+from sphinx.util.docutils import SphinxDirective
+
+from topokit import book
+
+LEVELS = {1: "one idea", 2: "two ideas", 3: "a surprise"}
+
+
+def setup(app: Any) -> dict[str, bool]:
+    app.add_directive("questions", Questions)
+    app.add_directive("slides", Slides)
+    app.connect("build-finished", _notebooks_beside_their_pages)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def told(name: str, question: book.Question) -> str:
+    """A question as Markdown, its answer folded."""
+    choices = "".join(f"- **{key}** {text}\n" for key, text in (question.choices or {}).items())
+    within = f", within {question.tolerance:g}" if question.tolerance else ""
+    remarks = [f"- *{each['guess']}*: {each['remark']}\n" for each in question.wrong]
+    if not isinstance(question.answer, str):
+        remarks += [f"- *too small*: {question.smaller}\n", f"- *too large*: {question.larger}\n"]
+    return (
+        f"**{name}** ({LEVELS[question.level]}). {question.question}\n\n{choices}\n"
+        f"<details><summary>Answer to {name}, and what wrong guesses hear</summary>\n\n"
+        f"**{question.answer}**{within}. {question.why}\n\n{''.join(remarks)}\n"
+        f"Computed by `{question.by}` after the cells {', '.join(f'`{cell}`' for cell in question.cells)}.\n\n</details>\n\n"
+    )
+
+
+class Questions(SphinxDirective):
+    """All questions of the book, chapter by chapter, as a teacher wants them."""
+
+    def run(self) -> list[nodes.Node]:
+        asked = book.questions()
+        text = ""
+        for chapter in sorted({question.chapter for question in asked.values()}):
+            text += f"*Chapter {chapter}*\n\n"  # links.py makes it a link
+            text += "".join(told(name, each) for name, each in asked.items() if each.chapter == chapter)
+            self.env.note_dependency(str(ROOT / "topokit" / "questions" / f"{chapter:02}.json"))
+        self.env.note_dependency(str(ROOT / "topokit" / "book.py"))
+        place = nodes.Element()
+        self.state.nested_parse(text.splitlines(), self.content_offset, place)
+        return place.children
+
+
+class Slides(Directive):
+    """Links to the slides of every chapter."""
+
+    def run(self) -> list[nodes.Node]:
+        pages = sorted(path.stem for path in (ROOT / "notebooks").glob("*.ipynb"))
+        links = [f'<a href="../notebooks/{page}.html?slides">{int(page[:2])}</a>' for page in pages]
+        return [nodes.raw("", f"<p>Slides of chapter {', '.join(links)}.</p>", format="html")]
+
+
+def _notebooks_beside_their_pages(app: Any, error: Exception | None) -> None:
+    if error is None and app.builder.name == "html":
+        for chapter in chapters(app).values():
+            shutil.copy(ROOT / f"{chapter}.ipynb", Path(app.outdir) / f"{chapter}.ipynb")
