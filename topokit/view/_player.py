@@ -117,10 +117,9 @@ def plans(
     plan |= {"rows": grid[0], "columns": grid[1], "target": close_far(episode.centre_line).tolist()}
     arrays = {name: data["arrays"][name] for name in ("faces", "line", "held")} | _tracks([])
     arrays |= {"shares": pack_coordinates(shares.reshape(len(shares), -1, 3)), "modes": pack_coordinates(modes)}
-    title = f"{episode.garment}, {episode.target}: {grid[0] * grid[1]} plans"
     data |= {"frames": len(held), "plans": plan, "arrays": arrays}
-    scripts = (*SPACE, "link.js", "planar.js", "plans.js")
-    return framed("player", scripts, data, 520, title, f"Forecasts of {title}")
+    title = f"{episode.garment}, {episode.target}: {grid[0] * grid[1]} plans"
+    return framed("player", (*SPACE, "link.js", "planar.js", "plans.js"), data, 520, title, f"Forecasts of {title}")
 
 
 def sums(clouds: NDArray[np.float64], most: float = 0.005) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
