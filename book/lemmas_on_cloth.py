@@ -1,4 +1,4 @@
-"""The constants and the statements of topokit.lemmas over recorded episodes: the table of chapter 5.
+"""The constants and the statements of topokit.lemmas over recorded episodes: the tables of chapters 3, 4 and 6.
 
     python book/lemmas_on_cloth.py data_small [more folders or episodes] --out book/results/lemmas_on_cloth.json
     python book/lemmas_on_cloth.py --dataset runs/dataset --each 1 --out book/results/lemmas_on_test.json

@@ -506,6 +506,8 @@ GIVEN: list[tuple[str, str, str]] = [
     ),
     ("learning_to_predict", "bend the film's plan sideways a thousand times", SET),
     ("learning_to_predict", "at the same frame of two films", SET),
+    ("predict_the", "it ends up to 12 cm farther left or right", SET),
+    ("predict_the", "(to within 5 mm at every vertex)", "tests/test_view_plans.py"),
     ("predict_the", "**opening**, within two centimetres", SET),
     ("predict_the", "an opening of ten centimetres is left", "an example"),
     ("predict_the", "an opening that is ten centimetres wide", "an example"),

@@ -91,14 +91,15 @@ def test_labels_are_given_once_and_references_have_one():
 
 
 def test_every_theorem_has_a_proof_or_a_source_with_the_place():
-    """A statement in an environment is followed by its proof, or cites a work and says where in it."""
+    """A statement in an environment is followed by its proof, or cites a work and says where in it, by number or by name."""
+    place = r"\{cite:p\}`[^`]+` \(((Theorem|chapter|section) [\w.]+|(the )?\*[^*]+\*|the theorem of its abstract)\)"
     seen = Counter()
     for page, text in PAGES.items():
         for match in re.finditer(r"^:::\{prf:(theorem|proposition|lemma|corollary)\}.*?^:::$", text, re.M | re.S):
             seen[match[1]] += 1
             proof = text.find(":::{prf:proof}", match.end())
             after = text.find(":::{prf:", match.end())
-            sourced = re.search(r"\{cite:p\}`[^`]+` \((Theorem|chapter|section) [\w.]+\)", match[0])
+            sourced = re.search(place, match[0])
             assert sourced or 0 <= proof == after, f"{page}: {match[0].splitlines()[1]}"
     assert seen["theorem"] >= 10
 

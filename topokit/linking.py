@@ -36,7 +36,8 @@ def curve_centroid(curve: Array) -> Array:
 def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     """Return the linking number of two disjoint closed polygonal curves.
 
-    Its sign changes when one curve is reversed, and not when the two are exchanged.
+    It is 1 where one goes once through the other, towards an eye that sees that other run counterclockwise. Its sign changes
+    when one curve is reversed, and not when the two are exchanged.
 
     Parameters
     ----------

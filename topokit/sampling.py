@@ -167,7 +167,7 @@ def inliers_and_tree(
 def spacing(points: ArrayLike | cKDTree) -> float:
     """Return half the largest distance from a point to its nearest other one; repeated points count once.
 
-    No smaller covering radius is possible if every connected piece of the scene holds two points. A tree will do.
+    No smaller covering radius is possible if every connected piece of the scene holds two of them. A tree will do.
 
     Raises
     ------

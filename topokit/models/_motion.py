@@ -173,7 +173,7 @@ class Motion(nn.Module):
     def loss(self, scene: Scene, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """Error and distortion in the mean, and likelihood, of `future` (B, 13, carriers + n, 3) where it is `known` (B, 13).
 
-        The distortion, by how much distances between points are wrong, is what topology depends on: deaths differ by half of
+        The distortion is here by how much distances between points are wrong. Topology depends on it: deaths differ by half of
         the largest one at most. An error that all points share moves no killer to another place of the cloth.
 
         Clouds are thinned at random, so that nothing depends on how many points are seen.

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points, as_sequence, positive
+from topokit._validate import as_points, as_sequence, positive, whole
 from topokit.lemmas import vertex_ids
 from topokit.linking import close_far, linking_number
 from topokit.state import OKABE_ITO
@@ -283,6 +283,24 @@ def stray(points: ArrayLike, start: ArrayLike, end: ArrayLike) -> Framed:
     }
     title, scripts = f"{len(cloud)} points and a stray one", ("rips.js", "planar.js", "places.js", "rules.js")
     return framed("stray", scripts, {"points": cloud.tolist(), **way}, 480, "drag the stray point away", title)
+
+
+def mixture(points: ArrayLike, border: int) -> Framed:
+    """Return an interactive figure of the mixture of a planar cloud's longest-lived loop, as `topokit.loop_mixture` makes it.
+
+    Sliders take the killer triangles alone or neighbours too, and change the noise; any point can be dragged. Charts show the
+    density along the border of the opening and a reliability diagram of its points; dashed is one Gaussian of the same moments.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        At most 60 points, metres.
+    border : int
+        How many of them, the first ones, are the border of the true opening, in order.
+    """
+    cloud = planar(points, "points", MOST_POINTS)
+    data = {"points": cloud.tolist(), "border": whole(border, "border", 3, len(cloud))}
+    return framed("mixture", ("rips.js", "planar.js"), data, 480, "drag a point", f"Mixture of {len(cloud)} points")
 
 
 def linked(curve: ArrayLike, line: ArrayLike, way: ArrayLike) -> Framed:

@@ -1,17 +1,20 @@
-"""The figure that plays an episode and its loops, without a kernel.
+"""The figure that plays an episode and its loops, without a kernel; and forecasts under plans that bend.
 
-Idea: everything it shows is packed once, coordinates in 16 bits and base64; `player.js` unpacks and draws it.
+Idea: everything it shows is packed once, coordinates in 16 bits and base64; `player.js` unpacks and draws it. Forecast clouds
+are sums of a few modes, by a singular value decomposition. One of the plans is shown, never a blend of two (`plans.js`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit.io import Episode
+from topokit.linking import close_far
 from topokit.state import Loop, TopologicalState
 from topokit.view._looks import cloth_marks
 from topokit.view._packed import pack, pack_coordinates
@@ -64,15 +67,71 @@ def player(
     if not 0 <= start < len(episode):
         raise ValueError(f"start must be a frame from 0 to {len(episode) - 1}, not {start}")
     title = f"{episode.garment}, {episode.target}"
-    data = _scene(episode) | {
-        "start": int(start),
-        "view": [float(view[0]), float(view[1])],
-        "show_truth": bool(show_truth),
-        "film": bool(film),
-        "long": list(long_lived(states)),
-    }
+    told = {"start": int(start), "view": [float(view[0]), float(view[1])], "long": list(long_lived(states))}
+    data = _scene(episode) | told | {"show_truth": bool(show_truth), "film": bool(film)}
     data["arrays"] |= _tracks(states)
     return framed("player", SPACE, data, height, title, f"Player: {title}")
+
+
+def plans(
+    episode: Episode, frame: int, actions: ArrayLike, clouds: ArrayLike, ahead: ArrayLike, cycle: ArrayLike
+) -> Framed:
+    """Return an interactive figure of forecasts from one moment of a film, under plans that end at different places.
+
+    The reader moves the plan's end and the horizon; cloth, loop and linking number follow. A map shows which of the plans have
+    the loop around the target at that horizon. No vertex is off its forecast by more than 5 mm. Taught in chapter 12.
+
+    Parameters
+    ----------
+    episode : Episode
+    frame : int
+        Now, in the episode.
+    actions : (R, C, T, 2, 3) array_like
+        Where the two grippers go in the next T frames, metres, under R x C plans: rows from low to high, columns sideways.
+    clouds : (R, C, K, n, 3) array_like
+        The forecast vertices, metres; between the frames that are given they go along straight lines.
+    ahead : (K,) array_like of int
+        How many frames ahead those are, rising; the last is T.
+    cycle : (L,) array_like of int
+        The loop's vertices.
+
+    Raises
+    ------
+    ValueError
+        When the numbers of plans, frames or vertices differ, or the episode ends before the plans.
+    """
+    path, forecast = (np.asarray(part, dtype=np.float64) for part in (actions, clouds))
+    now, knots, grid = episode.points[frame], np.asarray(ahead, dtype=np.int64), path.shape[:2]
+    wanted = (*grid, int(knots[-1]), 2, 3), (*grid, len(knots), *now.shape)
+    if (path.shape, forecast.shape) != wanted or frame + knots[-1] >= len(episode):
+        told = f"{knots[-1]} frames after {frame} of {len(episode)}, not {(path.shape, forecast.shape)}"
+        raise ValueError(f"actions and clouds must be {wanted}, of {told}")
+    later = np.concatenate([forecast, path[:, :, knots - 1]], axis=3)  # the grippers after the vertices
+    first = np.broadcast_to(np.concatenate([now, episode.grippers[frame]]), (*grid, 1, *later.shape[3:]))
+    shares, modes = sums(np.concatenate([first, later], axis=2).reshape(-1, *later.shape[3:]))
+    held = episode.held[frame : frame + knots[-1] + 1]
+    x, y, _ = (episode.grippers[frame] - path[grid[0] // 2, grid[1] // 2, -1]).mean(axis=0)
+    view = [float(np.degrees(np.arctan2(y, x))) - 35, 18.0]  # from behind, a little aside
+    data = _scene(replace(episode, points=forecast[0, 0], held=held)) | {"start": 0, "view": view, "long": []}
+    plan = {"knots": [0, *knots.tolist()], "vertices": len(now), "cycle": np.asarray(cycle).tolist()}
+    plan |= {"rows": grid[0], "columns": grid[1], "target": close_far(episode.centre_line).tolist()}
+    arrays = {name: data["arrays"][name] for name in ("faces", "line", "held")} | _tracks([])
+    arrays |= {"shares": pack_coordinates(shares.reshape(len(shares), -1, 3)), "modes": pack_coordinates(modes)}
+    title = f"{episode.garment}, {episode.target}: {grid[0] * grid[1]} plans"
+    data |= {"frames": len(held), "plans": plan, "arrays": arrays}
+    scripts = (*SPACE, "link.js", "planar.js", "plans.js")
+    return framed("player", scripts, data, 520, title, f"Forecasts of {title}")
+
+
+def sums(clouds: NDArray[np.float64], most: float = 0.005) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Clouds (m, n, 3) as shares (m, q) of so few modes (r, n, 3) that no point is farther off than `most`; q is of threes."""
+    rest = clouds.reshape(len(clouds), -1)
+    left, sizes, modes = np.linalg.svd(rest, full_matrices=False)
+    shares, rank = left * sizes, 0
+    while rank < len(sizes) and np.linalg.norm(rest.reshape(clouds.shape), axis=-1).max() > most:
+        rest = rest - np.outer(shares[:, rank], modes[rank])
+        rank += 1
+    return np.pad(shares[:, :rank], ((0, 0), (0, -rank % 3))), modes[:rank].reshape(rank, *clouds.shape[1:])
 
 
 def telling_frame(states: Sequence[TopologicalState]) -> int:

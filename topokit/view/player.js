@@ -2,6 +2,7 @@
 // Idea: unpack once; every change of frame, camera, size or theme redraws all three canvases from scratch.
 (() => {
   const a = Object.fromEntries(Object.entries(data.arrays).map(([name, packed]) => [name, unpack(packed)]));
+  const bent = data.plans && bending(a, data.plans); // plans.js: gives a.points and a.grippers, and loops by its own lights
   const [scene, diagram, strip] = [$("scene"), $("diagram"), $("strip")];
   const frames = data.frames, later = lazily(draw), eye = orbit(scene, data.view, later, { " ": () => play() }), body = cloth(data, a, eye);
   let frame = data.start;
@@ -72,6 +73,7 @@
         g.stroke();
       }
     }
+    if (bent) bent.show(g, place, frame);
     const names = []; // last, above everything, and none above another
     for (const i of loopsOf(frame).filter(main)) {
       const corners = [2, 3, 4, 5, 6, 7].map((n) => place(a.killer, 24 * i + 3 * n));
@@ -178,16 +180,17 @@
   // ---- time --------------------------------------------------------------------------------------------------
   function draw() {
     drawScene();
-    if (!data.film) (drawDiagram(), drawStrip());
+    if (bent) bent.charts(frame);
+    else if (!data.film) (drawDiagram(), drawStrip());
     const loops = loopsOf(frame), best = loops[0];
-    const text = `frame ${frame} of ${frames - 1} \u00b7 ${(frame * data.dt).toFixed(2)} s \u00b7 ${loops.length} loop${loops.length === 1 ? "" : "s"}`;
+    const text = bent ? bent.text(frame) : `frame ${frame} of ${frames - 1} \u00b7 ${(frame * data.dt).toFixed(2)} s \u00b7 ${loops.length} loop${loops.length === 1 ? "" : "s"}`;
     $("status").textContent = text;
     $("time").value = frame;
     $("time").setAttribute("aria-valuetext", text);
     const word = best === undefined ? "no loops" : `the longest is loop ${a.id[best]}: born ${a.birth[best].toFixed(3)}, dies ${a.death[best].toFixed(3)}`;
-    diagram.setAttribute("aria-label", `persistence diagram, ${text}; ${word} ${data.unit}`);
-    strip.setAttribute("aria-label", `lifetimes of ${ids.length} loops over ${seconds.toFixed(1)} s; now ${text}`);
-    scene.setAttribute("aria-label", `${data.title}, ${text}. ${TURN}; space plays.`);
+    if (!bent) diagram.setAttribute("aria-label", `persistence diagram, ${text}; ${word} ${data.unit}`);
+    if (!bent) strip.setAttribute("aria-label", `lifetimes of ${ids.length} loops over ${seconds.toFixed(1)} s; now ${text}`);
+    scene.setAttribute("aria-label", `${data.title}, ${text}. ${bent ? "Drag the ring to bend the plan. " : ""}${TURN}; space plays.`);
   }
   const go = (t) => {
     frame = clamp(Math.round(t), 0, frames - 1);
@@ -199,7 +202,8 @@
   $("truth").onchange = later;
   scrub(strip, (share) => (play(false), go(share * (frames - 1))));
 
-  onReset(eye.back);
+  const unbend = bent && bent.hands(scene, later, () => play(false));
+  onReset(() => (bent && (unbend(), go(data.start)), eye.back()));
 
   // ---- start -------------------------------------------------------------------------------------------------
   $("time").max = frames - 1;
