@@ -23,6 +23,7 @@ function slidesOf(section) { // each: the headings above it, what it shows, the 
 
 function worthASlide(block) { // of a cell what it shows: pictures, tables, and what a few lines print
   if (block.matches(".proof") && !block.matches(".theorem, .definition, .lemma, .proposition, .corollary, .remark, .example")) return false;
+  if (block.matches(".tag_hide-cell")) return false; // a solution
   if (!block.matches(".cell") || block.querySelector(".cell_output :is(iframe, .topokit-plot, img, table)")) return true;
   const code = block.querySelector(".cell_input pre"), lines = code === null ? 0 : code.textContent.split("\n").length;
   return block.querySelector(".cell_output") !== null && !block.querySelector("details") && lines <= 13;

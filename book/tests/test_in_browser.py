@@ -78,14 +78,14 @@ def chromium() -> Iterator[Any]:
 class Visit:
     """A page that was opened without a network, and what went wrong on it."""
 
-    def __init__(self, chromium: Any, page: str, width: int = 1280, **options: Any) -> None:
+    def __init__(self, chromium: Any, page: str, width: int = 1280, asking: str = "", **options: Any) -> None:
         self.context = chromium.new_context(viewport={"width": width, "height": 900}, offline=True, **options)
         self.page, self.trouble = self.context.new_page(), list[str]()
         self.page.on("console", lambda m: m.type in ("error", "warning") and self.trouble.append(f"console: {m.text}"))
         self.page.on("pageerror", lambda error: self.trouble.append(f"error: {error}"))
         self.page.on("requestfailed", lambda request: self.trouble.append(f"failed: {request.url}"))
         self.page.on("request", self._leaves)
-        self.page.goto((BOOK / page).as_uri(), wait_until="load")
+        self.page.goto((BOOK / page).as_uri() + asking, wait_until="load")
 
     def _leaves(self, request: Any) -> None:
         if request.url.split(":")[0] not in ("file", "data", "blob", "about"):
@@ -194,8 +194,7 @@ def test_every_control_of_every_figure_does_something(chromium: Any, page: str) 
 
 @pytest.mark.parametrize("page", CHAPTERS)
 def test_slides_show_one_thing_at_a_time(chromium: Any, page: str) -> None:
-    with Visit(chromium, page) as visit:
-        visit.page.goto((BOOK / page).as_uri() + "?slides", wait_until="load")
+    with Visit(chromium, page, asking="?slides") as visit:
         count = int(visit.ask("() => document.querySelector('.topokit-turn output').textContent.split('/')[1]"))
         assert count >= 10
         seen = []
