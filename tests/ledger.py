@@ -95,6 +95,14 @@ def kinds_tested(results: Results) -> Any:
 
 WORDS = {0: "none", 1: "one", 2: "two", 3: "three", 4: "four", 10: "ten"}
 
+
+def worn(results: Results) -> tuple[int, int]:
+    """How many garments were put on a mannequin, of how many."""
+    rows = [row for row in results["hanging"]["episodes"] if row["task"].endswith("-mannequin")]
+    rows = [row for row in rows if (row["scene"], row["who"]) == ("still", "servo")]
+    return sum(row["success"] for row in rows), len(rows)
+
+
 MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
     # -- README
     (
@@ -334,6 +342,8 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
         "leaves the script in about {} of five episodes",
         lambda r: (WORDS.get(round(5 * r["datasets/motion"]["off_script"])),),
     ),
+    ("hang_it", "The file has {} episodes of all scenes", lambda r: (len(r["hanging"]["episodes"]),)),
+    ("hang_it", "{} of {} garments were put on", worn),
 ]
 
 ASSERTED: list[tuple[str, str, str]] = [
@@ -526,4 +536,11 @@ GIVEN: list[tuple[str, str, str]] = [
     ("linked_or", "each a hundred times the size of the hook", "the default of close_far"),
     ("linked_or", "a stiff ring in the air, 16 cm wide", SET),
     ("linked_or", "that come within 3 cm of the centre line", SET),
+    ("hang_it", "shall go in the next 36 ms", "1 / 750 s a step, 27 steps: the environment's own"),
+    ("hang_it", "than the rod is thick, two centimetres here", SET),
+    ("hang_it", "nearer than 3 cm costs ten metres", SET),
+    ("hang_it", "Wilson's 95 % intervals", "what such an interval is"),
+    ("hang_it", "the cloud is 200 ms old", SET),
+    ("hang_it", "moves by up to 15 cm under way", SET),
+    ("your_own", "one at five to six centimetres which sags at the end, one at one centimetre", "the figure shows it"),
 ]
