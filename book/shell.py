@@ -47,13 +47,16 @@ def _number(app: Any, doctree: nodes.document) -> None:
 
 
 _NOTHING = re.compile(r"\[?<(Axes|matplotlib|Figure)[^>]*>")  # what a plotting call returns
+_COLUMNS = re.compile(r"\S {2,}\S.*\S {2,}\S")  # of a line of a printed table
 
 
 def _tidy(app: Any, doctree: nodes.document) -> None:
-    """Leave out what says nothing, name the corners of tables, and fold what is long on the page of results."""
+    """Leave out what says nothing, know printed tables, name the corners of others, fold what is long on the page of results."""
     for block in list(doctree.findall(nodes.literal_block)):
         if "text_plain" in block["classes"] and _NOTHING.match(block.astext()):
             block.parent.remove(block)
+        elif "stream" in block["classes"] and len(_COLUMNS.findall(block.astext())) > 1:
+            block["classes"].append("columns")
     if app.env.docname.endswith("report/tables"):
         for head in doctree.findall(nodes.thead):
             head[0][0] += nodes.paragraph("", "model")
