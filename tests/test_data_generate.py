@@ -118,6 +118,14 @@ def test_killed_in_every_way_it_goes_on(undisturbed, tmp_path):
     assert contents(folder) == contents(undisturbed)
 
 
+def test_ctrl_c_is_not_for_the_workers():
+    """A terminal sends it to them, too; one that died of it would be started anew while its cluster closes."""
+    with _generate._client(_generate.Cluster(n_workers=1), 1) as (client, _):
+        (deaf,) = client.run(signal.pthread_sigmask, signal.SIG_BLOCK, []).values()
+    assert signal.SIGINT in deaf
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])  # but for us
+
+
 def test_another_configuration_is_refused(undisturbed):
     other = dataclasses.replace(TINY, simulation=dataclasses.replace(TINY.simulation, friction=0.5))
     with pytest.raises(ValueError, match=r"begun with config.simulation.friction = 1.0, this is .* = 0.5"):

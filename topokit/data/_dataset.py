@@ -147,7 +147,8 @@ class Dataset:
             Parts and their shares.
         seed : int
         held_out : sequence of str
-            By garment: exactly these make the last part, for example ``["apron", "apron2"]``, which are alike.
+            Garments of the last part, for example ``["apron", "apron2"]``, which are alike. By garment they are all of it; by
+            episode its share of the others' episodes is added, so that training and validation know the same garments.
 
         Raises
         ------
@@ -158,25 +159,24 @@ class Dataset:
         weights = np.array([shares[name] for name in names], dtype=np.float64)
         if len(names) < 2 or not (weights > 0).all() or not np.isfinite(weights).all():
             raise ValueError(f"shares must give two parts or more a positive share each, not {dict(shares)}")
+        unknown = sorted(set(held_out) - set(self.garments))
+        if unknown:
+            raise ValueError(f"held_out: no garment {', '.join(unknown)}; there are {', '.join(self.garments)}")
         if by == "garment":
             owner = self._owners(weights, seed, held_out)
             part = np.array([owner[self.group.records[int(i)].garment] for i in self.episodes], dtype=np.int64)
         elif by != "episode":
             raise ValueError(f"by must be 'episode' or 'garment', not {by!r}")
-        elif held_out:
-            raise ValueError("held_out names garments: split by garment")
         else:
             # Not the stream (seed, i) that episode i was made from: its first draw is the task.
             keys = [np.random.SeedSequence(seed, spawn_key=(int(i), 1)) for i in self.episodes]
             draws = [np.random.default_rng(key).random() for key in keys]
             part = np.searchsorted(np.cumsum(weights / weights.sum())[:-1], draws, side="right")
+            part[[self.group.records[int(i)].garment in held_out for i in self.episodes]] = len(names) - 1
         return {name: self.episodes[part == k] for k, name in enumerate(names)}
 
     def _owners(self, weights: NDArray[np.float64], seed: int, held_out: Sequence[str]) -> dict[str, int]:
         """Which part each garment goes to."""
-        unknown = sorted(set(held_out) - set(self.garments))
-        if unknown:
-            raise ValueError(f"held_out: no garment {', '.join(unknown)}; there are {', '.join(self.garments)}")
         rest = [g for g in np.random.default_rng(seed).permutation(self.garments).tolist() if g not in held_out]
         parts = len(weights) - bool(held_out)
         if len(rest) < parts:

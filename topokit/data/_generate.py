@@ -11,6 +11,7 @@ import contextlib
 import errno
 import json
 import logging
+import signal
 import sys
 import time
 from collections import Counter
@@ -24,7 +25,7 @@ from typing import Any
 from topokit._cores import n_cores, safe_path
 from topokit._validate import positive
 from topokit.sim import SimulationError
-from topokit.sim._process import Forge
+from topokit.sim._process import Forge, for_us_alone
 
 from ._group import Group, commit, compact, local_folder, refuse_another, versions_of, writing
 from ._layout import encode, episode_arrays, episode_fields
@@ -330,15 +331,16 @@ def _local_cluster(count: int, dashboard: str | None) -> Iterator[Any]:
     }
     with dask.config.set(settings), safe_path():
         try:
-            local = LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                processes=True,
-                memory_limit=0,
-                dashboard_address=dashboard or "127.0.0.1:0",  # its health alone, to this machine
-                scheduler_kwargs={"dashboard": bool(dashboard)},
-                silence_logs=logging.CRITICAL,
-            )
+            with for_us_alone(signal.SIGINT):
+                local = LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    processes=True,
+                    memory_limit=0,
+                    dashboard_address=dashboard or "127.0.0.1:0",  # its health alone, to this machine
+                    scheduler_kwargs={"dashboard": bool(dashboard)},
+                    silence_logs=logging.CRITICAL,
+                )
         except RuntimeError as error:
             raise _ShortOfWorkersError from error
         with local:

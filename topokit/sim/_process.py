@@ -159,6 +159,19 @@ def _signals_wait() -> Iterator[None]:
             signal.raise_signal(number)
 
 
+@contextlib.contextmanager
+def for_us_alone(number: signal.Signals) -> Iterator[None]:
+    """A signal that all threads and processes that begin here, and theirs, do not hear; to us it comes afterwards.
+
+    A terminal sends Ctrl-C to all. A worker that dies of it is started anew while its cluster closes, which may wait for ever.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {number})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _read(stream: IO[str], lines: queue.Queue[str]) -> None:
     with stream:
         for line in stream:
