@@ -51,7 +51,9 @@ def test_links_to_chapters_say_the_number_of_their_file(page):
 def test_a_chapter_links_to_the_public_repository_on_binder_and_colab_if_there_is_one(book):
     links = book("cards").elsewhere
     assert links("", "notebooks/03_seeing") == ""
-    public = re.search(r'^chapters_repository = "(.*)"', (ROOT / "book" / "conf.py").read_text("utf-8"), re.MULTILINE)[1]
+    public = re.search(r'^chapters_repository = "(.*)"', (ROOT / "book" / "conf.py").read_text("utf-8"), re.MULTILINE)[
+        1
+    ]
     assert f'Repository = "{public}"' in (ROOT / "pyproject.toml").read_text("utf-8")
     addresses = re.findall(r'href="([^"]*)"', links("https://github.com/one/two", "notebooks/03_seeing"))
     assert addresses == [

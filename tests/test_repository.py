@@ -259,7 +259,7 @@ def test_the_library_stays_small():
 
 
 def test_the_books_own_scripts_stay_small():
-    """As they are shipped, without indentation and lines of comments; minified by esbuild they are less than half of it."""
+    """As figures carry them: without indentation and lines of comments."""
     files = [*(ROOT / "topokit" / "view").glob("*.js"), *(ROOT / "book" / "_static").glob("*.js")]
     lines = [line.strip() for path in files for line in path.read_text(encoding="utf-8").splitlines()]
     assert sum(len(line.encode()) + 1 for line in lines if line and not line.startswith("//")) <= 131_100
