@@ -37,6 +37,7 @@ class Chapters(Directive):
 
 def setup(app: Any) -> dict[str, bool]:
     app.add_directive("chapters", Chapters)
+    app.add_config_value("chapters_repository", "", "html")
     app.connect("doctree-resolved", _cards)
     app.connect("doctree-resolved", _line)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
@@ -103,13 +104,27 @@ def _about(app: Any, page: str, chapter: str) -> str:
     )
 
 
+def elsewhere(repository: str, chapter: str) -> str:
+    """Links to a chapter on machines that copy the public repository, "https://github.com/OWNER/NAME"; none if it is empty."""
+    if not repository:
+        return ""
+    name = repository.removeprefix("https://github.com/")
+    addresses = {
+        "Binder": f"https://mybinder.org/v2/gh/{name}/main?labpath={chapter}.ipynb",
+        "Colab": f"https://colab.research.google.com/github/{name}/blob/main/{chapter}.ipynb",
+    }
+    links = [f', <a href="{address}">{place}</a>' for place, address in addresses.items()]
+    return f'<span class="topokit-elsewhere">{"".join(links)}</span>'
+
+
 def _line(app: Any, doctree: nodes.document, docname: str) -> None:
     """Say below a chapter's title how long it takes; its first sentence says what it builds on."""
     title = next(doctree.findall(nodes.title), None)
     if CHAPTER.match(docname) and title is not None and app.builder.format == "html":
         notebook = docname.rpartition("/")[2] + ".ipynb"
         words = (
-            f'{takes(app, docname)} &middot; <a href="{notebook}" download>download</a>, <a href="?slides">slides</a>'
+            f'{takes(app, docname)} &middot; <a href="{notebook}" download>download the notebook</a>'
+            f'{elsewhere(app.config.chapters_repository, docname)}, <a href="?slides">slides</a>'
         )
         line = nodes.raw("", f'<p class="topokit-takes">{words}</p>', format="html")
         title.parent.insert(title.parent.index(title) + 1, line)

@@ -67,6 +67,9 @@ napoleon_use_param = napoleon_use_rtype = False  # shapes such as "(n, 3) float"
 napoleon_custom_sections = [("Attributes", "params_style")]
 nitpick_ignore_regex = [("py:(class|exc)", r"(?!topokit\.).*")]  # nor are "array_like" and errors named in prose
 
+# The public repository, which Binder and Colab copy; where it is empty, no chapter links to them.
+chapters_repository = "https://github.com/topokit/topokit"
+
 # ---- how chapters run
 
 

@@ -27,7 +27,7 @@ html { font-size: 85%; }
 article { break-before: page; max-width: 46rem; margin: 0 auto; }
 .cell, figure, .math, .topokit-plot, table { break-inside: avoid; }
 h1, h2, h3 { break-after: avoid; }
-.headerlink, .topokit-takes a[download], .topokit-gif button, .topokit-copy { display: none !important; }
+.headerlink, .topokit-takes a[download], .topokit-elsewhere, .topokit-gif button, .topokit-copy { display: none !important; }
 </style>"""
 
 

@@ -48,6 +48,20 @@ def test_links_to_chapters_say_the_number_of_their_file(page):
     assert [pair for pair in said if pair[0] != pair[1]] == []
 
 
+def test_a_chapter_links_to_the_public_repository_on_binder_and_colab_if_there_is_one(book):
+    links = book("cards").elsewhere
+    assert links("", "notebooks/03_seeing") == ""
+    public = re.search(r'^chapters_repository = "(.*)"', (ROOT / "book" / "conf.py").read_text("utf-8"), re.MULTILINE)[
+        1
+    ]
+    assert f'Repository = "{public}"' in (ROOT / "pyproject.toml").read_text("utf-8")
+    addresses = re.findall(r'href="([^"]*)"', links("https://github.com/one/two", "notebooks/03_seeing"))
+    assert addresses == [
+        "https://mybinder.org/v2/gh/one/two/main?labpath=notebooks/03_seeing.ipynb",
+        "https://colab.research.google.com/github/one/two/blob/main/notebooks/03_seeing.ipynb",
+    ]
+
+
 @pytest.mark.parametrize("page", ["README.md", "book/index.md"])
 def test_every_chapter_that_is_named_by_its_number_is_a_link(page):
     bare = LINK.sub("", prose()[page])

@@ -258,6 +258,13 @@ def test_the_library_stays_small():
     assert lengths[len(lengths) * 9 // 10] <= 20
 
 
+def test_the_books_own_scripts_stay_small():
+    """As figures carry them: without indentation and lines of comments."""
+    files = [*(ROOT / "topokit" / "view").glob("*.js"), *(ROOT / "book" / "_static").glob("*.js")]
+    lines = [line.strip() for path in files for line in path.read_text(encoding="utf-8").splitlines()]
+    assert sum(len(line.encode()) + 1 for line in lines if line and not line.startswith("//")) <= 131_100
+
+
 def test_files_are_small():
     sizes = {path: path.stat().st_size for path in tracked_files()}
     limit = {".safetensors": 5_000_000}  # a trained checkpoint

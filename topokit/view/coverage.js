@@ -103,7 +103,7 @@
         const [a, b] = [X(alpha) - X(0), Y(0) - Y(alpha)];
         g.fillStyle = fade(paint(k), 0.14);
         g.fillRect(x, y - b, a, b);
-        [g.strokeStyle, g.lineWidth] = [fade(paint(k), 0.6), 1];
+        pen(g, fade(paint(k), 0.6), 1);
         g.strokeRect(x, y - b, a, b);
       }
       if (there) trace(g, [[x, y], [X(there.birth), Y(there.death)]], fade(paint(k), strong(loop) ? 1 : 0.4), 1.5);
@@ -140,9 +140,9 @@
     $("status").textContent = text.join(" \u00b7 ");
     $("count").value = count;
     $("count").setAttribute("aria-valuetext", $("status").textContent);
-    scene.setAttribute("aria-label", `A scene of ${n} points; ${$("status").textContent}. ${data.hand ? "Drag the hand, which the key p chooses. " : ""}Click a point to hide or show it, drag it to move it; or choose one with the keys n and p, hide or show it with Enter, and move it with the arrow keys; Escape begins anew.`);
-    diagram.setAttribute("aria-label", `diagrams of all and of the observed points; ${$("status").textContent}`);
-    strip.setAttribute("aria-label", `covering radius of farthest-point samples, and of the present one: ${show(alpha)} with ${count} points`);
+    describe(scene, `A scene of ${n} points; ${$("status").textContent}. ${data.hand ? "Drag the hand, which the key p chooses. " : ""}Click a point to hide or show it, drag it to move it; or choose one with the keys n and p, hide or show it with Enter, and move it with the arrow keys; Escape begins anew.`);
+    describe(diagram, `diagrams of all and of the observed points; ${$("status").textContent}`);
+    describe(strip, `covering radius of farthest-point samples, and of the present one: ${show(alpha)} with ${count} points`);
   }
   const later = lazily(draw);
 
@@ -184,5 +184,5 @@
 
   // ---- start -------------------------------------------------------------------------------------------------
   reset();
-  watch(later, () => {});
+  watch(later);
 })();

@@ -48,7 +48,7 @@
     if (b > 9) all.rows.forEach((_, k) => g.fillText(edge(k), box.x - 5, Y(k)));
     g.textAlign = "center";
     if (a > 20) all.columns.forEach(({ ids }, t) => g.fillText(name(ids), X(t), box.y - 10));
-    [g.strokeStyle, g.lineWidth] = [css("--line"), 1];
+    pen(g, css("--line"), 1);
     all.rows.forEach((_, k) => line(g, box.x, Y(k), box.x + a * m, Y(k)));
     all.columns.forEach((_, t) => {
       const { column, next } = columnOf(t), here = t === now()?.k;
@@ -78,9 +78,9 @@
     [$("step").max, $("step").value] = [Math.max(0, all.steps.length - 1), step];
     $("step").setAttribute("aria-valuetext", text);
     const ones = now() ? bits(now().column).map(edge).join(", ") || "no edge" : "none";
-    matrix.setAttribute("aria-label", `boundary matrix of ${all.rows.length} edges and ${all.columns.length} triangles; in the present column ${ones}; ${text}`);
-    diagram.setAttribute("aria-label", `the pairs that have been found, ${last().length} of ${all.columns.length} columns done`);
-    scene.setAttribute("aria-label", `${text}. Drag a point, or choose one with the keys n and p and move it with the arrow keys; click a column to go to its end; Escape puts the points back.`);
+    describe(matrix, `boundary matrix of ${all.rows.length} edges and ${all.columns.length} triangles; in the present column ${ones}; ${text}`);
+    describe(diagram, `the pairs that have been found, ${last().length} of ${all.columns.length} columns done`);
+    describe(scene, `${text}. Drag a point, or choose one with the keys n and p and move it with the arrow keys; click a column to go to its end; Escape puts the points back.`);
   }
   const later = lazily(draw);
 
@@ -105,16 +105,8 @@
     go(Math.max(0, all.steps.findIndex((s) => s.added >= 0)));
   }
   const choose = (v) => (play(false), (chosen = v), later());
-  draggable(scene, { points: () => points, frame, press: choose, miss: () => choose(-1), move: put });
-  walk(scene, {
-    count: () => points.length,
-    chosen: () => chosen,
-    choose,
-    move: (v, dx, dy) => put(v, beside(scene, frame, points[v], dx, dy)),
-    Escape: reset,
-    " ": () => play(),
-  });
+  hands(scene, { points: () => points, frame, chosen: () => chosen, press: choose, put, miss: () => choose(-1), Escape: reset, " ": () => play() });
   onReset(reset);
   reset();
-  watch(later, () => {});
+  watch(later);
 })();

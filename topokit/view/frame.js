@@ -36,8 +36,11 @@ function line(g, x, y, u, v, dash = []) {
   g.stroke();
   g.setLineDash([]);
 }
+function pen(g, style, width) {
+  [g.strokeStyle, g.lineWidth] = [style, width];
+}
 function word(g, text, x, y) { // on a rim of the ground, so that no line strikes it through
-  [g.strokeStyle, g.lineWidth] = [css("--panel"), 4];
+  pen(g, css("--panel"), 4);
   g.strokeText(text, x, y);
   g.fillText(text, x, y);
 }
@@ -83,7 +86,7 @@ function playback(at, go, end, seconds) { // the button plays at() from where it
     const began = performance.now(), from = on && at() < end() ? at() : 0, mine = ++runs;
     playing = on;
     $("icon").setAttribute("d", on ? "M1 0h3v10h-3zM6 0h3v10h-3z" : "M1.5 0 9.5 5 1.5 10z");
-    $("play").setAttribute("aria-label", on ? "pause" : "play");
+    describe($("play"), on ? "pause" : "play");
     $("status").setAttribute("aria-live", on ? "off" : "polite"); // it would speak at every step
     const step = (now) => {
       if (runs !== mine) return; // paused or started anew
@@ -111,6 +114,16 @@ function stepped(slider, steps, set, seconds = 6) { // a slider of whole steps, 
   return [go, play];
 }
 
+// ---- words -----------------------------------------------------------------------------------------------------
+function describe(element, text) { // to those who hear the page
+  element.setAttribute("aria-label", text);
+}
+function tell(text, slider, value) { // what the figure shows, below it and on its slider
+  $("status").textContent = text;
+  slider.value = value;
+  slider.setAttribute("aria-valuetext", text);
+}
+
 // ---- hands ---------------------------------------------------------------------------------------------------
 function clamp(value, low, high) {
   return Math.max(low, Math.min(high, value));
@@ -132,7 +145,7 @@ function fullScreen() { // where the browser and the page around allow it
   if (!document.fullscreenEnabled) return;
   const button = Object.assign(document.createElement("button"), { type: "button", title: "full screen", id: "full" });
   button.innerHTML = svg('<path d="M0 0h4v1.5H1.5V4H0zM6 0h4v4H8.5V1.5H6zM0 6h1.5v2.5H4V10H0zM8.5 6H10v4H6V8.5h2.5z"/>');
-  button.setAttribute("aria-label", "full screen");
+  describe(button, "full screen");
   button.onclick = () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen());
   document.onfullscreenchange = () => button.setAttribute("aria-pressed", !!document.fullscreenElement);
   button.setAttribute("aria-pressed", false);
@@ -145,7 +158,7 @@ function explain() { // a button that shows what a screen reader is told: the ke
     $("keys").hidden = !on;
     $("keys").textContent = $("scene").getAttribute("aria-label").replace(/^.*?\. (?=Drag|Click)/, "");
   };
-  button.setAttribute("aria-label", "keys and hands");
+  describe(button, "keys and hands");
   button.setAttribute("aria-controls", "keys");
   button.onclick = () => show($("keys").hidden);
   button.onkeydown = (e) => e.key === "Escape" && show(false);
@@ -158,7 +171,7 @@ function onReset(reset) {
 }
 
 // ---- the page around -----------------------------------------------------------------------------------------
-function watch(draw, resized) { // redraw when the theme or the size changes
+function watch(draw, resized = () => {}) { // redraw when the theme or the size changes
   const repaint = () => (theme(), draw());
   const layout = () => {
     try { // stacked on a narrow page, the figure needs more height than it was given

@@ -117,14 +117,14 @@
     const [g, X, Y] = axes(diagram, wide, end, "diagram: death against birth", "birth");
     g.strokeStyle = css("--soft");
     line(g, X(0), Y(0), X(wide), Y(wide));
-    [g.strokeStyle, g.lineWidth] = [css("--ink"), 1.2];
+    pen(g, css("--ink"), 1.2);
     line(g, X(0), Y(radius), X(Math.min(radius, wide)), Y(radius), [3, 3]);
     g.fillStyle = css("--ink");
     g.fillText("r", X(0) + 5, Y(radius) + (radius < 0.9 * end ? -9 : 10));
     for (const loop of born()) {
       const dead = radius >= loop.death, flash = dead && just(loop.death), x = X(loop.birth), y = Y(dead ? loop.death : radius);
       if (loop.death > end && dead) continue;
-      [g.strokeStyle, g.lineWidth] = [fade(inkOf(loop), 0.45), 1.5];
+      pen(g, fade(inkOf(loop), 0.45), 1.5);
       if (!dead) line(g, x, Y(loop.birth), x, y);
       const size = (loop.strong ? 5.5 : 3.5) + (flash ? 2.5 : 0), [ink, ground] = [inkOf(loop), css("--panel")];
       if (dead) dot(g, [x, y], size, ink, ground, 1);
@@ -134,16 +134,16 @@
   function drawStrip() {
     const [g, X, , box] = axes(strip, end, 1, "bars: from birth to death", "r", []);
     const rows = [...complex.loops].sort((a, b) => a.birth - b.birth), step = Math.min(16, box.h / (rows.length || 1));
-    [g.strokeStyle, g.lineWidth] = [css("--line"), 1];
+    pen(g, css("--line"), 1);
     line(g, box.x, box.y + box.h, box.x + box.w, box.y + box.h);
     g.lineCap = "butt";
     rows.forEach((loop, k) => {
       if (loop.birth > radius) return;
       const y = box.y + (k + 0.5) * step;
-      [g.strokeStyle, g.lineWidth] = [fade(inkOf(loop), loop.strong ? 1 : 0.55), Math.max(1.5, Math.min(8, 0.6 * step))];
+      pen(g, fade(inkOf(loop), loop.strong ? 1 : 0.55), Math.max(1.5, Math.min(8, 0.6 * step)));
       line(g, X(loop.birth), y, Math.max(X(Math.min(radius, loop.death, end)), X(loop.birth) + 2), y);
     });
-    [g.strokeStyle, g.lineWidth] = [css("--ink"), 1.5];
+    pen(g, css("--ink"), 1.5);
     line(g, X(Math.min(radius, end)), box.y - 4, X(Math.min(radius, end)), box.y + box.h);
   }
 
@@ -157,14 +157,12 @@
     const pieces = points.length - complex.merges.filter((v) => v <= radius).length;
     const alive = complex.loops.filter((l) => l.birth <= radius && radius < l.death).length;
     const text = [...(film ? [`frame ${time} of ${frames - 1}`] : []), `r = ${show(radius)}`, many(counts[0], "edge"), many(counts[1], "triangle"), many(pieces, "component"), many(alive, "loop")].join(" \u00b7 ");
-    $("status").textContent = text;
-    $("radius").value = Math.round((200 * radius) / end);
-    $("radius").setAttribute("aria-valuetext", text);
+    tell(text, $("radius"), Math.round((200 * radius) / end));
     const dead = born().filter((l) => l.death <= radius).reverse();
     const word = dead.map((l) => `born ${show(l.birth)}, died ${show(l.death)}`).join("; ") || "no loop has died";
-    diagram.setAttribute("aria-label", `persistence diagram at ${text}; ${word}`);
-    strip.setAttribute("aria-label", `a bar for every loop, from birth to death, at r = ${show(radius)}`);
-    scene.setAttribute("aria-label", `Rips complex at ${text}. ${film ? `${TURN}; space plays.` : "Drag a point, or choose one with the keys n and p and move it with the arrow keys; Escape puts the points back."}`);
+    describe(diagram, `persistence diagram at ${text}; ${word}`);
+    describe(strip, `a bar for every loop, from birth to death, at r = ${show(radius)}`);
+    describe(scene, `Rips complex at ${text}. ${film ? `${TURN}; space plays.` : `Drag a point, or ${KEYS}`}`);
     $("time").value = time;
   }
   const go = (r) => {
@@ -223,5 +221,5 @@
   const [longest] = complex.loops;
   go(data.start ?? (longest ? (longest.birth + longest.death) / 2 : end / 2));
   new MutationObserver(later).observe($("parts"), { attributes: true, subtree: true }); // a word of the page around points at one
-  watch(later, () => {});
+  watch(later);
 })();

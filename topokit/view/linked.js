@@ -56,10 +56,10 @@
     }
     for (const s of strands.sort((p, q) => p.depth - q.depth)) { // what is in front interrupts what is behind
       g.lineCap = "butt";
-      [g.strokeStyle, g.lineWidth] = [css("--panel"), s.width + 7];
+      pen(g, css("--panel"), s.width + 7);
       if (s.alone) line(g, ...along(s.one, s.two, 0.15), ...along(s.one, s.two, 0.85));
       g.lineCap = "round";
-      [g.strokeStyle, g.lineWidth] = [s.ink, s.width];
+      pen(g, s.ink, s.width);
       line(g, ...s.one, ...s.two, s.dash);
     }
     at(step).map(to).forEach((p, v) => dot(g, p, v === vertex ? 7 : 5, css("--ink"), css(v === vertex ? "--accent" : "--panel"), v === vertex ? 3 : 1));
@@ -80,7 +80,7 @@
     });
     trace(g, places, blue(), 2.5);
     dot(g, [X(step), Y(value(now()))], 5, blue());
-    [g.strokeStyle, g.lineWidth] = [css("--ink"), 1.2];
+    pen(g, css("--ink"), 1.2);
     line(g, X(step), box.y, X(step), box.y + box.h, [3, 3]);
   }
   function draw() {
@@ -95,9 +95,9 @@
     $("way").value = step;
     $("turn").value = cam.az;
     $("way").setAttribute("aria-valuetext", text);
-    numbers.setAttribute("aria-label", "size of the linking number along the way; now " + text);
-    gaps.setAttribute("aria-label", "distance of the two curves along the way; now " + text);
-    scene.setAttribute("aria-label", text + ". Drag a handle, or beside them to turn the view; or choose a handle with the keys n and p and move it with "
+    describe(numbers, "size of the linking number along the way; now " + text);
+    describe(gaps, "distance of the two curves along the way; now " + text);
+    describe(scene, text + ". Drag a handle, or beside them to turn the view; or choose a handle with the keys n and p and move it with "
       + "the arrow keys, which turn the view while none is chosen; Escape puts the loop back.");
   }
   const later = lazily(draw);
@@ -146,5 +146,5 @@
   scene.onkeyup = () => rows.length <= STEPS && sweep();
   onReset(reset);
   reset();
-  watch(later, () => {});
+  watch(later);
 })();

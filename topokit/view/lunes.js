@@ -69,7 +69,7 @@
       dot(g, place(e), act === "nothing" ? 1.5 : 4, act === "nothing" ? css("--soft") : paint(ink[act]));
     });
     dot(g, place(edge()), 8, null, css("--ink"), 2);
-    [g.strokeStyle, g.lineWidth] = [css("--ink"), 1.2];
+    pen(g, css("--ink"), 1.2);
     line(g, X(edge().value), box.y, X(edge().value), box.y + box.h, [3, 3]);
     ["joins", "begins", "kills", "void"].forEach((act, k) => {
       const [x, y] = [box.x + box.w - (k % 2 ? 50 : 110), Y(k < 2 ? 0.5 : 2.5)];
@@ -86,9 +86,9 @@
     $("status").textContent = text;
     [$("edge").max, $("edge").value] = [complex.edges.length - 1, rank];
     $("edge").setAttribute("aria-valuetext", text);
-    upright.setAttribute("aria-label", `the lune drawn alone; ${text}`);
-    strip.setAttribute("aria-label", `the number of components of every edge's lune against half its length; now ${text}`);
-    scene.setAttribute("aria-label", `${text}. Drag a point; click two points to choose the edge between them. Or choose a point with the keys n and p, mark it as an end with Enter, move it with the arrow keys; Escape puts the points back.`);
+    describe(upright, `the lune drawn alone; ${text}`);
+    describe(strip, `the number of components of every edge's lune against half its length; now ${text}`);
+    describe(scene, `${text}. Drag a point; click two points to choose the edge between them. Or choose a point with the keys n and p, mark it as an end with Enter, move it with the arrow keys; Escape puts the points back.`);
   }
   const later = lazily(draw);
 
@@ -131,12 +131,14 @@
     else go(0);
   }
   const hold = (v) => (play(false), (chosen = v), later());
-  draggable(scene, { points: () => points, frame: (w, h) => frame(w, h), press: hold, tap: end, miss: () => ((mark = -1), hold(-1)), move: put });
-  walk(scene, {
-    count: () => points.length,
+  hands(scene, {
+    points: () => points,
+    frame: (w, h) => frame(w, h),
     chosen: () => chosen,
-    choose: hold,
-    move: (v, dx, dy) => put(v, beside(scene, frame, points[v], dx, dy)),
+    press: hold,
+    put,
+    tap: end,
+    miss: () => ((mark = -1), hold(-1)),
     Enter: () => chosen >= 0 && end(chosen),
     Escape: reset,
     " ": () => play(),
@@ -147,5 +149,5 @@
     frame = framing(home, 0.06 * Math.max(...home.map((p) => apart(p, home[0]))));
     reset();
   });
-  watch(later, () => {});
+  watch(later);
 })();

@@ -60,7 +60,7 @@ if (typeof data !== "undefined") (() => {
     g.setLineDash(dash);
     g.beginPath();
     g.ellipse(x, y, scale * Math.sqrt(half + root), scale * Math.sqrt(Math.max(half - root, 0)), -Math.atan2(2 * b, a - c) / 2, 0, 7);
-    [g.strokeStyle, g.lineWidth] = [style, width];
+    pen(g, style, width);
     g.stroke();
     g.setLineDash([]);
   }
@@ -105,21 +105,19 @@ if (typeof data !== "undefined") (() => {
     [$("most").value, $("noise").value] = [most, Math.round(25 * (power - LOW))];
     $("most").setAttribute("aria-valuetext", text);
     $("noise").setAttribute("aria-valuetext", text);
-    along.setAttribute("aria-label", `density of the mixture along the border of the opening; ${text}`);
-    fit.setAttribute("aria-label", `share of the opening that credible regions cover; ${text}`);
-    scene.setAttribute("aria-label", `${text}. Drag a point, or choose one with the keys n and p and move it with the arrow keys; Escape puts the points back.`);
+    describe(along, `density of the mixture along the border of the opening; ${text}`);
+    describe(fit, `share of the opening that credible regions cover; ${text}`);
+    describe(scene, `${text}. Drag a point, or ${KEYS}`);
   }
   const later = lazily(draw), place = (v, where) => ((points[v] = where), compute());
   function reset() {
     [points, vertex, most, power] = [data.points.map((p) => [...p]), -1, 6, -4];
     compute();
   }
-  draggable(scene, { points: () => points, frame, press: (v) => ((vertex = v), later()), move: place });
-  walk(scene, { count: () => points.length, chosen: () => vertex, choose: (v) => ((vertex = v), later()),
-    move: (v, dx, dy) => place(v, beside(scene, frame, points[v], dx, dy)), Escape: reset });
+  hands(scene, { points: () => points, frame, chosen: () => vertex, press: (v) => ((vertex = v), later()), put: place, Escape: reset });
   $("most").oninput = (e) => ((most = +e.target.value), later());
   $("noise").oninput = (e) => ((power = LOW + e.target.value / 25), later());
   onReset(reset);
   reset();
-  watch(later, () => {});
+  watch(later);
 })();

@@ -85,7 +85,7 @@
       const [x, y] = [X(loop.birth), Y(loop.death)], [a, b] = [X(epsilon) - X(0), Y(0) - Y(epsilon)];
       g.fillStyle = fade(paint(k), 0.12);
       g.fillRect(x - a, y - b, 2 * a, 2 * b);
-      [g.strokeStyle, g.lineWidth] = [fade(paint(k), 0.5), 1];
+      pen(g, fade(paint(k), 0.5), 1);
       g.strokeRect(x - a, y - b, 2 * a, 2 * b);
       const there = after.loops[match.partner[k]];
       if (there) trace(g, [[x, y], [X(there.birth), Y(there.death)]], paint(k), 1.5);
@@ -127,9 +127,9 @@
     $("status").textContent = text;
     $("epsilon").value = Math.round((200 * epsilon) / most);
     $("epsilon").setAttribute("aria-valuetext", show(epsilon));
-    scene.setAttribute("aria-label", `${text}. Drag a point within its disc, or beside all points to move them together; or choose one with the keys n and p and move it with the arrow keys; Escape puts the points back.`);
-    diagram.setAttribute("aria-label", `diagrams before and after; ${text}`);
-    strip.setAttribute("aria-label", `bars before and after; ${text}`);
+    describe(scene, `${text}. Drag a point within its disc, or beside all points to move them together; or ${KEYS}`);
+    describe(diagram, `diagrams before and after; ${text}`);
+    describe(strip, `bars before and after; ${text}`);
   }
   const later = lazily(draw);
 
@@ -172,5 +172,5 @@
 
   // ---- start -------------------------------------------------------------------------------------------------
   reset();
-  watch(later, () => {});
+  watch(later);
 })();

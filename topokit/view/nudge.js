@@ -22,7 +22,7 @@
 
   // ---- the cloud and its loop ----------------------------------------------------------------------------------
   function arrows(g, from, [u, v]) { // both ways, (u, v) of length one
-    [g.strokeStyle, g.lineWidth] = [css("--accent"), 2];
+    pen(g, css("--accent"), 2);
     for (const side of [-1, 1]) {
       const at = (ahead, aside) => [from[0] + ahead * side * u - aside * v, from[1] + ahead * side * v + aside * u];
       line(g, ...at(11, 0), ...at(28, 0));
@@ -59,7 +59,7 @@
       g.fillStyle = ink;
       g.fillText(name, box.x + 10, box.y + 9 + 17 * k);
     });
-    [g.strokeStyle, g.lineWidth] = [css("--ink"), 1.2];
+    pen(g, css("--ink"), 1.2);
     line(g, X(step), box.y, X(step), box.y + box.h, [3, 3]);
   }
   function draw() {
@@ -71,12 +71,10 @@
     chart(sizes, "size: death above, birth below", 1.3 * large, ["death", "birth"].map((key) => ({ name: "", ink: css("--soft"), value: (row) => row.at[key] })));
     const text = `point ${vertex} nudged by ${signed(shift(step))}: ` + (at ? `killer edge ${at.ids.join("\u2013")}, moved ${by[0].toFixed(3)} \u00b7 `
       + `barycentre moved ${by[1].toFixed(3)} \u00b7 centroid moved ${by[2].toFixed(3)} \u00b7 born ${at.birth.toFixed(3)}, dies ${at.death.toFixed(3)}` : "no loop");
-    $("status").textContent = text;
-    $("nudge").value = step;
-    $("nudge").setAttribute("aria-valuetext", text);
-    moves.setAttribute("aria-label", "how far three places of the loop move over the range of the nudge; now " + text);
-    sizes.setAttribute("aria-label", "birth and death over the range of the nudge; now " + text);
-    scene.setAttribute("aria-label", text + ". Drag a point, or choose one with the keys n and p and move it with the arrow keys; Escape puts the points back.");
+    tell(text, $("nudge"), step);
+    describe(moves, "how far three places of the loop move over the range of the nudge; now " + text);
+    describe(sizes, "birth and death over the range of the nudge; now " + text);
+    describe(scene, text + `. Drag a point, or ${KEYS}`);
   }
   const later = lazily(draw);
   const [go, play] = stepped($("nudge"), () => STEPS, (k) => {
@@ -123,5 +121,5 @@
   // ---- start ---------------------------------------------------------------------------------------------------
   $("reach").append(...data.reaches.map((r) => new Option(r < 1e-3 ? r.toExponential(0) : r, r)));
   shapes(choose);
-  watch(later, () => {});
+  watch(later);
 })();

@@ -14,14 +14,14 @@ function trace(g, places, style, width, { close = false, dash = [], fill = null 
   places.forEach((p, k) => (k ? g.lineTo(...p) : g.moveTo(...p)));
   if (close) g.closePath();
   if (fill) (g.fillStyle = fill), g.fill();
-  if (width) ([g.strokeStyle, g.lineWidth] = [style, width]), g.stroke();
+  if (width) pen(g, style, width), g.stroke();
   g.setLineDash([]);
 }
 function dot(g, [x, y], radius, fill, stroke = null, width = 1) {
   g.beginPath();
   g.arc(x, y, radius, 0, 7);
   if (fill) (g.fillStyle = fill), g.fill();
-  if (stroke) ([g.strokeStyle, g.lineWidth] = [stroke, width]), g.stroke();
+  if (stroke) pen(g, stroke, width), g.stroke();
 }
 function disc(g, [x, y], radius) { // into a path of many
   g.moveTo(x + radius, y);
@@ -48,6 +48,7 @@ function walk(canvas, { count, chosen, choose, move, ...others }) { // n and p c
       ArrowLeft: by(-1, 0), ArrowRight: by(1, 0), ArrowUp: by(0, -1), ArrowDown: by(0, 1), ...others };
   });
 }
+const KEYS = "choose one with the keys n and p and move it with the arrow keys; Escape puts the points back.";
 function beside(canvas, frame, point, dx, dy) { // a place 4 pixels from a point
   const { to, back } = frame(canvas.clientWidth, canvas.clientHeight), [x, y] = to(point);
   return back(...inside(canvas, x + 4 * dx, y + 4 * dy));
@@ -88,6 +89,10 @@ function draggable(canvas, { points, frame, grab = () => false, press = () => {}
     if (moved) release(v);
     else tap(v);
   };
+}
+function hands(canvas, { points, frame, chosen, press, put, tap, release, miss, ...others }) { // a point is put where it is dragged or walked to
+  draggable(canvas, { points, frame, press, move: put, tap, release, miss });
+  walk(canvas, { count: () => points().length, chosen, choose: press, move: (v, dx, dy) => put(v, beside(canvas, frame, points()[v], dx, dy)), ...others });
 }
 function shapes(choose) { // one of the clouds that have names
   const select = $("shape"), names = Object.keys(data.shapes);

@@ -63,12 +63,12 @@ function bending(a, { rows, columns, knots, cycle, target, vertices }) { // rows
       if (n) ((g.fillStyle = css("--ground")), g.fillText(n, x, y + 0.5));
     }
     const [x, y] = to(at);
-    [g.strokeStyle, g.lineWidth] = [css("--ink"), 3];
+    pen(g, css("--ink"), 3);
     g.strokeRect(x - s / 2, y - s / 2, s, s);
     g.fillStyle = css("--soft");
     g.fillText("right \u2192", w / 2, to([0, 0])[1] + 0.5 * scale + 10);
     g.fillText("up \u2191", to([0, 0])[0] - 0.5 * scale - 18, to([0, rows - 1])[1]);
-    $("diagram").setAttribute("aria-label", `${text(t)}. A map of ${rows * columns} plans by where they end; the arrow keys move the end, Escape puts it back.`);
+    describe($("diagram"), `${text(t)}. A map of ${rows * columns} plans by where they end; the arrow keys move the end, Escape puts it back.`);
   }
   function chart(t) {
     const along = Array.from({ length: frames }, (_, k) => Math.abs(number(plan(at), k))), most = Math.max(1, ...along), free = a.held.indexOf(0);
@@ -76,9 +76,9 @@ function bending(a, { rows, columns, knots, cycle, target, vertices }) { // rows
     trace(g, along.flatMap((n, k) => [[X(k - 0.5), Y(n)], [X(k + 0.5), Y(n)]]).slice(1, -1), blue(), 2.5);
     g.strokeStyle = css("--soft");
     if (free > 0) (line(g, X(free), box.y, X(free), box.y + box.h, [2, 3]), g.fillText("let go", X(free) + 4, box.y + 7));
-    [g.strokeStyle, g.lineWidth] = [css("--ink"), 1.5];
+    pen(g, css("--ink"), 1.5);
     line(g, X(t), box.y - 4, X(t), box.y + box.h);
-    $("strip").setAttribute("aria-label", `linking number over ${frames - 1} frames; now ${text(t)}`);
+    describe($("strip"), `linking number over ${frames - 1} frames; now ${text(t)}`);
   }
   function hands(scene, later, still) { // the end of the plan is moved in the map, and in the picture where it is grasped
     const pad = $("diagram"), go = (c, r) => (still(), choose(c, r), later()), by = (c, r) => () => go(at[0] + c, at[1] + r);

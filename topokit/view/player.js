@@ -184,13 +184,11 @@
     else if (!data.film) (drawDiagram(), drawStrip());
     const loops = loopsOf(frame), best = loops[0];
     const text = bent ? bent.text(frame) : `frame ${frame} of ${frames - 1} \u00b7 ${(frame * data.dt).toFixed(2)} s \u00b7 ${loops.length} loop${loops.length === 1 ? "" : "s"}`;
-    $("status").textContent = text;
-    $("time").value = frame;
-    $("time").setAttribute("aria-valuetext", text);
+    tell(text, $("time"), frame);
     const word = best === undefined ? "no loops" : `the longest is loop ${a.id[best]}: born ${a.birth[best].toFixed(3)}, dies ${a.death[best].toFixed(3)}`;
-    if (!bent) diagram.setAttribute("aria-label", `persistence diagram, ${text}; ${word} ${data.unit}`);
-    if (!bent) strip.setAttribute("aria-label", `lifetimes of ${ids.length} loops over ${seconds.toFixed(1)} s; now ${text}`);
-    scene.setAttribute("aria-label", `${data.title}, ${text}. ${bent ? "Drag the ring to bend the plan. " : ""}${TURN}; space plays.`);
+    if (!bent) describe(diagram, `persistence diagram, ${text}; ${word} ${data.unit}`);
+    if (!bent) describe(strip, `lifetimes of ${ids.length} loops over ${seconds.toFixed(1)} s; now ${text}`);
+    describe(scene, `${data.title}, ${text}. ${bent ? "Drag the ring to bend the plan. " : ""}${TURN}; space plays.`);
   }
   const go = (t) => {
     frame = clamp(Math.round(t), 0, frames - 1);

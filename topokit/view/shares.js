@@ -33,7 +33,7 @@ if (typeof data !== "undefined") (() => {
       [g.textAlign, g.fillStyle] = ["right", chosen ? css("--ink") : css("--soft")];
       g.fillText(name, left - 10, y);
       if (c) {
-        [g.strokeStyle, g.lineWidth] = [fade(ink, 0.45), Math.min(9, 0.5 * pace)];
+        pen(g, fade(ink, 0.45), Math.min(9, 0.5 * pace));
         line(g, X(c[1]), y, X(c[2]), y);
         dot(g, [X(c[0]), y], Math.min(5.5, 0.36 * pace), ink);
       }
@@ -42,7 +42,7 @@ if (typeof data !== "undefined") (() => {
     });
     canvas.onclick = (e) => choose(kind, Math.floor((e.offsetY - top) / pace));
     canvas.style.cursor = "pointer";
-    canvas.setAttribute("aria-label", `${title}: ${data[kind].map((name, k) => `${name} ${said(cell({ [kind]: k }))}`).join("; ")}`);
+    describe(canvas, `${title}: ${data[kind].map((name, k) => `${name} ${said(cell({ [kind]: k }))}`).join("; ")}`);
   }
   function drawSteps() { // what is asked over the horizons; dashed the two that need no training
     const ahead = data.horizon.flatMap((step, h) => (step === "mean" ? [] : [[+step, h]])), last = ahead[ahead.length - 1][0];
@@ -53,10 +53,10 @@ if (typeof data !== "undefined") (() => {
     trace(g, line_of(ask.model, 0), blue(), 2.5);
     line_of(ask.model, 0).forEach((p) => dot(g, p, 4, blue()));
     if (data.horizon[ask.horizon] !== "mean") {
-      [g.strokeStyle, g.lineWidth] = [css("--ink"), 1.2];
+      pen(g, css("--ink"), 1.2);
       line(g, X(+data.horizon[ask.horizon]), box.y, X(+data.horizon[ask.horizon]), box.y + box.h, [3, 3]);
     }
-    steps.setAttribute("aria-label", `${data.model[ask.model]} by horizon: ${ahead.map(([t, h]) => `t+${t} ${said(cell({ horizon: h }))}`).join("; ")}`);
+    describe(steps, `${data.model[ask.model]} by horizon: ${ahead.map(([t, h]) => `t+${t} ${said(cell({ horizon: h }))}`).join("; ")}`);
   }
   function draw() {
     const n = count(), text = `${data.model[ask.model]}, ${data.garment[ask.garment]}, ${horizon(ask.horizon)}, ${data.measure[ask.measure]}: ${said(cell())}` + (n === NONE ? "" : ` \u00b7 ${n} windows`);
@@ -66,7 +66,7 @@ if (typeof data !== "undefined") (() => {
     $("status").textContent = text;
     for (const kind of kinds) $(kind).value = ask[kind];
     $("horizon").setAttribute("aria-valuetext", horizon(ask.horizon));
-    scene.setAttribute("aria-label", `${text}. Click a row, or use the arrow keys: up and down for the predictor, left and right for the horizon.`);
+    describe(scene, `${text}. Click a row, or use the arrow keys: up and down for the predictor, left and right for the horizon.`);
   }
   const later = lazily(draw), by = (kind, step) => () => choose(kind, ask[kind] + step);
   function reset() {
@@ -81,5 +81,5 @@ if (typeof data !== "undefined") (() => {
   keys(scene, () => ({ ArrowUp: by("model", -1), ArrowDown: by("model", 1), ArrowLeft: by("horizon", -1), ArrowRight: by("horizon", 1), Escape: reset }));
   onReset(reset);
   reset();
-  watch(later, () => {});
+  watch(later);
 })();

@@ -82,27 +82,20 @@
     const strengths = rules.map(({ loops }) => (loops.length ? loops[0].strength.toFixed(2) : "0"));
     const text = `the stray point is ${show(far)} from its nearest \u00b7 by the paper's rule ${count(paper.kept.length, "loop")}: \u03b1 = ${show(paper.alpha)}, the longest bar lives ${strengths[0]} \u03b1 \u00b7 `
       + `by evidence ${count(evidence.kept.length, "loop")}: significance of the longest ${strengths[1]}, \u03b1 = ${show(evidence.alpha)}, ${count(out, "point")} left out`;
-    $("status").textContent = text;
-    $("away").value = Math.round(STEPS * way);
-    $("away").setAttribute("aria-valuetext", text);
-    scene.setAttribute("aria-label", `${text}. Drag the stray point or any other, or choose one with the keys n and p and move it with the arrow keys; Escape puts the points back.`);
-    charts.forEach((canvas, k) => canvas.setAttribute("aria-label", `bars, each with a mark that a loop's bar must reach; ${said[k]}`));
+    tell(text, $("away"), Math.round(STEPS * way));
+    describe(scene, `${text}. Drag the stray point or any other, or ${KEYS}`);
+    charts.forEach((canvas, k) => describe(canvas, `bars, each with a mark that a loop's bar must reach; ${said[k]}`));
   }
   const later = lazily(draw);
 
   // ---- hands -------------------------------------------------------------------------------------------------
   const play = playback(() => way, go, () => 1, 6), still = () => play(false);
-  draggable(scene, {
+  hands(scene, {
     points: () => points,
     frame,
-    press: (v) => (still(), (chosen = v), later()),
-    move: place,
-  });
-  walk(scene, {
-    count: () => points.length,
     chosen: () => chosen,
-    choose: (v) => (still(), (chosen = v), later()),
-    move: (v, dx, dy) => (still(), place(v, beside(scene, frame, points[v], dx, dy))),
+    press: (v) => (still(), (chosen = v), later()),
+    put: (v, where) => (still(), place(v, where)),
     Escape: () => (still(), reset()),
     " ": () => play(),
   });
@@ -112,5 +105,5 @@
 
   // ---- start -------------------------------------------------------------------------------------------------
   reset();
-  watch(later, () => {});
+  watch(later);
 })();

@@ -21,7 +21,7 @@
     loops.forEach((loop, c) => trace(g, loop.map(at), fade(paint(c), 0.5), 1.5, { close: true, dash: [3, 4] })); // but its way shows
     const many = told.truth.length, text = `${told.name} \u00b7 ${a.points.length / 3} vertices \u00b7 ${many} opening${many === 1 ? "" : "s"}`;
     $("status").textContent = text;
-    scene.setAttribute("aria-label", `${text}. ${TURN}; n and p change the garment.`);
+    describe(scene, `${text}. ${TURN}; n and p change the garment.`);
   }
   menu.append(...data.garments.map(({ name }) => new Option(name)));
   menu.onchange = () => choose(menu.selectedIndex);
