@@ -136,10 +136,10 @@
       g.lineWidth = 1;
       g.stroke();
     }
-    let free = Infinity; // names go upwards, each above the last
-    for (const i of list.filter(main).sort((i, j) => a.death[i] - a.death[j])) {
+    let free = -Infinity; // names go downwards, each below the last: above there is the title
+    for (const i of list.filter(main).sort((i, j) => a.death[j] - a.death[i])) {
       g.fillStyle = css("--ink");
-      free = Math.min(Y(a.death[i]), free - 15);
+      free = Math.max(Y(a.death[i]), free + 15);
       word(g, "loop " + a.id[i], X(a.birth[i]) + 11, free);
     }
   }
