@@ -123,7 +123,7 @@ def _forecast(model: Any) -> Forecast | None:
 def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Hanging:
     observation, info = env.reset(seed=seed)
     controller.reset(observation)
-    film, seconds, ends = [(env._points, observation["grippers"], env._goal, True)], [], False
+    film, seconds, ends = [(env.vertices, observation["grippers"], env.goal, True)], [], False
     while not ends:
         started = time.perf_counter()
         action = controller.act(observation)
@@ -131,7 +131,7 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
         ends = bool(controller.reason)
         if not ends:
             observation, _, terminated, truncated, info = env.step(action)
-            film.append((env._points, observation["grippers"], env._goal, bool(observation["held"])))
+            film.append((env.vertices, observation["grippers"], env.goal, bool(observation["held"])))
             ends = terminated or truncated
         if progress:
             words = f"\rhanging: frame {len(film)} of at most {env.max_steps}"
@@ -143,8 +143,8 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
     stretch = np.array([check_stretch(env.garment, config, frame, "hanging") for frame in points])
     recording = {"points": points.astype(np.float32), "grippers": grippers, "stretch": stretch}
     told = {"randomisation": None, "controller": type(controller).__name__}
-    episode = _episode(run, recording, env.task, env._there, seed, told)
-    linked = tuple(name for name, loop in env.garment.named_loops.items() if env._there.holds(points[-1][loop]))
+    episode = _episode(run, recording, env.task, env.standing, seed, told)
+    linked = tuple(name for name, loop in env.garment.named_loops.items() if env.standing.holds(points[-1][loop]))
     reason = "it was not let go in time" if held[-1] else "it was let go, and does not hang"
     reason = "it hangs" if info["success"] else "the cloth was stretched too far" if info["torn"] else reason
     outcome = (bool(info["success"]), linked, controller.reason or reason)

@@ -94,6 +94,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     `outliers`   0.0                 share of points that are anywhere in the cloud's box, grown by 10 cm on each side
     ============ =================== ======================================================================================
 
+    `vertices` (V, 3), `goal` (2, 3) of the grippers, and `standing`, the target where it is now, are for who records, not agents.
+
     Parameters
     ----------
     task : str or Task
@@ -175,23 +177,23 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.target, self._frames, self._push, swing = now.scene(self._described, self.config.frame_time, drawn)
         task = replace(self.task, plan=now.plan(self.task.plan, start))
         self._path = planned(task, self.garment, self.target, self.np_random)
-        self._goal = self._path.at(0.0)
+        self.goal = self._path.at(0.0)
         garment = self.garment.turned(self._path.vias[0].yaw)
-        offset = self._goal.mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
+        offset = self.goal.mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
         self._world = World(garment, offset, self.config)
-        self._rods, self._there = self.target.at(0.0).rods, self.target.at(0.0)
+        self._rods, self.standing = self.target.at(0.0).rods, self.target.at(0.0)
         self._world.add_rods(self._rods)
         for _ in range(round(self.config.settle / self.config.dt)):
-            self._world.step(self._goal)
+            self._world.step(self.goal)
         if swing.any():
             self._world.push(swing)
             for _ in range(len(self._frames) * self.config.steps_per_frame):
-                self._world.step(self._goal)
+                self._world.step(self.goal)
             self._world.push(0 * swing)
         self._steps, self._released = 0, -1
-        self._points, self._options = self._world.vertices(), now
+        self.vertices, self._options = self._world.vertices(), now
         self._cloud, self._clouds = self._world.grippers(), deque[Array](maxlen=now.late + 1)
-        self._wanted = np.array([self._points[loop].mean(axis=0) for loop in self._asked]).reshape(-1, 3)
+        self._wanted = np.array([self.vertices[loop].mean(axis=0) for loop in self._asked]).reshape(-1, 3)
         return self._observe(), self._info()
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -206,19 +208,19 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         move = as_reals(action, "action").astype(np.float64)
         if move.shape != (7,) or not np.isfinite(move).all():
             raise ValueError(f"an action is seven finite numbers, not {action!r}")
-        points, linked, distance, there = self._points, self._linked, self._distance, self._there
+        points, linked, distance, there = self.vertices, self._linked, self._distance, self.standing
         self._advance(self.max_step * np.clip(move[:6], -1, 1).reshape(2, 3), release=move[6] > 0.5)
         torn = False
         try:
-            check_stretch(self.garment, self.config, self._points, f"step {self._steps}")
+            check_stretch(self.garment, self.config, self.vertices, f"step {self._steps}")
         except SimulationError:
-            torn, self._points = True, points  # the last that made sense
+            torn, self.vertices = True, points  # the last that made sense
         observation = self._observe()
-        gone = self._there.seat - there.seat if self._options.travels else np.zeros(3)
-        speed = np.linalg.norm(self._points - points - gone, axis=1).mean() / self.config.frame_time
+        gone = self.standing.seat - there.seat if self._options.travels else np.zeros(3)
+        speed = np.linalg.norm(self.vertices - points - gone, axis=1).mean() / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
         rests = not torn and free and speed < AT_REST
-        hangs = rests and self.task.hangs(self._points, self.garment.named_loops, self._there)
+        hangs = rests and self.task.hangs(self.vertices, self.garment.named_loops, self.standing)
         reward = float(hangs)
         if self.reward != "sparse":
             reward += distance - self._distance
@@ -235,23 +237,23 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._released = self._steps
         if self._push.any():
             world.push(self._push * (self._steps in self._frames))
-        before, here = self._goal, world.grippers()
-        self._goal = np.clip(before + move, here - _LEASH, here + _LEASH)
+        before, here = self.goal, world.grippers()
+        self.goal = np.clip(before + move, here - _LEASH, here + _LEASH)
         _, moves = rods_of(self.target, (self._steps + np.arange(2)) * self.config.frame_time)
-        self._there = self.target.at((self._steps + 1) * self.config.frame_time)
-        gone = np.array([start for start, *_ in self._there.rods]) - [start for start, *_ in self._rods]
+        self.standing = self.target.at((self._steps + 1) * self.config.frame_time)
+        gone = np.array([start for start, *_ in self.standing.rods]) - [start for start, *_ in self._rods]
         for share in np.arange(1, self.config.steps_per_frame + 1) / self.config.steps_per_frame:
             if len(moves):
                 world.move_rods(gone - (1 - share) * moves[1])
-            world.step(before + share * (self._goal - before))
+            world.step(before + share * (self.goal - before))
         self._steps += 1
-        self._points = world.vertices()
+        self.vertices = world.vertices()
 
     def scripted_action(self) -> NDArray[np.float32]:
         """Return the next action of the scripted path of this episode: a demonstration that usually succeeds."""
         self._running()
         time = (self._steps + 1) * self.config.frame_time
-        move = (self._path.at(min(time, self._path.release)) - self._goal) / self.max_step
+        move = (self._path.at(min(time, self._path.release)) - self.goal) / self.max_step
         let_go = 1.0 if time >= self._path.release else -1.0
         return np.append(np.clip(move, -1, 1), let_go).astype(np.float32)
 
@@ -276,7 +278,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _observe(self) -> Observation:
         """Look at the scene, and take note of how far the task has come."""
-        world, there = self._running(), self._there
+        world, there = self._running(), self.standing
         points = self._look(world)
         self._linked, self._distance = self._progress(points)
         places = {"points": points, "grippers": world.grippers(), "target": there.centre_line, "wanted": self._wanted}
@@ -293,7 +295,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             cloud = seen(world, self.cameras, self.n_points, self._sensor)
             self._cloud = cloud if len(cloud) else np.resize(self._cloud, (self.n_points, 3))
         else:
-            self._cloud = self._points[farthest_point_sample(self._points, self.n_points)[0]]
+            self._cloud = self.vertices[farthest_point_sample(self.vertices, self.n_points)[0]]
         how, keep = self._options, 1 - self._options.missing
         cloud = spoil(self._cloud, self._sensor, noise=how.noise, outliers=how.outliers, keep=keep)
         self._clouds.append(cloud)
@@ -307,11 +309,11 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             n = min(len(self.garment.loops), len(diagram))
             curves = [[cloud[part] for part in simple_cycles(diagram.cycle(i).tolist())] for i in range(n)]
         else:
-            curves = [[self._points[loop]] for loop in self._asked]
+            curves = [[self.vertices[loop]] for loop in self._asked]
         if not curves:
-            return 0.0, float(np.linalg.norm(observed.mean(axis=0) - self._there.seat))
-        on = [any(self._there.holds(part) for part in parts) for parts in curves]
-        gaps = [float(np.linalg.norm(np.concatenate(parts).mean(axis=0) - self._there.seat)) for parts in curves]
+            return 0.0, float(np.linalg.norm(observed.mean(axis=0) - self.standing.seat))
+        on = [any(self.standing.holds(part) for part in parts) for parts in curves]
+        gaps = [float(np.linalg.norm(np.concatenate(parts).mean(axis=0) - self.standing.seat)) for parts in curves]
         if self.task.every:
             return sum(on) / len(on), float(np.mean(gaps))
         return float(any(on)), min(gaps)

@@ -161,10 +161,7 @@ def _signals_wait() -> Iterator[None]:
 
 @contextlib.contextmanager
 def for_us_alone(number: signal.Signals) -> Iterator[None]:
-    """A signal that all threads and processes that begin here, and theirs, do not hear; to us it comes afterwards.
-
-    A terminal sends Ctrl-C to all. A worker that dies of it is started anew while its cluster closes, which may wait for ever.
-    """
+    """A signal that comes to us afterwards and to no process begun here: Dask may wait for a worker that died of Ctrl-C."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {number})
     try:
         yield
