@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import re
 from pathlib import Path
 
@@ -13,6 +14,15 @@ from topokit.book import Question, check, questions
 
 ROOT = Path(__file__).parent.parent
 ASKED = re.compile(r'^check\("([^"]+)", \.\.\.\)$', re.MULTILINE)
+
+
+@pytest.fixture(autouse=True)
+def warnings_as_they_were():
+    """A chapter may silence the simulator; tests that come later want to hear it."""
+    logger = logging.getLogger("topokit.sim")
+    level = logger.level
+    yield
+    logger.setLevel(level)
 
 
 def cells(chapter: int) -> dict[str, str]:
