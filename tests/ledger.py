@@ -391,8 +391,8 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
     ("hang_it", "{} of {} garments were put on, in {:.0f} frames in the median", worn),
     (
         "hang_it",
-        "Each controller has had {} starts here, on {} garments. That shows a controller that mostly fails; it ranks no"
-        " garments. The file has {} episodes of all scenes",
+        "Each controller has had {} starts here, on {} garments. So few starts tell a controller that mostly fails"
+        " from one that mostly hangs; they rank no garments. The file has {} episodes of all scenes",
         starts_of_hooks,
     ),
 ]

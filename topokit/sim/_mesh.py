@@ -305,7 +305,7 @@ def _found(vertices: Array, faces: Ids, how: str, said: list[str]) -> tuple[Ids,
     if not cycles and (how == "borders" or not classes):
         what = "every edge is in two faces or more, as of a closed solid, and a cloth has borders"
         raise ValueError(f"{what}: open it, leave out its inner side, or give loops by vertex ids")
-    what = "borders were taken for loops"
+    what = "borders were found"
     if how == "auto" and classes >= max(len(cycles), 1):
         cycles, what = EdgeGraph(vertices, edges).loops(classes), "loops were found by persistence along the mesh"
     if how:
