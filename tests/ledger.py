@@ -207,11 +207,6 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
     ),
     (
         "where_the",
-        "On {} garments the $\\beta$ is mostly as large as the object",
-        lambda r: (kinds_tested(r),),
-    ),
-    (
-        "where_the",
         "of the {} steps in which there is a loop to speak about",
         lambda r: (sum(bool(value) for value in r["lemmas_on_cloth"]["steps"]["beta_critical"]),),
     ),
@@ -527,7 +522,11 @@ GIVEN: list[tuple[str, str, str]] = [
         "is farther than 2.5 times what that is in the median",
         "a constant of topokit.sampling.inliers",
     ),
-    ("seqph_following", "counts up to 1.3 times", "constants of the evidence, asserted equal by the cell"),
+    (
+        "seqph_following",
+        "about 1.3 times for points strewn on a surface",
+        "constants of the evidence, asserted equal by the cell",
+    ),
     ("seqph_following", "the longer one of the two loops", "no measurement"),
     (
         "seqph_following",
