@@ -152,10 +152,19 @@ def test_of_two_handles_the_one_that_is_not_seen_is_the_twin():
     assert places == pytest.approx([-0.15, 0.15], abs=0.02)
 
 
+def test_a_tube_that_hangs_open_downwards_is_not_put_over_an_arm():
+    """The body of a T-shirt is such a loop; put over a hook it is linked with nothing, and falls."""
+    tube = ring(80, 0.2)[:, [0, 2, 1]] @ [[1, 0, 0], [0, 0.8, 0.6], [0, -0.6, 0.8]]
+    servo = Servo()
+    actions = plan(servo, seen(tube + [0, 0, 1.2], [[-0.2, 0, 1.4], [0.2, 0, 1.4]]), 70)
+    assert "1 loops are seen, 0 of them do not lie flat" in servo.reason
+    assert not np.any(actions)
+
+
 def test_a_loop_that_is_too_small_is_refused_in_words():
     servo = Servo()
     actions = plan(servo, seen(ring(20, 0.03), [[-0.1, 0, 0.05], [0.1, 0, 0.05]]), 70)
-    assert "1 loops are seen, 0 of them as large as this target needs" in servo.reason
+    assert "1 loops are seen, 1 of them do not lie flat, 0 of these are as large" in servo.reason
     assert not np.any(actions)
 
 

@@ -169,7 +169,7 @@ def main() -> None:
         rows[-1] |= {"frames": result.steps, "reason": result.reason, "linked": list(result.linked)}
         rows[-1] |= {"cause": cause(KNOWN[task], result)}
         if options.films and not result.success:
-            save_episode(options.films / f"{task} {who} {scene} {seed}.npz", result.episode)
+            save_episode(options.films / f"{task} {who} {scene} {seed}.npz".replace("/", " per "), result.episode)
         rows[-1] |= {"decision_ms": round(1000 * result.seconds_a_decision, 1), "seconds": time.perf_counter() - began}
         with atomic_file(options.out) as file:
             file.write(json.dumps({"command": "python tests/benchmarks/hanging.py", "episodes": rows}).encode())

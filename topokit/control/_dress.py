@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from topokit.linking import close_far, curve_centroid, linking_number
 from topokit.sim._surface import turned
 
-from ._geometry import Arm, Array, angle
+from ._geometry import Arm, Array, angle, lies_flat
 from ._servo import PATIENCE, SURE, Servo
 
-_FLAT = 0.7  # share of a loop's area that looks up, at least, when its middle is one of the tube
 _NEW = 0.1  # weight of a new look at the middle
 _CLEAR = 0.06  # metres from the head to the lowest cloth above it
 _ON = 0.03  # metres above the shoulders at which a shirt is let go
@@ -170,8 +169,7 @@ class Dresser(_Wearing):
     def _measure(self, cloth: Array) -> None:
         self._length = -float(cloth[:, 2].min())
         for loop in self._loops:
-            area = np.cross(loop - loop[0], np.roll(loop, -1, axis=0) - loop[0]).sum(axis=0)
-            if abs(area[2]) > _FLAT * np.linalg.norm(area):
+            if lies_flat(loop):
                 self._centre = (1 - _NEW) * self._centre + _NEW * curve_centroid(loop) * [1, 1, 0]
 
     def _here(self) -> Array:

@@ -19,11 +19,23 @@ from topokit.sim._surface import turned
 Array = NDArray[np.float64]
 _BEHIND = 0.05  # metres behind a head, and above its shoulders, where a neck strap is let go
 _NEAR = 0.06  # metres at which cloth can still be that of a curve
+_FLAT = 0.7  # share of a loop's area that looks up or down, at least, when it lies flat
 
 
 def angle(start: Array, end: Array) -> float:
     """Degrees, -180 to 180, from one level direction to another, from x towards y."""
     return float(np.degrees(np.arctan2(start[0] * end[1] - start[1] * end[0], start[:2] @ end[:2])))
+
+
+def lies_flat(curve: Array) -> bool:
+    """Whether a closed curve lies flat, as the tube of a shirt does: that goes around a body, and not over an arm."""
+    area = _area(curve)
+    return bool(abs(area[2]) > _FLAT * np.linalg.norm(area))
+
+
+def _area(curve: Array) -> Array:
+    ways = curve - curve[0]
+    return np.asarray(np.cross(ways, np.roll(ways, -1, axis=0)).sum(axis=0))
 
 
 def drawn(cycle: Array, last: Array, cloth: cKDTree) -> Array:
@@ -108,7 +120,7 @@ class Opening(NamedTuple):
     def of(cls, cycle: Array) -> Opening | None:
         """Of a closed curve (L, 3), its normal either of two; None when it lies flat, or in one line."""
         after = np.roll(cycle, -1, axis=0)
-        area = np.cross(cycle - cycle[0], after - cycle[0]).sum(axis=0) * [1, 1, 0]
+        area = _area(cycle) * [1, 1, 0]
         if len(cycle) < 3 or np.linalg.norm(area) < 1e-6:
             return None
         normal = area / np.linalg.norm(area)

@@ -25,7 +25,7 @@ from topokit.sampling import as_tree
 from topokit.seqph import SeqPH
 from topokit.sim._surface import turned
 
-from ._geometry import Arm, Array, Opening, angle, drawn
+from ._geometry import Arm, Array, Opening, angle, drawn, lies_flat
 
 _LOOK = 6  # frames in which the loops are looked at before anything moves
 SURE = 5  # frames in a row in which the loops must be around the target
@@ -201,9 +201,11 @@ class Servo(Controller):
                 self._known.append(_Known(curve, curve, curve, twin, loop.seen))
         needed = self._needed(arm)
         seen = [loop for loop in self._known if loop.seen > 1]
-        fit = [loop for loop in seen if loop.opening.size.sum() >= needed]
+        upright = [loop for loop in seen if not lies_flat(loop.curve)]
+        fit = [loop for loop in upright if loop.opening.size.sum() >= needed]
         if len(fit) < self._count:
-            words = f"{len(seen)} loops are seen, {len(fit)} of them as large as this target needs, {2 * needed:.2f} m around"
+            words = f"{len(seen)} loops are seen, {len(upright)} of them do not lie flat"
+            words += f", {len(fit)} of these are as large as this target needs, {2 * needed:.2f} m around"
             self.reason = words if self._frame >= PATIENCE else ""
             return
         half, front = float(np.linalg.norm(self._goals[1] - self._goals[0])) / 2, turned(arm.out, -self._yaw)
