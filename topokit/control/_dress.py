@@ -28,11 +28,7 @@ _ON = 0.03  # metres above the shoulders at which a shirt is let go
 _ASIDE = 0.11  # metres that grippers pass above and beside the ends of the shoulders
 _STRETCH = 1.1  # of what is held, at most
 _NEAR, _FACING, _APART = 0.025, 7.0, 0.03  # metres and degrees that are near enough to a stop, and metres to an opening
-_GAIN, _TURN, _WIDEN = (
-    0.15,
-    3.5,
-    0.012,
-)  # share of what is missing that is made up for in a frame; degrees, metres, at most
+_GAIN, _TURN, _WIDEN = 0.15, 3.5, 0.012  # share of what is missing made up for in a frame; degrees, metres, at most
 _SEEN = 2  # looks in which a strap was around its shoulder
 _TRIES = 4
 
@@ -222,9 +218,7 @@ class Shoulderer(_Wearing):
             As `topokit.sim.HangEnv` gives it.
         """
         super().reset(observation)
-        self._ahead = (
-            0.0  # metres from the cloth's middle to the straps, to the left of the way from gripper to gripper
-        )
+        self._ahead = 0.0  # metres from the cloth's middle to the straps, left of the way from gripper to gripper
         self._seen = np.zeros(2, np.int64)
 
     def _unfit(self, body: _Body) -> str:

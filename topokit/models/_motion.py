@@ -239,12 +239,9 @@ def _beside(points: Tensor, line: Tensor) -> Tensor:
     size, base = along.square().sum(dim=-1)[:, None], (start * along).sum(dim=-1)[:, None]  # (B, 1, L - 1)
     way = points @ along.transpose(1, 2) - base
     share = (way / size.clamp_min(1e-9)).clamp(0, 1)
-    first = start.square().sum(dim=-1)[:, None] - 2 * points @ start.transpose(
-        1, 2
-    )  # squares of distances to the starts
-    nearest = (first + share * (share * size - 2 * way)).argmin(
-        dim=-1, keepdim=True
-    )  # but for what a point adds to all
+    first = start.square().sum(dim=-1)[:, None] - 2 * points @ start.transpose(1, 2)
+    # Squares of distances, but for what a point adds to all of them.
+    nearest = (first + share * (share * size - 2 * way)).argmin(dim=-1, keepdim=True)
     share, segment = share.gather(2, nearest), nearest.expand(-1, -1, 3)
     away = start.gather(1, segment) + share * along.gather(1, segment) - points
     near = (-away.norm(dim=-1, keepdim=True) / _REACH).exp()
@@ -254,9 +251,8 @@ def _beside(points: Tensor, line: Tensor) -> Tensor:
 def _reach(hands: Tensor, target: Tensor) -> Tensor:
     """(B, 16) where the target is from the grippers (B, 2, 3): its line, and its tip, which fades with the square."""
     tip = target[:, -1:] - hands
-    return torch.cat(
-        [_beside(hands, target), tip / (0.1 + tip.square().sum(dim=-1, keepdim=True)).sqrt()], dim=-1
-    ).flatten(1)
+    faded = tip / (0.1 + tip.square().sum(dim=-1, keepdim=True)).sqrt()
+    return torch.cat([_beside(hands, target), faded], dim=-1).flatten(1)
 
 
 def _behind(grippers: Tensor, tip: Tensor) -> Tensor:
