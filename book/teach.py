@@ -1,7 +1,10 @@
-"""What teachers get: the questions of all chapters with answers and remarks; and notebooks to take away, beside their pages."""
+"""Questions: answered on the page, and with answers and remarks for teachers; and notebooks to take away, beside their pages."""
 
 from __future__ import annotations
 
+import html
+import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -14,13 +17,37 @@ from sphinx.util.docutils import SphinxDirective
 from topokit import book
 
 LEVELS = {1: "one idea", 2: "two ideas", 3: "a surprise"}
+ASKED = re.compile(r'check\("([^"]+)", \.\.\.\)')
 
 
 def setup(app: Any) -> dict[str, bool]:
     app.add_directive("questions", Questions)
     app.add_directive("slides", Slides)
+    app.connect("doctree-resolved", _answered_here)
     app.connect("build-finished", _notebooks_beside_their_pages)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def _answered_here(app: Any, doctree: nodes.document, docname: str) -> None:
+    """Put a field for the guess where a notebook asks to write it into the cell; book.js says what `check` says."""
+    if app.builder.format != "html":
+        return
+    for cell in doctree.findall(lambda node: "cell" in getattr(node, "attributes", {}).get("classes", ())):
+        if asked := ASKED.search(cell.astext()):
+            question = book.questions()[asked[1]]
+            kept = ("answer", "tolerance", "wrong", "why", "smaller", "larger")
+            told = html.escape(json.dumps({name: getattr(question, name) for name in kept}))
+            form = f'<form class="topokit-question" data-question="{told}"><label>Your guess {_field(question)}</label>'
+            form += "<button>check</button><output></output></form>"
+            list(cell.findall(nodes.paragraph))[-1].replace_self(nodes.raw("", form, format="html"))
+
+
+def _field(question: book.Question) -> str:
+    if question.choices:
+        options = "".join(f"<option>{key}</option>" for key in question.choices)
+        return f'<select name="guess">{options}</select>'
+    kind = "text" if isinstance(question.answer, str) else 'number" step="any'
+    return f'<input name="guess" required autocomplete="off" type="{kind}">'
 
 
 def told(name: str, question: book.Question) -> str:

@@ -1,5 +1,5 @@
 // What the pages of the book do by themselves: formulas are set, films can be stopped, code can be copied, words light up their
-// part of a figure.
+// part of a figure, guesses are answered.
 "use strict";
 document.addEventListener("DOMContentLoaded", () => {
   for (const place of document.querySelectorAll(".math")) {
@@ -14,6 +14,7 @@ document.addEventListener("DOMContentLoaded", () => {
   for (const code of document.querySelectorAll(".bd-article div.highlight")) copyable(code);
   for (const film of document.querySelectorAll("main img[src$='.gif']")) pausable(film);
   for (const word of document.querySelectorAll("[data-shows]")) lighting(word);
+  for (const form of document.querySelectorAll(".topokit-question")) answering(form);
 });
 
 function copyable(box) { // a button that copies the code, without the prompts of a shell
@@ -26,6 +27,20 @@ function copyable(box) { // a button that copies the code, without the prompts o
   });
   box.classList.add("topokit-code");
   box.append(button);
+}
+
+function answering(form) { // says of a guess what topokit.book.check says
+  const asked = JSON.parse(form.dataset.question), words = (text) => String(text).toLowerCase().replace(/[^\p{L}\p{N}]/gu, "");
+  const number = typeof asked.answer === "number", said = form.querySelector("output");
+  const same = (guess, value) => number ? Math.abs(guess - value) <= asked.tolerance : words(guess) === words(value);
+  form.onsubmit = (e) => {
+    e.preventDefault();
+    const guess = form.elements.guess.value, right = same(guess, asked.answer);
+    const known = asked.wrong.find((each) => same(guess, each.guess))?.remark;
+    const otherwise = number ? (guess < asked.answer ? asked.smaller : asked.larger) : "Have another look.";
+    said.innerHTML = right ? "<strong>Right.</strong> " : "<strong>Not yet.</strong> ";
+    said.append(right ? asked.why : known ?? otherwise);
+  };
 }
 
 function pausable(film) { // a still of where it stands lies on the film while it is stopped

@@ -8,6 +8,7 @@ which comes with axe-playwright-python. Without Chromium, Playwright or a built 
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Iterator
@@ -198,6 +199,26 @@ def test_slides_show_one_thing_at_a_time(chromium: Any, page: str) -> None:
         assert visit.trouble == []
         visit.page.keyboard.press("Escape")
         visit.page.wait_for_url((BOOK / page).as_uri())
+
+
+@pytest.mark.parametrize("page", CHAPTERS)
+def test_a_guess_is_answered_on_the_page(chromium: Any, page: str) -> None:
+    number = page.partition("/")[2][:2]
+    questions = json.loads((ROOT / "topokit" / "questions" / f"{number}.json").read_text("utf-8")).values()
+    with Visit(chromium, page) as visit:
+        forms = visit.page.query_selector_all(".topokit-question")
+        by_why = {json.loads(form.get_attribute("data-question"))["why"]: form for form in forms}
+        assert len(forms) == len(questions)
+        for question in questions:
+            form = by_why[question["why"]]
+            said = {question["answer"]: f"Right. {question['why']}"}
+            said |= {each["guess"]: f"Not yet. {each['remark']}" for each in question.get("wrong", ())}
+            for guess, answer in said.items():
+                field = form.query_selector("[name=guess]")
+                _ = field.select_option(str(guess)) if question.get("choices") else field.fill(str(guess))
+                form.query_selector("button").click()
+                assert form.query_selector("output").inner_text() == answer
+        assert visit.trouble == []
 
 
 def test_code_can_be_copied(chromium: Any) -> None:
