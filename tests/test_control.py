@@ -237,6 +237,27 @@ def test_planned_paths_are_no_faster_and_no_harder_than_said():
     assert abs(np.diff(actions, axis=0)).max() <= 0.06 + 1e-6
 
 
+def test_beside_a_target_that_comes_the_way_is_slower():
+    """Else the garment is turned round when it is there, and swings through the target's post."""
+    planner = Planner(Carried())
+    planner.reset(seen(ring(), [[-0.1, 0, 0.2], [0.1, 0, 0.2]]))
+    ways = np.zeros((1, 5, 4))
+    ways[..., 1] = np.linspace(0.5, 2, 5)
+    fast = 0.6 * 0.0432
+    for speed, comes in ((0.0, 0.0), (0.01, 0.01), (-0.01, 0.0)):
+        planner._drift = np.array([0, -speed, 0])
+        moves = np.diff(planner._goals_of(ways, np.zeros(3), np.array([0, -1.0, 0]))[0, 30:40, 0], axis=0)
+        np.testing.assert_allclose(moves[:, 1] + speed, fast - 1.6 * comes, rtol=1e-6)
+
+
+def test_in_a_hurry_a_loop_that_leaves_no_room_is_planned_for():
+    narrow = seen(ring(60, 0.06, centre=(0, -0.6, 1.34)), [[-0.1, -0.6, 1.42], [0.1, -0.6, 1.42]])
+    for pace, slow in ((0.6, True), (1.0, False)):
+        planner = Planner(Carried(), pace=pace)
+        plan(planner, narrow)
+        assert planner._slow == slow
+
+
 @pytest.mark.parametrize("wrong", [{"plans": 3}, {"rounds": 0}, {"every": 0}])
 def test_a_planner_with_too_little_is_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):

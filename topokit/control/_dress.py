@@ -62,13 +62,7 @@ class _Wearing(Servo):
     _SPEEDS: ClassVar[dict[str, float]]  # the stops, and the shares of the largest step on the way to them
 
     def reset(self, observation: Mapping[str, Any]) -> None:
-        """Forget everything; begin with a first observation.
-
-        Parameters
-        ----------
-        observation : mapping
-            As `topokit.sim.HangEnv` gives it.
-        """
+        """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
         super().reset(observation)
         self._loops: list[Array] = []
         self._natural = float(np.linalg.norm(self._goals[1] - self._goals[0]))
@@ -152,13 +146,7 @@ class Dresser(_Wearing):
     _SPEEDS: ClassVar[dict[str, float]] = {"up": 0.5, "above": 0.45, "down": 0.35, "lift": 0.4}
 
     def reset(self, observation: Mapping[str, Any]) -> None:
-        """Forget everything; begin with a first observation.
-
-        Parameters
-        ----------
-        observation : mapping
-            As `topokit.sim.HangEnv` gives it.
-        """
+        """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
         super().reset(observation)
         self._centre, self._length, self._around = np.zeros(3), 0.0, 0
 
@@ -210,13 +198,7 @@ class Shoulderer(_Wearing):
     }
 
     def reset(self, observation: Mapping[str, Any]) -> None:
-        """Forget everything; begin with a first observation.
-
-        Parameters
-        ----------
-        observation : mapping
-            As `topokit.sim.HangEnv` gives it.
-        """
+        """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
         super().reset(observation)
         self._ahead = 0.0  # metres from the cloth's middle to the straps, left of the way from gripper to gripper
         self._seen = np.zeros(2, np.int64)

@@ -33,6 +33,7 @@ _BEST = 4  # paths whose mean is followed
 _CORNERS = 24  # of a cycle, at most
 _HARDER = 0.1  # share of the largest planned step by which it changes in a frame
 _SEATED, _STILL = 0.03, 0.008  # metres from the seat, and metres in a frame, below which a linked rim is let go
+_CHASE = 1.6  # of the speed of a target that comes, by which the way to it is slower: cloth that is turned round swings
 _CLOSE = 0.25  # metres from the tip within which frames are counted
 _TURN = 3.5  # degrees in a frame, at most, in a first guess
 _TURN_COSTS = 0.0026  # metres for a degree
@@ -102,7 +103,8 @@ class Planner(Servo):
     late : int
         As in `Servo`.
     pace : float
-        Share of the largest step at which the rim shall go; fast cloth swings, and lags behind.
+        Share of the largest step at which the rim shall go; fast cloth swings, and lags behind. Below 1 a loop that leaves no
+        room for that is left to the servo.
     plans : int
         Paths that are compared at a time.
     rounds : int
@@ -134,13 +136,7 @@ class Planner(Servo):
         self._every = whole(every, "every", 1)
 
     def reset(self, observation: Mapping[str, Any]) -> None:
-        """Forget everything; begin with a first observation.
-
-        Parameters
-        ----------
-        observation : mapping
-            As `topokit.sim.HangEnv` gives it.
-        """
+        """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
         super().reset(observation)
         self._forecast.reset()
         self._random = np.random.default_rng(self._seed)
@@ -179,7 +175,7 @@ class Planner(Servo):
     def _along(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
         """The next step of the plan, which is made anew every few frames; or they let go."""
         if self._slow is None:
-            self._slow = min(loop.opening.size[0] for loop in self._chosen) < self._needed(arm)
+            self._slow = self._pace < 1 and min(loop.opening.size[0] for loop in self._chosen) < self._needed(arm)
         if self._slow:  # there is no room for cloth that swings
             return super()._along(arm, grippers)
         rim, before = self._rim(arm, grippers), self._goals
@@ -219,7 +215,7 @@ class Planner(Servo):
         for _ in range(self._rounds):
             about = kept[self._random.integers(len(kept), size=self._plans - len(kept))]
             ways = np.concatenate([kept, about + spread * self._random.normal(size=about.shape)])
-            goals = self._goals_of(ways, rim)
+            goals = self._goals_of(ways, rim, arm.out)
             order = np.argsort(self._costs(goals, cycles, rims, arm, linked))[:_BEST]
             kept, spread = ways[order], spread / 2
         self._last = _through(kept[0])
@@ -244,7 +240,7 @@ class Planner(Servo):
     def _seat(self, arm: Arm) -> Array:
         return np.asarray(arm.seat + [0, 0, self.radius - 0.02])
 
-    def _goals_of(self, ways: Array, pivot: Array) -> Array:
+    def _goals_of(self, ways: Array, pivot: Array, out: Array) -> Array:
         """Goals (C, 60, 2, 3) of ways (C, knots, 4), no faster, and speeding up no harder, than can be."""
         frames = np.arange(1, _KNOTS[-1] + 1)
         path = _through(ways)(frames)
@@ -252,8 +248,10 @@ class Planner(Servo):
         goals = turned(self._goals - pivot, path[..., 3, None]) + pivot + path[..., None, :3]
         last, step = (np.broadcast_to(part, goals[:, 0].shape) for part in (self._goals, self._speed))
         fast = self._pace * self.max_step
+        beside = max(fast - _CHASE * max(float(self._drift @ out), 0), fast / 5)
         for k in range(goals.shape[1]):
-            step = np.clip(np.clip(goals[:, k] - last, -fast, fast), step - _HARDER * fast, step + _HARDER * fast)
+            way = self._drift + np.clip(goals[:, k] - last - self._drift, -beside, beside)
+            step = np.clip(way, step - _HARDER * fast, step + _HARDER * fast)
             goals[:, k] = last = last + step
         return goals
 
