@@ -13,9 +13,11 @@ import json
 import time
 from collections import Counter
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 from scipy.stats import binomtest
 from tqdm import tqdm
@@ -25,13 +27,13 @@ from topokit.control import Controller, Hanging, hang
 from topokit.io import Episode, save_episode
 from topokit.linking import close_far, linking_number
 from topokit.sim import TASKS as KNOWN
-from topokit.sim import Camera, HangEnv, SimulationConfig, Task
+from topokit.sim import Camera, HangEnv, HangingStarts, SimulationConfig, Task
 from topokit.sim._names import kind
 
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
 TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS)]
 TASKS += [f"{garment}-mannequin" for garment in ("apron", "backpack", "shirt", "vest")]
-WHO = ("random", "straight", "servo", "hold", "carry", "motion", "script")
+WHO = ("random", "straight", "servo", "hold", "carry", "motion", "script", "ppo")
 MOTION = Path(__file__).parents[2] / "data_small" / "checkpoints" / "motion.safetensors"
 CAMERA = Camera((-1.3, -1.6, 1.6), (0.0, 0.3, 1.1), width=160, height=120)
 FAST = {"pace": 1.0}
@@ -93,11 +95,38 @@ class Straight(Controller):
         return np.append(np.tile(move, 2), float(arrived)).astype(np.float32)
 
 
-def run(task: str, who: str, scene: str, seed: int) -> Hanging:
+class Learned(Controller):
+    """An agent of Stable-Baselines3 as it comes: PPO, rewarded by linking numbers, for so many steps on seeds below 1000."""
+
+    def __init__(self, task: str, steps: int) -> None:
+        self._agent = agent(task, steps)
+
+    def reset(self, observation: Mapping[str, Any]) -> None:
+        self.reason = ""
+
+    def act(self, observation: Mapping[str, Any]) -> Any:
+        return self._agent.predict(dict(observation), deterministic=True)[0]
+
+
+@cache
+def agent(task: str, steps: int) -> Any:
+    from stable_baselines3 import PPO  # pip install '.[rl]'
+
+    name = "".join(part.capitalize() for part in task.split("-"))
+    env = HangingStarts(gymnasium.make(f"topokit/Hang{name}-v1", reward="topological"), seeds=range(1000))
+    try:
+        return PPO("MultiInputPolicy", env, n_steps=1024, batch_size=256, seed=0, device="cpu").learn(steps)
+    finally:
+        env.close()
+
+
+def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Hanging:
     options = {"place": "anywhere", **SCENES[scene]}
     if who == "script":
         return scripted(task, seed, {name: value for name, value in options.items() if name != "pace"})
     own = {"straight": {"controller": Straight()}, "random": {"controller": Random()}, "servo": {}}
+    if who == "ppo":
+        return hang(task, seed=seed, controller=Learned(task, steps), **options)
     model = {"carry": "carry", "motion": MOTION, "hold": Hold()}.get(who)
     return hang(task, seed=seed, **own.get(who, {"model": model}), **options)
 
@@ -155,6 +184,9 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["still"])
     parser.add_argument("--starts", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1000, help="of the first start")
+    parser.add_argument(
+        "--steps", type=int, default=30_000, help="that ppo learns for, before its first episode of a task"
+    )
     parser.add_argument("--films", type=Path, help="a folder for the episodes of those that failed")
     parser.add_argument("--out", type=Path, default=Path("book/results/hanging.json"))
     options = parser.parse_args()
@@ -164,10 +196,10 @@ def main() -> None:
     asked = [(t, w, s, n) for n in seeds for s in options.scenes for t in options.tasks for w in options.who]
     for task, who, scene, seed in tqdm([one for one in asked if one not in done], unit="episode"):
         began = time.perf_counter()
-        result = run(task, who, scene, seed)
+        result = run(task, who, scene, seed, options.steps)
         rows.append({"task": task, "who": who, "scene": scene, "seed": seed, "success": result.success})
         rows[-1] |= {"frames": result.steps, "reason": result.reason, "linked": list(result.linked)}
-        rows[-1] |= {"cause": cause(KNOWN[task], result)}
+        rows[-1] |= {"cause": cause(KNOWN[task], result)} | ({"learned_for": options.steps} if who == "ppo" else {})
         if options.films and not result.success:
             save_episode(options.films / f"{task} {who} {scene} {seed}.npz".replace("/", " per "), result.episode)
         rows[-1] |= {"decision_ms": round(1000 * result.seconds_a_decision, 1), "seconds": time.perf_counter() - began}
