@@ -237,6 +237,15 @@ def test_planned_paths_are_no_faster_and_no_harder_than_said():
     assert abs(np.diff(actions, axis=0)).max() <= 0.06 + 1e-6
 
 
+def test_on_an_arm_that_is_drawn_back_the_seat_is_near_its_post():
+    """At 0.3 m/s cloth that was let go in the middle lagged behind and slipped over the tip."""
+    arm = Arm.of(Hook().centre_line)
+    back = arm.drawn_back(-0.01 * arm.out)
+    assert np.linalg.norm(back.seat - arm.start) == pytest.approx(0.15 * arm.reach)
+    for drift in (0.01 * arm.out, 0.01 * np.cross(arm.out, [0, 0, 1])):
+        np.testing.assert_array_equal(arm.drawn_back(drift).seat, arm.seat)
+
+
 def test_beside_a_target_that_comes_the_way_is_slower():
     """Else the garment is turned round when it is there, and swings through the target's post."""
     planner = Planner(Carried())

@@ -18,6 +18,7 @@ from topokit.sim._surface import turned
 
 Array = NDArray[np.float64]
 _BEHIND = 0.05  # metres behind a head, and above its shoulders, where a neck strap is let go
+_RETREATS = 0.003  # metres in a frame
 _NEAR = 0.06  # metres at which cloth can still be that of a curve
 _FLAT = 0.7  # share of a loop's area that looks up or down, at least, when it lies flat
 
@@ -88,6 +89,10 @@ class Arm(NamedTuple):
         middle = float(head[[2, 5]].mean())
         reach = 2 * radius + _BEHIND
         return cls(nape, end, front, out, reach, close_far(line), 1.0, middle, 2 * radius + 0.06)
+
+    def drawn_back(self, drift: Array) -> Arm:
+        """The same, when it goes by that in a frame; cloth lags behind an arm that retreats, and slips off but near the post."""
+        return self._replace(depth=max(self.depth, 0.85)) if drift @ self.out < -_RETREATS else self
 
     @property
     def seat(self) -> Array:

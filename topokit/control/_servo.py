@@ -130,6 +130,7 @@ class Servo(Controller):
             return np.zeros(7, np.float32)
         self._frame, self._wide = self._frame + 1, arm.wide
         self._follow(points, grippers, line)
+        arm = arm.drawn_back(self._drift)
         if not self._chosen and self._frame >= _LOOK:
             self._choose(arm, self._inside(points))
         if not self._chosen:
