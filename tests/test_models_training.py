@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import shutil
 import signal
@@ -210,6 +211,20 @@ def test_ridge_is_solved_in_one_pass(tmp_path, windows):
     assert answer["finished"]
     model, _ = load_model(tmp_path / "best.safetensors")
     assert model.coefficients.abs().sum() > 0
+
+
+@pytest.mark.parametrize(("model", "options"), [("mlp", {"hidden": [32, 16]}), ("motion", {"width": 16})])
+def test_a_training_goes_on_from_a_checkpoint_with_other_films(tmp_path, windows, scenes, model, options):
+    data = scenes if model == "motion" else windows
+    how = {"model": model, "options": options, "learning_rate": 3e-3}
+    first = train(config(tmp_path / "first", **how, epochs=6), data)
+    more = config(tmp_path / "more", **how, start=first["checkpoint"], epochs=1)
+    more = dataclasses.replace(more, learning_rate=1e-12)  # nothing is learned: the weights are those of the start
+    assert train(more, data)["validation_loss"] == pytest.approx(first["validation_loss"], rel=0.01)
+    assert train(config(tmp_path / "afresh", **how, epochs=1), data)["validation_loss"] > first["validation_loss"]
+    assert load_model(tmp_path / "more" / "best.safetensors")[1]["start"] == "best.safetensors"
+    with pytest.raises(ValueError, match="its options is"):
+        train(config(tmp_path / "other", **{**how, "options": {}}, start=first["checkpoint"]), data)
 
 
 def test_every_window_once_an_epoch_and_another_order_the_next():

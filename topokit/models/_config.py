@@ -20,18 +20,8 @@ from ._baselines import Normalisation, Shape
 from ._checkpoint import MODELS
 from ._states import LossWeights, Window, target_states
 
-_PLACES = {
-    "clouds",
-    "triangles",
-    "past_triangles",
-    "grippers",
-    "actions",
-    "cloud",
-    "points",
-    "flow",
-    "target",
-    "future",
-}
+_PLACES = {"clouds", "triangles", "past_triangles", "grippers", "actions"}
+_PLACES |= {"cloud", "points", "flow", "target", "future"}  # of scenes
 Natural = Annotated[int, Field(ge=0)]
 
 
@@ -42,6 +32,7 @@ class TrainConfig:
     model: str  #: a name of `topokit.models.MODELS`
     dataset: str = "."  #: directory of a dataset, relative to the configuration's file
     out: str = "run"  #: directory for checkpoints and logs, relative to the configuration's file
+    start: str = ""  #: checkpoint that is gone on from, relative to the configuration's file: then few films do
     options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
     windows: dict[str, Any] = field(default_factory=dict)  #: of `topokit.data.WindowDataset`: labels, stride
     shape: Shape = field(default_factory=Shape)  #: sizes of a window
@@ -70,7 +61,8 @@ class TrainConfig:
 def load_config(path: str | Path) -> TrainConfig:
     """Read a configuration; paths in it are then relative to the working directory."""
     config, home = load(TrainConfig, path), Path(path).parent
-    return replace(config, dataset=str(home / config.dataset), out=str(home / config.out))
+    start = str(home / config.start) if config.start else ""
+    return replace(config, dataset=str(home / config.dataset), out=str(home / config.out), start=start)
 
 
 @dataclass(frozen=True, eq=False)

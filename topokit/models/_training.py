@@ -30,13 +30,13 @@ from topokit._config import from_mapping
 from topokit._cores import safe_path
 
 from ._baselines import Normalisation, Ridge
-from ._checkpoint import build, describe, load_tensors, part_of, save_tensors
+from ._checkpoint import Model, build, describe, load_model, load_tensors, part_of, save_tensors
 from ._config import TrainConfig, Windows, epoch_order, mirrored, normalisation_of, spread
 from ._motion import Motion
 from ._states import Window, forecast_loss
 
 LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
-_FREE = ("workers", "minutes_between_checkpoints", "out", "dataset", "accelerator")  # may change on the way
+_FREE = ("workers", "minutes_between_checkpoints", "out", "dataset", "start", "accelerator")  # may change on the way
 
 
 def train(
@@ -58,7 +58,7 @@ def train(
     Raises
     ------
     ValueError
-        When there are too few windows, `config.out` holds another training, or the loss is no number any more.
+        When there are too few windows, `out` or `start` holds another training, or the loss is no number any more.
     """
     n, held_back = len(windows.train), len(windows.validation)
     if n < config.batch or not held_back:
@@ -106,7 +106,8 @@ class _Training:
             self._check_same(saved[0])
             normalisation = from_mapping(Normalisation, saved[0]["normalisation"], "normalisation")
         torch.manual_seed(config.seed)
-        self.model = build(config.model, config.shape, normalisation, config.options)
+        fresh = build(config.model, config.shape, normalisation, config.options)
+        self.model = _begun(config) if config.start else fresh
         if self.model.learns:
             decay = config.weight_decay
             optimizer = torch.optim.AdamW(self.model.parameters(), config.learning_rate, weight_decay=decay)
@@ -236,6 +237,8 @@ class _Training:
         weights = {f"model.{key}": part for key, part in self.model.state_dict().items()}
         config = {key: part for key, part in asdict(self.config).items() if key not in _FREE}
         more: dict[str, Any] = {"config": config, "dataset": self.windows.checksum}
+        if self.config.start:
+            more["start"] = Path(self.config.start).name
         if name == BEST:
             more |= {"validation_loss": progress.best, "epoch": progress.best_epoch, "steps": progress.step}
             weights = {key: part.half() for key, part in weights.items()}  # half the size
@@ -267,6 +270,15 @@ class _Training:
                 raise ValueError(f"{self.out}: holds a training with {found}; choose another `out`, or remove that one")
         if document.get("dataset") != self.windows.checksum:
             raise ValueError(f"{self.out}: holds a training on another dataset, by its checksum; choose another `out`")
+
+
+def _begun(config: TrainConfig) -> Model:
+    """The model of a checkpoint, which must be of the kind and the sizes asked for."""
+    model, found = load_model(config.start)
+    for name in ("model", "options", "shape"):
+        if found[name] != (wanted := json.loads(json.dumps(asdict(config)[name]))):
+            raise ValueError(f"{config.start}: its {name} is {found[name]!r}, and the configuration says {wanted!r}")
+    return model
 
 
 def learning_rate_share(step: int, steps: int) -> float:
