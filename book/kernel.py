@@ -20,7 +20,8 @@ def _pixels():
     if "matplotlib.pyplot" in sys.modules:
         from matplotlib import collections, lines, pyplot
         for figure in map(pyplot.figure, pyplot.get_fignums()):
-            for artist in figure.findobj(collections.Collection):
+            able = lambda artist: getattr(artist.draw, "_supports_rasterization", False)  # marks in space are not
+            for artist in filter(able, figure.findobj(collections.Collection)):
                 if "3D" in type(artist).__name__ or max(len(artist.get_offsets()), len(artist.get_paths())) > 1000:
                     artist.set_rasterized(True)
             for artist in figure.findobj(lines.Line2D):
