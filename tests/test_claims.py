@@ -94,15 +94,17 @@ OUTCOMES = ("hangs", "refused")
 
 
 def spoilt(value: Any, count: list[int]) -> Any:
-    """A copy in which every number is another one, each by a share of its own, and every list has one entry more."""
+    """A copy in which every number is another one, each by a share of its own, yes is no, and every list has one entry more."""
     if isinstance(value, dict):
         return {key: spoilt(item, count) for key, item in value.items()}
     if isinstance(value, list):
         return [spoilt(item, count) for item in [*value, *value[-1:]]]
     if isinstance(value, str):
         return "" if value in OUTCOMES else value.replace("--episodes ", "--episodes 9")
-    if isinstance(value, bool) or value is None:
-        return value
+    if isinstance(value, bool):
+        return not value
+    if value is None:
+        return None
     count[0] += 1
     return type(value)(value * (1.3 + 0.1 * (count[0] % 7)) + 1 + count[0] % 3)
 
@@ -120,7 +122,7 @@ def test_a_sentence_fails_when_its_file_changes(prose, results):
         "datasets/motion": 1,
         "evaluation": 10,
         "garments": 2,
-        "hanging": 2,
+        "hanging": 3,
         "lemmas_on_cloth": 2,
         "lemmas_on_test": 7,
         "motion": 4,

@@ -199,7 +199,9 @@ def main() -> None:
         result = run(task, who, scene, seed, options.steps)
         rows.append({"task": task, "who": who, "scene": scene, "seed": seed, "success": result.success})
         rows[-1] |= {"frames": result.steps, "reason": result.reason, "linked": list(result.linked)}
-        rows[-1] |= {"cause": cause(KNOWN[task], result)} | ({"learned_for": options.steps} if who == "ppo" else {})
+        rows[-1] |= {"cause": "" if "travels" in SCENES[scene] else cause(KNOWN[task], result)} | (
+            {"learned_for": options.steps} if who == "ppo" else {}
+        )
         if options.films and not result.success:
             save_episode(options.films / f"{task} {who} {scene} {seed}.npz".replace("/", " per "), result.episode)
         rows[-1] |= {"decision_ms": round(1000 * result.seconds_a_decision, 1), "seconds": time.perf_counter() - began}
