@@ -87,7 +87,7 @@ def test_the_loss_falls_and_the_checkpoint_is_the_best_epoch(tmp_path, windows, 
     assert answer["finished"]
     _, description = load_model(tmp_path / "best.safetensors")
     assert description["dataset"] == "rings"
-    free = ("workers", "minutes_between_checkpoints", "out", "dataset", "accelerator")  # what does not make the weights
+    free = ("workers", "minutes_between_checkpoints", "out", "dataset", "start", "accelerator")  # what makes no weights
     assert description["config"] == json.loads(json.dumps({k: v for k, v in asdict(how).items() if k not in free}))
     assert description["normalisation"]["scale"] > 0
 

@@ -140,6 +140,10 @@ ON_SLIDE = "() => [...document.querySelectorAll('[data-slide=shown]')].at(-1).of
 MATHS = """() => [...document.querySelectorAll(".math")]
   .filter((m) => !m.querySelector(".katex") || m.querySelector(".katex-error"))
   .map((m) => m.textContent.slice(0, 80))"""
+# A wide formula is scrolled, from its beginning.
+CUT = """() => [...document.querySelectorAll("div.math")].filter((m) => m.checkVisibility()
+    && m.querySelector(".katex-html").getBoundingClientRect().left < m.getBoundingClientRect().left - 1)
+  .map((m) => m.textContent.slice(0, 80))"""
 # A picture is told by its alt text, a drawing in the page by its label; neither by the name of a file.
 TOLD = """() => [...document.querySelectorAll(".bd-article img, .bd-article svg[role=img]")].filter((e) => {
   const text = e.alt ?? e.getAttribute("aria-label") ?? "";
@@ -165,6 +169,7 @@ def test_page(chromium: Any, page: str) -> None:
         found += [f"in the dark: {text}" for text in visit.violations("color-contrast")]
         visit.page.set_viewport_size({"width": 400, "height": 800})
         assert not visit.ask(OVERFLOW)
+        assert not visit.ask(CUT)
         for frame in visit.figures():
             assert not frame.evaluate(OVERFLOW)
         assert found + visit.trouble == []
