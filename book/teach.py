@@ -39,7 +39,8 @@ def _answered_here(app: Any, doctree: nodes.document, docname: str) -> None:
             told = html.escape(json.dumps({name: getattr(question, name) for name in kept}))
             form = f'<form class="topokit-question" data-question="{told}"><label>Your guess {_field(question)}</label>'
             form += "<button>check</button><output></output></form>"
-            list(cell.findall(nodes.paragraph))[-1].replace_self(nodes.raw("", form, format="html"))
+            for last in list(cell.findall(nodes.paragraph))[-1:]:  # none where no chapter was run
+                last.replace_self(nodes.raw("", form, format="html"))
 
 
 def _field(question: book.Question) -> str:
