@@ -124,6 +124,7 @@ nb_execution_in_temp = False  # chapters read ../data_small
 nb_execution_timeout = 300
 nb_execution_show_tb = True
 nb_merge_streams = True
+nb_render_markdown_format = "gfm"  # of outputs: CommonMark has no tables
 nb_code_prompt_show, nb_code_prompt_hide = "Show the code", "Hide the code"
 
 # ---- how it looks
