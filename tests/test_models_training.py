@@ -29,6 +29,7 @@ from topokit.models import (
     load_config,
     load_model,
     load_tensors,
+    open_windows,
     target_states,
     train,
 )
@@ -38,6 +39,8 @@ from windows import POINTS, SLOTS, RingScenes, RingWindows
 
 SHAPE = Shape(points=POINTS, slots=SLOTS)
 MORE = LossWeights(centre=1.0, match=True)
+ROOT = Path(__file__).parents[1]
+HELD_OUT = ["backpack", "belt", "mask", "net", "scarf", "sheet", "sheet2", "shirt", "tote", "tote2", "vest"]
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +90,15 @@ def test_the_loss_falls_and_the_checkpoint_is_the_best_epoch(tmp_path, windows, 
     assert answer["finished"]
     _, description = load_model(tmp_path / "best.safetensors")
     assert description["dataset"] == "rings"
-    free = ("workers", "minutes_between_checkpoints", "out", "dataset", "start", "accelerator")  # what makes no weights
+    free = {
+        "workers",
+        "minutes_between_checkpoints",
+        "out",
+        "dataset",
+        "start",
+        "rehearse",
+        "accelerator",
+    }  # no weights
     assert description["config"] == json.loads(json.dumps({k: v for k, v in asdict(how).items() if k not in free}))
     assert description["normalisation"]["scale"] > 0
 
@@ -225,6 +236,27 @@ def test_a_training_goes_on_from_a_checkpoint_with_other_films(tmp_path, windows
     assert load_model(tmp_path / "more" / "best.safetensors")[1]["start"] == "best.safetensors"
     with pytest.raises(ValueError, match="its options is"):
         train(config(tmp_path / "other", **{**how, "options": {}}, start=first["checkpoint"]), data)
+
+
+def test_few_films_are_learned_beside_those_that_the_start_knows(tmp_path):
+    shares = {"train": 0.6, "validation": 0.2, "test": 0.2}
+    entries = {"model": "motion", "dataset": str(ROOT / "data_small" / "motion"), "split": {"shares": shares}}
+    (tmp_path / "old.json").write_text(json.dumps(entries))
+    entries |= {"split": {"shares": shares, "seed": 4, "held_out": HELD_OUT}, "windows": {"stride": 4}}
+    (tmp_path / "new.json").write_text(json.dumps(entries | {"rehearse": "old.json"}))
+    with pytest.raises(ValueError, match=r"old\.json: cannot be rehearsed, its windows is not that"):
+        open_windows(load_config(tmp_path / "new.json"))
+    (tmp_path / "old.json").write_text(json.dumps({**entries, "split": {"shares": shares}}))
+    both = open_windows(load_config(tmp_path / "new.json"))
+    new, old = (
+        open_windows(TrainConfig(**{**entries, "split": split})) for split in (entries["split"], {"shares": shares})
+    )
+    n = len(new.train)
+    assert len(both.train) == 2 * n > 0
+    assert len(both.validation) == len(new.validation)
+    assert torch.equal(both.train[n - 1]["cloud"], new.train[n - 1]["cloud"])
+    assert torch.equal(both.train[2 * n - 1]["cloud"], old.train[(n - 1) * len(old.train) // n]["cloud"])
+    assert both.checksum == f"{new.checksum} {old.checksum}"
 
 
 def test_every_window_once_an_epoch_and_another_order_the_next():

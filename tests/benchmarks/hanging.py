@@ -3,7 +3,7 @@
 Every controller gets the same starts: the target anywhere and at any yaw, the garment before it (`HangEnv`, place="anywhere").
 Each episode is appended to the results when it is done, and not done again. Success is that of the environment: the task's true
 loops are around the target when the garment is at rest there, let go of. Read *straight* first: where that succeeds, a success
-proves nothing.
+proves nothing. *oracle* tries plans in the simulator itself, which no robot has.
 """
 
 from __future__ import annotations
@@ -23,20 +23,21 @@ from scipy.stats import binomtest
 from tqdm import tqdm
 
 from topokit._archive import atomic_file
-from topokit.control import Controller, Hanging, hang
+from topokit.control import Carried, Controller, Hanging, Planner, hang
 from topokit.io import Episode, save_episode
 from topokit.linking import close_far, linking_number
 from topokit.sim import TASKS as KNOWN
 from topokit.sim import Camera, HangEnv, HangingStarts, SimulationConfig, Task
 from topokit.sim._names import kind
+from topokit.sim._tasks import asked
 
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
 TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS)]
 TASKS += [f"{garment}-mannequin" for garment in ("apron", "backpack", "shirt", "vest")]
-WHO = ("random", "straight", "servo", "hold", "carry", "motion", "script", "ppo")
+WHO = ("random", "straight", "servo", "hold", "carry", "motion", "script", "ppo", "oracle")
 MOTION = Path(__file__).parents[2] / "data_small" / "checkpoints" / "motion.safetensors"
 CAMERA = Camera((-1.3, -1.6, 1.6), (0.0, 0.3, 1.1), width=160, height=120)
-FAST = {"pace": 1.0}
+FAST, TRIES = {"pace": 1.0}, 8
 SCENES: dict[str, dict[str, Any]] = {
     "still": {},
     "500 points": {"n_points": 500},
@@ -125,10 +126,27 @@ def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Hanging:
     if who == "script":
         return scripted(task, seed, {name: value for name, value in options.items() if name != "pace"})
     own = {"straight": {"controller": Straight()}, "random": {"controller": Random()}, "servo": {}}
+    if who == "oracle":
+        return foreseen(task, seed, options)
     if who == "ppo":
         return hang(task, seed=seed, controller=Learned(task, steps), **options)
     model = {"carry": "carry", "motion": MOTION, "hold": Hold()}.get(who)
     return hang(task, seed=seed, **own.get(who, {"model": model}), **options)
+
+
+def foreseen(task: str, seed: int, options: dict[str, Any]) -> Hanging:
+    """The simulator as oracle: a start is played with other draws of plans until one hangs; the first that did is done.
+
+    PyBullet cannot save and restore cloth, so that an oracle cannot be asked under way.
+    """
+    known, pace = KNOWN[task], options.pop("pace", 0.6)
+    goal = len(asked(known, known.garment().named_loops)) if known.every else None
+    for draws in range(TRIES):
+        how = {"radius": known.target.rods[0][2], "late": options.get("late", 0), "pace": pace, "seed": draws}
+        result = hang(task, seed=seed, controller=Planner(Carried(), goal, **how), **options)
+        if result.success:
+            break
+    return result
 
 
 def scripted(task: str, seed: int, options: dict[str, Any]) -> Hanging:
@@ -193,8 +211,8 @@ def main() -> None:
     rows = json.loads(options.out.read_text())["episodes"] if options.out.exists() else []
     done = {(row["task"], row["who"], row["scene"], row["seed"]) for row in rows}
     seeds = range(options.seed, options.seed + options.starts)
-    asked = [(t, w, s, n) for n in seeds for s in options.scenes for t in options.tasks for w in options.who]
-    for task, who, scene, seed in tqdm([one for one in asked if one not in done], unit="episode"):
+    todo = [(t, w, s, n) for n in seeds for s in options.scenes for t in options.tasks for w in options.who]
+    for task, who, scene, seed in tqdm([one for one in todo if one not in done], unit="episode"):
         began = time.perf_counter()
         result = run(task, who, scene, seed, options.steps)
         rows.append({"task": task, "who": who, "scene": scene, "seed": seed, "success": result.success})

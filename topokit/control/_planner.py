@@ -206,7 +206,7 @@ class Planner(Servo):
 
     def _best(self, arm: Arm, rim: Array, linked: bool) -> Array:
         """The goals (60, 2, 3) of the path that is followed now."""
-        cycles = [_thinned(self._seen(loop.curve)) for loop in self._chosen]
+        cycles = [self._seen(loop.curve[:: -(-len(loop.curve) // _CORNERS)]) for loop in self._chosen]
         rims = self._seen(np.array([loop.opening.rim for loop in self._chosen]))
         kept, spread = self._guess(arm, rim, linked)[None], _SPREAD
         if self._last is not None:  # from where it is now
@@ -291,10 +291,6 @@ def _through(ways: Array) -> CubicSpline:
     """The smooth curves from 0 through ways (..., knots, 4)."""
     table = np.concatenate([np.zeros_like(ways[..., :1, :]), ways], axis=-2)
     return CubicSpline(_KNOTS, table, axis=table.ndim - 2, bc_type="natural")
-
-
-def _thinned(cycle: Array) -> Array:
-    return cycle[:: -(-len(cycle) // _CORNERS)]
 
 
 def _heading(hands: Array) -> Array:

@@ -33,6 +33,7 @@ class TrainConfig:
     dataset: str = "."  #: directory of a dataset, relative to the configuration's file
     out: str = "run"  #: directory for checkpoints and logs, relative to the configuration's file
     start: str = ""  #: checkpoint that is gone on from, relative to the configuration's file: then few films do
+    rehearse: str = ""  #: configuration whose windows are half of those trained on, as of what `start` knows
     options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
     windows: dict[str, Any] = field(default_factory=dict)  #: of `topokit.data.WindowDataset`: labels, stride
     shape: Shape = field(default_factory=Shape)  #: sizes of a window
@@ -61,8 +62,9 @@ class TrainConfig:
 def load_config(path: str | Path) -> TrainConfig:
     """Read a configuration; paths in it are then relative to the working directory."""
     config, home = load(TrainConfig, path), Path(path).parent
-    start = str(home / config.start) if config.start else ""
-    return replace(config, dataset=str(home / config.dataset), out=str(home / config.out), start=start)
+    paths = {name: getattr(config, name) for name in ("dataset", "out", "start", "rehearse")}
+    found: dict[str, Any] = {name: str(home / path) for name, path in paths.items() if path}
+    return replace(config, **found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +78,13 @@ class Windows:
 
 def open_windows(config: TrainConfig) -> Windows:
     """The windows of a dataset that `topokit generate` made, split by episode or as `config.split` says."""
+    if config.rehearse:
+        earlier, kind = load_config(config.rehearse), ("model", "shape", "windows")
+        if other := [name for name in kind if getattr(earlier, name) != getattr(config, name)]:
+            raise ValueError(f"{config.rehearse}: cannot be rehearsed, its {other[0]} is not that of the configuration")
+        new, old = open_windows(replace(config, rehearse="")), open_windows(earlier)
+        few: Any = torch.utils.data.Subset(old.train, spread(len(old.train), len(new.train)))
+        return Windows(torch.utils.data.ConcatDataset([new.train, few]), new.validation, new.checksum + old.checksum)
     from topokit.data import Dataset, WindowDataset  # which need what the extra `learn` has not
 
     episodes, sizes = Dataset(config.dataset), asdict(config.shape)

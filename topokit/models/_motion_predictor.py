@@ -158,7 +158,7 @@ class MotionPredictor(Predictor):
         if key not in self._codes:
             cloud, last = self._clouds[-1], len(self._clouds) - 1
             then = [max(last - ago, 0) for ago in (0, *PAST)]
-            seen = _shuffled(cloud)[: self.model.shape.points]
+            seen = np.random.default_rng(0).permutation(cloud)[: self.model.shape.points]  # mixed, the same each time
             seen = seen[carriers_first(seen)]
             hands = np.stack([self._hands[i] for i in then])
             scene = {
@@ -172,11 +172,6 @@ class MotionPredictor(Predictor):
             tensors["held"] = torch.tensor([self._held])
             self._codes[key] = self.model.encode(tensors)
         return self._codes[key]
-
-
-def _shuffled(array: NDArray[Any]) -> NDArray[Any]:
-    """In an order that says nothing, the same each time."""
-    return np.random.default_rng(0).permutation(array)
 
 
 def _between(values: Array) -> Array:

@@ -36,7 +36,7 @@ from ._motion import Motion
 from ._states import Window, forecast_loss
 
 LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
-_FREE = ("workers", "minutes_between_checkpoints", "out", "dataset", "start", "accelerator")  # may change on the way
+_FREE = ["workers", "minutes_between_checkpoints", "out", "dataset", "start", "rehearse", "accelerator"]  # may change
 
 
 def train(
