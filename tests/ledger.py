@@ -361,9 +361,16 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
         lambda r: (fmean(known_differ(r)), known_differ(r)[-1]),
     ),
     (
+        "honest_evaluation",
+        "the mean of the ten rises by {:.1f} points, most of the way to networks that have known the family all along."
+        " It is then {:.1f} points above carry",
+        lambda r: tuple(families(r, "few") - families(r, model) for model in ("ours", "carry")),
+    ),
+    (
         "README.md",
-        "Motion puts {:.0f} % into the hulls, four networks that know the family {:.0f} %, carry {:.0f} %",
-        lambda r: tuple(families(r, model) for model in ("ours", "known", "carry")),
+        "Motion puts {:.0f} % into the hulls, four networks that know the family {:.0f} %, carry {:.0f} %; after some twenty films"
+        " of that family Motion puts {:.0f} % there",
+        lambda r: tuple(families(r, model) for model in ("ours", "known", "carry", "few")),
     ),
     # -- captions
     ("seqph_following", "for three choices of the place; {} episodes", lambda r: (len(r["tracking"]["episodes"]),)),
@@ -502,6 +509,8 @@ GIVEN: list[tuple[str, str, str]] = [
     ("README.md", "what 23,000 episodes cost", "the paper's number of trajectories"),
     ("README.md", "*strict* asks for 0 cm", "the name of a treatment in motion.json"),
     ("honest_evaluation", "(known, four trainings each)", "the other files of book/unseen"),
+    ("honest_evaluation", "Last, *few*: ten trainings more", "the files of book/few"),
+    ("honest_evaluation", "about twenty films", "the commands of unseen.json"),
     ("honest_evaluation", "Each leaves out two of ten families of garments", "the files of book/unseen"),
     (
         "README.md",
@@ -601,7 +610,7 @@ GIVEN: list[tuple[str, str, str]] = [
     ("linked_or", "a stiff ring in the air, 16 cm wide", SET),
     ("linked_or", "that come within 3 cm of the centre line", SET),
     ("hang_it", "shall go in the next 36 ms", "1 / 750 s a step, 27 steps: the environment's own"),
-    ("hang_it", "than the rod is thick, two centimetres here", SET),
+    ("hang_it", "than the rod's radius, two centimetres here", SET),
     ("hang_it", "nearer than 3 cm costs ten metres", SET),
     ("hang_it", "Wilson's 95 % intervals", "what such an interval is"),
     ("hang_it", "the cloud is 200 ms old", SET),
