@@ -368,8 +368,8 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
     ),
     (
         "README.md",
-        "Motion puts {:.0f} % into the hulls, four networks that know the family {:.0f} %, carry {:.0f} %; after some twenty films"
-        " of that family Motion puts {:.0f} % there",
+        "Motion puts {:.0f} % into the hulls, four networks that know the family {:.0f} %, carry {:.0f} %; after some"
+        " twenty films of that family Motion puts {:.0f} % there",
         lambda r: tuple(families(r, model) for model in ("ours", "known", "carry", "few")),
     ),
     # -- captions

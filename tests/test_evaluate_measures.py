@@ -39,6 +39,7 @@ def said(places: list[tuple[float, float, float]], lifetimes: list[float], there
         small + life,
         0 * small,
         torch.where(seen, 6.0, -6.0),
+        torch.full_like(small, 1e-4),
     )
 
 

@@ -274,9 +274,7 @@ def test_too_little_data(tmp_path, windows):
 def test_load_config(tmp_path):
     entries = {"model": "mlp", "dataset": "data", "shape": {"slots": 2}, "loss": {"centre": 0.1}}
     (tmp_path / "a.json").write_text(json.dumps(entries))
-    (tmp_path / "a.toml").write_text('model = "mlp"\ndataset = "data"\nshape = {slots = 2}\n[loss]\ncentre = 0.1\n')
-    a, b = load_config(tmp_path / "a.json"), load_config(tmp_path / "a.toml")
-    assert a == b
+    a = load_config(tmp_path / "a.json")
     assert a.shape == Shape(slots=2)
     assert a.dataset == str(tmp_path / "data")
     assert from_mapping(TrainConfig, json.loads(json.dumps(asdict(a))), "c") == a

@@ -1,4 +1,4 @@
-"""Configurations of the companions: frozen dataclasses, checked by pydantic, read from JSON or TOML.
+"""Configurations of the companions: frozen dataclasses, checked by pydantic, read from JSON.
 
 A value of another type is refused, not converted (`"0.1"` is no number, `True` is no count), and so are NaN and infinity; a
 name that is not known is an error that says which are.
@@ -55,7 +55,7 @@ def from_mapping(kind: type[T], entries: Any, where: str) -> T:
     if not isinstance(entries, Mapping):
         raise ValueError(f"{where} must be an object with named entries, not {entries!r:.200}")
     try:
-        plain = json.dumps(dict(entries), default=str)  # JSON, because its lists may be tuples; TOML has dates, too
+        plain = json.dumps(dict(entries), default=str)  # JSON, because its lists may be tuples
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"{where}: {error}") from error
     try:
@@ -65,22 +65,13 @@ def from_mapping(kind: type[T], entries: Any, where: str) -> T:
 
 
 def load(kind: type[T], path: str | Path) -> T:
-    """A checked dataclass from a JSON file, or from TOML when the name says so; errors name the file and the entry."""
+    """A checked dataclass from a JSON file; errors name the file and the entry."""
     path = existing(path)
-    language, parse = ("TOML", _parse_toml) if path.suffix == ".toml" else ("JSON", read_json)
     try:
-        entries = parse(path.read_text(encoding="utf-8"))
+        entries = read_json(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:  # nested a thousand deep
-        raise ValueError(f"{path}: not {language}: {error}") from error
+        raise ValueError(f"{path}: not JSON: {error}") from error
     return from_mapping(kind, entries, str(path))
-
-
-def _parse_toml(text: str) -> Any:
-    try:
-        import tomllib
-    except ImportError as error:
-        raise ImportError("TOML needs Python 3.11; write the configuration as JSON") from error
-    return tomllib.loads(text)
 
 
 def _told(error: ValidationError, kind: Any) -> str:

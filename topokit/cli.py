@@ -90,7 +90,7 @@ def _add_track(commands: Any) -> None:
     option = tracker.add_argument
     what = "a recorded episode (.npz), or clouds: .npy, .npz, .ply, .pcd, depth images (.png), a ROS 2 bag, a folder of files"
     option("episode", type=Path, nargs="?", metavar="PATH", help=what)
-    option("--pipeline", type=Path, metavar="FILE", help="of clouds: what is left out of each (.json, .toml)")
+    option("--pipeline", type=Path, metavar="FILE", help="of clouds: what is left out of each (.json)")
     option("--unit", choices=("m", "cm", "mm"), help="of clouds (default: metres; millimetres for depth images)")
     option("--columns", metavar="X,Y,Z", help="which numbers, or names, of a point are its place")
     option("--intrinsics", type=Path, metavar="FILE", help="fx, fy, cx, cy of a depth camera (.json)")

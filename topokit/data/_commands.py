@@ -30,7 +30,7 @@ def add(commands: Any) -> None:
     option("--out", type=Path, required=True, metavar="DIR", help="where to make it, or to go on with it")
     option("--episodes", type=int, required=True, metavar="N", help="how many; more than last time adds some")
     option("--seed", type=int, default=0, help="of the dataset (default 0)")
-    option("--config", type=Path, metavar="FILE", help="a DatasetConfig, as JSON or TOML; the rest has its default")
+    option("--config", type=Path, metavar="FILE", help="a DatasetConfig, as JSON; the rest has its default")
     option("--time-limit", type=float, default=600.0, metavar="S", help="seconds of an episode's processor time (600)")
     option("--retry-failed", action="store_true", help="try failed episodes again")
 

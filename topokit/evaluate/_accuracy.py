@@ -40,6 +40,7 @@ COLUMNS = (
     "distance",  # of the k means from these centres, metres
     "kept",  # of the true loops found at the first step and still there, the share that is found by the same slot
     *("nll", "cover50", "cover90"),  # of points of the openings: nats, shares in the regions of 50 and 90 % of the mass
+    "spread",  # standard deviation of the mixtures, over all axes, metres
     *_SLOTS,  # how many slots there are of the kind
     *(f"{name}_right" for name in _SLOTS),  # how many of these the forecast has right
     "said_changed",  # how many it says have changed
@@ -209,14 +210,16 @@ def _measure_mixtures(
     if not pairs:
         return
     i, k, slot, _ = np.array(pairs).T
-    mixtures: Any = loop_mixtures(states.triangles[i, k, slot].double(), states.values[i, k, slot].double())
+    shown = (getattr(states, name)[i, k, slot].double() for name in ("triangles", "values", "noise"))
+    mixtures: Any = loop_mixtures(*shown)
     points = np.array([opening_points(truth[i].curves[loop][k], POINTS, rng) for i, k, _, loop in pairs])
     density = mixtures.log_prob(torch.from_numpy(points).transpose(0, 1))  # (POINTS, pairs)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(rng.integers(2**62)))
         own = mixtures.log_prob(mixtures.sample((DRAWN,)))  # (DRAWN, pairs)
     above = (own[:, None] > density[None]).double().mean(dim=0)  # the credible region that just reaches each point
-    parts = {"nll": -density, "cover50": (above <= 0.5).double(), "cover90": (above <= 0.9).double()}
+    wide = mixtures.variance.sum(dim=-1).sqrt()[None]
+    parts = {"nll": -density, "cover50": (above <= 0.5).double(), "cover90": (above <= 0.9).double(), "spread": wide}
     for name, part in parts.items():
         total, count = np.zeros_like(columns[name]), np.zeros_like(columns[name])
         np.add.at(total, (i, k), part.mean(dim=0).numpy())

@@ -1,4 +1,4 @@
-"""What `topokit evaluate` does, one JSON or TOML file, and each of its conditions made ready.
+"""What `topokit evaluate` does, one JSON file, and each of its conditions made ready.
 
 That is: which windows, what is seen of them, where their true loops are, and who forecasts; checked before anything runs.
 """

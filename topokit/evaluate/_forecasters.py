@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from functools import lru_cache
 
 import numpy as np
@@ -12,6 +13,7 @@ from torch import Tensor
 
 from topokit.data import WindowDataset
 from topokit.models import Forecast, MotionPredictor, PredictiveModel, States
+from topokit.models._states import NOISE
 
 Forecaster = Callable[[Mapping[str, Tensor]], States]
 _TURNS = ("clouds", "grippers", "actions", "triangles", "past_triangles")
@@ -81,5 +83,5 @@ def _stacked(forecasts: list[Forecast], slots: int) -> States:
         ]
         return torch.from_numpy(np.stack(padded)).float()
 
-    parts = {name: stack(name, 0.0) for name in ("corners", "neighbour_values", "birth", "death", "step", "presence")}
+    parts = {part.name: stack(part.name, NOISE if part.name == "noise" else 0.0) for part in fields(States)}
     return States(**parts | {"presence": parts["presence"].double().logit(1e-6).float()})

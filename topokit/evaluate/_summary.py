@@ -23,6 +23,7 @@ from ._results import MEASURES
 
 Array = NDArray[np.float64]
 _ORDER = ("seqph", "hold", "carry", "ridge", "mlp", "pointnet", "ours")
+FAR = 0.05  # metres outside the hull: a forecast that is lost
 TOLERANCES = (0.0, 0.01, 0.02, 0.03, 0.05, 0.1)
 OF_GARMENTS = ("hull_accuracy", "in_plane", "in_opening", "distance_cm")  # those that are shown of every garment, too
 
@@ -149,8 +150,7 @@ def summarise(samples: Samples, config: EvaluationConfig, thorough: bool) -> dic
     """All tables of a condition; `thorough` adds the treatments of nearly flat hulls."""
     table = _Table(samples, config)
     answer: dict[str, Any] = {name: table.at_horizons(name) for name in MEASURES}
-    answer |= {f"gain_of_{model}": table.gains(model) for model in ("ours", "pointnet", "mlp")}
-    answer |= {"outcomes": table.outcomes(), "by_seed": table.by_seed()}
+    answer |= {"gain_of_ours": table.gains("ours"), "outcomes": table.outcomes(), "by_seed": table.by_seed()}
     answer["curves"] = {name: table.curve(name) for name in ("hull_accuracy", "distance_cm", "identity", "presence")}
     if thorough:
         answer["hull_treatments"] = table.treatments()
@@ -190,11 +190,24 @@ class _Table:
             return mean_of([self.bootstrap.ratio(*pair, number) for pair in pairs])
         if name == "hull_accuracy":
             return self.mean(self.hits, model, k)
+        if name == "lost":
+            return self.lost(columns["spread"][..., k], columns["outside"][..., k] > FAR, number)
         column = name.removesuffix("_cm").removesuffix("_median")
         values = columns[{"identity": "kept"}.get(column, column)] * (100 if name.endswith("_cm") else 1)
         if "median" in name:
             return self.bootstrap.median(values[..., k], number)
         return self.mean(lambda _: values, model, k)
+
+    def lost(self, values: Array, bad: NDArray[np.bool_], model: int) -> Estimate:
+        """The chance that one of the bad has a greater value than one of the others; equal ones count half."""
+        seed, sample = np.nonzero(np.isfinite(values))
+        found, lost, bunch = values[seed, sample], bad[seed, sample], self.bootstrap.bunch[sample]
+        often = self.bootstrap._seeds(len(values), model)[:, seed] * self.bootstrap.weights[:, bunch]
+        above = (1 + np.sign(found[lost][:, None] - found[~lost])) / 2
+        with np.errstate(invalid="ignore"):
+            pairs = often[:, lost].sum(axis=1) * often[:, ~lost].sum(axis=1)
+            draws = ((often[:, lost] @ above) * often[:, ~lost]).sum(axis=1) / pairs
+        return Estimate(float(above.mean()) if above.size else np.nan, draws, round(len(found) / len(values)))
 
     def mean(self, values: Callable[[str], Array], model: str, k: int) -> Estimate:
         """At the k-th step, of (seeds, n, K) values of a model, without those that are nan."""

@@ -212,15 +212,14 @@ def compare(
     """
     if len(states) != len(truth):
         raise ValueError(f"states has {len(states)} frames, truth {len(truth)}; track the same sequence")
-    return [_overlap(true, state, similarity(true, state)) for true, state in zip(truth, states, strict=True)]
-
-
-def _overlap(true: TrueLoops, state: TopologicalState, table: Array) -> Overlap:
-    aside = [k for i, k in assign(1 - table, table >= THRESHOLD) if not true.present[i]]
-    kept = np.setdiff1d(np.arange(len(state.loops)), aside)
-    ids = np.array([loop.id for loop in state.loops], dtype=np.int64)
-    objects = np.flatnonzero(true.present)
-    return Overlap(objects, ids[kept], table[np.ix_(objects, kept)])
+    overlaps = []
+    for true, state in zip(truth, states, strict=True):
+        table, objects = similarity(true, state), np.flatnonzero(true.present)
+        aside = [k for i, k in assign(1 - table, table >= THRESHOLD) if not true.present[i]]
+        kept = np.setdiff1d(np.arange(len(state.loops)), aside)
+        ids = np.array([loop.id for loop in state.loops], dtype=np.int64)
+        overlaps.append(Overlap(objects, ids[kept], table[np.ix_(objects, kept)]))
+    return overlaps
 
 
 def by_diagram(loops: Candidates) -> list[tuple[int, int]]:

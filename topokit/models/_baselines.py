@@ -22,7 +22,7 @@ from topokit._validate import positive
 from topokit.io import HISTORY, HORIZON
 from topokit.state import TopologicalState
 
-from ._states import NUMBERS, PAST, States, Window, past_states, target_states
+from ._states import NOISE, NUMBERS, PAST, States, Window, past_states, target_states
 
 Context = dict[str, Tensor]
 _Place = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -119,6 +119,7 @@ class PredictiveModel(nn.Module, ABC):
             death=positive[..., 4] + positive[..., 5],
             step=positive[..., 6],
             presence=numbers[..., 31],
+            noise=torch.full_like(numbers[..., 31], NOISE),
         )
 
     def _positive(self, raw: Tensor) -> Tensor:

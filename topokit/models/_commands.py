@@ -11,7 +11,7 @@ from typing import Any
 def add(commands: Any) -> None:
     """Add the sub-parsers."""
     train = commands.add_parser("train", help="train a predictor on a dataset; goes on where it stopped")
-    train.add_argument("config", type=Path, metavar="CONFIG", help="what to train, how, on what (.json or .toml)")
+    train.add_argument("config", type=Path, metavar="CONFIG", help="what to train, how, on what (.json)")
     train.add_argument("--seed", type=int, help="instead of the configuration's; with --out, to train several")
     train.add_argument("--out", metavar="DIR", help="where checkpoints and log go, instead of the configuration's")
     train.add_argument("--quiet", action="store_true", help="no progress bar")

@@ -1,4 +1,4 @@
-"""What is trained on: a configuration (JSON or TOML), the windows of two splits that it names, and more made of them.
+"""What is trained on: a configuration (JSON), the windows of two splits that it names, and more made of them.
 
 Scenes are alike left and right of the plane x = 0: the mirror image of an episode could have happened.
 """
@@ -87,17 +87,12 @@ def open_windows(config: TrainConfig) -> Windows:
         return Windows(torch.utils.data.ConcatDataset([new.train, few]), new.validation, new.checksum + old.checksum)
     from topokit.data import Dataset, WindowDataset  # which need what the extra `learn` has not
 
+    from ._scenes import Scenes
+
     episodes, sizes = Dataset(config.dataset), asdict(config.shape)
     parts, points = episodes.split(**config.split), sizes.pop("points")
-    if config.model == "motion":
-        from ._scenes import Scenes
-
-        scenes = [Scenes(episodes, parts[name], **config.windows) for name in ("train", "validation")]
-        return Windows(scenes[0], scenes[1], episodes.checksum())
-    train, validation = (
-        WindowDataset(episodes, parts[name], n_points=points, **sizes, **config.windows)
-        for name in ("train", "validation")
-    )
+    made, options = (Scenes, {}) if config.model == "motion" else (WindowDataset, {"n_points": points, **sizes})
+    train, validation = (made(episodes, parts[part], **options, **config.windows) for part in ("train", "validation"))
     return Windows(train, validation, episodes.checksum())
 
 

@@ -19,7 +19,7 @@ from topokit.state import Loop
 from ._motion import KNOTS, PAST, Codes, Motion
 from ._predictor import Array, Forecast, Predictor, as_cloud, as_grippers
 from ._scenes import carriers_first, flow, resampled
-from ._states import TRIANGLES
+from ._states import NOISE, TRIANGLES
 
 _UNTRACKED = 16  # clouds that are kept until their loops are asked for
 
@@ -48,28 +48,8 @@ class MotionPredictor(Predictor):
         self._untracked: deque[NDArray[np.float64]] = deque(maxlen=_UNTRACKED)
         self._codes: dict[bytes, Codes] = {}
 
-    def observe(
-        self, points: ArrayLike, grippers: ArrayLike | None = None, held: bool = True, target: ArrayLike | None = None
-    ) -> None:
-        """Take in the next frame.
-
-        Parameters
-        ----------
-        points : (n, 3) array_like
-            Metres.
-        grippers : (2, 3) array_like
-            Metres.
-        held : bool
-            Whether they hold the garment.
-        target : (L, 3) array_like, optional
-            Centre line of what it shall be hung on, from the foot to the tip; the one told last when not given.
-
-        Raises
-        ------
-        ValueError
-            When an array has another shape or holds a value that is not finite, or there are no grippers.
-        """
-        cloud, place = as_cloud(points), as_grippers(grippers)
+    def _take(self, cloud: NDArray[np.float64], grippers: Any, held: bool, target: Any) -> None:
+        place = as_grippers(grippers)
         if target is not None:
             line = as_points(target, "target")
             if line.shape[1] != 3:
@@ -78,7 +58,7 @@ class MotionPredictor(Predictor):
         self._clouds.append(cloud)
         self._untracked.append(cloud)
         self._hands.append(place)
-        self._held, self._codes = bool(held), {}
+        self._held, self._codes = held, {}
 
     @torch.inference_mode()
     def predict(self, actions: ArrayLike, held: ArrayLike | None = None, exact: Sequence[int] = ()) -> Forecast:
@@ -103,10 +83,11 @@ class MotionPredictor(Predictor):
         self._track()
         ids = np.array([_corners(loop)[0] for loop in self._loops], dtype=np.int64)  # (S, 8)
         corners = None if len(exact) or not self._clouds else self._clouds[-1][ids.ravel()]
-        places, _ = self._moved(actions, held, corners)
+        places, scales = self._moved(actions, held, corners)
         if len(exact):
-            clouds, places = places[0], places[:, :, ids.ravel()]
-        forecast = _forecast(places.reshape(*places.shape[:2], len(ids), 8, 3), self._loops, self._sampling)
+            clouds, places, scales = places[0], places[:, :, ids.ravel()], scales[:, :, ids.ravel()]
+        sizes = *places.shape[:2], len(ids), 8
+        forecast = _forecast(places.reshape(*sizes, 3), scales.reshape(sizes), self._loops, self._sampling)
         if np.ndim(actions) == 4:
             return forecast
         forecast = forecast.plan(0)
@@ -192,8 +173,8 @@ def _corners(loop: Loop) -> tuple[list[int], list[bool]]:
     return [*corners, *(apexes.get(one, corners[2]) for one in outer)], [one in apexes for one in outer]
 
 
-def _forecast(corners: Array, loops: Sequence[Loop], sampling: tuple[Gaps, int]) -> Forecast:
-    """States (C, 60, S) of loops whose corners (C, 60, S, 8, 3) are where these are, of a cloud sampled so."""
+def _forecast(corners: Array, scales: Array, loops: Sequence[Loop], sampling: tuple[Gaps, int]) -> Forecast:
+    """States (C, 60, S) of loops whose corners (C, 60, S, 8, 3) are where these are, to those scales, of a cloud sampled so."""
     now = np.array([loop.killer_edge_points for loop in loops], np.float32).reshape(-1, 2, 3)
     birth = np.broadcast_to(np.array([loop.birth for loop in loops], np.float32), corners.shape[:3])
     ends = corners[..., :2, :]
@@ -204,7 +185,9 @@ def _forecast(corners: Array, loops: Sequence[Loop], sampling: tuple[Gaps, int])
     present = np.array([_corners(loop)[1] for loop in loops], bool).reshape(-1, 4)
     death = np.linalg.norm(ends[..., 0, :] - ends[..., 1, :], axis=-1) / 2
     presence = _presence(birth, death, np.arange(1, KNOTS[-1] + 1)[:, None], sampling)
-    return Forecast(corners, values * present, birth.copy(), death, step, presence)
+    # An opening reaches about a death beyond the triangles; an error as the loss supposes has a variance of 4 s^2 an axis.
+    noise = NOISE + death**2 + 4 * (scales**2).mean(axis=-1)
+    return Forecast(corners, values * present, birth.copy(), death, step, presence, noise)
 
 
 def _presence(birth: ArrayLike, death: ArrayLike, ahead: ArrayLike, sampling: tuple[Gaps, int]) -> Array:
@@ -230,5 +213,6 @@ def _read(forecast: Forecast, index: int, loops: Sequence[Loop], cloud: Array, s
         ids, present = _corners(found[loop.id])
         forecast.corners[index, slot] = cloud[ids]
         forecast.neighbour_values[index, slot] = _values(cloud[ids]) * present
+        forecast.noise[index, slot] += found[loop.id].death ** 2 - forecast.death[index, slot] ** 2
         forecast.death[index, slot] = death = found[loop.id].death
         forecast.presence[index, slot] = _presence(loop.birth, death, index + 1, sampling)

@@ -22,7 +22,7 @@ from topokit.state import TopologicalState
 from ._baselines import past_window
 from ._checkpoint import Model, load_model
 from ._motion import Motion
-from ._states import TRIANGLES, States
+from ._states import NOISE, TRIANGLES, States
 
 _PLANS_AT_ONCE = 250  # so that weights are read seldom, and what lies between layers stays in the cache
 
@@ -42,6 +42,7 @@ class PredictedLoop:
     neighbours: Array  #: (m, 3, 3) metres, m <= 4
     killer_values: Array  #: (2,)
     neighbour_values: Array  #: (m,)
+    noise: float = NOISE  #: of its mixture, square metres: more, the less sure the forecast is of the place
 
     @property
     def lifetime(self) -> float:
@@ -53,9 +54,9 @@ class PredictedLoop:
         """(3,) mean of the killer triangles' barycentres, as of a `topokit.Loop`; `mixture().mean` is another place."""
         return np.asarray(self.killer_triangles.mean(axis=(0, 1)))
 
-    def mixture(self, noise: float = 1e-4) -> LoopMixture:
-        """Where the loop is, as `topokit.loop_mixture` says."""
-        return loop_mixture(self, noise)
+    def mixture(self, noise: float | None = None) -> LoopMixture:
+        """Where the loop is, as `topokit.loop_mixture` says, with the forecast's own noise when none is given."""
+        return loop_mixture(self, self.noise if noise is None else noise)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, for JSON."""
@@ -78,6 +79,7 @@ class Forecast:
     death: Array  #: (K, S) metres
     step: Array  #: (K, S) metres
     presence: Array  #: (K, S) probability
+    noise: Array  #: (K, S) of the mixtures, square metres
 
     @classmethod
     def from_states(cls, states: States) -> Forecast:
@@ -135,7 +137,9 @@ class Forecast:
         near, death = self.neighbour_values[step, slot], self.death[step, slot]
         return PredictedLoop(
             slot=slot,
-            **{name: float(getattr(self, name)[step, slot]) for name in ("presence", "birth", "death", "step")},
+            **{
+                name: float(getattr(self, name)[step, slot]) for name in ("presence", "birth", "death", "step", "noise")
+            },
             killer_triangles=triangles[:2],
             neighbours=triangles[2:][near > 0],
             killer_values=np.repeat(death, 2),
@@ -188,20 +192,24 @@ class Predictor:
         held : bool
             Whether they hold the garment.
         target : (L, 3) array_like, optional
-            Centre line of what it shall be hung on; a `MotionPredictor` looks at it, the models of windows do not.
+            Centre line of what it shall be hung on, from the foot to the tip, which a `MotionPredictor` looks at; the last told
+            when not given. The models of windows do not ask.
 
         Raises
         ------
         ValueError
             When an array has another shape or holds a value that is not finite, or the model needs the grippers.
         """
-        cloud, n = as_cloud(points), self.model.shape.points
+        self._take(as_cloud(points), grippers, bool(held), target)
+
+    def _take(self, cloud: NDArray[np.float64], grippers: Any, held: bool, target: Any) -> None:
+        n = self.model.shape.points
         chosen = cloud[farthest_point_sample(cloud, n)[0]] if len(cloud) > n else cloud
         repeated = np.resize(chosen, (1, n, 3)).astype(np.float32)  # where there are few
         frame = {"clouds": torch.from_numpy(repeated)}
         if "grippers" in self.model.inputs:
             place = as_grippers(grippers)
-            frame |= {"grippers": torch.from_numpy(place).float()[None], "held": torch.tensor([bool(held)])}
+            frame |= {"grippers": torch.from_numpy(place).float()[None], "held": torch.tensor([held])}
         if self._tracker is not None:
             self._states.append(self._tracker.update(cloud))
         self._kept.append(self.model.encode_frames({name: frame[name] for name in self.model.inputs}))

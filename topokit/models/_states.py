@@ -26,6 +26,7 @@ from topokit.mixture import moments
 TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  # x y z1, x y z2, then the neighbours
 _OTHER_WAY = ([1, 0, 2, 3, 5, 4, 7, 6], [1, 0, 3, 2])  # corners and neighbours when x and y change places
 NUMBERS = 32  # of a loop: 8 corners, 4 neighbour values, birth, lifetime, step, presence
+NOISE = 1e-4  # square metres that a mixture's covariances have more than their triangles', where nobody says otherwise
 POSITION, VALUE = 0.1, 0.02  # metres that count as one in the losses: of places, and of filtration values
 PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "step", "present"))
 Window = Mapping[str, Tensor]  # a batch of windows, as of `topokit.data.WindowDataset`
@@ -41,6 +42,7 @@ class States:
     death: Tensor  #: (B, K, S)
     step: Tensor  #: (B, K, S)
     presence: Tensor  #: (B, K, S) logit of the loop being there
+    noise: Tensor  #: (B, K, S) square metres, what the mixtures' covariances have more than the triangles'
 
     @property
     def triangles(self) -> Tensor:
@@ -105,7 +107,8 @@ def target_states(window: Window) -> States:
     """What should be predicted for a batch of windows."""
     step, presence = torch.nan_to_num(window["step"]), torch.where(window["present"], 20.0, -20.0)
     corners, neighbour_values = corners_of(window["triangles"], window["values"])
-    return States(corners, neighbour_values, window["birth"], window["death"], step, presence)
+    birth = window["birth"]
+    return States(corners, neighbour_values, birth, window["death"], step, presence, torch.full_like(birth, NOISE))
 
 
 def past_states(window: Window) -> States:
@@ -113,7 +116,7 @@ def past_states(window: Window) -> States:
     return target_states({name.removeprefix("past_"): window[name] for name in PAST})
 
 
-def loop_mixtures(triangles: Tensor, values: Tensor, noise: float = 1e-4) -> MixtureSameFamily:
+def loop_mixtures(triangles: Tensor, values: Tensor, noise: float | Tensor = NOISE) -> MixtureSameFamily:
     """Mixtures of a batch of loops, by the formula of `topokit.loop_mixture`.
 
     Parameters
@@ -121,11 +124,12 @@ def loop_mixtures(triangles: Tensor, values: Tensor, noise: float = 1e-4) -> Mix
     triangles : (..., m, 3, 3)
     values : (..., m)
         Filtration values of the triangles, not negative; 0 for one that is absent.
-    noise : float
+    noise : float or Tensor (...)
         Added to the diagonal of every sample covariance, square metres.
     """
     means, scatter = moments(triangles)
-    covariances = scatter / 2 + noise * torch.eye(triangles.shape[-1]).to(triangles)
+    more = torch.as_tensor(noise).to(triangles)[..., None, None, None]
+    covariances = scatter / 2 + more * torch.eye(triangles.shape[-1]).to(triangles)
     components = MultivariateNormal(means, covariances, validate_args=False)
     weights = Categorical(probs=values.clamp_min(1e-12), validate_args=False)
     return MixtureSameFamily(weights, components, validate_args=False)
