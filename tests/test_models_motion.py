@@ -284,6 +284,26 @@ def test_the_two_tiers_move_the_same_points(episode):
     assert np.allclose(exact.corners[28], fast.corners[28])  # nothing else changed
 
 
+def test_a_forecast_is_as_wide_as_it_is_unsure(episode):
+    predictor = MotionPredictor(make())
+    plan = observed(predictor, episode)
+    forecast = predictor.predict(*plan)
+    loop = predictor._loops[0]
+    places, scales = predictor.move(*plan, points=loop.killer_edge_points)
+    assert np.allclose(forecast.corners[:, 0, :2], places, atol=1e-5)
+    surplus = forecast.noise[:, 0] - 1e-4 - forecast.death[:, 0] ** 2
+    assert np.all(surplus > 0.5 * (scales**2).mean(axis=1))  # of two of the eight corners
+    said = next(one for one in forecast[59] if one.slot == 0)
+    more = said.mixture().covariances - said.mixture(1e-4).covariances
+    assert np.allclose(more, (forecast.noise[59, 0] - 1e-4) * np.eye(3), atol=1e-7)
+    exact = predictor.predict(*plan, exact=[60])
+    assert np.allclose(exact.noise[59] - exact.death[59] ** 2, forecast.noise[59] - forecast.death[59] ** 2, atol=1e-7)
+    timid = make()
+    torch.nn.init.constant_(timid.out[2].bias[3:], 2.0)
+    unsure = MotionPredictor(timid)
+    assert (unsure.predict(*observed(unsure, episode)).noise > forecast.noise).all()
+
+
 def test_any_points_can_be_moved_under_many_plans(episode):
     predictor = MotionPredictor(make())
     plan, held = observed(predictor, episode)
