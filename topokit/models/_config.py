@@ -77,7 +77,13 @@ class Windows:
 
 
 def open_windows(config: TrainConfig) -> Windows:
-    """The windows of a dataset that `topokit generate` made, split by episode or as `config.split` says."""
+    """The windows of a dataset that `topokit generate` made, split by episode or as `config.split` says.
+
+    Raises
+    ------
+    ValueError
+        When the model, the shape or the windows of what is rehearsed are not those of `config`.
+    """
     if config.rehearse:
         earlier, kind = load_config(config.rehearse), ("model", "shape", "windows")
         if other := [name for name in kind if getattr(earlier, name) != getattr(config, name)]:

@@ -28,7 +28,8 @@ class MLP(PredictiveModel):
 
     def __init__(self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN) -> None:
         super().__init__(shape, normalisation)
-        _check_units("hidden", hidden)
+        if not 1 <= len(hidden) <= 32 or not all(type(n) is int and 1 <= n <= 100_000 for n in hidden):
+            raise ValueError(f"hidden must be numbers of units, 1 to 32 of them, each 1 to 100,000, not {hidden!r:.80}")
         self.history_layer = nn.Linear(shape.history * self._frame_size(), hidden[0])
         self.action_layer = nn.Linear(7 * shape.horizon, hidden[0], bias=False)
         last = nn.Linear(hidden[-1], shape.horizon * shape.slots * NUMBERS)
@@ -61,11 +62,6 @@ class PointNet(MLP):
 
     def encode_frames(self, frames: Context) -> Context:
         return {"frame": maximum(self.points(self.normalise(frames["clouds"])))}
-
-
-def _check_units(name: str, units: Sequence[int]) -> None:
-    if not 1 <= len(units) <= 32 or not all(type(n) is int and 1 <= n <= 100_000 for n in units):
-        raise ValueError(f"{name} must be numbers of units, 1 to 32 of them, each 1 to 100,000, not {units!r:.80}")
 
 
 def _layers(widths: Sequence[int]) -> list[nn.Module]:

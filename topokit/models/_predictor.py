@@ -192,8 +192,7 @@ class Predictor:
         held : bool
             Whether they hold the garment.
         target : (L, 3) array_like, optional
-            Centre line of what it shall be hung on, from the foot to the tip, which a `MotionPredictor` looks at; the last told
-            when not given. The models of windows do not ask.
+            Centre line of the target, from foot to tip, which a `MotionPredictor` looks at; the last told when not given.
 
         Raises
         ------

@@ -128,7 +128,7 @@ def loop_mixtures(triangles: Tensor, values: Tensor, noise: float | Tensor = NOI
         Added to the diagonal of every sample covariance, square metres.
     """
     means, scatter = moments(triangles)
-    more = torch.as_tensor(noise).to(triangles)[..., None, None, None]
+    more = torch.as_tensor(noise, dtype=triangles.dtype, device=triangles.device)[..., None, None, None]
     covariances = scatter / 2 + more * torch.eye(triangles.shape[-1]).to(triangles)
     components = MultivariateNormal(means, covariances, validate_args=False)
     weights = Categorical(probs=values.clamp_min(1e-12), validate_args=False)
