@@ -185,7 +185,7 @@ def _forecast(corners: Array, scales: Array, loops: Sequence[Loop], sampling: tu
     present = np.array([_corners(loop)[1] for loop in loops], bool).reshape(-1, 4)
     death = np.linalg.norm(ends[..., 0, :] - ends[..., 1, :], axis=-1) / 2
     presence = _presence(birth, death, np.arange(1, KNOTS[-1] + 1)[:, None], sampling)
-    noise = NOISE + death**2 + 4 * (scales**2).mean(axis=-1)  # openings are about that wide; 4 s^2 is an error's variance
+    noise = NOISE + death**2 + 4 * (scales**2).mean(axis=-1)  # as wide as openings; 4 s^2: an error's variance
     return Forecast(corners, values * present, birth.copy(), death, step, presence, noise)
 
 
