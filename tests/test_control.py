@@ -152,6 +152,18 @@ def test_of_two_handles_the_one_that_is_not_seen_is_the_twin():
     assert places == pytest.approx([-0.15, 0.15], abs=0.02)
 
 
+def test_of_two_handles_each_held_by_a_gripper_the_second_is_behind_the_first():
+    """Handles that hang askew, and look along the arm: one behind the other they are when their grippers are."""
+    askew = [turned(turned(ring(60, 0.1), 90), 30) + [x, 0, 1.27] for x in (-0.15, 0.15)]
+    servo = Servo(2)
+    plan(servo, seen(np.concatenate(askew), [[-0.15, 0, 1.37], [0.15, 0, 1.37]], Placed(Hook(), yaw=-60.0)), 8)
+    assert [abs(loop.opening.normal[0]) for loop in servo._chosen] == pytest.approx(
+        [np.cos(np.radians(30))] * 2, abs=0.05
+    )
+    turn = angle(np.eye(3)[0], servo._goals[1] - servo._goals[0])
+    assert turn > 1  # to 30 degrees, where the arm is
+
+
 def test_a_tube_that_hangs_open_downwards_is_not_put_over_an_arm():
     """The body of a T-shirt is such a loop; put over a hook it is linked with nothing, and falls."""
     tube = ring(80, 0.2)[:, [0, 2, 1]] @ [[1, 0, 0], [0, 0.8, 0.6], [0, -0.6, 0.8]]

@@ -227,7 +227,7 @@ class Planner(Servo):
         length = np.append(0, np.linalg.norm(np.diff(legs, axis=0), axis=1).cumsum())
         gone = self._pace * self.max_step * _KNOTS[1:]
         places = np.stack([np.interp(gone, length, axis) for axis in legs.T], axis=1)
-        facing = angle(turned(self._chosen[0].opening.normal, self._yaw), arm.out)
+        facing = angle(self._faces(), arm.out)
         return np.column_stack([places - rim, np.clip(facing, -_TURN * _KNOTS[1:], _TURN * _KNOTS[1:])])
 
     def _stops(self, arm: Arm, rim: Array) -> list[Array]:
@@ -270,7 +270,7 @@ class Planner(Servo):
         above = np.array([*seat[:2], over[2]])
         area = np.cross(cycle, np.roll(cycle, -1, axis=2)).sum(axis=2) * [1, 1, 0]
         area = area / np.maximum(np.linalg.norm(area, axis=-1, keepdims=True), 1e-9)
-        side = np.sign(area[:, :1] @ turned(self._chosen[0].opening.normal, self._yaw))  # the one that was chosen
+        side = np.sign(area[:, :1] @ self._faces())  # the one that was chosen
         aside = np.degrees(np.arccos(np.clip(side * (area @ arm.out), -1, 1)))
         low = np.maximum(over[2] - rim[..., 2], 0) * np.exp(-((((rim - arm.tip) @ arm.out) / 0.13) ** 2))
         way = np.linalg.norm(rim - over, axis=-1) + np.linalg.norm(over - above) + np.linalg.norm(above - seat)

@@ -225,6 +225,7 @@ class Servo(Controller):
         self._chosen = sorted(fit, key=distance)[: self._count]
         for loop in self._chosen:
             loop.opening = loop.opening.along(self._chosen[0].opening.normal)
+        self._ahead = self._chosen[0].opening.normal * [1, 0, 0]
 
     def _along(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
         """Bring the rim nearer to the stop, and the opening to face the arm; then comes the next stop, or they let go."""
@@ -233,7 +234,7 @@ class Servo(Controller):
         if stop == "down":  # until nothing can fall any more
             rim[2] = self._middle[2]
         gap = self._goal(stop, arm, rim) - rim
-        facing = angle(turned(self._chosen[0].opening.normal, self._yaw), arm.out)
+        facing = angle(self._faces(), arm.out)
         there = np.linalg.norm(gap) < _NEAR and abs(facing) < _FACING
         sure = min(loop.around for loop in self._chosen) >= SURE
         self._waited += 1
@@ -250,6 +251,10 @@ class Servo(Controller):
         way *= min(1.0, _RAIL[stop][1] * self.max_step / max(float(np.linalg.norm(way)), 1e-9))
         goals = rim + turned(self._goals - rim, np.clip(_GAIN * facing, -_TURN, _TURN)) + way + self._drift
         return self._step(goals, grippers)
+
+    def _faces(self) -> Array:
+        """Which way the arm shall go in: of several loops, each held by a gripper, from one gripper to the other."""
+        return turned(self._chosen[0].opening.normal if len(self._chosen) == 1 else self._ahead, self._yaw)
 
     def _rim(self, arm: Arm, grippers: Array) -> Array:
         """Of all chosen loops: as low as the lowest, and where the last to pass the tip is; each gripper holds one of several."""
