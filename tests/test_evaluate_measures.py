@@ -248,20 +248,20 @@ def test_a_difference_is_on_the_same_episodes():
     assert same.interval() == (0.0, 0.0)
 
 
-def test_a_width_tells_who_is_lost_as_often_as_the_rank_test_says():
+def test_doubt_tells_who_is_lost_as_often_as_the_rank_test_says():
     rng = np.random.default_rng(0)
     n, steps = 120, steps_of(60)
     columns = {name: rng.random((2, n, len(steps))) for name in COLUMNS}
     columns["outside"] = rng.choice([0.0, 0.1], (2, n, len(steps)))  # metres
-    columns["spread"] = 0.1 + columns["outside"] / 4 + rng.normal(0, 0.02, columns["outside"].shape)
-    columns["spread"][:, :10] = np.nan  # nothing is forecast there
-    alike = columns | {"spread": np.full_like(columns["spread"], 0.1)}
+    columns["doubt"] = 0.1 + columns["outside"] / 4 + rng.normal(0, 0.02, columns["outside"].shape)
+    columns["doubt"][:, :10] = np.nan  # nothing is forecast there
+    alike = columns | {"doubt": np.full_like(columns["doubt"], 0.1)}
     garment = np.repeat(["apron", "tote"], n // 2)
     samples = Samples({"ours": columns, "carry": alike}, np.arange(n) // 4, garment)
     config = EvaluationConfig(dataset="", models={}, conditions=[Condition(name="all")], samples=200)
     lost = summarise(samples, config, thorough=False)["lost"]
-    spread, far = columns["spread"][:, 10:, -1].ravel(), columns["outside"][:, 10:, -1].ravel() > 0
-    expected = mannwhitneyu(spread[far], spread[~far]).statistic / (far.sum() * (~far).sum())
+    doubt, far = columns["doubt"][:, 10:, -1].ravel(), columns["outside"][:, 10:, -1].ravel() > 0
+    expected = mannwhitneyu(doubt[far], doubt[~far]).statistic / (far.sum() * (~far).sum())
     cell = lost["ours"]["60"]
     assert cell["mean"] == pytest.approx(expected, abs=1e-4)
     assert 0.65 < cell["low"] < cell["mean"] < cell["high"] < 0.95

@@ -40,7 +40,7 @@ COLUMNS = (
     "distance",  # of the k means from these centres, metres
     "kept",  # of the true loops found at the first step and still there, the share that is found by the same slot
     *("nll", "cover50", "cover90"),  # of points of the openings: nats, shares in the regions of 50 and 90 % of the mass
-    "spread",  # standard deviation of the mixtures, over all axes, metres
+    "doubt",  # the variance that a forecast expects of its error, square metres: noise that is not the opening's width
     *_SLOTS,  # how many slots there are of the kind
     *(f"{name}_right" for name in _SLOTS),  # how many of these the forecast has right
     "said_changed",  # how many it says have changed
@@ -210,7 +210,7 @@ def _measure_mixtures(
     if not pairs:
         return
     i, k, slot, _ = np.array(pairs).T
-    shown = (getattr(states, name)[i, k, slot].double() for name in ("triangles", "values", "noise"))
+    shown = [getattr(states, name)[i, k, slot].double() for name in ("triangles", "values", "noise")]
     mixtures: Any = loop_mixtures(*shown)
     points = np.array([opening_points(truth[i].curves[loop][k], POINTS, rng) for i, k, _, loop in pairs])
     density = mixtures.log_prob(torch.from_numpy(points).transpose(0, 1))  # (POINTS, pairs)
@@ -218,8 +218,8 @@ def _measure_mixtures(
         torch.manual_seed(int(rng.integers(2**62)))
         own = mixtures.log_prob(mixtures.sample((DRAWN,)))  # (DRAWN, pairs)
     above = (own[:, None] > density[None]).double().mean(dim=0)  # the credible region that just reaches each point
-    wide = mixtures.variance.sum(dim=-1).sqrt()[None]
-    parts = {"nll": -density, "cover50": (above <= 0.5).double(), "cover90": (above <= 0.9).double(), "spread": wide}
+    doubt = (shown[2] - states.death[i, k, slot].double() ** 2).clamp(min=0)[None]
+    parts = {"nll": -density, "cover50": (above <= 0.5).double(), "cover90": (above <= 0.9).double(), "doubt": doubt}
     for name, part in parts.items():
         total, count = np.zeros_like(columns[name]), np.zeros_like(columns[name])
         np.add.at(total, (i, k), part.mean(dim=0).numpy())

@@ -24,7 +24,7 @@ MEASURES = {
     "nll_median": "median of that over the windows",
     "cover50": "share of points of the opening in the region of 50 %",
     "cover90": "share of points of the opening in the region of 90 %",
-    "lost": "chance that of two mixtures one that is 5 cm outside the hull is the wider (AUROC; half: its width says nothing)",
+    "lost": "chance that of two forecasts the one that is 5 cm outside the hull expects more error (AUROC; half: a guess)",
     "identity": "true loops found at t+1 that are found by the same slot",
     "presence": "balanced accuracy: is the slot's loop there for the tracker?",
     "presence_changed": "the same accuracy, of loops that have come or gone since t: how many of these events are forecast",

@@ -191,7 +191,7 @@ class _Table:
         if name == "hull_accuracy":
             return self.mean(self.hits, model, k)
         if name == "lost":
-            return self.lost(columns["spread"][..., k], columns["outside"][..., k] > FAR, number)
+            return self.lost(columns["doubt"][..., k], columns["outside"][..., k] > FAR, number)
         column = name.removesuffix("_cm").removesuffix("_median")
         values = columns[{"identity": "kept"}.get(column, column)] * (100 if name.endswith("_cm") else 1)
         if "median" in name:
