@@ -20,7 +20,7 @@ from topokit.linking import close_far, curve_centroid, linking_number
 from topokit.sim._surface import turned
 
 from ._geometry import Arm, Array, angle, lies_flat
-from ._servo import PATIENCE, SURE, Servo
+from ._servo import PATIENCE, SURE, TURN, Servo
 
 _NEW = 0.1  # weight of a new look at the middle
 _CLEAR = 0.06  # metres from the head to the lowest cloth above it
@@ -28,7 +28,7 @@ _ON = 0.03  # metres above the shoulders at which a shirt is let go
 _ASIDE = 0.11  # metres that grippers pass above and beside the ends of the shoulders
 _STRETCH = 1.1  # of what is held, at most
 _NEAR, _FACING, _APART = 0.025, 7.0, 0.03  # metres and degrees that are near enough to a stop, and metres to an opening
-_GAIN, _TURN, _WIDEN = 0.15, 3.5, 0.012  # share of what is missing made up for in a frame; degrees, metres, at most
+_GAIN, _WIDEN = 0.15, 0.012  # share of what is missing made up for in a frame; metres, at most
 _SEEN = 2  # looks in which a strap was around its shoulder
 _TRIES = 4
 
@@ -104,7 +104,7 @@ class _Wearing(Servo):
             self.reason = "" if self._tries < _TRIES else f"in {_TRIES} tries it was not seen to be worn"
         way = _GAIN * way
         way *= min(1.0, self._SPEEDS[stop] * self.max_step / max(float(np.linalg.norm(way)), 1e-9))
-        goals = here + turned(self._goals - here, np.clip(_GAIN * facing, -_TURN, _TURN)) + way + self._drift
+        goals = here + turned(self._goals - here, np.clip(_GAIN * facing, -TURN, TURN)) + way + self._drift
         across = (goals[1] - goals[0]) / np.linalg.norm(goals[1] - goals[0])
         goals = goals + np.array([[-0.5], [0.5]]) * across * np.clip(apart, -_WIDEN, _WIDEN)
         return self._step(goals, grippers)

@@ -24,7 +24,7 @@ from topokit.linking import linking_numbers
 from topokit.sim._surface import turned
 
 from ._geometry import Arm, Array, angle
-from ._servo import DOWN, LIFT, PATIENCE, SURE, Servo
+from ._servo import DOWN, LIFT, PATIENCE, SURE, TURN, Servo
 
 _KNOTS = np.array([0, 8, 18, 30, 44, 60])  # frames at which a path is described
 _SEEN = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])  # frames of a path, from 0, at which the guide is asked
@@ -35,7 +35,6 @@ _HARDER = 0.1  # share of the largest planned step by which it changes in a fram
 _SEATED, _STILL = 0.03, 0.008  # metres from the seat, and metres in a frame, below which a linked rim is let go
 _CHASE = 1.6  # of the speed of a target that comes, by which the way to it is slower: cloth that is turned round swings
 _CLOSE = 0.25  # metres from the tip within which frames are counted
-_TURN = 3.5  # degrees in a frame, at most, in a first guess
 _TURN_COSTS = 0.0026  # metres for a degree
 _LOW_COSTS = 2.0  # metres for a metre below the tip when the arm is near
 
@@ -85,9 +84,8 @@ class Carried:
         """
         there = np.asarray(actions, np.float64)
         yaws = _heading(there) - _heading(self._hands)
-        return turned(np.asarray(points) - self._hands.mean(axis=0), yaws[..., None]) + there.mean(axis=-2)[
-            ..., None, :
-        ], None
+        middle = there.mean(axis=-2)[..., None, :]
+        return middle + turned(np.asarray(points) - self._hands.mean(axis=0), yaws[..., None]), None
 
 
 class Planner(Servo):
@@ -228,7 +226,7 @@ class Planner(Servo):
         gone = self._pace * self.max_step * _KNOTS[1:]
         places = np.stack([np.interp(gone, length, axis) for axis in legs.T], axis=1)
         facing = angle(self._faces(), arm.out)
-        return np.column_stack([places - rim, np.clip(facing, -_TURN * _KNOTS[1:], _TURN * _KNOTS[1:])])
+        return np.column_stack([places - rim, np.clip(facing, -TURN * _KNOTS[1:], TURN * _KNOTS[1:])])
 
     def _stops(self, arm: Arm, rim: Array) -> list[Array]:
         """Places that the rim shall pass before it sinks: up beside the target, before it, above the tip, above the seat."""

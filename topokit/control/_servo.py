@@ -35,7 +35,7 @@ _LONGEST = 30  # frames by which a cloud can be late
 _NEAR, _FACING = 0.025, 7.0  # metres and degrees that are near enough to a stop
 _NEW = 0.3  # weight of a new look at an opening
 _SAME = 0.08  # metres between the openings of one loop in two frames, at most
-_GAIN, _TURN = 0.15, 3.5  # share of what is missing that is made up for in a frame; degrees in a frame, at most
+_GAIN, TURN = 0.15, 3.5  # share of what is missing that is made up for in a frame; degrees in a frame, at most
 _WIDEN = 0.01  # metres by which grippers go apart in a frame, at most
 _LEASH = 0.2  # metres by which a goal may lead its gripper along an axis
 # The stops of the rail: metres before the tip, or, below 0, above the seat; speed as a share of the largest step.
@@ -123,10 +123,9 @@ class Servo(Controller):
         """Return the next action; nothing moves once there is a `reason` to give up."""
         points, grippers, line = (np.asarray(observation[key], np.float64) for key in ("points", "grippers", "target"))
         arm = Arm.of(line) or Arm.of_head(line, np.asarray(observation["rods"], np.float64), self._front)
+        if arm is None:
+            self.reason = "the target has neither an arm that runs sideways nor a head on shoulders"
         if arm is None or self.reason or not observation["held"]:
-            self.reason = (
-                self.reason if arm else "the target has neither an arm that runs sideways nor a head on shoulders"
-            )
             return np.zeros(7, np.float32)
         self._frame, self._wide = self._frame + 1, arm.wide
         self._follow(points, grippers, line)
@@ -223,9 +222,7 @@ class Servo(Controller):
         for loop in fit:
             loop.opening = min(loop.opening, loop.opening.along(-loop.opening.normal), key=effort)
         self._chosen = sorted(fit, key=distance)[: self._count]
-        for loop in self._chosen:
-            loop.opening = loop.opening.along(self._chosen[0].opening.normal)
-        self._ahead = self._chosen[0].opening.normal * [1, 0, 0]
+        self._across = self._chosen[0].opening.normal * [1, 0, 0]
 
     def _along(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
         """Bring the rim nearer to the stop, and the opening to face the arm; then comes the next stop, or they let go."""
@@ -249,12 +246,12 @@ class Servo(Controller):
             self.reason = "" if self._tries < _TRIES else f"in {_TRIES} tries the loop did not come around the target"
         way = _GAIN * gap
         way *= min(1.0, _RAIL[stop][1] * self.max_step / max(float(np.linalg.norm(way)), 1e-9))
-        goals = rim + turned(self._goals - rim, np.clip(_GAIN * facing, -_TURN, _TURN)) + way + self._drift
+        goals = rim + turned(self._goals - rim, np.clip(_GAIN * facing, -TURN, TURN)) + way + self._drift
         return self._step(goals, grippers)
 
     def _faces(self) -> Array:
         """Which way the arm shall go in: of several loops, each held by a gripper, from one gripper to the other."""
-        return turned(self._chosen[0].opening.normal if len(self._chosen) == 1 else self._ahead, self._yaw)
+        return turned(self._chosen[0].opening.normal if len(self._chosen) == 1 else self._across, self._yaw)
 
     def _rim(self, arm: Arm, grippers: Array) -> Array:
         """Of all chosen loops: as low as the lowest, and where the last to pass the tip is; each gripper holds one of several."""
