@@ -125,7 +125,7 @@ def test_a_sentence_fails_when_its_file_changes(prose, results):
         "hanging": 3,
         "lemmas_on_cloth": 2,
         "lemmas_on_test": 7,
-        "motion": 4,
+        "motion": 5,
         "predictors": 2,
         "simulation": 5,
         "tracking": 10,

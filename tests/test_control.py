@@ -168,9 +168,26 @@ def test_a_tube_that_hangs_open_downwards_is_not_put_over_an_arm():
     """The body of a T-shirt is such a loop; put over a hook it is linked with nothing, and falls."""
     tube = ring(80, 0.2)[:, [0, 2, 1]] @ [[1, 0, 0], [0, 0.8, 0.6], [0, -0.6, 0.8]]
     servo = Servo()
-    actions = plan(servo, seen(tube + [0, 0, 1.2], [[-0.2, 0, 1.4], [0.2, 0, 1.4]]), 70)
+    actions = plan(servo, seen(tube + [0, 0, 1.2], [[-0.2, 0, 1.4], [0.2, 0, 1.4]]), 170)
     assert "1 loops are seen, 0 of them do not lie flat" in servo.reason
-    assert not np.any(actions)
+    assert np.any(actions)
+    grippers = np.array(actions)[:, :6].reshape(-1, 2, 3)
+    assert np.abs(grippers.sum(axis=1)).max() < 0.01  # it is turned, to be seen from all sides, and goes nowhere
+
+
+def test_a_garment_that_shows_no_loop_is_turned_until_it_does():
+    """From before its edge an opening looks like a line."""
+    servo, grippers = Servo(), np.array([[-0.1, 0.0, 1.42], [0.1, 0.0, 1.42]])
+    loop = ring(60, centre=(0, 0, -0.17))
+    servo.reset(seen(loop[:30] + grippers.mean(axis=0), grippers))
+    for _ in range(70):
+        yaw = angle(np.eye(3)[0], servo._goals[1] - servo._goals[0])
+        shown = loop if yaw < -40 or yaw > 40 else loop[:30]
+        servo.act(seen(turned(shown, yaw) + servo._goals.mean(axis=0), servo._goals))
+        if servo._chosen:
+            break
+    assert servo._chosen
+    assert not servo.reason
 
 
 def test_a_loop_that_is_too_small_is_refused_in_words():

@@ -186,16 +186,8 @@ class Shoulderer(_Wearing):
         As in `Servo`; whatever the goal, it is both straps that are put on.
     """
 
-    _SPEEDS: ClassVar[dict[str, float]] = {
-        "far": 0.4,
-        "before": 0.25,
-        "past": 0.2,
-        "together": 0.2,
-        "down": 0.2,
-        "lift": 0.2,
-        "apart": 0.2,
-        "back": 0.2,
-    }
+    _SPEEDS: ClassVar[dict[str, float]] = {"far": 0.4, "before": 0.25}
+    _SPEEDS |= dict.fromkeys(["past", "together", "down", "lift", "apart", "back"], 0.2)
 
     def reset(self, observation: Mapping[str, Any]) -> None:
         """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""

@@ -95,11 +95,8 @@ def hang(
         goal = len(asked(task, garment.named_loops))
     try:
         how = {"radius": target.rods[0][2], "max_step": env.max_step, "late": options.get("late", 0)}
-        if task.plan in _WORN:
-            usually: Controller = _WORN[task.plan](goal, **how)
-        elif forecast is None:
-            usually = Servo(goal, **how)
-        else:
+        usually: Servo = _WORN.get(task.plan, Servo)(goal, **how)
+        if forecast is not None and type(usually) is Servo:
             usually = Planner(forecast, goal, pace=pace, seed=seed, **how)
         return _run(env, controller or usually, seed, progress)
     finally:

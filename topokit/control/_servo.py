@@ -3,7 +3,7 @@
 Idea: in the frame of the grippers a hanging garment hardly changes. So a loop that was seen there a moment ago is still there,
 and where its rim should be says where the grippers should be. The rim goes along a rail that the target's centre line gives: up
 to the tip, over it, half the arm in, down. The grippers let go when the loop's cycle, seen or carried along with the cloth that
-is nearest to it, has been around the centre line for five frames; when it is not, they lift, back off, and try again.
+is nearest to it, has been around the centre line for five frames; else they lift, back off, try again. What shows no loop is turned.
 
 Source: visual servoing is from Hutchinson, Hager and Corke 1996, *A tutorial on visual servo control*.
 """
@@ -30,6 +30,8 @@ from ._geometry import Arm, Array, Opening, angle, drawn, lies_flat
 _LOOK = 6  # frames in which the loops are looked at before anything moves
 SURE = 5  # frames in a row in which the loops must be around the target
 PATIENCE = 60  # frames for a stop on the rail, and for a loop to be seen
+_QUARTER = 45  # frames in which a garment that shows no loop is turned by 90 degrees
+_SHOWN = PATIENCE // 2 + 3 * _QUARTER  # frames after which it has been turned to one side, and to the other
 _TRIES = 4
 _LONGEST = 30  # frames by which a cloud can be late
 _NEAR, _FACING = 0.025, 7.0  # metres and degrees that are near enough to a stop
@@ -117,7 +119,7 @@ class Servo(Controller):
         self._chosen: list[_Known] = []
         self._frame = self._stop = self._waited = self._tries = 0
         self._past = deque[_Then](maxlen=_LONGEST + 1)
-        self._cloud, self._age, self._drift = np.zeros((0, 3)), 0, np.zeros(3)
+        self._cloud, self._age, self._drift, self._hidden = np.zeros((0, 3)), 0, np.zeros(3), False
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the next action; nothing moves once there is a `reason` to give up."""
@@ -133,7 +135,7 @@ class Servo(Controller):
         if not self._chosen and self._frame >= _LOOK:
             self._choose(arm, self._inside(points))
         if not self._chosen:
-            return np.zeros(7, np.float32)
+            return self._show(grippers)
         for loop in self._chosen:
             if arm.holds(self._outside(loop.cycle)):
                 loop.around += 1
@@ -206,7 +208,8 @@ class Servo(Controller):
         if len(fit) < self._count:
             words = f"{len(seen)} loops are seen, {len(upright)} of them do not lie flat"
             words += f", {len(fit)} of these are as large as this target needs, {2 * needed:.2f} m around"
-            self.reason = words if self._frame >= PATIENCE else ""
+            self._hidden = len(upright) < self._count
+            self.reason = words if self._frame >= (_SHOWN if self._hidden else PATIENCE) else ""
             return
         half, front = float(np.linalg.norm(self._goals[1] - self._goals[0])) / 2, turned(arm.out, -self._yaw)
 
@@ -223,6 +226,14 @@ class Servo(Controller):
             loop.opening = min(loop.opening, loop.opening.along(-loop.opening.normal), key=effort)
         self._chosen = sorted(fit, key=distance)[: self._count]
         self._across = self._chosen[0].opening.normal * [1, 0, 0]
+
+    def _show(self, grippers: Array) -> NDArray[np.float32]:
+        """Wait; when no loop is seen for long, turn the garment to and fro: from its edge an opening looks like a line."""
+        turns = (self._frame - PATIENCE // 2) // _QUARTER
+        if turns < 0 or not self._hidden:
+            return np.zeros(7, np.float32)
+        step = (-90 if turns else 90) / _QUARTER
+        return self._step(turned(self._goals - self._middle, step) + self._middle, grippers)
 
     def _along(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
         """Bring the rim nearer to the stop, and the opening to face the arm; then comes the next stop, or they let go."""
