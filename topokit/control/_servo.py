@@ -3,7 +3,7 @@
 Idea: in the frame of the grippers a hanging garment hardly changes. So a loop that was seen there a moment ago is still there,
 and where its rim should be says where the grippers should be. The rim goes along a rail that the target's centre line gives: up
 to the tip, over it, half the arm in, down. The grippers let go when the loop's cycle, seen or carried along with the cloth that
-is nearest to it, has been around the centre line for five frames; else they lift, back off, try again. What shows no loop is turned.
+is nearest to it, has been around the centre line for five frames; else they lift, back off, try again. What shows none is turned.
 
 Source: visual servoing is from Hutchinson, Hager and Corke 1996, *A tutorial on visual servo control*.
 """
