@@ -209,6 +209,18 @@ def test_what_swings_begins_so(usual):
     np.testing.assert_allclose(shots[0]["grippers"], usual[0][0]["grippers"], atol=0.02)
 
 
+def test_one_gripper_holds_the_garment_alone(usual):
+    """At the height of its goal: it bears all the weight now; the other bears none, and rises no more than that."""
+    shots, _ = film(60, hands=1)
+    both, one = usual[0][60], shots[-1]
+    here, gone = cdist(one["grippers"], one["points"]).min(axis=1)
+    assert here < 0.005 < 0.015 < gone
+    np.testing.assert_allclose(one["grippers"], both["grippers"], atol=0.003)
+    aside = np.linalg.norm((middles([both, one]) - one["grippers"][0])[:, :2], axis=1)
+    assert aside[1] < 0.02 < 0.04 < aside[0]
+    assert shots[-1]["held"]
+
+
 def test_a_target_travels_steadily_and_takes_along_what_counts(usual):
     shots, _ = film(30, travels=0.3)
     ways = np.array([one["target"] - other["target"] for one, other in zip(shots, usual[0], strict=False)])
@@ -357,6 +369,7 @@ def test_rods_and_loops_of_a_task():
         ({"moves": -0.1}, "moves: .* greater than or equal to 0"),
         ({"late": 1.5}, "late: .* integer"),
         ({"missing": 1.0}, "missing: .* less than 1"),
+        ({"hands": 3}, "hands: .* less than or equal to 2"),
         ({"outliers": "few"}, "outliers: .* number"),
     ],
 )

@@ -50,9 +50,7 @@ def add(commands: Any) -> None:
     _add_of_mesh(hang)
     hang.set_defaults(run=_hang)
 
-    mesh = commands.add_parser(
-        "mesh", help="say, and show, what is understood of a mesh: borders, loops by name, grips"
-    )
+    mesh = commands.add_parser("mesh", help="say, and show, what is understood of a mesh: borders, loops and grips")
     mesh.add_argument("mesh", type=Path, metavar="FILE", help="a garment of one's own (.obj, .ply, .stl)")
     _add_of_mesh(mesh)
     mesh.add_argument("--plot", type=Path, metavar="PICTURE", help="also draw it (.png, .svg or .pdf)")

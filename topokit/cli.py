@@ -106,9 +106,7 @@ def _add_track(commands: Any) -> None:
     option("--cloud", choices=("points", "observed"), default="points", help=clouds)
     for name, what in (("alpha", "sampling"), ("beta", "jitter of killers"), ("epsilon", "motion a frame")):
         option(f"--{name}", type=float, help=f"{what} in metres (default: estimated)")
-    option(
-        "--paper", action="store_true", help="the paper's tracker; options given beside it take the place of its own"
-    )
+    option("--paper", action="store_true", help="the paper's tracker; options beside it take the place of its own")
     option("--loops", choices=("evidence", "alpha"), help="which bars are loops (default: by evidence without --alpha)")
     option("--gates", choices=("near", "proved", "paper"), help="how far a loop may move (default near)")
     identity = "what a loop's place is (default killer-triangles; the paper's killer edge can jump)"

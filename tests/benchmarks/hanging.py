@@ -49,6 +49,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "let go at 1.2 s": {"limit": 1.2, **FAST},
     "swings, let go at 1.2 s": {"swing": 2.0, "limit": 1.2, **FAST},
     "target travels at 0.3 m/s": {"travels": 0.3},
+    "one gripper": {"hands": 1},
     "late by 200 ms": {"late": 6},
     "10 clouds a second": {"every": 3},
     "other cloth": {"config": SimulationConfig(self_collision=False, mass=0.6, friction=0.3, bending=0.01)},

@@ -228,9 +228,7 @@ class Dataset:
                 for path, checksum in {**objects, record_path(number): group.records[number].sha256}.items():
                     if path not in own or group.linked(path):
                         where = group.where(record_path(number))
-                        raise FormatError(
-                            f"{where}: names {path!r:.200}, which is not its own, or is reached by a link"
-                        )
+                        raise FormatError(f"{where}: names {path!r:.200}, which is not its own or is reached by a link")
                     yield prefix + path, group.verified(path, checksum, number)
             made = skeleton(group.fields, {**group.manifest, "numbers": numbers})
             index = index_bytes(group.records[i] for i in there)

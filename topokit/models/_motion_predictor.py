@@ -129,9 +129,8 @@ class MotionPredictor(Predictor):
         places, scales = (torch.cat(part)[:, :, codes.carriers :].numpy() for part in zip(*parts, strict=True))
         start = codes.place[:, codes.carriers :] @ codes.turn + codes.origin[:, None]
         first = np.broadcast_to(start.numpy()[:, None], (len(places), 1, *places.shape[2:]))
-        return _between(np.concatenate([first, places], axis=1)), _between(
-            np.concatenate([scales[:, :1], scales], axis=1)
-        )
+        ends = [first, places], [scales[:, :1], scales]
+        return _between(np.concatenate(ends[0], axis=1)), _between(np.concatenate(ends[1], axis=1))
 
     def _encode(self, asked: NDArray[np.float64]) -> Codes:
         """What points know; made once for all plans until the next frame."""

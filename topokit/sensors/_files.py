@@ -82,9 +82,7 @@ def has_unit(cloud: Array, asked: Asked) -> bool:
         size = float(np.ptp(np.quantile(seen[:: 1 + len(seen) // 10_000], (0.05, 0.95), axis=0), axis=0).max())
         across = f"it is {size / UNITS[unit]:.4g} {unit} across"
         if size > _LARGEST:
-            raise ValueError(
-                f"{across}: are these millimetres? Declare unit='mm' (--unit mm), or 'm' if they are metres"
-            )
+            raise ValueError(f"{across}: are these millimetres? Declare unit='mm' (--unit mm), or 'm' for metres")
         if 0 < size < _SMALLEST:
             raise ValueError(f"{across}: are these metres? Declare unit='m' (--unit m)")
     return len(seen) > 0

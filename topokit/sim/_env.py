@@ -86,6 +86,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     `shove`      0.0                 m/s that a push sideways, of 0.1 s, would give to free cloth
     `swing`      0.0                 m/s that a push like that, just before the first observation, would give to free cloth
     `travels`    0.0                 m/s of the target, level and steady, from the first step on; at rest is who moves with it
+    `hands`      2                   grippers that hold the garment; with 1 the second lets go before the first observation
     `limit`      0.0                 seconds after which the grippers let go, whatever the action says; 0 for never
     `late`       0                   steps by which `points` are late; the first ones stay until then
     `every`      1                   steps from one new cloud to the next
@@ -183,8 +184,10 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._world = World(garment, offset, self.config)
         self._rods, self.standing = self.target.at(0.0).rods, self.target.at(0.0)
         self._world.add_rods(self._rods)
-        for _ in range(round(self.config.settle / self.config.dt)):
-            self._world.step(self.goal)
+        for hands in range(2, now.hands - 1, -1):
+            self._world.release(keep=hands)
+            for _ in range(round(self.config.settle / self.config.dt)):
+                self._world.step(self.goal)
         if swing.any():
             self._world.push(swing)
             for _ in range(len(self._frames) * self.config.steps_per_frame):

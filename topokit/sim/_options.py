@@ -42,6 +42,7 @@ class Options:
     limit: NotNegative = 0.0
     swing: NotNegative = 0.0
     travels: NotNegative = 0.0
+    hands: Annotated[int, Field(ge=1, le=2)] = 2
     every: Annotated[int, Field(ge=1)] = 1
 
     def scene(self, target: Target, frame_time: float, rng: np.random.Generator) -> tuple[Target, range, Array, Array]:

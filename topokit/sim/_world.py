@@ -178,11 +178,11 @@ class World(contextlib.AbstractContextManager["World"]):
         x, y = self._push = acceleration.tolist()
         self._bullet("setGravity", x, y, -_GRAVITY)
 
-    def release(self) -> None:
-        """Let go of the garment; the grippers stay, without a shape that could touch it."""
-        for anchor in self._anchors:
+    def release(self, keep: int = 0) -> None:
+        """Let go of the garment, but for the first `keep` grippers; they stay, without a shape that could touch it."""
+        for anchor in self._anchors[keep:]:
             self._bullet("removeConstraint", anchor)
-        self._anchors = []
+        del self._anchors[keep:]
 
     def vertices(self) -> Array:
         """(N, 3) positions in the order of the garment's vertices."""
@@ -239,7 +239,8 @@ class World(contextlib.AbstractContextManager["World"]):
         kp, kd, dt, most = config.kp, config.kd, config.dt, config.max_force
         place, _ = self._p.getBasePositionAndOrientation(body, client)
         (u, v, w), _ = self._p.getBaseVelocity(body, client)
-        carried = config.mass / 2 if self._anchors else 0.0  # fed forward: the error alone would let it sag
+        holding = self._grippers[: len(self._anchors)]
+        carried = config.mass / len(holding) if body in holding else 0.0  # fed forward, or it sags
         x = kp * (goal[0] - place[0]) + kd * ((goal[0] - before[0]) / dt - u) - self._push[0] * config.gripper_mass
         y = kp * (goal[1] - place[1]) + kd * ((goal[1] - before[1]) / dt - v) - self._push[1] * config.gripper_mass
         z = kp * (goal[2] - place[2]) + kd * ((goal[2] - before[2]) / dt - w)

@@ -306,9 +306,7 @@ def track_figure(episode: Episode, states: Sequence[TopologicalState]) -> Figure
     """
     one_a_frame(episode, states)
     figure = Figure(figsize=(11, 6.4), dpi=120)
-    grid = figure.add_gridspec(
-        2, 12, height_ratios=(1.05, 1), left=0.07, right=0.98, top=0.95, bottom=0.08, hspace=0.12
-    )
+    grid = figure.add_gridspec(2, 12, height_ratios=(21, 20), left=0.07, right=0.98, top=0.95, bottom=0.08, hspace=0.12)
     moments = np.linspace(0, len(episode) - 1, 4).round().astype(int)
     named = long_lived(states)
     for column, frame in enumerate(moments):
