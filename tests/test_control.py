@@ -296,18 +296,6 @@ def test_in_a_hurry_a_loop_that_leaves_no_room_is_planned_for():
         assert planner._slow == slow
 
 
-def test_a_loop_that_is_not_seen_for_long_is_left_to_the_servo():
-    """Its guess of where that is drifts; in haste it was dragged into the arm, or let go beside it."""
-    whole = ring(60, centre=(0, -0.6, 1.25))
-    hands = [[-0.1, -0.6, 1.42], [0.1, -0.6, 1.42]]
-    for pace, slow in ((0.6, True), (1.0, False)):
-        planner = Planner(Carried(), pace=pace)
-        plan(planner, seen(whole, hands))
-        for clouds in range(1, 16):
-            planner.act(seen(whole[:40] + 1e-6 * clouds, hands))
-            assert bool(planner._slow) == (slow and clouds > 10)
-
-
 @pytest.mark.parametrize("wrong", [{"plans": 3}, {"rounds": 0}, {"every": 0}])
 def test_a_planner_with_too_little_is_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):

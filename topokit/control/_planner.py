@@ -34,7 +34,6 @@ _CORNERS = 24  # of a cycle, at most
 _HARDER = 0.1  # share of the largest planned step by which it changes in a frame
 _SEATED, _STILL = 0.03, 0.008  # metres from the seat, and metres in a frame, below which a linked rim is let go
 _CHASE = 1.6  # of the speed of a target that comes, by which the way to it is slower: cloth that is turned round swings
-_UNSEEN = 10  # clouds that do not show a loop, after which it is not certain enough for haste
 _CLOSE = 0.25  # metres from the tip within which frames are counted
 _TURN_COSTS = 0.0026  # metres for a degree
 _LOW_COSTS = 2.0  # metres for a metre below the tip when the arm is near
@@ -175,10 +174,7 @@ class Planner(Servo):
         """The next step of the plan, which is made anew every few frames; or they let go."""
         if self._slow is None:
             self._slow = self._pace < 1 and min(loop.opening.size[0] for loop in self._chosen) < self._needed(arm)
-        loop = self._chosen[0]
-        if self._pace < 1 and len(self._chosen) == 1 and loop.unseen > _UNSEEN and not (loop.around or self._slow):
-            self._slow, self._stop, self._waited = True, 0, 0
-        if self._slow:  # there is no room for cloth that swings, or it is not known where it is
+        if self._slow:  # there is no room for cloth that swings
             return super()._along(arm, grippers)
         rim, before = self._rim(arm, grippers), self._goals
         speed, self._was = float(np.linalg.norm(rim - self._was - self._drift)), rim

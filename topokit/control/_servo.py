@@ -66,7 +66,6 @@ class _Known:
     opening: Opening
     seen: int = 1  # frames
     around: int = 0  # frames in a row in which it was around the target, as far as can be told
-    unseen: int = 0  # clouds since it was seen
 
 
 class Controller(ABC):
@@ -187,11 +186,10 @@ class Servo(Controller):
                 self._known.append(_Known(cycle, curve, curve, opening))
                 continue
             same.cycle, same.curve, same.last, same.seen = cycle, curve, curve, same.seen + 1
-            same.opening, same.unseen = same.opening.blended(opening, _NEW), 0
+            same.opening = same.opening.blended(opening, _NEW)
             unseen.remove(same)
         cloth = as_tree(self._inside(points))
         for known in unseen:
-            known.unseen += 1
             known.cycle = known.curve = drawn(known.curve, known.last, cloth)
             known.opening = known.opening.blended(Opening.of(known.curve) or known.opening, _NEW)
 
