@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("pybullet")
 pytest.importorskip("gymnasium")
 
+import topokit as tk
 from topokit import cli
 from topokit.control import Carried, Planner, Servo, hang
 from topokit.control._geometry import Arm, Opening, angle, drawn
@@ -143,6 +144,15 @@ def test_it_hangs_the_loop_that_bears_or_the_one_it_was_told(goal, z):
     plan(servo, seen(two_rings(), [[-0.1, 0, 1.42], [0.1, 0, 1.42]]))
     assert len(servo._chosen) == 1
     assert servo._chosen[0].cycle[:, 2].mean() == pytest.approx(z - 1.42, abs=0.03)
+
+
+def test_two_rings_that_die_together_are_no_opening():
+    """As the handles of a tote do; the walk around both, over a bridge, once ended the episode with an error."""
+    rings = [ring(40, 0.12, (0, -0.6, 1.25)), ring(32, 0.1, (0, -0.53, 1.25))]
+    assert any(len({*loop.cycle.tolist()}) < len(loop.cycle) for loop in tk.track([np.concatenate(rings)])[0].loops)
+    servo = Servo()
+    plan(servo, seen(np.concatenate(rings), [[-0.1, -0.6, 1.42], [0.1, -0.6, 1.42]]))
+    assert [len(known.cycle) for known in servo._known] == [40]
 
 
 def test_of_two_handles_the_one_that_is_not_seen_is_the_twin():

@@ -40,7 +40,7 @@ CAMERA = Camera((-1.3, -1.6, 1.6), (0.0, 0.3, 1.1), width=160, height=120)
 FAST, TRIES = {"pace": 1.0}, 8
 SCENES: dict[str, dict[str, Any]] = {
     "still": {},
-    "500 points": {"n_points": 500},
+    "all vertices": {"n_points": 10_000},
     "128 points": {"n_points": 128},
     "one camera": {"cameras": [CAMERA]},
     "noise": {"noise": 0.003, "missing": 0.1, "outliers": 0.02},
@@ -124,6 +124,8 @@ def agent(task: str, steps: int) -> Any:
 
 def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Hanging:
     options = {"place": "anywhere", **SCENES[scene]}
+    if "n_points" in options:
+        options["n_points"] = min(options["n_points"], len(KNOWN[task].garment().vertices))
     if who == "script":
         return scripted(task, seed, {name: value for name, value in options.items() if name != "pace"})
     own = {"straight": {"controller": Straight()}, "random": {"controller": Random()}, "servo": {}}

@@ -173,6 +173,8 @@ class Servo(Controller):
         unseen = list(self._known)
         points = np.unique(points, axis=0)
         for loop in self._tracker.update(points).loops:
+            if len(np.unique(loop.cycle)) < len(loop.cycle):  # two rings and a bridge between them are no opening
+                continue
             cycle = self._inside(loop.cycle_points)
             gaps = [np.linalg.norm(known.curve.mean(axis=0) - cycle.mean(axis=0)) for known in self._chosen]
             if min(gaps, default=0.0) > 2 * _SAME:  # others do not matter any more, and to tighten them takes time

@@ -187,7 +187,7 @@ def tighten(
     cycle : (length,) array_like of int
         Vertex ids; the last joins the first.
     radius : float, optional
-        The complex is VR_radius; by default the one at the walk's own birth, of all edges up to the walk's latest.
+        The complex is VR_radius; that at the walk's own birth, of all edges up to the walk's latest, when not given or smaller.
     metric : {"euclidean", "precomputed"}
         Of `points`; ignored for a diagram.
 
@@ -219,13 +219,11 @@ def tighten(
     a, b = np.sort(sides(walk)).T
     key, low, high = max(zip(cloud.keys(a, b).tolist(), a.tolist(), b.tolist(), strict=True))
     time = (key, low, high + 1)  # just after its latest edge
-    own = float(cloud.radii(low, np.array(high)))
-    given = own if radius is None else positive(radius, "radius", infinite=True) * cloud.scale
-    bound = given * (1 + 1e-12)
-    if own > bound:
-        raise ValueError(f"cycle has an edge of half length {own / cloud.scale}, longer than radius {radius}")
+    bound = own = float(cloud.radii(low, np.array(high)))
     if radius is not None:
-        time = max(time, (cloud.key_of(given), len(cloud), len(cloud)))
+        given = positive(radius, "radius", infinite=True) * cloud.scale
+        bound, time = max(own, given), max(time, (cloud.key_of(given), len(cloud), len(cloud)))
+    bound *= 1 + 1e-12
     if diagram is not None and bound <= diagram.max_radius * cloud.scale:
         classes = diagram._homology
     else:
