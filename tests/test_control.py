@@ -14,7 +14,7 @@ pytest.importorskip("gymnasium")
 
 import topokit as tk
 from topokit import cli
-from topokit.control import Carried, Planner, Servo, hang
+from topokit.control import Carried, Planner, Servo, Thrower, hang
 from topokit.control._geometry import Arm, Opening, angle, drawn
 from topokit.io import load_episode, save_episode
 from topokit.sampling import as_tree
@@ -254,6 +254,43 @@ def test_a_motion_model_can_be_planned_with():
     result = hang("apron-hook", garment=COARSE, seed=1, model=CHECKPOINTS / "motion.safetensors", max_steps=12)
     assert result.steps == 12
     assert np.ptp(result.episode.grippers, axis=0).max() > 0.02
+
+
+def test_what_cannot_be_reached_is_thrown(hanging):
+    thrown = hang("apron-hook", garment=COARSE, seed=1, model="carry", fence=0.15)
+    assert (thrown.success, thrown.linked) == (True, ("neck",))
+    assert thrown.episode.physics["controller"] == "Thrower"
+    arm, line = Arm.of(thrown.episode.centre_line), thrown.episode.centre_line
+    assert ((thrown.episode.grippers - line[-1]) @ arm.out).min() > 0.12
+    assert not hang("apron-hook", garment=COARSE, seed=1, fence=0.15, max_steps=hanging.steps + 20).success
+
+
+def test_a_throw_ends_at_the_fence_and_what_is_let_go_flies():
+    hands = np.array([[-0.1, -0.9, 1.3], [0.1, -0.9, 1.3]])
+    thrower, observation = Thrower(Carried(), fence=0.2), seen(ring(60, centre=(0, -0.9, 1.13)), hands)
+    plan(thrower, observation)
+    arm = Arm.of(observation["target"])
+    goals, last = thrower._run(np.array([0.9, 0.6, 0.02]), arm, hands)
+    moves = np.diff(goals, axis=0)[last - 2 :] / thrower.max_step
+    assert ((goals[last - 1] - arm.tip) @ arm.out).min() == pytest.approx(0.2)
+    np.testing.assert_allclose(moves[:, 0] @ -arm.out, [moves[0, 0] @ -arm.out, *[0.9] * 58][: len(moves)], atol=1e-9)
+    assert moves[1, 0, 2] == pytest.approx(0.6)
+    assert goals[last - 1, 0, 2] - hands[0, 2] == pytest.approx(
+        arm.tip[2] + thrower._clear(arm) + 0.02 - 1.28, abs=0.01
+    )
+    held = thrower._moved(goals[None], ring(60, centre=(0, -0.9, 1.13)))
+    flying = thrower._flown(held, np.array([last]))[0]
+    time = 0.036 * np.array([4, 6, 8, 10])
+    way = flying - held[0, last - 1]
+    np.testing.assert_allclose(way[..., 1], np.repeat(time[:, None] * 0.9 * 1.2, 60, axis=1), rtol=0.05)
+    up = (held[0, last - 1, 0, 2] - held[0, last - 2, 0, 2]) / 0.036
+    np.testing.assert_allclose(way[..., 2], np.repeat((up * time - 4.9 * time**2)[:, None], 60, axis=1), atol=1e-9)
+
+
+@pytest.mark.parametrize("wrong", [{"fence": -0.1}, {"fence": 0.1, "frame_time": 0.0}, {"fence": 0.1, "plans": 2}])
+def test_a_thrower_with_too_little_is_refused(wrong):
+    with pytest.raises(ValueError, match=[*wrong][-1]):
+        Thrower(Carried(), **wrong)
 
 
 def test_what_is_carried_turns_with_the_grippers():

@@ -221,6 +221,34 @@ def test_one_gripper_holds_the_garment_alone(usual):
     assert shots[-1]["held"]
 
 
+@pytest.mark.parametrize("fence", [0.0, 0.2])
+def test_grippers_do_not_pass_a_fence(fence):
+    env = make(fence=fence)
+    start = env.reset(seed=2, options={"place": (0.1, 0.2, 0.0, 90.0)})[0]
+    tip, out = start["target"][-1], np.array([1, 0, 0])  # of the arm, which points along -y, turned by 90 degrees
+    before = ((start["grippers"] - tip) @ out).min()
+    for _ in range(60):
+        shot = env.step(np.array([-1, 0, 0] * 2 + [0]))[0]
+    after = (shot["grippers"] - tip) @ out
+    assert before > 0.25
+    assert after == pytest.approx(0.2, abs=0.03) if fence else after.max() < 0
+    env.goal = env.goal - 0.3 * out  # who is behind the fence is not pushed, and may go back alone
+    for way, moved in ((-0.1, 0.0), (0.1, 0.1)):
+        goal = env.goal + way * out
+        found = env._options.before_fence(goal, env.goal, env.standing)
+        np.testing.assert_allclose(found, env.goal + (moved if fence else way) * out, atol=1e-9)
+    env.close()
+
+
+def test_a_fence_stands_before_an_arm():
+    env = HangEnv("vest-mannequin", config=QUICK)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="fence: it stands before an arm, and this target has none"):
+        env.reset(options={"fence": 0.1})
+    env.step(np.zeros(7))  # the episode goes on
+    env.close()
+
+
 def test_a_target_travels_steadily_and_takes_along_what_counts(usual):
     shots, _ = film(30, travels=0.3)
     ways = np.array([one["target"] - other["target"] for one, other in zip(shots, usual[0], strict=False)])

@@ -44,6 +44,7 @@ def add(commands: Any) -> None:
     option("--seed", type=int, default=0, help="of where it starts (default 0)")
     option("--model", help="plan by a forecast: carry, or a checkpoint of a motion model (default: a servo, without)")
     option("--anywhere", action="store_true", help="target and start anywhere in the room, at any yaw, by the seed")
+    option("--fence", type=float, default=0.0, metavar="METRES", help="so far before the arm hands stop: it is thrown")
     option("--out", type=Path, metavar="EPISODE", help="also write what happened, as an episode (.npz)")
     option("--film", type=Path, metavar="FILM", help="also write a film of it (.gif, .html)")
     option("--mesh", type=Path, metavar="FILE", help="a garment of one's own (.obj, .ply, .stl)")
@@ -116,6 +117,7 @@ def _hang(options: argparse.Namespace) -> int:
         from .view import player, save_animation  # before the work, so that a missing matplotlib is said at once
     garment, task = _garment_and_task(options, "tote-hook")
     where: dict[str, Any] = {"place": "anywhere", "start": "anywhere"} if options.anywhere else {}
+    where |= {"fence": options.fence} if options.fence else {}
     loud = sys.stderr.isatty() and not options.json
     result = hang(task, seed=options.seed, garment=garment, model=options.model, progress=loud, **where)
     if options.out:

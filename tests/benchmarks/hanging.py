@@ -3,7 +3,8 @@
 Every controller gets the same starts: the target anywhere and at any yaw, the garment before it (`HangEnv`, place="anywhere").
 Each episode is appended to the results when it is done, and not done again. Success is that of the environment: the task's true
 loops are around the target when the garment is at rest there, let go of. Read *straight* first: where that succeeds, a success
-proves nothing. *oracle* tries plans in the simulator itself, which no robot has.
+proves nothing. *rigid* throws where the others do, and knows of no flight. *oracle* tries plans in the simulator itself, which no
+robot has.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from scipy.stats import binomtest
 from tqdm import tqdm
 
 from topokit._archive import atomic_file
-from topokit.control import Carried, Controller, Hanging, Planner, hang
+from topokit.control import Carried, Controller, Hanging, Planner, Thrower, hang
 from topokit.io import Episode, save_episode
 from topokit.linking import close_far, linking_number
 from topokit.sim import TASKS as KNOWN
@@ -34,7 +35,7 @@ from topokit.sim._tasks import asked
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
 TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS)]
 TASKS += [f"{garment}-mannequin" for garment in ("apron", "backpack", "shirt", "vest")]
-WHO = ("random", "straight", "servo", "hold", "carry", "motion", "script", "ppo", "oracle")
+WHO = ("random", "straight", "servo", "hold", "rigid", "carry", "motion", "script", "ppo", "oracle")
 MOTION = Path(__file__).parents[2] / "data_small" / "checkpoints" / "motion.safetensors"
 CAMERA = Camera((-1.3, -1.6, 1.6), (0.0, 0.3, 1.1), width=160, height=120)
 FAST, TRIES = {"pace": 1.0}, 8
@@ -51,6 +52,8 @@ SCENES: dict[str, dict[str, Any]] = {
     "target travels at 0.3 m/s": {"travels": 0.3},
     "one gripper": {"hands": 1},
     "late by 200 ms": {"late": 6},
+    "out of reach by 15 cm": {"fence": 0.15},
+    "out of reach by 25 cm": {"fence": 0.25},
     "10 clouds a second": {"every": 3},
     "other cloth": {"config": SimulationConfig(self_collision=False, mass=0.6, friction=0.3, bending=0.01)},
 }
@@ -67,6 +70,13 @@ class Hold:
 
     def move(self, actions: Any, held: Any, points: Any) -> tuple[Any, None]:
         return np.broadcast_to(np.asarray(points), (*np.shape(actions)[:2], *np.shape(points))), None
+
+
+class Rigid(Thrower):
+    """Throws as if nothing flew: what is let go stays where it was, which is the rigid guess without hands that move."""
+
+    def _flown(self, held: Any, lasts: Any) -> Any:
+        return np.repeat(held[np.arange(len(held)), lasts - 1][:, None], 4, axis=1)
 
 
 class Random(Controller):
@@ -129,6 +139,9 @@ def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Hanging:
     if who == "script":
         return scripted(task, seed, {name: value for name, value in options.items() if name != "pace"})
     own = {"straight": {"controller": Straight()}, "random": {"controller": Random()}, "servo": {}}
+    if who == "rigid":
+        how = {"radius": KNOWN[task].target.rods[0][2], "fence": options["fence"], "seed": seed}
+        return hang(task, seed=seed, controller=Rigid(Carried(), goal_of(KNOWN[task]), **how), **options)
     if who == "oracle":
         return foreseen(task, seed, options)
     if who == "ppo":
@@ -137,16 +150,20 @@ def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Hanging:
     return hang(task, seed=seed, **own.get(who, {"model": model}), **options)
 
 
+def goal_of(task: Task) -> int | None:
+    """How many loops must hang, where all must."""
+    return len(asked(task, task.garment().named_loops)) if task.every else None
+
+
 def foreseen(task: str, seed: int, options: dict[str, Any]) -> Hanging:
     """The simulator as oracle: a start is played with other draws of plans until one hangs; the first that did is done.
 
     PyBullet cannot save and restore cloth, so that an oracle cannot be asked under way.
     """
     known, pace = KNOWN[task], options.pop("pace", 0.6)
-    goal = len(asked(known, known.garment().named_loops)) if known.every else None
     for draws in range(TRIES):
         how = {"radius": known.target.rods[0][2], "late": options.get("late", 0), "pace": pace, "seed": draws}
-        result = hang(task, seed=seed, controller=Planner(Carried(), goal, **how), **options)
+        result = hang(task, seed=seed, controller=Planner(Carried(), goal_of(known), **how), **options)
         if result.success:
             break
     return result

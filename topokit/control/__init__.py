@@ -9,5 +9,6 @@ if TYPE_CHECKING:
     from ._hang import Hanging, hang
     from ._planner import Carried, Planner
     from ._servo import Controller, Servo
+    from ._thrower import Thrower
 
 __getattr__, __all__ = attach(__name__, __file__, "sim")

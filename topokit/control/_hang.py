@@ -22,6 +22,7 @@ from topokit.sim._world import check_stretch
 from ._dress import Dresser, Shoulderer
 from ._planner import Carried, Forecast, Planner
 from ._servo import Controller, Servo
+from ._thrower import Thrower
 
 _WORN: dict[Any, type[Servo]] = {dress: Dresser, put_on_shoulders: Shoulderer}
 
@@ -63,7 +64,8 @@ def hang(
     garment, target : optional
         Those of the task when not given.
     model : optional
-        Which forecast plans are made by (`Planner`): "carry", the checkpoint of a `topokit.models.Motion`, or one of one's own.
+        Which forecast plans are made by (`Planner`, or with a `fence` `Thrower`): "carry", the checkpoint of a
+        `topokit.models.Motion`, or one of one's own.
         None is for the servo, which needs none; so do `Dresser` and `Shoulderer`, who put on a mannequin what is worn.
     goal : optional
         As of `Servo`; when not given and the task asks for several loops, so many at once.
@@ -98,6 +100,8 @@ def hang(
         usually: Servo = _WORN.get(task.plan, Servo)(goal, **how)
         if forecast is not None and type(usually) is Servo:
             usually = Planner(forecast, goal, pace=pace, seed=seed, **how)
+            if fence := options.get("fence"):
+                usually = Thrower(forecast, goal, fence=fence, frame_time=env.config.frame_time, seed=seed, **how)
         return _run(env, controller or usually, seed, progress)
     finally:
         env.close()

@@ -27,6 +27,7 @@ from ._geometry import Arm, Array, angle
 from ._servo import DOWN, LIFT, PATIENCE, SURE, TURN, Servo
 
 _KNOTS = np.array([0, 8, 18, 30, 44, 60])  # frames at which a path is described
+FRAMES = 60  # of a forecast
 _SEEN = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])  # frames of a path, from 0, at which the guide is asked
 _SPREAD = np.array([0.06, 0.06, 0.04, 15.0])  # metres and degrees by which paths differ, at first
 _BEST = 4  # paths whose mean is followed
@@ -167,7 +168,7 @@ class Planner(Servo):
         since = [then.goals for then in self._past][len(self._past) - self._age :]
         past = np.broadcast_to(np.reshape(since, (-1, 2, 3)), (len(goals), self._age, 2, 3))
         plans = np.concatenate([past, goals], axis=1)
-        plans = plans[:, np.minimum(np.arange(_KNOTS[-1]), plans.shape[1] - 1)]
+        plans = plans[:, np.minimum(np.arange(FRAMES), plans.shape[1] - 1)]
         return np.asarray(self._forecast.move(plans, np.ones(plans.shape[:2], bool), points)[0], np.float64)
 
     def _along(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
@@ -202,10 +203,14 @@ class Planner(Servo):
 
     # -- paths
 
+    def _curves(self) -> tuple[list[Array], Array]:
+        """Where corners of the chosen cycles, and their rims, were when they were seen."""
+        cycles = [self._seen(loop.curve[:: -(-len(loop.curve) // _CORNERS)]) for loop in self._chosen]
+        return cycles, self._seen(np.array([loop.opening.rim for loop in self._chosen]))
+
     def _best(self, arm: Arm, rim: Array, linked: bool) -> Array:
         """The goals (60, 2, 3) of the path that is followed now."""
-        cycles = [self._seen(loop.curve[:: -(-len(loop.curve) // _CORNERS)]) for loop in self._chosen]
-        rims = self._seen(np.array([loop.opening.rim for loop in self._chosen]))
+        cycles, rims = self._curves()
         kept, spread = self._guess(arm, rim, linked)[None], _SPREAD
         if self._last is not None:  # from where it is now
             last = self._last(np.minimum(_KNOTS[1:] + self._every, _KNOTS[-1])) - self._last(self._every)
@@ -258,7 +263,11 @@ class Planner(Servo):
         frames = np.minimum(_SEEN + self._age, _SEEN[-1])
         gone = (frames + 1 - self._age)[:, None, None] * self._drift  # by the target, until then
         places = self._moved(goals, np.concatenate([rims, *cycles]))[:, frames] - gone
-        tops, *moved = np.split(places, np.cumsum([len(rims), *map(len, cycles)])[:-1], axis=2)
+        return self._missing(places, cycles, len(rims), arm, linked)
+
+    def _missing(self, places: Array, cycles: list[Array], n: int, arm: Arm, linked: bool) -> Array:
+        """(C,) the guide in the mean over frames at which n rims and the cycles' corners are at these places (C, F, n + m, 3)."""
+        tops, *moved = np.split(places, np.cumsum([n, *map(len, cycles)])[:-1], axis=2)
         costs = [self._to_go(tops[:, :, i], cycle, arm, linked) for i, cycle in enumerate(moved)]
         return np.asarray(np.max(costs, axis=0).mean(axis=1))
 

@@ -87,6 +87,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     `swing`      0.0                 m/s that a push like that, just before the first observation, would give to free cloth
     `travels`    0.0                 m/s of the target, level and steady, from the first step on; at rest is who moves with it
     `hands`      2                   grippers that hold the garment; with 1 the second lets go before the first observation
+    `fence`      0.0                 metres before the tip of an arm that the grippers cannot pass: they may throw
     `limit`      0.0                 seconds after which the grippers let go, whatever the action says; 0 for never
     `late`       0                   steps by which `points` are late; the first ones stay until then
     `every`      1                   steps from one new cloud to the next
@@ -172,6 +173,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             For this episode, in place of the environment's own; a ValueError tells what is not known or cannot be.
         """
         now = Options(**{**asdict(self._usual), **(options or {})})
+        now.before_fence(np.zeros((2, 3)), np.zeros((2, 3)), self._described)  # or it has no arm
         super().reset(seed=seed)
         self.close()
         drawn, start, self._sensor = self.np_random.spawn(3)
@@ -241,7 +243,9 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self._push.any():
             world.push(self._push * (self._steps in self._frames))
         before, here = self.goal, world.grippers()
-        self.goal = np.clip(before + move, here - _LEASH, here + _LEASH)
+        self.goal = self._options.before_fence(
+            np.clip(before + move, here - _LEASH, here + _LEASH), before, self.standing
+        )
         _, moves = rods_of(self.target, (self._steps + np.arange(2)) * self.config.frame_time)
         self.standing = self.target.at((self._steps + 1) * self.config.frame_time)
         gone = np.array([start for start, *_ in self.standing.rods]) - [start for start, *_ in self._rods]

@@ -42,6 +42,7 @@ class Options:
     limit: NotNegative = 0.0
     swing: NotNegative = 0.0
     travels: NotNegative = 0.0
+    fence: NotNegative = 0.0
     hands: Annotated[int, Field(ge=1, le=2)] = 2
     every: Annotated[int, Field(ge=1)] = 1
 
@@ -65,6 +66,18 @@ class Options:
         first, frames = round(begins / frame_time), max(1, round(_PUSHING / frame_time))
         push, swing = self.shove * pushed, self.swing * swung
         return target, range(first, first + frames), push / (frames * frame_time), swing / (frames * frame_time)
+
+    def before_fence(self, goal: Array, before: Array, target: Target) -> Array:
+        """A goal (2, 3) of the grippers, or the nearest one before the fence; who was behind it already may not go on."""
+        if not self.fence:
+            return goal
+        tip = target.centre_line[-1]
+        out = (tip - target.seat) * [1, 1, 0]
+        far = float(np.linalg.norm(out))
+        if far < 1e-6:
+            raise ValueError("fence: it stands before an arm, and this target has none that runs sideways")
+        here, there = ((hands - tip) @ out / far for hands in (before, goal))
+        return np.asarray(goal + np.maximum(np.minimum(here, self.fence) - there, 0)[:, None] * out / far)
 
     def plan(self, plan: Planner, rng: np.random.Generator) -> Planner:
         """A task's plan, from the start that is asked for."""
