@@ -77,10 +77,9 @@ def check_follows(frame: int, before: tuple[Frame | None, float | None], after: 
         raise ValueError(f"frame {frame} has {tree.m} dimensions, the frames before it {tree_before.m}")
     size, size_before = (float((one.maxes - one.mins).max()) for one in (tree, tree_before))
     if _differ_in_units(size, size_before) and _differ_in_units(spacing(tree), spacing(tree_before)):
-        raise ValueError(
-            f"frame {frame} is {size:.4g} across, the frame before it {size_before:.4g}, and its points are as much farther "
-            "apart or nearer: is it in other units? Convert it, or start a new tracker"
-        )
+        what = f"frame {frame} is {size:.4g} across, the frame before it {size_before:.4g}"
+        why = "its points are as much farther apart or nearer: is it in other units?"
+        raise ValueError(f"{what}, and {why} Convert it, or start a new tracker")
 
 
 def _check_time(frame: int, before: float | None, time: float | None) -> None:
@@ -89,10 +88,8 @@ def _check_time(frame: int, before: float | None, time: float | None) -> None:
         raise ValueError(f"frame {frame} has {has[0]}, the frame before it {has[1]}: give all frames a time, or none")
     if before is not None and time is not None and time <= before:
         what = "is repeated" if time == before else "is out of order"
-        raise ValueError(
-            f"frame {frame} {what}: its time {time} s is not later than {before} s, that of the frame before; "
-            "sort the frames by time and drop repeated ones"
-        )
+        why = f"its time {time} s is not later than {before} s, that of the frame before"
+        raise ValueError(f"frame {frame} {what}: {why}; sort the frames by time and drop repeated ones")
 
 
 def check_diagram(frame: int, diagram: Diagram, n_points: int) -> None:
@@ -100,10 +97,9 @@ def check_diagram(frame: int, diagram: Diagram, n_points: int) -> None:
         raise ValueError(f"frame {frame} has {n_points} points, its diagram is of {diagram.n_points}")
     still_open = int(np.isinf(diagram.death).sum())
     if still_open:
-        raise ValueError(
-            f"frame {frame}: {still_open} loops of its diagram do not die below max_radius = {diagram.max_radius:g}, and a "
-            "tracked loop needs its killer: compute the diagram without max_radius"
-        )
+        what = f"{still_open} loops of its diagram do not die below max_radius = {diagram.max_radius:g}"
+        why = "a tracked loop needs its killer: compute the diagram without max_radius"
+        raise ValueError(f"frame {frame}: {what}, and {why}")
 
 
 def _differ_in_units(size: float, before: float) -> bool:

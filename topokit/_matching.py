@@ -64,16 +64,10 @@ def candidates_of(
     diagram: Diagram, found: list[int], places: list[Array], known: list[Known], sizes: tuple[float, Array | float]
 ) -> Candidates:
     """What a matching sees of loops of a diagram and of known ones; `sizes` are alpha and beta."""
-    return Candidates(
-        diagram.birth[found],
-        diagram.death[found],
-        np.array(places),
-        np.array([k.birth for k in known]),
-        np.array([k.death for k in known]),
-        np.array([k.place for k in known]),
-        np.array([k.motion for k in known]),
-        *sizes,
-    )
+    parts = ("birth", "death", "place", "motion")
+    births, deaths, there, motion = (np.array([getattr(one, part) for one in known]) for part in parts)
+    here = (diagram.birth[found], diagram.death[found], np.array(places))
+    return Candidates(*here, births, deaths, there, motion, *sizes)
 
 
 Matching = Callable[[Candidates], Iterable[tuple[int, int]]]
@@ -120,7 +114,6 @@ def check_pairs(pairs: object, found: int, known: int) -> list[tuple[int, int]]:
     except TypeError:
         once = False
     if not (once and all(0 <= i < found and 0 <= j < known for i, j in checked)):
-        raise ValueError(
-            f"match must give pairs of one of {found} found and one of {known} known loops, each once, not {pairs!r}"
-        )
+        wanted = f"pairs of one of {found} found and one of {known} known loops, each once"
+        raise ValueError(f"match must give {wanted}, not {pairs!r}")
     return checked

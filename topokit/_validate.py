@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+
 
 class WrongKindError(TypeError, ValueError):
     """An argument of the wrong kind: a `TypeError` of ours, which the command line tells from a mistake in the code."""
@@ -35,19 +38,16 @@ def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False, as
         raise ValueError(f"{name} must be an (n, d) array, one row a point, not of shape {array.shape}{more}")
     n, d = array.shape
     if ask and 0 < n < 4 and d > 32:  # where loops are looked for, which no three points have
-        what = f"{name} has {n} rows and {d} columns: are they {d} points in {n} dimensions?"
-        raise ValueError(
-            f"{what} Then give {name}.T, one row a point; if not, repeat one to be told that there is no loop"
-        )
+        what = f"{name} has {n} rows and {d} columns: are they {d} points in {n} dimensions? Then give {name}.T"
+        raise ValueError(f"{what}, one row a point; if not, repeat one to be told that there is no loop")
     with np.errstate(over="ignore"):  # of longer floating point: infinite here, and said so
         array = np.array(array, dtype=np.float64, order="C", copy=copy or None)
     finite = np.isfinite(array)
     if not finite.all():
         bad, them = np.flatnonzero(~finite.all(axis=1)), "points" if " " in name else name
-        raise ValueError(
-            f"{name} has {len(bad)} of {len(array)} points with a NaN or infinite coordinate, the first at row {bad[0]}: "
-            f"{array[bad[0]].tolist()}; drop them first, for example {them}[np.isfinite({them}).all(axis=1)]"
-        )
+        what = f"{len(bad)} of {len(array)} points with a NaN or infinite coordinate, the first at row {bad[0]}"
+        cure = f"drop them first, for example {them}[np.isfinite({them}).all(axis=1)]"
+        raise ValueError(f"{name} has {what}: {array[bad[0]].tolist()}; {cure}")
     return array
 
 

@@ -39,10 +39,9 @@ class Question:
     def _remark(self, guess: Any) -> str:
         """What to say about a wrong guess; the answer is not in it."""
         known = [each["remark"] for each in self.wrong if self._same(guess, each["guess"])]
-        otherwise = (
-            "Have another look." if isinstance(self.answer, str) else [self.larger, self.smaller][guess < self.answer]
-        )
-        return str([*known, otherwise][0])
+        if known or isinstance(self.answer, str):
+            return str(known[0]) if known else "Have another look."
+        return self.smaller if guess < self.answer else self.larger
 
 
 @dataclass(frozen=True, repr=False)

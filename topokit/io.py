@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -188,9 +189,8 @@ def check_episode(episode: Episode) -> None:
     if not isinstance(names, list) or {type(name) for name in names} - {str}:
         raise WrongKindError(f"physics['loops'] must be a list of names, not {names!r:.80}")
     if names and not len(set(names)) == len(names) == len(episode.loops):
-        raise ValueError(
-            f"physics['loops'] must be {len(episode.loops)} different names, one a loop, not {names!r:.80}"
-        )
+        wanted = f"{len(episode.loops)} different names, one a loop"
+        raise ValueError(f"physics['loops'] must be {wanted}, not {names!r:.80}")
 
 
 def packed(
@@ -292,13 +292,11 @@ def load_states(path: str | Path) -> list[TopologicalState]:
         loops = _loops(arrays, with_cycles=text["schema"] != 1)
         if not all(isinstance(parameters, dict) for parameters in text["parameters"]):
             raise TypeError("parameters that have no names")
-        ends = np.cumsum(arrays["n_loops"]).tolist()
+        ends = np.cumsum([0, *arrays["n_loops"]]).tolist()
         _split(arrays["id"], arrays["n_loops"], "id")
-        rows = zip(arrays["frame"].tolist(), arrays["time"].tolist(), text["parameters"], strict=True)
-        return [
-            TopologicalState(frame, time, tuple(loops[start:end]), parameters)
-            for (frame, time, parameters), start, end in zip(rows, [0, *ends][:-1], ends, strict=True)
-        ]
+        parts = [tuple(loops[start:end]) for start, end in pairwise(ends)]
+        rows = zip(arrays["frame"].tolist(), arrays["time"].tolist(), parts, text["parameters"], strict=True)
+        return [TopologicalState(*row) for row in rows]
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise FormatError(f"{path}: states with a missing or an unknown part: {error}; track them again") from error
 

@@ -12,11 +12,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points, as_reals, positive
+from topokit._validate import Array, as_points, as_reals, positive
 
 __all__ = ["close_far", "linking_number", "linking_numbers"]
 
-Array = NDArray[np.float64]
 _PAIRS_AT_ONCE = 2**17  # pairs of segments in memory at a time: some 30 MB
 _TOUCH = 1e-12  # curves nearer than this share of their size touch; far from the origin, where digits are lost, sooner
 _NOT_AN_INTEGER = 1e-3  # a Gauss integral that misses its integer by more has lost its digits
@@ -254,13 +253,11 @@ def _segment_distances(a: Array, a_end: Array, b: Array, b_end: Array) -> Array:
     s, t = (uw * vv - vw * uv) / divisor, (uw * uv - vw * uu) / divisor
     inside = skew & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
     gap = np.linalg.norm(w + t[..., None] * v - s[..., None] * u, axis=-1)
-    nearest: Array = np.minimum.reduce([*ends, np.where(inside, gap, np.inf)])
-    return nearest
+    return np.minimum.reduce([*ends, np.where(inside, gap, np.inf)])
 
 
 def to_segment(point: Array, start: Array, end: Array) -> Array:
     """Distances from points to segments, broadcast over the leading axes."""
     along = end - start
     t = np.clip(_dot(point - start, along) / np.maximum(_dot(along, along), np.finfo(float).tiny), 0, 1)
-    distance: Array = np.linalg.norm(point - start - t[..., None] * along, axis=-1)
-    return distance
+    return np.linalg.norm(point - start - t[..., None] * along, axis=-1)

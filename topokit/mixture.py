@@ -15,11 +15,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._validate import as_points, as_reals, own_arrays, positive, whole
+from ._validate import Array, as_points, as_reals, own_arrays, positive, whole
 
 __all__ = ["InverseWishart", "LoopMixture", "loop_mixture"]
-
-Array = NDArray[np.float64]
 
 
 class Triangles(Protocol):

@@ -207,8 +207,6 @@ def _measurable(points: ArrayLike, name: str) -> NDArray[np.float64]:
     array = as_points(points, name)
     largest = np.abs(array).max(initial=0.0)
     if largest > 1e150 or 0 < largest < 1e-150:
-        raise ValueError(
-            f"{name} has coordinates of up to {largest:.3g}: floating point cannot hold the squares of distances between "
-            "them; convert them to another unit"
-        )
+        why = "floating point cannot hold the squares of distances between them; convert them to another unit"
+        raise ValueError(f"{name} has coordinates of up to {largest:.3g}: {why}")
     return array

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from ._evidence import MISSED, WEAKEST, believe, evidence
 from ._frames import Frame, check_diagram, check_follows
 from ._matching import Candidates, Known, Matching, candidates_of, check_pairs, hausdorff_table, within_gates
-from ._validate import as_sequence, positive, whole
+from ._validate import Array, as_sequence, positive, whole
 from .linking import curve_centroid
 from .rips import Diagram, next_persistence, rips_persistence_many
 from .sampling import as_tree, hausdorff
@@ -34,10 +34,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PAPER", "Candidates", "SeqPH", "place", "track"]
 
-Array = NDArray[np.float64]
-PAPER: Mapping[str, Any] = MappingProxyType(
-    {"loops": "alpha", "gates": "paper", "identity": "killer-edge", "memory": 0}
-)
+_PAPER = {"loops": "alpha", "gates": "paper", "identity": "killer-edge", "memory": 0}
+PAPER: Mapping[str, Any] = MappingProxyType(_PAPER)
 """The options of `SeqPH` that make it the paper's tracker, rule for rule: ``SeqPH.paper()``, ``track(clouds, **PAPER)``."""
 _LOOPS = ("evidence", "alpha")
 _GATES = ("paper", "proved", "near")
@@ -277,18 +275,14 @@ def track(
     if len(stamps) != len(clouds):
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
     tracker = SeqPH(**options)
-    frames = [
-        (tracker._frame(as_tree(cloud, f"frame {t}")), stamp)
-        for t, (cloud, stamp) in enumerate(zip(clouds, stamps, strict=True))
-    ]
+    trees = (as_tree(cloud, f"frame {t}") for t, cloud in enumerate(clouds))
+    frames = [(tracker._frame(tree), stamp) for tree, stamp in zip(trees, stamps, strict=True)]
     for number, frame in enumerate(frames):
         check_follows(number, frames[number - 1] if number else (None, None), frame)
     seen = [cloud[frame.ids] for cloud, (frame, _) in zip(clouds, frames, strict=True)]
     diagrams = rips_persistence_many(seen, n_jobs, progress=progress)
-    return [
-        tracker._advance(cloud, frame, diagram, time)
-        for cloud, (frame, time), diagram in zip(clouds, frames, diagrams, strict=True)
-    ]
+    known = zip(clouds, frames, diagrams, strict=True)
+    return [tracker._advance(cloud, frame, diagram, time) for cloud, (frame, time), diagram in known]
 
 
 def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:

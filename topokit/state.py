@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from ._validate import own_arrays
 
 __all__ = ["Loop", "TopologicalState", "as_table"]
-
-
 OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # of identities
 ClosedCurve = tuple[NDArray[np.int64], NDArray[np.float64]]  # vertex ids of a closed walk, and their places
 
@@ -127,11 +125,9 @@ class TopologicalState:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, for JSON: frame, time, parameters, and of every loop its id, place and values."""
+        numbers, arrays = ("id", "birth", "death", "lifetime"), ("centre", "killer_edge", "killer_triangles")
         loops = [
-            {
-                **{name: getattr(loop, name) for name in ("id", "birth", "death", "lifetime")},
-                **{name: getattr(loop, name).tolist() for name in ("centre", "killer_edge", "killer_triangles")},
-            }
+            {name: getattr(loop, name) for name in numbers} | {name: getattr(loop, name).tolist() for name in arrays}
             for loop in self.loops
         ]
         return {"frame": self.frame, "time": self.time, "parameters": dict(self.parameters), "loops": loops}

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points, as_reals, positive, whole
+from topokit._validate import Array, as_points, as_reals, positive, whole
 from topokit.rips import Diagram, rips_persistence
 from topokit.rips._merges import merges
-
-Array = NDArray[np.float64]
 
 
 def ripser(

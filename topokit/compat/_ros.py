@@ -118,9 +118,8 @@ def listen(topic: str, answer: LoopMessages) -> None:
 
     rclpy.init()
     node = rclpy.create_node("topokit")
-    outs = [
-        node.create_publisher(*one, 10) for one in zip(kinds, (f"{topic}/loops{end}" for end in _TYPES), strict=True)
-    ]
+    topics = (f"{topic}/loops{end}" for end in _TYPES)
+    outs = [node.create_publisher(*one, 10) for one in zip(kinds, topics, strict=True)]
 
     def heard(message: Any) -> None:
         try:

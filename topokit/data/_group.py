@@ -319,8 +319,5 @@ def _sweep(folder: Path) -> None:
 
 def versions_of(*packages: str) -> dict[str, str]:
     """Return the versions on which bytes may depend."""
-    return {
-        "machine": platform.machine(),
-        "topokit": __version__,
-        **{package: version(package) for package in packages},
-    }
+    ours = {"machine": platform.machine(), "topokit": __version__}
+    return ours | {package: version(package) for package in packages}

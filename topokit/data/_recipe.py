@@ -21,33 +21,15 @@ from pydantic import BeforeValidator, Field
 from topokit._archive import existing
 from topokit._config import Count, Positive, as_tuple, checked, from_mapping
 from topokit.io import FEWEST_FRAMES, HISTORY, Episode
-from topokit.sim import (
-    TASKS,
-    WARDROBE,
-    Cloth,
-    DepthNoise,
-    Garment,
-    Hanger,
-    Hook,
-    Mannequin,
-    Placed,
-    Randomisation,
-    SimulationConfig,
-    Target,
-    Task,
-    cameras_around,
-    off_script,
-    simulate,
-    task_for,
-)
-from topokit.sim._off_script import LONGEST
-from topokit.sim._randomisation import MOST, generator, varied_garment, varied_target
-from topokit.sim._tasks import hangs_down
+from topokit.sim import WARDROBE, Cloth, DepthNoise, Garment, Placed, SimulationConfig, cameras_around, simulate
+from topokit.sim._off_script import LONGEST, off_script
+from topokit.sim._randomisation import CONFIGURED, MOST, Randomisation, generator, varied_garment, varied_target
+from topokit.sim._targets import Hanger, Hook, Mannequin, Target
+from topokit.sim._tasks import TASKS, Task, hangs_down, task_for
 
 _LATER = ("scarf", "belt", "net", "trousers")  # than version 1, whose default tasks stay what they were
 _OF_TWO = ("off_script", "places", "vary", "meshes")
 _TARGETS: Mapping[str, type[Target]] = {kind.name: kind for kind in (Hook, Hanger, Mannequin)}
-_PHYSICS = ("stiffness", "bending", "damping", "friction", "mass")  # what is drawn
 Ids = Annotated[tuple[int, ...], BeforeValidator(as_tuple)]
 _FINEST = 0.005  # metres between vertices; no garment is asked for that would take hours to mesh
 
@@ -255,7 +237,7 @@ def _physics(config: DatasetConfig, garment: Garment) -> tuple[SimulationConfig,
     said = {name: x for name, x in dataclasses.asdict(usual).items() if x != getattr(usually, name)}
     steps = max(usual.steps_per_frame, round(usual.frame_time / own.dt))
     own = dataclasses.replace(own, **said | {"dt": usual.frame_time / steps, "steps_per_frame": steps})
-    drawn = [name for name in _PHYSICS if name not in said and getattr(ranges, name, None)]
+    drawn = [name for name in CONFIGURED if name not in said and getattr(ranges, name, None)]
     factors = {name: getattr(own, name) / getattr(usually, name) for name in drawn}
     changed = {name: tuple(factor * bound for bound in getattr(ranges, name)) for name, factor in factors.items()}
     return own, ranges and dataclasses.replace(ranges, **changed)
@@ -289,9 +271,8 @@ def _scaled(garment: Garment, vary: float, longest: float, rng: np.random.Genera
     """The garment as a whole larger or smaller; not larger than it may be, unless it is already."""
     most = min(1 + vary, max(1.0, longest / max(hangs_down(garment), 1e-9)))
     factor = float(np.exp(rng.uniform(-np.log1p(vary), np.log(most))))
-    return dataclasses.replace(
-        garment, vertices=factor * garment.vertices, parameters={**garment.parameters, "varied": factor}
-    )
+    parameters = {**garment.parameters, "varied": factor}
+    return dataclasses.replace(garment, vertices=factor * garment.vertices, parameters=parameters)
 
 
 def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: float | None = 60.0) -> Episode:

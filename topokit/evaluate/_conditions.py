@@ -144,10 +144,8 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
             raise ValueError(f"condition {condition.name!r}: {name} lists the same weights twice")
         for one in about:
             _check_unseen(one, clean, condition)
-        made = [
-            of_stream(MotionPredictor(one), observed) if isinstance(one, Motion) else of_windows(one)
-            for one, _ in found
-        ]
+        models = [model for model, _ in found]
+        made = [of_stream(MotionPredictor(m), observed) if isinstance(m, Motion) else of_windows(m) for m in models]
         forecasters[shown.get(name, name)] = [turn(one) for one in made]
     return PreparedCondition(clean, observed, forecasters, _entries(config, condition, clean, checkpoints))
 
@@ -276,10 +274,9 @@ def _check_unseen(about: Mapping[str, Any], windows: WindowDataset, condition: C
     both = np.intersect1d(windows.episodes, np.concatenate([parts["train"], parts["validation"]]))
     if len(both):
         whose = "this dataset" if same else f"a dataset with checksum {about['trained_on'][:12] or 'unknown'}"
-        raise ValueError(
-            f"{where} was trained on {whose}, and {len(both)} episodes to test on, the first is {both[0]}, were in its "
-            f"training or validation part; test on the part it did not see{'' if same else f', or {word}'}"
-        )
+        what = f"{where} was trained on {whose}, and {len(both)} episodes to test on, the first is {both[0]}"
+        cure = f"test on the part it did not see{'' if same else f', or {word}'}"
+        raise ValueError(f"{what}, were in its training or validation part; {cure}")
     if not same:
         alike = "they share no episode if both number theirs alike, as a dataset and its cut do; that was not checked"
         warnings.warn(f"{where} was trained on a dataset with another checksum: {alike}", stacklevel=2)

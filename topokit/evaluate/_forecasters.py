@@ -76,11 +76,8 @@ def _stacked(forecasts: list[Forecast], slots: int) -> States:
 
     def stack(name: str, empty: float) -> Tensor:
         parts: list[NDArray[np.float32]] = [getattr(one, name)[:, :slots] for one in forecasts]
-        lacking = [slots - part.shape[1] for part in parts]
-        padded = [
-            np.pad(part, [(0, 0), (0, n), *[(0, 0)] * (part.ndim - 2)], constant_values=empty)
-            for part, n in zip(parts, lacking, strict=True)
-        ]
+        more = [[(0, 0), (0, slots - part.shape[1]), *[(0, 0)] * (part.ndim - 2)] for part in parts]
+        padded = [np.pad(part, width, constant_values=empty) for part, width in zip(parts, more, strict=True)]
         return torch.from_numpy(np.stack(padded)).float()
 
     parts = {part.name: stack(part.name, NOISE if part.name == "noise" else 0.0) for part in fields(States)}

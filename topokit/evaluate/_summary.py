@@ -54,11 +54,8 @@ class Estimate:
 
 def mean_of(estimates: Sequence[Estimate]) -> Estimate:
     """The mean of several statistics of the same samples, draw by draw."""
-    return Estimate(
-        float(np.mean([one.value for one in estimates])),
-        np.mean([one.draws for one in estimates], axis=0),
-        max(one.n for one in estimates),
-    )
+    value, draws = (np.mean([getattr(one, name) for one in estimates], axis=0) for name in ("value", "draws"))
+    return Estimate(float(value), draws, max(one.n for one in estimates))
 
 
 class Bootstrap:

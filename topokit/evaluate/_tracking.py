@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._matching import assign
-from topokit._validate import as_points, as_sequence
+from topokit._validate import Array, Ids, as_points, as_sequence
 from topokit.linking import curve_centroid, side_lengths
 from topokit.rips import rips_persistence
 from topokit.sampling import spacing
@@ -26,9 +26,6 @@ from topokit.seqph import Candidates, SeqPH
 from topokit.state import TopologicalState
 
 from ._scores import THRESHOLD, Overlap, greatest
-
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 
 
 def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:

@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._validate import Array
 from ..rips import Diagram
-from ._matching import Array, Matching, longest_unmatched, match_diagrams
+from ._matching import Matching, longest_unmatched, match_diagrams
 from ._step import Check, Step, Verdict, compared, observed_state, observed_step
 
 

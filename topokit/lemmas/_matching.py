@@ -19,12 +19,10 @@ from scipy.optimize import linear_sum_assignment
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from .._validate import as_points
+from .._validate import Array, as_points
 from ..linking import curve_centroid
 from ..rips import Diagram, rips_persistence
 from ..sampling import hausdorff
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

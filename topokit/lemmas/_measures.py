@@ -14,15 +14,14 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 
-from .._validate import as_points, positive
+from .._validate import Array, Ids, as_points, positive
 from ..rips import Diagram, rips_persistence
 from ..sampling import covering_radius
-from ._matching import Array, Matching, match_diagrams
+from ._matching import Matching, match_diagrams
 
-Ids = NDArray[np.int64]
 ROUNDING = 1e-12  # relative; rounding may only add rivals and make more edges critical
 
 

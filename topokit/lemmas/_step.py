@@ -15,10 +15,10 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from .._matching import hausdorff_table
-from .._validate import as_ids, as_points, as_reals
+from .._validate import Array, Ids, as_ids, as_points, as_reals
 from ..rips import Diagram
-from ._matching import Array, Matching, match_diagrams
-from ._measures import Ids, State
+from ._matching import Matching, match_diagrams
+from ._measures import State
 
 STORED = 1e-4  # how far a coordinate may be from its vertex: episodes are stored with 16 bits
 

@@ -6,7 +6,7 @@ Taught in chapters 3 to 6.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from itertools import pairwise
@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._validate import as_reals, as_sequence
+from .._validate import Array, Ids, as_reals, as_sequence
 from ._diagrams import check_feature_approximation, check_gates, check_observability, check_temporal_persistence
 from ._killers import check_converse, check_corollary, check_recovering_killers, check_regularity
-from ._matching import Array
-from ._measures import Ids, State
+from ._measures import State
 from ._step import Check, Step, observed_step, vertex_ids
 
 _CHECKS: dict[str, Callable[[Step], Check]] = {
@@ -162,7 +161,5 @@ def _counterexample(entry: dict[str, Any]) -> Counterexample:
     return Counterexample(entry["statement"], entry["story"], before, after, seen, seen_after, entry["refutes"])
 
 
-_FILE = resources.files(__package__).joinpath("counterexamples.json")
-COUNTEREXAMPLES: Mapping[str, Counterexample] = MappingProxyType(
-    {name: _counterexample(entry) for name, entry in json.loads(_FILE.read_text(encoding="utf-8")).items()}
-)
+_ENTRIES = json.loads(resources.files(__package__).joinpath("counterexamples.json").read_text(encoding="utf-8"))
+COUNTEREXAMPLES = MappingProxyType({name: _counterexample(entry) for name, entry in _ENTRIES.items()})

@@ -37,11 +37,10 @@ def _train(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(answer))
     else:
-        print(
-            f"{answer['checkpoint']}: {answer['model']}, {answer['parameters']:,} parameters, validation loss "
-            f"{answer['validation_loss']:.4f} in epoch {answer['best_epoch'] + 1} of {answer['epochs']}"
-            + (f", {answer['windows_per_second']:.0f} windows/s" if answer["windows_per_second"] else "")
-        )
+        loss = f"{answer['validation_loss']:.4f} in epoch {answer['best_epoch'] + 1} of {answer['epochs']}"
+        speed = f", {answer['windows_per_second']:.0f} windows/s" if answer["windows_per_second"] else ""
+        model = f"{answer['checkpoint']}: {answer['model']}, {answer['parameters']:,} parameters"
+        print(f"{model}, validation loss {loss}{speed}")
     return 0
 
 

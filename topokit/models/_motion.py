@@ -194,11 +194,8 @@ class Motion(nn.Module):
         unlikely = error / scales + 3 * (scales / UNIT).log()  # of a Laplace distribution in three dimensions
         weight = scene["known"].to(error)[..., None] / (future.shape[2] * scene["known"].sum().clamp_min(1))
         apart = (_apart(places) - _apart(future)).abs().mean(dim=-1)
-        parts = {
-            "error": (weight * error).sum(),
-            "unlikely": (weight * unlikely).sum(),
-            "distortion": (weight * apart).sum(),
-        }
+        each = {"error": error, "unlikely": unlikely, "distortion": apart}
+        parts = {name: (weight * part).sum() for name, part in each.items()}
         loss = 30 * (parts["error"] + parts["distortion"]) + 0.3 * parts["unlikely"]
         return loss, {name: part.detach() for name, part in {"loss": loss, **parts}.items()}
 

@@ -135,11 +135,10 @@ class Forecast:
     def _loop(self, step: int, slot: int) -> PredictedLoop:
         triangles = self.corners[step, slot][np.array(TRIANGLES)]
         near, death = self.neighbour_values[step, slot], self.death[step, slot]
+        numbers = ("presence", "birth", "death", "step", "noise")
         return PredictedLoop(
             slot=slot,
-            **{
-                name: float(getattr(self, name)[step, slot]) for name in ("presence", "birth", "death", "step", "noise")
-            },
+            **{name: float(getattr(self, name)[step, slot]) for name in numbers},
             killer_triangles=triangles[:2],
             neighbours=triangles[2:][near > 0],
             killer_values=np.repeat(death, 2),

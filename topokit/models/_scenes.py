@@ -89,11 +89,10 @@ def flow(points: NDArray[np.floating], past: Sequence[NDArray[np.floating]], han
 
     Taken back with the grippers, a point has its nearest neighbour in the cloud of then; that is where it came from.
     """
-    now = torch.from_numpy(np.ascontiguousarray(hands[:1], np.float64))
+    place, now = (torch.from_numpy(np.ascontiguousarray(part, np.float64)) for part in (points[None], hands))
     found = []
-    for cloud, then in zip(past, hands[1:], strict=True):
-        place = torch.from_numpy(np.ascontiguousarray(points, np.float64))[None]
-        back = carried(place, now, torch.from_numpy(np.ascontiguousarray(then, np.float64))[None])[0].numpy()
+    for cloud, then in zip(past, now[1:], strict=True):
+        back = carried(place, now[:1], then[None])[0].numpy()
         found.append(back - cloud[cKDTree(cloud).query(back)[1]])
     return np.stack(found, axis=1).astype(np.float32)
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._validate import as_points
+from .._validate import Ids, as_points
 
 MEMORY = 4 << 30  # bytes that the tables for one cloud may take
 TIME = 300.0  # seconds that one cloud may take, unless more are allowed
@@ -27,7 +27,6 @@ _ready: set[tuple[tuple[int, ...], bool]] = set()
 _compiling = threading.Lock()
 _kept = threading.local()  # each thread's room for edges, kept from one cloud to the next, and what ends its work
 
-Ids = NDArray[np.int64]
 Pairs = tuple[Ids, Ids, NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -61,10 +60,9 @@ class Cloud:
         if metric == "precomputed":
             if scale < 1 and np.count_nonzero(scaled < _SMALLEST) > np.count_nonzero(array == 0):
                 least = array[array > 0].min()
-                raise ValueError(
-                    f"the matrix of distances holds {least:.3g} and {largest:.3g}: beside the one the other cannot be told from "
-                    "0; give distances so small as 0"
-                )
+                what = f"the matrix of distances holds {least:.3g} and {largest:.3g}"
+                why = "beside the one the other cannot be told from 0"
+                raise ValueError(f"{what}: {why}; give distances so small as 0")
             return cls(scaled, (), scale)
         if largest > 1e307 and np.linalg.norm(np.ptp(array / 4, axis=0) / 2**1000) > 2**23:
             raise ValueError(f"points reach {largest:.3g}, and half their distances overflow; divide them by ten")
@@ -111,10 +109,9 @@ def _check_near(array: NDArray[np.float64], tiny: NDArray[np.bool_]) -> None:
     same = first[place.ravel()]
     rows = np.flatnonzero((array != array[same]).any(axis=1))
     if len(rows):
-        raise ValueError(
-            f"points[{same[rows[0]]}] and points[{rows[0]}] are nearer to each other than 1e-135 of the cloud's extent, which "
-            "floating point cannot tell from 0 in a square: round the coordinates, np.round(points, 100) for example"
-        )
+        near = f"points[{same[rows[0]]}] and points[{rows[0]}] are nearer to each other than 1e-135"
+        cure = "round the coordinates, np.round(points, 100) for example"
+        raise ValueError(f"{near} of the cloud's extent, which floating point cannot tell from 0 in a square: {cure}")
 
 
 def _check_distances(matrix: NDArray[np.float64]) -> None:
@@ -283,10 +280,9 @@ def _timed(cloud: Cloud, ids: NDArray[np.int64], max_length: float) -> float:
 
 def _too_large(n: int, what: str, time_limit: float | None = TIME) -> TooLargeError:
     allowed = f"{MEMORY / 1e9:.1f} GB" + ("" if time_limit is None else f" and {time_limit:g} seconds")
-    return TooLargeError(
-        f"persistence may take {allowed} for one cloud, and these {n} points need {what}; take a subset "
-        "(topokit.farthest_point_sample), stop earlier (max_radius), or allow more time (time_limit)"
-    )
+    cure = "stop earlier (max_radius), or allow more time (time_limit)"
+    needs = f"persistence may take {allowed} for one cloud, and these {n} points need {what}"
+    return TooLargeError(f"{needs}; take a subset (topokit.farthest_point_sample), {cure}")
 
 
 def _compile(axes: tuple[int, ...], stack: bool = False) -> None:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._validate import as_ids, positive
-from ._cloud import Cloud, Ids, pairs
+from .._validate import Ids, as_ids, positive
+from ._cloud import Cloud, pairs
 
 if TYPE_CHECKING:
     from ._cycles import Homology

@@ -210,10 +210,9 @@ def _edges(cloud: Cloud, max_radius: float) -> list[tuple[float, int, int]]:
 
 def _check_size(count: int, n: int, dimension: int) -> None:
     if count > MAX_SIMPLICES:
-        raise ValueError(
-            f"the Rips complex of these {n} points has more than {MAX_SIMPLICES} simplices up to dimension {dimension}: "
-            "lower max_radius or the degree, take a subset (topokit.farthest_point_sample), or use topokit.rips_persistence"
-        )
+        what = f"the Rips complex of these {n} points has more than {MAX_SIMPLICES} simplices"
+        cure = "take a subset (topokit.farthest_point_sample), or use topokit.rips_persistence"
+        raise ValueError(f"{what} up to dimension {dimension}: lower max_radius or the degree, {cure}")
 
 
 def _check_degree(value: int, name: str) -> None:

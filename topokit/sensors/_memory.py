@@ -15,11 +15,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_points, whole
+from topokit._validate import Array, as_points, whole
 from topokit.sampling import as_tree
 from topokit.state import TopologicalState
 
-Array = NDArray[np.float64]
 _APART = 0.7  # how far from all that is seen a remembered point is, in distances of points from their nearest other one
 _THICK = 1.3  # what is less far in front of the cloth or behind it belongs to it, in the same
 _BESIDE = 1.2  # how far in the picture from what is seen is beside it, in distances of points from their fifth nearest
@@ -66,9 +65,8 @@ class CloudMemory:
             What else it sees, such as a wall or a hand: it hides what is behind, and is seen through places that are empty.
             Without it, what is beside the cloth in the picture stays.
         """
-        view = _View(
-            _in_space(points, "points"), _in_space(around, "around"), _in_space(np.reshape(eye, (1, -1)), "eye")
-        )
+        cloth, others = _in_space(points, "points"), _in_space(around, "around")
+        view = _View(cloth, others, _in_space(np.reshape(eye, (1, -1)), "eye"))
         if self._view is not None:
             self._follow(self._view, view)
         self._view = view

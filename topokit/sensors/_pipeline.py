@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BeforeValidator, Field
 
 from topokit._config import Count, Place, Positive, as_tuple, checked
-from topokit._validate import as_reals
+from topokit._validate import Array, as_reals
 from topokit.sampling import farthest_point_sample, inliers
 
-Array = NDArray[np.float64]
 Box = Annotated[tuple[Place, Place], BeforeValidator(as_tuple)]
 _SAMPLE = 2000  # points that a plane is fitted to
 _SHARE = 0.1  # of the points, at least, are on a table or a wall

@@ -6,25 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ._pattern import (
-    Arch,
-    arc_length,
-    band,
-    chain,
-    check_sizes,
-    cut,
-    demand,
-    ellipse,
-    inflate,
-    mirror,
-    numbered,
-    points_at,
-    polyline,
-    ring,
-    sew,
-)
-from ._surface import Array, Ids
-from ._wardrobe import THIRDS, Fields
+from ._pattern import Arch, arc_length, band, chain, cut, ellipse, inflate, mirror, points_at, polyline, ring, sew
+from ._surface import Array, Ids, demand
+from ._wardrobe import THIRDS, Fields, check_sizes, numbered
 
 
 def tote(
@@ -230,9 +214,7 @@ def belt(
     angle = np.linspace(foot - np.pi / 2, 3 * np.pi / 2 - foot, 361)
     around = outer * np.column_stack([np.cos(angle), np.sin(angle)])
     low = -outer - length
-    strap = polyline((-width / 2, low), (width / 2, low), around[0])
-    panel = cut(
-        [*strap, around, *polyline(around[-1], (-width / 2, low))], [ellipse(0, 0, loop_radius, loop_radius)], spacing
-    )
+    strap, back = polyline((-width / 2, low), (width / 2, low), around[0]), polyline(around[-1], (-width / 2, low))
+    panel = cut([*strap, around, *back], [ellipse(0, 0, loop_radius, loop_radius)], spacing)
     held = (loop_radius + loop_width / 2) * np.array([[-0.5, 0.75**0.5], [0.5, 0.75**0.5]])
     return "belt", panel.vertices, panel.faces, panel.holes, panel.nearest(held), sizes

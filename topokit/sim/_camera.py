@@ -175,8 +175,7 @@ def spoil(
         their order, stand for the others.
     """
     clouds = np.asarray(clouds, dtype=np.float64)
-    each = [np.broadcast_to(amount, clouds.shape[:-2])[..., None] for amount in (noise, outliers, keep)]
-    noise, outliers, keep = each
+    noise, outliers, keep = [np.broadcast_to(one, clouds.shape[:-2])[..., None] for one in (noise, outliers, keep)]
     places = np.broadcast_to(np.arange(clouds.shape[-2]), clouds.shape[:-1])
     left = np.maximum(np.round(keep * clouds.shape[-2]), 1).astype(np.int64)
     order = np.argsort(rng.permuted(places, axis=-1) >= left, axis=-1, kind="stable")  # kept ones first, as they were

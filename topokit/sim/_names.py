@@ -45,10 +45,8 @@ def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
     outer = [any(set(loop.tolist()) == set(border.tolist()) for border in outlines) for loop in loops]
     flat = is_flat(vertices, faces)
     if not flat and any(_is_hem(box) for box in borders):
-        aside = [np.linalg.norm(box[:, :2].mean(axis=0)) > 0.2 for box in boxes]
-        return numbered(
-            ["hem" if _is_hem(box) else "arm" if arm else "neck" for box, arm in zip(boxes, aside, strict=True)]
-        )
+        others = ["arm" if np.linalg.norm(box[:, :2].mean(axis=0)) > 0.2 else "neck" for box in boxes]
+        return numbered(["hem" if _is_hem(box) else other for box, other in zip(boxes, others, strict=True)])
     lengths = [side_lengths(vertices[loop]).sum() for loop in loops]
     edges = [len(borders) == len(boxes) == 1] * len(boxes)
     for (i, box), (j, other) in itertools.permutations(enumerate(boxes), 2):

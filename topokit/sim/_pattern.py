@@ -7,7 +7,7 @@ relaxed and triangulated. Two pieces sewn together share the vertices of their s
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,11 +17,8 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay, cKDTree
 
-from topokit._validate import positive
+from ._surface import Array, Ids, demand, half_edges, joined, strangers, wind
 
-from ._surface import Array, Ids, half_edges, joined, strangers, wind
-
-_COUNTS = ("loops", "handles", "holes", "rows", "columns")
 _ROUNDS = 12  # of relaxation
 _MOST = 2**15  # vertices of a pattern: no dataset has room for more
 
@@ -278,23 +275,3 @@ def _inside(points: Array, borders: Sequence[Array]) -> NDArray[np.bool_]:
         rise = np.where(y1 == y0, 1.0, y1 - y0)
         crossings += (spans & (x < x0 + (y - y0) / rise * (x1 - x0))).sum(axis=1)
     return crossings % 2 == 1
-
-
-def check_sizes(given: Mapping[str, float | None], without: Sequence[str] = ()) -> dict[str, float]:
-    """The sizes among a function's arguments, each a positive number; an angle lies between 0 and 80 degrees."""
-    sizes = {}
-    for name in [name for name in given if name not in {*_COUNTS, *without}]:
-        angle = name.endswith("_angle")
-        sizes[name] = positive(given[name], name, zero=angle)  # type: ignore[arg-type]
-        demand(not angle or sizes[name] <= 80, f"{name} must be 0 to 80 degrees, not {sizes[name]}")
-    return sizes
-
-
-def numbered(kind: str, number: int, name: str) -> str:
-    demand(number in (1, 2), f"{name} must be 1 or 2, not {number!r}")
-    return kind if number == 1 else f"{kind}{number}"
-
-
-def demand(holds: bool, otherwise: str) -> None:
-    if not holds:
-        raise ValueError(otherwise)

@@ -21,7 +21,7 @@ PURPOSES = ("path", "physics", "cameras", "noise", "sizes", "place", "script")  
 Bounds = tuple[float, float]
 MOST = 1.25  # times as many vertices, faces and vertices of a loop as a garment has at its own sizes
 _TRIES, _THIN = 50, 0.02  # metres: cloth tunnels through thinner rods
-_CONFIGURED = ("stiffness", "bending", "damping", "friction", "mass")
+CONFIGURED = ("stiffness", "bending", "damping", "friction", "mass")  # what is drawn of a configuration
 
 
 def _ordered(bounds: Bounds) -> Bounds:
@@ -71,12 +71,12 @@ class Randomisation:
         cameras : sequence of Camera
         """
         drawn: dict[str, Any] = {}
-        shares = generator(seed, "physics").random(len(_CONFIGURED) + 1)
-        for name, share in zip((*_CONFIGURED, "scale"), shares, strict=True):
+        shares = generator(seed, "physics").random(len(CONFIGURED) + 1)
+        for name, share in zip((*CONFIGURED, "scale"), shares, strict=True):
             bounds = getattr(self, name)
             if bounds is not None:
                 drawn[name] = _between(bounds, share, logarithmic=name == "bending")
-        config = dataclasses.replace(config, **{name: drawn[name] for name in _CONFIGURED if name in drawn})
+        config = dataclasses.replace(config, **{name: drawn[name] for name in CONFIGURED if name in drawn})
         if "scale" in drawn:
             parameters = {**garment.parameters, "scale": drawn["scale"]}
             garment = dataclasses.replace(garment, vertices=drawn["scale"] * garment.vertices, parameters=parameters)

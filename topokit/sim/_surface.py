@@ -156,10 +156,9 @@ class EdgeGraph:
             ends = f"{names[widest[0]]} and {names[widest[-1]]}"
             raise ValueError(f"its vertices {ends} follow each other but are {len(widest) - 1} edges apart")
         closed = self._along(diagram, 0, members)
-        return np.array(closed), (
-            f"its {len(members)} vertices are in no order along the mesh; the cycle they lie around, {len(closed)} vertices, "
-            f"{len(set(closed) & set(given))} of them its own, was found by persistence"
-        )
+        cycle = f"the cycle they lie around, {len(closed)} vertices, {len(set(closed) & set(given))} of them its own"
+        how = f"its {len(members)} vertices are in no order along the mesh; {cycle}, was found by persistence"
+        return np.array(closed), how
 
 
 def _walk(paths: Sequence[Sequence[int]]) -> list[int]:
@@ -183,6 +182,11 @@ def _split(walk: Sequence[int]) -> tuple[list[list[int]], list[int]]:
             path = path[:start]
         path.append(vertex)
     return parts, path
+
+
+def demand(holds: bool, otherwise: str) -> None:
+    if not holds:
+        raise ValueError(otherwise)
 
 
 def check_mesh(vertices: Array, faces: Ids) -> None:

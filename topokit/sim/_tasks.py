@@ -30,8 +30,6 @@ _SMALL = ("scarf", "belt", "net", "trousers")
 _BESIDE = 0.08  # metres
 _ASIDE = 30  # degrees by which a loop may look aside of the arm that shall go through it
 _log = logging.getLogger("topokit.sim")
-
-
 Planner = Callable[[Garment, Target, np.random.Generator], GripperPath]
 
 

@@ -9,27 +9,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ._pattern import (
-    Arch,
-    Panel,
-    band,
-    chain,
-    check_sizes,
-    cut,
-    demand,
-    ellipse,
-    inflate,
-    mirror,
-    numbered,
-    polyline,
-    ring,
-    sew,
-)
-from ._surface import Array, EdgeGraph, Ids, half_edges
+from topokit._validate import positive
+
+from ._pattern import Arch, Panel, band, chain, cut, ellipse, inflate, mirror, polyline, ring, sew
+from ._surface import Array, EdgeGraph, Ids, demand, half_edges
 
 Sewn = tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float]]
 Fields = Sewn | tuple[str, Array, Ids, tuple[Ids, ...], Ids, dict[str, float], tuple[str, ...], tuple[str, ...]]
 THIRDS = np.array([1 / 3, 2 / 3])
+_COUNTS = ("loops", "handles", "holes", "rows", "columns")
 
 
 def apron(
@@ -282,9 +270,8 @@ def trousers(
     legs = polyline((-half, 0), outer * [-1, 1], inner * [-1, 1], crotch * [-1, 1], crotch, inner, outer, (half, 0))
     seams = (0, 2, 3, 4, 6)  # all but the ends of the legs, 1 and 5
     front = cut([*legs, *polyline((half, 0), (-half, 0))], [], spacing)
-    back = cut(
-        [*legs, *polyline((half, 0), over[0]), over, *polyline(over[-1], (-half, 0))], [opening], spacing, middle
-    )
+    top = [*polyline((half, 0), over[0]), over, *polyline(over[-1], (-half, 0))]
+    back = cut([*legs, *top], [opening], spacing, middle)
     grips = back.nearest(arch.points(THIRDS))
     pieces = [inflate(front, seams, depth / 2), inflate(back, seams, depth / 2, top=0.0).mirrored()]
     vertices, faces, (a, b) = sew(pieces, [(0, front.sides[i], 1, back.sides[i]) for i in seams])
@@ -292,3 +279,18 @@ def trousers(
     beneath = EdgeGraph(pieces[1].vertices, half_edges(back.faces)).path(int(back.sides[8][0]), int(back.sides[8][-1]))
     waist = chain(back.sides[7], np.array(beneath), back.sides[9])
     return "trousers", vertices, faces, (b[back.holes[0]], ring(a[front.sides[7]], b[waist]), *ends), b[grips], sizes
+
+
+def check_sizes(given: Mapping[str, float | None], without: Sequence[str] = ()) -> dict[str, float]:
+    """The sizes among a function's arguments, each a positive number; an angle lies between 0 and 80 degrees."""
+    sizes = {}
+    for name in [name for name in given if name not in {*_COUNTS, *without}]:
+        angle = name.endswith("_angle")
+        sizes[name] = positive(given[name], name, zero=angle)  # type: ignore[arg-type]
+        demand(not angle or sizes[name] <= 80, f"{name} must be 0 to 80 degrees, not {sizes[name]}")
+    return sizes
+
+
+def numbered(kind: str, number: int, name: str) -> str:
+    demand(number in (1, 2), f"{name} must be 1 or 2, not {number!r}")
+    return kind if number == 1 else f"{kind}{number}"

@@ -122,10 +122,9 @@ class World(contextlib.AbstractContextManager["World"]):
             self._bullet("setPhysicsEngineParameter", fixedTimeStep=config.dt)
             self._cloth = self._load(garment, offset)
             # Bodies without a shape: a kinematic or a fixed anchor body can make the cloth explode, these do not.
-            self._grippers = [
-                self._bullet("createMultiBody", config.gripper_mass, -1, -1, basePosition=place)
-                for place in (garment.vertices[garment.grips] + offset).tolist()
-            ]
+            places = (garment.vertices[garment.grips] + offset).tolist()
+            body = ("createMultiBody", config.gripper_mass, -1, -1)
+            self._grippers = [self._bullet(*body, basePosition=place) for place in places]
             ends = zip(garment.grips.tolist(), self._grippers, strict=True)
             self._anchors = [self._bullet("createSoftBodyAnchor", self._cloth, *pair, -1) for pair in ends]
             # A thick slab with its top at z = 0: cloth would rest 10 cm above PyBullet's endless plane.
@@ -214,7 +213,7 @@ class World(contextlib.AbstractContextManager["World"]):
             rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in garment.vertices.tolist()]
             rows += [f"f {a} {b} {c}" for a, b, c in (garment.faces + 1).tolist()]
             path.write_text("\n".join(rows) + "\n")
-            cloth: int = self._bullet(
+            return self._bullet(
                 "loadSoftBody",
                 str(path),
                 basePosition=offset.tolist(),
@@ -231,7 +230,6 @@ class World(contextlib.AbstractContextManager["World"]):
                 useSelfCollision=int(self._config.self_collision),
                 collisionMargin=self._config.margin * float(lengths.min()),
             )
-        return cloth
 
     def _draw(self, body: int, goal: list[float], before: list[float]) -> None:
         """Push a gripper towards its goal, which was at `before` a step ago; in plain floats, far quicker than arrays."""
@@ -319,5 +317,4 @@ def _turn_z_to(axis: Array) -> list[float]:
         return [1.0, 0.0, 0.0, 0.0]
     x, y, z = np.cross([0, 0, 1], axis)
     quaternion = np.array([x, y, z, 1 + axis[2]])
-    turned: list[float] = (quaternion / np.linalg.norm(quaternion)).tolist()
-    return turned
+    return (quaternion / np.linalg.norm(quaternion)).tolist()

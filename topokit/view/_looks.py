@@ -7,14 +7,11 @@ landmark multidimensional scaling lays these out in the plane (de Silva and Tene
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from topokit._validate import Array, Ids
 from topokit.sampling import farthest_point_sample
-
-Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 
 
 def cloth_marks(points: Array, faces: Ids, *, smooth: bool) -> list[tuple[Ids, Array, float]]:

@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.distance import cdist
 
-from topokit._validate import positive
+from topokit._validate import Array, Ids, positive
 from topokit.state import OKABE_ITO
-from topokit.view._looks import Array, Ids
 from topokit.view._pages import MOST_POINTS, Framed, framed, planar, shapes
 from topokit.view._plots import new_axes
 

@@ -32,16 +32,13 @@ def grown(film: list[NDArray[np.float64]], end: float | None) -> dict[str, Any]:
     """A film of space, packed, and the loops of each frame as the script sees it: what bears, kills and goes around them."""
     shape = np.shape(film)
     if not (1 <= shape[0] <= MOST_GROWN[0] and 1 <= shape[1] <= MOST_GROWN[1] and shape[2] == 3):
-        raise ValueError(
-            f"a film must be at most {MOST_GROWN[0]} frames of {MOST_GROWN[1]} points of space, not {shape}"
-        )
+        most = f"{MOST_GROWN[0]} frames of {MOST_GROWN[1]} points of space"
+        raise ValueError(f"a film must be at most {most}, not {shape}")
     steps, scale = packed(np.array(film))
     diagrams = [rips_persistence(cloud) for cloud in np.float32(steps * scale[0] + scale[1:]).astype(float)]
     return {
         "film": pack_coordinates(np.array(film)),
-        "told": [
-            pack(np.concatenate([np.zeros(0, np.int64), *(_row(dgm, i) for i in range(len(dgm)))])) for dgm in diagrams
-        ],
+        "told": [pack(_loops(diagram)) for diagram in diagrams],
         "view": [-60, 15],
         "frame": len(film) // 2,
         "longest": max(float(dgm.lifetime.max(initial=0.0)) for dgm in diagrams),
@@ -49,6 +46,9 @@ def grown(film: list[NDArray[np.float64]], end: float | None) -> dict[str, Any]:
     }
 
 
-def _row(diagram: Diagram, i: int) -> NDArray[np.int64]:
-    cycle, apexes = diagram.cycle(i), diagram.killer_triangles[i, :, 2]
-    return np.concatenate([diagram.birth_edge[i], diagram.killer_edge[i], apexes, [len(cycle)], cycle])
+def _loops(diagram: Diagram) -> NDArray[np.int64]:
+    rows = [np.zeros(0, np.int64)]
+    for i in range(len(diagram)):
+        cycle, apexes = diagram.cycle(i), diagram.killer_triangles[i, :, 2]
+        rows += [diagram.birth_edge[i], diagram.killer_edge[i], apexes, np.array([len(cycle)]), cycle]
+    return np.concatenate(rows)

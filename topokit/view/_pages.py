@@ -41,11 +41,9 @@ class Framed:
     title: str  #: what the frame is called for readers who hear the page
 
     def _repr_html_(self) -> str:
-        source = html.escape(self.page, quote=True)
-        return (
-            f'<iframe srcdoc="{source}" title="{html.escape(self.title)}" loading="lazy" allowfullscreen '
-            f'style="width:100%;height:{self.height}px;border:0;display:block"></iframe>'
-        )
+        source, title = html.escape(self.page, quote=True), html.escape(self.title)
+        look = f"width:100%;height:{self.height}px;border:0;display:block"
+        return f'<iframe srcdoc="{source}" title="{title}" loading="lazy" allowfullscreen style="{look}"></iframe>'
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.title!r}, {len(self.page) / 1000:.0f} kB)"
@@ -174,11 +172,8 @@ def elimination(points: ArrayLike, max_radius: float) -> Framed:
         When there are more points.
     """
     cloud, radius = planar(points, "points", MOST_REDUCED), positive(max_radius, "max_radius", zero=False)
-    title, scripts = (
-        f"The boundary matrix of {len(cloud)} points, reduced",
-        ("rips.js", "planar.js", "places.js", "columns.js"),
-    )
-    data = {"points": cloud.tolist(), "radius": radius}
+    title, data = f"The boundary matrix of {len(cloud)} points, reduced", {"points": cloud.tolist(), "radius": radius}
+    scripts = ("rips.js", "planar.js", "places.js", "columns.js")
     return framed("elimination", scripts, data, 500, "drag a point", title)
 
 
@@ -278,9 +273,8 @@ def stray(points: ArrayLike, start: ArrayLike, end: ArrayLike) -> Framed:
         Where the stray point is at first, and where the slider and the play button take it.
     """
     cloud = planar(points, "points", MOST_POINTS - 1)
-    way = {
-        name: planar(np.asarray(place)[None], name, 1)[0].tolist() for name, place in (("start", start), ("end", end))
-    }
+    ends = {"start": start, "end": end}
+    way = {name: planar(np.asarray(place)[None], name, 1)[0].tolist() for name, place in ends.items()}
     title, scripts = f"{len(cloud)} points and a stray one", ("rips.js", "planar.js", "places.js", "rules.js")
     return framed("stray", scripts, {"points": cloud.tolist(), **way}, 480, "drag the stray point away", title)
 

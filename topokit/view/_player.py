@@ -175,9 +175,7 @@ def _mesh(points: Points, faces: ArrayLike, loops: Iterable[ArrayLike]) -> tuple
         "frames": len(points),
         "centre": ((low + high) / 2).tolist(),
         "radius": float(np.linalg.norm(high - low) / 2) or 1.0,
-        "marks": [
-            {"face": pack(face), "ends": pack_coordinates(ends), "bright": bright} for face, ends, bright in marks
-        ],
+        "marks": [{"face": pack(face), "ends": pack_coordinates(ends), "bright": light} for face, ends, light in marks],
         "truth": [np.asarray(loop).tolist() for loop in loops],
     }
     return told, {"points": pack_coordinates(points), "faces": pack(corners)}
@@ -185,17 +183,10 @@ def _mesh(points: Points, faces: ArrayLike, loops: Iterable[ArrayLike]) -> tuple
 
 def _scene(episode: Episode) -> dict[str, Any]:
     told, arrays = _mesh(np.asarray(episode.points, dtype=np.float64), episode.faces, episode.loops)
-    return told | {
-        "dt": float(episode.dt),
-        "unit": "m",
-        "thickness": rod_radius(episode),
-        "arrays": arrays
-        | {
-            "line": pack_coordinates(subdivide(triples(episode.centre_line, "centre_line"))),
-            "grippers": pack_coordinates(episode.grippers),
-            "held": pack(np.asarray(episode.held, dtype=bool)),
-        },
-    }
+    arrays["line"] = pack_coordinates(subdivide(triples(episode.centre_line, "centre_line")))
+    arrays["grippers"] = pack_coordinates(episode.grippers)
+    arrays["held"] = pack(np.asarray(episode.held, dtype=bool))
+    return told | {"dt": float(episode.dt), "unit": "m", "thickness": rod_radius(episode), "arrays": arrays}
 
 
 def _tracks(states: Sequence[TopologicalState]) -> dict[str, dict[str, Any]]:

@@ -19,11 +19,11 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._validate import as_ids, as_points, as_reals
+from topokit._validate import Array, Ids, as_ids, as_points, as_reals
 from topokit.io import Episode
 from topokit.rips import Diagram
 from topokit.state import Loop, TopologicalState, loop_colour
-from topokit.view._looks import Array, Ids, cloth_marks, face_normals, shadow, smoothed
+from topokit.view._looks import cloth_marks, face_normals, shadow, smoothed
 
 CLOTH, LINING, ROD, INK = "#E8E2D4", "#C8C9D0", "#5B6B7C", "#1C2733"
 
@@ -54,8 +54,7 @@ def new_axes(ax: Axes | None, **options: Any) -> Axes:
         return ax
     import matplotlib.pyplot as plt
 
-    axes: Axes = plt.figure(layout="constrained").add_subplot(**options)
-    return axes
+    return plt.figure(layout="constrained").add_subplot(**options)
 
 
 @dataclass(eq=False)
@@ -145,9 +144,8 @@ def draw_cloth(axes: Any, scene: Scene) -> None:
     parts = [*_cloth(scene), (rods, _shaded(-face_normals(rods), ROD, scene.view))]
     polygons, colours = (np.concatenate(part) for part in zip(*parts, strict=True))
     if len(scene.shadow):
-        axes.add_collection3d(
-            Poly3DCollection(scene.shadow, facecolors=(0, 0, 0, scene.darkness), zorder=0, rasterized=True)
-        )
+        dark = {"facecolors": (0, 0, 0, scene.darkness)}
+        axes.add_collection3d(Poly3DCollection(scene.shadow, zorder=0, rasterized=True, **dark))
     look = {"facecolors": colours, "edgecolors": colours, "linewidths": 0.8}
     axes.add_collection3d(Poly3DCollection(polygons, zorder=1, rasterized=True, **look))
     if not len(scene.faces):

@@ -23,9 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 from topokit._archive import atomic_file
+from topokit._validate import Array
 from topokit.io import Episode
 from topokit.state import Loop, TopologicalState
-from topokit.view._looks import Array
 from topokit.view._plots import CLOTH, INK, LINING, ROD, Scene, direction, draw_cloth, loop_colour, one_a_frame
 
 _PROBE = """
@@ -203,9 +203,8 @@ def _add_cloth(plotter: Any, scene: Scene) -> None:
     mesh = pyvista.PolyData.from_regular_faces(scene.points, scene.faces)
     # Normals first, so that triangles and normals agree about the front: a face where they do not is drawn black.
     mesh = mesh.compute_normals(split_vertices=True, feature_angle=70)  # smooth, but not across a sharp fold
-    plotter.add_mesh(
-        mesh, color=CLOTH, smooth_shading=True, ambient=0.46, backface_params={"color": LINING, "ambient": 0.4}
-    )
+    inside = {"color": LINING, "ambient": 0.4}
+    plotter.add_mesh(mesh, color=CLOTH, smooth_shading=True, ambient=0.46, backface_params=inside)
     lift = 0.003 * float(np.ptp(scene.points, axis=0).max()) * direction(*scene.view)
     for face, ends, bright in scene.marks:
         lines = pyvista.line_segments_from_points((ends @ scene.points[scene.faces[face]] + lift).reshape(-1, 3))

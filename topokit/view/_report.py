@@ -141,9 +141,8 @@ def shares(results: Mapping[str, Any], measures: Mapping[str, str]) -> Framed:
     data = {"measure": list(measures), "garment": ["all", *garments], "model": names, "horizon": horizons}
     data |= {"condition": list(results["conditions"]), "marks": [models.index(m) for m in ("ours", "seqph", "carry")]}
     packed, title = {"cells": pack(table[..., :3]), "counts": pack(table[..., 0, :, 3:])}, f"{len(models)} predictors"
-    return framed(
-        "shares", ("orbit.js", "planar.js"), data | packed, 560, "choose a row, or below", f"Shares of {title}"
-    )
+    scripts, caption = ("orbit.js", "planar.js"), "choose a row, or below"
+    return framed("shares", scripts, data | packed, 560, caption, f"Shares of {title}")
 
 
 def _cell(cell: Mapping[str, Any]) -> list[int]:
