@@ -105,7 +105,11 @@ def kinds_tested(results: Results) -> Any:
     return WORDS.get(kinds, kinds)
 
 
-WORDS = {0: "none", 1: "one", 2: "two", 3: "three", 4: "four", 10: "ten"}
+WORDS = {0: "none", 1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 7: "seven", 10: "ten"}
+
+
+def word(number: int) -> Any:
+    return WORDS.get(number, number)
 
 
 def worn(results: Results) -> tuple[int, int, float]:
@@ -120,6 +124,21 @@ def hung_by_the_servo(results: Results) -> tuple[int, int]:
     rows = [row for row in results["hanging"]["episodes"] if not row["task"].endswith("-mannequin")]
     rows = [row for row in rows if (row["scene"], row["who"]) == ("still", "servo")]
     return sum(row["success"] for row in rows), len(rows)
+
+
+def thrown(results: Results, who: str) -> dict[str, list[bool]]:
+    """By garment, what came of the starts with a fence."""
+    found: dict[str, list[bool]] = {}
+    for row in results["hanging"]["episodes"]:
+        if row["scene"].startswith("out of reach") and row["who"] == who:
+            found.setdefault(row["task"], []).append(row["success"])
+    return found
+
+
+def lost_late(results: Results) -> int:
+    """Of three garments, how many are lost by who takes a late cloud for a new one."""
+    late = [row for row in results["hanging"]["episodes"] if (row["scene"], row["who"]) == ("late by 200 ms", "hold")]
+    return round(3 * (1 - sum(row["success"] for row in late) / len(late)))
 
 
 MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
@@ -401,6 +420,17 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
         " hangs. The file has {:,} episodes of all scenes",
         lambda r: (hung_by_the_servo(r)[1], len(r["hanging"]["episodes"])),
     ),
+    ("hang_it", "{} garments of three are lost", lambda r: (word(lost_late(r)),)),
+    (
+        "hang_it",
+        "knows of no flight hangs {} garment of {}",
+        lambda r: next((word(sum(map(sum, x))), sum(map(len, x))) for x in [[*thrown(r, "rigid").values()]]),
+    ),
+    (
+        "hang_it",
+        "With the parabola {} garments of {} hang at every start",
+        lambda r: next((word(sum(map(all, x))), word(len(x))) for x in [[*thrown(r, "carry").values()]]),
+    ),
     (
         "README.md",
         "the servo hung {} of {} garments on hooks and hangers and put {} of {} on a mannequin",
@@ -623,5 +653,14 @@ GIVEN: list[tuple[str, str, str]] = [
     ("hang_it", "Wilson's 95 % intervals", "what such an interval is"),
     ("hang_it", "the cloud is 200 ms old", SET),
     ("hang_it", "moves by up to 15 cm under way", SET),
+    ("hang_it", "it is still where it was 200 ms ago", SET),
+    ("hang_it", "a fence stands 15 cm before the tip", SET),
+    (
+        "hang_it",
+        "a place 30 cm before the fence. There 64 runs are drawn, each by three numbers",
+        "`Thrower`, as it is called",
+    ),
+    ("hang_it", "with the fence at 15 cm and at 25 cm", SET),
+    ("hang_it", "With the fence at 25 cm", SET),
     ("your_own", "the upper one five times as high", "the figure shows it"),
 ]
