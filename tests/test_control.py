@@ -283,6 +283,9 @@ def test_a_throw_ends_at_the_fence_and_what_is_let_go_flies():
     time = 0.036 * np.array([4, 6, 8, 10])
     way = flying - held[0, last - 1]
     np.testing.assert_allclose(way[..., 1], np.repeat(time[:, None] * 0.9 * 1.2, 60, axis=1), rtol=0.05)
+    thrower._goals = hands - [0, 3, 0]  # from far away, too, it ends at the fence, and not before
+    goals, frames = thrower._run(np.array([0.9, 0.6, 0.02]), arm, hands - [0, 3, 0])
+    assert ((goals[frames - 1] - arm.tip) @ arm.out).min() == pytest.approx(0.2)
     up = (held[0, last - 1, 0, 2] - held[0, last - 2, 0, 2]) / 0.036
     np.testing.assert_allclose(way[..., 2], np.repeat((up * time - 4.9 * time**2)[:, None], 60, axis=1), atol=1e-9)
 

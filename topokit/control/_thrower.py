@@ -97,7 +97,7 @@ class Thrower(Planner):
         """Goals (60, 2, 3), evenly faster up to the fence, and on as if there were none; and frames up to the fence."""
         speed, up, above = throw.tolist()
         far = max(float(((self._goals - arm.tip) @ arm.out).min()) - self._fence, 0.02)
-        frames = int(np.ceil(2 * far / (speed * self.max_step)))
+        frames = min(int(np.ceil(2 * far / (speed * self.max_step))), FRAMES)
         rise = self._passes(arm) + above - self._rim(arm, grippers)[2]
         ends = [np.zeros(3), np.array([0, 0, rise]) - far * arm.out]
         slopes = [np.zeros(3), self.max_step * (np.array([0, 0, up]) - speed * arm.out)]
