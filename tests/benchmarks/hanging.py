@@ -30,7 +30,7 @@ from topokit.linking import close_far, linking_number
 from topokit.sim import TASKS as KNOWN
 from topokit.sim import Camera, HangEnv, HangingStarts, SimulationConfig, Task
 from topokit.sim._names import kind
-from topokit.sim._tasks import asked
+from topokit.sim._tasks import how_many
 
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
 TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS)]
@@ -141,18 +141,15 @@ def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Hanging:
     own = {"straight": {"controller": Straight()}, "random": {"controller": Random()}, "servo": {}}
     if who == "rigid":
         how = {"radius": KNOWN[task].target.rods[0][2], "fence": options["fence"], "seed": seed}
-        return hang(task, seed=seed, controller=Rigid(Carried(), goal_of(KNOWN[task]), **how), **options)
+        return hang(
+            task, seed=seed, controller=Rigid(Carried(), how_many(KNOWN[task], KNOWN[task].garment()), **how), **options
+        )
     if who == "oracle":
         return foreseen(task, seed, options)
     if who == "ppo":
         return hang(task, seed=seed, controller=Learned(task, steps), **options)
     model = {"carry": "carry", "motion": MOTION, "hold": Hold()}.get(who)
     return hang(task, seed=seed, **own.get(who, {"model": model}), **options)
-
-
-def goal_of(task: Task) -> int | None:
-    """How many loops must hang, where all must."""
-    return len(asked(task, task.garment().named_loops)) if task.every else None
 
 
 def foreseen(task: str, seed: int, options: dict[str, Any]) -> Hanging:
@@ -163,7 +160,9 @@ def foreseen(task: str, seed: int, options: dict[str, Any]) -> Hanging:
     known, pace = KNOWN[task], options.pop("pace", 0.6)
     for draws in range(TRIES):
         how = {"radius": known.target.rods[0][2], "late": options.get("late", 0), "pace": pace, "seed": draws}
-        result = hang(task, seed=seed, controller=Planner(Carried(), goal_of(known), **how), **options)
+        result = hang(
+            task, seed=seed, controller=Planner(Carried(), how_many(known, known.garment()), **how), **options
+        )
         if result.success:
             break
     return result

@@ -16,7 +16,7 @@ from topokit.io import Episode
 from topokit.sim import Garment, HangEnv, Hook, Target, Task, task_for
 from topokit.sim._cloth import usual_config
 from topokit.sim._episode import Run, _episode
-from topokit.sim._tasks import as_task, asked, dress, put_on_shoulders
+from topokit.sim._tasks import as_task, dress, how_many, put_on_shoulders
 from topokit.sim._world import check_stretch
 
 from ._dress import Dresser, Shoulderer
@@ -93,8 +93,7 @@ def hang(
         "config": dataclasses.replace(usual_config(garment), self_collision=False),
     }
     env = HangEnv(task, garment=garment, target=target, max_steps=max_steps, **{**usual, **options})
-    if goal is None and task.every:
-        goal = len(asked(task, garment.named_loops))
+    goal = how_many(task, garment) if goal is None else goal
     try:
         how = {"radius": target.rods[0][2], "max_step": env.max_step, "late": options.get("late", 0)}
         usually: Servo = _WORN.get(task.plan, Servo)(goal, **how)

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from topokit._validate import positive
+from topokit.sim._world import GRAVITY
 
 from ._geometry import Arm, Array
 from ._planner import FRAMES, Forecast, Planner
@@ -26,7 +27,6 @@ _FLIES = np.array([4, 6, 8, 10])  # frames after the release at which the guide 
 # Speed at the release, level and up, as shares of the largest; and metres by which the rim is then above where it shall pass.
 _LEAST, _MOST = np.array([0.35, 0.0, -0.05]), np.array([1.0, 1.0, 0.08])
 _BEST = 8
-_FALLS = 9.8 / 2  # m/s^2
 
 
 class Thrower(Planner):
@@ -62,8 +62,7 @@ class Thrower(Planner):
         self._fence, self._time = positive(fence, "fence"), positive(frame_time, "frame_time", zero=False)
 
     def _goal(self, stop: str, arm: Arm, rim: Array) -> Array:
-        if stop != "far":
-            return super()._goal(stop, arm, rim)
+        """Where the run begins: a throw has no other stop."""
         x, y, _ = arm.before(rim, self._fence + _RUN)
         return np.array([x, y, self._passes(arm) - _LOW])
 
@@ -110,7 +109,7 @@ class Thrower(Planner):
         ends = np.minimum(lasts, FRAMES) - 1
         places, before = (held[np.arange(len(held)), ends - back][:, None] for back in (0, 1))
         frames = _FLIES[:, None, None]
-        return np.asarray(places + frames * (places - before) - [0, 0, _FALLS] * (frames * self._time) ** 2)
+        return np.asarray(places + frames * (places - before) - [0, 0, GRAVITY / 2] * (frames * self._time) ** 2)
 
     def _passes(self, arm: Arm) -> float:
         return float(arm.tip[2] + self._clear(arm))

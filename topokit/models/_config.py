@@ -97,8 +97,9 @@ def open_windows(config: TrainConfig) -> Windows:
 
     episodes, sizes = Dataset(config.dataset), asdict(config.shape)
     parts, points = episodes.split(**config.split), sizes.pop("points")
-    made, options = (Scenes, {}) if config.model == "motion" else (WindowDataset, {"n_points": points, **sizes})
-    train, validation = (made(episodes, parts[part], **options, **config.windows) for part in ("train", "validation"))
+    made, options = (Scenes, {}) if config.model == "motion" else (WindowDataset, sizes)
+    options = {"n_points": points, **options, **config.windows}
+    train, validation = (made(episodes, parts[part], **options) for part in ("train", "validation"))
     return Windows(train, validation, episodes.checksum())
 
 

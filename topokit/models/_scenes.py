@@ -16,7 +16,7 @@ from topokit.sampling import farthest_point_sample
 from ._motion import CARRIERS, KNOTS, PAST, carried
 
 Array = NDArray[np.float32]
-CLOUD, ASKED = 320, 16  # points of a cloud, and of those that are asked for
+ASKED = 16  # points of a cloud that are asked for
 TARGET = 16  # points of a target's line
 FIRST, AHEAD = 4, 20  # frames that a window has at least before the present one, and after it
 
@@ -30,12 +30,14 @@ class Scenes(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     ----------
     dataset : Dataset
     episodes : iterable of int
+    n_points : int
+        Points of a cloud that are looked at; where there are fewer, some of them twice.
     stride : int
         Frames from one window to the next.
     """
 
-    def __init__(self, dataset: Dataset, episodes: Iterable[int], *, stride: int = 1) -> None:
-        self.dataset, self.episodes = dataset, np.unique([*map(int, episodes)])
+    def __init__(self, dataset: Dataset, episodes: Iterable[int], *, n_points: int = 160, stride: int = 1) -> None:
+        self.dataset, self.episodes, self.n_points = dataset, np.unique([*map(int, episodes)]), n_points
         lengths = [dataset.group.records[int(i)].frames for i in self.episodes]
         frames = [np.arange(FIRST, length - AHEAD, stride) for length in lengths]
         self.index = np.column_stack([np.repeat(self.episodes, [*map(len, frames)]), np.concatenate(frames)])
@@ -48,7 +50,7 @@ class Scenes(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         number, frame = self.index[i].tolist()
         if number not in self._known:
             self._known[number] = _parts(self.dataset[number])
-        return scene_at(self._known[number], frame, np.random.default_rng((number, frame)))
+        return scene_at(self._known[number], frame, np.random.default_rng((number, frame)), self.n_points)
 
 
 def _parts(episode: Any) -> dict[str, Array]:
@@ -56,7 +58,9 @@ def _parts(episode: Any) -> dict[str, Array]:
     return {name: getattr(episode, name) for name in names} | {"target": resampled(episode.centre_line)}
 
 
-def scene_at(parts: dict[str, Array], frame: int, rng: np.random.Generator) -> dict[str, torch.Tensor]:
+def scene_at(
+    parts: dict[str, Array], frame: int, rng: np.random.Generator, n_points: int = 160
+) -> dict[str, torch.Tensor]:
     """The window of an episode whose present is that frame."""
     points, n = parts["points"], parts["points"].shape[1]
 
@@ -64,14 +68,14 @@ def scene_at(parts: dict[str, Array], frame: int, rng: np.random.Generator) -> d
         return np.resize(rng.permutation(n)[:most], count)
 
     thin = int(rng.integers(n // 3, n)) if rng.random() < 0.5 else n  # a camera sees a part, a tracker on vertices all
-    seen, asked, ago = some(CLOUD), some(ASKED), np.maximum(frame - np.array((0, *PAST)), 0)
+    seen, asked, ago = some(n_points), some(ASKED), np.maximum(frame - np.array((0, *PAST)), 0)
     seen = seen[carriers_first(points[frame, seen])]
     both, hands = points[frame, np.concatenate([seen, asked])], parts["grippers"][ago]
     knots, ahead = frame + np.array(KNOTS), frame + np.arange(1, KNOTS[-1] + 1)
     last = len(points) - 1
     scene = {
-        "cloud": both[:CLOUD],
-        "points": both[CLOUD:],
+        "cloud": both[:n_points],
+        "points": both[n_points:],
         "flow": flow(both, [points[then, some(n, thin)] for then in ago[1:]], hands),
         "grippers": hands,
         "held": parts["held"][frame],
@@ -89,11 +93,10 @@ def flow(points: NDArray[np.floating], past: Sequence[NDArray[np.floating]], han
 
     Taken back with the grippers, a point has its nearest neighbour in the cloud of then; that is where it came from.
     """
-    place, now = (torch.from_numpy(np.ascontiguousarray(part, np.float64)) for part in (points[None], hands))
-    found = []
-    for cloud, then in zip(past, now[1:], strict=True):
-        back = carried(place, now[:1], then[None])[0].numpy()
-        found.append(back - cloud[cKDTree(cloud).query(back)[1]])
+    place, now = (torch.from_numpy(np.ascontiguousarray(part, np.float64)) for part in (points, hands))
+    before = now[1:]
+    back = carried(place.expand(len(before), -1, -1), now[:1].expand_as(before), before).numpy()
+    found = [then - cloud[cKDTree(cloud).query(then)[1]] for then, cloud in zip(back, past, strict=True)]
     return np.stack(found, axis=1).astype(np.float32)
 
 

@@ -114,6 +114,10 @@ class _Training:
             _, self.optimizer = self.fabric.setup(self.model, optimizer)
         if saved is not None:
             self._restore(*saved)
+        # Workers live as long as the training: they keep the films that they have read.
+        self._order: list[int] = []
+        lives = {"sampler": self._order, "drop_last": True, "persistent_workers": config.workers > 0}
+        self._reader = self._loader(windows.train, **lives)
         n = len(windows.train)
         self.steps_per_epoch = min(config.windows_per_epoch or n, n) // config.batch
 
@@ -217,9 +221,9 @@ class _Training:
         """What is left of the epoch's batches, under a bar."""
         progress, config = self.progress, self.config
         order = epoch_order(len(self.windows.train), config.windows_per_epoch, config.seed, progress.epoch)
-        left = Subset(self.windows.train, order[progress.batch * config.batch :])
+        self._order[:] = order[progress.batch * config.batch :]
         return tqdm(
-            self._loader(left, drop_last=True),
+            self._reader,
             f"epoch {progress.epoch + 1}",
             total=self.steps_per_epoch,
             initial=progress.batch,
@@ -228,8 +232,8 @@ class _Training:
             disable=not self.show,
         )
 
-    def _loader(self, data: Any, drop_last: bool = False) -> Any:
-        loader = DataLoader(data, self.config.batch, num_workers=self.config.workers, drop_last=drop_last)
+    def _loader(self, data: Any, **more: Any) -> Any:
+        loader = DataLoader(data, self.config.batch, num_workers=self.config.workers, **more)
         return self.fabric.setup_dataloaders(loader, move_to_device=self.model.learns)
 
     def _save(self, name: str) -> None:

@@ -70,6 +70,11 @@ def asked(task: Task, loops: Mapping[str, Loop]) -> list[Loop]:
     return [loop for name, loop in loops.items() if {name, kind(name)} & {*task.loops}]
 
 
+def how_many(task: Task, garment: Garment) -> int | None:
+    """How many loops must hang, where all must."""
+    return len(asked(task, garment.named_loops)) if task.every else None
+
+
 def check_loops(task: Task, garment: Garment) -> None:
     """Raise ValueError when the garment lacks loops that the task asks for; the message says which it has."""
     names = garment.loop_names

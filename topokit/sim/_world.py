@@ -25,7 +25,7 @@ from ._garments import Garment
 from ._process import SimulationError
 from ._surface import Array, edge_lengths
 
-_GRAVITY = 9.8  # m/s^2
+GRAVITY = 9.8  # m/s^2
 Stretch = Annotated[float, Field(gt=1)]
 
 
@@ -118,7 +118,7 @@ class World(contextlib.AbstractContextManager["World"]):
             self._client = self._p.connect(self._p.DIRECT)
         try:
             self._bullet("resetSimulation", self._p.RESET_USE_DEFORMABLE_WORLD)
-            self._bullet("setGravity", 0, 0, -_GRAVITY)
+            self._bullet("setGravity", 0, 0, -GRAVITY)
             self._bullet("setPhysicsEngineParameter", fixedTimeStep=config.dt)
             self._cloth = self._load(garment, offset)
             # Bodies without a shape: a kinematic or a fixed anchor body can make the cloth explode, these do not.
@@ -175,7 +175,7 @@ class World(contextlib.AbstractContextManager["World"]):
     def push(self, acceleration: Array) -> None:
         """Accelerate the cloth by (x, y) m/s^2 from now on; the grippers feel it through the cloth alone."""
         x, y = self._push = acceleration.tolist()
-        self._bullet("setGravity", x, y, -_GRAVITY)
+        self._bullet("setGravity", x, y, -GRAVITY)
 
     def release(self, keep: int = 0) -> None:
         """Let go of the garment, but for the first `keep` grippers; they stay, without a shape that could touch it."""
@@ -242,7 +242,7 @@ class World(contextlib.AbstractContextManager["World"]):
         x = kp * (goal[0] - place[0]) + kd * ((goal[0] - before[0]) / dt - u) - self._push[0] * config.gripper_mass
         y = kp * (goal[1] - place[1]) + kd * ((goal[1] - before[1]) / dt - v) - self._push[1] * config.gripper_mass
         z = kp * (goal[2] - place[2]) + kd * ((goal[2] - before[2]) / dt - w)
-        z += _GRAVITY * (config.gripper_mass + carried)
+        z += GRAVITY * (config.gripper_mass + carried)
         size = math.sqrt(x * x + y * y + z * z)
         if size > most:
             x, y, z = (most / size * part for part in (x, y, z))
