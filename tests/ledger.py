@@ -68,11 +68,9 @@ def converse(results: Results) -> tuple[int, int]:
 def trained_on(results: Results) -> str:
     """Of how many episodes the films are that the model of motion learned from, by the command that made them."""
     (made,) = (
-        line
-        for line in results["motion"]["commands"]
-        if "generate --config book/datasets/motion.json" in line and "seed 20" in line
+        line for line in results["motion"]["commands"] if "generate --config book/datasets/motion_coarse.json" in line
     )
-    return made.partition("--episodes ")[2].split()[0]
+    return f"{int(made.partition('--episodes ')[2].split()[0]):,}"
 
 
 def families(results: Results, model: str, horizon: str = "mean") -> float:
@@ -405,7 +403,7 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
         lambda r: tuple(r["evaluation"]["conditions"]["aprons"][key] for key in ("windows", "episodes")),
     ),
     # -- what other files of the repository say
-    ("README.md", "Motion is one training on {} episodes", lambda r: (trained_on(r),)),
+    ("README.md", "on what {} simulated episodes on coarser meshes have left", lambda r: (trained_on(r),)),
     ("README.md", "tables of bits and edges take at most {:.1f} GB", lambda _: (MEMORY / 1e9,)),
     ("CONTRIBUTING.md", "shall have 17,000 lines and may have {:,} for now", lambda _: (MOST_LINES,)),
     (
