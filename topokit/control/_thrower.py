@@ -63,8 +63,7 @@ class Thrower(Planner):
 
     def _goal(self, stop: str, arm: Arm, rim: Array) -> Array:
         """Where the run begins: a throw has no other stop."""
-        x, y, _ = arm.before(rim, self._fence + _RUN)
-        return np.array([x, y, self._passes(arm) - _LOW])
+        return np.array([*arm.before(rim, self._fence + _RUN)[:2], self._passes(arm) - _LOW])
 
     def _along(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
         """Go to where the run begins; choose one; run, and let go."""

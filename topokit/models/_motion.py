@@ -126,14 +126,10 @@ class Motion(nn.Module):
         batch = torch.arange(len(cloud), device=cloud.device)[:, None, None]
         away = 2 / UNIT * (cloud[batch, near] - place[:, :, None])
         there = torch.cat([away, away.norm(dim=-1, keepdim=True)], dim=-1)
-        first, *rest = (
-            self.edge
-        )  # a layer of [own, that of the neighbour, there]: of points, not edges, as far as may be
+        first: Any = self.edge[0]  # of [own, that of the neighbour, there]: of points, not edges, as far as may be
         mine, theirs, apart = first.weight.split([code.shape[2], code.shape[2], 4], dim=1)
         edges = (own @ mine.T + first.bias)[:, :, None] + (code[:, :size] @ theirs.T)[batch, near] + there @ apart.T
-        for layer in rest:
-            edges = layer(edges)
-        edges = edges.amax(dim=2)
+        edges = self.edge[1:](edges).amax(dim=2)
         moved = self.flow(flow[batch, near].mean(dim=2))
         cloth = code[:, :size]
         pooled = (part[:, None].expand_as(own) for part in (cloth.mean(dim=1), cloth.amax(dim=1)))

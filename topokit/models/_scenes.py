@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -49,13 +48,11 @@ class Scenes(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     def __getitem__(self, i: int) -> dict[str, torch.Tensor]:
         number, frame = self.index[i].tolist()
         if number not in self._known:
-            self._known[number] = _parts(self.dataset[number])
+            film, names = self.dataset[number], ("points", "grippers", "actions", "held")
+            self._known[number] = {name: getattr(film, name) for name in names} | {
+                "target": resampled(film.centre_line)
+            }
         return scene_at(self._known[number], frame, np.random.default_rng((number, frame)), self.n_points)
-
-
-def _parts(episode: Any) -> dict[str, Array]:
-    names = ("points", "grippers", "actions", "held")
-    return {name: getattr(episode, name) for name in names} | {"target": resampled(episode.centre_line)}
 
 
 def scene_at(
@@ -94,8 +91,7 @@ def flow(points: NDArray[np.floating], past: Sequence[NDArray[np.floating]], han
     Taken back with the grippers, a point has its nearest neighbour in the cloud of then; that is where it came from.
     """
     place, now = (torch.from_numpy(np.ascontiguousarray(part, np.float64)) for part in (points, hands))
-    before = now[1:]
-    back = carried(place.expand(len(before), -1, -1), now[:1].expand_as(before), before).numpy()
+    back = carried(place.expand(len(past), -1, -1), now[:1].expand(len(past), -1, -1), now[1:]).numpy()
     found = [then - cloud[cKDTree(cloud).query(then)[1]] for then, cloud in zip(back, past, strict=True)]
     return np.stack(found, axis=1).astype(np.float32)
 
