@@ -96,10 +96,9 @@ def open_windows(config: TrainConfig) -> Windows:
     from ._scenes import Scenes
 
     episodes, sizes = Dataset(config.dataset), asdict(config.shape)
-    parts, points = episodes.split(**config.split), sizes.pop("points")
-    made, options = (Scenes, {}) if config.model == "motion" else (WindowDataset, sizes)
-    options = {"n_points": points, **options, **config.windows}
-    train, validation = (made(episodes, parts[part], **options) for part in ("train", "validation"))
+    parts, size = episodes.split(**config.split), {"n_points": sizes.pop("points")}
+    made, options = (Scenes, size) if config.model == "motion" else (WindowDataset, size | sizes)
+    train, validation = (made(episodes, parts[part], **options, **config.windows) for part in ("train", "validation"))
     return Windows(train, validation, episodes.checksum())
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from torch import Tensor
 
 from topokit.data import Dataset
 from topokit.sampling import farthest_point_sample
@@ -20,7 +21,7 @@ TARGET = 16  # points of a target's line
 FIRST, AHEAD = 4, 20  # frames that a window has at least before the present one, and after it
 
 
-class Scenes(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
+class Scenes(torch.utils.data.Dataset[dict[str, Tensor]]):
     """Windows of the motion of vertices: an item is the scene of `Motion`, its plan, and `future` (13, 40, 3) with `known` (13,).
 
     Which vertices are seen is drawn at random for each frame, so that a cloud's order says nothing.
@@ -45,19 +46,16 @@ class Scenes(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     def __len__(self) -> int:
         return len(self.index)
 
-    def __getitem__(self, i: int) -> dict[str, torch.Tensor]:
+    def __getitem__(self, i: int) -> dict[str, Tensor]:
         number, frame = self.index[i].tolist()
         if number not in self._known:
             film, names = self.dataset[number], ("points", "grippers", "actions", "held")
-            self._known[number] = {name: getattr(film, name) for name in names} | {
-                "target": resampled(film.centre_line)
-            }
+            self._known[number] = {name: getattr(film, name) for name in names}
+            self._known[number]["target"] = resampled(film.centre_line)
         return scene_at(self._known[number], frame, np.random.default_rng((number, frame)), self.n_points)
 
 
-def scene_at(
-    parts: dict[str, Array], frame: int, rng: np.random.Generator, n_points: int = 160
-) -> dict[str, torch.Tensor]:
+def scene_at(parts: dict[str, Array], frame: int, rng: np.random.Generator, n_points: int = 160) -> dict[str, Tensor]:
     """The window of an episode whose present is that frame."""
     points, n = parts["points"], parts["points"].shape[1]
 
