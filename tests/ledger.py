@@ -488,8 +488,8 @@ ASSERTED: list[tuple[str, str, str]] = [
     ("predict_the", "about one loop in four is missed", "assert 70 < marks[False, 0.01][0] < 80"),
     (
         "predict_the",
-        "on these 26 windows *fast* is ahead of *exact* from $t+15$ on",
-        'all(shares["network, fast"][1:] > shares["network, exact"][1:])',
+        "on these 26 windows *exact* is ahead at $t+1$ and *fast* at $t+30$, and in the mean they are level",
+        "assert abs(thorough.mean() - quick.mean()) < 2",
     ),
     ("predict_the", "of all points of the 26 windows", "assert len(windows) == 26"),
     ("honest_evaluation", "Three of the ten claims stand", "(sum(map(all, claims.values())), len(claims)) == (3, 10)"),
