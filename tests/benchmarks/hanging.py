@@ -141,9 +141,8 @@ def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Hanging:
     own = {"straight": {"controller": Straight()}, "random": {"controller": Random()}, "servo": {}}
     if who == "rigid":
         how = {"radius": KNOWN[task].target.rods[0][2], "fence": options["fence"], "seed": seed}
-        return hang(
-            task, seed=seed, controller=Rigid(Carried(), how_many(KNOWN[task], KNOWN[task].garment()), **how), **options
-        )
+        goal = how_many(KNOWN[task], KNOWN[task].garment())
+        return hang(task, seed=seed, controller=Rigid(Carried(), goal, **how), **options)
     if who == "oracle":
         return foreseen(task, seed, options)
     if who == "ppo":
