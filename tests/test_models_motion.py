@@ -17,7 +17,7 @@ from topokit.models import Motion, MotionPredictor, Normalisation, Predictor, Sc
 from topokit.models._checkpoint import describe, save_tensors
 from topokit.models._config import TrainConfig, mirrored
 from topokit.models._motion import CARRIERS, KNOTS, UNIT, carried
-from topokit.models._scenes import carriers_first, flow, resampled
+from topokit.models._scenes import carriers_first, flow, target_of
 
 from conftest import DATA
 from windows import RingScenes, film
@@ -58,7 +58,7 @@ def moved(batch, turn, shift):
     places = {
         name: batch[name] @ turn.T + shift for name in ("cloud", "points", "grippers", "target", "actions", "future")
     }
-    return {**batch, **places, "flow": batch["flow"] @ turn.T}
+    return {**batch, **places, "flow": batch["flow"] @ turn.T, "floor": batch["floor"] + shift[2]}
 
 
 def about_the_vertical(angle):
@@ -101,6 +101,15 @@ def test_which_gripper_is_the_first_does_not_matter(batch):
     with torch.no_grad():
         for one, other in zip(model(batch), model(renamed), strict=True):
             torch.testing.assert_close(one, other, atol=1e-4, rtol=0)
+
+
+def test_the_floor_matters_where_it_is_near(batch):
+    """A scene that is lifted off its floor is another one; of a floor far below nothing is felt."""
+    model = make()
+    with torch.inference_mode():
+        usual, high, higher = (model({**batch, "floor": batch["floor"] - down})[0] for down in (0, 100, 1000))
+    assert not torch.allclose(usual, high, atol=1e-4)
+    assert torch.equal(high, higher)
 
 
 def test_a_scene_that_is_tilted_is_another(batch):
@@ -213,12 +222,16 @@ def test_carriers_are_spread():
     assert sorted(carriers_first(cloud[:5]).tolist()) == [0, 1, 2, 3, 4]  # fewer than there should be carriers
 
 
-def test_a_line_is_resampled_from_its_tip():
-    line = resampled(np.array([[0.0, 0, 0], [0, 0, 1.4], [0.5, 0, 1.4]]))
+def test_of_a_target_its_upper_end_is_told_and_its_floor():
+    told = target_of(np.array([[0.0, 0, -0.1], [0, 0, 1.4], [0.5, 0, 1.4]]))
+    line = told["target"]
+    assert told["floor"] == pytest.approx(-0.1)
     assert line.shape == (16, 3)
     assert np.allclose(line[-1], [0.5, 0, 1.4])
     assert np.allclose(line[0], [0, 0, 1.0])  # 0.9 m of it
-    assert np.isfinite(resampled(np.zeros((0, 3)))).all()
+    nothing = target_of(np.zeros((0, 3)))
+    assert nothing["target"].shape == (16, 3)
+    assert nothing["floor"] < -100 > nothing["target"][:, 2].max()
 
 
 def test_scenes_are_windows_of_vertices(episode):

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from topokit.models._scenes import scene_at
+from topokit.models._scenes import scene_at, target_of
 
 HISTORY, HORIZON, POINTS, SLOTS = 16, 60, 24, 4
 
@@ -51,7 +51,7 @@ def film(rng: np.random.Generator, frames: int = 80) -> dict[str, np.ndarray]:
     parts = {"points": middle[late] + ring, "grippers": grippers, "actions": grippers}
     return {name: part.astype(np.float32) for name, part in parts.items()} | {
         "held": np.ones(frames, bool),
-        "target": np.linspace((0.3, 0.2, 0), (0.3, 0.2, 1), 16).astype(np.float32),
+        **target_of(np.array([[0.3, 0.2, 0], [0.3, 0.2, 1]])),
     }
 
 

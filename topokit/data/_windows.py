@@ -203,11 +203,9 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
 
     def true_loops(self, i: int) -> tuple[Array, ...]:
         """Return the vertices of every true loop in the frames t+1..t+k of window `i`, (k, L, 3) metres each."""
-        number, frame = (int(value) for value in self.index[i])
-        document = self.dataset.document(number)
-        stored = decode(self.dataset.group, document, ("points", "loops"))
-        points = unpack(stored["points"][frame + 1 : frame + self.horizon + 1])
-        return tuple(points[:, row[:n]] for row, n in zip(stored["loops"], document["loops"], strict=True))
+        number, frame = self.index[i].tolist()
+        film, ahead = self.dataset[number], slice(frame + 1, frame + self.horizon + 1)
+        return tuple(film.points[ahead, loop] for loop in film.loops)
 
     def seen(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the clouds of an episode that its states were tracked on, (T, P, 3), and its target's centre line, (L, 3)."""

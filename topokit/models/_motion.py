@@ -4,7 +4,7 @@ Idea, four choices:
 
 1. *Points, not loops.* What moves is cloth; loops are read off the moved cloud (`topokit.follow`), which needs no labels to learn
    from and no memory of where necks usually are.
-2. *What a point knows is local*: where the grippers, the target and its neighbours are from it, and how it moved of late. All
+2. *What a point knows is local*: where grippers, target, floor and its neighbours are from it, and how it moved of late. All
    of it in the frame of the grippers, turned with them about the vertical, so that a turned or moved scene is the same scene.
 3. *A correction of being carried.* Cloth that is held goes with the grippers, as a rigid body does; the network adds the rest.
 4. *Few large steps.* The future is taken in 13 steps of one to six frames. A code of every point is carried along, and is told
@@ -44,6 +44,7 @@ class Codes(NamedTuple):
     place: Tensor  # (B, carriers + n, 3)
     hands: Tensor  # (B, 2, 3)
     target: Tensor  # (B, L, 3)
+    floor: Tensor  # (B,) its height in that frame
     origin: Tensor  # (B, 3) of that frame, metres
     turn: Tensor  # (B, 3, 3) its axes
     carriers: int
@@ -61,7 +62,8 @@ class Motion(nn.Module):
     ``flow``      (B, M + n, 3, 3)  how cloud and points moved beside the grippers since 1, 4 and 12 frames ago
     ``grippers``  (B, 4, 2, 3)      at the present frame, and then
     ``held``      (B,) bool         whether they hold the cloth
-    ``target``    (B, L, 3)         the target's centre line, from its foot to its tip
+    ``target``    (B, L, 3)         the upper part of the target's centre line, up to its tip
+    ``floor``     (B,)              the height of the floor; far below where nobody knows
     ============  ================  ============================================================================
 
     Parameters
@@ -83,12 +85,14 @@ class Motion(nn.Module):
         if shape.horizon != KNOTS[-1]:
             raise ValueError(f"motion is forecast {KNOTS[-1]} frames ahead, not {shape.horizon}")
         self.shape, self.normalisation = shape, normalisation
-        self.point = nn.Sequential(nn.Linear(3 + 9 + 5 + 2 + 12 + 2 + 16, width), nn.GELU(), nn.Linear(width, width))
+        self.point = nn.Sequential(
+            nn.Linear(3 + 9 + 5 + 2 + 2 + 12 + 2 + 16, width), nn.GELU(), nn.Linear(width, width)
+        )
         self.edge = nn.Sequential(nn.Linear(2 * width + 4, width), nn.GELU(), nn.Linear(width, width))
         self.flow = nn.Linear(9, width)
         self.mix = nn.Linear(5 * width, width)
         self.pool = nn.Linear(width, _POOLED)
-        self.own = nn.Linear(6 + 5 + 3 + 3, 3 * width)
+        self.own = nn.Linear(6 + 5 + 2 + 3 + 3, 3 * width)
         self.scene = nn.Linear(6 + 2 + 16 + 2 * _POOLED, 3 * width)
         self.before = nn.Linear(width, 3 * width)
         self.out = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, 4))
@@ -111,6 +115,7 @@ class Motion(nn.Module):
         origin, turn = _frame(grippers[:, 0])
         parts = (scene["cloud"], scene["points"], grippers, scene["target"])
         cloud, points, hands, target = (_local(part, origin, turn) for part in parts)
+        floor = scene["floor"] - origin[:, 2]
         size, carriers = cloud.shape[1], min(CARRIERS, cloud.shape[1])
         seen = torch.cat([cloud, points], dim=1)
         flow = (2 / UNIT * scene["flow"].flatten(1, 2) @ turn.transpose(1, 2)).view(len(cloud), -1, 9)
@@ -118,7 +123,7 @@ class Motion(nn.Module):
         opening = (hands[:, 0, 0] - hands[:, 0, 1]).norm(dim=1, keepdim=True) / UNIT
         held = scene["held"].to(cloud)[:, None]
         whole = torch.cat([velocity, held, opening, _reach(hands[:, 0], target)], dim=1)[:, None]
-        told = [seen / UNIT, flow, _beside(seen, target), torch.cdist(seen, hands[:, 0]) / UNIT]
+        told = [seen / UNIT, flow, _beside(seen, target), _above(seen, floor), torch.cdist(seen, hands[:, 0]) / UNIT]
         code = self.point(torch.cat([*told, whole.expand(-1, seen.shape[1], -1)], dim=-1))
         asked = torch.cat([torch.arange(carriers), torch.arange(size, seen.shape[1])])
         own, place = code[:, asked], seen[:, asked]
@@ -134,7 +139,7 @@ class Motion(nn.Module):
         cloth = code[:, :size]
         pooled = (part[:, None].expand_as(own) for part in (cloth.mean(dim=1), cloth.amax(dim=1)))
         code = torch.tanh(self.mix(torch.cat([own, edges, moved, *pooled], dim=-1)))
-        return Codes(code, place, hands[:, 0], target, origin, turn, carriers, swapped)
+        return Codes(code, place, hands[:, 0], target, floor, origin, turn, carriers, swapped)
 
     def under(self, codes: Codes, actions: Tensor, held: Tensor) -> tuple[Tensor, Tensor]:
         """Places and scales, as `forward`, under C plans: one a scene, or any number for a single one.
@@ -159,7 +164,7 @@ class Motion(nn.Module):
         for k, frames in enumerate(lasts.tolist()):
             ahead = (place - middles[:, k, None]) @ turns[:, k] + after[:, k, None]
             own = [((hands[:, k, None] - ahead[:, :, None]) / UNIT).flatten(2), _beside(ahead, target)]
-            own += [(ahead - place) / UNIT, 3 / UNIT * step]
+            own += [_above(ahead, codes.floor), (ahead - place) / UNIT, 3 / UNIT * step]
             said = self.pool(code[:, :carriers])
             scene = self.scene(torch.cat([told[:, k], said.mean(dim=1), said.amax(dim=1)], dim=1))
             new, keep, use = (self.own(torch.cat(own, dim=-1)) + scene[:, None]).chunk(3, dim=-1)
@@ -249,6 +254,13 @@ def _beside(points: Tensor, line: Tensor) -> Tensor:
     away = start.gather(1, segment) + share * along.gather(1, segment) - points
     near = (-away.norm(dim=-1, keepdim=True) / _REACH).exp()
     return torch.cat([away * near / UNIT, (share + nearest) / along.shape[1] * near, near], dim=-1)
+
+
+def _above(points: Tensor, floor: Tensor) -> Tensor:
+    """(B, N, 2) how high points (B, N, 3) are above the floor (B,), which fades; how near it is."""
+    height = (points[..., 2] - floor[:, None]).clamp_min(0)
+    near = (-height / _REACH).exp()
+    return torch.stack([height * near / UNIT, near], dim=-1)
 
 
 def _reach(hands: Tensor, target: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from topokit.state import Loop
 
 from ._motion import KNOTS, PAST, Codes, Motion
 from ._predictor import Array, Forecast, Predictor, as_cloud, as_grippers
-from ._scenes import carriers_first, flow, resampled
+from ._scenes import carriers_first, flow, target_of
 from ._states import NOISE, TRIANGLES
 
 _UNTRACKED = 16  # clouds that are kept until their loops are asked for
@@ -146,9 +146,9 @@ class MotionPredictor(Predictor):
                 "points": asked,
                 "flow": flow(np.concatenate([seen, asked]), [self._clouds[i] for i in then[1:]], hands),
                 "grippers": hands,
-                "target": resampled(self._target),
+                **target_of(self._target),
             }
-            tensors = {name: torch.from_numpy(part.astype(np.float32))[None] for name, part in scene.items()}
+            tensors = {name: torch.from_numpy(np.asarray(part, np.float32))[None] for name, part in scene.items()}
             tensors["held"] = torch.tensor([self._held])
             self._codes[key] = self.model.encode(tensors)
         return self._codes[key]

@@ -51,7 +51,7 @@ class Scenes(torch.utils.data.Dataset[dict[str, Tensor]]):
         if number not in self._known:
             film, names = self.dataset[number], ("points", "grippers", "actions", "held")
             self._known[number] = {name: getattr(film, name) for name in names}
-            self._known[number]["target"] = resampled(film.centre_line)
+            self._known[number] |= target_of(film.centre_line)
         return scene_at(self._known[number], frame, np.random.default_rng((number, frame)), self.n_points)
 
 
@@ -75,6 +75,7 @@ def scene_at(parts: dict[str, Array], frame: int, rng: np.random.Generator, n_po
         "grippers": hands,
         "held": parts["held"][frame],
         "target": parts["target"],
+        "floor": parts["floor"],
         "actions": parts["actions"][np.minimum(ahead, last)],
         "actions_held": parts["held"][np.minimum(ahead, last)],
         "future": points[np.minimum(knots, last)][:, np.concatenate([seen[:CARRIERS], asked])],
@@ -100,10 +101,14 @@ def carriers_first(cloud: NDArray[np.floating]) -> NDArray[np.int64]:
     return np.concatenate([few, np.setdiff1d(np.arange(len(cloud)), few)])
 
 
-def resampled(line: NDArray[np.floating], n: int = TARGET) -> Array:
-    """(n, 3) places along the last 0.9 m of a polyline, its corners among them as near as may be; of none a place far below."""
+def target_of(line: NDArray[np.floating], n: int = TARGET) -> dict[str, Array]:
+    """What is told of a target: `target` (n, 3), places along the last 0.9 m of its centre line, and `floor` (), where it stands.
+
+    Corners of the line are among the places as near as may be. Of no target both are far below.
+    """
     if not len(line):
-        return np.tile(np.array([0, 0, -1000], np.float32), (n, 1))
+        line = np.array([[0, 0, -1000.0]])
     length = np.append(0, np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum())
     at = np.linspace(max(length[-1] - 0.9, 0), length[-1], n)
-    return np.stack([np.interp(at, length, axis) for axis in line.T], axis=1).astype(np.float32)
+    places = np.stack([np.interp(at, length, axis) for axis in line.T], axis=1)
+    return {"target": places.astype(np.float32), "floor": np.asarray(line[:, 2].min(), np.float32)}
