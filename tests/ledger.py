@@ -103,7 +103,7 @@ def kinds_tested(results: Results) -> Any:
     return WORDS.get(kinds, kinds)
 
 
-WORDS = {0: "none", 1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 7: "seven", 10: "ten"}
+WORDS = {0: "none", 1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 7: "seven", 8: "eight", 10: "ten"}
 
 
 def word(number: int) -> Any:
@@ -131,6 +131,17 @@ def thrown(results: Results, who: str) -> dict[str, list[bool]]:
         if row["scene"].startswith("out of reach") and row["who"] == who:
             found.setdefault(row["task"], []).append(row["success"])
     return found
+
+
+def swinging(results: Results) -> tuple[int, int, int, int, int]:
+    """Of the starts in swing: hung by motion, how many there were, hung by carry; by one of the two alone, by motion alone."""
+    rows = [row for row in results["hanging"]["episodes"] if row["scene"] == "swings, let go at 1.2 s"]
+    ours, rigid = (
+        {(x["task"], x["seed"]): x["success"] for x in rows if x["who"] == who} for who in ("motion", "carry")
+    )
+    pairs = [(hung, rigid[start]) for start, hung in ours.items() if start in rigid]
+    apart = [ours for ours, other in pairs if ours != other]
+    return sum(ours.values()), len(ours), sum(other for _, other in pairs), len(apart), sum(apart)
 
 
 def lost_late(results: Results) -> int:
@@ -419,6 +430,12 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
         lambda r: (hung_by_the_servo(r)[1], len(r["hanging"]["episodes"])),
     ),
     ("hang_it", "{} garments of three are lost", lambda r: (word(lost_late(r)),)),
+    ("hang_it", "it hangs {} of {} there, and *carry* {}.", lambda r: swinging(r)[:3]),
+    (
+        "hang_it",
+        "Of the {} starts at which only one of the two hangs it, {} are",
+        lambda r: tuple(map(word, swinging(r)[3:])),
+    ),
     (
         "hang_it",
         "knows of no flight hangs {} garment of {}",
