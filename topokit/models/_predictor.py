@@ -191,7 +191,7 @@ class Predictor:
         held : bool
             Whether they hold the garment.
         target : (L, 3) array_like, optional
-            Centre line of the target, from its foot on the floor to its tip, which a `MotionPredictor` looks at; the last told when not given.
+            Centre line of the target, from the floor to its tip, which a `MotionPredictor` looks at; the last one when not given.
 
         Raises
         ------
