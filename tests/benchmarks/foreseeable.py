@@ -32,7 +32,7 @@ from topokit.evaluate._accuracy import measure_forecasts
 from topokit.evaluate._conditions import garments_of, spread_windows, true_curves
 from topokit.evaluate._forecasters import of_stream, of_windows
 from topokit.models import MotionPredictor, Normalisation, Predictor, Shape, build, past_states, target_states
-from topokit.models._motion import carried
+from topokit.models._motion import KNOTS, _hands, carried
 from topokit.sim import Randomisation, SimulationError
 from topokit.sim._episode import Run, record_afresh
 
@@ -78,7 +78,7 @@ def other_physics(run: Run, _: int, rng: np.random.Generator) -> Run:
 
 
 TWINS = {"nudged": nudged, "other physics": other_physics}
-NAMES = ("known", *(name for twin in TWINS for name in (twin, f"{twin}, its places")), "motion", "carry")
+TOLD = ("known", *(name for twin in TWINS for name in (twin, f"{twin}, its places")), "motion")  # of all vertices
 
 
 class Told(MotionPredictor):
@@ -91,18 +91,22 @@ class Told(MotionPredictor):
         return places, np.zeros(places.shape[:3], np.float32)
 
 
-def motions(model: MotionPredictor, points: Array, film: Any, frame: int) -> tuple[Array, Array]:
-    """(60, n, 3) what a model forecasts of all vertices, and what carrying them does."""
+def forecast(model: MotionPredictor, points: Array, film: Any, frame: int) -> Array:
+    """(60, n, 3) what a model forecasts of all vertices."""
     model.reset()
     for t in range(frame - 15, frame + 1):
         model.observe(points[t], film.grippers[t], bool(film.held[t]), film.centre_line)
     ahead = slice(frame + 1, frame + 61)
-    moved, _ = model.move(film.actions[ahead], film.held[ahead])
-    held = film.held[ahead].astype(float)[:, None, None]
-    way = np.diff(np.concatenate([film.grippers[[frame]], film.actions[ahead]]), axis=0) * held
-    hands = torch.from_numpy(film.grippers[frame] + way.cumsum(axis=0)).double()
-    now = torch.from_numpy(points[frame]).double().expand(60, -1, -1)
-    return moved, carried(now, torch.from_numpy(film.grippers[frame]).double().expand(60, -1, -1), hands).numpy()
+    return model.move(film.actions[ahead], film.held[ahead])[0]
+
+
+def carry_of(points: Array, film: Any, frame: int) -> Array:
+    """(4, n, 3) where all vertices are at the `STEPS` if the grippers carry them as long as they hold."""
+    ahead = slice(frame + 1, frame + 61)
+    parts = (film.actions[ahead], film.held[ahead], film.grippers[frame], points[frame])
+    actions, held, before, now = (torch.from_numpy(np.asarray(part)[None]) for part in parts)
+    hands = _hands(actions.double(), held, before.double())[0][0, [KNOTS.index(step) for step in STEPS]]
+    return carried(now.double().expand(len(STEPS), -1, -1), before.double().expand(len(STEPS), -1, -1), hands).numpy()
 
 
 def all_there(twins: Mapping[Any, Array | None], pair: list[int]) -> bool:
@@ -143,8 +147,8 @@ def main() -> None:
 
     model: Any = Predictor.load(options.model)
     carry: Any = build("carry", Shape(), Normalisation())
-    futures: dict[str, list[Array]] = {name: [] for name in NAMES}
-    gaps: dict[str, list[list[float]]] = {name: [] for name in futures}
+    futures: dict[str, list[Array]] = {name: [] for name in TOLD}
+    gaps: dict[str, list[list[float]]] = {name: [] for name in (*TOLD, "carry")}
     for number, frame in windows.index.tolist():
         film, points = films[number], films[number].points.astype(float)
         ahead, now = slice(frame + 1, frame + 61), points[frame]
@@ -153,21 +157,27 @@ def main() -> None:
             twin: Any = twins[number, frame, name]
             moved[name] = now + twin[ahead] - twin[frame]
             moved[f"{name}, its places"] = twin[ahead]
-        moved["motion"], moved["carry"] = motions(model, points, film, frame)
+        moved["motion"] = forecast(model, points, film, frame)
+        later = np.array(STEPS) - 1
+        there = {name: places[later] for name, places in moved.items()} | {"carry": carry_of(points, film, frame)}
+        for name, places in there.items():
+            off = np.linalg.norm(places - points[ahead][later], axis=2).mean(axis=1)
+            gaps[name].append((100 * off).round(2).tolist())
         for name, places in moved.items():
             futures[name].append(places)
-            off = np.linalg.norm(places - points[ahead], axis=2).mean(axis=1)
-            gaps[name].append([round(100 * float(off[step - 1]), 2) for step in STEPS])
 
     batch = default_collate([windows[i] for i in range(len(windows))])
     truth = true_curves(windows, range(len(windows)), STEPS)
     target, past = target_states(batch), past_states(batch)[:, -1:]
     batch["turn"] = torch.eye(3)
-    hits = {}
+    forecasters = {"carry": of_windows(carry)}
     for name, asked_for in futures.items():
         told = Told(model.model)
         told.futures = iter(asked_for)
-        forecaster = of_windows(carry) if name == "carry" else of_stream(told, windows)
+        forecasters[name] = of_stream(told, windows)
+    hits = {}
+    for name in gaps:
+        forecaster = forecasters[name]
         with torch.inference_mode():
             columns = measure_forecasts(forecaster(batch), target, past, truth, STEPS, (), np.random.default_rng(0))
         away = columns["outside"]
