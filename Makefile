@@ -38,11 +38,11 @@ pdf: book
 BROWSER := .venv-browser
 $(BROWSER)/ready: Makefile
 	$(PYTHON) -m venv --clear $(BROWSER)
-	$(BROWSER)/bin/python -m pip install --quiet axe-playwright-python==0.1.8 playwright==1.65.2 pytest==9.2.0
+	$(BROWSER)/bin/python -m pip install --quiet axe-playwright-python==0.1.8 playwright==1.65.2 pytest==9.2.0 pytest-xdist==3.8.0
 	@touch $@
 
 check-book: $(BROWSER)/ready
-	$(BROWSER)/bin/pytest -o addopts= -o filterwarnings= -ra book/tests
+	$(BROWSER)/bin/pytest -o addopts= -o filterwarnings= -ra -n auto book/tests
 
 test: env opengl lint
 	$(BIN)/python -m pytest -n auto --dist loadfile

@@ -121,6 +121,7 @@ def test_a_sentence_fails_when_its_file_changes(prose, results):
     assert depend == {
         "datasets/motion": 1,
         "evaluation": 10,
+        "foreseeable": 4,
         "garments": 2,
         "hanging": 8,
         "lemmas_on_cloth": 2,
