@@ -168,13 +168,19 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
     ("README.md", "scores against the truth on {} episodes", lambda r: (len(r["tracking"]["episodes"]),)),
     (
         "README.md",
-        "of windows of {} fresh episodes",
-        lambda r: (r["motion"]["conditions"]["all garments"]["dataset"]["episodes"],),
+        "of windows of fresh episodes ({} windows of {} episodes, {} on aprons;",
+        lambda r: (
+            *(r["motion"]["conditions"]["all garments"][name] for name in ("windows", "episodes")),
+            r["motion"]["conditions"]["aprons"]["windows"],
+        ),
     ),
     (
         "README.md",
-        "({} windows, {} on aprons)",
-        lambda r: tuple(r["motion"]["conditions"][name]["windows"] for name in ("all garments", "aprons")),
+        "At t+1 Motion is level with carry ({:.0f} % both) and below ridge ({:.0f} %)",
+        lambda r: tuple(
+            100 * r["motion"]["conditions"]["all garments"]["hull_accuracy"][name]["1"]["mean"]
+            for name in ("carry", "ridge")
+        ),
     ),
     (
         "README.md",
@@ -415,7 +421,7 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
     ("predict_the", "(Known motion has {:.0f} %", lambda r: foreseen(r, "known")[:1]),
     (
         "predict_the",
-        "The simulator that is wrong about the physics puts {:.0f} % into the hulls, Motion {:.0f} %, carry {:.0f} %."
+        "The simulator that draws it blindly puts {:.0f} % into the hulls, Motion {:.0f} %, carry {:.0f} %."
         " On these {} windows",
         lambda r: (
             *(foreseen(r, name)[0] for name in ("other physics", "motion", "carry")),
