@@ -526,6 +526,8 @@ ASSERTED: list[tuple[str, str, str]] = [
     ("learning_to_predict", "Three films of two garments are few", '(len(parts["train"]), len(unseen)) == (21, 3)'),
     ("learning_to_predict", "on the 21 films of the cut, for seconds", '(len(parts["train"]), len(unseen)) == (21, 3)'),
     ("learning_to_predict", "with 21 films to learn from", '(len(parts["train"]), len(unseen)) == (21, 3)'),
+    ("honest_evaluation", "Of six garments the window", "(hangs.sum(), len(worst)) == (5, 6)"),
+    ("honest_evaluation", "In five of the six windows Motion lets", "(hangs.sum(), len(worst)) == (5, 6)"),
     ("honest_evaluation", "ahead in five of the ten", '(by_family["unknown"] > by_family["known"]).sum() == 5'),
     ("honest_evaluation", "That nine of ten rows point the same way", 'set(above.index[~above]) == {"belt"}'),
     ("predict_the", "Six films are ours to learn from. Thirteen are to test on", "== (6, 13)"),

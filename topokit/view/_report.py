@@ -14,7 +14,7 @@ from ._plots import loop_colour
 
 _LABELS = {"seqph": "seqPH", "mlp": "MLP", "pointnet": "PointNet"}
 _GREYS = {"seqph": "0.35", "hold": "0.75", "carry": "0.6"}
-_COLOURS = {"ours": 0, "mlp": 1, "pointnet": 2, "ridge": 5, "few": 4}  # of the identities: the book has one palette
+_COLOURS = {"ours": 0, "mlp": 1, "pointnet": 2, "ridge": 5, "few": 4, "longer": 2}  # of the identities: one palette
 _CURVES = {"marked curve alone": "marked", "any curve of the class": "any"}
 # These lie between others.
 _NOT_DRAWN = tuple(f"{curve}, within {tolerance} cm" for curve in _CURVES for tolerance in (0, 1, 3, 10))
