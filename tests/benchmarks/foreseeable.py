@@ -104,9 +104,9 @@ def carry_of(points: Array, film: Any, frame: int) -> Array:
     """(4, n, 3) where all vertices are at the `STEPS` if the grippers carry them as long as they hold."""
     ahead = slice(frame + 1, frame + 61)
     parts = (film.actions[ahead], film.held[ahead], film.grippers[frame], points[frame])
-    actions, held, before, now = (torch.from_numpy(np.asarray(part)[None]) for part in parts)
-    hands = _hands(actions.double(), held, before.double())[0][0, [KNOTS.index(step) for step in STEPS]]
-    return carried(now.double().expand(len(STEPS), -1, -1), before.double().expand(len(STEPS), -1, -1), hands).numpy()
+    actions, held, before, now = (torch.from_numpy(np.asarray(part, float)[None]) for part in parts)
+    hands = _hands(actions, held, before)[0][0, [KNOTS.index(step) for step in STEPS]]
+    return carried(*(part.expand(len(STEPS), -1, -1) for part in (now, before)), hands).numpy()
 
 
 def all_there(twins: Mapping[Any, Array | None], pair: list[int]) -> bool:
@@ -170,14 +170,14 @@ def main() -> None:
     truth = true_curves(windows, range(len(windows)), STEPS)
     target, past = target_states(batch), past_states(batch)[:, -1:]
     batch["turn"] = torch.eye(3)
-    forecasters = {"carry": of_windows(carry)}
+    forecasters = {}
     for name, asked_for in futures.items():
         told = Told(model.model)
         told.futures = iter(asked_for)
         forecasters[name] = of_stream(told, windows)
+    forecasters["carry"] = of_windows(carry)
     hits = {}
-    for name in gaps:
-        forecaster = forecasters[name]
+    for name, forecaster in forecasters.items():
         with torch.inference_mode():
             columns = measure_forecasts(forecaster(batch), target, past, truth, STEPS, (), np.random.default_rng(0))
         away = columns["outside"]

@@ -5,7 +5,7 @@ Idea, four choices:
 1. *Points, not loops.* What moves is cloth; loops are read off the moved cloud (`topokit.follow`), which needs no labels to learn
    from and no memory of where necks usually are.
 2. *What a point knows is local*, but for two summaries of the cloud: where grippers, target, floor and neighbours are from it,
-   how it moved of late. All in the frame of the grippers, turned with them about the vertical: a turned scene is the same scene.
+   and how it moved of late; in the grippers' frame, turned about the vertical: a turned or moved scene is the same scene.
 3. *A correction of being carried.* Cloth that is held goes with the grippers, as a rigid body does; the network adds the rest.
 4. *Few large steps.* The future is taken in 13 steps of one to six frames. A code of every point is carried along, and is told
    what grippers and target are like there, and what the mean and the maximum of the codes of 24 of the points, the carriers, say.
