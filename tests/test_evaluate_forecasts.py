@@ -149,9 +149,11 @@ def test_a_measure_can_be_told_from_the_next(results):
     assert of("cover90", "hold") < of("cover90", "seqph")
     assert of("cover50", "seqph") < of("cover90", "seqph")
     assert of("presence", "seqph") == 1  # the labels against themselves
-    assert of("presence_same", "hold") == 1
-    changed = table["presence_changed"]["hold"]["60"]["mean"]  # it can only be right where slots pass for each other
-    assert changed is None or changed < 0.5
+    assert of("brier", "seqph") < 0.001 < of("brier", "hold")
+    for event in ("opens", "closes"):
+        assert table[f"{event}_precision"]["hold"]["60"]["mean"] is None  # who holds, or carries, forecasts no event
+        assert table[f"{event}_precision"]["carry"]["60"]["mean"] is None
+        assert table[f"{event}_recall"]["hold"]["60"]["mean"] in (None, 0)
     assert of("identity", "seqph", "1") == 1
 
 

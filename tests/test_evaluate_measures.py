@@ -187,11 +187,40 @@ def test_presence_counts_slots():
     assert found["there"].tolist() == [2, 2, 1]
     assert found["there_right"].tolist() == [2, 2, 1]
     assert found["absent_right"].tolist() == [1, 1, 1]
-    assert found["changed"].tolist() == [0, 0, 1]
-    assert found["changed_right"].tolist() == [0, 0, 0]  # who holds is wrong wherever something changes
-    assert found["same_right"].tolist() == found["same"].tolist()
+    assert found["closes"].tolist() == [0, 0, 1]
+    assert found["closes_said"].tolist() == found["closes_right"].tolist() == [0, 0, 0]  # who holds forecasts no event
+    assert found["opens"].tolist() == found["opens_said"].tolist() == [0, 0, 0]
     swapped = held[:, :, [2, 1, 0]]
     assert score(swapped, circle(), target=target)["there_right"].tolist() == [2, 2, 1]  # slots have no order
+
+
+def test_events_are_counted_whichever_slots_they_are_in():
+    before = said([(0, 0, 0)], [0.05])
+    target = said([(0, 0, 0), (0.5, 0, 0)], [0.05, 0.04])
+    appears = target.presence.clone()
+    appears[:, 0, 1] = -20.0  # the second loop opens at step 2
+    target = target.replace(presence=appears)
+    kept = score(before, circle(), target=target)
+    assert kept["opens"].tolist() == [0, 1, 1]
+    assert kept["opens_said"].tolist() == kept["opens_right"].tolist() == [0, 0, 0]
+    told = score(target[:, :, [2, 1, 0]], circle(), target=target)
+    assert told["opens_said"].tolist() == told["opens_right"].tolist() == [0, 1, 1]
+    many = score(said([(0, 0, 0)] * 3, [0.05] * 3), circle(), target=target)  # two too many, then one
+    assert many["opens_said"].tolist() == [2, 2, 2]
+    assert many["opens_right"].tolist() == [0, 1, 1]
+    none = score(said([], []), circle(), target=target)
+    assert none["closes_said"].tolist() == [1, 1, 1]
+    assert none["closes"].tolist() == none["closes_right"].tolist() == [0, 0, 0]
+
+
+def test_brier_asks_how_sure_a_forecast_is():
+    target = said([(0, 0, 0)], [0.05])
+    coin = said([(0, 0, 0)], [0.05])
+    coin = coin.replace(presence=0 * coin.presence)
+    assert score(coin, circle(), target=target)["brier"] == pytest.approx(0.25)
+    assert score(target, circle(), target=target)["brier"].max() < 1e-4
+    wrong = target.replace(presence=-target.presence)
+    assert score(wrong, circle(), target=target)["brier"] == pytest.approx(1 / 3, abs=0.01)  # two are there; one suits
 
 
 # -- intervals --------------------------------------------------------------------------------------------------------------
@@ -257,7 +286,9 @@ def test_doubt_tells_who_is_lost_as_often_as_the_rank_test_says():
     columns["doubt"][:, :10] = np.nan  # nothing is forecast there
     alike = columns | {"doubt": np.full_like(columns["doubt"], 0.1)}
     garment = np.repeat(["apron", "tote"], n // 2)
-    samples = Samples({"ours": columns, "carry": alike}, np.arange(n) // 4, garment)
+    samples = Samples(
+        {"ours": columns, "carry": alike}, np.arange(n) // 4, garment, target := np.tile(["hook", "hanger"], n // 2)
+    )
     config = EvaluationConfig(dataset="", models={}, conditions=[Condition(name="all")], samples=200)
     lost = summarise(samples, config, thorough=False)["lost"]
     doubt, far = columns["doubt"][:, 10:, -1].ravel(), columns["outside"][:, 10:, -1].ravel() > 0
@@ -267,9 +298,15 @@ def test_doubt_tells_who_is_lost_as_often_as_the_rank_test_says():
     assert 0.65 < cell["low"] < cell["mean"] < cell["high"] < 0.95
     assert cell["n"] == n - 10
     assert lost["carry"]["60"]["mean"] == lost["carry"]["60"]["low"] == 0.5
+    whole = summarise(samples, config, thorough=False)
+    assert set(whole["by_target"]) == {"hook", "hanger"}
+    alone = summarise(samples.of(target == "hook"), config, thorough=False)
+    assert whole["by_target"]["hook"]["hull_accuracy"] == alone["hull_accuracy"] != whole["hull_accuracy"]
+    assert "by_target" not in alone
     nobody = {"ours": columns | {"outside": np.zeros_like(columns["outside"])}}
     assert (
-        summarise(Samples(nobody, np.arange(n), garment), config, thorough=False)["lost"]["ours"]["60"]["mean"] is None
+        summarise(Samples(nobody, np.arange(n), garment, target), config, thorough=False)["lost"]["ours"]["60"]["mean"]
+        is None
     )
 
 

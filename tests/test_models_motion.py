@@ -7,9 +7,12 @@ import json
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 from torch.utils.data import default_collate
 
 import topokit as tk
+from topokit._evidence import Gaps
+from topokit._follow import follow_and_find
 from topokit.cli import main
 from topokit.data import Dataset
 from topokit.io import load_episode
@@ -310,7 +313,9 @@ def test_a_forecast_is_as_wide_as_it_is_unsure(episode):
     more = said.mixture().covariances - said.mixture(1e-4).covariances
     assert np.allclose(more, (forecast.noise[59, 0] - 1e-4) * np.eye(3), atol=1e-7)
     exact = predictor.predict(*plan, exact=[60])
-    assert np.allclose(exact.noise[59] - exact.death[59] ** 2, forecast.noise[59] - forecast.death[59] ** 2, atol=1e-7)
+    anew = next(one for one in tk.follow(predictor._loops, predictor.move(*plan)[0][59]) if one.id == loop.id)
+    unsure = predictor.move(*plan)[1][59][anew.killer_edge]
+    assert exact.noise[59, 0] - 1e-4 - exact.death[59, 0] ** 2 > 0.5 * (unsure**2).mean()  # where it ends now
     timid = make()
     torch.nn.init.constant_(timid.out[2].bias[3:], 2.0)
     unsure = MotionPredictor(timid)
@@ -403,6 +408,38 @@ def test_follow_loses_what_closes_and_ranks_anew():
     assert [one.id for one in tk.follow(loops, swapped)] == [loops[1].id, loops[0].id]
     flat = np.concatenate([ring * [1, 0.01, 1], 0.6 * ring + [5, 0, 0]])
     assert [one.id for one in tk.follow(loops, flat)] == [loops[1].id]
+
+
+def test_loops_are_born_in_the_moved_cloud(episode):
+    """A film that opens, backwards: what the present does not show is read off the moved cloud, and followed from there on."""
+    angle = 2 * np.pi * np.arange(60) / 60
+    ring = np.column_stack([0.2 * np.cos(angle), 0.2 * np.sin(angle), 0 * angle])
+    opened = np.concatenate([ring, ring + [1, 0, 0]])
+    shut = np.concatenate([ring, ring * [1, 0.01, 1] + [1, 0, 0]])
+    (loop,) = tk.track([shut] * 3)[-1].loops
+    gaps = Gaps.of(cKDTree(opened).query(opened, k=6)[0][:, 1:])
+    followed, (born,) = follow_and_find([loop], opened, gaps)
+    assert [one.id for one in followed] == [loop.id]
+    assert born.id == loop.id + 1
+    assert born.centre[0] > 0.5
+    assert follow_and_find([loop], shut, gaps)[1] == []
+    assert follow_and_find([loop, born], opened, gaps)[1] == []  # it has a name now
+
+    predictor = MotionPredictor(make())
+    plan, held = observed(predictor, episode)
+    predictor._moved = lambda *_: (
+        np.stack([shut] * 20 + [opened] * 40)[None].astype(np.float32),
+        np.full((1, 60, 120), 0.01),
+    )
+    predictor._track = lambda: None
+    predictor._loops, predictor._sampling = (loop,), (gaps, 120)
+    forecast = predictor.predict(plan, held, exact=(60, 10, 30))
+    assert forecast.birth.shape == (60, 2)
+    assert [len(forecast[step - 1]) for step in (10, 30, 60)] == [1, 2, 2]
+    assert forecast[29][0].slot != forecast[29][1].slot
+    assert forecast.corners[29, 1, :, 0].min() > 0.5
+    assert forecast.presence[[9, 20, 40], 1].max() == 0  # only where it was looked for
+    assert forecast.noise[59, 1] == pytest.approx(1e-4 + born.death**2 + 4e-4, rel=0.01)
 
 
 def test_follow_refuses_what_it_cannot_follow():

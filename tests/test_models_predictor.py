@@ -429,6 +429,8 @@ def test_checkpoints_of_another_schema_are_refused(tmp_path, schema):
         ({"options": {"hidden": [100_000, 100_000]}}, "weights of another shape"),
         ({"options": {"hidden": []}}, "hidden must be numbers of units"),
         ({"options": {"hidden": "1"}}, "hidden must be numbers of units"),
+        ({"options": {"points": 0}}, "points must be a whole number"),
+        ({"options": {"points": 10**9}}, "points must be a whole number"),
         ({"options": 3}, "describes no model"),
         ({"model": ["mlp"]}, "describes no model"),
         ({"model": "ridge", "options": {"penalty": float("nan")}}, "penalty must be more than zero"),

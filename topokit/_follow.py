@@ -13,8 +13,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from ._evidence import Gaps, evidence
 from ._validate import as_points
 from .rips import rips_persistence
 from .seqph import loop_at
@@ -52,7 +53,13 @@ def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
     >>> [round(loop.death, 2) for loop in tk.follow(loops, ring * [1, 0.8])]
     [0.79]
     """
-    points = as_points(cloud)
+    return follow_and_find(loops, as_points(cloud))[0]
+
+
+def follow_and_find(
+    loops: Sequence[Loop], points: NDArray[np.float64], gaps: Gaps | None = None
+) -> tuple[list[Loop], list[Loop]]:
+    """Return what `follow` does and, of a cloud with such gaps, the loops that it has beside: those that are born there."""
     cycles = [loop.cycle for loop in loops]
     most = max((int(cycle.max()) for cycle in cycles), default=-1)
     if most >= len(points):
@@ -60,9 +67,15 @@ def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
     diagram = rips_persistence(points)
     bars = {(a, b): i for i, (a, b) in enumerate(diagram.killer_edge.tolist())}
     ids, found = np.arange(len(points)), []
-    for loop, (a, b) in zip(loops, diagram.killers_of(cycles).tolist(), strict=True):
-        bar = bars.get((a, b))
+    ends = [bars.get((a, b)) for a, b in diagram.killers_of(cycles).tolist()]
+    for loop, bar in zip(loops, ends, strict=True):
         if bar is not None and diagram.death[bar] > loop.birth:
             moved = loop_at(diagram, bar, points, ids, loop.id, loop.killer_edge_points)
             found.append(replace(moved, birth=loop.birth))
-    return sorted(found, key=lambda loop: -loop.lifetime)
+    born = []
+    if gaps is not None:
+        says = evidence(diagram.birth, diagram.death, gaps, len(points))
+        first = max((loop.id for loop in loops), default=-1) + 1
+        new = [bar for bar in np.argsort(-diagram.lifetime).tolist() if says[bar] > 0 and bar not in ends]
+        born = [loop_at(diagram, bar, points, ids, first + i, None) for i, bar in enumerate(new)]
+    return sorted(found, key=lambda loop: -loop.lifetime), born

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["covering_radius", "farthest_point_sample", "hausdorff", "inliers", "spacing"]
 
 
-def farthest_point_sample(points: ArrayLike, n: int, start: int = 0) -> tuple[NDArray[np.int64], float]:
+def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> tuple[NDArray[np.int64], float]:
     """Choose `n` points, each the farthest from those chosen before it.
 
     Parameters
@@ -26,8 +26,8 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int = 0) -> tuple[ND
     points : (m, d) array_like
     n : int
         How many to choose, 1 to m.
-    start : int
-        The first one.
+    start : int, optional
+        The first one. For None it is the point farthest from the mean of all, so that their order has no say.
 
     Returns
     -------
@@ -50,7 +50,10 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int = 0) -> tuple[ND
     from ._traversal import traverse
 
     array = _measurable(points, "points")
-    n, start = whole(n, "n", 1, len(array)), whole(start, "start", -len(array), len(array) - 1)
+    n = whole(n, "n", 1, len(array))
+    if start is None:
+        start = int(np.square(array - array.mean(axis=0)).sum(axis=1).argmax())
+    start = whole(start, "start", -len(array), len(array) - 1)
     axes = np.pad(array, ((0, 0), (0, -array.shape[1] % 3))).T.copy()
     nearest, idx = np.full(len(array), np.inf), np.empty(n, dtype=np.int64)
     for some in np.array_split(idx, 1 + n // 100):  # in between Ctrl-C is heard

@@ -17,6 +17,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from topokit.io import HISTORY, HORIZON
+from topokit.sampling import farthest_point_sample
 from topokit.seqph import track
 from topokit.sim._camera import spoil as spoil
 
@@ -124,7 +125,8 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     history, horizon : int
         h and k.
     n_points : int
-        P: a farthest-point sample of the observation; one that has fewer points is repeated.
+        P: a farthest-point sample of the observation, from the point farthest from its mean on, so that the order of the mesh
+        says nothing; one that has fewer points is repeated.
     slots : int
         S.
     stride : int
@@ -243,7 +245,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         group = self.dataset.group
         stored = decode(group, group.document(number), ("points", "observed", "actions", "grippers", "held"))
         with damage_in(group, number):
-            clouds = observed(stored)
+            clouds = self._sampled(observed(stored))
         if self.observe is None:
             labels = self.dataset.labels(self.labels)
             with damage_in(labels, number):
@@ -260,8 +262,13 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     def _tracked_clouds(self, stored: Mapping[str, NDArray[Any]], number: int) -> NDArray[np.int16]:
         if self.observe is None:
             return cloud_of(stored, self.dataset.labels(self.labels).manifest)
-        clouds = unpack(observed(stored)[:, : self.n_points]).astype(np.float64)
+        clouds = unpack(self._sampled(observed(stored))).astype(np.float64)
         return pack("clouds", self.observe(number, clouds))
+
+    def _sampled(self, clouds: NDArray[np.int16]) -> NDArray[np.int16]:
+        """(T, P', 3), P' <= P, in farthest-point order."""
+        few = min(self.n_points, clouds.shape[1])
+        return np.array([cloud[farthest_point_sample(cloud, few, None)[0]] for cloud in clouds])
 
 
 def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> dict[str, NDArray[Any]]:

@@ -29,7 +29,8 @@ Array = NDArray[np.float64]
 MOST = 2  # true loops that a sample asks for, at most: the paper's objects have one or two
 OFFSET = 0.25  # how far beside the plane of a loop still counts as in it, as a share of its radius
 POINTS, DRAWN = 16, 100  # of an opening, and of a mixture, for likelihood and coverage
-_SLOTS = ("there", "absent", "changed", "same")  # for the tracker: at that step, and against the last frame seen
+_SLOTS = ("there", "absent")  # for the tracker, at that step
+_EVENTS = ("opens", "closes")  # loops of the tracker that there are more, or fewer, than at the last frame seen
 COLUMNS = (
     "outside",  # of the farthest of the k means from its hull, metres; inf when fewer than k are forecast
     "outside_any",  # the same for the nearer of two hulls: of the marked curve, of another curve of its class
@@ -43,7 +44,10 @@ COLUMNS = (
     "doubt",  # the variance that a forecast expects of its error, square metres: noise that is not the opening's width
     *_SLOTS,  # how many slots there are of the kind
     *(f"{name}_right" for name in _SLOTS),  # how many of these the forecast has right
-    "said_changed",  # how many it says have changed
+    "brier",  # mean square of presence, as a probability, less what is true
+    *_EVENTS,  # how many there are, whichever loops they are: slots of networks do not say which of the present ones they mean
+    *(f"{name}_said" for name in _EVENTS),  # how many the forecast says
+    *(f"{name}_right" for name in _EVENTS),  # how many of these come true, at most
 )
 
 
@@ -229,11 +233,14 @@ def _measure_mixtures(
 
 def _count_slots(states: States, target: States, past: States, at: Tensor, columns: Mapping[str, Array]) -> None:
     """Fill in the counts of slots. Slots have no order: the one that suits the forecast best over all steps is taken."""
-    order = match_slots(states, target)
-    now, before = target.slots(order)[:, at].presence > 0, past.slots(order).presence > 0  # (B, K, S), (B, 1, S)
-    said = states[:, at].presence > 0
-    right, changed = said == now, now != before
-    columns["said_changed"][:] = (said != before).sum(dim=-1).numpy()
-    for name, which in zip(_SLOTS, (now, ~now, changed, ~changed), strict=True):
+    now, logits = target.slots(match_slots(states, target))[:, at].presence > 0, states[:, at].presence  # (B, K, S)
+    said = logits > 0
+    columns["brier"][:] = (logits.double().sigmoid() - now.double()).square().mean(dim=-1).numpy()
+    for name, which in zip(_SLOTS, (now, ~now), strict=True):
         columns[name][:] = which.sum(dim=-1).numpy()
-        columns[f"{name}_right"][:] = (which & right).sum(dim=-1).numpy()
+        columns[f"{name}_right"][:] = (which & (said == now)).sum(dim=-1).numpy()
+    more, told = (part.sum(dim=-1) - (past.presence > 0).sum(dim=-1) for part in (now, said))  # (B, K)
+    for name, sign in zip(_EVENTS, (1, -1), strict=True):
+        true, claimed = ((sign * part).clamp(min=0).numpy() for part in (more, told))
+        columns[name][:], columns[f"{name}_said"][:] = true, claimed
+        columns[f"{name}_right"][:] = np.minimum(true, claimed)

@@ -115,8 +115,13 @@ class PreparedCondition:
 
 def garments_of(windows: WindowDataset) -> NDArray[np.str_]:
     """(n,) the garment of each window."""
+    return kinds_of(windows, "garment")
+
+
+def kinds_of(windows: WindowDataset, name: Literal["garment", "target"]) -> NDArray[np.str_]:
+    """(n,) what the records of their episodes say."""
     records = windows.dataset.group.records
-    return np.array([records[number].garment for number in windows.index[:, 0].tolist()])
+    return np.array([getattr(records[number], name) for number in windows.index[:, 0].tolist()])
 
 
 def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Path) -> PreparedCondition:

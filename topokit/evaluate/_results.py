@@ -27,11 +27,13 @@ MEASURES = {
     "lost": "chance that of two forecasts the one that is 5 cm outside the hull expects more error (AUROC; half: a guess)",
     "identity": "true loops found at t+1 that are found by the same slot",
     "presence": "balanced accuracy: is the slot's loop there for the tracker?",
-    "presence_changed": "the same accuracy, of loops that have come or gone since t: how many of these events are forecast",
-    "events_precision": "share of the events that are forecast that come true",
-    "presence_same": "the same accuracy, of the others",
+    "brier": "mean square of what is said of presence less what is true: a coin has 0.25",
+    "opens_recall": "loops more than at t: how many of these are forecast",
+    "opens_precision": "how many of those that are forecast come true",
+    "closes_recall": "loops fewer than at t: how many of these are forecast",
+    "closes_precision": "how many of those that are forecast come true",
 }  # of a condition, and what they mean
-_NO_SHARES = ("distance_cm", "nll", "nll_median")
+_NO_SHARES = ("distance_cm", "nll", "nll_median", "brier")
 
 
 def read_results(path: str | Path) -> dict[str, Any]:

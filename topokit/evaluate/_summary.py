@@ -136,28 +136,28 @@ class Samples:
     columns: Mapping[str, Mapping[str, Array]]  #: model, then a name of `COLUMNS`: (seeds, n, K)
     episode: NDArray[np.int64]  #: (n,)
     garment: NDArray[np.str_]  #: (n,)
+    target: NDArray[np.str_]  #: (n,)
 
-    def of(self, garment: str) -> Samples:
-        rows = self.garment == garment
+    def of(self, rows: NDArray[np.bool_]) -> Samples:
         some = {model: {name: part[:, rows] for name, part in table.items()} for model, table in self.columns.items()}
-        return Samples(some, self.episode[rows], self.garment[rows])
+        return Samples(some, self.episode[rows], self.garment[rows], self.target[rows])
 
 
 def summarise(samples: Samples, config: EvaluationConfig, thorough: bool) -> dict[str, Any]:
-    """All tables of a condition; `thorough` adds the treatments of nearly flat hulls."""
+    """All tables of a condition; `thorough` adds the treatments of nearly flat hulls for each garment, too."""
     table = _Table(samples, config)
     answer: dict[str, Any] = {name: table.at_horizons(name) for name in MEASURES}
     answer |= {"gain_of_ours": table.gains("ours"), "outcomes": table.outcomes(), "by_seed": table.by_seed()}
     answer["curves"] = {name: table.curve(name) for name in ("hull_accuracy", "distance_cm", "identity", "presence")}
-    if thorough:
-        answer["hull_treatments"] = table.treatments()
-    garments = sorted(set(samples.garment.tolist()))
-    if len(garments) > 1:
-        answer["by_garment"] = {name: _of_garment(samples.of(name), config, thorough) for name in garments}
+    answer["hull_treatments"] = table.treatments()
+    for name, kinds, fully in (("by_garment", samples.garment, thorough), ("by_target", samples.target, False)):
+        parts = {kind: samples.of(kinds == kind) for kind in sorted(set(kinds.tolist()))}
+        if len(parts) > 1:
+            answer[name] = {kind: _of_part(part, config, fully) for kind, part in parts.items()}
     return answer
 
 
-def _of_garment(samples: Samples, config: EvaluationConfig, thorough: bool) -> dict[str, Any]:
+def _of_part(samples: Samples, config: EvaluationConfig, thorough: bool) -> dict[str, Any]:
     table = _Table(samples, config)
     answer: dict[str, Any] = {"windows": len(samples.episode), "episodes": len(table.bootstrap.names)}
     answer |= {name: table.at_horizons(name) for name in OF_GARMENTS} | {"outcomes": table.outcomes()}
@@ -179,11 +179,12 @@ class _Table:
 
     def estimate(self, name: str, model: str, k: int) -> Estimate:
         columns, number = self.samples.columns[model], self.models.index(model)
-        if name == "events_precision":
-            return self.bootstrap.ratio(columns["changed_right"][..., k], columns["said_changed"][..., k], number)
-        if name.startswith("presence"):
-            kinds = ("there", "absent") if name == "presence" else (name.removeprefix("presence_"),)
-            pairs = [(columns[f"{kind}_right"][..., k], columns[kind][..., k]) for kind in kinds]
+        if name.endswith(("_recall", "_precision")):
+            kind, _, of = name.partition("_")
+            whole = columns[kind if of == "recall" else f"{kind}_said"]
+            return self.bootstrap.ratio(columns[f"{kind}_right"][..., k], whole[..., k], number)
+        if name == "presence":
+            pairs = [(columns[f"{kind}_right"][..., k], columns[kind][..., k]) for kind in ("there", "absent")]
             return mean_of([self.bootstrap.ratio(*pair, number) for pair in pairs])
         if name == "hull_accuracy":
             return self.mean(self.hits, model, k)

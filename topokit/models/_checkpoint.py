@@ -47,7 +47,8 @@ def build(name: str, shape: Shape, normalisation: Normalisation, options: Mappin
     shape : Shape
     normalisation : Normalisation
     options : mapping, optional
-        Of "ridge" `penalty`, on squared coefficients; of "mlp" and "pointnet" `hidden` units; of "motion" `width` of codes.
+        Of "ridge" `penalty`, on squared coefficients; of "mlp" and "pointnet" `hidden` units, of "mlp" the `points`
+        of a cloud that it reads; of "motion" `width` of codes.
 
     Raises
     ------

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from topokit._evidence import Gaps, evidence, remembered
-from topokit._follow import follow
+from topokit._follow import follow_and_find
 from topokit._validate import as_points
 from topokit.seqph import SeqPH
 from topokit.state import Loop
@@ -28,7 +28,7 @@ class MotionPredictor(Predictor):
     """Forecasts by a `Motion`: of the cloud, and of the loops that the tracker sees in the present one.
 
     Two tiers. For many plans, the corners of each loop's triangles are moved, and no others. For one plan, `exact` names frames
-    at which the whole cloud is moved and each loop's killer is sought there anew (`topokit.follow`).
+    at which the whole cloud is moved, each loop's killer is sought there anew (`topokit.follow`), and so are loops that open.
 
     Parameters
     ----------
@@ -71,7 +71,8 @@ class MotionPredictor(Predictor):
         held : (60,) or (C, 60) array_like of bool, optional
             Whether they hold the garment then; throughout, when not given.
         exact : sequence of int
-            Frames ahead, 1 to 60, at which the loops are sought in the moved cloud; of a single plan alone.
+            Frames ahead, 1 to 60, at which the loops are sought in the moved cloud; of a single plan alone. A loop that is born
+            there has a slot after those of the tracked ones, and is there at these frames alone.
 
         Raises
         ------
@@ -84,16 +85,21 @@ class MotionPredictor(Predictor):
         ids = np.array([_corners(loop)[0] for loop in self._loops], dtype=np.int64)  # (S, 8)
         corners = None if len(exact) or not self._clouds else self._clouds[-1][ids.ravel()]
         places, scales = self._moved(actions, held, corners)
+        whole = places[0], scales[0]
         if len(exact):
-            clouds, places, scales = places[0], places[:, :, ids.ravel()], scales[:, :, ids.ravel()]
+            places, scales = places[:, :, ids.ravel()], scales[:, :, ids.ravel()]
         sizes = *places.shape[:2], len(ids), 8
         forecast = _forecast(places.reshape(*sizes, 3), scales.reshape(sizes), self._loops, self._sampling)
         if np.ndim(actions) == 4:
             return forecast
         forecast = forecast.plan(0)
-        for step in exact:
-            _read(forecast, step - 1, self._loops, clouds[step - 1], self._sampling)
-        return forecast
+        if not len(exact):
+            return forecast
+        forecast, loops = _widened(forecast, self.model.shape.slots), list(self._loops)
+        for step in sorted(exact):
+            cloud, unsure = (part[step - 1] for part in whole)
+            _read(forecast, step - 1, loops, len(ids), cloud, unsure, self._sampling)
+        return Forecast(*(part[:, : len(loops)] for part in vars(forecast).values()))
 
     @torch.inference_mode()
     def move(
@@ -184,8 +190,19 @@ def _forecast(corners: Array, scales: Array, loops: Sequence[Loop], sampling: tu
     present = np.array([_corners(loop)[1] for loop in loops], bool).reshape(-1, 4)
     death = np.linalg.norm(ends[..., 0, :] - ends[..., 1, :], axis=-1) / 2
     presence = _presence(birth, death, np.arange(1, KNOTS[-1] + 1)[:, None], sampling)
-    noise = NOISE + death**2 + 4 * (scales**2).mean(axis=-1)  # as wide as openings; 4 s^2: an error's variance
-    return Forecast(corners, values * present, birth.copy(), death, step, presence, noise)
+    return Forecast(corners, values * present, birth.copy(), death, step, presence, _noise(death, scales))
+
+
+def _noise(death: Array | float, scales: Array) -> Array:
+    """Of mixtures: as wide as openings, and four times the squares of the corners' scales (..., 8), an error's variance."""
+    return np.asarray(NOISE + np.square(death) + 4 * (scales**2).mean(axis=-1))
+
+
+def _widened(forecast: Forecast, slots: int) -> Forecast:
+    """With so many slots, the new ones empty."""
+    more = slots - forecast.birth.shape[1]
+    widths = {name: [(0, 0), (0, more), *[(0, 0)] * (part.ndim - 2)] for name, part in vars(forecast).items()}
+    return Forecast(*(np.pad(part, widths[name]) for name, part in vars(forecast).items()))
 
 
 def _presence(birth: ArrayLike, death: ArrayLike, ahead: ArrayLike, sampling: tuple[Gaps, int]) -> Array:
@@ -201,16 +218,28 @@ def _values(corners: Array) -> Array:
     return np.asarray(np.linalg.norm(triangles - np.roll(triangles, 1, axis=-2), axis=-1).max(axis=-1) / 2)
 
 
-def _read(forecast: Forecast, index: int, loops: Sequence[Loop], cloud: Array, sampling: tuple[Gaps, int]) -> None:
-    """Write into a forecast what is read off a moved cloud at one of its steps."""
-    found = {loop.id: loop for loop in follow(loops, cloud)}
+def _read(
+    forecast: Forecast,
+    index: int,
+    loops: list[Loop],
+    tracked: int,
+    cloud: Array,
+    scales: Array,
+    sampling: tuple[Gaps, int],
+) -> None:
+    """Write into a forecast what is read off a moved cloud at one of its steps; loops born there join those followed."""
+    followed, born = follow_and_find(loops, cloud, sampling[0])
+    there = {loop.id: loop for loop in followed}
+    loops += born[: forecast.birth.shape[1] - len(loops)]
+    there |= {loop.id: loop for loop in born}
     for slot, loop in enumerate(loops):
-        if loop.id not in found:
-            forecast.presence[index, slot] = 0.0
+        forecast.presence[index, slot] = 0.0
+        if (now := there.get(loop.id)) is None:
             continue
-        ids, present = _corners(found[loop.id])
+        ids, present = _corners(now)
         forecast.corners[index, slot] = cloud[ids]
         forecast.neighbour_values[index, slot] = _values(cloud[ids]) * present
-        forecast.noise[index, slot] += found[loop.id].death ** 2 - forecast.death[index, slot] ** 2
-        forecast.death[index, slot] = death = found[loop.id].death
-        forecast.presence[index, slot] = _presence(loop.birth, death, index + 1, sampling)
+        forecast.birth[index, slot], forecast.death[index, slot] = now.birth, now.death
+        forecast.noise[index, slot] = _noise(now.death, scales[ids])
+        ahead = index + 1 if slot < tracked else np.inf  # one that is born there was not seen yet
+        forecast.presence[index, slot] = _presence(now.birth, now.death, ahead, sampling)

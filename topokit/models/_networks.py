@@ -15,7 +15,6 @@ from ._baselines import Context, Normalisation, PredictiveModel, Shape
 from ._states import NUMBERS, States
 
 HIDDEN, POINTS = (512, 512, 256, 128), (64, 64, 96)  # units of the paper's hidden layers, and of those for every point
-FIRST = 32  # points of a cloud that the fully connected network reads: clouds come in farthest-point order
 
 
 def maximum(codes: Tensor) -> Tensor:
@@ -24,10 +23,18 @@ def maximum(codes: Tensor) -> Tensor:
 
 
 class MLP(PredictiveModel):
-    """Fully connected network of `hidden` units, in the coordinates of the room."""
+    """Fully connected network of `hidden` units, in the coordinates of the room.
 
-    def __init__(self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN) -> None:
+    Of a cloud it reads so many `points`, the first: clouds come in farthest-point order.
+    """
+
+    def __init__(
+        self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN, points: int = 32
+    ) -> None:
         super().__init__(shape, normalisation)
+        if type(points) is not int or not 1 <= points <= 100_000:
+            raise ValueError(f"points must be a whole number from 1 to 100,000, not {points!r:.80}")
+        self.first = min(points, shape.points)
         if not 1 <= len(hidden) <= 32 or not all(type(n) is int and 1 <= n <= 100_000 for n in hidden):
             raise ValueError(f"hidden must be numbers of units, 1 to 32 of them, each 1 to 100,000, not {hidden!r:.80}")
         self.history_layer = nn.Linear(shape.history * self._frame_size(), hidden[0])
@@ -36,10 +43,10 @@ class MLP(PredictiveModel):
         self.rest = nn.Sequential(nn.ReLU(), *_layers(hidden), last)
 
     def _frame_size(self) -> int:
-        return 3 * min(FIRST, self.shape.points)
+        return 3 * self.first
 
     def encode_frames(self, frames: Context) -> Context:
-        return {"frame": self.normalise(frames["clouds"][:, :FIRST]).flatten(1)}
+        return {"frame": self.normalise(frames["clouds"][:, : self.first]).flatten(1)}
 
     def gather(self, kept: Context) -> Context:
         return {"first": self.history_layer(kept["frame"].flatten(1))}

@@ -152,7 +152,7 @@ def _episode(run: Run, recording: Recording, task: Task, target: Target, seed: i
         "stretch": dict(zip(("p99", "worst"), recording["stretch"].max(axis=0).tolist(), strict=True)),
     }
     views = [dataclasses.asdict(camera) for camera in run.cameras]
-    samples = [frame[farthest_point_sample(frame, run.n_observed)[0]] for frame in points if not views]
+    samples = [frame[farthest_point_sample(frame, run.n_observed, None)[0]] for frame in points if not views]
     return Episode(
         points=points,
         observed=recording["observed"] if views else np.array(samples),
