@@ -25,7 +25,7 @@ help:
 	@sed -n 's/^# make/make/p' Makefile
 
 book: env opengl
-	@$(BIN)/python -m topokit report book/results/evaluation.json --out book/report >/dev/null
+	@$(BIN)/python -m topokit report book/results/motion.json --out book/report >/dev/null
 	@rm -rf _build/html
 	@$(BIN)/python book/ahead.py
 	@$(BIN)/python -m sphinx -n -W --keep-going -q -b html -c book -d _build/doctrees . _build/html

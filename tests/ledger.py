@@ -43,21 +43,6 @@ def exchanges(results: Results, episode: str, condition: str) -> list[int]:
     return [row["first"] for row in rows if wanted.items() <= row.items()]
 
 
-def hull(
-    results: Results, condition: str, model: str, garment: str | None = None, measure: str = "hull_accuracy"
-) -> float:
-    """Per cent of the windows of the record, mean over the horizons."""
-    table = results["evaluation"]["conditions"][condition]
-    table = table if garment is None else table["by_garment"][garment]
-    return 100 * table[measure][model]["mean"]["mean"]
-
-
-def seeds_differ(results: Results, condition: str) -> float:
-    """How many points lie between the best and the worst training of LoopCast."""
-    found = results["evaluation"]["conditions"][condition]["by_seed"]["ours"]["mean"]
-    return 100 * (max(found) - min(found))
-
-
 def converse(results: Results) -> tuple[int, int]:
     """Steps in which the intrinsic converse has a loop to speak about, and in which its hypotheses hold."""
     rows = results["lemmas_on_test"]["statements"]
@@ -332,56 +317,7 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
         lambda r: (r["predictors"]["topology"]["GUDHI"]["ms"],),
     ),
     ("learning_to_predict", "they take {:.1f} ms", lambda r: (r["predictors"]["topology"]["seqPH"]["ms"],)),
-    (
-        "learning_to_predict",
-        "it put {:.0f} % of its forecasts into the true loops; PointNet {:.0f} %, the MLP {:.0f} %."
-        " Carrying the tracked loop along with the grippers gave {:.0f} %",
-        lambda r: tuple(hull(r, "unseen garments", name) for name in ("ours", "pointnet", "mlp", "carry")),
-    ),
-    (
-        "learning_to_predict",
-        "{} windows of {} episodes; `book/results/evaluation.json`",
-        lambda r: tuple(r["evaluation"]["conditions"]["unseen garments"][key] for key in ("windows", "episodes")),
-    ),
     # -- evaluation
-    (
-        "honest_evaluation",
-        "LoopCast still has {:.0f} % ({:.0f} % with all 128), and PointNet, which was never shown spoilt clouds,"
-        " {:.0f} % ({:.0f} %)",
-        lambda r: tuple(
-            hull(r, where, name) for name in ("ours", "pointnet") for where in ("half the points", "128 points")
-        ),
-    ),
-    (
-        "honest_evaluation",
-        "LoopCast's mean is in the outline and near the plane in {:.0f} % of the windows, and in the hull in {:.0f} %",
-        lambda r: tuple(hull(r, "unseen garments", "ours", "tote", key) for key in ("in_plane", "hull_accuracy")),
-    ),
-    (
-        "honest_evaluation",
-        "PointNet is near the plane less often ({:.0f} %), and in the hull more often ({:.0f} %)",
-        lambda r: tuple(hull(r, "unseen garments", "pointnet", "tote", key) for key in ("in_plane", "hull_accuracy")),
-    ),
-    (
-        "honest_evaluation",
-        "Three trainings of LoopCast differ by {:.1f} points on aprons, and by {:.1f} here",
-        lambda r: (seeds_differ(r, "aprons"), seeds_differ(r, "unseen garments")),
-    ),
-    (
-        "honest_evaluation",
-        "Three trainings of LoopCast differed by {:.1f} points on garments that they knew, and by {:.1f} on others",
-        lambda r: (seeds_differ(r, "aprons"), seeds_differ(r, "unseen garments")),
-    ),
-    (
-        "honest_evaluation",
-        "Chance alone does not explain a lead of {:.1f} points",
-        lambda r: (100 * r["evaluation"]["conditions"]["aprons"]["gain_of_ours"]["pointnet"]["mean"]["mean"],),
-    ),
-    (
-        "honest_evaluation",
-        "{} windows of each, three seeds",
-        lambda r: (r["evaluation"]["conditions"]["unseen garments"]["by_garment"]["tote2"]["windows"],),
-    ),
     (
         "honest_evaluation",
         "The converse's hypotheses hold in {1} of the {0} steps",
@@ -443,11 +379,6 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
     # -- captions
     ("seqph_following", "for three choices of the place; {} episodes", lambda r: (len(r["tracking"]["episodes"]),)),
     ("seqph_following", "with 95 % intervals over {} episodes", lambda r: (len(r["tracking"]["episodes"]),)),
-    (
-        "honest_evaluation",
-        "with 95 % intervals; {} windows of {} episodes",
-        lambda r: tuple(r["evaluation"]["conditions"]["aprons"][key] for key in ("windows", "episodes")),
-    ),
     # -- what other files of the repository say
     ("README.md", "on what {} simulated episodes on coarser meshes have left", lambda r: (trained_on(r),)),
     ("README.md", "tables of bits and edges take at most {:.1f} GB", lambda _: (MEMORY / 1e9,)),

@@ -12,7 +12,9 @@ import torch
 
 from topokit import track
 from topokit.data import Dataset, WindowDataset, _windows
+from topokit.data._layout import observed
 from topokit.data._windows import _by_identity, _Episode, _Memory, _Tracked
+from topokit.sampling import farthest_point_sample
 
 from conftest import polygon
 from small_datasets import labelled
@@ -49,7 +51,9 @@ def test_a_window_is_a_piece_of_its_episode(dataset, windows, i):
     number, t = windows.index[i]
     episode = dataset[int(number)]
     past, future = slice(t - H + 1, t + 1), slice(t + 1, t + K + 1)
-    np.testing.assert_allclose(window["clouds"], episode.observed[past, :30], atol=1e-6)
+    np.testing.assert_allclose(window["clouds"], resampled(episode.observed[past], 30), atol=1e-6)
+    as_stored = WindowDataset(dataset, history=H, horizon=K, n_points=30, resampled=False)[i]
+    np.testing.assert_allclose(as_stored["clouds"], episode.observed[past, :30], atol=1e-6)
     np.testing.assert_allclose(window["grippers"], episode.grippers[past], atol=1e-6)
     np.testing.assert_allclose(window["actions"], episode.actions[future], atol=1e-6)
     assert (window["held"].numpy() == episode.held[past]).all()
@@ -57,6 +61,26 @@ def test_a_window_is_a_piece_of_its_episode(dataset, windows, i):
     assert (window["episode"], window["frame"]) == (number, t)
     assert dataset.garments[window["garment"]] == episode.garment
     assert all(value.dtype in (torch.float32, torch.bool, torch.int64) for value in window.values())
+
+
+def resampled(clouds, n):
+    whole = np.rint(10_000 * clouds)  # as they are stored: else ties fall otherwise
+    return np.array([c[farthest_point_sample(w, n, None)[0]] for c, w in zip(clouds, whole, strict=True)])
+
+
+def test_the_order_of_the_mesh_says_nothing(dataset, monkeypatch):
+    """Whichever vertex is the first: the same points in the same order; and `resampled=False` shows that it matters else."""
+    options = {"history": H, "horizon": K, "n_points": 30}
+    plain, stored = WindowDataset(dataset, **options)[5], WindowDataset(dataset, resampled=False, **options)[5]
+    rng = np.random.default_rng(0)
+
+    def mixed(parts):
+        clouds = observed(parts)
+        return clouds[:, rng.permutation(clouds.shape[1])]
+
+    monkeypatch.setattr(_windows, "observed", mixed)
+    assert WindowDataset(dataset, **options)[5]["clouds"].equal(plain["clouds"])
+    assert not WindowDataset(dataset, resampled=False, **options)[5]["clouds"].equal(stored["clouds"])
 
 
 @pytest.mark.parametrize("name", ["full", "observed-40"])
@@ -175,8 +199,9 @@ def test_what_is_seen_is_in_metres(dataset, windows):
     def shifted(_, clouds):
         return clouds[:, ::2] + 0.5
 
-    observed = WindowDataset(dataset, [number], history=H, horizon=K, observe=shifted)
-    assert np.allclose(observed.seen(number)[0], episode.observed[:, : observed.n_points : 2] + 0.5, atol=1e-4)
+    windows_seen = WindowDataset(dataset, [number], history=H, horizon=K, observe=shifted)
+    expected = resampled(episode.observed, min(windows_seen.n_points, episode.observed.shape[1]))[:, ::2] + 0.5
+    assert np.allclose(windows_seen.seen(number)[0], expected, atol=1e-4)
 
 
 def test_true_loops_are_those_of_the_episode(dataset, windows):
@@ -209,7 +234,7 @@ def test_what_is_observed_takes_the_place_of_the_clouds_and_is_tracked(dataset):
     plain = WindowDataset(dataset, [2, 4], **options)[12]
     assert list(given) == [4]
     assert given[4].dtype == np.float64
-    np.testing.assert_allclose(given[4], dataset[4].observed[:, :30], atol=1e-6)
+    np.testing.assert_allclose(given[4], resampled(dataset[4].observed, 30), atol=1e-6)
     np.testing.assert_allclose(window["clouds"][0, :12], ring + [0.001, 0, 0], atol=1e-4)
     assert (window["clouds"][:, 12:] == window["clouds"][:, [*range(12), *range(6)]]).all()
     assert all(window[name].equal(plain[name]) for name in ("grippers", "actions", "held", "episode", "frame"))

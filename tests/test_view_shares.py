@@ -17,7 +17,7 @@ MEASURES = {"hull": "hull_accuracy", "strict": "marked curve alone, within 0 cm"
 KINDS = ("condition", "garment", "measure", "model", "horizon")
 
 
-@pytest.fixture(params=["motion", "evaluation"])
+@pytest.fixture(params=["motion", "unseen"])
 def results(request):
     return read_results(RESULTS / f"{request.param}.json")
 

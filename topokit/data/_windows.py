@@ -125,12 +125,14 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     history, horizon : int
         h and k.
     n_points : int
-        P: a farthest-point sample of the observation, from the point farthest from its mean on, so that the order of the mesh
-        says nothing; one that has fewer points is repeated.
+        P: of the observation; one that has fewer points is repeated.
     slots : int
         S.
     stride : int
         Frames from one window of an episode to the next.
+    resampled : bool
+        Take a farthest-point sample of each observation, from the point farthest from its mean on: then the order of the mesh
+        says nothing. Else the first P points, which in older films start at the first vertex of the mesh.
     memory : float
         Bytes of decoded episodes that a process keeps; the one that was not used for longest goes first.
     observe : callable, optional
@@ -150,6 +152,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         n_points: int = 128,
         slots: int = 4,
         stride: int = 1,
+        resampled: bool = True,
         memory: float = 4e9,
         observe: Callable[[int, NDArray[np.float64]], NDArray[np.float64]] | None = None,
     ) -> None:
@@ -158,7 +161,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
             if type(value) is not int or value < 1:
                 raise ValueError(f"{name} must be a whole number, at least 1, not {value!r}")
         self.dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
-        self.labels, self.observe = labels, observe
+        self.labels, self.observe, self.resampled = labels, observe, resampled
         self.history, self.horizon, self.n_points, self.slots = history, horizon, n_points, slots
         self._memory = _Memory(memory)
         self.episodes = self.dataset.labelled(labels) if episodes is None else np.unique([*map(int, episodes)])
@@ -266,8 +269,10 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         return pack("clouds", self.observe(number, clouds))
 
     def _sampled(self, clouds: NDArray[np.int16]) -> NDArray[np.int16]:
-        """(T, P', 3), P' <= P, in farthest-point order."""
+        """(T, P', 3), P' <= P."""
         few = min(self.n_points, clouds.shape[1])
+        if not self.resampled:
+            return clouds[:, :few]
         return np.array([cloud[farthest_point_sample(cloud, few, None)[0]] for cloud in clouds])
 
 

@@ -202,7 +202,7 @@ class Predictor:
 
     def _take(self, cloud: NDArray[np.float64], grippers: Any, held: bool, target: Any) -> None:
         n = self.model.shape.points
-        chosen = cloud[farthest_point_sample(cloud, min(n, len(cloud)), None)[0]]
+        chosen = cloud[farthest_point_sample(cloud, n, None)[0]] if len(cloud) > n else cloud
         repeated = np.resize(chosen, (1, n, 3)).astype(np.float32)  # where there are few
         frame = {"clouds": torch.from_numpy(repeated)}
         if "grippers" in self.model.inputs:
