@@ -53,6 +53,19 @@ def test_farthest_points_are_those_of_the_definition(dimension):
         assert covered == pytest.approx(radius, rel=1e-12)
 
 
+def test_without_a_start_the_order_of_points_has_no_say():
+    points = np.random.default_rng(0).normal(size=(200, 3))
+    first, covered = farthest_point_sample(points, 40, None)
+    assert first[0] == np.linalg.norm(points - points.mean(axis=0), axis=1).argmax()
+    for seed in range(5):
+        order = np.random.default_rng(seed).permutation(200)
+        again, radius = farthest_point_sample(points[order], 40, start=None)
+        assert (points[order][again] == points[first]).all()
+        assert radius == covered
+    with pytest.raises(ValueError, match="1 to 0"):
+        farthest_point_sample(np.zeros((0, 3)), 1, None)
+
+
 def test_the_inliers_of_a_cloud_are_those_of_the_definition():
     """Outliers are left out twice; what lost none of its neighbours is not asked again."""
     rng = np.random.default_rng(0)

@@ -13,7 +13,7 @@ from pathlib import Path
 from topokit.models import load_config, open_windows, train
 
 HERE = Path(__file__).parent
-RATES, EPOCHS, EACH = (0.0003, 0.001, 0.003), 3, 20_000
+RATES, EPOCHS, EACH = (0.0003, 0.001, 0.003), 3, 6_000
 
 for model in sys.argv[1:]:
     config = replace(load_config(HERE / f"{model}.json"), epochs=EPOCHS, windows_per_epoch=EACH)

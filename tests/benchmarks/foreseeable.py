@@ -29,7 +29,7 @@ from tqdm import tqdm
 from topokit.data import Dataset, WindowDataset
 from topokit.data._recipe import DatasetConfig, make_episode
 from topokit.evaluate._accuracy import measure_forecasts
-from topokit.evaluate._conditions import garments_of, spread_windows, true_curves
+from topokit.evaluate._conditions import kinds_of, spread_windows, true_curves
 from topokit.evaluate._forecasters import of_stream, of_windows
 from topokit.models import MotionPredictor, Normalisation, Predictor, Shape, build, past_states, target_states
 from topokit.models._motion import KNOTS, _hands, carried
@@ -183,7 +183,7 @@ def main() -> None:
         away = columns["outside"]
         hits[name] = np.where(np.isnan(away), np.nan, away <= TOLERANCE)
 
-    garments = garments_of(windows).tolist()
+    garments = kinds_of(windows, "garment").tolist()
     print(f"{len(windows)} windows of {len(windows.episodes)} films, {asked - len(windows)} refused")
     tables: dict[str, dict[str, Any]] = {"in the hulls, per cent": hits, "mean error, cm": gaps}
     for what, table in tables.items():

@@ -113,13 +113,8 @@ class PreparedCondition:
     entries: Mapping[str, Any]  #: what the results say about the condition
 
 
-def garments_of(windows: WindowDataset) -> NDArray[np.str_]:
-    """(n,) the garment of each window."""
-    return kinds_of(windows, "garment")
-
-
 def kinds_of(windows: WindowDataset, name: Literal["garment", "target"]) -> NDArray[np.str_]:
-    """(n,) what the records of their episodes say."""
+    """(n,) the garment or the target of each window."""
     records = windows.dataset.group.records
     return np.array([getattr(records[number], name) for number in windows.index[:, 0].tolist()])
 
@@ -160,7 +155,7 @@ def _entries(
 ) -> dict[str, Any]:
     """What the results say about a condition, and from what it is made: when that is the same, so are the results."""
     dataset, labels = windows.dataset, windows.dataset.labels(windows.labels)
-    counts = zip(*np.unique(garments_of(windows), return_counts=True), strict=True)
+    counts = zip(*np.unique(kinds_of(windows, "garment"), return_counts=True), strict=True)
     entries = {
         "dataset": {"sha256": dataset.checksum(), "seed": dataset.seed, "episodes": len(dataset)},
         "labels": {"name": windows.labels, "observation": labels.manifest["observation"], "sha256": labels.checksum()},
@@ -204,7 +199,7 @@ def _tested(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.i
 
 def spread_windows(windows: WindowDataset, most: int) -> NDArray[np.int64]:
     """At most so many windows of each garment, spread evenly over its episodes and their frames; rows of `index`."""
-    garments, chosen = garments_of(windows), []
+    garments, chosen = kinds_of(windows, "garment"), []
     for name in np.unique(garments):
         rows = np.flatnonzero(garments == name)
         chosen.append(rows[np.unique(np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int))])

@@ -28,15 +28,7 @@ from topokit.io import save_episode
 from topokit.models import States, past_states, target_states
 
 from ._accuracy import COLUMNS, measure_forecasts
-from ._conditions import (
-    Condition,
-    EvaluationConfig,
-    PreparedCondition,
-    garments_of,
-    kinds_of,
-    prepare_condition,
-    true_curves,
-)
+from ._conditions import Condition, EvaluationConfig, PreparedCondition, kinds_of, prepare_condition, true_curves
 from ._forecasters import horizons_of, steps_of
 from ._results import KIND, read_results, write_results
 from ._summary import Samples, summarise
@@ -120,7 +112,7 @@ def _measured(config: EvaluationConfig, condition: Condition, prepared: Prepared
         name: {key: np.array([np.concatenate([some[key] for some in part]) for part in seeds]) for key in COLUMNS}
         for name, seeds in parts.items()
     }
-    return Samples(columns, clean.index[:, 0], garments_of(clean), kinds_of(clean, "target"))
+    return Samples(columns, clean.index[:, 0], kinds_of(clean, "garment"), kinds_of(clean, "target"))
 
 
 def _empty(config: EvaluationConfig, command: str) -> dict[str, Any]:

@@ -92,13 +92,13 @@ class MotionPredictor(Predictor):
         forecast = _forecast(places.reshape(*sizes, 3), scales.reshape(sizes), self._loops, self._sampling)
         if np.ndim(actions) == 4:
             return forecast
-        forecast = forecast.plan(0)
+        parts, loops = vars(forecast.plan(0)).values(), list(self._loops)
         if not len(exact):
-            return forecast
-        forecast, loops = _widened(forecast, self.model.shape.slots), list(self._loops)
+            return Forecast(*parts)
+        free = 0, self.model.shape.slots - len(loops)  # for those that are born
+        forecast = Forecast(*(np.pad(part, [(0, 0), free, *[(0, 0)] * (part.ndim - 2)]) for part in parts))
         for step in sorted(exact):
-            cloud, unsure = (part[step - 1] for part in whole)
-            _read(forecast, step - 1, loops, len(ids), cloud, unsure, self._sampling)
+            _read(forecast, step - 1, loops, len(ids), whole[0][step - 1], whole[1][step - 1], self._sampling)
         return Forecast(*(part[:, : len(loops)] for part in vars(forecast).values()))
 
     @torch.inference_mode()
@@ -196,13 +196,6 @@ def _forecast(corners: Array, scales: Array, loops: Sequence[Loop], sampling: tu
 def _noise(death: Array | float, scales: Array) -> Array:
     """Of mixtures: as wide as openings, and four times the squares of the corners' scales (..., 8), an error's variance."""
     return np.asarray(NOISE + np.square(death) + 4 * (scales**2).mean(axis=-1))
-
-
-def _widened(forecast: Forecast, slots: int) -> Forecast:
-    """With so many slots, the new ones empty."""
-    more = slots - forecast.birth.shape[1]
-    widths = {name: [(0, 0), (0, more), *[(0, 0)] * (part.ndim - 2)] for name, part in vars(forecast).items()}
-    return Forecast(*(np.pad(part, widths[name]) for name, part in vars(forecast).items()))
 
 
 def _presence(birth: ArrayLike, death: ArrayLike, ahead: ArrayLike, sampling: tuple[Gaps, int]) -> Array:
