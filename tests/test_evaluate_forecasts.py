@@ -399,6 +399,14 @@ def test_the_committed_evaluation_is_a_good_one():
     assert chapter <= set(names)
 
 
+def test_learning_rates_of_the_rivals_are_those_that_validation_chose():
+    folder = DATA.parent / "book" / "same_films"
+    for model, losses in json.loads((folder / "rates.json").read_text()).items():
+        config = json.loads((folder / f"{model}.json").read_text())
+        assert config["learning_rate"] == float(min(losses, key=losses.get))
+        assert len(losses) == 3
+
+
 def test_the_readme_says_what_the_results_say():
     """Its table, line by line: means over the horizons, in per cent."""
     results = read_results(DATA.parent / "book" / "results" / "motion.json")

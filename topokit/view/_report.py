@@ -129,14 +129,14 @@ def shares(results: Mapping[str, Any], measures: Mapping[str, str]) -> Framed:
         What the reader may choose: the name of each, and which of the file's `hull_treatments` or tables (`in_plane`) it is.
     """
     parts, none = list(results["conditions"].values()), [65535] * 4
-    garments = max((list(part["by_garment"]) for part in parts), key=len)
+    garments = max((list(part.get("by_garment", {})) for part in parts), key=len)
     models, horizons = list(parts[0]["hull_accuracy"]), list(results["horizons"])
 
     def cells(part: Mapping[str, Any]) -> list[Any]:
         ways = (part.get("hull_treatments", {}).get(way) or part.get(way) for way in measures.values())
         return [[[_cell(way[m][h]) if way else none for h in horizons] for m in models] for way in ways]
 
-    table = np.array([[cells(part), *(cells(part["by_garment"].get(g, {})) for g in garments)] for part in parts])
+    table = np.array([[cells(part), *(cells(part.get("by_garment", {}).get(g, {})) for g in garments)] for part in parts])
     names = [results["ours"].capitalize() if m == "ours" else model_label(m) for m in models]
     data = {"measure": list(measures), "garment": ["all", *garments], "model": names, "horizon": horizons}
     data |= {"condition": list(results["conditions"]), "marks": [models.index(m) for m in ("ours", "seqph", "carry")]}
