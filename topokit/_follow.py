@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ._evidence import Gaps, evidence
 from ._validate import as_points
@@ -53,14 +53,12 @@ def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
     >>> [round(loop.death, 2) for loop in tk.follow(loops, ring * [1, 0.8])]
     [0.79]
     """
-    return follow_and_find(loops, as_points(cloud))[0]
+    return follow_and_find(loops, cloud)[0]
 
 
-def follow_and_find(
-    loops: Sequence[Loop], points: NDArray[np.float64], gaps: Gaps | None = None
-) -> tuple[list[Loop], list[Loop]]:
+def follow_and_find(loops: Sequence[Loop], cloud: ArrayLike, gaps: Gaps | None = None) -> tuple[list[Loop], list[Loop]]:
     """Return what `follow` does and, of a cloud with such gaps, the loops that it has beside: those that are born there."""
-    cycles = [loop.cycle for loop in loops]
+    points, cycles = as_points(cloud), [loop.cycle for loop in loops]
     most = max((int(cycle.max()) for cycle in cycles), default=-1)
     if most >= len(points):
         raise ValueError(f"a loop goes through point {most}, and the cloud has {len(points)}: give all, in their order")

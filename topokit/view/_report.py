@@ -136,7 +136,9 @@ def shares(results: Mapping[str, Any], measures: Mapping[str, str]) -> Framed:
         ways = (part.get("hull_treatments", {}).get(way) or part.get(way) for way in measures.values())
         return [[[_cell(way[m][h]) if way else none for h in horizons] for m in models] for way in ways]
 
-    table = np.array([[cells(part), *(cells(part.get("by_garment", {}).get(g, {})) for g in garments)] for part in parts])
+    table = np.array(
+        [[cells(part), *(cells(part.get("by_garment", {}).get(g, {})) for g in garments)] for part in parts]
+    )
     names = [results["ours"].capitalize() if m == "ours" else model_label(m) for m in models]
     data = {"measure": list(measures), "garment": ["all", *garments], "model": names, "horizon": horizons}
     data |= {"condition": list(results["conditions"]), "marks": [models.index(m) for m in ("ours", "seqph", "carry")]}
