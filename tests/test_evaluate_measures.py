@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -308,6 +310,25 @@ def test_doubt_tells_who_is_lost_as_often_as_the_rank_test_says():
         summarise(Samples(nobody, np.arange(n), garment, target), config, thorough=False)["lost"]["ours"]["60"]["mean"]
         is None
     )
+
+
+@pytest.mark.filterwarnings("error")
+def test_where_no_loop_is_there_nothing_is_said():
+    """Of the windows on hooks nothing is asked; a file of results has no NaN."""
+    rng = np.random.default_rng(0)
+    columns = {name: rng.random((2, 8, len(steps_of(60)))) for name in COLUMNS}
+    target = np.repeat(["hook", "hanger"], 4)
+    for name in ("outside", "outside_any", "outside_marked", "outside_anyway", "in_plane", "in_opening", "distance"):
+        columns[name][:, :4] = np.nan
+    samples = Samples({"ours": columns}, np.arange(8), np.repeat("apron", 8), target)
+    config = EvaluationConfig(dataset="", models={}, conditions=[Condition(name="all")], samples=20)
+    whole = summarise(samples, config, thorough=False)
+    assert whole["by_target"]["hook"]["outcomes"]["ours"]["60"] == dict.fromkeys(("hit", "near", "far", "silent"))
+    assert whole["by_target"]["hook"]["hull_accuracy"]["ours"]["60"]["mean"] is None
+    json.dumps(whole, allow_nan=False)
+    alone = summarise(samples.of(target == "hook"), config, thorough=False)
+    assert alone["by_seed"]["ours"]["60"] == [None, None]
+    json.dumps(alone, allow_nan=False)
 
 
 def test_median_and_what_is_missing():

@@ -236,21 +236,24 @@ class _Table:
         """Shares of windows: in the hull, beside it by 10 cm at most, farther, or too few loops forecast."""
         return {model: {step: self.shares(model, k) for step, k in self.horizons.items()} for model in self.models}
 
-    def shares(self, model: str, k: int) -> dict[str, float]:
+    def shares(self, model: str, k: int) -> dict[str, float | None]:
         outside = self.samples.columns[model]["outside"][..., k]
         outside = outside[~np.isnan(outside)]
         hit, near, silent = outside <= max(self.tolerance, 1e-9), outside <= 0.1, np.isinf(outside)
         parts = {"hit": hit, "near": near & ~hit, "far": ~near & ~hit & ~silent, "silent": silent}
-        return {name: round(float(part.mean()), 4) for name, part in parts.items()}
+        return {name: round(float(part.mean()), 4) if part.size else None for name, part in parts.items()}
 
     def by_seed(self) -> dict[str, Any]:
         """Hull accuracy of every training seed on its own, for models that have several."""
         answer = {}
         for model, hits in {model: self.hits(model) for model in self.models}.items():
             if len(hits) > 1:
-                each = np.nanmean(hits, axis=1)[:, list(self.horizons.values())]
-                columns = dict(zip(self.horizons, each.T.round(4).tolist(), strict=True))
-                answer[model] = columns | {"mean": each.mean(axis=1).round(4).tolist()}
+                hits = hits[..., list(self.horizons.values())]
+                with np.errstate(invalid="ignore"):
+                    each = np.nansum(hits, axis=1) / np.isfinite(hits).sum(axis=1)  # (seeds, horizons)
+                rows = np.column_stack([each, each.mean(axis=1)]).round(4).T.astype(object)
+                rows[rows != rows] = None  # nan is not equal to itself
+                answer[model] = dict(zip([*self.horizons, "mean"], rows.tolist(), strict=True))
         return answer
 
     def treatments(self) -> dict[str, Any]:
