@@ -162,10 +162,12 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
     ),
     (
         "README.md",
-        "At t+1 Motion is level with carry ({:.0f} % both) and below ridge ({:.0f} %)",
+        "At t+1 Motion is level with carry and ridge ({} % each)",
         lambda r: tuple(
-            100 * r["motion"]["conditions"]["all garments"]["hull_accuracy"][name]["1"]["mean"]
-            for name in ("carry", "ridge")
+            {
+                round(100 * r["motion"]["conditions"]["all garments"]["hull_accuracy"][name]["1"]["mean"])
+                for name in ("ours", "carry", "ridge")
+            }
         ),
     ),
     (
@@ -458,8 +460,6 @@ ASSERTED: list[tuple[str, str, str]] = [
     ("learning_to_predict", "Three films of two garments are few", '(len(parts["train"]), len(unseen)) == (21, 3)'),
     ("learning_to_predict", "on the 21 films of the cut, for seconds", '(len(parts["train"]), len(unseen)) == (21, 3)'),
     ("learning_to_predict", "with 21 films to learn from", '(len(parts["train"]), len(unseen)) == (21, 3)'),
-    ("honest_evaluation", "Of six garments the window", "(hangs.sum(), len(worst)) == (5, 6)"),
-    ("honest_evaluation", "In five of the six windows Motion lets", "(hangs.sum(), len(worst)) == (5, 6)"),
     ("honest_evaluation", "ahead in five of the ten", '(by_family["unknown"] > by_family["known"]).sum() == 5'),
     ("honest_evaluation", "That nine of ten rows point the same way", 'set(above.index[~above]) == {"belt"}'),
     ("predict_the", "the simulator is nearer in 34 of the 51", "(nearer.sum(), len(nearer)) == (34, 51)"),
@@ -480,7 +480,6 @@ ASSERTED: list[tuple[str, str, str]] = [
         "assert (thorough[2:] < quick[2:]).all()",
     ),
     ("predict_the", "of all points of the 26 windows", "assert len(windows) == 26"),
-    ("honest_evaluation", "Three of the ten claims stand", "(sum(map(all, claims.values())), len(claims)) == (3, 10)"),
     (
         "linked_or",
         "is little more than two centimetres from the rod's axis",

@@ -12,7 +12,7 @@ from ._packed import pack
 from ._pages import Framed, framed
 from ._plots import loop_colour
 
-_LABELS = {"seqph": "seqPH", "mlp": "MLP", "pointnet": "PointNet"}
+_LABELS = {"seqph": "seqPH", "mlp": "MLP", "mlp, places": "MLP, places", "pointnet": "PointNet"}
 _GREYS = {"seqph": "0.35", "hold": "0.75", "carry": "0.6"}
 _COLOURS = {"ours": 0, "mlp": 1, "pointnet": 2, "ridge": 5, "few": 4, "longer": 2}  # of the identities: one palette
 _CURVES = {"marked curve alone": "marked", "any curve of the class": "any"}
