@@ -302,7 +302,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             cloud = seen(world, self.cameras, self.n_points, self._sensor)
             self._cloud = cloud if len(cloud) else np.resize(self._cloud, (self.n_points, 3))
         else:
-            self._cloud = self.vertices[farthest_point_sample(self.vertices, self.n_points, None)[0]]
+            self._cloud = self.vertices[farthest_point_sample(self.vertices, self.n_points)[0]]
         how, keep = self._options, 1 - self._options.missing
         cloud = spoil(self._cloud, self._sensor, noise=how.noise, outliers=how.outliers, keep=keep)
         self._clouds.append(cloud)

@@ -290,7 +290,7 @@ def seen(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Generat
     points = np.concatenate(views)
     if not len(points):
         return points
-    chosen = farthest_point_sample(points, min(n, len(points)), None)[0]
+    chosen = farthest_point_sample(points, min(n, len(points)))[0]
     return np.asarray(points[np.resize(chosen, n)])
 
 
