@@ -143,7 +143,7 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
     stretch = np.array([check_stretch(env.garment, config, frame, "hanging") for frame in points])
     recording = {"points": points.astype(np.float32), "grippers": grippers, "stretch": stretch}
     told = {"randomisation": None, "controller": type(controller).__name__}
-    episode = _episode(run, recording, env.task, env.standing, seed, told)
+    episode = _episode(run, recording, env.task, env.standing, seed, told, first=0)
     linked = tuple(name for name, loop in env.garment.named_loops.items() if env.standing.holds(points[-1][loop]))
     reason = "it was not let go in time" if held[-1] else "it was let go, and does not hang"
     reason = "it hangs" if info["success"] else "the cloth was stretched too far" if info["torn"] else reason

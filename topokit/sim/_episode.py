@@ -136,7 +136,15 @@ def simulate(
     return _episode(run, recording, task, target, seed, drawn)
 
 
-def _episode(run: Run, recording: Recording, task: Task, target: Target, seed: int, drawn: dict[str, Any]) -> Episode:
+def _episode(
+    run: Run,
+    recording: Recording,
+    task: Task,
+    target: Target,
+    seed: int,
+    drawn: dict[str, Any],
+    first: int | None = None,  # vertex of the samples: a world that is controlled shows the first one of the mesh
+) -> Episode:
     garment, config, points = run.garment, run.config, recording["points"]
     names = garment.loop_names
     held = np.arange(len(points)) * config.steps_per_frame < run.release
@@ -152,7 +160,7 @@ def _episode(run: Run, recording: Recording, task: Task, target: Target, seed: i
         "stretch": dict(zip(("p99", "worst"), recording["stretch"].max(axis=0).tolist(), strict=True)),
     }
     views = [dataclasses.asdict(camera) for camera in run.cameras]
-    samples = [frame[farthest_point_sample(frame, run.n_observed, None)[0]] for frame in points if not views]
+    samples = [frame[farthest_point_sample(frame, run.n_observed, first)[0]] for frame in points if not views]
     return Episode(
         points=points,
         observed=recording["observed"] if views else np.array(samples),
