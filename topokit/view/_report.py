@@ -113,7 +113,7 @@ def plot_treatments(condition: Mapping[str, Any], ax: Axes) -> Axes:
     names = list(ways)
     for curve, short in _CURVES.items():
         names = [name.replace(f"{curve}, within", f"{short}:") for name in names]
-    names = [name.replace(" ", "\n", 1) for name in names]
+    names = [name.replace(" ", "\n", 2) for name in names]
     ax.set_xticks(range(len(ways)), names, fontsize="x-small")
     ax.set(ylabel=_ACCURACY, ylim=(0, 100))
     return _with_legend(ax)
@@ -157,6 +157,7 @@ def _colour(model: str) -> str:
 
 
 def _with_legend(ax: Axes) -> Axes:
-    columns = min(len(ax.get_legend_handles_labels()[1]), 7)
+    count = len(ax.get_legend_handles_labels()[1])
+    columns = count if count < 8 else (count + 1) // 2
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, fontsize="small", frameon=False)
     return ax
