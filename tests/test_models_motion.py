@@ -20,6 +20,7 @@ from topokit.models import Motion, MotionPredictor, Normalisation, Predictor, Sc
 from topokit.models._checkpoint import describe, save_tensors
 from topokit.models._config import TrainConfig, mirrored
 from topokit.models._motion import CARRIERS, KNOTS, UNIT, carried
+from topokit.models._motion_predictor import _corners
 from topokit.models._scenes import carriers_first, flow, target_of
 
 from conftest import DATA
@@ -313,9 +314,11 @@ def test_a_forecast_is_as_wide_as_it_is_unsure(episode):
     more = said.mixture().covariances - said.mixture(1e-4).covariances
     assert np.allclose(more, (forecast.noise[59, 0] - 1e-4) * np.eye(3), atol=1e-7)
     exact = predictor.predict(*plan, exact=[60])
-    anew = next(one for one in tk.follow(predictor._loops, predictor.move(*plan)[0][59]) if one.id == loop.id)
-    unsure = predictor.move(*plan)[1][59][anew.killer_edge]
-    assert exact.noise[59, 0] - 1e-4 - exact.death[59, 0] ** 2 > 0.5 * (unsure**2).mean()  # where it ends now
+    cloud, unsure = (part[59] for part in predictor.move(*plan))
+    anew = {one.id: _corners(one)[0] for one in tk.follow(predictor._loops, cloud)}  # where they end now
+    assert len(anew) == len(predictor._loops)
+    surplus = [4 * (unsure[anew[one.id]] ** 2).mean() for one in predictor._loops]
+    assert np.allclose(exact.noise[59, : len(anew)] - 1e-4 - exact.death[59, : len(anew)] ** 2, surplus, atol=1e-7)
     timid = make()
     torch.nn.init.constant_(timid.out[2].bias[3:], 2.0)
     unsure = MotionPredictor(timid)

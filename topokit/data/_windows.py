@@ -248,9 +248,9 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         group = self.dataset.group
         stored = decode(group, group.document(number), ("points", "observed", "actions", "grippers", "held"))
         with damage_in(group, number):
-            clouds = self._sampled(observed(stored))
+            seen = observed(stored)
         if self.observe is None:
-            labels = self.dataset.labels(self.labels)
+            clouds, labels = self._sampled(seen), self.dataset.labels(self.labels)
             with damage_in(labels, number):
                 found = decode(labels, labels.document(number), ("id", "simplices", "values"))
                 tracked = _Tracked.of(found, self._tracked_clouds(stored, number))

@@ -222,9 +222,8 @@ def _read(
 ) -> None:
     """Write into a forecast what is read off a moved cloud at one of its steps; loops born there join those followed."""
     followed, born = follow_and_find(loops, cloud, sampling[0])
-    there = {loop.id: loop for loop in followed}
+    there = {loop.id: loop for loop in followed + born}
     loops += born[: forecast.birth.shape[1] - len(loops)]
-    there |= {loop.id: loop for loop in born}
     for slot, loop in enumerate(loops):
         forecast.presence[index, slot] = 0.0
         if (now := there.get(loop.id)) is None:
