@@ -58,13 +58,16 @@ def dataset() -> Dataset:
     return Dataset(SMALL)
 
 
-def trained(out: Path, model: str = "mlp", seed: int = 0, split: dict[str, Any] = SPLIT) -> TrainConfig:
+def trained(
+    out: Path, model: str = "mlp", seed: int = 0, split: dict[str, Any] = SPLIT, **windows: Any
+) -> TrainConfig:
     """Train a model for a few steps; its best weights are in `out`."""
     config = TrainConfig(
         model=model,
         dataset=str(SMALL),
         out=str(out),
         split=split,
+        windows=windows,
         seed=seed,
         batch=8,
         epochs=1,
@@ -315,6 +318,19 @@ def test_it_is_wary_of_another_dataset(checkpoints, dataset, tmp_path):
         warnings.simplefilter("error")
         evaluate_forecasts(evaluation([bare | {"part": "all", "shares_no_episode": True}], models=models))
     assert len(cut) == 4
+
+
+def test_it_says_when_a_model_has_learned_the_order_of_the_mesh(checkpoints, tmp_path):
+    def prepare(path: str) -> None:
+        config = evaluation([{"name": "x", "split": SPLIT, "windows": 1}], models={"mlp": [path]})
+        prepare_condition(config, config.conditions[0], tmp_path)
+
+    trained(tmp_path, resampled=False)
+    with pytest.warns(UserWarning, match=r"best\.safetensors was trained with resampled=False"):
+        prepare(str(tmp_path / "best.safetensors"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        prepare(checkpoints["mlp"][0])
 
 
 def test_it_refuses_checkpoints_that_do_not_fit(checkpoints, tmp_path):

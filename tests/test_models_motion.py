@@ -212,7 +212,7 @@ def test_flow_is_what_grippers_do_not_explain():
     then = rng.normal(0, 0.3, (200, 3))
     carriage = hands[0].mean(axis=0) - hands[1:].mean(axis=1)  # of each of the three
     drift = np.array([0.001, -0.002, 0.0])
-    found = flow(then + drift, [then - step for step in carriage], hands)
+    found = flow(then + drift, [cKDTree(then - step) for step in carriage], hands)
     assert found.shape == (200, 3, 3)
     assert np.allclose(found, drift, atol=1e-6)
 
@@ -344,6 +344,20 @@ def test_the_order_of_points_does_not_count(episode):
     observed(predictor, episode, points=episode.points[:, order])
     other = predictor.move(*plan)[0]
     assert np.linalg.norm(one[:, order] - other, axis=-1).mean() < 0.02  # other points are carriers, that is all
+
+
+def test_buffers_that_are_refilled_are_not_the_frames_before(episode):
+    predictor = MotionPredictor(make())
+    plan = observed(predictor, episode)
+    expected = predictor.predict(*plan)
+    predictor.reset()
+    buffers = [part[0].astype(float) for part in (episode.points, episode.grippers)] + [episode.centre_line.astype(float)]
+    for t in range(5, 21):
+        buffers[0][:], buffers[1][:], buffers[2][:] = episode.points[t], episode.grippers[t], episode.centre_line
+        predictor.observe(buffers[0], buffers[1], bool(episode.held[t]), buffers[2])
+    for buffer in buffers:
+        buffer[:] = 0
+    assert np.array_equal(predictor.predict(*plan).corners, expected.corners)
 
 
 def test_what_cannot_be_observed_or_planned_is_refused(episode):

@@ -250,6 +250,9 @@ def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> tuple[
         has = ", ".join(f"{size} {value}" for size, value in asdict(model.shape).items())
         raise ValueError(f"{path}: trained on windows of another shape: {has}; the evaluation has {config.shape}")
     trained = description.get("config", {})
+    if trained.get("windows", {}).get("resampled") is False:
+        told = "its clouds began at the first vertex of the mesh, and those of an evaluation do not: it may do worse for that"
+        warnings.warn(f"{path} was trained with resampled=False: {told}", stacklevel=2)
     return model, {
         "checkpoint": shown,
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),

@@ -20,7 +20,7 @@ codes pooled as in Qi et al. 2017, *PointNet*; edge convolutions of Wang et al. 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -35,6 +35,7 @@ _REACH = 0.3  # metres over which the target's say fades
 _NEAR = 12  # neighbours of a point
 CARRIERS, _POOLED = 24, 16  # points that tell all others how the cloth fares, and the numbers that they do it with
 Scene = Mapping[str, Tensor]
+Line = Sequence[Tensor]  # what `_line` says
 
 
 class Codes(NamedTuple):
@@ -43,10 +44,10 @@ class Codes(NamedTuple):
     code: Tensor  # (B, carriers + n, width)
     place: Tensor  # (B, carriers + n, 3)
     hands: Tensor  # (B, 2, 3)
-    target: Tensor  # (B, L, 3)
+    target: Line
     floor: Tensor  # (B,) its height in that frame
     origin: Tensor  # (B, 3) of that frame, metres
-    turn: Tensor  # (B, 3, 3) its axes
+    turn: Tensor  # (B, 3, 3) its axes; lengths are in units of 0.2 m there
     carriers: int
     swapped: Tensor  # (B,) whether the grippers changed names
 
@@ -114,22 +115,22 @@ class Motion(nn.Module):
         grippers = _renamed(scene["grippers"], swapped)
         origin, turn = _frame(grippers[:, 0])
         parts = (scene["cloud"], scene["points"], grippers, scene["target"])
-        cloud, points, hands, target = (_local(part, origin, turn) for part in parts)
-        floor = scene["floor"] - origin[:, 2]
+        cloud, points, hands, way = (_local(part, origin, turn) for part in parts)
+        floor, target = (scene["floor"] - origin[:, 2]) / UNIT, _line(way)
         size, carriers = cloud.shape[1], min(CARRIERS, cloud.shape[1])
         seen = torch.cat([cloud, points], dim=1)
-        flow = (2 / UNIT * scene["flow"].flatten(1, 2) @ turn.transpose(1, 2)).view(len(cloud), -1, 9)
-        velocity = (10 / UNIT * (hands[:, :1] - hands[:, 1:3])).flatten(1)
-        opening = (hands[:, 0, 0] - hands[:, 0, 1]).norm(dim=1, keepdim=True) / UNIT
+        flow = (2 / UNIT * scene["flow"].flatten(1, 2) @ turn.mT).view(len(cloud), -1, 9)
+        velocity = (10 * (hands[:, :1] - hands[:, 1:3])).flatten(1)
+        opening = (hands[:, 0, 0] - hands[:, 0, 1]).norm(dim=1, keepdim=True)
         held = scene["held"].to(cloud)[:, None]
-        whole = torch.cat([velocity, held, opening, _reach(hands[:, 0], target)], dim=1)[:, None]
-        told = [seen / UNIT, flow, _beside(seen, target), _above(seen, floor), torch.cdist(seen, hands[:, 0]) / UNIT]
+        whole = torch.cat([velocity, held, opening, _reach(hands[:, 0], target).flatten(1)], dim=1)[:, None]
+        told = [seen, flow, _beside(seen, target), _above(seen, floor), torch.cdist(seen, hands[:, 0])]
         code = self.point(torch.cat([*told, whole.expand(-1, seen.shape[1], -1)], dim=-1))
         asked = torch.cat([torch.arange(carriers), torch.arange(size, seen.shape[1])])
         own, place = code[:, asked], seen[:, asked]
         near = torch.cdist(place, cloud).topk(min(_NEAR, size), largest=False).indices
         batch = torch.arange(len(cloud), device=cloud.device)[:, None, None]
-        away = 2 / UNIT * (cloud[batch, near] - place[:, :, None])
+        away = 2 * (cloud[batch, near] - place[:, :, None])
         there = torch.cat([away, away.norm(dim=-1, keepdim=True)], dim=-1)
         first: Any = self.edge[0]  # of [own, that of the neighbour, there]: of points, not edges, as far as may be
         mine, theirs, apart = first.weight.split([code.shape[2], code.shape[2], 4], dim=1)
@@ -151,32 +152,38 @@ class Motion(nn.Module):
             Planned places of the grippers, metres.
         held : (C, 60) bool
         """
-        plans, carriers = len(actions), codes.carriers
-        code, place, target = (part.expand(plans, *part.shape[1:]) for part in (codes.code, codes.place, codes.target))
+        plans, carriers, width = len(actions), codes.carriers, codes.code.shape[2]
+        parts = (part.expand(plans, *part.shape[1:]) for part in (codes.code, codes.place, *codes.target))
+        code, place, *target = parts
         hands, shares = _hands(_local(_renamed(actions, codes.swapped), codes.origin, codes.turn), held, codes.hands)
         before = torch.cat([codes.hands.expand(plans, -1, -1)[:, None], hands[:, :-1]], dim=1)
-        turns, lasts = _turns(before.flatten(0, 1), hands.flatten(0, 1)), torch.tensor((0, *KNOTS)).to(hands).diff() / 6
-        parts = [((hands - before) / UNIT).flatten(2), shares[..., None], lasts.expand(plans, -1)[..., None]]
-        reach = _reach(hands.flatten(0, 1), target[:, None].expand(-1, len(KNOTS), -1, -1).flatten(0, 1))
-        told = torch.cat([*parts, reach.unflatten(0, hands.shape[:2])], dim=-1)  # (C, 13, 24)
-        turns, middles, after = turns.unflatten(0, hands.shape[:2]), before.mean(dim=2), hands.mean(dim=2)
+        turns = _turns(before.flatten(0, 1), hands.flatten(0, 1)).unflatten(0, hands.shape[:2])
+        shifts = hands.mean(dim=2, keepdim=True) - before.mean(dim=2, keepdim=True) @ turns
+        lasts = torch.tensor((0, *KNOTS)).to(hands).diff() / 6
+        reach = _reach(hands.flatten(1, 2), target).unflatten(1, hands.shape[1:3]).flatten(2)
+        told = [(hands - before).flatten(2), shares[..., None], lasts.expand(plans, -1)[..., None], reach]
+        # Of what is linear in many steps or points at once, all that may be is done for them together.
+        scene, pooled = self.scene.weight.split([24, 2 * _POOLED], dim=1)
+        one, other, around, goes, went = self.own.weight.split([3, 3, 7, 3, 3], dim=1)
+        own = torch.cat([goes - one - other, -goes, 3 * went, around], dim=1)
+        given = torch.cat([*told, hands.flatten(2)], dim=-1) @ torch.cat([scene, one, other], dim=1).T
+        given = given + (self.scene.bias + self.own.bias)
         step, places, scales = torch.zeros_like(place), [], []
         for k, frames in enumerate(lasts.tolist()):
-            ahead = (place - middles[:, k, None]) @ turns[:, k] + after[:, k, None]
-            own = [((hands[:, k, None] - ahead[:, :, None]) / UNIT).flatten(2), _beside(ahead, target)]
-            own += [_above(ahead, codes.floor), (ahead - place) / UNIT, 3 / UNIT * step]
+            ahead = torch.baddbmm(shifts[:, k], place, turns[:, k])
             said = self.pool(code[:, :carriers])
-            scene = self.scene(torch.cat([told[:, k], said.mean(dim=1), said.amax(dim=1)], dim=1))
-            new, keep, use = (self.own(torch.cat(own, dim=-1)) + scene[:, None]).chunk(3, dim=-1)
-            old, kept, used = self.before(code).chunk(3, dim=-1)
-            code = torch.lerp(torch.tanh(new + torch.sigmoid(use + used) * old), code, torch.sigmoid(keep + kept))
+            scene = torch.addmm(given[:, k], torch.cat([said.mean(dim=1), said.amax(dim=1)], dim=1), pooled.T)
+            new = torch.cat([ahead, place, step, _beside(ahead, target), _above(ahead, codes.floor)], dim=-1) @ own.T
+            new, old = new + scene[:, None], self.before(code)
+            keep, use = torch.sigmoid(new[..., width:] + old[..., width:]).chunk(2, dim=-1)
+            code = torch.lerp(torch.tanh(torch.addcmul(new[..., :width], use, old[..., :width])), code, keep)
             change = self.out(code)
-            goes = ahead - place + UNIT * frames * change[..., :3]
-            step, place = goes / frames, place + goes
+            there = torch.add(ahead, change[..., :3], alpha=frames)
+            step, place = (there - place) / frames, there
             places.append(place)
-            scales.append(0.01 * (change[..., 3] + 1).exp())
-        found = torch.stack(places, dim=1)
-        return _world(found, codes.origin, codes.turn), torch.stack(scales, dim=1)
+            scales.append(change[..., 3])
+        scale = 0.01 * (torch.stack(scales, dim=1) + 1).exp()
+        return _world(torch.stack(places, dim=1), codes.origin, codes.turn), scale
 
     def loss(self, scene: Scene, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """Error and distortion in the mean, and likelihood, of `future` (B, 13, carriers + n, 3) where it is `known` (B, 13).
@@ -241,33 +248,45 @@ def _hands(actions: Tensor, held: Tensor, start: Tensor) -> tuple[Tensor, Tensor
     return place[:, at - 1], count.diff(dim=1) / torch.cat([at[:1], at.diff()])
 
 
-def _beside(points: Tensor, line: Tensor) -> Tensor:
-    """(B, N, 5) the way from points (B, N, 3) to a line (B, L, 3) and where along it that ends, which fade; how near it is."""
-    start, along = line[:, :-1], line.diff(dim=1)
-    size, base = along.square().sum(dim=-1)[:, None], (start * along).sum(dim=-1)[:, None]  # (B, 1, L - 1)
-    way = points @ along.transpose(1, 2) - base
-    share = (way / size.clamp_min(1e-9)).clamp(0, 1)
-    first = start.square().sum(dim=-1)[:, None] - 2 * points @ start.transpose(1, 2)
-    # Squares of distances, but for what a point adds to all of them.
-    nearest = (first + share * (share * size - 2 * way)).argmin(dim=-1, keepdim=True)
-    share, segment = share.gather(2, nearest), nearest.expand(-1, -1, 3)
-    away = start.gather(1, segment) + share * along.gather(1, segment) - points
-    near = (-away.norm(dim=-1, keepdim=True) / _REACH).exp()
-    return torch.cat([away * near / UNIT, (share + nearest) / along.shape[1] * near, near], dim=-1)
+def _line(places: Tensor) -> Line:
+    """Of the L pieces of a line (B, L + 1, 3): ways (B, 3, L), minus their products with starts, their squares (B, 1, L); minus
+    twice the starts (B, 3, L), their squares (B, 1, L); starts, ways and shares of the line before them (B, L, 7).
+    """
+    start, along = places[:, :-1], places.diff(dim=1)
+    before = (torch.arange(along.shape[1]).to(places) / along.shape[1])[:, None].expand(len(places), -1, 1)
+    base, square, first = (part.sum(dim=-1)[:, None] for part in (-start * along, along.square(), start.square()))
+    return along.mT, base, square.clamp_min(1e-9), -2 * start.mT, first, torch.cat([start, along, before], dim=-1)
+
+
+def _beside(points: Tensor, line: Line) -> Tensor:
+    """(B, N, 5) the way from points (B, N, 3) to a line and where along it that ends, which fade; how near it is."""
+    ways, base, square, starts, first, table = line
+    way = torch.baddbmm(base, points, ways)
+    share = (way / square).clamp(0, 1)
+    off = torch.baddbmm(
+        first, points, starts
+    )  # squares of distances from starts, but for what a point adds to all of them
+    nearest = torch.addcmul(off, share, torch.sub(share * square, way, alpha=2)).argmin(dim=-1, keepdim=True)
+    share, piece = share.gather(2, nearest), table.gather(1, nearest.expand(-1, -1, 7))
+    away = torch.addcmul(piece[..., :3] - points, share, piece[..., 3:6])
+    near = (-UNIT / _REACH * torch.linalg.vector_norm(away, dim=-1, keepdim=True)).exp()
+    along = torch.add(piece[..., 6:], share, alpha=1 / table.shape[1])
+    return torch.cat([torch.cat([away, along], dim=-1) * near, near], dim=-1)
 
 
 def _above(points: Tensor, floor: Tensor) -> Tensor:
     """(B, N, 2) how high points (B, N, 3) are above the floor (B,), which fades; how near it is."""
-    height = (points[..., 2] - floor[:, None]).clamp_min(0)
-    near = (-height / _REACH).exp()
-    return torch.stack([height * near / UNIT, near], dim=-1)
+    height = (points[..., 2:] - floor[:, None, None]).relu()
+    near = (-UNIT / _REACH * height).exp()
+    return torch.cat([height * near, near], dim=-1)
 
 
-def _reach(hands: Tensor, target: Tensor) -> Tensor:
-    """(B, 16) where the target is from the grippers (B, 2, 3): its line, and its tip, which fades with the square."""
-    tip = target[:, -1:] - hands
-    faded = tip / (0.1 + tip.square().sum(dim=-1, keepdim=True)).sqrt()
-    return torch.cat([_beside(hands, target), faded], dim=-1).flatten(1)
+def _reach(hands: Tensor, target: Line) -> Tensor:
+    """(B, N, 8) where the target is from grippers (B, N, 3): its line, and its tip, which fades with the square."""
+    last = target[-1][:, -1:]
+    tip = last[..., :3] + last[..., 3:6] - hands
+    faded = tip / (0.1 / UNIT**2 + tip.square().sum(dim=-1, keepdim=True)).sqrt()
+    return torch.cat([_beside(hands, target), faded], dim=-1)
 
 
 def _behind(grippers: Tensor, tip: Tensor) -> Tensor:
@@ -291,10 +310,10 @@ def _frame(grippers: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _local(points: Tensor, origin: Tensor, turn: Tensor) -> Tensor:
-    """Points (B, ..., 3) seen from a frame; of one frame and many scenes, too."""
+    """Points (B, ..., 3) in metres, seen from a frame, in units; of one frame and many scenes, too."""
     flat = points.flatten(1, -2) - origin[:, None]
-    return (flat @ turn.transpose(1, 2)).view_as(points)
+    return (flat @ (turn / UNIT).mT).view_as(points)
 
 
 def _world(points: Tensor, origin: Tensor, turn: Tensor) -> Tensor:
-    return (points.flatten(1, -2) @ turn + origin[:, None]).view_as(points)
+    return (points.flatten(1, -2) @ (UNIT * turn) + origin[:, None]).view_as(points)

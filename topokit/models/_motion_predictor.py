@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from topokit._evidence import Gaps, evidence, remembered
 from topokit._follow import follow_and_find
@@ -16,7 +17,7 @@ from topokit._validate import as_points
 from topokit.seqph import SeqPH
 from topokit.state import Loop
 
-from ._motion import KNOTS, PAST, Codes, Motion
+from ._motion import KNOTS, PAST, Codes, Motion, _world
 from ._predictor import Array, Forecast, Predictor, as_cloud, as_grippers
 from ._scenes import carriers_first, flow, target_of
 from ._states import NOISE, TRIANGLES
@@ -41,7 +42,7 @@ class MotionPredictor(Predictor):
 
     def reset(self) -> None:
         """Forget everything observed."""
-        self._clouds: deque[NDArray[np.float64]] = deque(maxlen=PAST[-1] + 1)
+        self._clouds: deque[cKDTree] = deque(maxlen=PAST[-1] + 1)
         self._hands: deque[NDArray[np.float64]] = deque(maxlen=PAST[-1] + 1)
         self._held, self._target = True, np.zeros((0, 3))
         self._seqph, self._loops = SeqPH(), tuple[Loop, ...]()
@@ -51,11 +52,11 @@ class MotionPredictor(Predictor):
     def _take(self, cloud: NDArray[np.float64], grippers: Any, held: bool, target: Any) -> None:
         place = as_grippers(grippers)
         if target is not None:
-            line = as_points(target, "target")
+            line = as_points(target, "target", copy=True)
             if line.shape[1] != 3:
                 raise ValueError(f"target must be an (L, 3) array, not of shape {line.shape}")
             self._target = line
-        self._clouds.append(cloud)
+        self._clouds.append(cKDTree(cloud))
         self._untracked.append(cloud)
         self._hands.append(place)
         self._held, self._codes = held, {}
@@ -83,7 +84,7 @@ class MotionPredictor(Predictor):
             raise ValueError(f"exact names frames from 1 to {KNOTS[-1]} of a single plan, not {list(exact)}")
         self._track()
         ids = np.array([_corners(loop)[0] for loop in self._loops], dtype=np.int64)  # (S, 8)
-        corners = None if len(exact) or not self._clouds else self._clouds[-1][ids.ravel()]
+        corners = None if len(exact) or not self._clouds else self._clouds[-1].data[ids.ravel()]
         places, scales = self._moved(actions, held, corners)
         whole = places[0], scales[0]
         if len(exact):
@@ -130,10 +131,10 @@ class MotionPredictor(Predictor):
         chunks = self._plans(actions, held)
         if not self._clouds:
             raise ValueError("nothing was observed yet: call observe(points, grippers) first")
-        codes = self._encode(self._clouds[-1] if asked is None else asked)
+        codes = self._encode(self._clouds[-1].data if asked is None else asked)
         parts = [self.model.under(codes, *chunk) for chunk in chunks]
         places, scales = (torch.cat(part)[:, :, codes.carriers :].numpy() for part in zip(*parts, strict=True))
-        start = codes.place[:, codes.carriers :] @ codes.turn + codes.origin[:, None]
+        start = _world(codes.place[:, codes.carriers :], codes.origin, codes.turn)
         first = np.broadcast_to(start.numpy()[:, None], (len(places), 1, *places.shape[2:]))
         ends = [first, places], [scales[:, :1], scales]
         return _between(np.concatenate(ends[0], axis=1)), _between(np.concatenate(ends[1], axis=1))
@@ -142,7 +143,7 @@ class MotionPredictor(Predictor):
         """What points know; made once for all plans until the next frame."""
         key = asked.tobytes()
         if key not in self._codes:
-            cloud, last = self._clouds[-1], len(self._clouds) - 1
+            cloud, last = self._clouds[-1].data, len(self._clouds) - 1
             then = [max(last - ago, 0) for ago in (0, *PAST)]
             seen = np.random.default_rng(0).permutation(cloud)[: self.model.shape.points]  # mixed, the same each time
             seen = seen[carriers_first(seen)]

@@ -260,8 +260,8 @@ class Predictor:
 
 
 def as_cloud(points: ArrayLike) -> NDArray[np.float64]:
-    """A cloud that can be looked at."""
-    cloud = as_points(points)
+    """A cloud that can be looked at, and kept."""
+    cloud = as_points(points, copy=True)
     if cloud.shape[1] != 3 or not len(cloud):
         raise ValueError(f"points must be an (n, 3) array of one point at least, not of shape {cloud.shape}")
     return cloud
@@ -271,7 +271,7 @@ def as_grippers(grippers: ArrayLike | None) -> NDArray[np.float64]:
     """Where the two grippers are, told to a model that needs to know."""
     if grippers is None:
         raise ValueError("this model needs to know where the grippers are: observe(points, grippers)")
-    place = as_points(grippers, "grippers")
+    place = as_points(grippers, "grippers", copy=True)
     if place.shape != (2, 3):
         raise ValueError(f"grippers must be a (2, 3) array, not of shape {place.shape}")
     return place

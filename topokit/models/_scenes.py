@@ -71,7 +71,7 @@ def scene_at(parts: dict[str, Array], frame: int, rng: np.random.Generator, n_po
     scene = {
         "cloud": both[:n_points],
         "points": both[n_points:],
-        "flow": flow(both, [points[then, some(n, thin)] for then in ago[1:]], hands),
+        "flow": flow(both, [cKDTree(points[then, some(n, thin)]) for then in ago[1:]], hands),
         "grippers": hands,
         "held": parts["held"][frame],
         "target": parts["target"],
@@ -84,21 +84,21 @@ def scene_at(parts: dict[str, Array], frame: int, rng: np.random.Generator, n_po
     return {name: torch.as_tensor(np.asarray(part)) for name, part in scene.items()}
 
 
-def flow(points: NDArray[np.floating], past: Sequence[NDArray[np.floating]], hands: NDArray[np.floating]) -> Array:
+def flow(points: NDArray[np.floating], past: Sequence[cKDTree], hands: NDArray[np.floating]) -> Array:
     """How points (n, 3) moved, more than the grippers (1 + 3, 2, 3) did, since each of 3 clouds before: (n, 3, 3), metres.
 
     Taken back with the grippers, a point has its nearest neighbour in the cloud of then; that is where it came from.
     """
     place, now = (torch.from_numpy(np.ascontiguousarray(part, np.float64)) for part in (points, hands))
     back = carried(place.expand(len(past), -1, -1), now[:1].expand(len(past), -1, -1), now[1:]).numpy()
-    found = [then - cloud[cKDTree(cloud).query(then)[1]] for then, cloud in zip(back, past, strict=True)]
+    found = [then - cloud.data[cloud.query(then)[1]] for then, cloud in zip(back, past, strict=True)]
     return np.stack(found, axis=1).astype(np.float32)
 
 
 def carriers_first(cloud: NDArray[np.floating]) -> NDArray[np.int64]:
     """(n,) the order of a cloud's points in which a farthest-point sample comes first: handles have few points, and matter."""
     few, _ = farthest_point_sample(cloud, min(CARRIERS, len(cloud)))
-    return np.concatenate([few, np.setdiff1d(np.arange(len(cloud)), few)])
+    return np.append(few, np.delete(np.arange(len(cloud)), few))
 
 
 def target_of(line: NDArray[np.floating], n: int = TARGET) -> dict[str, Array]:
