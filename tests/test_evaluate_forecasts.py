@@ -58,9 +58,7 @@ def dataset() -> Dataset:
     return Dataset(SMALL)
 
 
-def trained(
-    out: Path, model: str = "mlp", seed: int = 0, split: dict[str, Any] = SPLIT, **windows: Any
-) -> TrainConfig:
+def trained(out: Path, model: str = "mlp", seed: int = 0, split: dict[str, Any] = SPLIT, **windows: Any) -> TrainConfig:
     """Train a model for a few steps; its best weights are in `out`."""
     config = TrainConfig(
         model=model,
