@@ -351,9 +351,7 @@ def test_buffers_that_are_refilled_are_not_the_frames_before(episode):
     plan = observed(predictor, episode)
     expected = predictor.predict(*plan)
     predictor.reset()
-    buffers = [part[0].astype(float) for part in (episode.points, episode.grippers)] + [
-        episode.centre_line.astype(float)
-    ]
+    buffers = [part.astype(float) for part in (episode.points[0], episode.grippers[0], episode.centre_line)]
     for t in range(5, 21):
         buffers[0][:], buffers[1][:], buffers[2][:] = episode.points[t], episode.grippers[t], episode.centre_line
         predictor.observe(buffers[0], buffers[1], bool(episode.held[t]), buffers[2])

@@ -39,7 +39,7 @@ Line = Sequence[Tensor]  # what `_line` says
 
 
 class Codes(NamedTuple):
-    """What is known of B scenes before a plan, in the frame of the grippers; of the carriers first, then of the n points."""
+    """What is known of B scenes before a plan, in the grippers' frame and units of 0.2 m; of carriers first, then of n points."""
 
     code: Tensor  # (B, carriers + n, width)
     place: Tensor  # (B, carriers + n, 3)
@@ -47,7 +47,7 @@ class Codes(NamedTuple):
     target: Line
     floor: Tensor  # (B,) its height in that frame
     origin: Tensor  # (B, 3) of that frame, metres
-    turn: Tensor  # (B, 3, 3) its axes; lengths are in units of 0.2 m there
+    turn: Tensor  # (B, 3, 3) its axes
     carriers: int
     swapped: Tensor  # (B,) whether the grippers changed names
 
@@ -162,11 +162,11 @@ class Motion(nn.Module):
         lasts = torch.tensor((0, *KNOTS)).to(hands).diff() / 6
         reach = _reach(hands.flatten(1, 2), target).unflatten(1, hands.shape[1:3]).flatten(2)
         told = [(hands - before).flatten(2), shares[..., None], lasts.expand(plans, -1)[..., None], reach]
-        # Of what is linear in many steps or points at once, all that may be is done for them together.
-        scene, pooled = self.scene.weight.split([24, 2 * _POOLED], dim=1)
+        # What is linear in the plan is done for all steps at once; what is linear in places, without their differences.
+        planned, pooled = self.scene.weight.split([24, 2 * _POOLED], dim=1)
         one, other, around, goes, went = self.own.weight.split([3, 3, 7, 3, 3], dim=1)
         own = torch.cat([goes - one - other, -goes, 3 * went, around], dim=1)
-        given = torch.cat([*told, hands.flatten(2)], dim=-1) @ torch.cat([scene, one, other], dim=1).T
+        given = torch.cat([*told, hands.flatten(2)], dim=-1) @ torch.cat([planned, one, other], dim=1).T
         given = given + (self.scene.bias + self.own.bias)
         step, places, scales = torch.zeros_like(place), [], []
         for k, frames in enumerate(lasts.tolist()):
@@ -255,7 +255,8 @@ def _line(places: Tensor) -> Line:
     start, along = places[:, :-1], places.diff(dim=1)
     before = (torch.arange(along.shape[1]).to(places) / along.shape[1])[:, None].expand(len(places), -1, 1)
     base, square, first = (part.sum(dim=-1)[:, None] for part in (-start * along, along.square(), start.square()))
-    return along.mT, base, square.clamp_min(1e-9), -2 * start.mT, first, torch.cat([start, along, before], dim=-1)
+    table = torch.cat([start, along, before], dim=-1)
+    return along.mT, base, square.clamp_min(1e-9 / UNIT**2), -2 * start.mT, first, table
 
 
 def _beside(points: Tensor, line: Line) -> Tensor:
@@ -263,9 +264,8 @@ def _beside(points: Tensor, line: Line) -> Tensor:
     ways, base, square, starts, first, table = line
     way = torch.baddbmm(base, points, ways)
     share = (way / square).clamp(0, 1)
-    off = torch.baddbmm(
-        first, points, starts
-    )  # squares of distances from starts, but for what a point adds to all of them
+    # Squares of distances, but for what a point adds to all of them.
+    off = torch.baddbmm(first, points, starts)
     nearest = torch.addcmul(off, share, torch.sub(share * square, way, alpha=2)).argmin(dim=-1, keepdim=True)
     share, piece = share.gather(2, nearest), table.gather(1, nearest.expand(-1, -1, 7))
     away = torch.addcmul(piece[..., :3] - points, share, piece[..., 3:6])
