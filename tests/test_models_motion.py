@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from torch.utils.data import default_collate
 
 import topokit as tk
-from topokit._evidence import Gaps
 from topokit._follow import follow_and_find
+from topokit._frames import Frame
 from topokit.cli import main
 from topokit.data import Dataset
 from topokit.io import load_episode
@@ -346,6 +346,34 @@ def test_the_order_of_points_does_not_count(episode):
     assert np.linalg.norm(one[:, order] - other, axis=-1).mean() < 0.02  # other points are carriers, that is all
 
 
+def with_stray(predictor, episode, cloud, stray):
+    """The film of a cloud that goes with the grippers, and a point in mid-air with it; the plan after it."""
+    clouds = [
+        np.concatenate([cloud, [stray]]) + middle - episode.grippers[20].mean(axis=0)
+        for middle in episode.grippers[:21].mean(axis=1)
+    ]
+    return observed(predictor, episode, points=clouds)
+
+
+def test_strays_do_not_tell_the_cloth_how_it_moves(episode):
+    cloud = episode.points[20][:150].astype(float)  # fewer than the network looks at
+    predictor, middle = MotionPredictor(make()), cloud.mean(axis=0)
+    far, farther = (predictor.move(*with_stray(predictor, episode, cloud, middle + [x, x, 0]), cloud) for x in (1, 2))
+    np.testing.assert_allclose(far[0], farther[0], atol=1e-5)
+
+
+def test_a_stray_in_an_opening_does_not_end_it(episode):
+    """The tracker leaves it out, and so does who seeks its loops in the moved cloud."""
+    turn = 2 * np.pi * np.arange(150) / 150
+    ring = episode.grippers[20].mean(axis=0) + np.column_stack([0.3 * np.cos(turn), 0 * turn, 0.3 * np.sin(turn) - 0.3])
+    predictor = MotionPredictor(make(strong=1e-3))
+    plan = with_stray(predictor, episode, ring, ring.mean(axis=0))
+    exact, fast = predictor.predict(*plan, exact=[1]), predictor.predict(*plan)
+    assert len(predictor._loops) == 1
+    assert exact.death[0, 0] == pytest.approx(fast.death[0, 0], rel=0.05)
+    assert fast.death[0, 0] > 0.25
+
+
 def test_buffers_that_are_refilled_are_not_the_frames_before(episode):
     predictor = MotionPredictor(make())
     plan = observed(predictor, episode)
@@ -434,13 +462,13 @@ def test_loops_are_born_in_the_moved_cloud(episode):
     opened = np.concatenate([ring, ring + [1, 0, 0]])
     shut = np.concatenate([ring, ring * [1, 0.01, 1] + [1, 0, 0]])
     (loop,) = tk.track([shut] * 3)[-1].loops
-    gaps = Gaps.of(cKDTree(opened).query(opened, k=6)[0][:, 1:])
-    followed, (born,) = follow_and_find([loop], opened, gaps)
+    frame = Frame.cleaned(cKDTree(opened))
+    followed, (born,) = follow_and_find([loop], opened, frame)
     assert [one.id for one in followed] == [loop.id]
     assert born.id == loop.id + 1
     assert born.centre[0] > 0.5
-    assert follow_and_find([loop], shut, gaps)[1] == []
-    assert follow_and_find([loop, born], opened, gaps)[1] == []  # it has a name now
+    assert follow_and_find([loop], shut, frame)[1] == []
+    assert follow_and_find([loop, born], opened, frame)[1] == []  # it has a name now
 
     predictor = MotionPredictor(make())
     plan, held = observed(predictor, episode)
@@ -449,7 +477,7 @@ def test_loops_are_born_in_the_moved_cloud(episode):
         np.full((1, 60, 120), 0.01),
     )
     predictor._track = lambda: None
-    predictor._loops, predictor._sampling = (loop,), (gaps, 120)
+    predictor._loops, predictor._frame = (loop,), frame
     forecast = predictor.predict(plan, held, exact=(60, 10, 30))
     assert forecast.birth.shape == (60, 2)
     assert [len(forecast[step - 1]) for step in (10, 30, 60)] == [1, 2, 2]

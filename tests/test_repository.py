@@ -246,7 +246,7 @@ def lengths_of_functions(path: Path) -> list[int]:
     return found
 
 
-MOST_LINES = 21_886  # far from the 17,000 that it shall be: control, what moves, names and neighbours came faster
+MOST_LINES = 21_885  # far from the 17,000 that it shall be: control, what moves, names and neighbours came faster
 
 
 def test_the_library_stays_small():

@@ -15,7 +15,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._evidence import Gaps, evidence
+from ._evidence import evidence
+from ._frames import Frame
 from ._validate import as_points
 from .rips import rips_persistence
 from .seqph import loop_at
@@ -56,23 +57,26 @@ def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
     return follow_and_find(loops, cloud)[0]
 
 
-def follow_and_find(loops: Sequence[Loop], cloud: ArrayLike, gaps: Gaps | None = None) -> tuple[list[Loop], list[Loop]]:
-    """Return what `follow` does and, of a cloud with such gaps, the loops that it has beside: those that are born there."""
+def follow_and_find(
+    loops: Sequence[Loop], cloud: ArrayLike, frame: Frame | None = None
+) -> tuple[list[Loop], list[Loop]]:
+    """Return what `follow` does and, of the points that count in the frame, the loops beside these: those that are born."""
     points, cycles = as_points(cloud), [loop.cycle for loop in loops]
     most = max((int(cycle.max()) for cycle in cycles), default=-1)
     if most >= len(points):
         raise ValueError(f"a loop goes through point {most}, and the cloud has {len(points)}: give all, in their order")
-    diagram = rips_persistence(points)
+    ids = np.arange(len(points)) if frame is None else frame.ids
+    diagram, found = rips_persistence(points[ids]), []
     bars = {(a, b): i for i, (a, b) in enumerate(diagram.killer_edge.tolist())}
-    ids, found = np.arange(len(points)), []
-    ends = [bars.get((a, b)) for a, b in diagram.killers_of(cycles).tolist()]
+    among = [np.searchsorted(ids, cycle) for cycle in cycles]
+    ends = [bars.get((a, b)) for a, b in diagram.killers_of(among).tolist()]
     for loop, bar in zip(loops, ends, strict=True):
         if bar is not None and diagram.death[bar] > loop.birth:
             moved = loop_at(diagram, bar, points, ids, loop.id, loop.killer_edge_points)
             found.append(replace(moved, birth=loop.birth))
     born = []
-    if gaps is not None:
-        says = evidence(diagram.birth, diagram.death, gaps, len(points))
+    if frame is not None:
+        says = evidence(diagram.birth, diagram.death, frame.gaps, len(ids))
         first = max((loop.id for loop in loops), default=-1) + 1
         new = [bar for bar in np.argsort(-diagram.lifetime).tolist() if says[bar] > 0 and bar not in ends]
         born = [loop_at(diagram, bar, points, ids, first + i, None) for i, bar in enumerate(new)]

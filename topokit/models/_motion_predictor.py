@@ -11,9 +11,11 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from topokit._evidence import Gaps, evidence, remembered
+from topokit._evidence import evidence, remembered
 from topokit._follow import follow_and_find
+from topokit._frames import Frame
 from topokit._validate import as_points
+from topokit.sampling import inliers
 from topokit.seqph import SeqPH
 from topokit.state import Loop
 
@@ -90,7 +92,7 @@ class MotionPredictor(Predictor):
         if len(exact):
             places, scales = places[:, :, ids.ravel()], scales[:, :, ids.ravel()]
         sizes = *places.shape[:2], len(ids), 8
-        forecast = _forecast(places.reshape(*sizes, 3), scales.reshape(sizes), self._loops, self._sampling)
+        forecast = _forecast(places.reshape(*sizes, 3), scales.reshape(sizes), self._loops, self._frame)
         if np.ndim(actions) == 4:
             return forecast
         parts, loops = vars(forecast.plan(0)).values(), list(self._loops)
@@ -99,7 +101,7 @@ class MotionPredictor(Predictor):
         free = 0, self.model.shape.slots - len(loops)  # for those that are born
         forecast = Forecast(*(np.pad(part, [(0, 0), free, *[(0, 0)] * (part.ndim - 2)]) for part in parts))
         for step in sorted(exact):
-            _read(forecast, step - 1, loops, len(ids), whole[0][step - 1], whole[1][step - 1], self._sampling)
+            _read(forecast, step - 1, loops, len(ids), [part[step - 1] for part in whole], self._frame)
         return Forecast(*(part[:, : len(loops)] for part in vars(forecast).values()))
 
     @torch.inference_mode()
@@ -123,8 +125,7 @@ class MotionPredictor(Predictor):
         """Track the loops of the clouds that came since; a forecast of points alone does not need them."""
         while self._untracked:
             self._loops = self._seqph.update(self._untracked.popleft()).loops[: self.model.shape.slots]
-            frame: Any = self._seqph._before  # the one that this was
-            self._sampling = frame.gaps, frame.tree.n
+            self._frame: Any = self._seqph._before  # the one that this was
 
     def _moved(self, actions: ArrayLike, held: ArrayLike | None, asked: NDArray[Any] | None) -> tuple[Array, Array]:
         """(C, 60, n, 3) places and (C, 60, n) scales of some points, or of the last cloud's."""
@@ -145,7 +146,8 @@ class MotionPredictor(Predictor):
         if key not in self._codes:
             cloud, last = self._clouds[-1].data, len(self._clouds) - 1
             then = [max(last - ago, 0) for ago in (0, *PAST)]
-            seen = np.random.default_rng(0).permutation(cloud)[: self.model.shape.points]  # mixed, the same each time
+            kept = cloud[inliers(self._clouds[-1])]  # strays are no cloth: the tracker leaves them out, too
+            seen = np.random.default_rng(0).permutation(kept)[: self.model.shape.points]  # mixed, the same each time
             seen = seen[carriers_first(seen)]
             hands = np.stack([self._hands[i] for i in then])
             scene = {
@@ -179,8 +181,8 @@ def _corners(loop: Loop) -> tuple[list[int], list[bool]]:
     return [*corners, *(apexes.get(one, corners[2]) for one in outer)], [one in apexes for one in outer]
 
 
-def _forecast(corners: Array, scales: Array, loops: Sequence[Loop], sampling: tuple[Gaps, int]) -> Forecast:
-    """States (C, 60, S) of loops whose corners (C, 60, S, 8, 3) are where these are, to those scales, of a cloud sampled so."""
+def _forecast(corners: Array, scales: Array, loops: Sequence[Loop], frame: Frame) -> Forecast:
+    """States (C, 60, S) of loops of a frame, whose corners (C, 60, S, 8, 3) are where these are, to those scales."""
     now = np.array([loop.killer_edge_points for loop in loops], np.float32).reshape(-1, 2, 3)
     birth = np.broadcast_to(np.array([loop.birth for loop in loops], np.float32), corners.shape[:3])
     ends = corners[..., :2, :]
@@ -190,7 +192,7 @@ def _forecast(corners: Array, scales: Array, loops: Sequence[Loop], sampling: tu
     values = _values(corners)
     present = np.array([_corners(loop)[1] for loop in loops], bool).reshape(-1, 4)
     death = np.linalg.norm(ends[..., 0, :] - ends[..., 1, :], axis=-1) / 2
-    presence = _presence(birth, death, np.arange(1, KNOTS[-1] + 1)[:, None], sampling)
+    presence = _presence(birth, death, np.arange(1, KNOTS[-1] + 1)[:, None], frame)
     return Forecast(corners, values * present, birth.copy(), death, step, presence, _noise(death, scales))
 
 
@@ -199,10 +201,10 @@ def _noise(death: Array | float, scales: Array) -> Array:
     return np.asarray(NOISE + np.square(death) + 4 * (scales**2).mean(axis=-1))
 
 
-def _presence(birth: ArrayLike, death: ArrayLike, ahead: ArrayLike, sampling: tuple[Gaps, int]) -> Array:
+def _presence(birth: ArrayLike, death: ArrayLike, ahead: ArrayLike, frame: Frame) -> Array:
     """The probability that the tracker believes in loops so many frames ahead: by what it sees there and what it remembers."""
     start, end = np.asarray(birth, np.float64), np.asarray(death, np.float64)
-    odds = evidence(start, np.maximum(start, end), *sampling) + remembered(np.asarray(ahead, np.float64))
+    odds = evidence(start, np.maximum(start, end), frame.gaps, frame.tree.n) + remembered(np.asarray(ahead, np.float64))
     return np.asarray(1 / (1 + np.exp(-odds)), np.float32)
 
 
@@ -212,17 +214,10 @@ def _values(corners: Array) -> Array:
     return np.asarray(np.linalg.norm(triangles - np.roll(triangles, 1, axis=-2), axis=-1).max(axis=-1) / 2)
 
 
-def _read(
-    forecast: Forecast,
-    index: int,
-    loops: list[Loop],
-    tracked: int,
-    cloud: Array,
-    scales: Array,
-    sampling: tuple[Gaps, int],
-) -> None:
+def _read(forecast: Forecast, index: int, loops: list[Loop], tracked: int, moved: list[Array], frame: Frame) -> None:
     """Write into a forecast what is read off a moved cloud at one of its steps; loops born there join those followed."""
-    followed, born = follow_and_find(loops, cloud, sampling[0])
+    cloud, scales = moved
+    followed, born = follow_and_find(loops, cloud, frame)
     there = {loop.id: loop for loop in followed + born}
     loops += born[: forecast.birth.shape[1] - len(loops)]
     for slot, loop in enumerate(loops):
@@ -235,4 +230,4 @@ def _read(
         forecast.birth[index, slot], forecast.death[index, slot] = now.birth, now.death
         forecast.noise[index, slot] = _noise(now.death, scales[ids])
         ahead = index + 1 if slot < tracked else np.inf  # one that is born there was not seen yet
-        forecast.presence[index, slot] = _presence(now.birth, now.death, ahead, sampling)
+        forecast.presence[index, slot] = _presence(now.birth, now.death, ahead, frame)
