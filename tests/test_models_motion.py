@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from torch.utils.data import default_collate
 
 import topokit as tk
-from topokit._follow import follow_and_find
+from topokit._follow import follow_all
 from topokit._frames import Frame
 from topokit.cli import main
 from topokit.data import Dataset
@@ -463,12 +463,12 @@ def test_loops_are_born_in_the_moved_cloud(episode):
     shut = np.concatenate([ring, ring * [1, 0.01, 1] + [1, 0, 0]])
     (loop,) = tk.track([shut] * 3)[-1].loops
     frame = Frame.cleaned(cKDTree(opened))
-    followed, (born,) = follow_and_find([loop], opened, frame)
+    followed, (born,) = follow_all([loop], opened, frame)
     assert [one.id for one in followed] == [loop.id]
     assert born.id == loop.id + 1
     assert born.centre[0] > 0.5
-    assert follow_and_find([loop], shut, frame)[1] == []
-    assert follow_and_find([loop, born], opened, frame)[1] == []  # it has a name now
+    assert follow_all([loop], shut, frame)[1] == []
+    assert follow_all([loop, born], opened, frame)[1] == []  # it has a name now
 
     predictor = MotionPredictor(make())
     plan, held = observed(predictor, episode)

@@ -15,7 +15,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._evidence import evidence
 from ._frames import Frame
 from ._validate import as_points
 from .rips import rips_persistence
@@ -54,19 +53,17 @@ def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
     >>> [round(loop.death, 2) for loop in tk.follow(loops, ring * [1, 0.8])]
     [0.79]
     """
-    return follow_and_find(loops, cloud)[0]
+    return follow_all(loops, cloud)[0]
 
 
-def follow_and_find(
-    loops: Sequence[Loop], cloud: ArrayLike, frame: Frame | None = None
-) -> tuple[list[Loop], list[Loop]]:
+def follow_all(loops: Sequence[Loop], cloud: ArrayLike, frame: Frame | None = None) -> tuple[list[Loop], list[Loop]]:
     """Return what `follow` does and, of the points that count in the frame, the loops beside these: those that are born."""
     points, cycles = as_points(cloud), [loop.cycle for loop in loops]
     most = max((int(cycle.max()) for cycle in cycles), default=-1)
     if most >= len(points):
         raise ValueError(f"a loop goes through point {most}, and the cloud has {len(points)}: give all, in their order")
     ids = np.arange(len(points)) if frame is None else frame.ids
-    diagram, found = rips_persistence(points[ids]), []
+    diagram, found, born = rips_persistence(points[ids]), [], []
     bars = {(a, b): i for i, (a, b) in enumerate(diagram.killer_edge.tolist())}
     among = [np.searchsorted(ids, cycle) for cycle in cycles]
     ends = [bars.get((a, b)) for a, b in diagram.killers_of(among).tolist()]
@@ -74,9 +71,8 @@ def follow_and_find(
         if bar is not None and diagram.death[bar] > loop.birth:
             moved = loop_at(diagram, bar, points, ids, loop.id, loop.killer_edge_points)
             found.append(replace(moved, birth=loop.birth))
-    born = []
     if frame is not None:
-        says = evidence(diagram.birth, diagram.death, frame.gaps, len(ids))
+        says = frame.says(diagram.birth, diagram.death)
         first = max((loop.id for loop in loops), default=-1) + 1
         new = [bar for bar in np.argsort(-diagram.lifetime).tolist() if says[bar] > 0 and bar not in ends]
         born = [loop_at(diagram, bar, points, ids, first + i, None) for i, bar in enumerate(new)]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ._evidence import Gaps
+from ._evidence import Gaps, evidence
 from .rips import Diagram
 from .sampling import inliers_and_tree, spacing
 
@@ -46,6 +46,10 @@ class Frame:
         if places.n == 1:
             return cls(places, ids, 0.0)
         return cls(places, ids, float(np.quantile(nearest[:, 0], _SCENE)) / 2, Gaps.of(nearest))
+
+    def says(self, birth: Array, death: Array) -> Array:
+        """What this frame says for each bar's being a loop, in natural logarithms of odds."""
+        return evidence(birth, death, self.gaps, self.tree.n)
 
     def motion_since(self, before: Frame) -> tuple[Array, float]:
         """(d,) how far the scene has moved as a whole since, and how far its points beside that: a partial Hausdorff distance.

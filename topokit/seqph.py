@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._evidence import MISSED, WEAKEST, believe, evidence
+from ._evidence import MISSED, WEAKEST, believe
 from ._frames import Frame, check_diagram, check_follows
 from ._matching import Candidates, Known, Matching, candidates_of, check_pairs, hausdorff_table, within_gates
 from ._validate import Array, as_sequence, positive, whole
@@ -213,7 +213,7 @@ class SeqPH:
         """(m,) evidence that each bar is a loop; by alpha alone there is no doubt."""
         if self.loops == "alpha":
             return np.where(diagram.lifetime >= frame.alpha, np.inf, -np.inf)
-        return evidence(diagram.birth, diagram.death, frame.gaps, frame.tree.n)
+        return frame.says(diagram.birth, diagram.death)
 
     def _motion(self, frame: Frame) -> tuple[Array | float, float]:
         """How far the scene as a whole has moved, and epsilon, given or estimated."""

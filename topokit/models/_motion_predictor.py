@@ -11,8 +11,8 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from topokit._evidence import evidence, remembered
-from topokit._follow import follow_and_find
+from topokit._evidence import remembered
+from topokit._follow import follow_all
 from topokit._frames import Frame
 from topokit._validate import as_points
 from topokit.sampling import inliers
@@ -204,7 +204,7 @@ def _noise(death: Array | float, scales: Array) -> Array:
 def _presence(birth: ArrayLike, death: ArrayLike, ahead: ArrayLike, frame: Frame) -> Array:
     """The probability that the tracker believes in loops so many frames ahead: by what it sees there and what it remembers."""
     start, end = np.asarray(birth, np.float64), np.asarray(death, np.float64)
-    odds = evidence(start, np.maximum(start, end), frame.gaps, frame.tree.n) + remembered(np.asarray(ahead, np.float64))
+    odds = frame.says(start, np.maximum(start, end)) + remembered(np.asarray(ahead, np.float64))
     return np.asarray(1 / (1 + np.exp(-odds)), np.float32)
 
 
@@ -217,7 +217,7 @@ def _values(corners: Array) -> Array:
 def _read(forecast: Forecast, index: int, loops: list[Loop], tracked: int, moved: list[Array], frame: Frame) -> None:
     """Write into a forecast what is read off a moved cloud at one of its steps; loops born there join those followed."""
     cloud, scales = moved
-    followed, born = follow_and_find(loops, cloud, frame)
+    followed, born = follow_all(loops, cloud, frame)
     there = {loop.id: loop for loop in followed + born}
     loops += born[: forecast.birth.shape[1] - len(loops)]
     for slot, loop in enumerate(loops):
