@@ -72,6 +72,13 @@ def foreseen(results: Results, name: str) -> tuple[float, float]:
     return 100 * fmean(hits), fmean(one["error_cm"][name][-1] for one in windows)
 
 
+def gained_by_films_of_scarves(results: Results) -> tuple[float, Any]:
+    """Points above the same network after as many steps without them; of how many films that row is."""
+    table = results["unseen"]["conditions"]["scarf"]
+    few, longer = (table["hull_accuracy"][model]["mean"]["mean"] for model in ("few", "longer"))
+    return 100 * (few - longer), word(table["episodes"])
+
+
 def known_differ(results: Results) -> dict[str, float]:
     """Of each family the points between the best and the worst training that knew it."""
     tables = results["unseen"]["conditions"].items()
@@ -396,11 +403,7 @@ MEASURED: list[tuple[str, str, Callable[[Results], tuple[Any, ...]]]] = [
     (
         "honest_evaluation",
         "The scarf gains most, {:.1f} points, but that row has {} films",
-        lambda r: next(
-            (100 * (few - longer), word(row["episodes"]))
-            for row in [r["unseen"]["conditions"]["scarf"]]
-            for few, longer in [[row["hull_accuracy"][model]["mean"]["mean"] for model in ("few", "longer")]]
-        ),
+        gained_by_films_of_scarves,
     ),
     # -- captions
     ("seqph_following", "for three choices of the place; {} episodes", lambda r: (len(r["tracking"]["episodes"]),)),
