@@ -20,5 +20,5 @@ if TYPE_CHECKING:
     from .seqph import SeqPH, track
     from .state import Loop, TopologicalState
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __getattr__, __all__ = attach(__name__, __file__)  # so that the command hears Ctrl-C before NumPy is imported
