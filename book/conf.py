@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT), str(ROOT / "book")]
+sys.path[:0] = [str(ROOT), str(ROOT / "book"), str(ROOT / "notebooks")]
 
 from docutils import nodes  # noqa: E402
 from jupyter_cache import get_cache  # noqa: E402
@@ -86,6 +86,7 @@ def _digest() -> str:
         ("data_small", "**/*"),
         ("book/results", "**/*"),
         ("notebooks", "*.ipynb"),
+        ("notebooks/chapter_tools", "**/*"),
     ):
         files += [path for path in (ROOT / folder).glob(pattern) if "__pycache__" not in path.parts]
     for path in sorted(path for path in files if path.is_file()):

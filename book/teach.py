@@ -14,10 +14,11 @@ from docutils import nodes
 from docutils.parsers.rst import Directive
 from sphinx.util.docutils import SphinxDirective
 
-from topokit import book
+from chapter_tools import quiz
 
+TOOLS = ROOT / "notebooks" / "chapter_tools"
 LEVELS = {1: "one idea", 2: "two ideas", 3: "a surprise"}
-ASKED = re.compile(r'check\("([^"]+)", \.\.\.\)')
+ASKED = re.compile(r'ask\("([^"]+)", \.\.\.\)')
 
 
 def setup(app: Any) -> dict[str, bool]:
@@ -29,12 +30,12 @@ def setup(app: Any) -> dict[str, bool]:
 
 
 def _answered_here(app: Any, doctree: nodes.document, docname: str) -> None:
-    """Put a field for the guess where a notebook asks to write it into the cell; book.js says what `check` says."""
+    """Put a field for the guess where a notebook asks to write it into the cell; book.js says what `ask` replies."""
     if app.builder.format != "html":
         return
     for cell in doctree.findall(lambda node: "cell" in getattr(node, "attributes", {}).get("classes", ())):
         if asked := ASKED.search(cell.astext()):
-            question = book.questions()[asked[1]]
+            question = quiz.questions()[asked[1]]
             kept = ("answer", "tolerance", "wrong", "why", "smaller", "larger")
             told = html.escape(json.dumps({name: getattr(question, name) for name in kept}))
             form = f'<form class="topokit-question" data-question="{told}"><label>Your guess {_field(question)}</label>'
@@ -43,7 +44,7 @@ def _answered_here(app: Any, doctree: nodes.document, docname: str) -> None:
                 last.replace_self(nodes.raw("", form, format="html"))
 
 
-def _field(question: book.Question) -> str:
+def _field(question: quiz.Question) -> str:
     if question.choices:
         options = "".join(f"<option>{key}</option>" for key in question.choices)
         return f'<select name="guess">{options}</select>'
@@ -51,7 +52,7 @@ def _field(question: book.Question) -> str:
     return f'<input name="guess" required autocomplete="off" type="{kind}">'
 
 
-def told(name: str, question: book.Question) -> str:
+def told(name: str, question: quiz.Question) -> str:
     """A question as Markdown, its answer folded."""
     choices = "".join(f"- **{key}** {text}\n" for key, text in (question.choices or {}).items())
     within = f", within {question.tolerance:g}" if question.tolerance else ""
@@ -70,13 +71,13 @@ class Questions(SphinxDirective):
     """All questions of the book, chapter by chapter, as a teacher wants them."""
 
     def run(self) -> list[nodes.Node]:
-        asked = book.questions()
+        asked = quiz.questions()
         text = ""
         for chapter in sorted({question.chapter for question in asked.values()}):
             text += f"*Chapter {chapter}*\n\n"  # links.py makes it a link
             text += "".join(told(name, each) for name, each in asked.items() if each.chapter == chapter)
-            self.env.note_dependency(str(ROOT / "topokit" / "questions" / f"{chapter:02}.json"))
-        self.env.note_dependency(str(ROOT / "topokit" / "book.py"))
+            self.env.note_dependency(str(TOOLS / "questions" / f"{chapter:02}.json"))
+        self.env.note_dependency(str(TOOLS / "quiz.py"))
         place = nodes.Element()
         self.state.nested_parse(text.splitlines(), self.content_offset, place)
         return place.children

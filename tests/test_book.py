@@ -176,7 +176,7 @@ def test_chapters_called_by_their_numbers_are_found(book):
 
 
 def test_teachers_see_every_question_with_its_answer_folded(book):
-    from topokit.book import questions
+    from chapter_tools.quiz import questions
 
     for name, question in questions().items():
         told = book("teach").told(name, question)

@@ -35,7 +35,6 @@ FACES = (
     "topokit.models",
     "topokit.evaluate",
     "topokit.view",
-    "topokit.book",
 )
 PARAMETERS = ("PR01", "PR02", "PR03")  # one is not documented, is not there, or stands in another place
 

@@ -29,7 +29,7 @@ function copyable(box) { // a button that copies the code, without the prompts o
   box.append(button);
 }
 
-function answering(form) { // says of a guess what topokit.book.check says
+function answering(form) { // says of a guess what chapter_tools.ask replies
   const asked = JSON.parse(form.dataset.question), words = (text) => String(text).toLowerCase().replace(/[^\p{L}\p{N}]/gu, "");
   const number = typeof asked.answer === "number", said = form.querySelector("output");
   const same = (guess, value) => number ? Math.abs(guess - value) <= asked.tolerance : words(guess) === words(value);
