@@ -37,6 +37,7 @@ opengl: env
 	@$(BIN)/python -c 'from topokit.view import pyvista_works; ok, why = pyvista_works(); ok or print("topokit:", why)'
 
 book: env opengl
+	@$(BIN)/python book/experiments/report.py book/results/motion.json --out book/report >/dev/null
 	@rm -rf _build/html
 	@$(BIN)/python book/ahead.py
 	@$(BIN)/python -m sphinx -n -W --keep-going -q -b html -c book -d _build/doctrees . _build/html

@@ -94,7 +94,7 @@ def test_a_piece_runs(number, tmp_path, monkeypatch):
 
 def test_the_table_is_that_of_the_results(monkeypatch):
     pytest.importorskip("torch")
-    monkeypatch.syspath_prepend(ROOT / "tests" / "benchmarks")
+    monkeypatch.syspath_prepend(ROOT / "book" / "experiments")
     monkeypatch.delitem(sys.modules, "doors", raising=False)
     import doors
 

@@ -108,7 +108,7 @@ def test_persim_takes_the_diagrams():
 
 
 def test_garments_are_told_apart_by_their_loops():
-    """Two kinds, a few frames: the whole table is `tests/benchmarks/doors.py`."""
+    """Two kinds, a few frames: the whole table is `book/experiments/doors.py`."""
     pytest.importorskip("zarr")
     from topokit.data import Dataset
 

@@ -7,7 +7,6 @@ import itertools
 import gudhi
 import numpy as np
 import pytest
-import search_lemmas
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist, directed_hausdorff
 
@@ -19,6 +18,7 @@ from topokit.lemmas._matching import longest_unmatched, match_diagrams
 from topokit.lemmas._measures import is_critical
 from topokit.lemmas._step import observed_state
 
+import lemma_search
 from conftest import DATA
 
 
@@ -453,20 +453,20 @@ def test_verify_episode_is_verify_step_by_step():
 
 
 def test_the_search_finds_no_violation_and_would_find_one(monkeypatch):
-    search = search_lemmas.Search(seed=5, steps=30)
-    search.run(60, len(search_lemmas.TRUE_VERSIONS), progress=False)
+    search = lemma_search.Search(seed=5, steps=30)
+    search.run(60, len(lemma_search.TRUE_VERSIONS), progress=False)
     assert search.news == []
     rows = {(r["instances"], r["statement"], r["version"]): r for r in search.table()}
     assert all(rows["random", name, "corrected"]["tried"] == 60 for name in STATEMENTS)
     assert rows["random", "feature approximation", "paper"]["violated"] > 10
     # Were a false statement taken for a true one, the search would say so.
-    monkeypatch.setattr(search_lemmas, "TRUE_VERSIONS", [("feature approximation", "paper")])
-    fooled = search_lemmas.Search(seed=5, steps=30)
+    monkeypatch.setattr(lemma_search, "TRUE_VERSIONS", [("feature approximation", "paper")])
+    fooled = lemma_search.Search(seed=5, steps=30)
     fooled.run(10, 0, progress=False)
     assert fooled.news
     news = fooled.news[0]
-    instance = search_lemmas.Instance(*(np.array(news[key]) for key in ("before", "after", "seen", "seen_after")))
-    less = search_lemmas.shrink(instance, news["statement"], news["version"])
+    instance = lemma_search.Instance(*(np.array(news[key]) for key in ("before", "after", "seen", "seen_after")))
+    less = lemma_search.shrink(instance, news["statement"], news["version"])
     assert len(less.before) <= len(instance.before)
     assert lemmas.feature_approximation(less.before, less.seen).paper.violated
 
@@ -474,14 +474,14 @@ def test_the_search_finds_no_violation_and_would_find_one(monkeypatch):
 def test_the_factor_before_beta_is_what_seven_points_need():
     case = lemmas.COUNTEREXAMPLES["killers two beta apart"]
     check = lemmas.corollary(case.before, case.observed_before, case.after, case.observed_after)
-    needed, share = search_lemmas.needed_factor(check, "2 beta + epsilon, all edges")
+    needed, share = lemma_search.needed_factor(check, "2 beta + epsilon, all edges")
     assert needed == pytest.approx(1.516 / 0.781, abs=0.002)
     assert share == pytest.approx(0.781 / (2 * 0.816), abs=0.002)
-    assert search_lemmas.tightness(check, "2 beta + epsilon, all edges") == pytest.approx(needed / 2)
+    assert lemma_search.tightness(check, "2 beta + epsilon, all edges") == pytest.approx(needed / 2)
     # A shift has no beta to speak of, and says nothing about the factor.
     shifted = lemmas.regularity_of_killers(case.before, case.before + [0.1, 0.0])
-    assert search_lemmas.ratio(shifted.intrinsic) == pytest.approx(1)
-    assert search_lemmas.needed_factor(shifted, "intrinsic") is None
+    assert lemma_search.ratio(shifted.intrinsic) == pytest.approx(1)
+    assert lemma_search.needed_factor(shifted, "intrinsic") is None
 
 
 def test_the_killer_of_a_square_jumps_by_a_side_and_its_cycle_stays():

@@ -27,9 +27,7 @@ runpy.run_module("topokit", run_name="__main__")
 """
 
 
-@pytest.mark.parametrize(
-    "module", ["numpy", "numpy.linalg", "topokit.cli", "topokit.seqph", "topokit.data._commands", "topokit.evaluate"]
-)
+@pytest.mark.parametrize("module", ["numpy", "numpy.linalg", "topokit.cli", "topokit.seqph", "topokit.data._commands"])
 def test_ctrl_c_during_start_up_is_one_line_and_130(module):
     """It comes when that module is about to be imported: what imports it must not make another error of it."""
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""What README says of time is what was measured: book/results/rips.json, made by tests/benchmarks/rips.py."""
+"""What README says of time is what was measured: book/results/rips.json, made by book/experiments/rips.py."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ README = (ROOT / "README.md").read_text()
 
 @pytest.fixture
 def load(monkeypatch):
-    """Import a file of tests/benchmarks."""
-    monkeypatch.syspath_prepend(ROOT / "tests" / "benchmarks")
+    """Import a file of book/experiments."""
+    monkeypatch.syspath_prepend(ROOT / "book" / "experiments")
     return importlib.import_module
 
 
 @pytest.fixture
 def tables(load):
-    return load("rips_tables")
+    return load("_rips_tables")
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def results():
 
 
 def test_readme_shows_the_recorded_run(results, tables):
-    assert tables.in_page(README, results) == README, "run python tests/benchmarks/rips.py --readme"
+    assert tables.in_page(README, results) == README, "run python book/experiments/rips.py --readme"
 
 
 def test_readme_would_change_with_any_row(results, tables):
@@ -48,7 +48,7 @@ def test_every_row_of_the_benchmark_is_recorded(results, load):
 
 def test_peers_ran_beside_single_clouds(results, load):
     ran = {name for entry in results["rows"]["single"]["entries"] for name in entry["peers"]}
-    assert ran == set(load("rips_peers").NAMES)
+    assert ran == set(load("_rips_peers").NAMES)
 
 
 def test_growth_is_the_slope_of_the_recorded_times(tables):

@@ -70,7 +70,6 @@ def _words(error: BaseException) -> str:
 def parser() -> argparse.ArgumentParser:
     from . import _simulate
     from .data import _commands as data
-    from .evaluate import _commands as evaluate
     from .models import _commands as models
 
     whole = argparse.ArgumentParser(prog="topokit", description="Sequential topology for deformable objects.")
@@ -78,7 +77,7 @@ def parser() -> argparse.ArgumentParser:
     commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _simulate.add(commands)
     _add_track(commands)
-    for part in (data, models, evaluate):
+    for part in (data, models):
         part.add(commands)
     for command in commands.choices.values():
         command.add_argument("--json", action="store_true", help="print the answer as JSON")

@@ -214,7 +214,9 @@ def test_slides_show_one_thing_at_a_time(chromium: Any, page: str) -> None:
 @pytest.mark.parametrize("page", CHAPTERS)
 def test_a_guess_is_answered_on_the_page(chromium: Any, page: str) -> None:
     number = page.partition("/")[2][:2]
-    questions = json.loads((ROOT / "notebooks" / "chapter_tools" / "questions" / f"{number}.json").read_text("utf-8")).values()
+    questions = json.loads(
+        (ROOT / "notebooks" / "chapter_tools" / "questions" / f"{number}.json").read_text("utf-8")
+    ).values()
     with Visit(chromium, page) as visit:
         forms = visit.page.query_selector_all(".topokit-question")
         by_why = {json.loads(form.get_attribute("data-question"))["why"]: form for form in forms}

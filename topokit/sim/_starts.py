@@ -11,7 +11,7 @@ from topokit._validate import whole
 
 
 class HangingStarts(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Episodes of a `HangEnv` that start where those of the hanging benchmark do (`tests/benchmarks/hanging.py`).
+    """Episodes of a `HangEnv` that start where those of the hanging benchmark do (`book/experiments/hanging.py`).
 
     Each `reset` takes the next seed, and after the last one the first again; ``reset(seed=k)`` goes on from the k-th.
 

@@ -1,0 +1,211 @@
+"""How far ahead cloth can be foreseen at all: the simulator as a forecaster of its own films.
+
+python book/experiments/foreseeable.py --dataset runs/motion_test --json book/results/foreseeable.json
+
+A window of a film has its present at a frame at which the grippers hold. The film is simulated again twice, up to that frame with
+the same plan: once the hands make a detour of 2 mm just before (*nudged*), once the cloth has other physics, drawn anew
+from the ranges of the dataset (*other physics*), which no cloud shows. How far the vertices go on in such a twin, added to where
+they are, is its forecast. Loops are read off it as off any other (`topokit.models.MotionPredictor`) and measured as in
+`topokit evaluate`. Beside it: the motion that came (*known*), a trained model, and carry.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.data import default_collate
+from tqdm import tqdm
+
+from topokit.data import Dataset, WindowDataset
+from topokit.data._recipe import DatasetConfig, make_episode
+from topokit.evaluate._accuracy import measure_forecasts
+from topokit.evaluate._conditions import kinds_of, spread_windows, true_curves
+from topokit.evaluate._forecasters import of_stream, of_windows
+from topokit.models import MotionPredictor, Normalisation, Predictor, Shape, build, past_states, target_states
+from topokit.models._motion import KNOTS, _hands, carried
+from topokit.sim import Randomisation, SimulationError
+from topokit.sim._episode import Run, record_afresh
+
+ROOT = Path(__file__).parents[2]
+STEPS = (1, 15, 30, 60)
+NUDGE, FRAMES = 0.002, 6  # metres that both hands are beside their way, and for how many frames
+TOLERANCE = 0.01  # metres, that of book/motion.json
+Array = NDArray[Any]
+
+
+class Caught(Exception):
+    """Instead of a simulation: what would have been simulated."""
+
+
+def run_of(dataset: Dataset, number: int) -> Run:
+    """What the simulator was told when it made that film."""
+    manifest = dataset.group.manifest
+
+    def catch(run: Run, *_: object) -> None:
+        raise Caught(run)
+
+    with patch("topokit.sim._episode.record_afresh", catch):
+        try:
+            make_episode(DatasetConfig.from_json(manifest["config"]), manifest["seed"], number)
+        except Caught as caught:
+            run: Run = caught.args[0]
+    return run
+
+
+def nudged(run: Run, frame: int, rng: np.random.Generator) -> Run:
+    """The same, but that both hands go 2 mm out of their way and back just before a frame."""
+    way, steps = rng.normal(size=3), FRAMES * run.config.steps_per_frame
+    bump = NUDGE * np.sin(np.pi * np.arange(steps) / steps)[:, None, None] ** 2 * way / np.linalg.norm(way)
+    goals, end = run.goals.copy(), frame * run.config.steps_per_frame
+    goals[end - steps : end] += bump
+    return dataclasses.replace(run, goals=goals)
+
+
+def other_physics(run: Run, _: int, rng: np.random.Generator) -> Run:
+    """The same in cloth of another stiffness, damping, friction and mass."""
+    config, *_rest = Randomisation(scale=None).draw(int(rng.integers(2**31)), run.config, run.garment)
+    return dataclasses.replace(run, config=config)
+
+
+TWINS = {"nudged": nudged, "other physics": other_physics}
+TOLD = ("known", *(name for twin in TWINS for name in (twin, f"{twin}, its places")), "motion")  # of all vertices
+
+
+class Told(MotionPredictor):
+    """Forecasts the motion that it is told, window after window."""
+
+    futures: Iterator[Array]  # (60, n, 3) each
+
+    def _moved(self, *_: object) -> tuple[Array, Array]:
+        places = next(self.futures)[None].astype(np.float32)
+        return places, np.zeros(places.shape[:3], np.float32)
+
+
+def forecast(model: MotionPredictor, points: Array, film: Any, frame: int) -> Array:
+    """(60, n, 3) what a model forecasts of all vertices."""
+    model.reset()
+    for t in range(frame - 15, frame + 1):
+        model.observe(points[t], film.grippers[t], bool(film.held[t]), film.centre_line)
+    ahead = slice(frame + 1, frame + 61)
+    return model.move(film.actions[ahead], film.held[ahead])[0]
+
+
+def carry_of(points: Array, film: Any, frame: int) -> Array:
+    """(4, n, 3) where all vertices are at the `STEPS` if the grippers carry them as long as they hold."""
+    ahead = slice(frame + 1, frame + 61)
+    parts = (film.actions[ahead], film.held[ahead], film.grippers[frame], points[frame])
+    actions, held, before, now = (torch.from_numpy(np.asarray(part, float)[None]) for part in parts)
+    hands = _hands(actions, held, before)[0][0, [KNOTS.index(step) for step in STEPS]]
+    return carried(*(part.expand(len(STEPS), -1, -1) for part in (now, before)), hands).numpy()
+
+
+def all_there(twins: Mapping[Any, Array | None], pair: list[int]) -> bool:
+    """Whether no twin of a window was refused."""
+    return all(twins[(*pair, name)] is not None for name in TWINS)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--dataset", type=Path, default=ROOT / "runs" / "motion_test")
+    parser.add_argument("--model", type=Path, default=ROOT / "data_small" / "checkpoints" / "motion.safetensors")
+    parser.add_argument("--windows", type=int, default=6, help="of each garment, at most")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+
+    windows = WindowDataset(options.dataset, labels="full")
+    dataset, rows = windows.dataset, spread_windows(windows, options.windows)
+    films = {int(number): dataset[int(number)] for number in np.unique(windows.index[rows, 0])}
+    runs = {number: run_of(dataset, number) for number in films}
+    windows = windows.select([row for row in rows if films[windows.index[row, 0]].held[windows.index[row, 1]]])
+    jobs = [(number, frame, name) for number, frame in windows.index.tolist() for name in TWINS]
+
+    def simulated(job: tuple[int, int, str]) -> Array | None:
+        number, frame, name = job
+        try:
+            twin = TWINS[name](runs[number], frame, np.random.default_rng((number, frame)))
+            return record_afresh(twin, 600.0)["points"].astype(float)
+        except SimulationError:
+            return None  # of what was drawn: one that is not physical
+
+    again = record_afresh(next(iter(runs.values())), 600.0)["points"]
+    assert np.abs(again - next(iter(films.values())).points).max() < 1e-3, "here the same simulation gives another film"
+    with ThreadPoolExecutor(options.workers) as pool:
+        twins = dict(zip(jobs, tqdm(pool.map(simulated, jobs), total=len(jobs), unit="twin"), strict=True))
+    asked = len(windows)
+    windows = windows.select([i for i, pair in enumerate(windows.index.tolist()) if all_there(twins, pair)])
+
+    model: Any = Predictor.load(options.model)
+    carry: Any = build("carry", Shape(), Normalisation())
+    futures: dict[str, list[Array]] = {name: [] for name in TOLD}
+    gaps: dict[str, list[list[float]]] = {name: [] for name in (*TOLD, "carry")}
+    for number, frame in windows.index.tolist():
+        film, points = films[number], films[number].points.astype(float)
+        ahead, now = slice(frame + 1, frame + 61), points[frame]
+        moved = {"known": points[ahead]}
+        for name in TWINS:
+            twin: Any = twins[number, frame, name]
+            moved[name] = now + twin[ahead] - twin[frame]
+            moved[f"{name}, its places"] = twin[ahead]
+        moved["motion"] = forecast(model, points, film, frame)
+        later = np.array(STEPS) - 1
+        there = {name: places[later] for name, places in moved.items()} | {"carry": carry_of(points, film, frame)}
+        for name, places in there.items():
+            off = np.linalg.norm(places - points[ahead][later], axis=2).mean(axis=1)
+            gaps[name].append((100 * off).round(2).tolist())
+        for name, places in moved.items():
+            futures[name].append(places)
+
+    batch = default_collate([windows[i] for i in range(len(windows))])
+    truth = true_curves(windows, range(len(windows)), STEPS)
+    target, past = target_states(batch), past_states(batch)[:, -1:]
+    batch["turn"] = torch.eye(3)
+    forecasters = {}
+    for name, asked_for in futures.items():
+        told = Told(model.model)
+        told.futures = iter(asked_for)
+        forecasters[name] = of_stream(told, windows)
+    forecasters["carry"] = of_windows(carry)
+    hits = {}
+    for name, forecaster in forecasters.items():
+        with torch.inference_mode():
+            columns = measure_forecasts(forecaster(batch), target, past, truth, STEPS, (), np.random.default_rng(0))
+        away = columns["outside"]
+        hits[name] = np.where(np.isnan(away), np.nan, away <= TOLERANCE)
+
+    garments = kinds_of(windows, "garment").tolist()
+    print(f"{len(windows)} windows of {len(windows.episodes)} films, {asked - len(windows)} refused")
+    tables: dict[str, dict[str, Any]] = {"in the hulls, per cent": hits, "mean error, cm": gaps}
+    for what, table in tables.items():
+        print(f"{what:24}" + "".join(f"{'t+' + str(step):>8}" for step in STEPS) + f"{'mean':>8}")
+        for name, cells in table.items():
+            row = (100 if table is hits else 1) * np.nanmean(np.array(cells, float), axis=0)
+            print(f"  {name:22}" + "".join(f"{value:8.1f}" for value in [*row, row.mean()]))
+    if options.json:
+        said = [
+            {
+                "episode": number,
+                "frame": frame,
+                "garment": garments[i],
+                "hit": {name: [None if np.isnan(x) else bool(x) for x in cells[i]] for name, cells in hits.items()},
+                "error_cm": {name: cells[i] for name, cells in gaps.items()},
+            }
+            for i, (number, frame) in enumerate(windows.index.tolist())
+        ]
+        document = {"steps": STEPS, "nudge_m": NUDGE, "dataset": dataset.checksum(), "windows": said}
+        text = json.dumps(document, indent=1)
+        options.json.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,262 @@
+"""How often garments are hung in a closed loop, and how soon. python book/experiments/hanging.py --help
+
+Every controller gets the same starts: the target anywhere and at any yaw, the garment before it (`HangEnv`, place="anywhere").
+Each episode is appended to the results when it is done, and not done again. Success is that of the environment: the task's true
+loops are around the target when the garment is at rest there, let go of. Read *straight* first: where that succeeds, a success
+proves nothing. *rigid* throws where the others do, and knows of no flight. *oracle* tries plans in the simulator itself, which no
+robot has.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import Counter
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from scipy.stats import binomtest
+from tqdm import tqdm
+
+from topokit._archive import atomic_file
+from topokit.control import Carried, Controller, Hanging, Planner, Thrower, hang
+from topokit.io import Episode, save_episode
+from topokit.linking import close_far, linking_number
+from topokit.sim import TASKS as KNOWN
+from topokit.sim import Camera, HangEnv, HangingStarts, SimulationConfig, Task
+from topokit.sim._names import kind
+from topokit.sim._tasks import how_many
+
+GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
+TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS)]
+TASKS += [f"{garment}-mannequin" for garment in ("apron", "backpack", "shirt", "vest")]
+WHO = ("random", "straight", "servo", "hold", "rigid", "carry", "motion", "script", "ppo", "oracle")
+MOTION = Path(__file__).parents[2] / "data_small" / "checkpoints" / "motion.safetensors"
+CAMERA = Camera((-1.3, -1.6, 1.6), (0.0, 0.3, 1.1), width=160, height=120)
+FAST, TRIES = {"pace": 1.0}, 8
+SCENES: dict[str, dict[str, Any]] = {
+    "still": {},
+    "all vertices": {"n_points": 10_000},
+    "128 points": {"n_points": 128},
+    "one camera": {"cameras": [CAMERA]},
+    "noise": {"noise": 0.003, "missing": 0.1, "outliers": 0.02},
+    "target moves": {"moves": 0.15},
+    "shove": {"shove": 1.0},
+    "let go at 1.2 s": {"limit": 1.2, **FAST},
+    "swings, let go at 1.2 s": {"swing": 2.0, "limit": 1.2, **FAST},
+    "target travels at 0.3 m/s": {"travels": 0.3},
+    "one gripper": {"hands": 1},
+    "late by 200 ms": {"late": 6},
+    "out of reach by 15 cm": {"fence": 0.15},
+    "out of reach by 25 cm": {"fence": 0.25},
+    "10 clouds a second": {"every": 3},
+    "other cloth": {"config": SimulationConfig(self_collision=False, mass=0.6, friction=0.3, bending=0.01)},
+}
+
+
+class Hold:
+    """The forecast that the cloth stays where it is: `topokit.control.Planner` can be asked what that is worth."""
+
+    def reset(self) -> None:
+        """There is nothing to forget."""
+
+    def observe(self, *_: Any) -> None:
+        """There is nothing to take in."""
+
+    def move(self, actions: Any, held: Any, points: Any) -> tuple[Any, None]:
+        return np.broadcast_to(np.asarray(points), (*np.shape(actions)[:2], *np.shape(points))), None
+
+
+class Rigid(Thrower):
+    """Throws as if nothing flew: what is let go stays where it was, which is the rigid guess without hands that move."""
+
+    def _flown(self, held: Any, lasts: Any) -> Any:
+        return np.repeat(held[np.arange(len(held)), lasts - 1][:, None], 4, axis=1)
+
+
+class Random(Controller):
+    """Draws a way for every half second, and lets go at some time: chance."""
+
+    def reset(self, observation: Mapping[str, Any]) -> None:
+        self.reason, self._frame = "", 0
+        self._random = np.random.default_rng(np.frombuffer(observation["grippers"].tobytes(), np.uint32))
+
+    def act(self, observation: Mapping[str, Any]) -> Any:
+        if self._frame % 14 == 0:
+            self._move = np.tile(self._random.uniform(-0.6, 0.6, 3), 2)
+        self._frame += 1
+        return np.append(self._move, float(self._random.random() < 1 / 60)).astype(np.float32)
+
+
+class Straight(Controller):
+    """Drives the middle of the cloud to the middle of the arm, and lets go there: it knows nothing of loops."""
+
+    def reset(self, observation: Mapping[str, Any]) -> None:
+        self.reason, self._away = "", np.inf
+
+    def act(self, observation: Mapping[str, Any]) -> Any:
+        line = np.asarray(observation["target"], np.float64)
+        way = (line[-3] + line[-2]) / 2 - np.asarray(observation["points"], np.float64).mean(axis=0)
+        arrived, self._away = np.linalg.norm(way) < 0.03, float(np.linalg.norm(way))
+        move = np.clip(0.15 * way / 0.0432, -0.4, 0.4)
+        return np.append(np.tile(move, 2), float(arrived)).astype(np.float32)
+
+
+class Learned(Controller):
+    """An agent of Stable-Baselines3 as it comes: PPO, rewarded by linking numbers, for so many steps on seeds below 1000."""
+
+    def __init__(self, task: str, steps: int) -> None:
+        self._agent = agent(task, steps)
+
+    def reset(self, observation: Mapping[str, Any]) -> None:
+        self.reason = ""
+
+    def act(self, observation: Mapping[str, Any]) -> Any:
+        return self._agent.predict(dict(observation), deterministic=True)[0]
+
+
+@cache
+def agent(task: str, steps: int) -> Any:
+    from stable_baselines3 import PPO  # pip install '.[rl]'
+
+    name = "".join(part.capitalize() for part in task.split("-"))
+    env = HangingStarts(gymnasium.make(f"topokit/Hang{name}-v1", reward="topological"), seeds=range(1000))
+    try:
+        return PPO("MultiInputPolicy", env, n_steps=1024, batch_size=256, seed=0, device="cpu").learn(steps)
+    finally:
+        env.close()
+
+
+def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Hanging:
+    options = {"place": "anywhere", **SCENES[scene]}
+    if "n_points" in options:
+        options["n_points"] = min(options["n_points"], len(KNOWN[task].garment().vertices))
+    if who == "script":
+        return scripted(task, seed, {name: value for name, value in options.items() if name != "pace"})
+    own = {"straight": {"controller": Straight()}, "random": {"controller": Random()}, "servo": {}}
+    if who == "rigid":
+        how = {"radius": KNOWN[task].target.rods[0][2], "fence": options["fence"], "seed": seed}
+        goal = how_many(KNOWN[task], KNOWN[task].garment())
+        return hang(task, seed=seed, controller=Rigid(Carried(), goal, **how), **options)
+    if who == "oracle":
+        return foreseen(task, seed, options)
+    if who == "ppo":
+        return hang(task, seed=seed, controller=Learned(task, steps), **options)
+    model = {"carry": "carry", "motion": MOTION, "hold": Hold()}.get(who)
+    return hang(task, seed=seed, **own.get(who, {"model": model}), **options)
+
+
+def foreseen(task: str, seed: int, options: dict[str, Any]) -> Hanging:
+    """The simulator as oracle: a start is played with other draws of plans until one hangs; the first that did is done.
+
+    PyBullet cannot save and restore cloth, so that an oracle cannot be asked under way.
+    """
+    known, pace = KNOWN[task], options.pop("pace", 0.6)
+    for draws in range(TRIES):
+        how = {"radius": known.target.rods[0][2], "late": options.get("late", 0), "pace": pace, "seed": draws}
+        result = hang(
+            task, seed=seed, controller=Planner(Carried(), how_many(known, known.garment()), **how), **options
+        )
+        if result.success:
+            break
+    return result
+
+
+def scripted(task: str, seed: int, options: dict[str, Any]) -> Hanging:
+    """The script that knows mesh, loop and target."""
+    env = HangEnv(task, max_steps=300, **options)
+
+    class Script(Controller):
+        def reset(self, observation: Mapping[str, Any]) -> None:
+            self.reason = ""
+            env.reset(seed=seed)
+
+        def act(self, observation: Mapping[str, Any]) -> Any:
+            action = env.scripted_action()
+            env.step(action)
+            return action
+
+    try:
+        return hang(task, seed=seed, controller=Script(), **options)
+    finally:
+        env.close()
+
+
+def cause(task: Task, result: Hanging) -> str:
+    """Why a hanging failed, by which loops wound around the target's centre line when it ended or was let go."""
+    episode, last = result.episode, int(result.episode.held.sum()) - 1
+    wanted = {name for name in episode.named_loops if {name, kind(name)} & {*task.loops}}
+    around = {name for name, loop in episode.named_loops.items() if holds(episode, last, loop)}
+    enough = wanted <= around if task.every else bool(wanted & around)
+    if result.success:
+        return ""
+    if "stretched" in result.reason:
+        return "torn"
+    if episode.held.all():
+        lost = "are seen" in result.reason
+        return "never let go" if enough else "loop not seen" if lost else "did not get around"
+    if enough:
+        return "fell after it was let go"
+    return "another loop" if around - wanted and not wanted & around else "let go too early"
+
+
+def holds(episode: Episode, frame: int, loop: Any) -> bool:
+    """Whether a loop is around the target in a frame; the target where it is at the end."""
+    try:
+        return linking_number(episode.points[frame][loop], close_far(episode.centre_line)) != 0
+    except ValueError:
+        return False
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--tasks", nargs="+", default=TASKS)
+    parser.add_argument("--who", nargs="+", choices=WHO, default=["straight", "servo", "carry", "motion"])
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=["still"])
+    parser.add_argument("--starts", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=1000, help="of the first start")
+    parser.add_argument(
+        "--steps", type=int, default=30_000, help="that ppo learns for, before its first episode of a task"
+    )
+    parser.add_argument("--films", type=Path, help="a folder for the episodes of those that failed")
+    parser.add_argument("--out", type=Path, default=Path("book/results/hanging.json"))
+    options = parser.parse_args()
+    rows = json.loads(options.out.read_text())["episodes"] if options.out.exists() else []
+    done = {(row["task"], row["who"], row["scene"], row["seed"]) for row in rows}
+    seeds = range(options.seed, options.seed + options.starts)
+    todo = [(t, w, s, n) for n in seeds for s in options.scenes for t in options.tasks for w in options.who]
+    for task, who, scene, seed in tqdm([one for one in todo if one not in done], unit="episode"):
+        began = time.perf_counter()
+        result = run(task, who, scene, seed, options.steps)
+        rows.append({"task": task, "who": who, "scene": scene, "seed": seed, "success": result.success})
+        rows[-1] |= {"frames": result.steps, "reason": result.reason, "linked": list(result.linked)}
+        rows[-1] |= {"cause": "" if "travels" in SCENES[scene] else cause(KNOWN[task], result)} | (
+            {"learned_for": options.steps} if who == "ppo" else {}
+        )
+        if options.films and not result.success:
+            save_episode(options.films / f"{task} {who} {scene} {seed}.npz".replace("/", " per "), result.episode)
+        rows[-1] |= {"decision_ms": round(1000 * result.seconds_a_decision, 1), "seconds": time.perf_counter() - began}
+        with atomic_file(options.out) as file:
+            file.write(json.dumps({"command": "python book/experiments/hanging.py", "episodes": rows}).encode())
+    show(rows)
+
+
+def show(rows: list[dict[str, Any]]) -> None:
+    """A line for every task, scene and controller: successes with Wilson's 95 % interval, the median of frames when it hangs."""
+    for key in sorted({(row["scene"], row["task"], row["who"]) for row in rows}):
+        mine = [row for row in rows if (row["scene"], row["task"], row["who"]) == key]
+        hung = [row["frames"] for row in mine if row["success"]]
+        interval = binomtest(len(hung), len(mine)).proportion_ci(method="wilson")
+        share = f"{len(hung):3d} of {len(mine):3d} ({100 * interval.low:3.0f} to {100 * interval.high:3.0f} %)"
+        frames = f"{np.median(hung):4.0f} frames" if hung else ""
+        causes = Counter(row["cause"] for row in mine if row.get("cause"))
+        print(f"{key[0]:26} {key[1]:16} {key[2]:9} {share} {frames}", *(f"{n} {why}," for why, n in causes.items()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,476 @@
+"""Search for violations of the statements in topokit.lemmas: random instances, and instances driven towards a violation.
+
+    python book/experiments/lemma_search.py --random 10000 --optimised 500 --seed 0
+
+Every random instance is a state, a motion and two observations, and goes through all statements. Every optimised one is a small
+cloud for one version of one statement, whose coordinates, motion and observed vertices change for as long as that brings
+statistic / bound up; a tenth more does the same for statements of the paper that are false, as a control. Counts by version:
+instances tried; those where its hypotheses hold and there is a loop to speak about; violations; the largest ratio among the
+former. A cloud that is shifted reaches a bound such as beta + epsilon with beta = 0, and says nothing about what must stand
+before beta. So for bounds with a factor before beta there is a second count, over instances whose beta is at least a tenth of
+the killer's length: the largest factor that was needed, (statistic - epsilon) / beta, and the beta there, in killer lengths;
+these instances climb by that. Half of the corollary's start from the seven points that refute the paper's.
+Exits with 1 when a version that should be true is violated. Ctrl-C prints what there is so far.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from topokit import farthest_point_sample, lemmas, rips_persistence
+from topokit.lemmas import Check, Verdict
+
+from clouds import random_cloud
+
+Array = np.ndarray
+
+
+# What stands before beta in the bounds that have it: beta, beta + epsilon, and so many beta + epsilon.
+FACTORS = {("recovering killers", version): 1 for version in ("paper", "corrected")}
+FACTORS |= {("regularity of killers", version): 1 for version in ("paper", "corrected", "intrinsic")}
+FACTORS |= {("corollary", version): 2 for version in ("corrected", "intrinsic", "2 beta + epsilon, all edges")}
+FACTORS |= {("corollary", "3 beta + epsilon, all edges"): 3}
+LARGE_BETA = 0.1  # of the killer's length
+
+
+@dataclass(frozen=True)
+class Instance:
+    """A state, the same points a moment later, and which vertices are observed."""
+
+    before: Array  # (n, d)
+    after: Array
+    seen: Array  # (m,) vertex ids
+    seen_after: Array
+
+
+CHECKS: dict[str, Callable[[Instance], Check]] = {
+    "feature approximation": lambda i: lemmas.feature_approximation(i.before, i.seen),
+    "observability": lambda i: lemmas.observability(i.before, i.seen),
+    "temporal persistence": lambda i: lemmas.temporal_persistence(i.before, i.after),
+    "gates": lambda i: lemmas.gates(i.before, i.seen, i.after, i.seen_after),
+    "recovering killers": lambda i: lemmas.recovering_killers(i.before, i.seen),
+    "regularity of killers": lambda i: lemmas.regularity_of_killers(i.before, i.after),
+    "corollary": lambda i: lemmas.corollary(i.before, i.seen, i.after, i.seen_after),
+    "converse": lambda i: lemmas.converse(i.before, i.seen, i.after, i.seen_after),
+}
+TRUE_VERSIONS = [(name, version) for name in CHECKS for version in ("corrected", "intrinsic")]
+TRUE_VERSIONS = [
+    pair for pair in TRUE_VERSIONS if pair[1] == "corrected" or pair[0] not in list(CHECKS)[:2] + ["recovering killers"]
+]
+# The paper's lemmas that are true as they stand, and what follows from them: a violation would be news as well.
+CONTROLS = [("temporal persistence", "paper"), ("corollary", "paper")]  # false: a search worth its name refutes them
+PAPER_IS_TRUE = [
+    ("observability", "paper"),
+    ("gates", "paper"),
+    ("recovering killers", "paper"),
+    ("regularity of killers", "paper"),
+    ("corollary", "3 beta + epsilon, all edges"),
+    ("corollary", "2 beta + epsilon, all edges"),
+]
+
+
+def curve(rng: np.random.Generator, n: int, d: int) -> Array:
+    """n points, evenly or at random, on a closed curve with a few bumps."""
+    angle = 2 * np.pi * (np.arange(n) / n if rng.random() < 0.5 else rng.random(n))
+    radius = 1 + rng.uniform(0, 0.4) * np.cos(rng.integers(2, 5) * angle + rng.uniform(0, 6))
+    points = np.column_stack([radius * np.cos(angle), rng.uniform(0.4, 1) * radius * np.sin(angle)])
+    return points if d == 2 else np.column_stack([points, rng.uniform(0, 0.5) * np.sin(2 * angle)])
+
+
+def wedge(rng: np.random.Generator, n: int, d: int) -> Array:
+    """Two or three loops that touch, or lie apart."""
+    k = int(rng.integers(2, 4))
+    gap = rng.choice([1.8, 2.0, 3.0, 8.0, 15.0, 30.0])
+    size = rng.uniform(0.5, 1.5, k) if rng.random() < 0.5 else np.ones(k)
+    return np.vstack([size[i] * curve(rng, max(n // k, 4), d) + gap * i * np.eye(d)[0] for i in range(k)])
+
+
+def theta(rng: np.random.Generator, n: int, d: int) -> Array:
+    """A circle with a chord."""
+    chord = np.zeros((max(n // 4, 2), d))
+    chord[:, 0] = np.linspace(-0.9, 0.9, len(chord))
+    chord[:, 1] = rng.uniform(-0.3, 0.3)
+    return np.vstack([curve(rng, n - len(chord), d), chord])
+
+
+def sheet(rng: np.random.Generator, n: int, d: int) -> Array:
+    """A grid with one or two holes, sometimes exact (many ties), sometimes shaken, sometimes bent in space."""
+    side = int(np.ceil(np.sqrt(1.4 * n)))
+    grid = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2) / (side - 1)
+    for _ in range(int(rng.integers(1, 3))):
+        hole = rng.uniform(0.25, 0.75, 2)
+        grid = grid[np.abs(grid - hole).max(axis=1) > rng.uniform(0.1, 0.3)]
+    grid = grid + rng.choice([0.0, 0.2]) / side * rng.normal(size=grid.shape)
+    return grid if d == 2 else np.column_stack([grid, rng.uniform(0, 0.5) * np.sin(3 * grid[:, 0])])
+
+
+def noise(rng: np.random.Generator, n: int, d: int) -> Array:
+    """No shape at all: many short loops."""
+    return rng.normal(size=(n, d))
+
+
+def ring(rng: np.random.Generator, n: int, d: int) -> Array:
+    """Points evenly on a circle, almost, some with a double nearby: many edges are almost the killer."""
+    angle = 2 * np.pi * np.arange(max(n // 2, 5)) / max(n // 2, 5)
+    circle = np.pad(np.column_stack([np.cos(angle), np.sin(angle)]), ((0, 0), (0, d - 2)))
+    circle = circle + rng.choice([0.003, 0.02]) * rng.normal(size=circle.shape)
+    doubled = circle[rng.random(len(circle)) < 0.7]
+    return np.vstack([circle, doubled + rng.choice([0.01, 0.04]) * rng.normal(size=doubled.shape)])
+
+
+def tied(rng: np.random.Generator, n: int, d: int) -> Array:
+    """Lattice points and points on circles, where distances tie."""
+    while True:
+        cloud = random_cloud(rng, str(rng.choice(["grid", "polygon", "cocircular", "coplanar"])), max(n, 6))
+        if len(cloud) >= 4 and cloud.shape[1] in (2, 3):
+            return cloud
+
+
+FAMILIES = (curve, wedge, theta, sheet, noise, ring, tied)
+
+
+def state(rng: np.random.Generator, n: int) -> Array:
+    """A cloud of about n points in the plane or in space, about one unit large."""
+    cloud = FAMILIES[int(rng.integers(len(FAMILIES)))](rng, n, int(rng.integers(2, 4)))
+    cloud = cloud + rng.choice([0.0, 0.0, 0.01, 0.05]) * rng.normal(size=cloud.shape)
+    return cloud / max(float(np.ptp(cloud, axis=0).max()), 1e-6)
+
+
+def motion(rng: np.random.Generator, points: Array) -> Array:
+    """Where the points go: nowhere, together, apart, or where it hurts; about as far as some loop lives."""
+    diagram = rips_persistence(points)
+    scale = float(rng.choice(diagram.lifetime[:5])) if len(diagram) else 0.05
+    size = scale * rng.choice([0.0, 0.05, 0.2, 0.45, 0.5, 0.7, 1.0])
+    kind = rng.choice(["shake", "rigid", "stretch", "undo"])
+    if kind == "rigid":
+        step = 10 * size * rng.normal(size=points.shape[1]) + 0.1 * size * rng.normal(size=points.shape)
+    elif kind == "stretch":
+        step = size * points @ rng.normal(size=(points.shape[1],) * 2)
+    elif kind == "undo" and len(diagram):
+        step = np.zeros_like(points)
+        for loop in range(min(len(diagram), int(rng.integers(1, 4)))):
+            for (a, b), sign in ((diagram.birth_edge[loop], 1), (diagram.killer_edge[loop], -1)):
+                along = (points[b] - points[a]) / max(np.linalg.norm(points[b] - points[a]), 1e-12)
+                step[b] += sign * size * along
+                step[a] -= sign * size * along
+        step = step * size / max(np.linalg.norm(step, axis=1).max(), 1e-12)
+    else:
+        step = rng.normal(size=points.shape)
+        step *= size / max(np.linalg.norm(step, axis=1).max(), 1e-12)
+    return points + step
+
+
+def observation(rng: np.random.Generator, points: Array) -> Array:
+    """Which vertices are seen: all, a farthest-point or a random sample, or all but those that a loop rests on."""
+    n = len(points)
+    kind = rng.choice(["all", "farthest", "random", "blind"])
+    if kind == "all":
+        return np.arange(n)
+    if kind == "blind" and len(diagram := rips_persistence(points)):
+        loop = int(rng.integers(min(len(diagram), 3)))
+        edges = np.concatenate([diagram.birth_edge[loop], diagram.killer_edge[loop]])
+        gone = rng.choice(edges, size=int(rng.integers(1, 4)), replace=False)
+        return np.setdiff1d(np.arange(n), gone)
+    m = max(1, int(n * rng.uniform(0.4, 1)))
+    if kind == "random":
+        return np.sort(rng.choice(n, m, replace=False))
+    return np.sort(farthest_point_sample(points, m, start=int(rng.integers(n)))[0])
+
+
+def random_instance(rng: np.random.Generator, n: int) -> Instance:
+    """Any of the above, or one of those below."""
+    if rng.random() < 0.1:
+        return (rivals, two_rivals)[int(rng.integers(2))](rng, max(5, n // 3))
+    before = state(rng, n)
+    after = motion(rng, before)
+    seen = observation(rng, before)
+    return Instance(before, after, seen, seen if rng.random() < 0.3 else observation(rng, after))
+
+
+def rivals(rng: np.random.Generator, n: int) -> Instance:
+    """An uneven ring with one vertex doubled, of which now the one and then the other is seen: killers with near ties."""
+    angle = 2 * np.pi * np.arange(n) / n
+    circle = np.column_stack([np.cos(angle), np.sin(angle)]) * (1 + 0.15 * rng.normal(size=(n, 1)))
+    before = np.vstack([circle, circle[0] + rng.choice([0.01, 0.03, 0.06]) * rng.normal(size=2)])
+    after = before + rng.choice([0.0, 1e-4, 1e-2]) * rng.normal(size=before.shape)
+    return Instance(before, after, np.arange(n), np.arange(1, n + 1))
+
+
+def two_rivals(rng: np.random.Generator, n: int) -> Instance:
+    """Two of these rings, far apart for their size."""
+    a, b = rivals(rng, n), rivals(rng, n)
+    apart = rng.uniform(8, 30) * np.eye(2)[0]
+    moved = (np.vstack([getattr(a, x), getattr(b, x) + apart]) for x in ("before", "after"))
+    ids = (np.concatenate([getattr(a, x), getattr(b, x) + n + 1]) for x in ("seen", "seen_after"))
+    return Instance(*moved, *ids)
+
+
+def seven_points() -> Instance:
+    """The library's counterexample to the paper's corollary."""
+    case = lemmas.COUNTEREXAMPLES["killers two beta apart"]
+    return Instance(case.before, case.after, case.observed_before, case.observed_after)
+
+
+def ratio(verdict: Verdict) -> float:
+    """statistic / bound: above 1 is a violation."""
+    if verdict.statistic <= 0:
+        return 0.0
+    return verdict.statistic / verdict.bound if verdict.bound > 0 else float("inf")
+
+
+def needed_factor(check: Check, version: str) -> tuple[float, float] | None:
+    """The factor before beta that would have done, and beta in killer lengths; None where beta is small or not in the bound."""
+    verdict, times = check.versions[version], FACTORS.get((check.statement, version))
+    if times is None or not verdict.loops or verdict.witness is None:
+        return None
+    beta = (verdict.bound - check.epsilon) / times
+    share = beta / (2 * verdict.witness.death)
+    return ((verdict.statistic - check.epsilon) / beta, share) if share >= LARGE_BETA else None
+
+
+def tightness(check: Check, version: str) -> float:
+    """How near to a violation, 1 being on the bound: by the factor before beta where there is one and beta is large."""
+    verdict = check.versions[version]
+    if verdict.violated or (check.statement, version) not in FACTORS:
+        return ratio(verdict)
+    needed = needed_factor(check, version)
+    return needed[0] / FACTORS[check.statement, version] if needed else 0.1 * ratio(verdict)
+
+
+def mutate(rng: np.random.Generator, instance: Instance, size: float) -> Instance:
+    """Another instance nearby."""
+    before, step = instance.before.copy(), instance.after - instance.before
+    which = rng.random(len(before)) < rng.choice([0.15, 0.5])
+    size *= 10 ** rng.uniform(-2, 0)
+    if rng.random() < 0.6:
+        before[which] += size * rng.normal(size=before[which].shape)
+    if rng.random() < 0.6:
+        step = step + which[:, None] * size * rng.normal(size=step.shape)
+    if rng.random() < 0.2:
+        step = step * rng.uniform(0.5, 1.5)
+    seen, seen_after = (flip(rng, ids, len(before)) for ids in (instance.seen, instance.seen_after))
+    return Instance(before, before + step, seen, seen_after)
+
+
+def flip(rng: np.random.Generator, ids: Array, n: int) -> Array:
+    """Now and then see one vertex more or one fewer."""
+    if rng.random() > 0.1:
+        return ids
+    changed = np.setxor1d(ids, [rng.integers(n)])
+    return changed if len(changed) else ids
+
+
+def score(check: Check, version: str) -> float:
+    """What to climb: the ratio, and for a chain of killers also how long its legs are in sum, lest one leg do it all."""
+    verdict = check.versions[version]
+    if not (verdict.applies or verdict.violated):
+        return -0.5
+    legs = [sum(row.legs) / max(row.bounds[version], 1e-12) for row in check.loops if version in row.bounds]
+    return tightness(check, version) + (
+        0.5 * min(max(legs, default=0.0), 3.0) if check.statement == "corollary" else 0.0
+    )
+
+
+def optimised_instance(rng: np.random.Generator, statement: str, version: str, steps: int) -> tuple[Instance, Check]:
+    """Climb: keep a mutation that brings the score up, with a step size that adapts (1 + 1 evolution strategy)."""
+    kinds = {"recovering killers": rivals, "regularity of killers": rivals, "corollary": rivals, "converse": two_rivals}
+    make = kinds.get(statement, random_instance)
+    starts = [make(rng, int(rng.integers(5, 9))) for _ in range(30)]
+    if statement == "corollary" and (statement, version) in FACTORS and rng.random() < 0.5:
+        starts = [mutate(rng, seven_points(), 0.01) for _ in range(30)]
+    instance, check = max(((i, CHECKS[statement](i)) for i in starts), key=lambda pair: score(pair[1], version))
+    worst = instance, check  # the tightest
+    best, size = score(check, version), 0.1
+    for _ in range(steps):
+        other = mutate(rng, instance, size)
+        found = CHECKS[statement](other)
+        reached = score(found, version)
+        if reached >= best:
+            size = min(1.5 * size, 0.3) if reached > best else size
+            instance, check, best = other, found, reached
+            if tightness(check, version) > tightness(worst[1], version):
+                worst = instance, check
+        else:
+            size = max(0.95 * size, 1e-4)
+    return worst
+
+
+@dataclass
+class Count:
+    """What became of one version of one statement."""
+
+    tried: int = 0
+    applies: int = 0
+    violated: int = 0
+    largest_ratio: float = 0.0
+    large_beta: int = 0  #: instances whose beta is large for their scale
+    largest_factor: float | None = None  #: before beta, needed by one of these
+    beta_there: float | None = None  #: in killer lengths
+
+    def add(self, check: Check, version: str) -> None:
+        verdict = check.versions[version]
+        self.tried += 1
+        self.applies += verdict.applies
+        self.violated += verdict.violated
+        if not verdict.applies:
+            return
+        self.largest_ratio = max(self.largest_ratio, ratio(verdict))
+        if needed := needed_factor(check, version):
+            self.large_beta += 1
+            if self.largest_factor is None or needed[0] > self.largest_factor:
+                self.largest_factor, self.beta_there = needed
+
+
+class Search:
+    """Counts, and the first instance that violates what should be true."""
+
+    def __init__(self, seed: int, steps: int) -> None:
+        self.seed, self.steps = seed, steps
+        self.random: dict[tuple[str, str], Count] = {}
+        self.optimised: dict[tuple[str, str], Count] = {}
+        self.done = [0, 0, 0]
+        self.news: list[dict[str, Any]] = []
+
+    def run(self, n_random: int, n_optimised: int, progress: bool) -> None:
+        said = 0.0
+        jobs = (
+            (n_random, self._random),
+            (n_optimised, lambda index: self._optimised(index, TRUE_VERSIONS)),
+            (n_optimised // 10, lambda index: self._optimised(n_optimised + index, CONTROLS)),
+        )
+        for kind, (n, job) in enumerate(jobs):
+            for index in range(n):
+                job(index)
+                self.done[kind] += 1
+                if progress and (time.monotonic() - said > 1 or index == n - 1):
+                    said = time.monotonic()
+                    done = ", ".join(f"{a} of {b[0]}" for a, b in zip(self.done, jobs, strict=True))
+                    done += " (random, optimised, controls)"
+                    print(f"\r{done}, {len(self.news)} violations", end="", file=sys.stderr, flush=True)
+        if progress:
+            print(file=sys.stderr)
+
+    def _random(self, index: int) -> None:
+        rng = np.random.default_rng([self.seed, 0, index])
+        small = rng.random() < 0.5
+        instance = random_instance(rng, int(rng.integers(4, 13) if small else rng.integers(13, 61)))
+        for name, check in lemmas.verify_step(
+            instance.before, instance.seen, instance.after, instance.seen_after
+        ).items():
+            self._add(self.random, name, check, instance, f"random {index}")
+
+    def _optimised(self, index: int, targets: list[tuple[str, str]]) -> None:
+        rng = np.random.default_rng([self.seed, 1, index])
+        name, version = targets[index % len(targets)]
+        instance, check = optimised_instance(rng, name, version, self.steps)
+        only = {version: check.versions[version]}
+        self._add(self.optimised, name, check, instance, f"optimised {index}", only)
+
+    def _add(
+        self,
+        counts: dict[tuple[str, str], Count],
+        name: str,
+        check: Check,
+        instance: Instance,
+        label: str,
+        versions: dict[str, Verdict] | None = None,
+    ) -> None:
+        for version, verdict in (versions or check.versions).items():
+            counts.setdefault((name, version), Count()).add(check, version)
+            if verdict.violated and (name, version) in TRUE_VERSIONS + PAPER_IS_TRUE:
+                where = {key: getattr(instance, key).tolist() for key in ("before", "after", "seen", "seen_after")}
+                self.news.append({"instance": label, "statement": name, "version": version, "says": str(check)} | where)
+
+    def table(self) -> list[dict[str, Any]]:
+        """One row for every version of every statement, random and optimised apart."""
+        rows = []
+        for kind, counts in (("random", self.random), ("optimised", self.optimised)):
+            for name in CHECKS:
+                for (statement, version), count in counts.items():
+                    if statement == name:
+                        should = (name, version) in TRUE_VERSIONS + PAPER_IS_TRUE
+                        row = {"instances": kind, "statement": name, "version": version, "should_be_true": should}
+                        row["factor"] = FACTORS.get((name, version))
+                        largest = (
+                            count.largest_ratio if np.isfinite(count.largest_ratio) else None
+                        )  # JSON has no infinity
+                        rows.append(row | vars(count) | {"largest_ratio": largest})
+        return rows
+
+
+def shrink(instance: Instance, statement: str, version: str) -> Instance:
+    """Leave vertices out for as long as the violation stays."""
+    i = 0
+    while i < len(instance.before):
+        keep = np.delete(np.arange(len(instance.before)), i)
+        number = np.cumsum(np.isin(np.arange(len(instance.before)), keep)) - 1
+        seen, seen_after = (number[ids[ids != i]] for ids in (instance.seen, instance.seen_after))
+        fewer = replace(
+            instance, before=instance.before[keep], after=instance.after[keep], seen=seen, seen_after=seen_after
+        )
+        if len(seen) and len(seen_after) and CHECKS[statement](fewer).versions[version].violated:
+            instance, i = fewer, 0
+        else:
+            i += 1
+    return instance
+
+
+def main() -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--random", type=int, default=1000, metavar="N")
+    parser.add_argument("--optimised", type=int, default=50, metavar="N")
+    parser.add_argument("--steps", type=int, default=300, help="mutations of an optimised instance (default 300)")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", action="store_true", help="print the counts as JSON")
+    options = parser.parse_args()
+    search = Search(options.seed, options.steps)
+    stopped = False
+    try:
+        search.run(options.random, options.optimised, progress=True)
+    except KeyboardInterrupt:
+        stopped = True
+        print("\nstopped", file=sys.stderr)
+    rows = search.table()
+    if options.json:
+        command = f"python book/experiments/lemma_search.py --random {options.random} --optimised {options.optimised}"
+        command += f" --steps {options.steps} --seed {options.seed} --json"
+        found = {
+            "random": search.done[0],
+            "optimised": search.done[1],
+            "controls": search.done[2],
+            "complete": not stopped,
+        }
+        print(json.dumps({"command": command, **found, "table": rows, "violations": search.news}, indent=1))
+    else:
+        print(
+            f"{'instances':10} {'statement':22} {'version':28} {'tried':>7} {'applies':>8} {'violated':>9} {'largest':>9}"
+            " factor needed"
+        )
+        for row in rows:
+            largest = np.inf if row["largest_ratio"] is None else row["largest_ratio"]
+            factor = f" {row['largest_factor']:.4f} of {row['factor']}" if row["largest_factor"] is not None else ""
+            mark = " !" if row["violated"] and row["should_be_true"] else ""
+            print(
+                f"{row['instances']:10} {row['statement']:22} {row['version']:28} {row['tried']:7d} "
+                f"{row['applies']:8d} {row['violated']:9d} {largest:9.4f}{factor}{mark}"
+            )
+        print(f"{len(search.news)} violations of what should be true")
+        for news in search.news[:3]:
+            instance = Instance(*(np.array(news[key]) for key in ("before", "after", "seen", "seen_after")))
+            less = shrink(instance, news["statement"], news["version"])
+            print(f"{news['instance']}, {news['statement']}, {news['version']}\n{news['says']}")
+            print({key: value.tolist() for key, value in vars(less).items()})
+    return 130 if stopped else bool(search.news)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,200 @@
+"""The constants and the statements of topokit.lemmas over recorded episodes: the tables of chapters 3, 4 and 6.
+
+    python book/experiments/lemmas_on_cloth.py data_small [more folders or episodes] --out book/results/lemmas_on_cloth.json
+    python book/experiments/lemmas_on_cloth.py --dataset runs/dataset --each 1 --out book/results/lemmas_on_test.json
+
+With --dataset: the first episodes of each garment in the test part of the split by episode, those of chapter 13.
+
+The state is all vertices of the garment, the observation what the episode recorded when that is a subsample of them; for
+episodes seen by cameras, and with --observed, a farthest-point sample of the first frame's vertices, the same in all frames.
+Lengths are metres. A minute or two an episode of 96 frames and 550 vertices.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from topokit import farthest_point_sample, lemmas
+from topokit.data import Dataset
+from topokit.io import Episode, load_episode
+from topokit.lemmas import StepCheck
+
+MEASURES = ("alpha", "epsilon", "distortion", "lifetime", "death", "beta_all", "beta_critical", "beta_intrinsic")
+PLACES = ("edge", "triangle", "barycentre", "cycle")
+QUANTILES = (0, 5, 25, 50, 75, 95, 100)
+
+
+def find_episodes(places: list[Path]) -> list[Path]:
+    """All episodes among files and folders, sorted."""
+    found = [path for place in places for path in (sorted(place.glob("*.npz")) if place.is_dir() else [place])]
+    episodes = [path for path in found if not path.name.endswith(".tracks.npz")]
+    if not episodes:
+        raise FileNotFoundError(
+            f"no episode (.npz) in {', '.join(map(str, places))}; record one with: topokit simulate"
+        )
+    return episodes
+
+
+def of_dataset(folder: Path, each: int) -> Iterator[tuple[str, Episode]]:
+    """The first `each` tested episodes of every garment, by the names of their tasks and their numbers."""
+    dataset = Dataset(folder)
+    tested = [dataset.group.records[int(i)] for i in dataset.split()["test"]]
+    for garment in dataset.garments:
+        for record in [record for record in tested if record.garment == garment][:each]:
+            yield f"{record.task} {record.episode}", dataset[record.episode]
+
+
+def observe(episode: Episode, n_observed: int | None) -> tuple[np.ndarray, str]:
+    """What is observed of every frame, and how it was chosen."""
+    if n_observed is None and episode.observation.get("kind", "vertices") == "vertices":
+        return episode.observed, "as recorded"
+    n = min(n_observed or episode.observed.shape[1], episode.points.shape[1])
+    return np.sort(farthest_point_sample(episode.points[0], n)[0]), f"farthest-point sample of {n} vertices"
+
+
+def per_frame(seen: np.ndarray, t: int) -> np.ndarray:
+    """What is observed at frame t."""
+    return seen if seen.ndim == 1 else seen[t]
+
+
+def jumps(name: str, before: np.ndarray, after: np.ndarray) -> dict[str, float]:
+    """How far the places of the longest-lived loop jump, as shares of its killer's length; empty when it is not matched."""
+    found = [jump for jump in lemmas.killer_jumps(before, after) if jump.loop == 0]
+    return {f"jump_{what}_{name}": getattr(j, what) / j.length for j in found for what in PLACES}
+
+
+def jump_shares(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | int]]:
+    """In what share of steps the places jump by more than half the killer's length."""
+    table: dict[str, dict[str, float | int]] = {}
+    for what in (f"jump_{place}_{cloud}" for cloud in ("states", "observations") for place in PLACES):
+        values = [r[what] for r in rows if what in r]
+        table[what] = {"steps": len(values), "above_half": round(float(np.mean([v > 0.5 for v in values])), 4)}
+    return table
+
+
+def row(garment: str, step: StepCheck) -> dict[str, Any]:
+    """One step: the constants, and for the corollary the distance of killers with its bounds."""
+    numbers = {name: getattr(step, name) for name in MEASURES}
+    check = step.checks["corollary"]
+    for loop in check.loops[:1]:
+        bounds = {f"{name.split(',')[0].replace(' ', '')}_bound": bound for name, bound in loop.bounds.items()}
+        numbers |= {"killer_distance": loop.statistic, **bounds}
+    shifts = {
+        "bottleneck_states": step.checks["temporal persistence"].corrected.statistic,
+        "bottleneck_observations": step.checks["gates"].corrected.statistic,
+        "observability": step.checks["observability"].corrected.statistic,
+    }
+    return {"garment": garment, "frame": step.frame} | {name: short(x) for name, x in (numbers | shifts).items()}
+
+
+def short(x: float) -> float | None:
+    """Four digits; None for what is not a number."""
+    return float(f"{x:.4g}") if math.isfinite(x) else None
+
+
+def distributions(steps: list[StepCheck]) -> dict[str, dict[str, float | int | None]]:
+    """Quantiles of the constants over steps, and over how many steps each is defined."""
+    table = {}
+    for name in MEASURES:
+        values = np.array([getattr(step, name) for step in steps])
+        values = values[np.isfinite(values)]
+        quantiles = np.percentile(values, QUANTILES) if len(values) else [math.nan] * len(QUANTILES)
+        table[name] = {f"{q}%": short(float(x)) for q, x in zip(QUANTILES, quantiles, strict=True)} | {"n": len(values)}
+    return table
+
+
+def shares(steps: list[StepCheck]) -> list[dict[str, Any]]:
+    """For every version of every statement: in how many steps it speaks, its hypotheses hold, and its conclusion does."""
+    rows = []
+    for statement in lemmas.STATEMENTS:
+        for version in steps[0].checks[statement].versions:
+            verdicts = [step.checks[statement].versions[version] for step in steps]
+            speaks = [v for v in verdicts if v.loops]
+            rows.append(
+                {
+                    "statement": statement,
+                    "version": version,
+                    "steps": len(verdicts),
+                    "has_a_loop_to_speak_about": len(speaks),
+                    "and_its_hypotheses_hold": sum(v.applies for v in speaks),
+                    "and_the_conclusion_holds": sum(v.applies and v.holds for v in speaks),
+                    "conclusion_holds_whatever_the_hypotheses": sum(v.holds for v in speaks),
+                    "violated": sum(v.violated for v in verdicts),
+                }
+            )
+    return rows
+
+
+def main() -> int:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("places", type=Path, nargs="*", default=[Path("data_small")], metavar="FOLDER")
+    parser.add_argument("--dataset", type=Path, metavar="DIR", help="episodes of a dataset's test part instead")
+    parser.add_argument("--each", type=int, default=1, help="of a dataset: episodes of each garment (default 1)")
+    parser.add_argument("--out", type=Path, default=Path("book/results/lemmas_on_cloth.json"))
+    parser.add_argument("--stride", type=int, default=1, help="look at every stride-th frame (default 1)")
+    parser.add_argument("--observed", type=int, metavar="N", help="observe N vertices instead of what was recorded")
+    options = parser.parse_args()
+    by_garment: dict[str, list[StepCheck]] = {}
+    rows, listed = [], []
+    films = ((path.name, load_episode(path)) for path in find_episodes(options.places))
+    for name, episode in of_dataset(options.dataset, options.each) if options.dataset else films:
+        seen, how = observe(episode, options.observed)
+        print(f"{name}: {episode.garment}, {len(episode)} frames, {how}", file=sys.stderr)
+        steps = lemmas.verify_episode(episode.points, seen, stride=options.stride)
+        by_garment.setdefault(episode.garment, []).extend(steps)
+        looked_at = range(0, len(episode), options.stride)
+        for step, later in zip(steps, looked_at[1:], strict=True):
+            now, then = (episode.points[t].astype(float) for t in (step.frame, later))
+            ids, ids_then = (lemmas.vertex_ids(episode.points[t], per_frame(seen, t)) for t in (step.frame, later))
+            moved = jumps("states", now, then) | jumps("observations", now[ids], then[ids_then])
+            rows.append(row(episode.garment, step) | {key: short(x) for key, x in moved.items()})
+        listed.append({"file": name, "garment": episode.garment, "steps": len(steps), "observed": how})
+    everything = [step for steps in by_garment.values() for step in steps]
+    places = " ".join(place.name for place in options.places)
+    if options.dataset:
+        places = f"--dataset runs/{options.dataset.name} --each {options.each}"
+    command = f"python book/experiments/lemmas_on_cloth.py {places} --stride {options.stride}"
+    command += f" --observed {options.observed}" if options.observed else ""
+    answer = {
+        "command": command,
+        "unit": "m",
+        "episodes": listed,
+        "statements": shares(everything),
+        "killers_jump": jump_shares(rows),
+        "distributions": {"all": distributions(everything)} | {g: distributions(s) for g, s in by_garment.items()},
+        "steps": {name: [r.get(name) for r in rows] for name in dict.fromkeys(key for r in rows for key in r)},
+    }
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    options.out.write_text(json.dumps(answer) + "\n")
+    print_table(answer)
+    return 0 if not any(r["violated"] and r["version"] != "paper" for r in answer["statements"]) else 1
+
+
+def print_table(answer: dict[str, Any]) -> None:
+    """What a reader wants to see at once."""
+    print(f"{'':16}" + "".join(f"{q:>4}%     " for q in QUANTILES))
+    for name, quantiles in answer["distributions"]["all"].items():
+        numbers = "".join(f"{quantiles[f'{q}%'] or 0:10.4f}" for q in QUANTILES)
+        print(f"{name:16}{numbers}  over {quantiles['n']} steps")
+    print("\njumps above half the killer's length, share of steps:")
+    for name, share in answer["killers_jump"].items():
+        print(f"  {name:28} {share['above_half']:.3f} of {share['steps']}")
+    print(f"\n{'statement':22} {'version':28} {'steps':>6} {'speaks':>7} {'applies':>8} {'holds':>6} {'violated':>9}")
+    for r in answer["statements"]:
+        print(
+            f"{r['statement']:22} {r['version']:28} {r['steps']:6} {r['has_a_loop_to_speak_about']:7} "
+            f"{r['and_its_hypotheses_hold']:8} {r['and_the_conclusion_holds']:6} {r['violated']:9}"
+        )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,513 @@
+"""How well trackers keep the names of loops, on simulated episodes of every garment. python book/experiments/tracking.py --help
+
+Episodes that are missing are simulated into a folder (a minute each), every episode is tracked and scored once, and its row is
+appended to scores.jsonl beside it: an interrupted run goes on where it was. The table pools the episodes; its intervals are
+percentiles over bootstrap samples of episodes. With --clips a few frames around some failures are saved for the book.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import dataclasses
+import hashlib
+import inspect
+import json
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import topokit as tk
+from topokit.evaluate import (
+    Overlap,
+    TrackingScore,
+    TrueLoops,
+    by_diagram,
+    by_killer,
+    by_midpoint,
+    compare,
+    distance_to_hull,
+    events,
+    library_digest,
+    score,
+    track_vines,
+    true_loops,
+)
+from topokit.io import Episode, load_episode, save_episode, save_states
+from topokit.sensors import CloudMemory
+from topokit.seqph import PAPER as PAPERS
+from topokit.sim import TASKS, Randomisation, SimulationError, simulate
+
+sys.path.append(str(Path(__file__).parent))
+import _tracking_clouds
+from _tracking_clouds import CAMERA, SEEN, Clouds, conditions
+
+MEMORY = 8  # frames, of the paper's tracker with a memory and of yesterday's
+MEASURES = ("mota", "idf1", "hota", "deta", "assa")
+COUNTS = ("objects", "detections", "misses", "false_positives", "switches", "fragments")
+THRESHOLDS = (0.3, 0.5, 0.7)  # of similarity: 1.4, 1 and 0.6 radii away
+FIELDS = tuple(field.name for field in dataclasses.fields(TrackingScore))
+TOGETHER, SOME = "all together", "compared, together"
+Follow = Callable[[Clouds, list[tk.Diagram]], list[tk.TopologicalState]]
+
+
+def paper(**options: Any) -> Follow:
+    """The paper's tracker with some options of its own; it is given the persistence of the frames."""
+
+    def follow(clouds: Clouds, diagrams: list[tk.Diagram]) -> list[tk.TopologicalState]:
+        tracker = tk.SeqPH.paper(**options)
+        return [tracker.update(cloud, diagram=diagram) for cloud, diagram in zip(clouds, diagrams, strict=True)]
+
+    return follow
+
+
+TRACKERS: dict[str, Follow] = {
+    "paper": paper(),
+    "killer-triangles": paper(identity="killer-triangles"),
+    "cycle": paper(identity="cycle"),
+    "memory": paper(memory=MEMORY),
+    "yesterday's": paper(identity="killer-triangles", gates="proved", memory=MEMORY),
+    "birth and death": paper(match=by_diagram),
+    "nearest midpoint": paper(match=by_midpoint),
+    "default": lambda clouds, _: tk.track(clouds, n_jobs=1),
+}
+"""The paper's tracker, one thing changed in it; what was recommended before the default; other matchings; the default."""
+PAPER, RECOMMENDED = "paper", "default"
+WITH_MEMORY = (
+    "default, with a memory"  # of the cloud: what one camera sees now and saw before, and what it looks through
+)
+MAIN = (PAPER, "yesterday's", RECOMMENDED)  # the others are in some conditions alone
+COMPARED = ("all vertices", "every 4th frame", "250 points", "noise of 5 mm", "one camera")
+VINES = "vines"
+VINES_IN = ("all vertices", "every 4th frame", "noise of 5 mm")
+WHOLE = ("all vertices", "every 4th frame")
+
+
+def remembered(clouds: Clouds) -> list[tk.TopologicalState]:
+    """Track what a camera sees and what it remembers; only loops that it has looked through count."""
+    memory, tracker = CloudMemory(), tk.SeqPH()
+    return [memory.open_loops(tracker.update(memory(cloud, eye=CAMERA.eye))) for cloud in clouds]
+
+
+def simulated(folder: Path, seeds: int) -> list[Path]:
+    """The files of all episodes; those that are not there are recorded. A refused one leaves a note of the reason."""
+    wanted = [(task, seed) for seed in range(seeds) for task in TASKS]
+    folder.mkdir(parents=True, exist_ok=True)
+    for done, (task, seed) in enumerate(wanted):
+        path = folder / f"{task}_{seed}.npz"
+        if not path.exists() and not path.with_suffix(".rejected").exists():
+            tell(f"simulating {path.stem}, {done + 1} of {len(wanted)}")
+            try:
+                episode = simulate(
+                    task=task,
+                    seed=seed,
+                    randomisation=Randomisation(),
+                    cameras=[CAMERA],
+                    n_observed=SEEN,
+                    time_limit=600,
+                )
+            except SimulationError as error:
+                path.with_suffix(".rejected").write_text(str(error))
+            else:
+                save_episode(path, episode)
+    return [path for task, seed in wanted if (path := folder / f"{task}_{seed}.npz").exists()]
+
+
+def row_of(path: Path) -> dict[str, Any]:
+    """All that is measured on an episode."""
+    episode = load_episode(path)
+    truth = true_loops(episode.points, episode.loops)
+    row: dict[str, Any] = {"episode": path.stem, "frames": len(episode), "scores": {}, "levels": {}, "failures": []}
+    for name, clouds, stride in conditions(episode):
+        true, diagrams = truth[::stride], tk.rips_persistence_many(clouds)
+        wanted = TRACKERS if name in COMPARED else MAIN
+        films = {label: TRACKERS[label](clouds, diagrams) for label in wanted}
+        if name == "one camera":
+            films[WITH_MEMORY] = remembered(clouds)
+        if name in VINES_IN:
+            films[VINES] = track_vines(clouds, steps=4, **PAPERS)
+        overlaps = {label: compare(states, true) for label, states in films.items()}
+        row["scores"][name] = {label: pack(score(seen)) for label, seen in overlaps.items()}
+        row["levels"][name] = {
+            label: [counts(score(seen, threshold)) for threshold in THRESHOLDS] for label, seen in overlaps.items()
+        }
+        for label, seen in overlaps.items():
+            found = failures(path.stem, name, label, seen, stride)
+            row["failures"] += [one for one in found if label == PAPER or one["kind"] == "switch"]
+        row.setdefault("places", {})[name] = places(films[RECOMMENDED], overlaps[RECOMMENDED], true, episode, stride)
+        if name in WHOLE:
+            row.setdefault("jumps", {})[name] = jumps(clouds, diagrams, true)
+            exact = score(compare(films[RECOMMENDED], true, by_killer))
+            row.setdefault("exact", {})[name] = pack(exact)
+    row["present"] = np.mean([true.present for true in truth], axis=0).round(4).tolist()
+    return row
+
+
+def pack(result: TrackingScore) -> dict[str, Any]:
+    """A score as JSON."""
+    values = {name: getattr(result, name) for name in FIELDS}
+    return {
+        name: value.round(6).tolist() if isinstance(value, np.ndarray) else int(value) for name, value in values.items()
+    }
+
+
+def unpack(values: dict[str, Any]) -> TrackingScore:
+    """The score again."""
+    return TrackingScore(**{k: np.array(v) if isinstance(v, list) else v for k, v in values.items()})
+
+
+def counts(result: TrackingScore) -> list[float]:
+    """What has to be added up for MOTA and IDF1 at other thresholds."""
+    return [result.objects, result.detections, result.matches, result.switches, result.id_matches]
+
+
+def failures(episode: str, condition: str, tracker: str, overlaps: list[Overlap], stride: int) -> list[dict[str, Any]]:
+    """Every switch, and every run of frames in which a loop is missed or something else is found; frames are the film's."""
+    found: list[dict[str, Any]] = []
+    running: dict[tuple[str, int], dict[str, Any]] = {}
+    for event in events(overlaps):
+        if event.kind in ("match", "fragment"):
+            continue
+        key = (event.kind, event.id if event.kind == "false positive" else event.loop)
+        run = running.get(key)
+        if event.kind != "switch" and run and run["last"] == (event.frame - 1) * stride:
+            run["last"] = event.frame * stride
+            continue
+        running[key] = {
+            "episode": episode,
+            "condition": condition,
+            "tracker": tracker,
+            "kind": event.kind,
+            "first": event.frame * stride,
+            "last": event.frame * stride,
+            "loop": event.loop,
+            "id": event.id,
+        }
+        found.append(running[key])
+    return found
+
+
+def places(
+    states: list[tk.TopologicalState],
+    overlaps: list[Overlap],
+    truth: list[TrueLoops],
+    episode: Episode,
+    stride: int,
+) -> dict[str, list[float]]:
+    """Of every match: the distance of centres in metres and in true radii, and how far outside the true hull it is."""
+    away, relative, outside = [], [], []
+    for event in events(overlaps):
+        if event.kind in ("match", "switch"):
+            true, centre = truth[event.frame], states[event.frame][event.id].centre
+            away.append(float(np.linalg.norm(true.centres[event.loop] - centre)))
+            relative.append(away[-1] / float(true.radii[event.loop]))
+            outside.append(distance_to_hull(centre, episode.points[event.frame * stride][episode.loops[event.loop]]))
+    return {
+        "metres": np.round(away, 4).tolist(),
+        "radii": np.round(relative, 3).tolist(),
+        "outside": np.round(outside, 4).tolist(),
+    }
+
+
+def jumps(clouds: Clouds, diagrams: list[tk.Diagram], truth: list[TrueLoops]) -> dict[str, list[int]]:
+    """Of each way to say where a loop is: steps, and steps in which it jumped by more than half the killer edge's length.
+
+    The loop is known by the edge that ends the true one, so that no tracker is involved, and its true motion is taken away.
+    """
+    answer = {}
+    for identity in ("killer-edge", "killer-triangles", "cycle"):
+        before: dict[int, np.ndarray] = {}
+        steps = far = 0
+        for cloud, diagram, true in zip(clouds, diagrams, truth, strict=True):
+            now: dict[int, np.ndarray] = {}
+            for loop in np.flatnonzero(true.present).tolist():
+                i = int(np.flatnonzero((diagram.killer_edge == true.killers[loop]).all(axis=1))[0])
+                now[loop] = tk.seqph.place(diagram, i, cloud, identity) - true.centres[loop]
+                if loop in before:
+                    steps += 1
+                    far += tk.hausdorff(now[loop], before[loop]) > diagram.death[i]
+            before = now
+        answer[identity] = [steps, int(far)]
+    return answer
+
+
+def pooled(rows: list[dict[str, Any]], samples: int = 1000) -> dict[str, Any]:
+    """Scores of all episodes together, with 95 % bootstrap intervals over episodes; what each tracker gains over the paper's.
+
+    All are given the same samples, so that a gain is that on the same episodes.
+    """
+    drawn = np.random.default_rng(0).integers(len(rows), size=(samples, len(rows)))
+    weights = np.array([np.bincount(draw, minlength=len(rows)) for draw in drawn])
+    table: dict[str, Any] = {}
+    for condition in (*rows[0]["scores"], SOME, TOGETHER):
+        table[condition], first = {}, None
+        for tracker in {TOGETHER: MAIN, SOME: TRACKERS}.get(condition) or rows[0]["scores"][condition]:
+            scores = [score_of(row, condition, tracker) for row in rows]
+            stacked = [np.array([getattr(one, name) for one in scores]) for name in FIELDS]
+            many = [TrackingScore(*parts) for parts in zip(*(weights @ values for values in stacked), strict=True)]
+            drawn_values = {name: np.array([getattr(one, name) for one in many]) for name in MEASURES}
+            first = first or drawn_values
+            table[condition][tracker] = line = table_of(total(scores))
+            for name in MEASURES:
+                line[name + "_interval"] = interval(drawn_values[name])
+                line[name + "_gain"] = interval(drawn_values[name] - first[name])
+    return table
+
+
+def score_of(row: dict[str, Any], condition: str, tracker: str) -> TrackingScore:
+    """Of an episode, in one condition or in several together."""
+    if condition in row["scores"]:
+        return unpack(row["scores"][condition][tracker])
+    some = COMPARED if condition == SOME else row["scores"]
+    return total([unpack(row["scores"][each][tracker]) for each in some])
+
+
+def interval(values: np.ndarray) -> list[float]:
+    return np.percentile(values, [2.5, 97.5]).round(4).tolist()
+
+
+def total(scores: list[TrackingScore]) -> TrackingScore:
+    """Their sum, field by field."""
+    return TrackingScore(*(np.sum([getattr(one, name) for one in scores], axis=0) for name in FIELDS))
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """All tables of the book."""
+    garments = sorted({garment_of(row) for row in rows})
+    return {
+        "episodes": [row["episode"] for row in rows],
+        "scores": pooled(rows),
+        "exact": {name: table_of(total([unpack(row["exact"][name]) for row in rows])) for name in rows[0]["exact"]},
+        "by_garment": {
+            garment: {
+                condition: {
+                    tracker: table_of(total([unpack(row["scores"][condition][tracker]) for row in mine]))
+                    for tracker in trackers
+                }
+                for condition, trackers in mine[0]["scores"].items()
+            }
+            for garment in garments
+            for mine in [[row for row in rows if garment_of(row) == garment]]
+        },
+        "thresholds": thresholds(rows),
+        "jumps": {
+            garment: {
+                name: {
+                    identity: np.sum(
+                        [row["jumps"][name][identity] for row in rows if garment_of(row) == garment], axis=0
+                    ).tolist()
+                    for identity in rows[0]["jumps"][name]
+                }
+                for name in rows[0]["jumps"]
+            }
+            for garment in garments
+        },
+        "places": {condition: where(rows, condition) for condition in rows[0]["places"]},
+        "places_by_garment": {
+            garment: where([row for row in rows if garment_of(row) == garment], "all vertices") for garment in garments
+        },
+        "failures": listed([failure for row in rows for failure in row["failures"]]),
+    }
+
+
+def listed(failures: list[dict[str, Any]]) -> dict[str, Any]:
+    """The failures as a table: switches of the paper's and of the recommended tracker, and runs of ten frames or more."""
+    kept = [
+        failure
+        for failure in failures
+        if (failure["kind"] == "switch" and failure["tracker"] in (PAPER, RECOMMENDED))
+        or failure["last"] - failure["first"] >= 9
+    ]
+    return {"columns": list(failures[0]), "rows": [list(failure.values()) for failure in kept]}
+
+
+def table_of(result: TrackingScore) -> dict[str, Any]:
+    """A line without intervals."""
+    shares = {
+        "precision": result.matches / max(result.detections, 1),
+        "recall": result.matches / max(result.objects, 1),
+    }
+    shares |= {name: getattr(result, name) for name in MEASURES}
+    counted = {name: int(getattr(result, name)) for name in COUNTS}
+    return counted | {name: round(float(value), 4) for name, value in shares.items()}
+
+
+def thresholds(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """MOTA and IDF1 at other thresholds: does the order of the trackers hang on it?"""
+    answer: dict[str, Any] = {"similarity": list(THRESHOLDS)}
+    for condition, trackers in rows[0]["levels"].items():
+        answer[condition] = {}
+        for tracker in trackers:
+            objects, detections, matches, switches, right = np.sum(
+                [row["levels"][condition][tracker] for row in rows], axis=0
+            ).T
+            mota = 1 - (objects + detections - 2 * matches + switches) / objects
+            answer[condition][tracker] = {
+                "mota": mota.round(4).tolist(),
+                "idf1": (2 * right / (objects + detections)).round(4).tolist(),
+            }
+    return answer
+
+
+def where(rows: list[dict[str, Any]], condition: str) -> dict[str, float]:
+    """Localisation of the matches in a condition."""
+    metres, radii, outside = (
+        np.concatenate([row["places"][condition][name] for row in rows]) for name in ("metres", "radii", "outside")
+    )
+    return {
+        "matches": len(metres),
+        "median_mm": round(1000 * float(np.median(metres)), 1),
+        "median_radii": round(float(np.median(radii)), 3),
+        "in_hull": round(float((outside <= 1e-9).mean()), 4),
+        "within_10_mm_of_hull": round(float((outside <= 0.01).mean()), 4),
+    }
+
+
+def garment_of(row: dict[str, Any]) -> str:
+    return row["episode"].split("-")[0]
+
+
+def code() -> str:
+    """A name for the state of the code that makes the rows; words about it do not count."""
+    makers = [ast.parse(inspect.getsource(maker)).body[0] for maker in (row_of, failures, places, jumps)]
+    lines = [ast.dump(line) for maker in makers for line in maker.body[1:]]
+    lines.append(inspect.getsource(_tracking_clouds))
+    text = [library_digest(), *lines, repr(list(TRACKERS)), repr(THRESHOLDS), str(MEMORY)]
+    return hashlib.sha256("".join(text).encode()).hexdigest()[:12]
+
+
+def scored(paths: list[Path], results: Path) -> list[dict[str, Any]]:
+    """A row an episode; those that are in the file already are not made again."""
+    lines = results.read_text().splitlines() if results.exists() else []
+    made_by, known = code(), {}
+    for line in lines:
+        try:
+            row = json.loads(line)
+        except json.JSONDecodeError:  # the last line of a run that was killed while writing it
+            continue
+        if row["code"] == made_by:
+            known[row["episode"]] = row
+    for done, path in enumerate(paths):
+        if path.stem not in known:
+            tell(f"tracking {path.stem}, {done + 1} of {len(paths)}")
+            known[path.stem] = row_of(path) | {"code": made_by}
+            with results.open("a") as file:
+                file.write(json.dumps(known[path.stem]) + "\n")
+    return [known[path.stem] for path in paths]
+
+
+SHOWN = (
+    ("miss", "all vertices", PAPER),
+    ("false positive", "all vertices", PAPER),
+    ("miss", "one camera", PAPER),
+    ("false positive", "one camera", PAPER),
+    ("switch", "noise of 10 mm", PAPER),
+    ("switch", "one camera", RECOMMENDED),
+)
+
+
+def telling(failures: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Failures to show: of each kind in `SHOWN` the longest, rather of a garment that is not shown yet."""
+    chosen: list[dict[str, Any]] = []
+    for what in SHOWN:
+        found = [one for one in failures if (one["kind"], one["condition"], one["tracker"]) == what]
+        garments = {garment_of(one) for one in chosen}
+        found.sort(
+            key=lambda one: (garment_of(one) in garments, one["first"] - one["last"], one["episode"], one["first"])
+        )
+        chosen += found[:1]
+    return chosen
+
+
+def clip(folder: Path, failure: dict[str, Any], path: Path, around: int = 3) -> None:
+    """Save the frames around a failure as an episode, its observation what the tracker saw, and what the tracker said."""
+    episode = load_episode(folder / f"{failure['episode']}.npz")
+    clouds, stride = next((clouds, k) for name, clouds, k in conditions(episode) if name == failure["condition"])
+    middle = (failure["first"] + failure["last"]) // 2 // stride  # of a switch, the first frame under the new name
+    first, last = max(middle - around, 0), min(middle + around, len(clouds))
+    follow = TRACKERS[failure["tracker"]]
+    states = follow(clouds[:last], tk.rips_persistence_many(clouds[:last]))[first:]
+    most = max(len(cloud) for cloud in clouds[first:last])
+    rows = slice(first * stride, last * stride, stride)
+    arrays = {name: getattr(episode, name)[rows] for name in ("points", "actions", "grippers", "held")}
+    arrays["observed"] = np.array([cloud[np.resize(np.arange(len(cloud)), most)] for cloud in clouds[first:last]])
+    note = {**failure, "shown": middle - first}
+    save_episode(path, dataclasses.replace(episode, **arrays, dt=episode.dt * stride, observation=note))
+    save_states(path.with_suffix(".tracks.npz"), states)
+
+
+def tell(message: str) -> None:
+    """Progress, on one line."""
+    print(f"\r\033[K{message}", end="", file=sys.stderr, flush=True)
+
+
+def version() -> str:
+    """The commit that made the rows, when there is one."""
+    done = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True
+    )
+    return done.stdout.strip() or "unknown"
+
+
+def as_json(answer: dict[str, Any]) -> str:
+    """JSON with a line for every list of numbers and for every failure."""
+    text = json.dumps(answer, indent=1)
+    return re.sub(r"\[[^][{}]*\]", lambda match: re.sub(r"\s+", " ", match[0]), text) + "\n"
+
+
+def print_table(answer: dict[str, Any]) -> None:
+    """The scores as text."""
+    for condition, trackers in answer["scores"].items():
+        print(
+            f"\n{condition}\n{'':40}"
+            + "".join(f"{name:>24}" for name in ("MOTA", "IDF1", "HOTA", "AssA"))
+            + "  switches"
+        )
+        for tracker, line in trackers.items():
+            cells = [
+                f"{line[n]:.3f} [{line[n + '_interval'][0]:.3f}, {line[n + '_interval'][1]:.3f}]"
+                for n in MEASURES
+                if n != "deta"
+            ]
+            print(f"{tracker:40}" + "".join(f"{cell:>24}" for cell in cells) + f"{line['switches']:10d}")
+
+
+def main() -> None:
+    """Simulate, track, score, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--episodes", type=Path, required=True, help="folder of the episodes; outside the repository")
+    parser.add_argument("--seeds", type=int, default=3, help="episodes a task (default 3: 63 in all)")
+    parser.add_argument("--out", type=Path, help="file for all tables as JSON")
+    parser.add_argument("--clips", type=Path, help="folder for a few frames around some failures")
+    options = parser.parse_args()
+    paths = simulated(options.episodes, options.seeds)
+    rows = scored(paths, options.episodes / "scores.jsonl")
+    tell("")
+    command = (
+        f"python book/experiments/tracking.py --episodes DIR --seeds {options.seeds} --out book/results/tracking.json"
+    )
+    answer = {
+        "command": command,
+        "made_with": {"topokit": version(), "code": code(), "machine": platform.machine()},
+        "memory": MEMORY,
+        "recommended": RECOMMENDED,
+        **summary(rows),
+    }
+    print_table(answer)
+    if options.out:
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        options.out.write_text(as_json(answer))
+    if options.clips:
+        options.clips.mkdir(parents=True, exist_ok=True)
+        for number, failure in enumerate(telling([failure for row in rows for failure in row["failures"]])):
+            clip(options.episodes, failure, options.clips / f"failure_{number}.npz")
+
+
+if __name__ == "__main__":
+    main()
