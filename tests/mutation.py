@@ -25,10 +25,10 @@ WORK = ROOT / "runs" / "mutation"
 PARTS = {
     "tracking": (
         (
-            "seqph.py",
-            "_matching.py",
-            "_evidence.py",
-            "_frames.py",
+            "seqph/_tracker.py",
+            "seqph/_matching.py",
+            "seqph/_evidence.py",
+            "seqph/_frames.py",
             "sampling.py",
             "linking.py",
             "mixture.py",

@@ -21,7 +21,6 @@ FACES = (
     "topokit.rips",
     "topokit.rips.reduction",
     "topokit.sampling",
-    "topokit.state",
     "topokit.seqph",
     "topokit.mixture",
     "topokit.linking",

@@ -502,9 +502,9 @@ def test_baselines_are_tracked_on_what_the_networks_see(dataset):
     ("module", "old", "new"),
     [
         ("evaluate/_tracking.py", "if scale == 0.0:", "if scale <= 0.0:"),  # in distance_to_hull
-        ("seqph.py", "options: ", None),
-        ("seqph.py", "next_id + 1, None", "next_id + 2, None"),
-        ("_matching.py", "2 * alpha + epsilon", "3 * alpha + epsilon"),
+        ("seqph/_tracker.py", "options: ", None),
+        ("seqph/_tracker.py", "next_id + 1, None", "next_id + 2, None"),
+        ("seqph/_matching.py", "2 * alpha + epsilon", "3 * alpha + epsilon"),
         ("models/_states.py", "clamp_min(1e-9)", "clamp_min(1e-6)"),
         ("sim/_camera.py", "_MARGIN = 0.1", "_MARGIN = 0.2"),
     ],

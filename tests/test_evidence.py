@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from topokit import SeqPH, rips_persistence, track
-from topokit._evidence import Gaps, evidence, significance
 from topokit.sampling import inliers
+from topokit.seqph._evidence import Gaps, evidence, significance
 
 
 def ring(rng: np.random.Generator, shift: float = 0.0) -> np.ndarray:

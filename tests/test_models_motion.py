@@ -11,8 +11,6 @@ from scipy.spatial import cKDTree
 from torch.utils.data import default_collate
 
 import topokit as tk
-from topokit._follow import follow_all
-from topokit._frames import Frame
 from topokit.cli import main
 from topokit.data import Dataset
 from topokit.io import load_episode
@@ -22,6 +20,7 @@ from topokit.models._config import TrainConfig, mirrored
 from topokit.models._motion import CARRIERS, KNOTS, UNIT, carried
 from topokit.models._motion_predictor import _corners
 from topokit.models._scenes import carriers_first, flow, target_of
+from topokit.seqph import Frame, follow_all
 
 from conftest import DATA
 from windows import RingScenes, film
@@ -462,7 +461,7 @@ def test_loops_are_born_in_the_moved_cloud(episode):
     opened = np.concatenate([ring, ring + [1, 0, 0]])
     shut = np.concatenate([ring, ring * [1, 0.01, 1] + [1, 0, 0]])
     (loop,) = tk.track([shut] * 3)[-1].loops
-    frame = Frame.cleaned(cKDTree(opened))
+    frame = Frame.without_outliers(cKDTree(opened))
     followed, (born,) = follow_all([loop], opened, frame)
     assert [one.id for one in followed] == [loop.id]
     assert born.id == loop.id + 1

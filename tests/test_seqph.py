@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from topokit import SeqPH, TopologicalState, farthest_point_sample, hausdorff, rips_persistence, track
-from topokit._matching import assign, hausdorff_table, within_gates
-from topokit.sampling import spacing
-from topokit.seqph import Candidates, place
-from topokit.state import as_table
+from topokit.sampling import hausdorff_table, spacing
+from topokit.seqph import Candidates, as_table, assign, place
+from topokit.seqph._matching import within_gates
 
 from conftest import polygon
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from topokit import rips_persistence, view
-from topokit.state import OKABE_ITO
 
 from clouds import gudhi_pairs, sorted_pairs
 from conftest import polygon
@@ -30,7 +29,7 @@ def test_holds_its_options():
     data = page_data(view.growth(SQUARE, start=1, max_radius=3, height=321, title="four </script> corners"))
     assert (data["start"], data["end"], data["height"]) == (1.0, 3.0, 321)
     assert data["title"] == "four </script> corners"
-    assert data["palette"] == list(OKABE_ITO)
+    assert data["palette"] == [view.loop_colour(number) for number in range(6)]
     plain = page_data(view.growth(SQUARE))
     assert (plain["start"], plain["end"]) == (None, None)
 

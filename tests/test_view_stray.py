@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from topokit import SeqPH, rips_persistence, view
-from topokit._evidence import significance
-from topokit._frames import Frame
 from topokit.sampling import as_tree
+from topokit.seqph import Frame
 
 from conftest import polygon
 from pages import by_script, check_small_and_whole, needs_node, page_data
@@ -84,10 +83,10 @@ def test_script_measures_significance_and_the_mark_that_a_bar_must_reach():
     clouds = spoilt_clouds()
     compared = 0
     for cloud, (paper, new) in zip(clouds, by_script(SCRIPTS, CALL, [c.tolist() for c in clouds]), strict=True):
-        frame = Frame.cleaned(as_tree(cloud))
+        frame = Frame.without_outliers(as_tree(cloud))
         np.testing.assert_array_equal(np.unique(new["cloud"], axis=0), np.unique(cloud[frame.ids], axis=0))
         diagram = rips_persistence(frame.tree.data)
-        expected = significance(diagram.birth, diagram.death, frame.gaps, frame.tree.n)
+        expected = frame.significance(diagram.birth, diagram.death)
         bars = np.array(new["bars"]).reshape(-1, 4)
         np.testing.assert_allclose(np.sort(bars[:, 2]), np.sort(expected), rtol=1e-9)
         for birth, death, strength, needed in new["bars"]:

@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._follow import follow
     from .linking import linking_number
     from .mixture import LoopMixture, loop_mixture
     from .rips import Diagram, rips_persistence, rips_persistence_many
     from .sampling import covering_radius, farthest_point_sample, hausdorff
-    from .seqph import SeqPH, track
-    from .state import Loop, TopologicalState
+    from .seqph import Loop, SeqPH, TopologicalState, follow, track
 
 __version__ = "0.3.0"
 __getattr__, __all__ = attach(__name__, __file__)  # so that the command hears Ctrl-C before NumPy is imported

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ._archive import FormatError, load_archive, save_archive
 from ._validate import WrongKindError, as_ids, as_reals
 from .sensors._files import read_clouds
-from .state import Loop, TopologicalState
+from .seqph import Loop, TopologicalState
 
 __all__ = ["FEWEST_FRAMES", "HISTORY", "HORIZON", "LOOP_NAMES", "SCHEMA", "Episode", "FormatError", "load_episode"]
 __all__ += ["load_states", "read_clouds", "save_episode", "save_states"]

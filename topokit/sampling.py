@@ -108,6 +108,17 @@ def hausdorff(a: ArrayLike | cKDTree, b: ArrayLike | cKDTree) -> float:
     return max(covering_radius(one.data, other), covering_radius(other.data, one))
 
 
+def hausdorff_table(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (m, k) Hausdorff distances between small sets of points, each of `a` and each of `b`.
+
+    Parameters
+    ----------
+    a, b : (m, p, d), (k, q, d) float64
+    """
+    apart = np.linalg.norm(a[:, None, :, None] - b[None, :, None], axis=-1)  # (m, k, p, q)
+    return np.asarray(np.maximum(apart.min(axis=3).max(axis=2), apart.min(axis=2).max(axis=2)))
+
+
 def inliers(points: ArrayLike | cKDTree, *, neighbours: int = 5, factor: float = 2.5) -> NDArray[np.int64]:
     """Return the ids of the points that are not alone: statistical outlier removal.
 

@@ -25,21 +25,21 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import numpy as np
 
 import topokit as tk
-from topokit import seqph
 from topokit.io import load_episode
+from topokit.seqph import PAPER, _tracker
 
 PARTS: dict[tuple[Any, str], str] = {
-    (seqph, "as_tree"): "tree of neighbours",
+    (_tracker, "as_tree"): "tree of neighbours",
     (tk.SeqPH, "_frame"): "which points count, alpha",
-    (seqph, "next_persistence"): "persistence",
+    (_tracker, "next_persistence"): "persistence",
     (tk.SeqPH, "_motion"): "epsilon",
-    (seqph, "place"): "places",
-    (seqph, "_loop"): "triangles, neighbours",
+    (_tracker, "place"): "places",
+    (_tracker, "loop_at"): "triangles, neighbours",
 }
 SETTINGS: dict[str, dict[str, Any]] = {
     "everything estimated": {},
     "alpha, beta, epsilon given": {"alpha": 0.012, "beta": 0.2, "epsilon": 0.03},
-    "the paper's": dict(seqph.PAPER),
+    "the paper's": dict(PAPER),
     "cycle": {"identity": "cycle"},
 }
 

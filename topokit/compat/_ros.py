@@ -16,8 +16,7 @@ import numpy as np
 from topokit._archive import FormatError
 from topokit.sensors import Cleaner, Pipeline
 from topokit.sensors._files import Asked, as_cloud, rows_of
-from topokit.seqph import SeqPH
-from topokit.state import TopologicalState, loop_colour
+from topokit.seqph import SeqPH, TopologicalState, loop_colour
 
 _TYPES = {"": "visualization_msgs/msg/MarkerArray", "/json": "std_msgs/msg/String"}  # by the end of the topic
 _ADD, _DELETE, _DELETE_ALL = 0, 2, 3

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from topokit._archive import FormatError
 from topokit.io import Episode, check_episode
-from topokit.state import TopologicalState
+from topokit.seqph import TopologicalState
 
 from ._group import Group, damage_in, decode, label_name, open_episodes, replace, tracked_cloud
 from ._layout import episode_of, needed, skeleton, states_of

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from topokit._archive import FREE, RATIO
 from topokit.io import HISTORY, Episode
 from topokit.rips import Diagram, rips_persistence
-from topokit.state import Loop, TopologicalState, loop_of
+from topokit.seqph import Loop, TopologicalState, loop_of
 
 METRE = 10_000  # units of a stored coordinate in a metre
 _METRES = ("points", "actions", "grippers", "centre_line")

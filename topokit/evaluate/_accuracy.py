@@ -20,8 +20,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from topokit._matching import assign
 from topokit.models import States, loop_mixtures, match_slots
+from topokit.seqph import assign
 
 from ._tracking import distance_to_hull, extent
 

@@ -15,6 +15,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from topokit.seqph import assign
+
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 Kind = Literal["match", "switch", "fragment", "miss", "false positive"]
@@ -187,10 +189,7 @@ def _higher_order(overlaps: Sequence[Overlap], shape: tuple[int, int]) -> tuple[
 
 def greatest(gain: Array) -> list[tuple[int, int]]:
     """The assignment of greatest total gain, pairs without any left out."""
-    from scipy.optimize import linear_sum_assignment
-
-    rows, columns = linear_sum_assignment(gain, maximize=True)
-    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if gain[i, j] > 0]
+    return [(i, j) for i, j in assign(-gain) if gain[i, j] > 0]
 
 
 def _numbered(overlaps: Sequence[Overlap]) -> tuple[list[Overlap], tuple[int, int]]:

@@ -17,13 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._matching import assign
 from topokit._validate import Array, Ids, as_points, as_sequence
 from topokit.linking import curve_centroid, side_lengths
 from topokit.rips import rips_persistence
 from topokit.sampling import spacing
-from topokit.seqph import Candidates, SeqPH
-from topokit.state import TopologicalState
+from topokit.seqph import Candidates, SeqPH, TopologicalState, assign
 
 from ._scores import THRESHOLD, Overlap, greatest
 

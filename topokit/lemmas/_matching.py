@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
@@ -23,6 +22,7 @@ from .._validate import Array, as_points
 from ..linking import curve_centroid
 from ..rips import Diagram, rips_persistence
 from ..sampling import hausdorff
+from ..seqph import assign
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,9 +105,9 @@ def _cheapest(pair: Array, alone: Array, others_alone: Array, c: float) -> NDArr
     most = 1.0 + 2.0 * (float(alone.sum()) + float(others_alone.sum()))
     saved = (alone + most * (alone > c))[:, None] + (others_alone + most * (others_alone > c))[None, :]
     saved = np.maximum(np.where(pair <= c, saved - np.where(pair <= c, pair, 0.0), 0.0), 0.0)
-    i, j = linear_sum_assignment(saved, maximize=True)
-    partner[i], worth = j, saved[i, j] > 0
-    partner[i[~worth]] = -1
+    for i, j in assign(-saved):
+        if saved[i, j] > 0:
+            partner[i] = j
     return partner
 
 

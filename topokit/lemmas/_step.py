@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from .._matching import hausdorff_table
 from .._validate import Array, Ids, as_ids, as_points, as_reals
 from ..rips import Diagram
+from ..sampling import hausdorff_table
 from ._matching import Matching, match_diagrams
 from ._measures import State
 

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from topokit._config import checked
 from topokit._validate import positive
 from topokit.io import HISTORY, HORIZON
-from topokit.state import TopologicalState
+from topokit.seqph import TopologicalState
 
 from ._states import NOISE, NUMBERS, PAST, States, Window, past_states, target_states
 

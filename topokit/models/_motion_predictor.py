@@ -11,13 +11,9 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from topokit._evidence import remembered
-from topokit._follow import follow_all
-from topokit._frames import Frame
 from topokit._validate import as_points
 from topokit.sampling import inliers
-from topokit.seqph import SeqPH
-from topokit.state import Loop
+from topokit.seqph import Frame, Loop, SeqPH, belief_after, follow_all
 
 from ._motion import KNOTS, PAST, Codes, Motion, _world
 from ._predictor import Array, Forecast, Predictor, as_cloud, as_grippers
@@ -204,7 +200,7 @@ def _noise(death: Array | float, scales: Array) -> Array:
 def _presence(birth: ArrayLike, death: ArrayLike, ahead: ArrayLike, frame: Frame) -> Array:
     """The probability that the tracker believes in loops so many frames ahead: by what it sees there and what it remembers."""
     start, end = np.asarray(birth, np.float64), np.asarray(death, np.float64)
-    odds = frame.says(start, np.maximum(start, end)) + remembered(np.asarray(ahead, np.float64))
+    odds = frame.loop_evidence(start, np.maximum(start, end)) + belief_after(np.asarray(ahead, np.float64))
     return np.asarray(1 / (1 + np.exp(-odds)), np.float32)
 
 

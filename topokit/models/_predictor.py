@@ -16,8 +16,7 @@ from torch import Tensor
 from topokit._validate import as_points, as_reals
 from topokit.mixture import LoopMixture, loop_mixture
 from topokit.sampling import farthest_point_sample
-from topokit.seqph import SeqPH
-from topokit.state import TopologicalState
+from topokit.seqph import SeqPH, TopologicalState
 
 from ._baselines import past_window
 from ._checkpoint import Model, load_model

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import Array, as_points, whole
 from topokit.sampling import as_tree
-from topokit.state import TopologicalState
+from topokit.seqph import TopologicalState
 
 _APART = 0.7  # how far from all that is seen a remembered point is, in distances of points from their nearest other one
 _THICK = 1.3  # what is less far in front of the cloth or behind it belongs to it, in the same

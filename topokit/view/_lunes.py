@@ -16,12 +16,11 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial.distance import cdist
 
 from topokit._validate import Array, Ids, positive
-from topokit.state import OKABE_ITO
-from topokit.view._pages import MOST_POINTS, Framed, framed, planar, shapes
+from topokit.view._pages import MOST_POINTS, PALETTE, Framed, framed, planar, shapes
 from topokit.view._plots import new_axes
 
-_EDGE, *_COMPONENTS = OKABE_ITO
-_BLOCKED, _PATH = OKABE_ITO[3], OKABE_ITO[2]
+_EDGE, *_COMPONENTS = PALETTE
+_BLOCKED, _PATH = PALETTE[3], PALETTE[2]
 
 
 def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) -> Axes:

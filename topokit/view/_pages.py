@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from topokit._validate import as_points, as_sequence, positive, whole
 from topokit.lemmas import vertex_ids
 from topokit.linking import close_far, linking_number
-from topokit.state import OKABE_ITO
+from topokit.seqph import loop_colour
 from topokit.view._packed import grown
 
 MOST_POINTS = 60  # as many as the scripts can follow while a point is dragged
@@ -57,7 +57,7 @@ class Framed:
 
 def framed(name: str, scripts: tuple[str, ...], data: dict[str, Any], height: int, caption: str, title: str) -> Framed:
     """The page `name`: its parts, `name`.html, in the frame that all share, and its script, `name`.js, after `scripts`."""
-    data = data | {"height": int(height), "title": caption, "palette": list(OKABE_ITO)}
+    data = data | {"height": int(height), "title": caption, "palette": list(PALETTE)}
     lines = [line.strip() for script in ("frame.js", *scripts, f"{name}.js") for line in _text(script).splitlines()]
     code = "\n".join(line for line in lines if line and not line.startswith("//"))  # as written but for these
     parts = {
@@ -77,9 +77,10 @@ def _text(file: str) -> str:
     return resources.files("topokit.view").joinpath(file).read_text(encoding="utf-8")
 
 
+PALETTE = tuple(loop_colour(number) for number in range(6))  # identities six apart share a colour
 STAGES = ("cloth", "cloud", "loops", "tracks", "mixture", "model", "plan")
 # how the box of a stage looks, and its name
-_LIT = (f'fill="{OKABE_ITO[1]}" stroke="{OKABE_ITO[1]}"', 'fill="#ffffff" font-weight="600"')
+_LIT = (f'fill="{PALETTE[1]}" stroke="{PALETTE[1]}"', 'fill="#ffffff" font-weight="600"')
 _UNLIT = ('fill="none" stroke="currentColor" opacity="0.55"', 'opacity="0.75"')
 
 

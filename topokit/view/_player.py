@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from topokit.io import Episode
 from topokit.linking import close_far
-from topokit.state import Loop, TopologicalState
+from topokit.seqph import Loop, TopologicalState
 from topokit.view._looks import cloth_marks
 from topokit.view._packed import pack, pack_coordinates
 from topokit.view._pages import Framed, framed

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from topokit._validate import Array, Ids, as_ids, as_points, as_reals
 from topokit.io import Episode
 from topokit.rips import Diagram
-from topokit.state import Loop, TopologicalState, loop_colour
+from topokit.seqph import Loop, TopologicalState, loop_colour
 from topokit.view._looks import cloth_marks, face_normals, shadow, smoothed
 
 CLOTH, LINING, ROD, INK = "#E8E2D4", "#C8C9D0", "#5B6B7C", "#1C2733"

@@ -25,7 +25,7 @@ from PIL import Image
 from topokit._archive import atomic_file
 from topokit._validate import Array
 from topokit.io import Episode
-from topokit.state import Loop, TopologicalState
+from topokit.seqph import Loop, TopologicalState
 from topokit.view._plots import CLOTH, INK, LINING, ROD, Scene, direction, draw_cloth, loop_colour, one_a_frame
 
 _PROBE = """

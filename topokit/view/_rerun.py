@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from topokit._archive import atomic_file
 from topokit.io import Episode
-from topokit.state import Loop, TopologicalState
+from topokit.seqph import Loop, TopologicalState
 from topokit.view._plots import ROD, loop_colour, one_a_frame
 
 _GREY, _ROD = (138, 147, 160), tuple(bytes.fromhex(ROD[1:]))  # of what is no loop: seen on white and on black

@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ._validate import own_arrays
+from topokit._validate import own_arrays
 
-__all__ = ["Loop", "TopologicalState", "as_table"]
 OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # of identities
 ClosedCurve = tuple[NDArray[np.int64], NDArray[np.float64]]  # vertex ids of a closed walk, and their places
 
@@ -93,14 +92,23 @@ def loop_colour(loop_id: int) -> str:
     return OKABE_ITO[int(loop_id) % len(OKABE_ITO)]
 
 
-def loop_of(cloud: NDArray[np.float64], cycle: Callable[[], NDArray[np.int64]], **told: Any) -> Loop:
-    """A loop from its cloud, its numbers, and the vertex ids of its simplices; `cycle` finds its closed walk when asked for."""
+def loop_of(cloud: NDArray[np.float64], cycle: Callable[[], NDArray[np.int64]], **fields: Any) -> Loop:
+    """Return a loop of a cloud.
+
+    Parameters
+    ----------
+    cloud : (n, d) float64
+    cycle : callable
+        Returns the vertex ids of the loop's closed walk; called when the walk is asked for.
+    **fields
+        The fields of `Loop` that hold numbers and vertex ids.
+    """
     return Loop(
-        **told,
-        killer_edge_points=cloud[told["killer_edge"]],
-        killer_triangles=cloud[told["killer_triangle_ids"]],
-        neighbours=cloud[told["neighbour_ids"]],
-        killer_values=np.full(2, told["death"]),  # their longest edge is the killer edge
+        **fields,
+        killer_edge_points=cloud[fields["killer_edge"]],
+        killer_triangles=cloud[fields["killer_triangle_ids"]],
+        neighbours=cloud[fields["neighbour_ids"]],
+        killer_values=np.full(2, fields["death"]),  # their longest edge is the killer edge
         _curve=partial(_curve_of, cloud, cycle),
     )
 

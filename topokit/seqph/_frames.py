@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ._evidence import Gaps, evidence
-from .rips import Diagram
-from .sampling import inliers_and_tree, spacing
+from topokit.rips import Diagram
+from topokit.sampling import inliers_and_tree, spacing
+
+from ._evidence import Gaps, evidence, significance
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -28,18 +29,32 @@ class Frame:
     """A cloud, the points of it that count, and how far apart they are."""
 
     tree: cKDTree  #: of the points that count
-    ids: NDArray[np.int64]  #: theirs in the cloud
-    alpha: float
-    gaps: Gaps = _NO_GAPS
+    ids: NDArray[np.int64]  #: (n,) their numbers in the cloud
+    alpha: float  #: how far the scene may be from the nearest of them
+    gaps: Gaps = _NO_GAPS  #: how wide the gaps between them are
 
     @classmethod
-    def scene(cls, tree: cKDTree, alpha: float | None = None) -> Frame:
-        """All points count, as the paper has it: alpha, when not given, is half the largest distance to a nearest other point."""
+    def of_all_points(cls, tree: cKDTree, alpha: float | None = None) -> Frame:
+        """Return the frame in which all points count, as in the paper.
+
+        Parameters
+        ----------
+        tree : cKDTree
+            Of the points.
+        alpha : float, optional
+            Half the largest distance of a point from its nearest other one, when not given.
+        """
         return cls(tree, np.arange(tree.n), spacing(tree) if alpha is None else alpha)
 
     @classmethod
-    def cleaned(cls, tree: cKDTree) -> Frame:
-        """Points that are alone do not count."""
+    def without_outliers(cls, tree: cKDTree) -> Frame:
+        """Return the frame in which points that are alone do not count.
+
+        Parameters
+        ----------
+        tree : cKDTree
+            Of the points.
+        """
         if tree.n == 0:
             return cls(tree, np.arange(0), 0.0)
         ids, places, nearest = inliers_and_tree(tree)
@@ -47,8 +62,24 @@ class Frame:
             return cls(places, ids, 0.0)
         return cls(places, ids, float(np.quantile(nearest[:, 0], _SCENE)) / 2, Gaps.of(nearest))
 
-    def says(self, birth: Array, death: Array) -> Array:
-        """What this frame says for each bar's being a loop, in natural logarithms of odds."""
+    def significance(self, birth: Array, death: Array) -> Array:
+        """Return how much bars stand out from the sampling of this frame: a loop has more than 1.
+
+        Parameters
+        ----------
+        birth, death : (m,) float64
+            Of bars of these points.
+        """
+        return significance(birth, death, self.gaps, self.tree.n)
+
+    def loop_evidence(self, birth: Array, death: Array) -> Array:
+        """Return the log-odds that each bar is a loop, by this frame alone.
+
+        Parameters
+        ----------
+        birth, death : (m,) float64
+            Of bars of these points.
+        """
         return evidence(birth, death, self.gaps, self.tree.n)
 
     def motion_since(self, before: Frame) -> tuple[Array, float]:

@@ -68,6 +68,6 @@ def believe(belief: float, evidence: float) -> float:
     return max(_FORGET * belief + evidence, _LEAST)
 
 
-def remembered(frames: Array) -> Array:
+def belief_after(frames: Array) -> Array:
     """What is left, so many frames later, of the belief in a loop that has long been seen well."""
     return np.asarray(_FOR / (1 - _FORGET) * _FORGET**frames)

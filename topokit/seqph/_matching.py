@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .rips import Diagram
+from topokit.rips import Diagram
+from topokit.sampling import hausdorff_table
 
 Array = NDArray[np.float64]
 
@@ -70,23 +71,28 @@ def candidates_of(
     return Candidates(*here, births, deaths, there, motion, *sizes)
 
 
-Matching = Callable[[Candidates], Iterable[tuple[int, int]]]
+MatchRule = Callable[[Candidates], Iterable[tuple[int, int]]]
 
 
-def hausdorff_table(a: Array, b: Array) -> Array:
-    """(m, k) Hausdorff distances between small sets of points, each of a (m, p, d) and each of b (k, q, d)."""
-    apart = np.linalg.norm(a[:, None, :, None] - b[None, :, None], axis=-1)  # (m, k, p, q)
-    return np.asarray(np.maximum(apart.min(axis=3).max(axis=2), apart.min(axis=2).max(axis=2)))
+def assign(cost: Array, allowed: NDArray[np.bool_] | None = None) -> list[tuple[int, int]]:
+    """Match as many rows and columns as possible, at the least total cost among such matchings.
 
+    Parameters
+    ----------
+    cost : (n, m) float64
+        Not negative where `allowed` is given.
+    allowed : (n, m) bool, optional
+        Pairs that may be matched; all of them when not given.
 
-def assign(cost: Array, allowed: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Match as many rows and columns as `allowed` lets, at the least total cost among such matchings.
-
+    Notes
+    -----
     A forbidden pair costs more than all allowed ones together, so the Hungarian algorithm takes one only where it has no
     choice, and those are dropped: unlike infinite entries this cannot make the problem infeasible.
     """
-    from scipy.optimize import linear_sum_assignment
+    from scipy.optimize import linear_sum_assignment  # here, because importing topokit must be quick
 
+    if allowed is None:
+        allowed = np.ones(cost.shape, dtype=bool)
     forbidden = 1.0 + 2.0 * float(np.where(allowed, cost, 0.0).sum())
     rows, columns = linear_sum_assignment(np.where(allowed, cost, forbidden))
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if allowed[i, j]]

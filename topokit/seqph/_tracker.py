@@ -3,7 +3,7 @@
 Idea: every frame's loops come from Rips persistence; a loop is the same as one of the frame before when its birth, its
 death and the place of its killer edge have moved no more than the sampling (alpha), the motion (epsilon) and the jitter of
 killers (beta) allow. The assignment that moves killers least in total hands the identities on. Which bars are loops is told by
-the diagram and by the film before it (`topokit._evidence`), or, as in the paper, by alpha alone.
+the diagram and by the film before it (`topokit.seqph._evidence`), or, as in the paper, by alpha alone.
 
 Source: Antonova et al. 2021, Algorithm 1 and Corollary 1. In the paper's listing the matching stands inside the loop over
 l; it needs the whole distance matrix, so it follows both loops here. Taught in chapters 0 and 7.
@@ -20,19 +20,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from topokit._validate import Array, as_sequence, positive, whole
+from topokit.linking import curve_centroid
+from topokit.rips import Diagram, next_persistence, rips_persistence_many
+from topokit.sampling import as_tree, hausdorff, hausdorff_table
+
 from ._evidence import MISSED, WEAKEST, believe
 from ._frames import Frame, check_diagram, check_follows
-from ._matching import Candidates, Known, Matching, candidates_of, check_pairs, hausdorff_table, within_gates
-from ._validate import Array, as_sequence, positive, whole
-from .linking import curve_centroid
-from .rips import Diagram, next_persistence, rips_persistence_many
-from .sampling import as_tree, hausdorff
-from .state import Loop, TopologicalState, loop_of
+from ._matching import Candidates, Known, MatchRule, candidates_of, check_pairs, within_gates
+from ._state import Loop, TopologicalState, loop_of
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
-
-__all__ = ["PAPER", "Candidates", "SeqPH", "place", "track"]
 
 _PAPER = {"loops": "alpha", "gates": "paper", "identity": "killer-edge", "memory": 0}
 PAPER: Mapping[str, Any] = MappingProxyType(_PAPER)
@@ -101,7 +100,7 @@ class SeqPH:
         gates: str = "near",
         identity: str = "killer-triangles",
         memory: int = 20,
-        match: Matching | None = None,
+        match: MatchRule | None = None,
     ) -> None:
         self.alpha = None if alpha is None else positive(alpha, "alpha")
         self.beta = None if beta is None else positive(beta, "beta")
@@ -174,14 +173,14 @@ class SeqPH:
     def _frame(self, tree: cKDTree) -> Frame:
         """What this tracker takes from a cloud."""
         if self.loops == "alpha":
-            return Frame.scene(tree, self.alpha)
-        frame = Frame.cleaned(tree)
+            return Frame.of_all_points(tree, self.alpha)
+        frame = Frame.without_outliers(tree)
         return frame if self.alpha is None else replace(frame, alpha=self.alpha)
 
     def _advance(self, cloud: Array, frame: Frame, diagram: Diagram, time: float | None) -> TopologicalState:
         """Take a checked frame whose persistence is known."""
-        says = self._says(frame, diagram)
-        found = np.flatnonzero(says > WEAKEST).tolist()
+        evidence = self._loop_evidence(frame, diagram)
+        found = np.flatnonzero(evidence > WEAKEST).tolist()
         shift, epsilon = self._motion(frame)
         known = [replace(k, place=k.place + shift, motion=k.motion + epsilon, missed=k.missed + 1) for k in self._known]
         deaths = (diagram.death[found], np.array([k.death for k in known]))
@@ -193,7 +192,7 @@ class SeqPH:
         loops, kept, next_id = [], [], self._next_id
         for k, i in enumerate(found):
             before = known[matched[k]] if k in matched else None
-            belief = believe(before.belief if before else 0.0, says[i])
+            belief = believe(before.belief if before else 0.0, evidence[i])
             identity = before.id if before else None
             if belief > 0:
                 if identity is None:
@@ -209,11 +208,11 @@ class SeqPH:
         self._before, self._next_id, self._number, self._time = frame, next_id, self._number + 1, time
         return state
 
-    def _says(self, frame: Frame, diagram: Diagram) -> Array:
+    def _loop_evidence(self, frame: Frame, diagram: Diagram) -> Array:
         """(m,) evidence that each bar is a loop; by alpha alone there is no doubt."""
         if self.loops == "alpha":
             return np.where(diagram.lifetime >= frame.alpha, np.inf, -np.inf)
-        return frame.says(diagram.birth, diagram.death)
+        return frame.loop_evidence(diagram.birth, diagram.death)
 
     def _motion(self, frame: Frame) -> tuple[Array | float, float]:
         """How far the scene as a whole has moved, and epsilon, given or estimated."""

@@ -15,13 +15,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ._frames import Frame
-from ._validate import as_points
-from .rips import rips_persistence
-from .seqph import loop_at
-from .state import Loop
+from topokit._validate import as_points
+from topokit.rips import rips_persistence
 
-__all__ = ["follow"]
+from ._frames import Frame
+from ._state import Loop
+from ._tracker import loop_at
 
 
 def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
@@ -57,7 +56,20 @@ def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
 
 
 def follow_all(loops: Sequence[Loop], cloud: ArrayLike, frame: Frame | None = None) -> tuple[list[Loop], list[Loop]]:
-    """Return what `follow` does and, of the points that count in the frame, the loops beside these: those that are born."""
+    """Return what `follow` returns, and the loops that are born in the moved cloud, longest lifetime first.
+
+    Parameters
+    ----------
+    loops : sequence of Loop
+    cloud : (n, d) array_like
+    frame : Frame, optional
+        Which points of the cloud count, and which bars of them are loops. No loop is born when it is not given.
+
+    Raises
+    ------
+    ValueError, LookupError
+        As `follow` does.
+    """
     points, cycles = as_points(cloud), [loop.cycle for loop in loops]
     most = max((int(cycle.max()) for cycle in cycles), default=-1)
     if most >= len(points):
@@ -72,8 +84,8 @@ def follow_all(loops: Sequence[Loop], cloud: ArrayLike, frame: Frame | None = No
             moved = loop_at(diagram, bar, points, ids, loop.id, loop.killer_edge_points)
             found.append(replace(moved, birth=loop.birth))
     if frame is not None:
-        says = frame.says(diagram.birth, diagram.death)
+        evidence = frame.loop_evidence(diagram.birth, diagram.death)
         first = max((loop.id for loop in loops), default=-1) + 1
-        new = [bar for bar in np.argsort(-diagram.lifetime).tolist() if says[bar] > 0 and bar not in ends]
+        new = [bar for bar in np.argsort(-diagram.lifetime).tolist() if evidence[bar] > 0 and bar not in ends]
         born = [loop_at(diagram, bar, points, ids, first + i, None) for i, bar in enumerate(new)]
     return sorted(found, key=lambda loop: -loop.lifetime), born

@@ -1,0 +1,21 @@
+"""seqPH: states of a scene, and the tracker that follows loops through a sequence of point clouds.
+
+Idea: a state is the list of loops of one frame. The tracker finds the loops by Rips persistence and decides which of them is
+which of the frame before. `follow` needs no matching: it moves tracked loops along with the points of their cloud.
+
+Source: Antonova et al. 2021, section 4 and Algorithm 1. Taught in chapters 0, 7 and 12.
+"""
+
+from typing import TYPE_CHECKING
+
+from topokit._lazy import attach
+
+if TYPE_CHECKING:
+    from ._evidence import belief_after
+    from ._follow import follow, follow_all
+    from ._frames import Frame
+    from ._matching import Candidates, MatchRule, assign
+    from ._state import Loop, TopologicalState, as_table, loop_colour, loop_of
+    from ._tracker import PAPER, SeqPH, place, track
+
+__getattr__, __all__ = attach(__name__, __file__)
