@@ -14,7 +14,7 @@ pytest.importorskip("gymnasium")
 
 import topokit as tk
 from topokit import cli
-from topokit.control import Carried, Planner, Servo, Thrower, hang
+from topokit.control import Carried, Planner, Servo, ThrowController, hang
 from topokit.control._geometry import Arm, Opening, angle, drawn
 from topokit.io import load_episode, save_episode
 from topokit.sampling import as_tree
@@ -259,7 +259,7 @@ def test_a_motion_model_can_be_planned_with():
 def test_what_cannot_be_reached_is_thrown(hanging):
     thrown = hang("apron-hook", garment=COARSE, seed=1, model="carry", fence=0.15)
     assert (thrown.success, thrown.linked) == (True, ("neck",))
-    assert thrown.episode.physics["controller"] == "Thrower"
+    assert thrown.episode.physics["controller"] == "ThrowController"
     arm, line = Arm.of(thrown.episode.centre_line), thrown.episode.centre_line
     assert ((thrown.episode.grippers - line[-1]) @ arm.out).min() > 0.12
     assert not hang("apron-hook", garment=COARSE, seed=1, fence=0.15, max_steps=hanging.steps + 20).success
@@ -267,7 +267,7 @@ def test_what_cannot_be_reached_is_thrown(hanging):
 
 def test_a_throw_ends_at_the_fence_and_what_is_let_go_flies():
     hands = np.array([[-0.1, -0.9, 1.3], [0.1, -0.9, 1.3]])
-    thrower, observation = Thrower(Carried(), fence=0.2), seen(ring(60, centre=(0, -0.9, 1.13)), hands)
+    thrower, observation = ThrowController(Carried(), fence=0.2), seen(ring(60, centre=(0, -0.9, 1.13)), hands)
     plan(thrower, observation)
     arm = Arm.of(observation["target"])
     goals, last = thrower._run(np.array([0.9, 0.6, 0.02]), arm, hands)
@@ -293,7 +293,7 @@ def test_a_throw_ends_at_the_fence_and_what_is_let_go_flies():
 @pytest.mark.parametrize("wrong", [{"fence": -0.1}, {"fence": 0.1, "frame_time": 0.0}, {"fence": 0.1, "plans": 2}])
 def test_a_thrower_with_too_little_is_refused(wrong):
     with pytest.raises(ValueError, match=[*wrong][-1]):
-        Thrower(Carried(), **wrong)
+        ThrowController(Carried(), **wrong)
 
 
 def test_what_is_carried_turns_with_the_grippers():
@@ -346,7 +346,7 @@ def test_in_a_hurry_a_loop_that_leaves_no_room_is_planned_for():
         assert planner._slow == slow
 
 
-@pytest.mark.parametrize("wrong", [{"plans": 3}, {"rounds": 0}, {"every": 0}])
+@pytest.mark.parametrize("wrong", [{"plans": 3}, {"rounds": 0}, {"replan_every": 0}])
 def test_a_planner_with_too_little_is_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         Planner(Carried(), **wrong)

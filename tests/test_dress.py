@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("pybullet")
 pytest.importorskip("gymnasium")
 
-from topokit.control import Dresser, Shoulderer, hang
+from topokit.control import PullOverController, StrapController, hang
 from topokit.control._geometry import angle
 from topokit.sim import Hook, Mannequin, Placed
 from topokit.sim._surface import turned
@@ -60,7 +60,7 @@ def carried(controller, cloth, place, yaw, gap, frames=400):
 @pytest.mark.parametrize("yaw", [70.0, -60.0, 160.0])
 def test_a_tube_is_lifted_over_the_head_and_let_go_around_the_neck(yaw):
     aside = turned(np.array([0.1, -0.5, 1.5]), 70)
-    clouds, action = carried(Dresser(), tube(), np.array([*(DUMMY.seat + aside)[:2], 1.5]), yaw, 0.2)
+    clouds, action = carried(PullOverController(), tube(), np.array([*(DUMMY.seat + aside)[:2], 1.5]), yaw, 0.2)
     assert action[6] == 1
     assert DUMMY.holds(clouds[-1][:30])
     axis, top = DUMMY.centre_line[-1, :2], DUMMY.centre_line[-1, 2]
@@ -71,14 +71,14 @@ def test_a_tube_is_lifted_over_the_head_and_let_go_around_the_neck(yaw):
 
 
 def test_a_tube_that_looks_aside_is_turned_to_the_shoulders_either_way_round():
-    clouds, _ = carried(Dresser(), tube() * [1.5, 0.8, 1], DUMMY.seat + [0, 0, 1.0], 20.0, 0.3)
+    clouds, _ = carried(PullOverController(), tube() * [1.5, 0.8, 1], DUMMY.seat + [0, 0, 1.0], 20.0, 0.3)
     ring = clouds[-1][30:60]
     longest = ring[np.linalg.norm(ring - ring.mean(axis=0), axis=1).argmax()] - ring.mean(axis=0)
     assert abs(abs(angle(longest, turned(np.array([1.0, 0, 0]), 70))) % 180) == pytest.approx(0, abs=15)
 
 
 def test_what_has_no_loop_is_never_let_go():
-    controller = Dresser()
+    controller = PullOverController()
     _, action = carried(controller, tube()[::30], DUMMY.seat + [0, 0, 1.0], 70.0, 0.2, frames=2500)
     assert action[6] == 0
     assert "not seen to be worn" in controller.reason
@@ -87,19 +87,19 @@ def test_what_has_no_loop_is_never_let_go():
 @pytest.mark.parametrize("turn", [0.0, 40.0])
 def test_straps_go_over_both_shoulders(turn):
     start = DUMMY.seat + turned(np.array([0.1, -0.8, 0.0]), 70)
-    clouds, action = carried(Shoulderer(), straps() * [1.25, 1, 1], start, 70.0 + turn, 0.55)
+    clouds, action = carried(StrapController(), straps() * [1.25, 1, 1], start, 70.0 + turn, 0.55)
     assert action[6] == 1
     assert all(DUMMY.holds(clouds[-1][part]) for part in (slice(0, 24), slice(24, 48)))
 
 
 def test_straps_that_are_too_narrow_are_refused_before_anything_tears():
-    controller = Shoulderer()
+    controller = StrapController()
     clouds, _ = carried(controller, straps() * [0.7, 1, 1], DUMMY.seat + [0, -0.8, 0], 70.0, 0.3)
     assert len(clouds) == 1
     assert "0.30 m apart do not pass shoulders that take 0.5" in controller.reason
 
 
-@pytest.mark.parametrize("kind", [Dresser, Shoulderer])
+@pytest.mark.parametrize("kind", [PullOverController, StrapController])
 def test_a_hook_wears_nothing(kind):
     hands = np.array([[-0.1, 0, 1.4], [0.1, 0, 1.4]])
     seen = {"points": tube() + [0, 0, 1.4], "grippers": hands, "target": Hook().centre_line, "held": 1}

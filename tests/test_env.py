@@ -37,8 +37,8 @@ from topokit.sim._surface import simple_cycles, turned
 
 COARSE = Garment.apron(spacing=0.05, strap_width=0.05)
 QUICK = SimulationConfig(self_collision=False, settle=0.05)
-SPOILT = {"late": 2, "noise": 0.005, "missing": 0.2, "outliers": 0.05}
-DISTURBED = {"place": "anywhere", "start": "anywhere", "moves": 0.15, "shove": 1.0, **SPOILT}
+SPOILT = {"cloud_delay": 2, "noise": 0.005, "dropout": 0.2, "outliers": 0.05}
+DISTURBED = {"place": "anywhere", "start": "anywhere", "target_shift": 0.15, "shove": 1.0, **SPOILT}
 
 
 def make(**options):
@@ -190,13 +190,13 @@ def test_what_spoils_points_spoils_nothing_else(name, usual):
 
 
 def test_late_points_are_those_of_some_steps_before(usual):
-    shots, _ = film(late=2)
+    shots, _ = film(cloud_delay=2)
     for t in range(5):
         np.testing.assert_array_equal(shots[t]["points"], usual[0][max(t - 2, 0)]["points"])
 
 
 def test_a_cloud_stays_until_the_next_comes(usual):
-    shots, _ = film(every=3, late=1)
+    shots, _ = film(cloud_interval=3, cloud_delay=1)
     for t in range(5):
         np.testing.assert_array_equal(shots[t]["points"], usual[0][max(t - 1, 0) // 3 * 3]["points"])
 
@@ -211,7 +211,7 @@ def test_what_swings_begins_so(usual):
 
 def test_one_gripper_holds_the_garment_alone(usual):
     """At the height of its goal: it bears all the weight now; the other bears none, and rises no more than that."""
-    shots, _ = film(60, hands=1)
+    shots, _ = film(60, n_grippers=1)
     both, one = usual[0][60], shots[-1]
     here, gone = cdist(one["grippers"], one["points"]).min(axis=1)
     assert here < 0.005 < 0.015 < gone
@@ -250,7 +250,7 @@ def test_a_fence_stands_before_an_arm():
 
 
 def test_a_target_travels_steadily_and_takes_along_what_counts(usual):
-    shots, _ = film(30, travels=0.3)
+    shots, _ = film(30, target_speed=0.3)
     ways = np.array([one["target"] - other["target"] for one, other in zip(shots, usual[0], strict=False)])
     steps = np.diff(ways[:, 0], axis=0)
     np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 0.3 * 0.036, rtol=1e-3)
@@ -261,7 +261,7 @@ def test_a_target_travels_steadily_and_takes_along_what_counts(usual):
 
 
 def test_at_the_limit_they_let_go():
-    shots, _ = film(20, limit=0.4)
+    shots, _ = film(20, release_after=0.4)
     held = [int(shot["held"]) for shot in shots]
     assert held.index(0) == 13  # 0.4 s are over after the twelfth step
     assert not any(held[13:])
@@ -271,7 +271,7 @@ def test_noise_losses_and_outliers_are_as_many_as_asked_for(usual):
     clean, n = usual[0][0]["points"], len(COARSE.vertices)
     noisy = film(0, noise=0.005)[0][0]["points"]
     assert np.std(noisy - clean) == pytest.approx(0.005, rel=0.1)
-    left = {*map(tuple, film(0, missing=0.2)[0][0]["points"].tolist())}
+    left = {*map(tuple, film(0, dropout=0.2)[0][0]["points"].tolist())}
     assert len(left) == round(0.8 * n)
     assert left < {*map(tuple, clean.tolist())}
     stray = film(0, outliers=0.05)[0][0]["points"]
@@ -294,7 +294,7 @@ def test_a_shove_moves_the_cloth_and_nothing_else(usual):
 
 
 def test_a_target_moves_to_its_place(usual):
-    shots, _ = film(60, moves=0.15)
+    shots, _ = film(60, target_shift=0.15)
     for name in ("points", "grippers", "wanted"):  # as if nothing were: the script is that of the place where it ends
         for one, other in zip(shots, usual[0], strict=True):
             np.testing.assert_allclose(one[name], other[name], atol=1e-4)
@@ -349,7 +349,7 @@ def test_a_start_anywhere_turns_the_garment_with_the_grippers(usual):
 
 
 def test_the_script_knows_the_way_from_elsewhere():
-    env = make(place="anywhere", start="anywhere", moves=0.1, config=dataclasses.replace(QUICK, settle=0.4))
+    env = make(place="anywhere", start="anywhere", target_shift=0.1, config=dataclasses.replace(QUICK, settle=0.4))
     assert play(env, seed=1)[1]["success"]
     env.close()
 
@@ -389,15 +389,15 @@ def test_rods_and_loops_of_a_task():
     [
         (
             {"lat": 2},
-            "there is no 'lat'; there are place, start, moves, shove, late, noise, missing, outliers, limit, swing",
+            "there is no 'lat'; there are place, start, target_shift",
         ),
         ({"place": "here"}, "place: must be 'anywhere', or x, y and z in metres and a yaw in degrees, not 'here'"),
         ({"place": (0, 0, float("nan"), 0)}, "place: must be"),
         ({"start": (0, 0, 1)}, "start: Input should be 'anywhere'"),
-        ({"moves": -0.1}, "moves: .* greater than or equal to 0"),
-        ({"late": 1.5}, "late: .* integer"),
-        ({"missing": 1.0}, "missing: .* less than 1"),
-        ({"hands": 3}, "hands: .* less than or equal to 2"),
+        ({"target_shift": -0.1}, "target_shift: .* greater than or equal to 0"),
+        ({"cloud_delay": 1.5}, "cloud_delay: .* integer"),
+        ({"dropout": 1.0}, "dropout: .* less than 1"),
+        ({"n_grippers": 3}, "n_grippers: .* less than or equal to 2"),
         ({"outliers": "few"}, "outliers: .* number"),
     ],
 )
@@ -420,7 +420,7 @@ def test_every_task_has_an_id():
     ours = {spec.kwargs["task"]: name for name, spec in gymnasium.registry.items() if name.startswith("topokit/")}
     assert ours.keys() == TASKS.keys()
     assert ours["apron2-hanger"] == "topokit/HangApron2Hanger-v1"
-    env = gymnasium.make(ours["apron-hook"], garment=COARSE, config=QUICK, n_points=50, late=1).unwrapped
+    env = gymnasium.make(ours["apron-hook"], garment=COARSE, config=QUICK, n_points=50, cloud_delay=1).unwrapped
     env.reset(seed=0)
     assert env.task is TASKS["apron-hook"]
     assert isinstance(env.target, Placed)

@@ -24,7 +24,7 @@ from scipy.stats import binomtest
 from tqdm import tqdm
 
 from topokit._archive import atomic_file
-from topokit.control import Carried, Controller, Hanging, Planner, Thrower, hang
+from topokit.control import Carried, Controller, Hanging, Planner, ThrowController, hang
 from topokit.io import Episode, save_episode
 from topokit.linking import close_far, linking_number
 from topokit.sim import TASKS as KNOWN
@@ -44,17 +44,17 @@ SCENES: dict[str, dict[str, Any]] = {
     "all vertices": {"n_points": 10_000},
     "128 points": {"n_points": 128},
     "one camera": {"cameras": [CAMERA]},
-    "noise": {"noise": 0.003, "missing": 0.1, "outliers": 0.02},
-    "target moves": {"moves": 0.15},
+    "noise": {"noise": 0.003, "dropout": 0.1, "outliers": 0.02},
+    "target moves": {"target_shift": 0.15},
     "shove": {"shove": 1.0},
-    "let go at 1.2 s": {"limit": 1.2, **FAST},
-    "swings, let go at 1.2 s": {"swing": 2.0, "limit": 1.2, **FAST},
-    "target travels at 0.3 m/s": {"travels": 0.3},
-    "one gripper": {"hands": 1},
-    "late by 200 ms": {"late": 6},
+    "let go at 1.2 s": {"release_after": 1.2, **FAST},
+    "swings, let go at 1.2 s": {"swing": 2.0, "release_after": 1.2, **FAST},
+    "target travels at 0.3 m/s": {"target_speed": 0.3},
+    "one gripper": {"n_grippers": 1},
+    "late by 200 ms": {"cloud_delay": 6},
     "out of reach by 15 cm": {"fence": 0.15},
     "out of reach by 25 cm": {"fence": 0.25},
-    "10 clouds a second": {"every": 3},
+    "10 clouds a second": {"cloud_interval": 3},
     "other cloth": {"config": SimulationConfig(self_collision=False, mass=0.6, friction=0.3, bending=0.01)},
 }
 
@@ -72,7 +72,7 @@ class Hold:
         return np.broadcast_to(np.asarray(points), (*np.shape(actions)[:2], *np.shape(points))), None
 
 
-class Rigid(Thrower):
+class Rigid(ThrowController):
     """Throws as if nothing flew: what is let go stays where it was, which is the rigid guess without hands that move."""
 
     def _flown(self, held: Any, lasts: Any) -> Any:
@@ -158,7 +158,12 @@ def foreseen(task: str, seed: int, options: dict[str, Any]) -> Hanging:
     """
     known, pace = KNOWN[task], options.pop("pace", 0.6)
     for draws in range(TRIES):
-        how = {"radius": known.target.rods[0][2], "late": options.get("late", 0), "pace": pace, "seed": draws}
+        how = {
+            "radius": known.target.rods[0][2],
+            "cloud_delay": options.get("cloud_delay", 0),
+            "pace": pace,
+            "seed": draws,
+        }
         result = hang(
             task, seed=seed, controller=Planner(Carried(), how_many(known, known.garment()), **how), **options
         )
@@ -192,7 +197,7 @@ def cause(task: Task, result: Hanging) -> str:
     episode, last = result.episode, int(result.episode.held.sum()) - 1
     wanted = {name for name in episode.named_loops if {name, kind(name)} & {*task.loops}}
     around = {name for name, loop in episode.named_loops.items() if holds(episode, last, loop)}
-    enough = wanted <= around if task.every else bool(wanted & around)
+    enough = wanted <= around if task.all_loops else bool(wanted & around)
     if result.success:
         return ""
     if "stretched" in result.reason:
@@ -235,7 +240,7 @@ def main() -> None:
         result = run(task, who, scene, seed, options.steps)
         rows.append({"task": task, "who": who, "scene": scene, "seed": seed, "success": result.success})
         rows[-1] |= {"frames": result.steps, "reason": result.reason, "linked": list(result.linked)}
-        rows[-1] |= {"cause": "" if "travels" in SCENES[scene] else cause(KNOWN[task], result)} | (
+        rows[-1] |= {"cause": "" if "target_speed" in SCENES[scene] else cause(KNOWN[task], result)} | (
             {"learned_for": options.steps} if who == "ppo" else {}
         )
         if options.films and not result.success:

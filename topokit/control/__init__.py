@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._dress import Dresser, Shoulderer
+    from ._dress import PullOverController, StrapController
     from ._hang import Hanging, hang
     from ._planner import Carried, Planner
     from ._servo import Controller, Servo
-    from ._thrower import Thrower
+    from ._thrower import ThrowController
 
 __getattr__, __all__ = attach(__name__, __file__, "sim")

@@ -134,12 +134,12 @@ class _Wearing(Servo):
         """Whether the loops were seen to be on."""
 
 
-class Dresser(_Wearing):
+class PullOverController(_Wearing):
     """Put a shirt on a mannequin from above: a `Controller` that sees as `Servo` does, and needs no forecast.
 
     Parameters
     ----------
-    goal, radius, max_step, late
+    goal, radius, max_step, cloud_delay
         As in `Servo`; whatever the goal, it is one garment that is put on.
     """
 
@@ -177,12 +177,12 @@ class Dresser(_Wearing):
         return self._around >= SURE
 
 
-class Shoulderer(_Wearing):
+class StrapController(_Wearing):
     """Put two straps over the shoulders of a mannequin: a `Controller` that sees as `Servo` does, and needs no forecast.
 
     Parameters
     ----------
-    goal, radius, max_step, late
+    goal, radius, max_step, cloud_delay
         As in `Servo`; whatever the goal, it is both straps that are put on.
     """
 

@@ -19,12 +19,12 @@ from topokit.sim._episode import Run, _episode
 from topokit.sim._tasks import as_task, dress, how_many, put_on_shoulders
 from topokit.sim._world import check_stretch
 
-from ._dress import Dresser, Shoulderer
-from ._planner import Carried, Forecast, Planner
+from ._dress import PullOverController, StrapController
+from ._planner import Carried, MotionForecaster, Planner
 from ._servo import Controller, Servo
-from ._thrower import Thrower
+from ._thrower import ThrowController
 
-_WORN: dict[Any, type[Servo]] = {dress: Dresser, put_on_shoulders: Shoulderer}
+_WORN: dict[Any, type[Servo]] = {dress: PullOverController, put_on_shoulders: StrapController}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,9 +64,10 @@ def hang(
     garment, target : optional
         Those of the task when not given.
     model : optional
-        Which forecast plans are made by (`Planner`, or with a `fence` `Thrower`): "carry", the checkpoint of a
+        Which forecast plans are made by (`Planner`, or with a `fence` `ThrowController`): "carry", the checkpoint of a
         `topokit.models.Motion`, or one of one's own.
-        None is for the servo, which needs none; so do `Dresser` and `Shoulderer`, who put on a mannequin what is worn.
+        None is for the servo, which needs none; so do `PullOverController` and `StrapController`, which put on a mannequin
+        what is worn.
     goal : optional
         As of `Servo`; when not given and the task asks for several loops, so many at once.
     controller : Controller, optional
@@ -95,18 +96,20 @@ def hang(
     env = HangEnv(task, garment=garment, target=target, max_steps=max_steps, **{**usual, **options})
     goal = how_many(task, garment) if goal is None else goal
     try:
-        how = {"radius": target.rods[0][2], "max_step": env.max_step, "late": options.get("late", 0)}
+        how = {"radius": target.rods[0][2], "max_step": env.max_step, "cloud_delay": options.get("cloud_delay", 0)}
         usually: Servo = _WORN.get(task.plan, Servo)(goal, **how)
         if forecast is not None and type(usually) is Servo:
             usually = Planner(forecast, goal, pace=pace, seed=seed, **how)
             if fence := options.get("fence"):
-                usually = Thrower(forecast, goal, fence=fence, frame_time=env.config.frame_time, seed=seed, **how)
+                usually = ThrowController(
+                    forecast, goal, fence=fence, frame_time=env.config.frame_time, seed=seed, **how
+                )
         return _run(env, controller or usually, seed, progress)
     finally:
         env.close()
 
 
-def _forecast(model: Any) -> Forecast | None:
+def _forecast(model: Any) -> MotionForecaster | None:
     """The forecast that was asked for."""
     if model == "carry":
         return Carried()

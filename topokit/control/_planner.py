@@ -40,7 +40,7 @@ _TURN_COSTS = 0.0026  # metres for a degree
 _LOW_COSTS = 2.0  # metres for a metre below the tip when the arm is near
 
 
-class Forecast(Protocol):
+class MotionForecaster(Protocol):
     """What a planner asks of a forecast; `Carried` tells of its methods."""
 
     def reset(self) -> None: ...
@@ -94,12 +94,12 @@ class Planner(Servo):
 
     Parameters
     ----------
-    forecast : Forecast
+    forecast : MotionForecaster
         `Carried()`, a `topokit.models.MotionPredictor`, or one's own with the methods of these.
     goal : optional
     radius : float
     max_step : float
-    late : int
+    cloud_delay : int
         As in `Servo`.
     pace : float
         Share of the largest step at which the rim shall go; fast cloth swings, and lags behind. Below 1 a loop that leaves no
@@ -108,7 +108,7 @@ class Planner(Servo):
         Paths that are compared at a time.
     rounds : int
         How often new ones are drawn about the best.
-    every : int
+    replan_every : int
         Frames that a plan is followed for.
     seed : int
         Of the draws.
@@ -116,23 +116,23 @@ class Planner(Servo):
 
     def __init__(
         self,
-        forecast: Forecast,
+        forecast: MotionForecaster,
         goal: ArrayLike | None = None,
         *,
         radius: float = 0.02,
         max_step: float = 0.0432,
-        late: int = 0,
+        cloud_delay: int = 0,
         pace: float = 0.6,
         plans: int = 24,
         rounds: int = 2,
-        every: int = 3,
+        replan_every: int = 3,
         seed: int = 0,
     ) -> None:
-        super().__init__(goal, radius=radius, max_step=max_step, late=late)
+        super().__init__(goal, radius=radius, max_step=max_step, cloud_delay=cloud_delay)
         self._forecast, self._seed = forecast, seed
         self._pace = positive(pace, "pace", zero=False)
         self._plans, self._rounds = whole(plans, "plans", _BEST), whole(rounds, "rounds", 1)
-        self._every = whole(every, "every", 1)
+        self._replan_every = whole(replan_every, "replan_every", 1)
 
     def reset(self, observation: Mapping[str, Any]) -> None:
         """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
@@ -194,7 +194,7 @@ class Planner(Servo):
             return super()._along(arm, grippers)
         if self._waited > PATIENCE:
             self._stop, self._waited, self._last = LIFT, 0, None
-        if self._followed in (self._every, len(self._path)):
+        if self._followed in (self._replan_every, len(self._path)):
             self._path, self._followed = self._best(arm, rim, linked > 0), 0
         self._followed += 1
         action = self._step(self._path[self._followed - 1], grippers)
@@ -213,7 +213,7 @@ class Planner(Servo):
         cycles, rims = self._curves()
         kept, spread = self._guess(arm, rim, linked)[None], _SPREAD
         if self._last is not None:  # from where it is now
-            last = self._last(np.minimum(_KNOTS[1:] + self._every, _KNOTS[-1])) - self._last(self._every)
+            last = self._last(np.minimum(_KNOTS[1:] + self._replan_every, _KNOTS[-1])) - self._last(self._replan_every)
             kept = np.concatenate([kept, last[None]])
         for _ in range(self._rounds):
             about = kept[self._random.integers(len(kept), size=self._plans - len(kept))]

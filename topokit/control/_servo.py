@@ -95,12 +95,12 @@ class Servo(Controller):
         Of the target's rods, metres.
     max_step : float
         Metres that a gripper's goal goes along an axis when an action says 1.
-    late : int
+    cloud_delay : int
         Frames by which clouds are known to be late: what they show was in the frame of the grippers of then.
     """
 
     def __init__(
-        self, goal: ArrayLike | None = None, *, radius: float = 0.02, max_step: float = 0.0432, late: int = 0
+        self, goal: ArrayLike | None = None, *, radius: float = 0.02, max_step: float = 0.0432, cloud_delay: int = 0
     ) -> None:
         counts = goal is None or np.ndim(goal) == 0
         self._count = 1 if goal is None or not counts else whole(goal, "goal", 1)
@@ -108,7 +108,7 @@ class Servo(Controller):
         if self._place is not None and (self._place.shape != (3,) or not np.isfinite(self._place).all()):
             raise ValueError(f"goal must be None, a number of loops or a place of three numbers, not {goal!r}")
         self.radius, self.max_step = positive(radius, "radius"), positive(max_step, "max_step", zero=False)
-        self._late = whole(late, "late", 0, _LONGEST)
+        self._delay = whole(cloud_delay, "cloud_delay", 0, _LONGEST)
 
     def reset(self, observation: Mapping[str, Any]) -> None:
         """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
@@ -151,7 +151,7 @@ class Servo(Controller):
             self._drift = (self._drift + line[-1] - self._past[-1].line[-1]) / 2
         self._middle, self._yaw = grippers.mean(axis=0), angle(np.eye(3)[0], grippers[1] - grippers[0])
         self._past.append(_Then(grippers, line, self._goals, self._middle, self._yaw))
-        self._age = min(self._late if new else self._age + 1, len(self._past) - 1)
+        self._age = min(self._delay if new else self._age + 1, len(self._past) - 1)
         self._cloud = points
         if new:
             self._look(points)

@@ -19,7 +19,7 @@ from topokit._validate import positive
 from topokit.sim._world import GRAVITY
 
 from ._geometry import Arm, Array
-from ._planner import FRAMES, Forecast, Planner
+from ._planner import FRAMES, MotionForecaster, Planner
 from ._servo import Servo
 
 _RUN, _LOW = 0.3, 0.1  # metres before the fence, and below where the rim shall pass the tip, from where it is thrown
@@ -29,12 +29,12 @@ _LEAST, _MOST = np.array([0.35, 0.0, -0.05]), np.array([1.0, 1.0, 0.08])
 _BEST = 8
 
 
-class Thrower(Planner):
+class ThrowController(Planner):
     """Hang a garment on an arm that the hands cannot reach: a `Controller` that sees as `Servo` does, and throws once.
 
     Parameters
     ----------
-    forecast : Forecast
+    forecast : MotionForecaster
     goal : optional
         As in `Planner`; the forecast tells of the cloth while it is held.
     fence : float
@@ -49,7 +49,7 @@ class Thrower(Planner):
 
     def __init__(
         self,
-        forecast: Forecast,
+        forecast: MotionForecaster,
         goal: ArrayLike | None = None,
         *,
         fence: float,

@@ -76,25 +76,25 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     drawn by the seed, for each apart from the others. Moves and shoves begin 0.3 to 1.5 s after the first step. The last five
     spoil `points` alone: success is judged on the vertices.
 
-    ============ =================== ======================================================================================
-    option       usual               what it does
-    ============ =================== ======================================================================================
-    `place`      None                takes the target, and all that goes to it, to (x, y, z, yaw), metres and degrees about
-                                     the z axis, or "anywhere": up to 0.4 m along x and y, 0.1 m along z, any yaw
-    `start`      None                "anywhere": the garment starts 0.5 to 1 m before or beside the target, at any yaw
-    `moves`      0.0                 metres from which, at most, the target comes to its place, within 0.6 s
-    `shove`      0.0                 m/s that a push sideways, of 0.1 s, would give to free cloth
-    `swing`      0.0                 m/s that a push like that, just before the first observation, would give to free cloth
-    `travels`    0.0                 m/s of the target, level and steady, from the first step on; at rest is who moves with it
-    `hands`      2                   grippers that hold the garment; with 1 the second lets go before the first observation
-    `fence`      0.0                 metres before the tip of an arm that the grippers cannot pass: they may throw
-    `limit`      0.0                 seconds after which the grippers let go, whatever the action says; 0 for never
-    `late`       0                   steps by which `points` are late; the first ones stay until then
-    `every`      1                   steps from one new cloud to the next
-    `noise`      0.0                 metres, the standard deviation of each coordinate of a point
-    `missing`    0.0                 share of points that are lost; repeats of others stand for them
-    `outliers`   0.0                 share of points that are anywhere in the cloud's box, grown by 10 cm on each side
-    ============ =================== ======================================================================================
+    ================ ========== ========================================================================================
+    option           usual      what it does
+    ================ ========== ========================================================================================
+    `place`          None       takes the target, and all that goes to it, to (x, y, z, yaw), metres and degrees about
+                                the z axis, or "anywhere": up to 0.4 m along x and y, 0.1 m along z, any yaw
+    `start`          None       "anywhere": the garment starts 0.5 to 1 m before or beside the target, at any yaw
+    `target_shift`   0.0        metres from which, at most, the target comes to its place, within 0.6 s
+    `target_speed`   0.0        m/s of the target, level and steady; "at rest" is then relative to it
+    `shove`          0.0        m/s that a push sideways, of 0.1 s, would give to free cloth
+    `swing`          0.0        m/s of such a push just before the first observation
+    `n_grippers`     2          grippers that hold the garment; with 1 the second lets go before the first observation
+    `fence`          0.0        metres before the tip of an arm that the grippers cannot pass: they may throw
+    `release_after`  0.0        seconds after which the grippers let go, whatever the action says; 0 for never
+    `cloud_delay`    0          steps by which `points` are late; the first cloud stays until then
+    `cloud_interval` 1          steps from one new cloud to the next
+    `noise`          0.0        metres, the standard deviation of each coordinate of a point
+    `dropout`        0.0        share of points that are lost; repeats of others take their place
+    `outliers`       0.0        share of points that are anywhere in the cloud's box, grown by 10 cm on each side
+    ================ ========== ========================================================================================
 
     `vertices` (V, 3), `goal` (2, 3) of the grippers, and `standing`, the target where it is now, are for who records, not agents.
 
@@ -153,7 +153,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
         self._asked = asked(self.task, self.garment.named_loops)
         n = len(self._asked)
-        self._needed = n if self.task.every else min(n, 1)
+        self._needed = n if self.task.all_loops else min(n, 1)
         sizes = {"points": self.n_points, "grippers": 2, "target": len(self.target.centre_line), "wanted": n}
         places = {name: spaces.Box(-_ROOM, _ROOM, (size, 3), np.float32) for name, size in sizes.items()}
         places["rods"] = spaces.Box(-_ROOM, _ROOM, (len(self.target.rods), 7), np.float32)
@@ -186,8 +186,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._world = World(garment, offset, self.config)
         self._rods, self.standing = self.target.at(0.0).rods, self.target.at(0.0)
         self._world.add_rods(self._rods)
-        for hands in range(2, now.hands - 1, -1):
-            self._world.release(keep=hands)
+        for n_grippers in range(2, now.n_grippers - 1, -1):
+            self._world.release(keep=n_grippers)
             for _ in range(round(self.config.settle / self.config.dt)):
                 self._world.step(self.goal)
         if swing.any():
@@ -197,7 +197,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._world.push(0 * swing)
         self._steps, self._released = 0, -1
         self.vertices, self._options = self._world.vertices(), now
-        self._cloud, self._clouds = self._world.grippers(), deque[Array](maxlen=now.late + 1)
+        self._cloud, self._clouds = self._world.grippers(), deque[Array](maxlen=now.cloud_delay + 1)
         self._wanted = np.array([self.vertices[loop].mean(axis=0) for loop in self._asked]).reshape(-1, 3)
         return self._observe(), self._info()
 
@@ -221,7 +221,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         except SimulationError:
             torn, self.vertices = True, points  # the last that made sense
         observation = self._observe()
-        gone = self.standing.seat - there.seat if self._options.travels else np.zeros(3)
+        gone = self.standing.seat - there.seat if self._options.target_speed else np.zeros(3)
         speed = np.linalg.norm(self.vertices - points - gone, axis=1).mean() / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
         rests = not torn and free and speed < AT_REST
@@ -236,7 +236,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return observation, reward, ends, not ends and self._steps >= self.max_steps, info
 
     def _advance(self, move: Array, release: bool) -> None:
-        world, limit = self._running(), self._options.limit
+        world, limit = self._running(), self._options.release_after
         if self._released < 0 and (release or 0 < limit <= self._steps * self.config.frame_time):
             world.release()
             self._released = self._steps
@@ -295,7 +295,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _look(self, world: World) -> Array:
         """The points that are observed now."""
-        if self._steps % self._options.every:
+        if self._steps % self._options.cloud_interval:
             self._clouds.append(self._clouds[-1])
             return self._clouds[0]
         if self.cameras:
@@ -303,7 +303,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._cloud = cloud if len(cloud) else np.resize(self._cloud, (self.n_points, 3))
         else:
             self._cloud = self.vertices[farthest_point_sample(self.vertices, self.n_points)[0]]
-        how, keep = self._options, 1 - self._options.missing
+        how, keep = self._options, 1 - self._options.dropout
         cloud = spoil(self._cloud, self._sensor, noise=how.noise, outliers=how.outliers, keep=keep)
         self._clouds.append(cloud)
         return self._clouds[0]
@@ -321,7 +321,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             return 0.0, float(np.linalg.norm(observed.mean(axis=0) - self.standing.seat))
         on = [any(self.standing.holds(part) for part in parts) for parts in curves]
         gaps = [float(np.linalg.norm(np.concatenate(parts).mean(axis=0) - self.standing.seat)) for parts in curves]
-        if self.task.every:
+        if self.task.all_loops:
             return sum(on) / len(on), float(np.mean(gaps))
         return float(any(on)), min(gaps)
 

@@ -13,7 +13,7 @@ from ._off_script import from_elsewhere
 from ._placed import Moving, Placed, Travelling
 from ._surface import Array
 from ._targets import Target
-from ._tasks import Planner
+from ._tasks import PathScript
 
 _AWAY = (0.4, 0.4, 0.1, 180.0)  # metres along x, y and z, and degrees: as far at most is "anywhere"
 _SOON = (0.3, 1.5)  # seconds after the first frame between which a target sets off and a push begins
@@ -33,18 +33,18 @@ class Options:
 
     place: Annotated[tuple[float, float, float, float] | Literal["anywhere"] | None, WrapValidator(_somewhere)] = None
     start: Literal["anywhere"] | None = None
-    moves: NotNegative = 0.0
+    target_shift: NotNegative = 0.0
     shove: NotNegative = 0.0
-    late: Annotated[int, Field(ge=0)] = 0
+    cloud_delay: Annotated[int, Field(ge=0)] = 0
     noise: NotNegative = 0.0
-    missing: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
     outliers: Annotated[float, Field(ge=0, le=1)] = 0.0
-    limit: NotNegative = 0.0
+    release_after: NotNegative = 0.0
     swing: NotNegative = 0.0
-    travels: NotNegative = 0.0
+    target_speed: NotNegative = 0.0
     fence: NotNegative = 0.0
-    hands: Annotated[int, Field(ge=1, le=2)] = 2
-    every: Annotated[int, Field(ge=1)] = 1
+    n_grippers: Annotated[int, Field(ge=1, le=2)] = 2
+    cloud_interval: Annotated[int, Field(ge=1)] = 1
 
     def scene(self, target: Target, frame_time: float, rng: np.random.Generator) -> tuple[Target, range, Array, Array]:
         """The target, the frames and the acceleration (x, y) of the push, and that of the swing, which takes as many frames.
@@ -52,14 +52,14 @@ class Options:
         All is drawn, whether or not it is asked for.
         """
         place, way = rng.uniform(-1, 1, 4) * _AWAY, rng.normal(size=3)
-        way *= self.moves * np.cbrt(rng.random()) / np.linalg.norm(way)  # anywhere in a ball
+        way *= self.target_shift * np.cbrt(rng.random()) / np.linalg.norm(way)  # anywhere in a ball
         sets_off, begins = rng.uniform(*_SOON, 2).tolist()
         pushed, swung, gone = (np.array([np.cos(a), np.sin(a)]) for a in rng.uniform(-np.pi, np.pi, 3))
-        if self.moves:  # to where it stands otherwise: what is planned stays as it is
+        if self.target_shift:  # to where it stands otherwise: what is planned stays as it is
             x, y, z = way.tolist()
             target = Moving(Placed(target, -x, -y, -z), x, y, z, start=sets_off, seconds=_MOVING)
-        if self.travels:
-            vx, vy = (self.travels * gone).tolist()
+        if self.target_speed:
+            vx, vy = (self.target_speed * gone).tolist()
             target = Travelling(target, vx=vx, vy=vy)
         if self.place is not None:
             target = Placed(target, *(place.tolist() if self.place == "anywhere" else self.place))
@@ -79,6 +79,6 @@ class Options:
         here, there = ((hands - tip) @ out / far for hands in (before, goal))
         return np.asarray(goal + np.maximum(np.minimum(here, self.fence) - there, 0)[:, None] * out / far)
 
-    def plan(self, plan: Planner, rng: np.random.Generator) -> Planner:
+    def plan(self, plan: PathScript, rng: np.random.Generator) -> PathScript:
         """A task's plan, from the start that is asked for."""
         return plan if self.start is None else lambda g, t, own: from_elsewhere(plan(g, t, own), g, t, rng)

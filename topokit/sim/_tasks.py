@@ -30,7 +30,7 @@ _SMALL = ("scarf", "belt", "net", "trousers")
 _BESIDE = 0.08  # metres
 _ASIDE = 30  # degrees by which a loop may look aside of the arm that shall go through it
 _log = logging.getLogger("topokit.sim")
-Planner = Callable[[Garment, Target, np.random.Generator], GripperPath]
+PathScript = Callable[[Garment, Target, np.random.Generator], GripperPath]
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class Task:
     name: str  #: garment, hyphen, target
     garment: Callable[[], Garment]  #: makes the garment
     target: Target  #: what it is hung on
-    plan: Planner  #: draws the path; all its randomness comes from the generator
+    plan: PathScript  #: draws the path; all its randomness comes from the generator
     #: Names of the true loops of which one at least must be on the target; "handle" is each of "handle 1", "handle 2", ... too.
     loops: tuple[str, ...] = ()
-    every: bool = False  #: whether each of them must be
+    all_loops: bool = False  #: whether each of them must be
 
     def hangs(self, points: ArrayLike, loops: Mapping[str, ArrayLike], target: Target | None = None) -> bool:
         """Whether the loops that must be are on the target, and the garment has not slid down around it.
@@ -62,7 +62,7 @@ class Task:
         if not wanted or cloud[:, 2].max() <= target.lowest:
             return False
         on = (target.holds(cloud[np.asarray(loop)]) for loop in wanted)
-        return all(on) if self.every else any(on)
+        return all(on) if self.all_loops else any(on)
 
 
 def asked(task: Task, loops: Mapping[str, Loop]) -> list[Loop]:
@@ -72,7 +72,7 @@ def asked(task: Task, loops: Mapping[str, Loop]) -> list[Loop]:
 
 def how_many(task: Task, garment: Garment) -> int | None:
     """How many loops must hang, where all must."""
-    return len(asked(task, garment.named_loops)) if task.every else None
+    return len(asked(task, garment.named_loops)) if task.all_loops else None
 
 
 def check_loops(task: Task, garment: Garment) -> None:
@@ -251,11 +251,11 @@ _sideways = functools.partial(hang_by_strap, opening=1.15, rest=2.0)
 def _tasks() -> Iterator[Task]:
     for target in (Hook(), Hanger()):
         for name in ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet", "sheet2", *_SMALL):
-            plan: Planner = _sideways if name == "backpack" else hang_by_strap
+            plan: PathScript = _sideways if name == "backpack" else hang_by_strap
             loops = {"tote2": LOOP_NAMES["tote2"], "backpack": ("strap",), "net": ("handle",)}.get(name)
             loops = loops or LOOP_NAMES[name][:1]
-            yield Task(f"{name}-{target.name}", WARDROBE[name], target, plan, loops, every=name == "tote2")
-    bodies: list[tuple[str, Planner, tuple[str, ...]]] = [
+            yield Task(f"{name}-{target.name}", WARDROBE[name], target, plan, loops, all_loops=name == "tote2")
+    bodies: list[tuple[str, PathScript, tuple[str, ...]]] = [
         ("apron", pull_over_head, ("neck",)),
         ("apron2", pull_over_head, ("neck",)),
         ("backpack", put_on_shoulders, ("strap 1", "strap 2")),
@@ -263,7 +263,7 @@ def _tasks() -> Iterator[Task]:
         ("vest", dress, ("neck", "hem")),
     ]
     for name, plan, loops in bodies:
-        yield Task(f"{name}-{Mannequin.name}", WARDROBE[name], Mannequin(), plan, loops, every=True)
+        yield Task(f"{name}-{Mannequin.name}", WARDROBE[name], Mannequin(), plan, loops, all_loops=True)
 
 
 TASKS: Mapping[str, Task] = {task.name: task for task in _tasks()}
@@ -293,7 +293,7 @@ def task_for(garment: Garment, target: Target) -> Task:
     names, kinds = to_hang_by(garment.loop_names), [*map(kind, garment.loop_names)]
     if name in TASKS and {*TASKS[name].loops} <= {*kinds, *garment.loop_names}:
         return replace(TASKS[name], garment=lambda: garment, target=target)
-    plan: Planner = _sideways if kinds.count("strap") > 1 and _behind(garment) else _facing
+    plan: PathScript = _sideways if kinds.count("strap") > 1 and _behind(garment) else _facing
     loops, every = tuple(names), False
     if isinstance(target, Mannequin):
         plan = pull_over_head
