@@ -108,7 +108,9 @@ def test_labels_are_the_states_of_the_stored_clouds(made):
                         "birth_edge",
                     ):
                         assert (getattr(a, part) == getattr(b, part)).all(), part
-                    np.testing.assert_allclose([a.birth, a.death, a.step], [b.birth, b.death, b.step], rtol=1e-6)
+                    np.testing.assert_allclose(
+                        [a.birth, a.death, a.killer_shift], [b.birth, b.death, b.killer_shift], rtol=1e-6
+                    )
                     np.testing.assert_allclose(a.neighbour_values, b.neighbour_values, rtol=1e-6)
 
 

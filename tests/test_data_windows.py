@@ -96,7 +96,7 @@ def test_slots_are_identities_and_hold_the_states(dataset, name):
         for span, prefix in ((past, "past_"), (future, "")):
             part = {
                 key: window[prefix + key].numpy()
-                for key in ("triangles", "values", "birth", "death", "step", "present")
+                for key in ("triangles", "values", "birth", "death", "killer_shift", "present")
             }
             for frame, state in enumerate(span):
                 loops = {loop.id: loop for loop in state.loops}
@@ -129,7 +129,7 @@ def same_loop(part, loop):
     np.testing.assert_allclose(part["values"], values, rtol=1e-6)
     np.testing.assert_allclose(part["birth"], loop.birth, rtol=1e-6)
     np.testing.assert_allclose(part["death"], loop.death, rtol=1e-6)
-    np.testing.assert_allclose(part["step"], 0 if np.isnan(loop.step) else loop.step, rtol=1e-6)
+    np.testing.assert_allclose(part["killer_shift"], 0 if np.isnan(loop.killer_shift) else loop.killer_shift, rtol=1e-6)
 
 
 @pytest.mark.parametrize("zero", [2, 5])
@@ -185,7 +185,11 @@ def test_what_is_stored_becomes_triangles_and_values():
     assert slots["values"][0].tolist() == [[0] * 6, [5, 5, 3, 4, 0, 0], [0] * 6]
     np.testing.assert_allclose(slots["triangles"][0, 1], cloud[0][np.array(ids)] / 10_000, rtol=1e-6)
     assert not slots["triangles"][0, [0, 2]].any()
-    assert [slots[name].tolist() for name in ("birth", "death", "step")] == [[[0, 1, 0]], [[0, 5, 0]], [[0, 0, 0]]]
+    assert [slots[name].tolist() for name in ("birth", "death", "killer_shift")] == [
+        [[0, 1, 0]],
+        [[0, 5, 0]],
+        [[0, 0, 0]],
+    ]
     assert slots["triangles"].dtype == slots["values"].dtype == slots["birth"].dtype == np.float32
 
 
@@ -243,7 +247,7 @@ def test_what_is_observed_takes_the_place_of_the_clouds_and_is_tracked(dataset):
         assert window[f"{prefix}present"].all(dim=0).tolist() == [True, False, False]
         np.testing.assert_allclose(window[f"{prefix}death"][:, 0], state.loops[0].death, atol=1e-4)
         assert not window[f"{prefix}death"][:, 1:].any()
-    assert window["past_step"][0, 0] == pytest.approx(0.001, abs=1e-4)  # tracked from the first frame on
+    assert window["past_killer_shift"][0, 0] == pytest.approx(0.001, abs=1e-4)  # tracked from the first frame on
     with pytest.raises(ValueError, match="no labels 'full'"):
         WindowDataset(dataset, [77], observe=observe, **options)
 

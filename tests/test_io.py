@@ -373,14 +373,6 @@ def test_files_of_the_first_version_still_read(tmp_path):
     assert load_episode(old).physics == {"mass": 0.3}
 
 
-def test_states_of_the_first_schema_still_read_without_cycles():
-    written_by_0_1_0 = Path(__file__).parent / "states_0_1_0.npz"
-    loop = next(state.loops[0] for state in load_states(written_by_0_1_0) if state.loops)
-    assert loop.lifetime > 0
-    with pytest.raises(LookupError, match="track the cloud"):
-        _ = loop.cycle
-
-
 @pytest.mark.parametrize("name", ["birth", "neighbour_ids", "n_neighbours", "n_loops", "cycle", "frame"])
 def test_states_with_a_part_missing_say_so(tmp_path, name):
     path = save_states(tmp_path / "states.npz", track([polygon(20), polygon(20)], alpha=0.1))

@@ -75,7 +75,7 @@ def test_shapes_and_finite(window, name):
         states = make(name)(window)
     assert states.corners.shape == (4, HORIZON, SLOTS, 8, 3)
     assert states.neighbour_values.shape == (4, HORIZON, SLOTS, 4)
-    for part in ("birth", "death", "step", "presence"):
+    for part in ("birth", "death", "killer_shift", "presence"):
         assert getattr(states, part).shape == (4, HORIZON, SLOTS)
         assert torch.isfinite(getattr(states, part)).all()
     assert (states.death >= states.birth).all()
@@ -114,7 +114,9 @@ def test_hold_and_carry_are_what_they_say(window):
     assert torch.allclose(hold.corners[:, :, 0, 0], last[:, None].expand(-1, HORIZON, -1))
     assert torch.allclose(carry.corners[:, :, 0], truth.corners[:, :, 0], atol=1e-5)  # the ring goes with the grippers
     assert torch.allclose(
-        carry.step[:, :, 0], (carry.corners[:, :, 0, 0].diff(dim=1, prepend=last[:, None])).norm(dim=-1), atol=1e-6
+        carry.killer_shift[:, :, 0],
+        (carry.corners[:, :, 0, 0].diff(dim=1, prepend=last[:, None])).norm(dim=-1),
+        atol=1e-6,
     )
     assert (carry.presence[:, :, 0] > 0).all()
     assert (carry.presence[:, :, 2:] < 0).all()

@@ -23,7 +23,7 @@ from topokit.models._states import corners_of
 
 from windows import SLOTS, RingWindows
 
-LABELS = ("triangles", "values", "birth", "death", "step", "present")
+LABELS = ("triangles", "values", "birth", "death", "killer_shift", "present")
 
 
 @pytest.fixture(scope="module")

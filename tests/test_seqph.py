@@ -42,8 +42,8 @@ def test_loop_holds_what_the_paper_asks_for():
     cloud = np.column_stack([two_circles(0.0), np.zeros(36)])
     first, second = track([cloud, cloud + [0, 0, 0.02]], alpha=0.2)
     loop = second[0]
-    assert np.isnan(first[0].step)
-    assert loop.step == pytest.approx(0.02)
+    assert np.isnan(first[0].killer_shift)
+    assert loop.killer_shift == pytest.approx(0.02)
     assert loop.killer_triangles.shape == (2, 3, 3)
     assert 1 <= len(loop.neighbours) <= 4
     np.testing.assert_array_equal(loop.killer_triangles, (cloud + [0, 0, 0.02])[loop.killer_triangle_ids])
@@ -231,7 +231,7 @@ def test_a_round_loop_has_a_killer_edge_that_jumps_and_a_place_that_does_not():
     for identity in ("killer-triangles", "cycle"):
         states = track([hexagon - np.eye(6)[:, :1] * [0, 1e-9], moved], identity=identity, **options)
         assert [state.loops[0].id for state in states] == [0, 0]
-        assert states[1].loops[0].step > 1.6  # what moved is the killer edge
+        assert states[1].loops[0].killer_shift > 1.6  # what moved is the killer edge
 
 
 def test_memory_gives_a_loop_that_was_missed_its_identity_back():

@@ -85,10 +85,10 @@ def window(rng: np.random.Generator, index: int) -> dict[str, Tensor]:
     labels = {
         "birth": np.zeros((frames, SLOTS)),
         "death": np.zeros((frames, SLOTS)),
-        "step": np.zeros((frames, SLOTS)),
+        "killer_shift": np.zeros((frames, SLOTS)),
         "present": np.zeros((frames, SLOTS), bool),
     }
-    labels["birth"][:, 0], labels["death"][:, 0], labels["step"][:, 0] = 0.02, 0.866 * radius, 0.004
+    labels["birth"][:, 0], labels["death"][:, 0], labels["killer_shift"][:, 0] = 0.02, 0.866 * radius, 0.004
     labels["present"][:, 0] = True
     if index % 2:  # a ghost of short life that goes away
         ghost = time < 10

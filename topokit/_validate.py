@@ -30,14 +30,16 @@ def as_reals(values: Any, name: str, ragged: str = "its rows differ in length") 
     return array
 
 
-def as_points(points: ArrayLike, name: str = "points", *, copy: bool = False, ask: bool = False) -> NDArray[np.float64]:
+def as_points(
+    points: ArrayLike, name: str = "points", *, copy: bool = False, refuse_transposed: bool = False
+) -> NDArray[np.float64]:
     """A C-contiguous (n, d) float64 array of finite numbers, no memory shared when it is a `copy`, or why it is none."""
     array = as_reals(points, name)
     if array.ndim != 2 or array.shape[1] == 0:
         more = "; for a sequence of clouds use topokit.track" if array.ndim == 3 else ""
         raise ValueError(f"{name} must be an (n, d) array, one row a point, not of shape {array.shape}{more}")
     n, d = array.shape
-    if ask and 0 < n < 4 and d > 32:  # where loops are looked for, which no three points have
+    if refuse_transposed and 0 < n < 4 and d > 32:  # where loops are looked for, which no three points have
         what = f"{name} has {n} rows and {d} columns: are they {d} points in {n} dimensions? Then give {name}.T"
         raise ValueError(f"{what}, one row a point; if not, repeat one to be told that there is no loop")
     with np.errstate(over="ignore"):  # of longer floating point: infinite here, and said so
@@ -59,7 +61,7 @@ def as_sequence(
         raise ValueError(f"{name} must be a (T, n, d) array or a list of (n, d) arrays, not of shape {sequence.shape}")
     clouds: list[NDArray[np.float64]] = []
     for frame, cloud in enumerate(sequence):  # type: ignore[arg-type]
-        array = as_points(cloud, f"{name}[{frame}]", copy=copy, ask=True)
+        array = as_points(cloud, f"{name}[{frame}]", copy=copy, refuse_transposed=True)
         if clouds and array.shape[1] != clouds[0].shape[1]:
             before = clouds[0].shape[1]
             raise ValueError(f"{name}[{frame}] has {array.shape[1]} dimensions, the frames before it {before}")

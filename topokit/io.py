@@ -241,7 +241,7 @@ _EPISODE_LAYOUT = {
     **{"held": "b T", "faces": "i F 3", "loop_vertices": "i V", "loop_lengths": "i L"},
 }
 # What the loops of states hold: numbers, arrays of one shape, and arrays whose length varies.
-_LOOP_NUMBERS = {"id": "i n", "birth": "f n", "death": "f n", "step": "f n"}
+_LOOP_NUMBERS = {"id": "i n", "birth": "f n", "death": "f n", "killer_shift": "f n"}
 _LOOP_ARRAYS = {
     "birth_edge": "i n 2",
     "killer_edge": "i n 2",

@@ -188,7 +188,7 @@ def arrays_of(states: list[TopologicalState], slots: int) -> dict[str, NDArray[A
             neighbours = np.full((4, 3), ABSENT)
             neighbours[: len(loop.neighbour_ids)] = loop.neighbour_ids
             parts = (loop.birth_edge, loop.killer_edge, loop.killer_triangle_ids, neighbours)
-            numbers = [loop.birth, loop.death, loop.step, *loop.neighbour_values]
+            numbers = [loop.birth, loop.death, loop.killer_shift, *loop.neighbour_values]
             arrays["id"][frame, slot] = loop.id
             arrays["simplices"][frame, slot] = np.concatenate([np.ravel(part) for part in parts])
             arrays["values"][frame, slot, : len(numbers)] = numbers
@@ -232,7 +232,7 @@ def _loop(stored: Mapping[str, NDArray[Any]], where: tuple[int, int], frame: _Fr
         frame.points,
         partial(frame.cycle, simplices[:4].tolist()),
         id=int(stored["id"][where]),
-        **dict(zip(("birth", "death", "step"), values[:3], strict=True)),
+        **dict(zip(("birth", "death", "killer_shift"), values[:3], strict=True)),
         birth_edge=ids["birth_edge"],
         killer_edge=ids["killer_edge"],
         killer_triangle_ids=ids["killer_triangles"].reshape(2, 3),

@@ -36,7 +36,7 @@ class _Tracked:
     ids: NDArray[np.int32]  # (T, S'), -1 where there is no loop
     triangles: NDArray[np.int16]  # (T, S', 6, 3, 3)
     values: Array  # (T, S', 6)
-    numbers: Array  # (T, S', 3): birth, death, step
+    numbers: Array  # (T, S', 3): birth, death, killer_shift
 
     @classmethod
     def of(cls, found: Mapping[str, NDArray[Any]], cloud: NDArray[np.int16]) -> _Tracked:
@@ -104,7 +104,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
                                           repeats the thick killer triangle
     ``values``         (k, S, 6)          their filtration values, 0 where absent
     ``birth, death``   (k, S)
-    ``step``           (k, S)             Hausdorff distance to the previous appearance, 0 where new
+    ``killer_shift``   (k, S)             Hausdorff distance to the previous appearance, 0 where new
     ``present``        (k, S) bool        where it is False, all of the above are 0
     ``past_...``       (h, S, ...)        the same six for the history
     ``episode``        int64              number of the episode
@@ -287,5 +287,5 @@ def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> di
         "triangles": tracked.triangles[span][row, place] * (_UNIT * present[..., None, None, None]),
         "values": np.where(present[..., None], tracked.values[span][row, place], 0),
         "present": present,
-        **{name: numbers[..., i] for i, name in enumerate(("birth", "death", "step"))},
+        **{name: numbers[..., i] for i, name in enumerate(("birth", "death", "killer_shift"))},
     }

@@ -117,7 +117,7 @@ class PredictiveModel(nn.Module, ABC):
             neighbour_values=positive[..., :4],
             birth=positive[..., 4],
             death=positive[..., 4] + positive[..., 5],
-            step=positive[..., 6],
+            killer_shift=positive[..., 6],
             presence=numbers[..., 31],
             noise=torch.full_like(numbers[..., 31], NOISE),
         )
@@ -149,8 +149,10 @@ class Hold(PredictiveModel):
         moved = self._moved(context, actions, held)  # (C, K, slots or 1, 3)
         last = States(*(context[part.name] for part in dataclasses.fields(States)))
         still = last.each(lambda part: part[:, None].expand(*actions.shape[:2], *part.shape[1:]))
-        step = moved.diff(dim=1, prepend=torch.zeros_like(moved[:, :1])).norm(dim=-1)
-        return still.replace(corners=still.corners + moved[..., None, :], step=step.expand_as(still.step))
+        shift = moved.diff(dim=1, prepend=torch.zeros_like(moved[:, :1])).norm(dim=-1)
+        return still.replace(
+            corners=still.corners + moved[..., None, :], killer_shift=shift.expand_as(still.killer_shift)
+        )
 
     def _moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
         """How far each loop has gone by each step."""
@@ -200,7 +202,7 @@ class Ridge(Hold):
             kept, target = self.encode(window), target_states(window)
             x = self._inputs(kept, window["actions"], window["actions_held"]).double()  # (B, slots, inputs)
             scale, value = self.normalisation.scale, self.normalisation.value
-            values = torch.stack([target.birth, target.death - target.birth, target.step], dim=-1)
+            values = torch.stack([target.birth, target.death - target.birth, target.killer_shift], dim=-1)
             places = ((target.corners - kept["corners"][:, None]) / scale).flatten(3)
             there = (target.presence > 0)[..., None]
             whole = (there.all(dim=1) & kept["known"][..., None]).double()  # slots seen and there at every step
@@ -236,7 +238,7 @@ def past_window(states: Sequence[TopologicalState], slots: int) -> dict[str, Ten
     for loop in (loop for state in states for loop in state.loops):
         total[loop.id] += loop.lifetime
     longest = sorted(total, key=total.__getitem__, reverse=True)[:slots]
-    numbers = [(name, np.float32) for name in ("birth", "death", "step")]
+    numbers = [(name, np.float32) for name in ("birth", "death", "killer_shift")]
     kind = [("triangles", np.float32, (6, 3, 3)), ("values", np.float32, 6), *numbers, ("present", bool)]
     past = np.zeros((len(states), slots), np.dtype(kind))
     for frame, state in enumerate(states):

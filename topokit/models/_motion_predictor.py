@@ -184,12 +184,12 @@ def _forecast(corners: Array, scales: Array, loops: Sequence[Loop], frame: Frame
     ends = corners[..., :2, :]
     before = np.concatenate([np.broadcast_to(now, ends[:, :1].shape), ends[:, :-1]], axis=1)
     gaps = np.linalg.norm(ends[..., :, None, :] - before[..., None, :, :], axis=-1)
-    step = np.maximum(gaps.min(axis=-1).max(axis=-1), gaps.min(axis=-2).max(axis=-1))
+    shift = np.maximum(gaps.min(axis=-1).max(axis=-1), gaps.min(axis=-2).max(axis=-1))
     values = _values(corners)
     present = np.array([_corners(loop)[1] for loop in loops], bool).reshape(-1, 4)
     death = np.linalg.norm(ends[..., 0, :] - ends[..., 1, :], axis=-1) / 2
     presence = _presence(birth, death, np.arange(1, KNOTS[-1] + 1)[:, None], frame)
-    return Forecast(corners, values * present, birth.copy(), death, step, presence, _noise(death, scales))
+    return Forecast(corners, values * present, birth.copy(), death, shift, presence, _noise(death, scales))
 
 
 def _noise(death: Array | float, scales: Array) -> Array:

@@ -36,7 +36,7 @@ class PredictedLoop:
     presence: float  #: probability that it is there
     birth: float  #: filtration value, metres
     death: float  #: filtration value, metres
-    step: float  #: Hausdorff distance between its killer edge and that of the step before, metres
+    killer_shift: float  #: Hausdorff distance between its killer edge and that of the step before, metres
     killer_triangles: Array  #: (2, 3, 3) metres, the thick one first
     neighbours: Array  #: (m, 3, 3) metres, m <= 4
     killer_values: Array  #: (2,)
@@ -76,7 +76,7 @@ class Forecast:
     neighbour_values: Array  #: (K, S, 4) filtration values of the neighbours, 0 where there is none
     birth: Array  #: (K, S) metres
     death: Array  #: (K, S) metres
-    step: Array  #: (K, S) metres
+    killer_shift: Array  #: (K, S) metres
     presence: Array  #: (K, S) probability
     noise: Array  #: (K, S) of the mixtures, square metres
 
@@ -134,7 +134,7 @@ class Forecast:
     def _loop(self, step: int, slot: int) -> PredictedLoop:
         triangles = self.corners[step, slot][np.array(TRIANGLES)]
         near, death = self.neighbour_values[step, slot], self.death[step, slot]
-        numbers = ("presence", "birth", "death", "step", "noise")
+        numbers = ("presence", "birth", "death", "killer_shift", "noise")
         return PredictedLoop(
             slot=slot,
             **{name: float(getattr(self, name)[step, slot]) for name in numbers},

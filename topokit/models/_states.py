@@ -25,10 +25,10 @@ from topokit.mixture import moments
 
 TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  # x y z1, x y z2, then the neighbours
 _OTHER_WAY = ([1, 0, 2, 3, 5, 4, 7, 6], [1, 0, 3, 2])  # corners and neighbours when x and y change places
-NUMBERS = 32  # of a loop: 8 corners, 4 neighbour values, birth, lifetime, step, presence
+NUMBERS = 32  # of a loop: 8 corners, 4 neighbour values, birth, lifetime, killer_shift, presence
 NOISE = 1e-4  # square metres that a mixture's covariances have more than their triangles', where nobody says otherwise
 POSITION, VALUE = 0.1, 0.02  # metres that count as one in the losses: of places, and of filtration values
-PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "step", "present"))
+PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "killer_shift", "present"))
 Window = Mapping[str, Tensor]  # a batch of windows, as of `topokit.data.WindowDataset`
 
 
@@ -40,7 +40,7 @@ class States:
     neighbour_values: Tensor  #: (B, K, S, 4) filtration values, 0 where there is no neighbour; the killers' are `death`
     birth: Tensor  #: (B, K, S)
     death: Tensor  #: (B, K, S)
-    step: Tensor  #: (B, K, S)
+    killer_shift: Tensor  #: (B, K, S)
     presence: Tensor  #: (B, K, S) logit of the loop being there
     noise: Tensor  #: (B, K, S) square metres, what the mixtures' covariances have more than the triangles'
 
@@ -105,10 +105,10 @@ def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
 
 def target_states(window: Window) -> States:
     """What should be predicted for a batch of windows."""
-    step, presence = torch.nan_to_num(window["step"]), torch.where(window["present"], 20.0, -20.0)
+    shift, presence = torch.nan_to_num(window["killer_shift"]), torch.where(window["present"], 20.0, -20.0)
     corners, neighbour_values = corners_of(window["triangles"], window["values"])
     birth = window["birth"]
-    return States(corners, neighbour_values, birth, window["death"], step, presence, torch.full_like(birth, NOISE))
+    return States(corners, neighbour_values, birth, window["death"], shift, presence, torch.full_like(birth, NOISE))
 
 
 def past_states(window: Window) -> States:
@@ -139,7 +139,8 @@ def loop_mixtures(triangles: Tensor, values: Tensor, noise: float | Tensor = NOI
 class LossWeights:
     """Weights of the parts of the loss, and whether slots may be matched."""
 
-    #: Squared errors of corners, values, birth, death, step of loops that are there (the paper's L2), the better way round.
+    #: Squared errors of corners, values, birth, death and killer_shift of loops that are there (the paper's L2), the better
+    #: way round.
     features: NotNegative = 1.0
     presence: NotNegative = 1.0  #: binary cross-entropy of the presence of each slot
     centre: NotNegative = 0.0  #: distance of the mixtures' means, with the square below 2 cm: jumps of labels pull less
@@ -194,7 +195,7 @@ def match_slots(predicted: States, target: States) -> Tensor:
 def _features(predicted: States, target: States, there: Tensor) -> Tensor:
     """Mean over the loops that are there of the mean squared errors of their features."""
     predicted, target = predicted[there], target[there]
-    numbers, truth = (torch.stack([part.birth, part.death, part.step], dim=-1) for part in (predicted, target))
+    numbers, truth = (torch.stack([part.birth, part.death, part.killer_shift], dim=-1) for part in (predicted, target))
     error = ((numbers - truth) / VALUE).square().mean(dim=-1)
     return _mean(error + torch.minimum(_edge_errors(predicted, target), _edge_errors(predicted, target.reversed())))
 

@@ -50,7 +50,7 @@ class Cloud:
         """Check and copy (n, d) coordinates, or with ``metric="precomputed"`` the (n, n) distances."""
         if metric not in ("euclidean", "precomputed"):
             raise ValueError(f'metric must be "euclidean" or "precomputed", not {metric!r}')
-        array = as_points(points, ask=metric == "euclidean")
+        array = as_points(points, refuse_transposed=metric == "euclidean")
         if metric == "precomputed":
             _check_distances(array)
         sizes = array if metric == "precomputed" else np.abs(array)

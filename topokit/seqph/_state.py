@@ -39,7 +39,7 @@ class Loop:
     killer_values: NDArray[np.float64]  #: (2,) filtration values of the killer triangles: both enter at `death`
     neighbour_values: NDArray[np.float64]  #: (m,) filtration values of the neighbours
     #: Hausdorff distance between this loop's killer edge and that of its previous appearance; nan when the loop is new
-    step: float = float("nan")
+    killer_shift: float = float("nan")
     _curve: Callable[[], ClosedCurve] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
@@ -151,12 +151,12 @@ class TopologicalState:
 def as_table(states: Iterable[TopologicalState]) -> Any:
     """Return tracked states as a `pandas.DataFrame`, a row for every loop of every frame.
 
-    Columns are frame, time, id, birth, death, lifetime, step, the centre (x, y, z, or x0 to x[d-1] when d is not 3) and the
-    killer edge's vertex ids (killer_a, killer_b).
+    Columns are frame, time, id, birth, death, lifetime, killer_shift, the centre (x, y, z, or x0 to x[d-1] when d is not 3)
+    and the killer edge's vertex ids (killer_a, killer_b).
     """
     import pandas as pd
 
-    numbers, axes, rows = ("id", "birth", "death", "lifetime", "step"), ["x", "y", "z"], []
+    numbers, axes, rows = ("id", "birth", "death", "lifetime", "killer_shift"), ["x", "y", "z"], []
     for state in states:
         for loop in state.loops:
             axes = axes if len(loop.centre) == 3 else [f"x{i}" for i in range(len(loop.centre))]

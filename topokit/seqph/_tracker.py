@@ -310,9 +310,9 @@ def loop_at(
     diagram: Diagram, i: int, cloud: Array, ids: NDArray[np.int64], identity: int, before: Array | None
 ) -> Loop:
     """Gather what the state keeps of loop `i` of a diagram of the points `ids` of a cloud, after a killer edge (2, d)."""
-    edge, neighbours, step = ids[diagram.killer_edge[i]], ids[diagram.neighbours(i)], float("nan")
+    edge, neighbours, killer_shift = ids[diagram.killer_edge[i]], ids[diagram.neighbours(i)], float("nan")
     if before is not None:
-        step = float(hausdorff_table(cloud[edge][None], before[None])[0, 0])
+        killer_shift = float(hausdorff_table(cloud[edge][None], before[None])[0, 0])
     sides = np.linalg.norm(cloud[neighbours] - cloud[neighbours[:, [2, 0, 1]]], axis=2)
     return loop_of(
         cloud,
@@ -320,7 +320,7 @@ def loop_at(
         id=identity,
         birth=float(diagram.birth[i]),
         death=float(diagram.death[i]),
-        step=step,
+        killer_shift=killer_shift,
         birth_edge=ids[diagram.birth_edge[i]],
         killer_edge=edge,
         killer_triangle_ids=ids[diagram.killer_triangles[i]],
