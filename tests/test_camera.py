@@ -14,9 +14,7 @@ import pybullet
 from topokit import rips_persistence
 from topokit._config import from_mapping
 from topokit.sampling import spacing
-from topokit.sim import Garment, SimulationConfig
-from topokit.sim._camera import Camera, DepthNoise, cameras_around
-from topokit.sim._world import World, observe
+from topokit.sim import Camera, DepthNoise, Garment, SimulationConfig, World
 
 APRON = Garment.apron(spacing=0.05, strap_width=0.05)
 OFFSET = np.array([0.0, -0.2, 1.1])
@@ -68,7 +66,7 @@ def test_matrices_are_pybullets_own():
 
 
 @pytest.mark.parametrize(
-    "camera", [*cameras_around((0, -0.2, 0.9)), Camera((0.4, -1.0, 2.4), (0, -0.2, 1), width=200, height=100, fov=60)]
+    "camera", [*Camera.around((0, -0.2, 0.9)), Camera((0.4, -1.0, 2.4), (0, -0.2, 1), width=200, height=100, fov=60)]
 )
 def test_points_lie_on_the_cloth(world, camera):
     depth, mask = world.image(camera)
@@ -81,7 +79,7 @@ def test_points_lie_on_the_cloth(world, camera):
 
 def test_a_shifted_pixel_would_not_lie_on_the_cloth(world):
     """The pixel's place matters: read at its middle, points leave the cloth by a millimetre and more."""
-    camera = cameras_around((0, -0.2, 0.9))[1]
+    camera = Camera.around((0, -0.2, 0.9))[1]
     depth, mask = world.image(camera)
     moved = dataclasses.replace(camera, width=2 * camera.width, height=2 * camera.height)
     rows, columns = np.nonzero(mask)
@@ -107,19 +105,19 @@ def test_the_target_hides_the_cloth(world):
 
 
 def test_observation_is_a_spread_of_what_is_seen(world, rng):
-    cameras = cameras_around((0, -0.2, 0.9))
-    points = observe(world, cameras, 200, rng)
+    cameras = Camera.around((0, -0.2, 0.9))
+    points = world.observe(cameras, 200, rng)
     assert points.shape == (200, 3)
     assert len(np.unique(points, axis=0)) == 200
     assert distances(points, world.vertices()[APRON.faces]).max() < 1e-4
-    np.testing.assert_array_equal(points, observe(world, cameras, 200, np.random.default_rng(5)))  # no noise, no chance
-    assert observe(world, cameras, 1, rng).shape == (1, 3)
+    np.testing.assert_array_equal(points, world.observe(cameras, 200, np.random.default_rng(5)))  # no noise, no chance
+    assert world.observe(cameras, 1, rng).shape == (1, 3)
 
 
 def test_fewer_pixels_than_points_are_repeated(world, rng):
     camera = Camera((0, -2, 1), (0, 0, 1), width=16, height=16)
     seen = int(world.image(camera)[1].sum())
-    points = observe(world, [camera], 300, rng)
+    points = world.observe([camera], 300, rng)
     assert points.shape == (300, 3)
     assert len(np.unique(points, axis=0)) == seen < 150
     once, repeated = rips_persistence(points[:seen]), rips_persistence(points)
@@ -130,8 +128,8 @@ def test_fewer_pixels_than_points_are_repeated(world, rng):
 
 
 def test_noise_is_repeatable_and_small(world):
-    cameras = cameras_around((0, -0.2, 0.9), noise=DepthNoise(dropout=0.1))
-    one, again, other = (observe(world, cameras, 200, np.random.default_rng(seed)) for seed in (3, 3, 4))
+    cameras = Camera.around((0, -0.2, 0.9), noise=DepthNoise(dropout=0.1))
+    one, again, other = (world.observe(cameras, 200, np.random.default_rng(seed)) for seed in (3, 3, 4))
     np.testing.assert_array_equal(one, again)
     assert not np.array_equal(one, other)
     assert 0.001 < np.median(distances(one, world.vertices()[APRON.faces])) < 0.02
@@ -140,7 +138,7 @@ def test_noise_is_repeatable_and_small(world):
 @pytest.mark.parametrize("z", [0.4, 1.0, 2.0])
 def test_axial_noise_grows_with_squared_distance(rng, z):
     depth, mask = np.full((300, 300), z), np.ones((300, 300), dtype=bool)
-    noisy, seen = DepthNoise()._spoil(depth, mask, rng)
+    noisy, seen = DepthNoise().add_to(depth, mask, rng)
     assert seen.all()
     assert np.std(noisy - z) == pytest.approx(0.0012 + 0.0019 * (z - 0.4) ** 2, rel=0.02)
     assert abs(np.mean(noisy - z)) < 1e-4
@@ -150,15 +148,15 @@ def test_lateral_noise_and_dropout(rng):
     depth = np.where(np.arange(400) < 200, 1.0, np.inf) * np.ones((400, 1))
     mask = np.isfinite(depth)
     none = DepthNoise(axial=0, axial_growth=0, lateral=0)
-    for before, after in zip((depth, mask), none._spoil(depth, mask, rng), strict=True):
+    for before, after in zip((depth, mask), none.add_to(depth, mask, rng), strict=True):
         np.testing.assert_array_equal(before, after)
-    moved, ragged = dataclasses.replace(none, lateral=2.0)._spoil(depth, mask, rng)
+    moved, ragged = dataclasses.replace(none, lateral=2.0).add_to(depth, mask, rng)
     np.testing.assert_array_equal(ragged, np.isfinite(moved))
     edge = ragged[:, 198:202].mean()
     assert 0.3 < edge < 0.7  # near the outline it is a coin toss
     assert ragged[:, :190].all()
     assert not ragged[:, 210:].any()
-    _, kept = dataclasses.replace(none, dropout=0.25)._spoil(depth, mask, rng)
+    _, kept = dataclasses.replace(none, dropout=0.25).add_to(depth, mask, rng)
     assert kept[:, :200].mean() == pytest.approx(0.75, abs=0.01)
 
 
@@ -202,8 +200,8 @@ def test_bad_images_and_observations(world, rng):
     with pytest.raises(ValueError, match=r"pixel \(2, 1\) .* sees nothing"):
         camera.unproject(depth, mask)
     with pytest.raises(ValueError, match=r"no cloth is in view of the cameras at \(0.0, -2.0, 1.0\)"):
-        observe(world, [Camera((0, -2, 1), (0, -3, 1))], 10, rng)
+        world.observe([Camera((0, -2, 1), (0, -3, 1))], 10, rng)
     with pytest.raises(ValueError, match="one camera"):
-        observe(world, [], 10, rng)
+        world.observe([], 10, rng)
     with pytest.raises(ValueError, match="n must be"):
-        observe(world, [camera], 0, rng)
+        world.observe([camera], 0, rng)

@@ -14,12 +14,12 @@ pytest.importorskip("gymnasium")
 
 import topokit as tk
 from topokit import cli
+from topokit._geometry import turned
 from topokit.control import Carried, Planner, Servo, ThrowController, hang
-from topokit.control._geometry import Arm, Opening, angle, drawn
+from topokit.control._arm import Arm, Opening, angle, drawn
 from topokit.io import load_episode, save_episode
 from topokit.sampling import as_tree
 from topokit.sim import Garment, Hanger, Hook, Mannequin, Placed
-from topokit.sim._surface import turned
 
 from conftest import polygon
 

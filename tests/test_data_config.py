@@ -17,7 +17,6 @@ from topokit.data import DatasetConfig, MeshFile
 from topokit.data._layout import pack, unpack, vertex_ids
 from topokit.data._recipe import _physics, _scene, pinned, room
 from topokit.sim import TASKS, Cloth, Hook, Randomisation, SimulationConfig, task_for
-from topokit.sim._tasks import hangs_down
 
 from small_datasets import TINY, write_cloth
 
@@ -200,7 +199,7 @@ def test_a_mesh_varies_as_a_whole(bag):
         _, garment, target = _scene(config, "bag-hook", seed)
         factors.append(garment.parameters["varied"])
         np.testing.assert_allclose(garment.vertices, factors[-1] * whole.vertices)
-        assert hangs_down(garment) * Randomisation().scale[1] <= target.seat[2]
+        assert garment.hangs_down * Randomisation().scale[1] <= target.seat[2]
     assert 1 / 1.5 <= min(factors) < 0.9 < 1.1 < max(factors) <= 1.5
     long = own(dataclasses.replace(bag, size=2.4), vary=0.5)  # already too long for a hook: it gets no longer
     assert max(_scene(long, "bag-hook", seed)[1].parameters["varied"] for seed in range(20)) <= 1

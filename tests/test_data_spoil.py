@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topokit.data import spoil
+from topokit.sampling import spoil
 
 CLOUDS = np.random.default_rng(0).random((5, 4, 200, 3))
 

@@ -8,10 +8,10 @@ import pytest
 pytest.importorskip("pybullet")
 pytest.importorskip("gymnasium")
 
+from topokit._geometry import turned
 from topokit.control import PullOverController, StrapController, hang
-from topokit.control._geometry import angle
+from topokit.control._arm import angle
 from topokit.sim import Hook, Mannequin, Placed
-from topokit.sim._surface import turned
 
 from conftest import polygon
 

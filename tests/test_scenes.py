@@ -11,20 +11,21 @@ import pytest
 pytest.importorskip("pybullet")
 
 from topokit._config import load
+from topokit._geometry import turned
 from topokit.data import DatasetConfig, make_episode
 from topokit.data._recipe import _scene, room
+from topokit.data._sizes import MOST, varied_garment, varied_target
 from topokit.sim import (
     TASKS,
     WARDROBE,
-    Among,
     Garment,
     GripperPath,
     HangEnv,
     Hanger,
     Hook,
     Mannequin,
-    Moving,
     Placed,
+    Randomisation,
     SimulationConfig,
     Target,
     Via,
@@ -32,11 +33,9 @@ from topokit.sim import (
     simulate,
     task_for,
 )
-from topokit.sim._off_script import LONGEST
-from topokit.sim._randomisation import MOST, generator, varied_garment, varied_target
-from topokit.sim._surface import EdgeGraph, turned
-from topokit.sim._targets import gap
-from topokit.sim._tasks import hangs_down, planned
+from topokit.sim._surface import EdgeGraph
+from topokit.sim._targets import Moving, gap
+from topokit.sim._tasks import planned
 
 from conftest import polygon
 
@@ -184,8 +183,8 @@ def scripts(count):
     garments = {name: TASKS[name].garment() for name in names[:count]}
     for i in range(count):
         task, garment = TASKS[names[i % len(names)]], garments[names[i % len(names)]]
-        script = task.plan(garment, task.target, generator(i, "path"))
-        yield task, garment, script, off_script(script, garment, task.target, generator(i, "script"))
+        script = task.plan(garment, task.target, Randomisation.generator(i, "path"))
+        yield task, garment, script, off_script(script, garment, task.target, Randomisation.generator(i, "script"))
 
 
 def test_off_script_plans_stay_in_their_bounds():
@@ -193,7 +192,7 @@ def test_off_script_plans_stay_in_their_bounds():
     for task, garment, script, path in scripts(80):
         times = np.arange(0, path.end, 0.01)
         where = path.at(times)
-        assert path.release <= path.end <= max(LONGEST, script.end)
+        assert path.release <= path.end <= max(GripperPath.LONGEST, script.end)
         assert np.abs(where - task.target.seat).max() < 2.2
         assert np.linalg.norm(np.diff(where, axis=0), axis=2).max() < 0.045  # 4.5 m/s
         assert path.drawn["pace"] <= 1.4
@@ -233,8 +232,8 @@ def test_the_way_between_the_grips_binds_the_openings():
     garment = task.garment()
     drawn = []
     for i in range(40):
-        script = task.plan(garment, task.target, generator(i, "path"))
-        path = off_script(script, garment, task.target, generator(i, "script"))
+        script = task.plan(garment, task.target, Randomisation.generator(i, "path"))
+        path = off_script(script, garment, task.target, Randomisation.generator(i, "script"))
         where = path.at(np.arange(0, path.end, 0.01))
         drawn.append(np.linalg.norm(where[:, 0] - where[:, 1], axis=1).max() / 0.6)
     assert 1.0 < max(drawn) < 1.03
@@ -266,13 +265,15 @@ def test_a_garment_that_fits_in_no_size_keeps_its_own(monkeypatch):
     assert varied_garment(refuse, own, 0.35, np.random.default_rng(0)) is own
     assert len(asked) == 50
     make = WARDROBE["sheet"]
-    short = varied_garment(make, own, 0.35, np.random.default_rng(0), hangs_down(own) * 0.9)
-    assert hangs_down(short) < hangs_down(own) * 0.9
+    short = varied_garment(make, own, 0.35, np.random.default_rng(0), own.hangs_down * 0.9)
+    assert short.hangs_down < own.hangs_down * 0.9
 
 
 def test_targets_vary_and_do_not_get_thin():
     drawn = [
-        varied_target(target(), 0.2, generator(i, "sizes")) for i in range(30) for target in (Hook, Hanger, Mannequin)
+        varied_target(target(), 0.2, Randomisation.generator(i, "sizes"))
+        for i in range(30)
+        for target in (Hook, Hanger, Mannequin)
     ]
     hooks = drawn[::3]
     assert all(0.02 <= hook.radius <= 0.024 + 1e-9 and 1.0 <= hook.height <= 1.44 for hook in hooks)
@@ -333,7 +334,7 @@ def test_scenes_repeat_and_each_draw_leaves_the_others():
     for i in range(60):
         name, seed = fixed.draw(0, i)
         task, garment, target = _scene(fixed, name, seed)
-        off += bool(planned(task, garment, target, generator(seed, "path")).drawn)
+        off += bool(planned(task, garment, target, Randomisation.generator(seed, "path")).drawn)
         places.append([target.x, target.y, target.yaw / 360])
         assert target.target == Hook()
     for i in range(3):
@@ -341,7 +342,10 @@ def test_scenes_repeat_and_each_draw_leaves_the_others():
         one, again = _scene(config, name, seed), _scene(config, name, seed)
         assert one[2] == again[2]
         assert one[1].parameters == again[1].parameters
-        paths = [planned(task, garment, target, generator(seed, "path")) for task, garment, target in (one, again)]
+        paths = [
+            planned(task, garment, target, Randomisation.generator(seed, "path"))
+            for task, garment, target in (one, again)
+        ]
         assert (paths[0].at(1.0) == paths[1].at(1.0)).all()
         assert [one[2].x, one[2].y, one[2].yaw / 360] == places[i]  # sizes do not move places
     spread = np.ptp(places, axis=0)
@@ -414,17 +418,3 @@ def test_a_target_on_the_move_is_seen_where_it_is():
 def test_a_target_that_moves_does_not_turn():
     with pytest.raises(ValueError, match="does not turn"):
         Moving(Hook(), yaw=10)
-
-
-def test_only_the_target_that_is_asked_for_counts():
-    other = Placed(Hook(), x=0.3)
-    both = Among(Hook(), (other,))
-    ring = np.insert(polygon(16, radius=0.05), 1, 0, axis=1)
-    assert both.holds(ring + Hook().seat)
-    assert not both.holds(ring + other.seat)
-    assert len(both.rods) == 6
-    sheet = coarse("sheet")
-    plans = [planned(TASKS["sheet-hook"], sheet, one, generator(1, "path")).at(1.0) for one in (both, Hook())]
-    np.testing.assert_array_equal(*plans)
-    episode = simulate(sheet, both, task="sheet-hook", config=SHORT)
-    assert [one["position"] for one in episode.physics["target"]["others"]] == [[0.3, 0.3, 0.0]]

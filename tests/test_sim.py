@@ -12,7 +12,7 @@ pytest.importorskip("pybullet")
 
 from topokit import rips_persistence
 from topokit.io import load_episode
-from topokit.sim import Camera, Garment, Hook, SimulationConfig, SimulationError, _process, cameras_around, simulate
+from topokit.sim import Camera, Garment, Hook, SimulationConfig, SimulationError, _process, simulate
 
 from conftest import polygon
 
@@ -105,7 +105,7 @@ def test_too_large_an_observation():
     ("options", "says"),
     [
         (
-            {"cameras": cameras_around(n=2), "n_observed": 10**9},
+            {"cameras": Camera.around(n=2), "n_observed": 10**9},
             "n_observed must be 1 to 32768, the pixels of the cameras",
         ),
         ({"config": SimulationConfig(frames=10**9)}, "1,000,000,000 frames of .* fit into the memory"),
@@ -123,7 +123,7 @@ def test_pictures_and_rings_of_cameras_have_a_largest_size():
     with pytest.raises(ValueError, match=r"width: .* less than or equal to 4096"):
         Camera(width=10**9)
     with pytest.raises(ValueError, match="0 to 100 cameras, not 1000000000"):
-        cameras_around(n=10**9)
+        Camera.around(n=10**9)
 
 
 def test_a_simulation_without_memory_says_so(monkeypatch):

@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("pybullet")
 
+from topokit._geometry import turned
 from topokit.cli import main
 from topokit.io import load_episode, save_episode
 from topokit.sim import (
@@ -30,12 +31,11 @@ from topokit.sim import (
     SimulationError,
     Via,
     World,
-    cameras_around,
     simulate,
+    task_for,
 )
-from topokit.sim._randomisation import PURPOSES, generator
-from topokit.sim._surface import turned
-from topokit.sim._tasks import asked, pull_over_head, tall_enough, task_for
+from topokit.sim._randomisation import PURPOSES
+from topokit.sim._tasks import pull_over_head
 
 from conftest import polygon
 
@@ -218,9 +218,9 @@ def test_paths_know_their_target():
 
 
 def test_purposes_do_not_move_each_other():
-    draws = {purpose: generator(3, purpose).random() for purpose in PURPOSES}
+    draws = {purpose: Randomisation.generator(3, purpose).random() for purpose in PURPOSES}
     assert len(set(draws.values())) == len(PURPOSES)
-    cameras = cameras_around(n=2)
+    cameras = Camera.around(n=2)
     config, garment, moved, drawn = Randomisation().draw(3, SimulationConfig(), coarse("apron"), cameras)
     fixed = Randomisation(mass=None, scale=None, camera_turn=None).draw(3, SimulationConfig(), coarse("apron"), cameras)
     assert fixed[0].mass == 0.3
@@ -349,7 +349,7 @@ def test_what_a_garment_can_be_hung_on_follows_from_the_names_of_its_loops(targe
     garment = named(WARDROBE["sheet2"](spacing=0.05), *names)
     task = task_for(garment, target)
     assert task.loops == asks
-    task.plan(garment, target, generator(0, "path"))
+    task.plan(garment, target, Randomisation.generator(0, "path"))
     elsewhere = dataclasses.replace(garment, name="shirt")  # what it is called does not matter
     assert task_for(elsewhere, target).loops == asks
 
@@ -360,10 +360,10 @@ def test_the_loop_that_hangs_is_found_by_name_whatever_its_place_in_the_list(nam
     garment = task.garment()
     turned = dataclasses.replace(garment, loops=garment.loops[::-1], loop_names=garment.loop_names[::-1])
     if "neck" in garment.loop_names:  # of two handles the first in the list is carried
-        paths = [task.plan(one, task.target, generator(0, "path")) for one in (garment, turned)]
+        paths = [task.plan(one, task.target, Randomisation.generator(0, "path")) for one in (garment, turned)]
         assert (paths[0].at(np.arange(3.0)) == paths[1].at(np.arange(3.0))).all()
     expected = [garment.named_loops[name] for name in garment.loop_names if {name, name[:-2]} & {*task.loops}]
-    assert {len(loop) for loop in expected} == {len(loop) for loop in asked(task, turned.named_loops)}
+    assert {len(loop) for loop in expected} == {len(loop) for loop in task.wanted(turned.named_loops).values()}
 
 
 def test_a_garment_without_the_loops_of_a_task_is_refused_before_anything_is_simulated():
@@ -452,7 +452,7 @@ def test_data_small_is_what_its_commands_record():
     """Here only that simulate() still plans what was recorded; `python data_small/record.py` compares the bytes."""
     episode = load_episode(Path(__file__).parent.parent / "data_small" / "apron_hook_1.npz")
     task = TASKS["apron-hook"]
-    path = task.plan(task.garment(), task.target, generator(1, "path"))
+    path = task.plan(task.garment(), task.target, Randomisation.generator(1, "path"))
     np.testing.assert_allclose(path.at(episode.times), episode.actions, atol=1e-4)
     assert episode.task == "apron-hook"
 
@@ -477,8 +477,8 @@ def test_a_garment_whose_strap_looks_aside_is_turned_so_that_the_arm_goes_throug
 
 def test_a_target_is_as_high_as_a_long_garment_needs(caplog):
     long = dataclasses.replace(WARDROBE["apron"](), vertices=2 * WARDROBE["apron"]().vertices, name="found")
-    hook = tall_enough(long, Hook())
+    hook = Hook().raised_for(long)
     assert hook.seat[2] > long.vertices[long.loops[0], 2].max() - long.vertices[:, 2].min()
     assert "so long" in caplog.text
-    assert tall_enough(WARDROBE["apron"](), Hook()) == Hook()
-    assert tall_enough(long, Mannequin()) == Mannequin()
+    assert Hook().raised_for(WARDROBE["apron"]()) == Hook()
+    assert Mannequin().raised_for(long) == Mannequin()

@@ -86,7 +86,7 @@ def _simulate(options: argparse.Namespace) -> int:
 
 def _simulated(options: argparse.Namespace) -> Any:
     """The episode that was asked for."""
-    from .sim import DepthNoise, Randomisation, cameras_around, simulate
+    from .sim import Camera, DepthNoise, Randomisation, simulate
 
     if options.cameras < 0 or (options.noise and not options.cameras):
         raise ValueError(f"--cameras {options.cameras}: a number of cameras, one at least with --noise")
@@ -97,7 +97,7 @@ def _simulated(options: argparse.Namespace) -> Any:
         task=task,
         seed=options.seed,
         randomisation=Randomisation() if options.randomise else None,
-        cameras=cameras_around(task.target.seat, options.cameras, distance=2.2, noise=noise) if options.cameras else (),
+        cameras=Camera.around(task.target.seat, options.cameras, distance=2.2, noise=noise) if options.cameras else (),
         n_observed=options.observed,
         time_limit=options.time_limit,
         progress=sys.stderr.isatty() and not options.json,
@@ -136,7 +136,6 @@ def _hang(options: argparse.Namespace) -> int:
 def _garment_and_task(options: argparse.Namespace, default: str) -> tuple[Any, Any]:
     """The garment of a mesh, None when none is given, and the task that was asked for."""
     from .sim import TASKS, Hanger, Hook, Mannequin, task_for
-    from .sim._tasks import tall_enough
 
     targets = {kind.name: kind for kind in (Hook, Hanger, Mannequin)} if options.mesh else {}
     name = options.task or ("hook" if options.mesh else default)
@@ -144,7 +143,7 @@ def _garment_and_task(options: argparse.Namespace, default: str) -> tuple[Any, A
         raise ValueError(f"--task {name}: there is no such task; there are {', '.join([*TASKS, *targets])}")
     garment = _garment(options)
     if garment and name in targets:
-        return garment, task_for(garment, tall_enough(garment, targets[name]()))
+        return garment, task_for(garment, targets[name]().raised_for(garment))
     return garment, TASKS[name]
 
 

@@ -29,8 +29,6 @@ from topokit.io import Episode, save_episode
 from topokit.linking import close_far, linking_number
 from topokit.sim import TASKS as KNOWN
 from topokit.sim import Camera, HangEnv, HangingStarts, SimulationConfig, Task
-from topokit.sim._names import kind
-from topokit.sim._tasks import how_many
 
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
 TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS)]
@@ -141,7 +139,7 @@ def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Hanging:
     own = {"straight": {"controller": Straight()}, "random": {"controller": Random()}, "servo": {}}
     if who == "rigid":
         how = {"radius": KNOWN[task].target.rods[0][2], "fence": options["fence"], "seed": seed}
-        goal = how_many(KNOWN[task], KNOWN[task].garment())
+        goal = KNOWN[task].needed(KNOWN[task].garment().named_loops)
         return hang(task, seed=seed, controller=Rigid(Carried(), goal, **how), **options)
     if who == "oracle":
         return foreseen(task, seed, options)
@@ -165,7 +163,7 @@ def foreseen(task: str, seed: int, options: dict[str, Any]) -> Hanging:
             "seed": draws,
         }
         result = hang(
-            task, seed=seed, controller=Planner(Carried(), how_many(known, known.garment()), **how), **options
+            task, seed=seed, controller=Planner(Carried(), known.needed(known.garment().named_loops), **how), **options
         )
         if result.success:
             break
@@ -195,7 +193,7 @@ def scripted(task: str, seed: int, options: dict[str, Any]) -> Hanging:
 def cause(task: Task, result: Hanging) -> str:
     """Why a hanging failed, by which loops wound around the target's centre line when it ended or was let go."""
     episode, last = result.episode, int(result.episode.held.sum()) - 1
-    wanted = {name for name in episode.named_loops if {name, kind(name)} & {*task.loops}}
+    wanted = {*task.wanted(episode.named_loops)}
     around = {name for name, loop in episode.named_loops.items() if holds(episode, last, loop)}
     enough = wanted <= around if task.all_loops else bool(wanted & around)
     if result.success:

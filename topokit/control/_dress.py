@@ -16,10 +16,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from topokit._geometry import turned
 from topokit.linking import close_far, curve_centroid, linking_number
-from topokit.sim._surface import turned
 
-from ._geometry import Arm, Array, angle, lies_flat
+from ._arm import Arm, Array, angle, lies_flat
 from ._servo import PATIENCE, SURE, TURN, Servo
 
 _NEW = 0.1  # weight of a new look at the middle

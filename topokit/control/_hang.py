@@ -13,18 +13,12 @@ from numpy.typing import ArrayLike
 
 from topokit._validate import WrongKindError
 from topokit.io import Episode
-from topokit.sim import Garment, HangEnv, Hook, Target, Task, task_for
-from topokit.sim._cloth import usual_config
-from topokit.sim._episode import Run, _episode
-from topokit.sim._tasks import as_task, dress, how_many, put_on_shoulders
-from topokit.sim._world import check_stretch
+from topokit.sim import Garment, HangEnv, Mannequin, Target, Task
 
 from ._dress import PullOverController, StrapController
 from ._planner import Carried, MotionForecaster, Planner
 from ._servo import Controller, Servo
 from ._thrower import ThrowController
-
-_WORN: dict[Any, type[Servo]] = {dress: PullOverController, put_on_shoulders: StrapController}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -87,26 +81,44 @@ def hang(
         When the model forecasts no motion, an option is not known, or the garment has not the loops of the task.
     """
     forecast = _forecast(model)
-    task = task_for(garment or Garment.tote(), target or Hook()) if task is None else as_task(task)
-    garment, target = garment or task.garment(), target or task.target
-    usual = {
-        "n_points": min(256, len(garment.vertices)),
-        "config": dataclasses.replace(usual_config(garment), self_collision=False),
-    }
-    env = HangEnv(task, garment=garment, target=target, max_steps=max_steps, **{**usual, **options})
-    goal = how_many(task, garment) if goal is None else goal
+    if task is None and garment is None:
+        garment = Garment.tote()
+    env = HangEnv(task, garment=garment, target=target, max_steps=max_steps, **options)
     try:
-        how = {"radius": target.rods[0][2], "max_step": env.max_step, "cloud_delay": options.get("cloud_delay", 0)}
-        usually: Servo = _WORN.get(task.plan, Servo)(goal, **how)
-        if forecast is not None and type(usually) is Servo:
-            usually = Planner(forecast, goal, pace=pace, seed=seed, **how)
-            if fence := options.get("fence"):
-                usually = ThrowController(
-                    forecast, goal, fence=fence, frame_time=env.config.frame_time, seed=seed, **how
-                )
-        return _run(env, controller or usually, seed, progress)
+        if controller is None:
+            controller = _usual(env, forecast, goal, pace, seed, options)
+        return _run(env, controller, seed, progress)
     finally:
         env.close()
+
+
+def _usual(
+    env: HangEnv,
+    forecast: MotionForecaster | None,
+    goal: ArrayLike | None,
+    pace: float,
+    seed: int,
+    options: dict[str, Any],
+) -> Servo:
+    """Return the controller for a task: what is worn is put on; the rest is served, planned or thrown."""
+    if goal is None:
+        goal = env.task.needed(env.garment.named_loops) or None
+    how = {
+        "radius": env.target.rods[0][2],
+        "max_step": env.max_step,
+        "cloud_delay": options.get("cloud_delay", 0),
+    }
+    if env.task.all_loops and env.target.name == Mannequin.name:
+        if {"neck", "hem"} <= {*env.task.loops}:
+            return PullOverController(goal, **how)
+        if all(loop.startswith("strap") for loop in env.task.loops):
+            return StrapController(goal, **how)
+    if forecast is None:
+        return Servo(goal, **how)
+    if options.get("fence"):
+        frame_time = env.config.frame_time
+        return ThrowController(forecast, goal, fence=options["fence"], frame_time=frame_time, seed=seed, **how)
+    return Planner(forecast, goal, pace=pace, seed=seed, **how)
 
 
 def _forecast(model: Any) -> MotionForecaster | None:
@@ -126,7 +138,8 @@ def _forecast(model: Any) -> MotionForecaster | None:
 def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Hanging:
     observation, info = env.reset(seed=seed)
     controller.reset(observation)
-    film, seconds, ends = [(env.vertices, observation["grippers"], env.goal, True)], [], False
+    seconds: list[float] = []
+    ends = False
     while not ends:
         started = time.perf_counter()
         action = controller.act(observation)
@@ -134,21 +147,21 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
         ends = bool(controller.reason)
         if not ends:
             observation, _, terminated, truncated, info = env.step(action)
-            film.append((env.vertices, observation["grippers"], env.goal, bool(observation["held"])))
             ends = terminated or truncated
         if progress:
-            words = f"\rhanging: frame {len(film)} of at most {env.max_steps}"
+            words = f"\rhanging: frame {len(seconds)} of at most {env.max_steps}"
             print(words, end="\n" * ends, file=sys.stderr, flush=True)
-    points, grippers, goals, held = (np.array(part) for part in zip(*film, strict=True))
-    config, steps = dataclasses.replace(env.config, frames=len(film)), env.config.steps_per_frame
-    release, nothing = int(held.sum()) * steps, np.zeros((0, 0, 3))
-    run = Run(env.garment, (), nothing, np.repeat(goals, steps, axis=0), release, config, (), env.n_points, noise=0)
-    stretch = np.array([check_stretch(env.garment, config, frame, "hanging") for frame in points])
-    recording = {"points": points.astype(np.float32), "grippers": grippers, "stretch": stretch}
-    told = {"randomisation": None, "controller": type(controller).__name__}
-    episode = _episode(run, recording, env.task, env.standing, seed, told, first=0)
-    linked = tuple(name for name, loop in env.garment.named_loops.items() if env.standing.holds(points[-1][loop]))
-    reason = "it was not let go in time" if held[-1] else "it was let go, and does not hang"
-    reason = "it hangs" if info["success"] else "the cloth was stretched too far" if info["torn"] else reason
-    outcome = (bool(info["success"]), linked, controller.reason or reason)
-    return Hanging(*outcome, len(film) - 1, float(np.mean(seconds)), episode)
+    episode = env.episode(type(controller).__name__)
+    loops = env.garment.named_loops
+    linked = tuple(name for name, loop in loops.items() if env.standing.holds(env.vertices[loop]))
+    if controller.reason:
+        reason = controller.reason
+    elif info["success"]:
+        reason = "it hangs"
+    elif info["torn"]:
+        reason = "the cloth was stretched too far"
+    elif observation["held"]:
+        reason = "it was not let go in time"
+    else:
+        reason = "it was let go, and does not hang"
+    return Hanging(bool(info["success"]), linked, reason, len(episode) - 1, float(np.mean(seconds)), episode)

@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from topokit._geometry import turned
 from topokit._validate import as_reals, positive, whole
 from topokit.rips import tighten
 from topokit.sampling import as_tree
 from topokit.seqph import SeqPH
-from topokit.sim._surface import turned
 
-from ._geometry import Arm, Array, Opening, angle, drawn, lies_flat
+from ._arm import Arm, Array, Opening, angle, drawn, lies_flat
 
 _LOOK = 6  # frames in which the loops are looked at before anything moves
 SURE = 5  # frames in a row in which the loops must be around the target

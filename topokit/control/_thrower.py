@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from topokit._validate import positive
-from topokit.sim._world import GRAVITY
+from topokit.sim import SimulationConfig
 
-from ._geometry import Arm, Array
+from ._arm import Arm, Array
 from ._planner import FRAMES, MotionForecaster, Planner
 from ._servo import Servo
 
@@ -108,7 +108,9 @@ class ThrowController(Planner):
         ends = np.minimum(lasts, FRAMES) - 1
         places, before = (held[np.arange(len(held)), ends - back][:, None] for back in (0, 1))
         frames = _FLIES[:, None, None]
-        return np.asarray(places + frames * (places - before) - [0, 0, GRAVITY / 2] * (frames * self._time) ** 2)
+        return np.asarray(
+            places + frames * (places - before) - [0, 0, SimulationConfig.GRAVITY / 2] * (frames * self._time) ** 2
+        )
 
     def _passes(self, arm: Arm) -> float:
         return float(arm.tip[2] + self._clear(arm))

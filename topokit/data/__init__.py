@@ -13,6 +13,6 @@ if TYPE_CHECKING:
     from ._generate import generate_dataset
     from ._label import label_dataset
     from ._recipe import DatasetConfig, MeshFile, make_episode
-    from ._windows import WindowDataset, spoil
+    from ._windows import WindowDataset
 
 __getattr__, __all__ = attach(__name__, __file__, "data,sim,learn")

@@ -21,11 +21,28 @@ from pydantic import BeforeValidator, Field
 from topokit._archive import existing
 from topokit._config import Count, Positive, as_tuple, checked, from_mapping
 from topokit.io import FEWEST_FRAMES, HISTORY, Episode
-from topokit.sim import WARDROBE, Cloth, DepthNoise, Garment, Placed, SimulationConfig, cameras_around, simulate
-from topokit.sim._off_script import LONGEST, off_script
-from topokit.sim._randomisation import CONFIGURED, MOST, Randomisation, generator, varied_garment, varied_target
-from topokit.sim._targets import Hanger, Hook, Mannequin, Target
-from topokit.sim._tasks import TASKS, Task, hangs_down, task_for
+from topokit.sim import (
+    TASKS,
+    WARDROBE,
+    Camera,
+    Cloth,
+    DepthNoise,
+    Garment,
+    GripperPath,
+    Hanger,
+    Hook,
+    Mannequin,
+    Placed,
+    Randomisation,
+    SimulationConfig,
+    Target,
+    Task,
+    off_script,
+    simulate,
+    task_for,
+)
+
+from ._sizes import MOST, varied_garment, varied_target
 
 _LATER = ("scarf", "belt", "net", "trousers")  # than version 1, whose default tasks stay what they were
 _OF_TWO = ("off_script", "places", "vary", "meshes")
@@ -223,7 +240,7 @@ def _task(config: DatasetConfig, name: str, garment: Garment) -> Task:
 
 def _takes(task: Task, garment: Garment) -> tuple[int, int, int, int, float]:
     """What an episode takes: vertices, faces, loops, vertices of the longest loop, seconds."""
-    seconds = task.plan(garment, task.target, generator(0, "path")).end
+    seconds = task.plan(garment, task.target, Randomisation.generator(0, "path")).end
     longest = max([1, *map(len, garment.loops)])
     return len(garment.vertices), len(garment.faces), max(1, len(garment.loops)), longest, seconds
 
@@ -237,7 +254,7 @@ def _physics(config: DatasetConfig, garment: Garment) -> tuple[SimulationConfig,
     said = {name: x for name, x in dataclasses.asdict(usual).items() if x != getattr(usually, name)}
     steps = max(usual.steps_per_frame, round(usual.frame_time / own.dt))
     own = dataclasses.replace(own, **said | {"dt": usual.frame_time / steps, "steps_per_frame": steps})
-    drawn = [name for name in CONFIGURED if name not in said and getattr(ranges, name, None)]
+    drawn = [name for name in Randomisation.PHYSICS if name not in said and getattr(ranges, name, None)]
     factors = {name: getattr(own, name) / getattr(usually, name) for name in drawn}
     changed = {name: tuple(factor * bound for bound in getattr(ranges, name)) for name, factor in factors.items()}
     return own, ranges and dataclasses.replace(ranges, **changed)
@@ -249,7 +266,7 @@ def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, 
     task = _task(config, name, garment)
     plan, target = task.plan, task.target
     if config.vary:
-        rng, largest = generator(seed, "sizes"), ranges.scale[1] if ranges and ranges.scale else 1.0
+        rng, largest = Randomisation.generator(seed, "sizes"), ranges.scale[1] if ranges and ranges.scale else 1.0
         vary = config.vary / (2 if isinstance(target, Mannequin) else 1)
         target = varied_target(target, config.vary / 2, rng)
         longest = float(target.seat[2]) / largest
@@ -258,18 +275,18 @@ def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, 
         else:
             make = functools.partial(task.garment, **config.sizes.get(name.rpartition("-")[0], {}))
             garment = varied_garment(make, garment, vary, rng, longest)
-    rng = generator(seed, "script")
+    rng = Randomisation.generator(seed, "script")
     if rng.random() < config.off_script:
         task = dataclasses.replace(task, plan=lambda g, t, own: off_script(plan(g, t, own), g, t, rng))
     if config.places:
-        x, y, turn = generator(seed, "place").uniform(-1, 1, 3).tolist()
+        x, y, turn = Randomisation.generator(seed, "place").uniform(-1, 1, 3).tolist()
         target = Placed(target, x=config.places * x, y=config.places * y, yaw=180 * turn)
     return task, garment, target
 
 
 def _scaled(garment: Garment, vary: float, longest: float, rng: np.random.Generator) -> Garment:
     """The garment as a whole larger or smaller; not larger than it may be, unless it is already."""
-    most = min(1 + vary, max(1.0, longest / max(hangs_down(garment), 1e-9)))
+    most = min(1 + vary, max(1.0, longest / max(garment.hangs_down, 1e-9)))
     factor = float(np.exp(rng.uniform(-np.log1p(vary), np.log(most))))
     parameters = {**garment.parameters, "varied": factor}
     return dataclasses.replace(garment, vertices=factor * garment.vertices, parameters=parameters)
@@ -297,7 +314,7 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
         seed=episode_seed,
         config=physics,
         randomisation=ranges,
-        cameras=cameras_around(target.seat, cameras, distance=config.camera_distance, noise=noise) if cameras else (),
+        cameras=Camera.around(target.seat, cameras, distance=config.camera_distance, noise=noise) if cameras else (),
         n_observed=config.n_observed if cameras else min(config.n_observed, len(garment.vertices)),
         time_limit=time_limit,
     )
@@ -312,7 +329,7 @@ def room(config: DatasetConfig) -> dict[str, int]:
     vertices, faces, loops, loop, longest = map(max, zip(*all_take, strict=True))
     frames, more = config.simulation.frames, MOST if config.vary else 1.0
     if frames is None:
-        seconds = max(LONGEST if config.off_script else 0.0, longest)
+        seconds = max(GripperPath.LONGEST if config.off_script else 0.0, longest)
         frames = max(FEWEST_FRAMES, math.ceil(min(seconds / config.simulation.frame_time, 2**62)))
     vertices = int(more * vertices)
     return {

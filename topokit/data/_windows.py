@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from topokit.io import HISTORY, HORIZON
 from topokit.sampling import farthest_point_sample
 from topokit.seqph import track
-from topokit.sim._camera import spoil as spoil
 
 from ._dataset import Dataset
 from ._group import damage_in, decode

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from topokit._config import Count, NotNegative, checked, load
-from topokit.data import Dataset, WindowDataset, spoil
+from topokit.data import Dataset, WindowDataset
 from topokit.models import MODELS, Motion, MotionPredictor, Normalisation, Shape, load_model, target_states
 from topokit.models._baselines import Carry, Hold
 from topokit.models._checkpoint import Model
+from topokit.sampling import spoil
 
 from ._accuracy import TrueCurves
 from ._forecasters import Forecaster, of_stream, of_windows, turned

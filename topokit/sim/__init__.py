@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._camera import Camera, DepthNoise, cameras_around
+    from ._camera import Camera, DepthNoise
     from ._cloth import CLOTHS, Cloth
     from ._env import HangEnv
     from ._episode import simulate
     from ._garments import WARDROBE, Garment
-    from ._off_script import off_script
-    from ._path import GripperPath, Via
-    from ._placed import Among, Moving, Placed
+    from ._path import GripperPath, Via, off_script
     from ._process import SimulationError
     from ._randomisation import Randomisation
     from ._starts import HangingStarts
-    from ._targets import Hanger, Hook, Mannequin, Target
+    from ._targets import Hanger, Hook, Mannequin, Placed, Target
     from ._tasks import TASKS, Task, task_for
-    from ._world import SimulationConfig, World, observe
+    from ._world import SimulationConfig, World
 
 # So that gymnasium.make knows the environments once this package is imported.
 if importlib.util.find_spec("gymnasium") and importlib.util.find_spec("pydantic"):

@@ -19,7 +19,6 @@ from topokit._config import NotNegative, Place, Positive, checked
 from ._surface import Array
 
 Mask = NDArray[np.bool_]
-_MARGIN = 0.1  # metres around a cloud's box in which outliers lie
 Pixels = Annotated[int, Field(ge=1, le=4096)]
 
 
@@ -33,8 +32,16 @@ class DepthNoise:
     lateral: NotNegative = 0.8  #: standard deviation, in pixels, of the place a pixel reads: outlines become ragged
     dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of pixels that are lost, each by itself
 
-    def _spoil(self, depth: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Mask]:
-        """A noisy copy of a depth image (h, w) in metres and of the cloth's mask (h, w)."""
+    def add_to(self, depth: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Mask]:
+        """Return a noisy copy of a depth image and of the mask of the cloth in it.
+
+        Parameters
+        ----------
+        depth : (h, w) array
+            Metres.
+        mask : (h, w) array of bool
+        rng : numpy.random.Generator
+        """
         rows, columns = np.indices(depth.shape)
         shift = np.rint(self.lateral * rng.standard_normal((2, *depth.shape))).astype(np.int64)
         rows = np.clip(rows + shift[0], 0, depth.shape[0] - 1)
@@ -122,65 +129,31 @@ class Camera:
         rays = np.column_stack([x, y, np.ones(len(x))]) * metres[rows, columns][:, None]
         return np.asarray(self.eye + rays @ self.axes)
 
+    @staticmethod
+    def around(
+        place: ArrayLike = (0.0, 0.1, 1.0), n: int = 3, *, distance: float = 1.6, noise: DepthNoise | None = None
+    ) -> tuple[Camera, ...]:
+        """Return `n` cameras evenly around a place, 20 degrees over its horizon, the first in front of it (towards -y).
 
-def cameras_around(
-    place: ArrayLike = (0.0, 0.1, 1.0), n: int = 3, *, distance: float = 1.6, noise: DepthNoise | None = None
-) -> tuple[Camera, ...]:
-    """Return `n` cameras evenly around a place, 20 degrees over its horizon, the first in front of it (towards -y).
+        Parameters
+        ----------
+        place : (3,) array_like
+        n : int
+        distance : float
+            From the place, metres.
+        noise : DepthNoise, optional
+            Of every camera.
 
-    Parameters
-    ----------
-    place : (3,) array_like
-    n : int
-    distance : float
-        From the place, metres.
-    noise : DepthNoise, optional
-        Of every camera.
-
-    Raises
-    ------
-    ValueError
-        When there would be more than a hundred.
-    """
-    if not 0 <= n <= 100:
-        raise ValueError(f"n must be 0 to 100 cameras, not {n}")
-    middle = np.asarray(place, dtype=np.float64)
-    turn = 2 * np.pi * np.arange(n) / n - np.pi / 2
-    tilt = np.radians(20)
-    around = np.column_stack([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.full(n, np.sin(tilt))])
-    x, y, z = middle.tolist()
-    return tuple(Camera(tuple(eye), (x, y, z), noise=noise) for eye in (middle + distance * around).tolist())
-
-
-def spoil(
-    clouds: NDArray[np.floating],
-    rng: np.random.Generator,
-    *,
-    noise: ArrayLike = 0.0,
-    outliers: ArrayLike = 0.0,
-    keep: ArrayLike = 1.0,
-) -> NDArray[np.float64]:
-    """Return clouds with points missing, noise and outliers, every cloud for itself.
-
-    Parameters
-    ----------
-    clouds : (..., P, 3) array
-    rng : numpy.random.Generator
-    noise : float or array that broadcasts to the leading axes of `clouds`
-        Standard deviation of each coordinate, metres.
-    outliers : float or such an array
-        Share of the points that are anywhere in the cloud's box, which is grown by 10 cm on each side.
-    keep : float or such an array
-        Share of the points that are kept, at least one. They come first, in the order in which they were; repeats of them, in
-        their order, stand for the others.
-    """
-    clouds = np.asarray(clouds, dtype=np.float64)
-    noise, outliers, keep = [np.broadcast_to(one, clouds.shape[:-2])[..., None] for one in (noise, outliers, keep)]
-    places = np.broadcast_to(np.arange(clouds.shape[-2]), clouds.shape[:-1])
-    left = np.maximum(np.round(keep * clouds.shape[-2]), 1).astype(np.int64)
-    order = np.argsort(rng.permuted(places, axis=-1) >= left, axis=-1, kind="stable")  # kept ones first, as they were
-    kept = np.take_along_axis(order, places % left, axis=-1)
-    spoilt = np.take_along_axis(clouds, kept[..., None], axis=-2) + noise[..., None] * rng.standard_normal(clouds.shape)
-    low, high = clouds.min(axis=-2, keepdims=True) - _MARGIN, clouds.max(axis=-2, keepdims=True) + _MARGIN
-    wild = rng.permuted(places, axis=-1) < np.round(outliers * clouds.shape[-2])
-    return np.where(wild[..., None], rng.uniform(low, high, clouds.shape), spoilt)
+        Raises
+        ------
+        ValueError
+            When there would be more than a hundred.
+        """
+        if not 0 <= n <= 100:
+            raise ValueError(f"n must be 0 to 100 cameras, not {n}")
+        middle = np.asarray(place, dtype=np.float64)
+        turn = 2 * np.pi * np.arange(n) / n - np.pi / 2
+        tilt = np.radians(20)
+        around = np.column_stack([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.full(n, np.sin(tilt))])
+        x, y, z = middle.tolist()
+        return tuple(Camera(tuple(eye), (x, y, z), noise=noise) for eye in (middle + distance * around).tolist())

@@ -12,26 +12,30 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
+from topokit._config import NotNegative, as_tuple, checked
 from topokit._validate import as_reals, whole
+from topokit.io import Episode
 from topokit.rips import rips_persistence
-from topokit.sampling import farthest_point_sample
+from topokit.sampling import farthest_point_sample, spoil
 
-from ._camera import Camera, spoil
-from ._episode import AT_REST, rods_of
+from ._camera import Camera
+from ._cloth import usual_config
+from ._episode import AT_REST, Run, as_episode, rods_of
 from ._garments import Garment
-from ._options import Options
+from ._path import from_elsewhere
 from ._process import SimulationError
 from ._surface import Array, simple_cycles
-from ._targets import Target
-from ._tasks import Task, as_task, asked, check_loops, planned
-from ._world import SimulationConfig, World, check_stretch, seen
+from ._targets import Moving, Placed, Target, Travelling
+from ._tasks import PathScript, Task, check_loops, planned, resolved
+from ._world import SimulationConfig, World, check_stretch
 
 Observation = dict[str, Any]
 REWARDS = ("sparse", "dense", "topological", "topological-observed")
@@ -39,6 +43,75 @@ _ROOM = 4.0  # metres: nothing that is observed is farther from the origin along
 _SPEED = 1.2  # m/s of the grippers' goals along each axis, at most
 _LEASH = 0.2  # metres by which a goal may lead its gripper along an axis: taut cloth holds a gripper back
 _REST_AFTER = 0.5  # s after the release: cloth that is not held by the target is fast by then
+
+
+_AWAY = (0.4, 0.4, 0.1, 180.0)  # metres along x, y and z, and degrees: as far at most is "anywhere"
+_SOON = (0.3, 1.5)  # seconds after the first frame between which a target sets off and a push begins
+_MOVING, _PUSHING = 0.6, 0.1  # seconds that they take
+
+
+def _somewhere(value: Any, check: ValidatorFunctionWrapHandler) -> Any:
+    try:
+        return check(as_tuple(value))
+    except ValidationError as error:
+        raise ValueError("must be 'anywhere', or x, y and z in metres and a yaw in degrees") from error
+
+
+@checked
+class Options:
+    """What `HangEnv` takes as keywords for all its episodes, and `reset` as options for one."""
+
+    place: Annotated[tuple[float, float, float, float] | Literal["anywhere"] | None, WrapValidator(_somewhere)] = None
+    start: Literal["anywhere"] | None = None
+    target_shift: NotNegative = 0.0
+    shove: NotNegative = 0.0
+    cloud_delay: Annotated[int, Field(ge=0)] = 0
+    noise: NotNegative = 0.0
+    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    outliers: Annotated[float, Field(ge=0, le=1)] = 0.0
+    release_after: NotNegative = 0.0
+    swing: NotNegative = 0.0
+    target_speed: NotNegative = 0.0
+    fence: NotNegative = 0.0
+    n_grippers: Annotated[int, Field(ge=1, le=2)] = 2
+    cloud_interval: Annotated[int, Field(ge=1)] = 1
+
+    def scene(self, target: Target, frame_time: float, rng: np.random.Generator) -> tuple[Target, range, Array, Array]:
+        """The target, the frames and the acceleration (x, y) of the push, and that of the swing, which takes as many frames.
+
+        All is drawn, whether or not it is asked for.
+        """
+        place, way = rng.uniform(-1, 1, 4) * _AWAY, rng.normal(size=3)
+        way *= self.target_shift * np.cbrt(rng.random()) / np.linalg.norm(way)  # anywhere in a ball
+        sets_off, begins = rng.uniform(*_SOON, 2).tolist()
+        pushed, swung, gone = (np.array([np.cos(a), np.sin(a)]) for a in rng.uniform(-np.pi, np.pi, 3))
+        if self.target_shift:  # to where it stands otherwise: what is planned stays as it is
+            x, y, z = way.tolist()
+            target = Moving(Placed(target, -x, -y, -z), x, y, z, start=sets_off, seconds=_MOVING)
+        if self.target_speed:
+            vx, vy = (self.target_speed * gone).tolist()
+            target = Travelling(target, vx=vx, vy=vy)
+        if self.place is not None:
+            target = Placed(target, *(place.tolist() if self.place == "anywhere" else self.place))
+        first, frames = round(begins / frame_time), max(1, round(_PUSHING / frame_time))
+        push, swing = self.shove * pushed, self.swing * swung
+        return target, range(first, first + frames), push / (frames * frame_time), swing / (frames * frame_time)
+
+    def before_fence(self, goal: Array, before: Array, target: Target) -> Array:
+        """A goal (2, 3) of the grippers, or the nearest one before the fence; who was behind it already may not go on."""
+        if not self.fence:
+            return goal
+        tip = target.centre_line[-1]
+        out = (tip - target.seat) * [1, 1, 0]
+        far = float(np.linalg.norm(out))
+        if far < 1e-6:
+            raise ValueError("fence: it stands before an arm, and this target has none that runs sideways")
+        here, there = ((hands - tip) @ out / far for hands in (before, goal))
+        return np.asarray(goal + np.maximum(np.minimum(here, self.fence) - there, 0)[:, None] * out / far)
+
+    def plan(self, plan: PathScript, rng: np.random.Generator) -> PathScript:
+        """A task's plan, from the start that is asked for."""
+        return plan if self.start is None else lambda g, t, own: from_elsewhere(plan(g, t, own), g, t, rng)
 
 
 class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -100,17 +173,17 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     Parameters
     ----------
-    task : str or Task
-        A name in `TASKS`, or a task.
+    task : str or Task, optional
     garment, target : optional
-        Those of the task when not given.
+        As of `simulate`.
     reward : str
-    n_points : int
-        At most the garment's vertices.
+    n_points : int, optional
+        At most the garment's vertices; 256, or all of them if fewer, when not given.
     cameras : sequence of Camera
         What the observer has; without any it sees the vertices on all sides.
     config : SimulationConfig, optional
-        Without self-collision when not given: with it, a seed repeats to a micrometre but not bit by bit.
+        When not given that of `simulate`, but without self-collision: with it, a seed repeats to a micrometre but not bit by
+        bit.
     max_steps : int
         A step takes `config.frame_time` seconds.
     render_mode : str, optional
@@ -123,12 +196,12 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def __init__(
         self,
-        task: str | Task = "apron-hook",
+        task: str | Task | None = None,
         *,
         garment: Garment | None = None,
         target: Target | None = None,
         reward: str = "sparse",
-        n_points: int = 256,
+        n_points: int | None = None,
         cameras: Sequence[Camera] = (),
         config: SimulationConfig | None = None,
         max_steps: int = 200,
@@ -140,20 +213,20 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
         self._usual = Options(**options)
-        self.task = as_task(task)
-        self.garment, self._described = garment or self.task.garment(), target or self.task.target
+        self.task, self.garment, self._described = resolved(task, garment, target)
         self.target = self._described
         check_loops(self.task, self.garment)
-        self.config = config or SimulationConfig(self_collision=False)
-        self.n_points = whole(n_points, "n_points", 1, len(self.garment.vertices))
+        self.config = config or replace(usual_config(self.garment), self_collision=False)
+        n_vertices = len(self.garment.vertices)
+        self.n_points = min(256, n_vertices) if n_points is None else whole(n_points, "n_points", 1, n_vertices)
         self.reward, self.cameras, self.render_mode = reward, tuple(cameras), render_mode
         self.max_step = _SPEED * self.config.frame_time
         self.max_steps = whole(max_steps, "max_steps", 1)
         self._world: World | None = None
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
-        self._asked = asked(self.task, self.garment.named_loops)
+        self._asked = list(self.task.wanted(self.garment.named_loops).values())
         n = len(self._asked)
-        self._needed = n if self.task.all_loops else min(n, 1)
+        self._needed = self.task.needed(self.garment.named_loops)
         sizes = {"points": self.n_points, "grippers": 2, "target": len(self.target.centre_line), "wanted": n}
         places = {name: spaces.Box(-_ROOM, _ROOM, (size, 3), np.float32) for name, size in sizes.items()}
         places["rods"] = spaces.Box(-_ROOM, _ROOM, (len(self.target.rods), 7), np.float32)
@@ -199,7 +272,10 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.vertices, self._options = self._world.vertices(), now
         self._cloud, self._clouds = self._world.grippers(), deque[Array](maxlen=now.cloud_delay + 1)
         self._wanted = np.array([self.vertices[loop].mean(axis=0) for loop in self._asked]).reshape(-1, 3)
-        return self._observe(), self._info()
+        observation = self._observe()
+        self._seed = -1 if seed is None else seed
+        self._film = [(self.vertices, observation["grippers"], self.goal, True)]
+        return observation, self._info()
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Move the goals of the grippers, and let go if told to; simulate one frame.
@@ -221,6 +297,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         except SimulationError:
             torn, self.vertices = True, points  # the last that made sense
         observation = self._observe()
+        self._film.append((self.vertices, observation["grippers"], self.goal, self._released < 0))
         gone = self.standing.seat - there.seat if self._options.target_speed else np.zeros(3)
         speed = np.linalg.norm(self.vertices - points - gone, axis=1).mean() / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
@@ -264,6 +341,25 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         let_go = 1.0 if time >= self._path.release else -1.0
         return np.append(np.clip(move, -1, 1), let_go).astype(np.float32)
 
+    def episode(self, controller: str = "") -> Episode:
+        """Return what has happened since `reset`, as `simulate` records an episode.
+
+        Parameters
+        ----------
+        controller : str
+            The name of what acted, which is noted in the episode's physics.
+        """
+        self._running()
+        points, grippers, goals, held = (np.array(column) for column in zip(*self._film, strict=True))
+        config = replace(self.config, frames=len(points))
+        goals = np.repeat(goals, config.steps_per_frame, axis=0)
+        release = int(held.sum()) * config.steps_per_frame
+        run = Run(self.garment, (), np.zeros((0, 0, 3)), goals, release, config, (), self.n_points, noise=0)
+        stretch = [check_stretch(self.garment, config, frame, "hanging") for frame in points]
+        recording = {"points": points.astype(np.float32), "grippers": grippers, "stretch": np.array(stretch)}
+        notes = {"randomisation": None, "controller": controller}
+        return as_episode(run, recording, self.task, self.standing, self._seed, notes, first=0)
+
     def render(self) -> NDArray[np.uint8] | None:
         """Return a picture of the scene (360, 480, 3), the cloth in blue; None without a render mode."""
         if self.render_mode is None:
@@ -299,7 +395,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._clouds.append(self._clouds[-1])
             return self._clouds[0]
         if self.cameras:
-            cloud = seen(world, self.cameras, self.n_points, self._sensor)
+            cloud = world.seen(self.cameras, self.n_points, self._sensor)
             self._cloud = cloud if len(cloud) else np.resize(self._cloud, (self.n_points, 3))
         else:
             self._cloud = self.vertices[farthest_point_sample(self.vertices, self.n_points)[0]]

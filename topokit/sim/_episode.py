@@ -32,11 +32,11 @@ from ._camera import Camera
 from ._cloth import usual_config
 from ._garments import Garment
 from ._process import Forge, SimulationError
-from ._randomisation import Randomisation, generator
+from ._randomisation import Randomisation
 from ._surface import Array
-from ._targets import Hook, Rod, Target
-from ._tasks import Task, as_task, check_loops, planned, task_for, warn_of_floor
-from ._world import SimulationConfig, World, check_stretch, observe
+from ._targets import Rod, Target
+from ._tasks import Task, check_loops, planned, resolved, warn_of_floor
+from ._world import SimulationConfig, World, check_stretch
 
 Report = Callable[[int], None]
 # points (T, N, 3), grippers (T, 2, 3), observed (T, M, 3) by cameras, stretch (T, 2)
@@ -100,8 +100,7 @@ def simulate(
     if garment is not None and not isinstance(garment, Garment):
         how = f"Garment.from_mesh({garment!r}) makes one of a mesh" if isinstance(garment, str | Path) else "make one"
         raise WrongKindError(f"garment must be a Garment, not {type(garment).__name__}: {how}")
-    task = task_for(garment or Garment.apron(), target or Hook()) if task is None else as_task(task)
-    garment, target = garment or task.garment(), target or task.target
+    task, garment, target = resolved(task, garment, target)
     config = config or usual_config(garment)
     check_loops(task, garment)
     drawn: dict[str, Any] = {"randomisation": None}
@@ -115,7 +114,7 @@ def simulate(
         what = "pixels of the cameras" if cameras else "vertices of the garment"
         raise ValueError(f"n_observed must be 1 to {most}, the {what}, not {n_observed}")
     warn_of_floor(garment, target)
-    path = planned(task, garment, target, generator(seed, "path"))
+    path = planned(task, garment, target, Randomisation.generator(seed, "path"))
     garment = garment.turned(path.vias[0].yaw)
     drawn |= {"path": dict(path.drawn)} if path.drawn else {}
     frames = config.frames or max(FEWEST_FRAMES, math.ceil(min(path.end / config.frame_time, _MOST_STEPS)))
@@ -125,7 +124,7 @@ def simulate(
         bounds = f"at most {_MOST_STEPS:,} steps and {_MOST_PLACES:,} places of points fit into the memory"
         raise ValueError(f"{frames:,} frames of {steps:,} steps and {places:,} places of points: {bounds}")
     goals = path.at(np.arange(frames * config.steps_per_frame) * config.dt)
-    noise = int(generator(seed, "noise").integers(2**63))
+    noise = int(Randomisation.generator(seed, "noise").integers(2**63))
     rods, moves = rods_of(target, np.arange(frames + 1) * config.frame_time)
     run = Run(garment, rods, moves, goals, round(path.release / config.dt), config, tuple(cameras), n_observed, noise)
     report = functools.partial(_show, frames) if progress else None
@@ -133,10 +132,10 @@ def simulate(
         recording = record(run, report)
     else:
         recording = record_afresh(run, positive(time_limit, "time_limit", zero=False, infinite=True), report)
-    return _episode(run, recording, task, target, seed, drawn)
+    return as_episode(run, recording, task, target, seed, drawn)
 
 
-def _episode(
+def as_episode(
     run: Run,
     recording: Recording,
     task: Task,
@@ -231,7 +230,7 @@ def record(run: Run, report: Report | None = None) -> Recording:
                 stretch.append(check_stretch(garment, config, points[-1], f"frame {len(points) - 1}"))
                 grippers.append(world.grippers())
                 if run.cameras:
-                    observed.append(observe(world, run.cameras, run.n_observed, noise))
+                    observed.append(world.observe(run.cameras, run.n_observed, noise))
                 report(len(points) - 1)
             if len(run.moves):
                 frame, share = divmod(step / config.steps_per_frame, 1)

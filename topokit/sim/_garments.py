@@ -14,11 +14,12 @@ from typing import Any, ParamSpec
 
 import numpy as np
 
+from topokit._geometry import turned
 from topokit._validate import as_ids, as_points
 from topokit.io import LOOP_NAMES
 
-from . import _accessories, _mesh, _names, _wardrobe
-from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, half_edges, turned
+from . import _mesh, _names, _wardrobe
+from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, half_edges
 
 Sizes = ParamSpec("Sizes")
 
@@ -35,6 +36,9 @@ def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]
     if "Parameters\n" not in words:
         told = [f"{name} : {size.annotation}" for name, size in inspect.signature(pattern).parameters.items()]
         garment.__doc__ = "\n".join([words, "", "Parameters", "-" * 10, *told])
+    # So that pickle finds it: tasks travel to other processes.
+    garment.__module__ = __name__
+    garment.__qualname__ = f"Garment.{pattern.__name__}"
     return garment
 
 
@@ -89,6 +93,19 @@ class Garment:
         """The true loops by their names."""
         return dict(zip(self.loop_names, self.loops, strict=True))
 
+    @property
+    def hanging_loop(self) -> Ids | None:
+        """(L,) the true loop by which one would hang the garment: the neck if it has one; None without a loop."""
+        names = [*_names.to_hang_by(self.loop_names), *self.loop_names]
+        return self.named_loops[names[0]] if names else None
+
+    @property
+    def hangs_down(self) -> float:
+        """Metres from the top of the loop that the garment hangs by down to its lowest vertex; 0 without a loop."""
+        loop = self.hanging_loop
+        heights = self.vertices[:, 2]
+        return 0.0 if loop is None else float(heights[loop].max() - heights.min())
+
     @functools.cached_property
     def edges(self) -> Ids:
         """(E, 2) every edge once, smaller id first, in lexicographic order."""
@@ -109,16 +126,16 @@ class Garment:
         return replace(self, vertices=turned(self.vertices, degrees)) if degrees else self
 
     apron = staticmethod(_sewn(_wardrobe.apron))
-    tote = staticmethod(_sewn(_accessories.tote))
-    backpack = staticmethod(_sewn(_accessories.backpack))
+    tote = staticmethod(_sewn(_wardrobe.tote))
+    backpack = staticmethod(_sewn(_wardrobe.backpack))
     shirt = staticmethod(_sewn(_wardrobe.shirt))
     vest = staticmethod(_sewn(_wardrobe.vest))
     mask = staticmethod(_sewn(_wardrobe.mask))
     sheet = staticmethod(_sewn(_wardrobe.sheet))
-    scarf = staticmethod(_sewn(_accessories.scarf))
-    belt = staticmethod(_sewn(_accessories.belt))
+    scarf = staticmethod(_sewn(_wardrobe.scarf))
+    belt = staticmethod(_sewn(_wardrobe.belt))
     trousers = staticmethod(_sewn(_wardrobe.trousers))
-    net = staticmethod(_sewn(_accessories.net))
+    net = staticmethod(_sewn(_wardrobe.net))
     from_mesh = staticmethod(_sewn(_mesh.from_mesh))
 
 

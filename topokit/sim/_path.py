@@ -18,7 +18,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline
 
-from ._surface import Array, turned
+from topokit._geometry import turned
+
+from ._garments import Garment
+from ._surface import Array, EdgeGraph
+from ._targets import Target, gap
+
+_CLEAR, _ABOVE = 0.3, 0.05  # metres at a start from the rods, and from the floor
+_TAUT = 1.02  # the grippers are at most so far apart, in multiples of the way between them along the cloth
+_TIME, _PLACE, _OPENING, _YAW, _REST = 0, slice(1, 4), 4, 5, 6  # columns of a path's table
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,8 @@ class Via:
 @dataclass(frozen=True, eq=False)
 class GripperPath:
     """The path of two grippers, and when they let go."""
+
+    LONGEST = 4.5  # seconds of an episode off its script, unless the script lasts longer
 
     vias: Sequence[Via]  #: two at least, in the order of time; before and after them the grippers stand still
     spread: Array  #: (2, 3) the grippers relative to their middle, at an opening of 1
@@ -110,3 +120,113 @@ class GripperPath:
                 inner = slice(first + 1, last)
                 velocities[inner], accelerations[inner] = spline(times[inner], 1), spline(times[inner], 2)
         return velocities, accelerations
+
+
+def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
+    """Return a path that does not do what the script does.
+
+    One in seven wanders about the target, one in ten pushes the cloth against it. The others are the script at another
+    pace with some of: a miss, other openings, a detour, a stop, another start and yaw; an early or a late release, or none.
+
+    Parameters
+    ----------
+    path : GripperPath
+        The script, planned for that garment and target.
+    garment : Garment
+    target : Target
+        As it stands in the script's coordinates.
+    rng : numpy.random.Generator
+    """
+    way = _table(path)
+    drawn, kind, longest = dict[str, float](), rng.random(), max(path.LONGEST, path.end)
+    drop = float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min()) + _ABOVE
+    if kind < 0.15:
+        drawn["wander"], way = 1.0, _wander(way[0], target.seat, drop, rng)
+    elif kind < 0.25:
+        drawn["push"], way = 1.0, _push(way[0], target.seat, drop, rng)
+    elif kind < 0.65:
+        approach, shift, turn = max(1, len(way) - 3), rng.normal(0, 0.08, 3), float(rng.normal(0, 15))
+        way[approach:, _PLACE] += shift
+        way[approach:, _YAW] += turn
+        drawn |= {"miss": float(np.linalg.norm(shift)), "turn": turn}
+    if rng.random() < 0.5:
+        drawn["openings"] = 1.0
+        way[1:, _OPENING] *= rng.uniform(0.6, 1.4, len(way) - 1)
+    if rng.random() < 0.3:
+        i, aside = int(rng.integers(1, len(way))), rng.normal(0, 0.1, 3)
+        between = (way[i - 1] + way[i] + [0.25, 0, 0, 0, 0, 0, 0]) / 2 + [0, *aside, 0, 0, 0]
+        between[_REST] = 0
+        way[i:, _TIME] += 0.25
+        drawn["detour"], way = float(np.linalg.norm(aside)), np.insert(way, i, between, axis=0)
+    if rng.random() < 0.25:
+        i = int(rng.integers(1, len(way)))
+        drawn["stop"], way[i, _REST] = float(way[i, _TIME]), 1
+        way = np.insert(way, i, way[i], axis=0)
+        way[i + 1 :, _TIME] += 0.3
+    if rng.random() < 0.6:
+        drawn["elsewhere"] = _elsewhere(way, garment, target, rng)
+    drawn["pace"] = min(float(0.7 * 2 ** rng.random()), (longest - 0.4) / float(way[-1, _TIME]))
+    way[:, _TIME] *= drawn["pace"]
+    last = float(way[-1, _TIME])
+    release = (last + 0.05, rng.uniform(0.35, 1) * last, last + rng.uniform(0.2, 0.7), longest)
+    let_go = float(release[int(rng.choice(4, p=(0.35, 0.3, 0.15, 0.2)))])  # as scripted, early, late, never
+    end = min(longest, max(3.0, let_go + path.end - path.release))
+    drawn["release"] = end if let_go == longest else min(let_go, longest - 0.25)
+    cloth = float(EdgeGraph(garment.vertices, garment.edges).distances(garment.grips)[0, 1])
+    most = max(_TAUT * cloth, path.widest)  # as in the script, if that draws it wider
+    while True:
+        other = replace(path, vias=_vias(way), release=drawn["release"], end=end, drawn=drawn)
+        if other.widest <= most:
+            return other
+        way[1:, _OPENING] = way[1:, _OPENING] * 0.99 * most / other.widest
+
+
+def from_elsewhere(path: GripperPath, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
+    """The script from another start, turned by any yaw; as it is when nothing is free."""
+    way = _table(path)
+    _elsewhere(way, garment, target, rng)
+    later = float(way[-1, _TIME]) - path.vias[-1].time
+    return replace(path, vias=_vias(way), release=path.release + later, end=path.end + later)
+
+
+def _table(path: GripperPath) -> Array:
+    return np.array([[v.time, *np.asarray(v.place), v.opening, v.yaw, v.rest] for v in path.vias], dtype=np.float64)
+
+
+def _vias(way: Array) -> list[Via]:
+    return [Via(v[_TIME], v[_PLACE], v[_OPENING], bool(v[_REST]), v[_YAW]) for v in way]
+
+
+def _wander(start: Array, seat: Array, drop: float, rng: np.random.Generator) -> Array:
+    """Random places around the seat, as high as the garment is long."""
+    low, rows = max(float(seat[2]) - 0.1, drop), [start]
+    for _ in range(int(rng.integers(3, 6))):
+        place = np.array([*rng.uniform((-0.35, -0.5), (0.35, 0.15)), 0]) + [seat[0], seat[1], low + rng.uniform(0, 0.4)]
+        time = rows[-1][_TIME] + 0.3 + float(np.linalg.norm(place - rows[-1][_PLACE])) / rng.uniform(0.6, 1.2)
+        rows.append(np.array([time, *place, 1, rows[-1][_YAW] + rng.normal(0, 40), 0]))
+    return np.array(rows)
+
+
+def _push(start: Array, seat: Array, drop: float, rng: np.random.Generator) -> Array:
+    """Straight on at a height at which the cloth meets the target; half of the time back again."""
+    x, beyond, z = rng.uniform((-0.15, -0.05, 0.0), (0.15, 0.2, 0.25))
+    times = np.cumsum([start[_TIME] + 1.0, (beyond + 0.35) / rng.uniform(0.35, 0.8) + 0.2, 0.9])
+    ahead = (seat[1] - 0.35, seat[1] + beyond, seat[1] - 0.35)
+    rows = [[time, x, y, max(seat[2] + z, drop), 1, 0, 0] for time, y in zip(times, ahead, strict=True)]
+    return np.array([start, *rows[: rng.integers(2, 4)]])
+
+
+def _elsewhere(way: Array, garment: Garment, target: Target, rng: np.random.Generator) -> float:
+    """Start turned by any yaw, somewhere before or beside the target; how far from its seat, 0 when nothing is free."""
+    cloth = garment.vertices - garment.vertices[garment.grips].mean(axis=0)
+    for _ in range(30):
+        yaw, away = float(rng.uniform(-180, 180)), float(rng.uniform(0.5, 1.0))
+        place = target.seat + turned([0, -away, 0], rng.uniform(-100, 100))
+        place[2] = way[0, _PLACE][2] + rng.uniform(-0.15, 0.15)
+        there = turned(cloth, yaw) + place
+        if there[:, 2].min() > _ABOVE and gap(there, target) > _CLEAR:
+            needs = max(float(np.linalg.norm(place - way[1, _PLACE])), abs(yaw - way[1, _YAW]) / 120)
+            way[1:, _TIME] += max(0.0, needs - way[1, _TIME] + way[0, _TIME])
+            way[0, _PLACE], way[0, _YAW] = place, yaw
+            return away
+    return 0.0

@@ -1,9 +1,9 @@
-"""What varies between episodes: declared ranges, sizes, and a random generator for every purpose."""
+"""What varies between episodes: declared ranges, and a random generator for every purpose."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
@@ -13,15 +13,10 @@ from topokit._config import NotNegative, Positive, checked
 
 from ._camera import Camera
 from ._garments import Garment
-from ._targets import Target
-from ._tasks import hangs_down
 from ._world import SimulationConfig
 
 PURPOSES = ("path", "physics", "cameras", "noise", "sizes", "place", "script")  # new ones at the end: the others stay
 Bounds = tuple[float, float]
-MOST = 1.25  # times as many vertices, faces and vertices of a loop as a garment has at its own sizes
-_TRIES, _THIN = 50, 0.02  # metres: cloth tunnels through thinner rods
-CONFIGURED = ("stiffness", "bending", "damping", "friction", "mass")  # what is drawn of a configuration
 
 
 def _ordered(bounds: Bounds) -> Bounds:
@@ -33,11 +28,6 @@ def _ordered(bounds: Bounds) -> Bounds:
 Range = Annotated[Bounds, AfterValidator(_ordered)]
 PositiveRange = Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
 NotNegativeRange = Annotated[tuple[NotNegative, NotNegative], AfterValidator(_ordered)]
-
-
-def generator(seed: int, purpose: str) -> np.random.Generator:
-    """Return the random generator of an episode for one purpose; the purposes are independent of each other."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(PURPOSES.index(purpose),)))
 
 
 @checked
@@ -54,7 +44,20 @@ class Randomisation:
     camera_turn: Range | None = (-15.0, 15.0)  #: (2,) degrees about the vertical through that place
     camera_tilt: Range | None = (-8.0, 8.0)  #: (2,) degrees by which a camera is raised
 
+    PHYSICS = ("stiffness", "bending", "damping", "friction", "mass")  # the fields of `SimulationConfig` that are drawn
     version = 1  # of the meaning of these numbers; recorded with them
+
+    @staticmethod
+    def generator(seed: int, purpose: str) -> np.random.Generator:
+        """Return the random generator of an episode for one purpose; the purposes are independent of each other.
+
+        Parameters
+        ----------
+        seed : int
+        purpose : str
+            "path", "physics", "cameras", "noise", "sizes", "place" or "script".
+        """
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(PURPOSES.index(purpose),)))
 
     def draw(
         self, seed: int, config: SimulationConfig, garment: Garment, cameras: Sequence[Camera] = ()
@@ -71,16 +74,16 @@ class Randomisation:
         cameras : sequence of Camera
         """
         drawn: dict[str, Any] = {}
-        shares = generator(seed, "physics").random(len(CONFIGURED) + 1)
-        for name, share in zip((*CONFIGURED, "scale"), shares, strict=True):
+        shares = self.generator(seed, "physics").random(len(self.PHYSICS) + 1)
+        for name, share in zip((*self.PHYSICS, "scale"), shares, strict=True):
             bounds = getattr(self, name)
             if bounds is not None:
                 drawn[name] = _between(bounds, share, logarithmic=name == "bending")
-        config = dataclasses.replace(config, **{name: drawn[name] for name in CONFIGURED if name in drawn})
+        config = dataclasses.replace(config, **{name: drawn[name] for name in self.PHYSICS if name in drawn})
         if "scale" in drawn:
             parameters = {**garment.parameters, "scale": drawn["scale"]}
             garment = dataclasses.replace(garment, vertices=drawn["scale"] * garment.vertices, parameters=parameters)
-        rng = generator(seed, "cameras")
+        rng = self.generator(seed, "cameras")
         moved = tuple(self._moved(camera, *rng.random(3)) for camera in cameras)
         if cameras:
             drawn["camera_eyes"] = [list(camera.eye) for camera in moved]
@@ -106,45 +109,3 @@ class Randomisation:
 def _between(bounds: Bounds, share: float, logarithmic: bool = False) -> float:
     low, high = bounds
     return float(low * (high / low) ** share if logarithmic else low + share * (high - low))
-
-
-def varied_garment(
-    make: Callable[..., Garment], garment: Garment, vary: float, rng: np.random.Generator, longest: float = np.inf
-) -> Garment:
-    """The garment with each size but its spacing multiplied by a factor from 1 / (1 + vary) to 1 + vary.
-
-    Drawn again, at most 50 times, is what the pattern refuses, what has too many vertices, and what hangs down more than
-    `longest` metres. Then the garment stays as it is. The spacing changes with the area of the cloth.
-    """
-    spacing, extent = garment.parameters["spacing"], np.array(_extent(garment))
-    for sizes in _varied({name: size for name, size in garment.parameters.items() if name != "spacing"}, vary, rng):
-        try:
-            first = make(**sizes, spacing=spacing)
-            other = make(**sizes, spacing=float(spacing * np.sqrt(len(first.vertices) / len(garment.vertices))))
-        except ValueError:
-            continue
-        if hangs_down(other) <= longest and (_extent(other) <= MOST * extent).all():
-            return other
-    return garment
-
-
-def varied_target(target: Target, vary: float, rng: np.random.Generator) -> Target:
-    """The target with its sizes multiplied likewise; no rod gets thinner than cloth tunnels through."""
-    own = {name: size for name, size in dataclasses.asdict(target).items() if name != "distance"}
-    for sizes in _varied(own, vary, rng):
-        thick = {name: max(size, min(own[name], _THIN)) for name, size in sizes.items() if "radius" in name}
-        try:
-            return dataclasses.replace(target, **sizes | thick)
-        except ValueError:
-            continue
-    return target
-
-
-def _varied(sizes: Mapping[str, float], vary: float, rng: np.random.Generator) -> Iterator[dict[str, float]]:
-    for _ in range(_TRIES):
-        factors = np.exp(np.log1p(vary) * rng.uniform(-1, 1, len(sizes))).tolist()
-        yield {name: float(size * factor) for (name, size), factor in zip(sizes.items(), factors, strict=True)}
-
-
-def _extent(garment: Garment) -> list[int]:
-    return [len(garment.vertices), len(garment.faces), *map(len, garment.loops)]

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
@@ -12,13 +12,6 @@ from topokit.rips import Diagram, rips_persistence, tighten
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 _GAP = 4  # edges: as far as a hole in a loop is closed without asking
-
-
-def turned(places: ArrayLike, degrees: ArrayLike) -> Array:
-    """(..., 3) places turned about the z axis, from x towards y."""
-    x, y, z = np.moveaxis(np.asarray(places, dtype=np.float64), -1, 0)
-    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return np.stack(np.broadcast_arrays(cos * x - sin * y, sin * x + cos * y, z), axis=-1)
 
 
 def half_edges(faces: Ids) -> Ids:

@@ -1,7 +1,7 @@
 """What a garment is hung on: collision shapes, and the centre line that decides whether it hangs there.
 
 Every target stands on the floor z = 0 at y = `distance` and faces the grippers, which come from smaller y; `Placed` puts it
-elsewhere, `Moving` takes it there, `Among` stands others about it. Its centre line starts at the floor and is closed far away
+elsewhere. Its centre line starts at the floor and is closed far away
 (`topokit.linking.close_far`), so that the linking number of a garment's loop with it is defined: not 0 for a loop on the
 target, 0 for one that slipped off, lies against it or was never on.
 """
@@ -9,20 +9,25 @@ target, 0 for one that slipped off, lies against it or was never on.
 from __future__ import annotations
 
 import itertools
+import logging
 from abc import ABC, abstractmethod
-from dataclasses import asdict, field
+from dataclasses import asdict, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from topokit._config import Positive, checked
+from topokit._config import NotNegative, Positive, checked
+from topokit._geometry import turned
 from topokit._validate import as_points
 from topokit.linking import close_far, linking_number, to_segment
 
+from ._garments import Garment
 from ._surface import Array
 
 Rod = tuple[Array, Array, float]  # a capsule: start, end, radius
+_CLEAR = 0.1  # metres from the floor to the lowest vertex of a garment that hangs
+_log = logging.getLogger("topokit.sim")
 _SHOULDER = 0.3  # radius of the shoulders as a share of the depth of the chest
 
 
@@ -67,6 +72,15 @@ class Target(ABC):
         """Whether a closed curve (L, 3) winds around the target: its linking number with the closed centre line is not 0."""
         return _linked(loop, close_far(self.centre_line))
 
+    def raised_for(self, garment: Garment) -> Target:
+        """Return the target so high that this garment hangs on it clear of the floor: a hook or a hanger; others as they are.
+
+        Parameters
+        ----------
+        garment : Garment
+        """
+        return self
+
     def describe(self) -> dict[str, Any]:
         """Return its sizes and where it stands, as an episode records them."""
         return {**asdict(self), "position": [0.0, self.distance, 0.0]}
@@ -85,6 +99,9 @@ class Hook(Target):
     radius: Positive = 0.02  #: of all three rods; cloth tunnels through rods thinner than this
 
     name = "hook"
+
+    def raised_for(self, garment: Garment) -> Target:
+        return _raised(self, garment)
 
     @property
     def centre_line(self) -> Array:
@@ -122,6 +139,9 @@ class Hanger(Target):
     def __post_init__(self) -> None:
         if self.drop >= self.width / 2:
             raise ValueError(f"drop {self.drop} makes the arms steeper than 45 degrees: width is {self.width}")
+
+    def raised_for(self, garment: Garment) -> Target:
+        return _raised(self, garment)
 
     @property
     def centre_line(self) -> Array:
@@ -237,9 +257,114 @@ class Mannequin(Target):
         return _linked(curve, *(close_far([foot, x * [0, 1, 1], x], end=(side, 0, 0)) for side, x in ends.items()))
 
 
+@checked
+class Placed(Target):
+    """Another target elsewhere: turned about the z axis by `yaw`, and then moved by x, y and z.
+
+    Tasks plan for the target as it is and carry the path over, with the garment. What a target of one's own must be to be
+    placed is a `Target`: each of its numbers may be of any sign, as its class allows.
+    """
+
+    target: Target  #: any, a placed one too
+    x: float = 0.0  #: metres, where the origin that the target is described from goes
+    y: float = 0.0  #: metres
+    z: float = 0.0  #: metres
+    yaw: float = 0.0  #: degrees, from x towards y
+    distance: float = field(default=0.0, init=False, kw_only=True)  #: not asked for: that of its target counts
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", self.target.name)
+
+    @property
+    def place(self) -> Array:
+        """(3,) x, y and z."""
+        return np.array([self.x, self.y, self.z])
+
+    @property
+    def centre_line(self) -> Array:
+        return self._there(self.target.centre_line)
+
+    @property
+    def rods(self) -> list[Rod]:
+        return [(self._there(start), self._there(end), radius) for start, end, radius in self.target.rods]
+
+    @property
+    def seat(self) -> Array:
+        return self._there(self.target.seat)
+
+    @property
+    def lowest(self) -> float:
+        return self.target.lowest + self.z
+
+    def holds(self, loop: ArrayLike) -> bool:
+        """Whether its target holds the loop moved back."""
+        return self.target.holds(turned(as_points(loop, "loop") - self.place, -self.yaw))
+
+    def at(self, time: float) -> Target:
+        return replace(self, target=self.target.at(time))
+
+    def describe(self) -> dict[str, Any]:
+        own = self.target.describe()
+        position = self._there(own["position"]).tolist()
+        return {**own, "position": position, "yaw": own.get("yaw", 0.0) + self.yaw}
+
+    def _there(self, places: ArrayLike) -> Array:
+        return turned(places, self.yaw) + self.place
+
+
+@checked
+class Moving(Placed):
+    """A target that goes from where it is described to x, y and z from there, and stands still before and after.
+
+    It goes as a reaching hand does, by a polynomial of degree five. What it is after its way counts for scripts, for success and
+    for an episode's centre line.
+    """
+
+    start: NotNegative = 0.5  #: seconds after the first frame when it sets off
+    seconds: Positive = 1.0  #: that it takes
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.yaw:
+            raise ValueError(f"yaw is {self.yaw}: a target that moves does not turn; place it turned, and move that")
+
+    def at(self, time: float) -> Target:
+        share = min(max((time - self.start) / self.seconds, 0.0), 1.0)
+        x, y, z = (share**3 * (10 - 15 * share + 6 * share**2) * self.place).tolist()
+        return Placed(self.target.at(time), x, y, z)
+
+    def describe(self) -> dict[str, Any]:
+        way = {"by": self.place.tolist(), "start": self.start, "seconds": self.seconds}
+        return {**super().describe(), "moves": way}
+
+
+@checked
+class Travelling(Placed):
+    """A target that goes on and on at one speed, level; what is planned and described is where it was at first."""
+
+    vx: float = 0.0  #: m/s
+    vy: float = 0.0  #: m/s
+
+    def at(self, time: float) -> Target:
+        return Placed(self.target.at(time), self.x + self.vx * time, self.y + self.vy * time, self.z, self.yaw)
+
+    def describe(self) -> dict[str, Any]:
+        return {**super().describe(), "velocity": [self.vx, self.vy]}
+
+
 def gap(points: Array, target: Target) -> float:
     """The least distance of points (N, 3) from the surface of the target."""
     return min(float(to_segment(points, start, end).min()) - radius for start, end, radius in target.rods)
+
+
+def _raised(target: Hook | Hanger, garment: Garment) -> Target:
+    """Return a hook or a hanger at least as high as the garment on it is long, and `_CLEAR`."""
+    short = garment.hangs_down - float(target.seat[2])
+    if short <= 0:
+        return target
+    height = round(target.height + short + _CLEAR, 2)
+    _log.warning("the %s stands %.2f m high, since the %s is so long", target.name, height, garment.name)
+    return replace(target, height=height)
 
 
 def _linked(loop: ArrayLike, *lines: Array) -> bool:

@@ -20,12 +20,10 @@ from topokit.io import LOOP_NAMES
 from ._garments import WARDROBE, Garment
 from ._names import kind, to_hang_by
 from ._path import GripperPath, Via
-from ._placed import Among, Placed
-from ._surface import Array, Ids
-from ._targets import Hanger, Hook, Mannequin, Target
+from ._surface import Array
+from ._targets import Hanger, Hook, Mannequin, Placed, Target
 
 Loop = TypeVar("Loop", bound=ArrayLike)
-_CLEAR = 0.1  # metres from the floor
 _SMALL = ("scarf", "belt", "net", "trousers")
 _BESIDE = 0.08  # metres
 _ASIDE = 30  # degrees by which a loop may look aside of the arm that shall go through it
@@ -45,6 +43,27 @@ class Task:
     loops: tuple[str, ...] = ()
     all_loops: bool = False  #: whether each of them must be
 
+    def wanted(self, loops: Mapping[str, Loop]) -> dict[str, Loop]:
+        """Return those of the named loops that the task asks for.
+
+        Parameters
+        ----------
+        loops : mapping of str to anything
+            True loops by their names (`named_loops` of a garment, or of an episode).
+        """
+        return {name: loop for name, loop in loops.items() if {name, kind(name)} & {*self.loops}}
+
+    def needed(self, loops: Mapping[str, Loop]) -> int:
+        """Return how many of the named loops must hang: all that the task asks for, or one of them.
+
+        Parameters
+        ----------
+        loops : mapping of str to anything
+            As in `wanted`.
+        """
+        count = len(self.wanted(loops))
+        return count if self.all_loops else min(count, 1)
+
     def hangs(self, points: ArrayLike, loops: Mapping[str, ArrayLike], target: Target | None = None) -> bool:
         """Whether the loops that must be are on the target, and the garment has not slid down around it.
 
@@ -58,21 +77,11 @@ class Task:
             The task's own when not given.
         """
         cloud, target = as_points(points), target or self.target
-        wanted = asked(self, loops)
+        wanted = self.wanted(loops)
         if not wanted or cloud[:, 2].max() <= target.lowest:
             return False
-        on = (target.holds(cloud[np.asarray(loop)]) for loop in wanted)
+        on = (target.holds(cloud[np.asarray(loop)]) for loop in wanted.values())
         return all(on) if self.all_loops else any(on)
-
-
-def asked(task: Task, loops: Mapping[str, Loop]) -> list[Loop]:
-    """Those of the loops that a task asks for."""
-    return [loop for name, loop in loops.items() if {name, kind(name)} & {*task.loops}]
-
-
-def how_many(task: Task, garment: Garment) -> int | None:
-    """How many loops must hang, where all must."""
-    return len(asked(task, garment.named_loops)) if task.all_loops else None
 
 
 def check_loops(task: Task, garment: Garment) -> None:
@@ -87,8 +96,6 @@ def planned(task: Task, garment: Garment, target: Target, rng: np.random.Generat
     """The path of a task: of a target elsewhere, planned where it stands otherwise, and carried over."""
     if isinstance(target, Placed):
         return planned(task, garment, target.target, rng).moved(target.place, target.yaw)
-    if isinstance(target, Among):
-        return planned(task, garment, target.target, rng)
     return task.plan(garment, target, rng)
 
 
@@ -172,7 +179,7 @@ def _opening(garment: Garment, opening: float = 1.0) -> tuple[float, float]:
     """How far to the right of the middle between the grips the loop to hang by will be, and how far below them its top."""
     if not garment.loops:
         return 0.0, 0.0
-    grips, curve = _spread(garment), garment.vertices[_carried(garment)]
+    grips, curve = _spread(garment), garment.vertices[garment.hanging_loop]
     curve = curve - garment.vertices[garment.grips].mean(axis=0)
     gap = np.linalg.norm(curve[:, None] - grips, axis=2)  # (L, 2)
     grips = grips * opening
@@ -188,30 +195,9 @@ def _opening(garment: Garment, opening: float = 1.0) -> tuple[float, float]:
     return aside, max(-float(curve[:, 2].max()), 0.0) + slope + float(np.sqrt(3 / 8 * chord * max(arc - chord, 0)))
 
 
-def _carried(garment: Garment) -> Ids:
-    """The loop that is carried to a target: the first by which one would hang the garment."""
-    return garment.named_loops[next(iter([*to_hang_by(garment.loop_names), *garment.loop_names]))]
-
-
-def hangs_down(garment: Garment) -> float:
-    """How far a garment reaches down from the top of the loop that it hangs by; 0 without one."""
-    z = garment.vertices[:, 2]
-    return float(z[_carried(garment)].max() - z.min()) if garment.loops else 0.0
-
-
-def tall_enough(garment: Garment, target: Target) -> Target:
-    """A hook or a hanger so high that a garment that hangs on it is clear of the floor; another target as it is."""
-    short = hangs_down(garment) + _CLEAR - float(target.seat[2])
-    if short <= _CLEAR or not isinstance(target, Hook | Hanger):
-        return target
-    height = round(target.height + short, 2)
-    _log.warning("the %s stands %.2f m high, since the %s is so long", target.name, height, garment.name)
-    return replace(target, height=height)
-
-
 def warn_of_floor(garment: Garment, target: Target) -> None:
     """Say so when a garment is longer, from the loop it hangs by down, than its target is high."""
-    long, high = hangs_down(garment), float(target.seat[2])
+    long, high = garment.hangs_down, float(target.seat[2])
     if long > high:
         what = "it will stand on the floor; give a smaller size, or a higher target"
         _log.warning("the %s hangs %.2f m down from a %s %.2f m high: %s", garment.name, long, target.name, high, what)
@@ -219,13 +205,13 @@ def warn_of_floor(garment: Garment, target: Target) -> None:
 
 def _behind(garment: Garment) -> bool:
     """Whether the loop that is carried lies beside its grip, as a backpack's strap does, and not under it, as a handle."""
-    gaps = garment.vertices[_carried(garment)].mean(axis=0) - garment.vertices[garment.grips]
+    gaps = garment.vertices[garment.hanging_loop].mean(axis=0) - garment.vertices[garment.grips]
     return bool(np.linalg.norm(gaps[:, :2], axis=1).min() > _BESIDE)
 
 
 def _facing(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
     """A plan for the garment turned so that the arm will go through a loop that looks aside: through the one in front."""
-    curve = garment.vertices[_carried(garment)] if garment.loops else np.zeros((1, 3))
+    curve = garment.vertices[garment.hanging_loop] if garment.loops else np.zeros((1, 3))
     x, y, z = np.cross(curve, np.roll(curve, -1, axis=0)).sum(axis=0)  # along the normal of what the loop encloses
     yaw = float((np.degrees(np.arctan2(x, y)) + 90) % 180 - 90)  # either side may come first
     if abs(yaw) < _ASIDE or np.hypot(x, y) < abs(z):
@@ -276,6 +262,14 @@ def as_task(task: str | Task) -> Task:
     return TASKS[task] if isinstance(task, str) else task
 
 
+def resolved(task: str | Task | None, garment: Garment | None, target: Target | None) -> tuple[Task, Garment, Target]:
+    """Return a task, its garment and its target when some of them are given: an apron is hung on a hook when none is."""
+    if task is None:
+        task = task_for(garment or Garment.apron(), target or Hook())
+    task = as_task(task)
+    return task, garment or task.garment(), target or task.target
+
+
 def task_for(garment: Garment, target: Target) -> Task:
     """Return the task of `TASKS` for a garment and a target when its loops are there, or else one that its loops' names allow.
 
@@ -287,12 +281,12 @@ def task_for(garment: Garment, target: Target) -> Task:
     garment : Garment
     target : Target
     """
-    if isinstance(target, Placed | Among):
+    if isinstance(target, Placed):
         return replace(task_for(garment, target.target), target=target)
     name = f"{garment.name}-{target.name}"
     names, kinds = to_hang_by(garment.loop_names), [*map(kind, garment.loop_names)]
     if name in TASKS and {*TASKS[name].loops} <= {*kinds, *garment.loop_names}:
-        return replace(TASKS[name], garment=lambda: garment, target=target)
+        return replace(TASKS[name], garment=functools.partial(_itself, garment), target=target)
     plan: PathScript = _sideways if kinds.count("strap") > 1 and _behind(garment) else _facing
     loops, every = tuple(names), False
     if isinstance(target, Mannequin):
@@ -303,4 +297,9 @@ def task_for(garment: Garment, target: Target) -> Task:
             plan, loops, every = put_on_shoulders, ("strap",), True
         elif "neck" in kinds:
             loops = ("neck",)
-    return Task(name, lambda: garment, target, plan, loops, every)
+    return Task(name, functools.partial(_itself, garment), target, plan, loops, every)
+
+
+def _itself(garment: Garment) -> Garment:
+    """Return a garment that is made already: what a task of it makes, in a form that can be pickled."""
+    return garment

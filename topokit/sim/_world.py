@@ -25,7 +25,6 @@ from ._garments import Garment
 from ._process import SimulationError
 from ._surface import Array, edge_lengths
 
-GRAVITY = 9.8  # m/s^2
 Stretch = Annotated[float, Field(gt=1)]
 
 
@@ -38,6 +37,8 @@ class SimulationConfig:
     length exceeds `max_stretch`, or the longest edge `max_edge_stretch`. Cloth that explodes exceeds both at once; a vertex
     that is caught behind a rod stretches its own edges alone. Episodes that went well stayed below 1.2 and 1.8.
     """
+
+    GRAVITY = 9.8  # m/s^2, the same in every world
 
     dt: Positive = 1 / 750  #: seconds of a physics step
     mass: Positive = 0.3  #: of the garment, kg
@@ -118,7 +119,7 @@ class World(contextlib.AbstractContextManager["World"]):
             self._client = self._p.connect(self._p.DIRECT)
         try:
             self._bullet("resetSimulation", self._p.RESET_USE_DEFORMABLE_WORLD)
-            self._bullet("setGravity", 0, 0, -GRAVITY)
+            self._bullet("setGravity", 0, 0, -config.GRAVITY)
             self._bullet("setPhysicsEngineParameter", fixedTimeStep=config.dt)
             self._cloth = self._load(garment, offset)
             # Bodies without a shape: a kinematic or a fixed anchor body can make the cloth explode, these do not.
@@ -175,7 +176,7 @@ class World(contextlib.AbstractContextManager["World"]):
     def push(self, acceleration: Array) -> None:
         """Accelerate the cloth by (x, y) m/s^2 from now on; the grippers feel it through the cloth alone."""
         x, y = self._push = acceleration.tolist()
-        self._bullet("setGravity", x, y, -GRAVITY)
+        self._bullet("setGravity", x, y, -self._config.GRAVITY)
 
     def release(self, keep: int = 0) -> None:
         """Let go of the garment, but for the first `keep` grippers; they stay, without a shape that could touch it."""
@@ -201,6 +202,48 @@ class World(contextlib.AbstractContextManager["World"]):
         _, _, _, buffer, bodies = self._bullet("getCameraImage", *size, *camera.matrices, **options)
         depth = camera.depths(buffer)
         return depth, (np.reshape(bodies, depth.shape) == self._cloth) & np.isfinite(depth)
+
+    def observe(self, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
+        """Return `n` points (n, 3) of the cloth that the cameras see together: a farthest-point sample of all their pixels.
+
+        When they see fewer than `n` points, those seen are repeated in order; `topokit.track` counts points at one place once.
+
+        Parameters
+        ----------
+        cameras : sequence of Camera
+            One at least.
+        n : int
+        rng : numpy.random.Generator
+            Used by cameras with noise only.
+
+        Raises
+        ------
+        ValueError
+            When there is no camera, `n` is not positive, or no camera sees any cloth.
+        """
+        if not cameras:
+            raise ValueError("observe needs one camera at least")
+        if n < 1:
+            raise ValueError(f"n must be 1 or more, not {n}")
+        points = self.seen(cameras, n, rng)
+        if not len(points):
+            places = ", ".join(str(camera.eye) for camera in cameras)
+            raise ValueError(f"no cloth is in view of the cameras at {places}; move them or widen their fov")
+        return points
+
+    def seen(self, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
+        """Return what `observe` does, or an array (0, 3) when no cloth is in view."""
+        views = []
+        for camera in cameras:
+            depth, mask = self.image(camera)
+            if camera.noise is not None:
+                depth, mask = camera.noise.add_to(depth, mask, rng)
+            views.append(camera.unproject(depth, mask))
+        points = np.concatenate(views)
+        if not len(points):
+            return points
+        chosen = farthest_point_sample(points, min(n, len(points)))[0]
+        return np.asarray(points[np.resize(chosen, n)])
 
     def _bullet(self, function: str, *arguments: Any, **options: Any) -> Any:
         return getattr(self._p, function)(*arguments, **options, physicsClientId=self._client)
@@ -242,56 +285,11 @@ class World(contextlib.AbstractContextManager["World"]):
         x = kp * (goal[0] - place[0]) + kd * ((goal[0] - before[0]) / dt - u) - self._push[0] * config.gripper_mass
         y = kp * (goal[1] - place[1]) + kd * ((goal[1] - before[1]) / dt - v) - self._push[1] * config.gripper_mass
         z = kp * (goal[2] - place[2]) + kd * ((goal[2] - before[2]) / dt - w)
-        z += GRAVITY * (config.gripper_mass + carried)
+        z += config.GRAVITY * (config.gripper_mass + carried)
         size = math.sqrt(x * x + y * y + z * z)
         if size > most:
             x, y, z = (most / size * part for part in (x, y, z))
         self._p.applyExternalForce(body, -1, (x, y, z), place, self._p.WORLD_FRAME, client)
-
-
-def observe(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
-    """Return `n` points (n, 3) of the cloth seen by the cameras together: a farthest-point sample of all their pixels.
-
-    When they see fewer than `n` points, those seen are repeated in order; `topokit.track` counts points at one place once.
-
-    Parameters
-    ----------
-    world : World
-    cameras : sequence of Camera
-        One at least.
-    n : int
-    rng : numpy.random.Generator
-        Used by cameras with noise only.
-
-    Raises
-    ------
-    ValueError
-        When there is no camera, `n` is not positive, or no camera sees any cloth.
-    """
-    if not cameras:
-        raise ValueError("observe needs one camera at least")
-    if n < 1:
-        raise ValueError(f"n must be 1 or more, not {n}")
-    points = seen(world, cameras, n, rng)
-    if not len(points):
-        places = ", ".join(str(camera.eye) for camera in cameras)
-        raise ValueError(f"no cloth is in view of the cameras at {places}; move them or widen their fov")
-    return points
-
-
-def seen(world: World, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
-    """What `observe` returns, or (0, 3) when no cloth is in view."""
-    views = []
-    for camera in cameras:
-        depth, mask = world.image(camera)
-        if camera.noise is not None:
-            depth, mask = camera.noise._spoil(depth, mask, rng)
-        views.append(camera.unproject(depth, mask))
-    points = np.concatenate(views)
-    if not len(points):
-        return points
-    chosen = farthest_point_sample(points, min(n, len(points)))[0]
-    return np.asarray(points[np.resize(chosen, n)])
 
 
 def check_stretch(garment: Garment, config: SimulationConfig, points: Array, where: str) -> tuple[float, float]:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial import cKDTree
 
+from topokit._geometry import turned
 from topokit.linking import close_far, curve_centroid, linking_number
-from topokit.sim._surface import turned
 
 Array = NDArray[np.float64]
 _BEHIND = 0.05  # metres behind a head, and above its shoulders, where a neck strap is let go

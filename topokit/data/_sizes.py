@@ -1,0 +1,56 @@
+"""Sizes that vary between the episodes of a dataset: those of garments and of targets."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+
+from topokit.sim import Garment, Target
+
+MOST = 1.25  # times as many vertices, faces and vertices of a loop as a garment has at its own sizes
+_TRIES = 50
+_THIN = 0.02  # metres: cloth tunnels through thinner rods
+
+
+def varied_garment(
+    make: Callable[..., Garment], garment: Garment, vary: float, rng: np.random.Generator, longest: float = np.inf
+) -> Garment:
+    """The garment with each size but its spacing multiplied by a factor from 1 / (1 + vary) to 1 + vary.
+
+    Drawn again, at most 50 times, is what the pattern refuses, what has too many vertices, and what hangs down more than
+    `longest` metres. Then the garment stays as it is. The spacing changes with the area of the cloth.
+    """
+    spacing, extent = garment.parameters["spacing"], np.array(_extent(garment))
+    for sizes in _varied({name: size for name, size in garment.parameters.items() if name != "spacing"}, vary, rng):
+        try:
+            first = make(**sizes, spacing=spacing)
+            other = make(**sizes, spacing=float(spacing * np.sqrt(len(first.vertices) / len(garment.vertices))))
+        except ValueError:
+            continue
+        if other.hangs_down <= longest and (_extent(other) <= MOST * extent).all():
+            return other
+    return garment
+
+
+def varied_target(target: Target, vary: float, rng: np.random.Generator) -> Target:
+    """The target with its sizes multiplied likewise; no rod gets thinner than cloth tunnels through."""
+    own = {name: size for name, size in dataclasses.asdict(target).items() if name != "distance"}
+    for sizes in _varied(own, vary, rng):
+        thick = {name: max(size, min(own[name], _THIN)) for name, size in sizes.items() if "radius" in name}
+        try:
+            return dataclasses.replace(target, **sizes | thick)
+        except ValueError:
+            continue
+    return target
+
+
+def _varied(sizes: Mapping[str, float], vary: float, rng: np.random.Generator) -> Iterator[dict[str, float]]:
+    for _ in range(_TRIES):
+        factors = np.exp(np.log1p(vary) * rng.uniform(-1, 1, len(sizes))).tolist()
+        yield {name: float(size * factor) for (name, size), factor in zip(sizes.items(), factors, strict=True)}
+
+
+def _extent(garment: Garment) -> list[int]:
+    return [len(garment.vertices), len(garment.faces), *map(len, garment.loops)]
