@@ -1,40 +1,39 @@
-"""The pages of topokit.view for tests: the data inside, and their scripts, run by node."""
+"""Read the data of an interactive figure, and run its scripts by node."""
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
 import subprocess
-from importlib import resources
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from topokit.view._pages import Framed
+from topokit.view import HtmlFigure
 
-needs_node = pytest.mark.skipif(
-    shutil.which("node") is None, reason="node, which runs the page's script, is not installed"
-)
-NETWORK = re.compile(r"https?:|//[a-z]+\.[a-z]|@import|url\(|<link|src=|fetch\(|XMLHttpRequest|WebSocket")
-
-
-def check_small_and_whole(figure: Framed) -> None:
-    """Nothing of the network is asked for, nothing is left to fill in, no text of the data ends a script."""
-    assert not NETWORK.search(figure.page)
-    assert "__" not in figure.page  # nothing left to fill in
-    assert figure.page.count("</script>") == 2
-    assert len(figure.page) < 40_000
+ROOT = Path(__file__).parents[1]
+FOLDERS = [ROOT / "notebooks" / "chapter_tools" / "figures", ROOT / "topokit" / "view"]
+needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="node, which runs the scripts, is not installed")
 
 
-def page_data(figure: Framed) -> dict:
-    """What the script is given."""
-    return json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', figure.page, re.DOTALL).group(1))
+def page_data(figure: HtmlFigure) -> dict:
+    """Return the data that a figure's script reads."""
+    return json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', figure.page, re.DOTALL)[1])
+
+
+def unpack(packed: dict) -> np.ndarray:
+    """Return the array that a figure's script unpacks."""
+    values = np.frombuffer(base64.b64decode(packed["values"]), dtype="<" + packed["type"]).reshape(packed["shape"])
+    return values * packed["scale"] + packed["low"] if "scale" in packed else values
 
 
 def by_script(scripts: list[str], call: str, given: object) -> list:
-    """What `call`, an arrow function, makes of every item of `given`, with the functions of `scripts` at hand."""
-    files = resources.files("topokit.view")
-    code = "\n".join(files.joinpath(name).read_text(encoding="utf-8") for name in scripts)
+    """Return what `call`, an arrow function, makes of each item of `given` with the functions of `scripts`."""
+    paths = [next(folder / name for folder in FOLDERS if (folder / name).exists()) for name in scripts]
+    code = "\n".join(path.read_text(encoding="utf-8") for path in paths)
     code += '\nconst given = JSON.parse(require("fs").readFileSync(0, "utf8"));\n'
     code += f"console.log(JSON.stringify(given.map({call})));"
     done = subprocess.run(["node", "-e", code], input=json.dumps(given), capture_output=True, text=True, check=True)

@@ -99,7 +99,7 @@ def triples(values: ArrayLike | None, name: str, kind: type[np.generic] = np.flo
     return array
 
 
-def one_a_frame(episode: Episode, states: Sequence[TopologicalState]) -> None:
+def check_one_state_a_frame(episode: Episode, states: Sequence[TopologicalState]) -> None:
     if len(states) != len(episode):
         raise ValueError(f"states has {len(states)} frames where episode has {len(episode)}; track the same episode")
 
@@ -302,7 +302,7 @@ def track_figure(episode: Episode, states: Sequence[TopologicalState]) -> Figure
     states : sequence of TopologicalState
         One a frame, as `topokit.track` returns them.
     """
-    one_a_frame(episode, states)
+    check_one_state_a_frame(episode, states)
     figure = Figure(figsize=(11, 6.4), dpi=120)
     grid = figure.add_gridspec(2, 12, height_ratios=(21, 20), left=0.07, right=0.98, top=0.95, bottom=0.08, hspace=0.12)
     moments = np.linspace(0, len(episode) - 1, 4).round().astype(int)

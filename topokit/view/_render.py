@@ -26,7 +26,17 @@ from topokit._archive import atomic_file
 from topokit._validate import Array
 from topokit.io import Episode
 from topokit.seqph import Loop, TopologicalState
-from topokit.view._plots import CLOTH, INK, LINING, ROD, Scene, direction, draw_cloth, loop_colour, one_a_frame
+from topokit.view._plots import (
+    CLOTH,
+    INK,
+    LINING,
+    ROD,
+    Scene,
+    check_one_state_a_frame,
+    direction,
+    draw_cloth,
+    loop_colour,
+)
 
 _PROBE = """
 import sys
@@ -117,7 +127,7 @@ def save_animation(
     if every != int(every) or every < 1:
         raise ValueError(f"every must be a whole number of frames, 1 or more, not {every}")
     if states:
-        one_a_frame(episode, states)
+        check_one_state_a_frame(episode, states)
     corners = np.concatenate([episode.points.reshape(-1, 3), episode.centre_line])
     scene = {"focus": (corners.min(axis=0) + corners.max(axis=0)) / 2} | scene  # the camera stands still
     scene |= {"true_loops": episode.loops, "centre_line": episode.centre_line, "rest": episode.points[0]}

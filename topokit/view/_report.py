@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 
-from ._packed import pack
-from ._pages import Framed, framed
 from ._plots import loop_colour
 
 _LABELS = {"seqph": "seqPH", "mlp": "MLP", "mlp, places": "MLP, places", "pointnet": "PointNet"}
@@ -117,39 +114,6 @@ def plot_treatments(condition: Mapping[str, Any], ax: Axes) -> Axes:
     ax.set_xticks(range(len(ways)), names, fontsize="x-small")
     ax.set(ylabel=_ACCURACY, ylim=(0, 100))
     return _with_legend(ax)
-
-
-def shares(results: Mapping[str, Any], measures: Mapping[str, str]) -> Framed:
-    """Return an interactive figure of a results file: hull shares with intervals, by predictor, horizon, garment and condition.
-
-    Parameters
-    ----------
-    results : mapping, as `topokit.evaluate.read_results` returns it
-    measures : mapping
-        What the reader may choose: the name of each, and which of the file's `hull_treatments` or tables (`in_plane`) it is.
-    """
-    parts, none = list(results["conditions"].values()), [65535] * 4
-    garments = max((list(part.get("by_garment", {})) for part in parts), key=len)
-    models, horizons = list(parts[0]["hull_accuracy"]), list(results["horizons"])
-
-    def cells(part: Mapping[str, Any]) -> list[Any]:
-        ways = (part.get("hull_treatments", {}).get(way) or part.get(way) for way in measures.values())
-        return [[[_cell(way[m][h]) if way else none for h in horizons] for m in models] for way in ways]
-
-    table = np.array(
-        [[cells(part), *(cells(part.get("by_garment", {}).get(g, {})) for g in garments)] for part in parts]
-    )
-    names = [results["ours"].capitalize() if m == "ours" else model_label(m) for m in models]
-    data = {"measure": list(measures), "garment": ["all", *garments], "model": names, "horizon": horizons}
-    data |= {"condition": list(results["conditions"]), "marks": [models.index(m) for m in ("ours", "seqph", "carry")]}
-    packed, title = {"cells": pack(table[..., :3]), "counts": pack(table[..., 0, :, 3:])}, f"{len(models)} predictors"
-    scripts, caption = ("orbit.js", "planar.js"), "choose a row, or below"
-    return framed("shares", scripts, data | packed, 560, caption, f"Shares of {title}")
-
-
-def _cell(cell: Mapping[str, Any]) -> list[int]:
-    """Mean, low and high in ten thousandths, and how many windows; 65535 for what the file does not have."""
-    return [65535 if cell[k] is None else round(1e4 * cell[k]) for k in ("mean", "low", "high")] + [cell["n"]]
 
 
 def _colour(model: str) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from topokit._archive import atomic_file
 from topokit.io import Episode
 from topokit.seqph import Loop, TopologicalState
-from topokit.view._plots import ROD, loop_colour, one_a_frame
+from topokit.view._plots import ROD, check_one_state_a_frame, loop_colour
 
 _GREY, _ROD = (138, 147, 160), tuple(bytes.fromhex(ROD[1:]))  # of what is no loop: seen on white and on black
 
@@ -37,7 +37,7 @@ def rerun(film: Episode | Sequence[ArrayLike], states: Sequence[TopologicalState
     """
     rr, episode = sdk(), film if isinstance(film, Episode) else None
     clouds: Any = film if episode is None else episode.points
-    one_a_frame(clouds, states)
+    check_one_state_a_frame(clouds, states)
     with atomic_file(path) as file, rr.RecordingStream("topokit") as stream:
         recorded = stream.binary_stream()
         curves = rr.blueprint.TimeSeriesView(origin="lifetimes", name="lifetimes, metres")

@@ -1,0 +1,32 @@
+"""Figures that the chapters alone show: the data-flow picture, planar clouds under the reader's hand, and lunes."""
+
+from .lune_plots import plot_lens, plot_lune
+from .pages import (
+    coverage,
+    data_flow,
+    elimination,
+    growth,
+    linked,
+    lunes,
+    mixture,
+    motion,
+    nudge,
+    shares,
+    stray,
+)
+
+__all__ = [
+    "coverage",
+    "data_flow",
+    "elimination",
+    "growth",
+    "linked",
+    "lunes",
+    "mixture",
+    "motion",
+    "nudge",
+    "plot_lens",
+    "plot_lune",
+    "shares",
+    "stray",
+]

@@ -1,0 +1,400 @@
+"""Interactive figures of the chapters: the reader moves points, and scripts compute the loops anew in the browser.
+
+Idea: `topokit.view.HtmlFigure` joins the data with the scripts of this folder. `rips.js` computes loops by the same lunes as
+`topokit.rips`, `match.js` matches diagrams as `topokit.lemmas` does, `link.js` links curves, and `rules.js` decides which bars
+are loops. Tests compare the answers of the scripts with topokit's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from topokit import linking_number, rips_persistence
+from topokit.linking import close_far
+from topokit.rips import Diagram
+from topokit.view import HtmlFigure, loop_colour, model_label
+
+HERE = Path(__file__).parent
+MOST_POINTS = 60  # the scripts compute the loops of so many while a point is dragged
+MOST_NUDGED = 24  # the script computes 121 clouds at every change
+MOST_REDUCED = 10  # their 120 triangles are columns that can still be told apart
+MOST_FRAMES = 16
+MOST_IN_SPACE = 160  # edges and triangles are drawn one by one
+NO_SHARE = 65535  # stands for a share that the results lack
+
+# ---- the data-flow picture -----------------------------------------------------------------------------------------
+
+STAGES = ("cloth", "cloud", "loops", "tracks", "mixture", "model", "plan")
+
+
+@dataclass(frozen=True)
+class DataFlow:
+    """The data-flow picture; a notebook shows it in the colours of the page around it."""
+
+    svg: str = field(repr=False)  #: the picture as SVG
+
+    def _repr_html_(self) -> str:
+        return f'<div class="topokit-flow">{self.svg}</div>'
+
+
+def data_flow(*lit: str) -> DataFlow:
+    """Return the picture of the stages from cloth to plan, with the stages named in `lit` filled.
+
+    Raises
+    ------
+    ValueError
+        When a name is no stage.
+    """
+    unknown = set(lit) - set(STAGES)
+    if unknown:
+        raise ValueError(f"no stage {unknown.pop()!r}; there are {', '.join(STAGES)}")
+    looks = {"lit": ", ".join(lit) or "none of them"}
+    for stage in STAGES:
+        if stage in lit:
+            looks[f"{stage}_box"] = f'fill="{loop_colour(1)}" stroke="{loop_colour(1)}"'
+            looks[f"{stage}_ink"] = 'fill="#ffffff" font-weight="600"'
+        else:
+            looks[f"{stage}_box"] = 'fill="none" stroke="currentColor" opacity="0.55"'
+            looks[f"{stage}_ink"] = 'opacity="0.75"'
+    template = Template((HERE / "data_flow.html").read_text(encoding="utf-8"))
+    return DataFlow(template.substitute(looks))
+
+
+# ---- the complex, its loops and its matrix -------------------------------------------------------------------------
+
+
+def growth(
+    points: ArrayLike,
+    *,
+    height: int = 500,
+    start: float | None = None,
+    max_radius: float | None = None,
+    title: str = "drag a point",
+) -> HtmlFigure:
+    """Return an interactive figure of the Rips complex of a cloud as the radius grows, and of its loops.
+
+    The diagram and the bars are beside the complex. In the diagram a loop is a circle while it lives and a dot afterwards.
+    The tightest cycle of a living loop, its killer edge and its killer triangles have one colour. The reader can drag points
+    of the plane. A film in space can be turned, and a second slider runs through its frames.
+
+    Parameters
+    ----------
+    points : (n, 2) or (T, n, 3) array_like
+        At most 60 points of the plane, or a film in space of at most 16 frames of 160 points, shown in single precision.
+        Radii, births and deaths are in their unit, and half the length of an edge.
+    height : int
+        Height of the frame in CSS pixels.
+    start : float, optional
+        The radius shown first; in the middle of the longest life by default.
+    max_radius : float, optional
+        The end of the slider; a little after the last death by default.
+    title : str
+        The caption in the corner of the figure.
+    """
+    data: dict[str, Any] = {"start": start, "end": max_radius}
+    scripts = ["rips.js", "planar.js"]
+    if np.ndim(points) == 3:
+        data |= pack_film(points, max_radius)
+        scripts = ["orbit.js", *scripts]
+    else:
+        data["points"] = planar(points).tolist()
+    name = f"Rips complex of {np.shape(points)[-2]} points"
+    return _figure("growth", data, scripts, height, title, name)
+
+
+def pack_film(film: ArrayLike, max_radius: float | None = None) -> dict[str, Any]:
+    """Return the data of a film (T, n, 3) in space, and the loops of each frame in the form that the script reads."""
+    clouds = np.asarray(film, dtype=np.float32)
+    frames, n_points, dimensions = clouds.shape
+    if not (1 <= frames <= MOST_FRAMES and 1 <= n_points <= MOST_IN_SPACE and dimensions == 3):
+        raise ValueError(f"a film has at most {MOST_FRAMES} frames of {MOST_IN_SPACE} points, not {clouds.shape}")
+    diagrams = [rips_persistence(cloud) for cloud in clouds.astype(np.float64)]
+    longest = max(float(diagram.lifetime.max(initial=0.0)) for diagram in diagrams)
+    last_death = max(float(diagram.death.max(initial=0.0)) for diagram in diagrams)
+    return {
+        "film": clouds,
+        "told": [_loop_rows(diagram) for diagram in diagrams],
+        "view": [-60, 15],
+        "frame": frames // 2,
+        "longest": longest,
+        "end": max_radius or 1.15 * last_death or 1.0,
+    }
+
+
+def _loop_rows(diagram: Diagram) -> NDArray[np.int64]:
+    """Return all loops in one row: birth edge, killer edge, two apexes, length of the cycle, cycle, and so on."""
+    rows = [np.zeros(0, np.int64)]
+    for i in range(len(diagram)):
+        cycle = diagram.cycle(i)
+        apexes = diagram.killer_triangles[i, :, 2]
+        rows += [diagram.birth_edge[i], diagram.killer_edge[i], apexes, np.array([len(cycle)]), cycle]
+    return np.concatenate(rows)
+
+
+def elimination(points: ArrayLike, max_radius: float) -> HtmlFigure:
+    """Return an interactive figure of the reduction of a planar cloud's boundary matrix, one sum of columns at a time.
+
+    The matrix has a row for each edge and a column for each triangle up to `max_radius`, in the order of
+    `topokit.rips.reduction`. The triangles and edges of the current column are highlighted in the cloud, and pairs enter a
+    diagram. The reader can drag points.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        At most 10 points. Radii, births and deaths are in their unit, and half the length of an edge.
+    max_radius : float
+        The radius of the last simplex.
+    """
+    cloud = planar(points, most=MOST_REDUCED)
+    data = {"points": cloud.tolist(), "radius": float(max_radius)}
+    scripts = ["rips.js", "planar.js", "places.js", "columns.js"]
+    title = f"The boundary matrix of {len(cloud)} points, reduced"
+    return _figure("elimination", data, scripts, 500, "drag a point", title)
+
+
+def lunes(points: ArrayLike | Mapping[str, ArrayLike]) -> HtmlFigure:
+    """Return an interactive figure of the lune of one edge after another, in the order in which the edges arrive.
+
+    The lune has a colour for each component. The figure states whether the edge joins two pieces, begins a loop, kills one,
+    or does neither. Beside the cloud the lune is drawn alone, with its points and the two ends of the edge.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like, or mapping of str to (n, 2) array_like
+        2 to 60 points, or several such clouds by name, of which the reader chooses one.
+    """
+    clouds, count = _named_clouds(points, MOST_POINTS)
+    scripts = ["rips.js", "planar.js", "places.js"]
+    return _figure(
+        "lunes", {"shapes": clouds}, scripts, 500, "drag a point, or click two", f"The lunes of {count} points"
+    )
+
+
+# ---- clouds that are observed, moved or spoilt ---------------------------------------------------------------------
+
+
+def coverage(
+    points: ArrayLike,
+    observed: Sequence[int],
+    *,
+    hand: tuple[float, float, float] | None = None,
+    title: str = "click a point to hide or show it",
+) -> HtmlFigure:
+    """Return an interactive figure of a planar scene of which some points are observed.
+
+    Balls of the covering radius alpha lie around the observed points. In the diagram each loop of the scene that lives longer
+    than alpha has a square of side alpha, in which it must be observed. The third part shows alpha against the number of
+    points for farthest-point samples. The reader hides points, draws other samples, and drags points.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        The scene S, at most 60 points. Radii, births and deaths are in their unit.
+    observed : (m,) sequence of int
+        The points O that are observed at first.
+    hand : (3,) float, optional
+        Place and radius of a disc that the reader drags; it hides the points below it. The figure then also shows an estimate
+        of alpha from the observed points alone, `topokit.sampling.spacing`.
+    title : str
+        The caption in the corner of the figure.
+    """
+    cloud = planar(points)
+    ids = _ids(observed)
+    data: dict[str, Any] = {"points": cloud.tolist(), "observed": ids}
+    if hand is not None:
+        data["hand"] = [float(value) for value in hand]
+    scripts = ["rips.js", "match.js", "planar.js"]
+    return _figure("coverage", data, scripts, 500, title, f"{len(ids)} of {len(cloud)} points observed")
+
+
+def motion(points: ArrayLike, epsilon: float, observed: Sequence[int] | None = None) -> HtmlFigure:
+    """Return an interactive figure of a planar cloud whose points can be dragged, each within `epsilon` of its first place.
+
+    Dragging beside all points moves them together. The diagram shows each loop before the motion, with the square of side
+    2 epsilon around it, and after. The dashed lines are lifetimes of epsilon and of 2 epsilon. The play button starts an
+    adversary that pushes on the birth edge and the killer edge; the bars show the lifetime that no motion can remove.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        At most 60 points, before the motion.
+    epsilon : float
+        Radius of the discs at first; the reader can double it.
+    observed : (m,) sequence of int, optional
+        The points observed before the motion, if not all are; the observed loop then has a bar of its own, with the paper's
+        filter on it.
+    """
+    cloud = planar(points)
+    ids = None if observed is None else _ids(observed)
+    data = {"points": cloud.tolist(), "observed": ids, "epsilon": float(epsilon)}
+    scripts = ["rips.js", "match.js", "planar.js", "places.js", "adversary.js"]
+    title = f"{len(cloud)} points, each within {epsilon:g} of its place"
+    return _figure("motion", data, scripts, 440, "drag the points within their discs", title)
+
+
+def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> HtmlFigure:
+    """Return an interactive figure of how far three places of the longest-lived loop move when one point moves.
+
+    The places are the killer edge (compared by Hausdorff distance), the barycentre of the thick killer triangle, and the
+    centroid of the representative cycle, by length. A slider moves the point by at most a twentieth to a billionth of a unit.
+    Charts show the moves, and birth and death, over the slider's whole range. The reader can choose and drag any point.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like, or mapping of str to (n, 2) array_like
+        At most 24 points, about a unit in size, or several such clouds by name, of which the reader chooses one.
+    """
+    clouds, count = _named_clouds(points, MOST_NUDGED)
+    data = {"shapes": clouds, "reaches": [0.05, 1e-3, 1e-6, 1e-9]}
+    scripts = ["rips.js", "planar.js", "places.js"]
+    return _figure("nudge", data, scripts, 480, "nudge a point, or drag one", f"Loop of {count} points, nudged")
+
+
+def stray(points: ArrayLike, start: Sequence[float], end: Sequence[float]) -> HtmlFigure:
+    """Return an interactive figure of two rules that decide which bars are loops, and of a stray point that spoils one rule.
+
+    The bars are beside the cloud, each with the mark that the bar of a loop must reach. The first rule is that of
+    ``SeqPH.paper()`` on all points. The second is the evidence of `topokit.SeqPH` in one frame, on the points that have
+    neighbours. The reader can drag any point.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        At most 59 points. Radii, births and deaths are in their unit.
+    start, end : (2,) sequence of float
+        The first place of the stray point, and the place to which the slider and the play button take it.
+    """
+    cloud = planar(points, most=MOST_POINTS - 1)
+    ends = planar([start, end]).tolist()
+    data = {"points": cloud.tolist(), "start": ends[0], "end": ends[1]}
+    scripts = ["rips.js", "planar.js", "places.js", "rules.js"]
+    return _figure("stray", data, scripts, 480, "drag the stray point away", f"{len(cloud)} points and a stray one")
+
+
+# ---- probability, links and results --------------------------------------------------------------------------------
+
+
+def mixture(points: ArrayLike, border: int) -> HtmlFigure:
+    """Return an interactive figure of the mixture of a planar cloud's longest-lived loop, as `topokit.loop_mixture` makes it.
+
+    Sliders choose the number of neighbours of the killer triangles and the noise; the reader can drag any point. Charts show
+    the density along the border of the opening and a reliability diagram of its points. The dashed curve is one Gaussian with
+    the same moments.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        At most 60 points, metres.
+    border : int
+        The number of points, the first ones, that are the border of the true opening, in order.
+    """
+    cloud = planar(points)
+    data = {"points": cloud.tolist(), "border": int(border)}
+    title = f"Mixture of {len(cloud)} points"
+    return _figure("mixture", data, ["rips.js", "planar.js"], 480, "drag a point", title)
+
+
+def linked(curve: ArrayLike, line: ArrayLike, way: ArrayLike) -> HtmlFigure:
+    """Return an interactive figure of a closed curve on its way to a hook, with their crossings, linking number and distance.
+
+    Parameters
+    ----------
+    curve : (n, 3) array_like
+        Handles of the curve, which the reader drags, at most 24.
+    line : (m, 3) array_like
+        Corners of an open line, which `topokit.linking.close_far` closes.
+    way : (k, 3) array_like
+        Shifts of the curve, from the left end of a slider to the right.
+    """
+    handles = np.asarray(curve, dtype=np.float64)
+    corners = close_far(line)
+    shifts = np.asarray(way, dtype=np.float64)
+    data = {"curve": handles.tolist(), "line": corners.tolist(), "way": shifts.tolist()}
+    title = f"A curve and a hook, linking number {linking_number(handles, corners)}"
+    return _figure("linked", data, ["link.js", "planar.js"], 480, "drag a handle, or turn the view", title)
+
+
+def shares(results: Mapping[str, Any], measures: Mapping[str, str]) -> HtmlFigure:
+    """Return an interactive figure of a results file: shares with intervals by predictor, horizon, garment and condition.
+
+    Parameters
+    ----------
+    results : mapping
+        A file of `book/results` with forecasts.
+    measures : mapping of str to str
+        The measures that the reader may choose by name, each one of the file's `hull_treatments` or tables.
+    """
+    conditions = results["conditions"]
+    garments = max((list(condition.get("by_garment", {})) for condition in conditions.values()), key=len)
+    first_condition = next(iter(conditions.values()))
+    models = list(first_condition["hull_accuracy"])
+    horizons = list(results["horizons"])
+
+    # (conditions, garments, measures, models, horizons, 4): mean, low, high and the number of windows
+    cells = []
+    for condition in conditions.values():
+        by_garment = condition.get("by_garment", {})
+        for tables in [condition, *(by_garment.get(garment, {}) for garment in garments)]:
+            for measure in measures.values():
+                table = tables.get("hull_treatments", {}).get(measure) or tables.get(measure)
+                cells += [_share(table, model, horizon) for model in models for horizon in horizons]
+    shape = (len(conditions), 1 + len(garments), len(measures), len(models), len(horizons), 4)
+    table = np.reshape(cells, shape)
+
+    data = {
+        "measure": list(measures),
+        "garment": ["all", *garments],
+        "model": [results["ours"].capitalize() if model == "ours" else model_label(model) for model in models],
+        "horizon": horizons,
+        "condition": list(conditions),
+        "marks": [models.index(model) for model in ("ours", "seqph", "carry")],
+        "cells": table[..., :3],
+        "counts": table[..., 0, :, 3:],
+    }
+    scripts = ["orbit.js", "planar.js"]
+    title = f"Shares of {len(models)} predictors"
+    return _figure("shares", data, scripts, 560, "choose a row, or below", title)
+
+
+def _share(table: Mapping[str, Any] | None, model: str, horizon: str) -> list[int]:
+    """Return mean, low and high in ten thousandths, and the number of windows."""
+    if table is None:
+        return [NO_SHARE] * 4
+    cell = table[model][horizon]
+    values = [cell[key] for key in ("mean", "low", "high")]
+    return [NO_SHARE if value is None else round(1e4 * value) for value in values] + [cell["n"]]
+
+
+# ---- what the figures have in common -------------------------------------------------------------------------------
+
+
+def _figure(
+    name: str, data: Mapping[str, Any], scripts: Sequence[str], height: int, caption: str, title: str
+) -> HtmlFigure:
+    return HtmlFigure.from_parts(name, data, scripts=scripts, folder=HERE, height=height, caption=caption, title=title)
+
+
+def _named_clouds(points: ArrayLike | Mapping[str, ArrayLike], most: int) -> tuple[dict[str, Any], str]:
+    """Return planar clouds by name, and their numbers of points in words."""
+    named = points if isinstance(points, Mapping) else {"points": points}
+    clouds = {name: planar(cloud, most=most).tolist() for name, cloud in named.items()}
+    return clouds, " or ".join(str(len(cloud)) for cloud in clouds.values())
+
+
+def _ids(observed: Sequence[int]) -> list[int]:
+    return sorted(set(map(int, observed)))
+
+
+def planar(points: ArrayLike, *, most: int = MOST_POINTS) -> NDArray[np.float64]:
+    """Return a cloud of the plane, or raise ValueError; every digit is kept, since ties must stay ties."""
+    cloud = np.asarray(points, dtype=np.float64)
+    if cloud.ndim != 2 or cloud.shape[1] != 2 or not 1 <= len(cloud) <= most:
+        raise ValueError(f"the figure shows 1 to {most} points of the plane, not an array of shape {cloud.shape}")
+    return cloud

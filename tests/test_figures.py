@@ -1,0 +1,289 @@
+"""Test the figures of the chapters: their data, their pages, and that drawings of lunes agree with the library."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from chapter_tools import figures
+from chapter_tools.figures.lune_plots import joined_before, lens_witness, lune_components
+from scipy.spatial.distance import cdist
+
+from topokit import rips_persistence, view
+from topokit.io import load_episode
+from topokit.linking import close_far
+from topokit.sim import WARDROBE
+
+from conftest import polygon
+from pages import needs_node, page_data, unpack
+
+ROOT = Path(__file__).parents[1]
+SQUARE = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
+RING = np.insert(polygon(8), 2, 0.0, axis=1)
+HOOK = np.array([[0.0, 3, -2], [0, 3, 1], [0, 0, 1], [0, 0, 2]])
+WAY = [[0.0, 0, 1 / 3], [0, 0, 3]]
+MEASURES = {"hull": "hull_accuracy", "strict": "marked curve alone, within 0 cm", "opening": "in_opening"}
+NETWORK = re.compile(r"https?:|//[a-z]+\.[a-z]|@import|url\(|<link|src=|fetch\(|XMLHttpRequest|WebSocket")
+
+
+@pytest.fixture(autouse=True)
+def close_figures():
+    yield
+    plt.close("all")
+
+
+def results(name: str = "motion") -> dict:
+    return json.loads((ROOT / "book" / "results" / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def film() -> np.ndarray:
+    """Return a ring in space that tilts and shrinks, with points beside it."""
+    rng = np.random.default_rng(6)
+    ring = np.insert(polygon(24, 30.0), 2, 0.0, axis=1)
+    beside = rng.normal(0, 20, (16, 3)) + [40, 0, 9]
+    shaken = np.vstack([ring, beside]) + rng.normal(0, 0.5, (40, 3))
+    return np.stack([shaken * [1, 1 - 0.2 * t, 1] + [0, 3 * t, 0] for t in range(3)])
+
+
+def hanging() -> view.HtmlFigure:
+    episode = load_episode(ROOT / "data_small" / "apron_hook_0.npz")
+    actions = np.tile(episode.grippers[80], (1, 2, 3, 1, 1))
+    clouds = np.tile(episode.points[80], (1, 2, 2, 1, 1))
+    return view.plans(episode, 80, actions, clouds, [1, 3], episode.loops[0])
+
+
+PAGES = {
+    "growth": lambda: figures.growth(SQUARE, start=1, max_radius=3, title="four </script> corners"),
+    "growth of a film": lambda: figures.growth(film()),
+    "elimination": lambda: figures.elimination(SQUARE, 1.5),
+    "lunes": lambda: figures.lunes({"square </script>": SQUARE, "two": [[0, 0], [1, 1]]}),
+    "coverage": lambda: figures.coverage(SQUARE, [2, 0, 2], hand=(1, 0.5, 2)),
+    "motion": lambda: figures.motion(SQUARE, 0.25, [2, 0, 1]),
+    "nudge": lambda: figures.nudge(SQUARE),
+    "stray": lambda: figures.stray(SQUARE, [2.5, 0.0], [9.0, 1 / 3]),
+    "mixture": lambda: figures.mixture(SQUARE, 3),
+    "linked": lambda: figures.linked(RING, HOOK, WAY),
+    "shares": lambda: figures.shares(results(), MEASURES),
+    "wardrobe": lambda: view.wardrobe({"a mask": WARDROBE["mask"]()}),
+    "plans": hanging,
+}
+
+
+@needs_node
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_is_whole_and_its_script_loads(name):
+    figure = PAGES[name]()
+    page = figure.page
+    assert page_data(figure)
+    assert not NETWORK.search(page)
+    assert "__" not in page  # all parts are filled in
+    assert page.count("</script>") == 2  # no text of the data ends the script
+    assert figure._repr_html_().count('"') == 8  # srcdoc, title, loading, style: nothing inside ends an attribute
+    script = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)[-1]
+    subprocess.run(["node", "--check", "-"], input=script, text=True, capture_output=True, check=True)
+
+
+def test_pages_keep_every_digit_of_their_points():
+    points = np.random.default_rng(0).normal(size=(24, 2)) / 3
+    for figure in (figures.growth(points), figures.coverage(points, [0]), figures.motion(points, 1)):
+        np.testing.assert_array_equal(page_data(figure)["points"], points)
+    np.testing.assert_array_equal(page_data(figures.nudge({"a cloud": points}))["shapes"]["a cloud"], points)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("growth", {"points": SQUARE, "start": 1.0, "end": 3.0, "title": "four </script> corners"}),
+        ("elimination", {"points": SQUARE, "radius": 1.5}),
+        ("lunes", {"shapes": {"square </script>": SQUARE, "two": [[0.0, 0.0], [1.0, 1.0]]}}),
+        ("coverage", {"observed": [0, 2], "hand": [1.0, 0.5, 2.0]}),
+        ("motion", {"observed": [0, 1, 2], "epsilon": 0.25}),
+        ("stray", {"points": SQUARE, "start": [2.5, 0.0], "end": [9.0, 1 / 3]}),
+        ("mixture", {"points": SQUARE, "border": 3}),
+        ("linked", {"curve": RING.tolist(), "line": close_far(HOOK).tolist(), "way": WAY}),
+    ],
+)
+def test_a_page_holds_its_arguments(name, expected):
+    data = page_data(PAGES[name]())
+    assert {key: data[key] for key in expected} == expected
+
+
+@pytest.mark.parametrize(
+    ("draw", "shape"),
+    [
+        (lambda: figures.growth(np.zeros((61, 2))), "(61, 2)"),
+        (lambda: figures.growth(np.zeros((17, 3, 3))), "(17, 3, 3)"),
+        (lambda: figures.coverage(np.zeros((5, 3)), [0]), "(5, 3)"),
+        (lambda: figures.nudge({"cloud": np.zeros((25, 2))}), "(25, 2)"),
+    ],
+)
+def test_a_cloud_that_cannot_be_shown_is_refused(draw, shape):
+    with pytest.raises(ValueError, match=re.escape(shape)):
+        draw()
+
+
+def test_a_film_opens_in_its_middle_and_ends_after_the_last_death():
+    data = page_data(figures.growth(film()))
+    last_death = max(rips_persistence(cloud).death.max() for cloud in film())
+    assert data["frame"] == 1
+    assert data["end"] == pytest.approx(1.15 * last_death, rel=1e-4)
+    np.testing.assert_allclose(unpack(data["film"]), film(), rtol=1e-6)
+    assert page_data(figures.growth([np.eye(3)]))["end"] == 1.0  # a film without loops
+
+
+def test_the_data_flow_highlights_its_stages():
+    assert figures.data_flow("loops", "tracks").svg.count('font-weight="600"') == 2
+    with pytest.raises(ValueError, match="'hook'"):
+        figures.data_flow("hook")
+
+
+@pytest.mark.parametrize("name", ["motion", "unseen"])
+def test_shares_hold_every_cell_of_the_file(name):
+    recorded = results(name)
+    data = page_data(figures.shares(recorded, MEASURES))
+    cells = unpack(data["cells"])
+    counts = unpack(data["counts"])
+    models = list(next(iter(recorded["conditions"].values()))["hull_accuracy"])
+    present = 0
+    for index in np.ndindex(cells.shape[:-1]):
+        c, g, w, m, h = index
+        tables = recorded["conditions"][data["condition"][c]]
+        if g:
+            tables = tables.get("by_garment", {}).get(data["garment"][g], {})
+        measure = MEASURES[data["measure"][w]]
+        table = tables.get("hull_treatments", {}).get(measure) or tables.get(measure, {})
+        cell = table.get(models[m], {}).get(data["horizon"][h])
+        if cell is None:
+            assert cells[index].tolist() == [65535] * 3
+            continue
+        expected = [65535 if cell[key] is None else round(1e4 * cell[key]) for key in ("mean", "low", "high")]
+        assert cells[index].tolist() == expected
+        assert counts[c, g, w, h, 0] == cell["n"]
+        present += 1
+    assert present > 900
+
+
+# ---- drawings of lunes and lenses
+
+
+def filled(axes) -> set:
+    """Return the triangles of a drawing as sets of corners."""
+    polygons = [patch.get_xy()[:-1] for patch in axes.patches]
+    return {frozenset(map(tuple, corners.tolist())) for corners in polygons if len(corners) == 3}
+
+
+@pytest.mark.parametrize(
+    ("apexes", "title"),
+    [
+        ([], "empty"),
+        ([[1.0, 0.2]], "connected"),
+        ([[1.0, 0.2], [1.0, -0.2]], "connected"),
+        ([[1.0, 1.2], [1.0, -1.2]], "2 components"),
+    ],
+)
+def test_a_lune_is_drawn_by_its_components(apexes, title):
+    axes = figures.plot_lune(np.array([[0.0, 0.0], [2.0, 0.0], *apexes]), (1, 0))
+    assert axes.get_title() == title
+    assert len(filled(axes)) == (2 if title == "2 components" else 0)
+
+
+def test_ties_go_by_index():
+    rectangle = [[0, 0], [4, 0], [4, 3], [0, 3]]
+    assert figures.plot_lune(rectangle, (0, 2)).get_title() == "2 components"
+    assert figures.plot_lune(rectangle, (1, 3)).get_title() == "connected"  # the other diagonal came before
+
+
+def test_the_filled_triangles_are_the_killer_triangles():
+    cloud = np.random.default_rng(5).normal(size=(40, 2))
+    diagram = rips_persistence(cloud)
+    assert len(diagram) > 3
+    for edge, triangles in zip(diagram.killer_edge, diagram.killer_triangles, strict=True):
+        axes = figures.plot_lune(cloud, edge, plt.figure().add_subplot())
+        assert filled(axes) == {frozenset(map(tuple, cloud[triangle].tolist())) for triangle in triangles}
+
+
+def test_only_disconnected_lunes_kill():
+    cloud = np.random.default_rng(6).normal(size=(25, 2))
+    edges = np.column_stack(np.triu_indices(25, 1)).tolist()
+    disconnected = {(x, y) for x, y in edges if len(lune_components(joined_before(cloud, x, y), x, y)) > 1}
+    assert disconnected.issuperset(map(tuple, rips_persistence(cloud).killer_edge.tolist()))
+
+
+def some_edges(cloud: np.ndarray, rng: np.random.Generator, count: int) -> list:
+    """Return the edges of the three longest loops and random ones."""
+    pairs = np.column_stack(np.triu_indices(len(cloud), 1))
+    killers = rips_persistence(cloud).killer_edge
+    return np.vstack([killers[:3], pairs[rng.integers(len(pairs), size=count)]]).tolist()
+
+
+def edge_is_critical(distances: np.ndarray, x: int, y: int, alpha: float, epsilon: float) -> bool:
+    """Return whether an edge is critical by the definition in `topokit.lemmas.beta_critical`, path by path."""
+    length = distances[x, y]
+    end_step = length - alpha - 4 * epsilon
+    farther = np.maximum(distances[x], distances[y])
+    lens = np.setdiff1d(np.flatnonzero(farther <= length + 4 * epsilon), [x, y])
+    carriers = np.flatnonzero(farther < end_step)
+    for a in lens:
+        reached = set(carriers[distances[a, carriers] < end_step].tolist())
+        waiting = list(reached)
+        while waiting:
+            steps = distances[waiting.pop(), carriers] < end_step - alpha
+            new = set(carriers[steps].tolist()) - reached
+            reached |= new
+            waiting += new
+        for b in lens:
+            joined = any(distances[b, carrier] < end_step for carrier in reached)
+            if distances[a, b] >= length - 4 * epsilon and not joined and a != b:
+                return True
+    return False
+
+
+def test_a_lens_shows_what_beta_critical_decides():
+    rng = np.random.default_rng(3)
+    axes = plt.figure().add_subplot()
+    verdicts = []
+    for _ in range(6):
+        grid = np.mgrid[-2:2.1:0.5, -2:2.1:0.5].reshape(2, -1).T
+        ring = grid[np.linalg.norm(grid, axis=1) > 0.9]
+        cloud = ring + rng.normal(0, 0.08, ring.shape)
+        distances = cdist(cloud, cloud)
+        for alpha, epsilon in ((0.0, 0.0), (0.15, 0.0), (0.1, 0.02)):
+            for x, y in some_edges(cloud, rng, 12):
+                axes.clear()
+                figures.plot_lens(cloud, (x, y), alpha, epsilon, ax=axes)
+                critical = edge_is_critical(distances, x, y, alpha, epsilon)
+                assert axes.get_title() == ("critical" if critical else "not critical")
+                verdicts.append(critical)
+    assert 25 < sum(verdicts) < len(verdicts) - 25
+
+
+def test_the_path_of_a_lens_survives_the_motion():
+    rng = np.random.default_rng(4)
+    alpha = 0.05
+    epsilon = 0.01
+    paths = 0
+    for _ in range(20):
+        cloud = rng.uniform(-1, 1, (60, 2))
+        distances = cdist(cloud, cloud)
+        for x, y in some_edges(cloud, rng, 10):
+            length = distances[x, y]
+            farther = np.maximum(distances[x], distances[y])
+            pair, path, inner = lens_witness(distances, x, y, alpha, epsilon)
+            assert (farther[inner] < length - alpha - 4 * epsilon).all()
+            if len(pair):
+                assert distances[pair[0], pair[1]] >= length - 4 * epsilon
+                assert (farther[pair] <= length + 4 * epsilon).all()
+            if len(path):
+                steps = distances[path[:-1], path[1:]]
+                assert [path[0], path[-1]] == pair.tolist()
+                assert set(path[1:-1]) <= set(inner)
+                assert steps[[0, -1]].max() < length - alpha - 4 * epsilon
+                assert steps[1:-1].max(initial=0) < length - 2 * alpha - 4 * epsilon
+                paths += 1
+    assert paths > 30

@@ -1,0 +1,137 @@
+"""Interactive figures as HTML pages that need no kernel.
+
+Idea: a page holds its data beside scripts without dependencies, and the browser gets it as the `srcdoc` of an iframe. So a
+figure works the same in Jupyter, on a built page and as a file, and it asks nothing of the network.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topokit.seqph import loop_colour
+
+_PARTS = Path(__file__).parent
+
+
+@dataclass(frozen=True, repr=False)
+class HtmlFigure:
+    """An interactive figure; the last value of a notebook cell shows it."""
+
+    page: str  #: the whole HTML page with its data and its scripts
+    height: int  #: height of the frame in CSS pixels; a narrow page stacks the parts and needs more
+    title: str  #: the name of the frame for readers who hear the page
+
+    @classmethod
+    def from_parts(
+        cls,
+        name: str,
+        data: Mapping[str, Any],
+        *,
+        height: int,
+        caption: str,
+        title: str,
+        scripts: Sequence[str] = (),
+        folder: Path = _PARTS,
+    ) -> HtmlFigure:
+        """Return the figure `name`, which consists of `name`.html, `name`.js and what all figures share.
+
+        Parameters
+        ----------
+        name : str
+            The name of the two files.
+        data : mapping
+            JSON values and NumPy arrays for the script, which reads the arrays by its function `unpack`.
+        height : int
+            Height of the frame in CSS pixels.
+        caption : str
+            The text in the corner of the figure.
+        title : str
+            The name of the frame.
+        scripts : sequence of str
+            Files that must run before `name`.js, in order.
+        folder : Path
+            The folder of the files; those that are not there come from topokit.view.
+        """
+        data = {**data, "height": int(height), "title": caption, "palette": [loop_colour(k) for k in range(6)]}
+        encoded = json.dumps(data, separators=(",", ":"), default=_packed)
+        code = "\n".join(_code_lines(folder, ["frame.js", *scripts, f"{name}.js"]))
+        parts = {
+            "NAME": name,
+            "STYLE": _text(folder, "frame.css"),
+            "PARTS": _text(folder, f"{name}.html"),
+            "SCRIPT": f"(() => {{\n{code}\n}})();",
+            "DATA": encoded.replace("</", "<\\/"),  # a "</script>" in the data would end the script element
+        }
+        page = _text(folder, "frame.html")
+        for part, text in parts.items():
+            page = page.replace(f"__{part}__", text)
+        return cls(page, height, title)
+
+    def _repr_html_(self) -> str:
+        source = html.escape(self.page, quote=True)
+        title = html.escape(self.title)
+        style = f"width:100%;height:{self.height}px;border:0;display:block"
+        return f'<iframe srcdoc="{source}" title="{title}" loading="lazy" allowfullscreen style="{style}"></iframe>'
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.title!r}, {len(self.page) / 1000:.0f} kB)"
+
+    def save(self, path: str | Path) -> Path:
+        """Write the figure as one HTML file that opens in any browser, and return its path."""
+        path = Path(path)
+        path.write_text(self.page, encoding="utf-8")
+        return path
+
+
+def _text(folder: Path, file: str) -> str:
+    path = folder / file
+    if not path.exists():
+        path = _PARTS / file
+    return path.read_text(encoding="utf-8")
+
+
+def _code_lines(folder: Path, scripts: Sequence[str]) -> Iterator[str]:
+    """Yield the lines of scripts without indentation and without lines that are comments."""
+    for script in scripts:
+        for line in _text(folder, script).splitlines():
+            line = line.strip()
+            if line and not line.startswith("//"):
+                yield line
+
+
+# ---- arrays in JSON ------------------------------------------------------------------------------------------------
+
+
+def _packed(array: object) -> dict[str, Any]:
+    """Return an array as JSON values: its bytes in base64, little-endian, in the smallest type that scripts read."""
+    if not isinstance(array, np.ndarray):
+        raise TypeError(f"a page holds JSON values and arrays, not {type(array).__name__}")
+    if array.dtype.kind == "f":
+        kind = "f4"
+    elif array.dtype.kind == "b":
+        kind = "u1"
+    elif array.min(initial=0) >= 0 and array.max(initial=0) < 2**16:
+        kind = "u2"
+    else:
+        kind = "i4"
+    values = np.ascontiguousarray(array, dtype=f"<{kind}")
+    return {"type": kind, "shape": list(array.shape), "values": base64.b64encode(values.tobytes()).decode("ascii")}
+
+
+def pack_coordinates(points: NDArray[np.floating[Any]]) -> dict[str, Any]:
+    """Return (..., 3) coordinates in 16 bits with one scale for the three axes; the error is at most half the scale."""
+    points = np.asarray(points, dtype=np.float64)
+    low = points.reshape(-1, 3).min(axis=0) if points.size else np.zeros(3)
+    span = max(float((points - low).max(initial=0.0)), 1e-9)
+    scale = span / (2**16 - 1)
+    steps = np.round((points - low) / scale).astype(np.uint16)
+    return {**_packed(steps), "scale": scale, "low": low.tolist()}
