@@ -10,11 +10,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 from chapter_tools import figures
 from chapter_tools.figures.lune_plots import joined_before, lens_witness, lune_components
-from scipy.spatial.distance import cdist
-
 from topokit import rips_persistence, view
 from topokit.io import load_episode
 from topokit.linking import close_far

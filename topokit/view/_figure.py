@@ -86,7 +86,12 @@ class HtmlFigure:
         return f"{type(self).__name__}({self.title!r}, {len(self.page) / 1000:.0f} kB)"
 
     def save(self, path: str | Path) -> Path:
-        """Write the figure as one HTML file that opens in any browser, and return its path."""
+        """Write the figure as one HTML file that opens in any browser, and return its path.
+
+        Parameters
+        ----------
+        path : str or Path
+        """
         path = Path(path)
         path.write_text(self.page, encoding="utf-8")
         return path
