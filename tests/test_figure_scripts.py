@@ -1,0 +1,510 @@
+"""Test that the scripts of the chapters' figures, run by node, compute what the library computes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
+from test_figures import HOOK, MEASURES, RING, film, results
+
+from chapter_tools import figures
+from chapter_tools.figures.lune_plots import joined_before, lune_components
+from topokit import SeqPH, hausdorff, lemmas, linking_number, loop_mixture, rips_persistence
+from topokit.linking import close_far
+from topokit.mixture import LoopMixture
+from topokit.rips import reduction
+from topokit.sampling import spacing
+
+from conftest import polygon
+from pages import by_script, needs_node, page_data
+
+pytestmark = needs_node
+SEVEN = [[2.0, 0.0], [9.0, 0.0], [17.0, 0.0], [17.0, 9.0], [9.0, 10.0], [0.0, 9.0], [-4.0, 6.0]]
+
+
+def planar_clouds(count: int, most: int, seed: int) -> list[np.ndarray]:
+    """Return clouds of the plane, generic ones and ones with as many ties as the plane allows."""
+    rng = np.random.default_rng(seed)
+    circles = [(a, b) for a in range(-8, 9) for b in range(-8, 9) if a * a + b * b in (25, 50, 65)]
+    families = [
+        lambda n: rng.normal(size=(n, 2)),
+        lambda n: polygon(n, 1.7) + rng.normal(0, 0.1, (n, 2)),  # one wide loop
+        lambda n: rng.integers(0, 7, size=(n, 2)).astype(float),  # a grid: ties and duplicates
+        lambda n: polygon(n),  # ties up to rounding
+        lambda n: rng.normal(size=(n, 2))[rng.integers(0, n, n)],  # duplicates
+        lambda n: rng.permutation(np.array(circles, float))[:n],  # points of circles: exact ties
+    ]
+    return [families[k % len(families)](int(rng.integers(1, most + 1))) for k in range(count)]
+
+
+def rings(count: int, seed: int, low: int = 4, high: int = 25) -> list[np.ndarray]:
+    """Return noisy rings."""
+    rng = np.random.default_rng(seed)
+    return [polygon(int(n), 1.5) + rng.normal(0, 0.1, (n, 2)) for n in rng.integers(low, high, count)]
+
+
+def answers(scripts: list[str], call: str, clouds: list[np.ndarray]) -> list:
+    return by_script(scripts, call, [cloud.tolist() for cloud in clouds])
+
+
+# ---- loops: rips.js
+
+RIPS = """(points) => {
+  const { loops, merges, edges } = rips(points);
+  return { merges, edges: edges.length, loops: loops.map((loop) => ({ ...loop, cycle: loop.cycle })) };
+}"""
+
+
+def as_rows(births, deaths, birth_edges, killer_edges, triangles) -> list:
+    """Return loops as sorted rows; the thick triangle comes first."""
+    triangles = [[sorted(triangle) for triangle in pair] for pair in triangles]
+    return sorted(zip(births, deaths, birth_edges, killer_edges, triangles, strict=True))
+
+
+def test_loops_are_those_of_rips_persistence_to_the_last_bit():
+    clouds = planar_clouds(600, 40, seed=1)
+    count = 0
+    for cloud, answer in zip(clouds, answers(["rips.js"], RIPS, clouds), strict=True):
+        diagram = rips_persistence(cloud)
+        names = ("birth", "death", "birth_edge", "killer_edge", "killer_triangles")
+        expected = as_rows(*(getattr(diagram, name).tolist() for name in names))
+        keys = ("birth", "death", "birthEdge", "killerEdge", "triangles")
+        assert as_rows(*([loop[key] for loop in answer["loops"]] for key in keys)) == expected
+        count += len(diagram)
+    assert count > 1000
+
+
+def test_components_merge_along_a_spanning_tree():
+    cloud = np.random.default_rng(4).normal(size=(35, 2))
+    [answer] = answers(["rips.js"], RIPS, [cloud])
+    np.testing.assert_allclose(answer["merges"], np.sort(minimum_spanning_tree(cdist(cloud, cloud)).data) / 2)
+    assert answer["edges"] == 35 * 34 // 2
+
+
+def is_boundary(cycle: list, edges: list) -> bool:
+    """Return whether a sum of edges bounds triangles of the complex with these edges, over Z/2."""
+    bit = {edge: 1 << k for k, edge in enumerate(edges)}
+    pivots: dict[int, int] = {}
+
+    def reduced(column: int) -> int:
+        while column and column.bit_length() in pivots:
+            column ^= pivots[column.bit_length()]
+        return column
+
+    for triangle in combinations(sorted({vertex for edge in edges for vertex in edge}), 3):
+        sides = list(combinations(triangle, 2))
+        if all(side in bit for side in sides):
+            rest = reduced(bit[sides[0]] ^ bit[sides[1]] ^ bit[sides[2]])
+            if rest:
+                pivots[rest.bit_length()] = rest
+    return reduced(sum(bit[edge] for edge in cycle)) == 0
+
+
+def test_cycles_are_born_with_their_bars_and_bound_at_death_and_not_before():
+    clouds = planar_clouds(120, 16, seed=3)
+    count = 0
+    for cloud, answer in zip(clouds, answers(["rips.js"], RIPS, clouds), strict=True):
+        squared = ((cloud[:, None] - cloud[None, :]) ** 2).sum(axis=-1)
+        order = sorted(combinations(range(len(cloud)), 2), key=lambda edge: (squared[edge], edge))
+        for loop in answer["loops"]:
+            walk = loop["cycle"]
+            steps = [tuple(sorted(edge)) for edge in pairwise([*walk, walk[0]])]
+            assert len(set(steps)) == len(steps) >= 4
+            assert max(steps, key=order.index) == tuple(loop["birthEdge"])
+            killer = order.index(tuple(loop["killerEdge"]))
+            assert is_boundary(steps, order[: killer + 1])
+            assert not is_boundary(steps, order[:killer])
+            count += 1
+    assert count > 60
+
+
+FILM = """({ film, told: rows }) => {
+  const all = unpack(film), n = all.length / 3 / rows.length;
+  return rows.map((row, t) => {
+    const points = Array.from({ length: n }, (_, v) => [...all.subarray(3 * (n * t + v), 3 * (n * t + v + 1))]);
+    const read = told(points, unpack(row)), own = rips(points);
+    return { points, loops: [read, own].map(({ loops }) => loops.map((loop) => ({ ...loop, cycle: loop.cycle }))) };
+  });
+}"""
+
+
+def test_the_loops_of_a_film_are_topokits_on_the_points_of_the_page():
+    [frames] = by_script(["orbit.js", "rips.js"], FILM, [page_data(figures.growth(film()))])
+    for cloud, frame in zip(film(), frames, strict=True):
+        np.testing.assert_allclose(frame["points"], cloud, rtol=1e-6)
+        diagram = rips_persistence(np.array(frame["points"]))
+        read, own = frame["loops"]
+        assert len(read) == len(diagram) > 0
+        for i, loop in enumerate(read):
+            assert (loop["birth"], loop["death"]) == pytest.approx((diagram.birth[i], diagram.death[i]), rel=1e-12)
+            assert loop["birthEdge"] == diagram.birth_edge[i].tolist()
+            assert loop["killerEdge"] == diagram.killer_edge[i].tolist()
+            assert loop["triangles"] == diagram.killer_triangles[i].tolist()
+            assert loop["cycle"] == diagram.cycle(i).tolist()
+        edges = [sorted((loop["birthEdge"], loop["killerEdge"]) for loop in loops) for loops in (read, own)]
+        assert edges[0] == edges[1]  # the script's own reduction agrees in space
+
+
+def test_the_spacing_of_a_cloud_is_topokits():
+    rng = np.random.default_rng(7)
+    clouds = [rng.normal(size=(int(n), 2)).round(int(digits)) for n, digits in rng.integers([1, 0], [30, 4], (60, 2))]
+    clouds += [np.ones((1, 2)), np.ones((3, 2))]
+    np.testing.assert_allclose(answers(["rips.js"], "(points) => spacing(points)", clouds), list(map(spacing, clouds)))
+
+
+# ---- lunes and the boundary matrix
+
+LUNES = """(points) => {
+  const complex = rips(points);
+  return complex.edges.map((e, k) => [e.i, e.j, complex.does(k), e.parts]);
+}"""
+
+
+def acts_of_edges(cloud: np.ndarray) -> list:
+    """Return each edge with what it does by the textbook's pairs, and the components of its lune."""
+    reduced = reduction.reduce(reduction.filtration(cloud, 3))
+    acts = {}
+    for degree, (birth, death) in enumerate([("", "joins"), ("begins", "kills"), ("void", "")]):
+        for pair in reduced.pairs(degree):
+            if pair.birth_edge != pair.killer_edge:
+                if birth:
+                    acts[pair.birth_edge] = birth
+                if death:
+                    acts[pair.killer_edge] = death
+    rows = []
+    for simplex in reduced.simplices:
+        if len(simplex.vertices) == 2:
+            x, y = simplex.vertices
+            components = lune_components(joined_before(cloud, x, y), x, y)
+            rows.append([x, y, acts.get((x, y), "nothing"), [component.tolist() for component in components]])
+    return rows
+
+
+def test_every_edge_does_what_the_textbook_says():
+    """Rings, clouds with ties and duplicates, and hexagons, which create voids."""
+    rng = np.random.default_rng(7)
+    clouds = [(polygon(6) + rng.normal(0, 0.04, (6, 2))) * (1 + 0.3 * k) for k in range(20)]
+    clouds += [rng.normal(size=(int(n), 2)) for n in rng.integers(2, 14, 20)]
+    clouds += [rng.integers(0, 4, (int(n), 2)).astype(float) for n in rng.integers(2, 14, 20)]
+    acts = set()
+    for cloud, answer in zip(clouds, answers(["rips.js"], LUNES, clouds), strict=True):
+        expected = acts_of_edges(cloud)
+        assert [[x, y, act, sorted(map(sorted, parts))] for x, y, act, parts in answer] == expected
+        acts |= {act for _, _, act, _ in expected}
+        lengths = cdist(cloud, cloud)
+        for x, y, _, parts in answer:  # each component begins with its apex
+            for part in parts:
+                assert max(lengths[part[0], [x, y]]) <= min(lengths[part][:, [x, y]].max(axis=1)) + 1e-12
+    assert acts == {"joins", "begins", "kills", "void", "nothing"}
+
+
+ELIMINATION = """([points, radius]) => {
+  const { rows, columns, steps } = eliminate(points, radius), whole = (s) => (
+    { ...s, column: s.column ? bits(s.column) : [], chain: bits(s.chain), pivot: s.column ? pivot(s.column) : null });
+  return { rows: rows.map((e) => [e.i, e.j]), columns: columns.map((c) => c.ids), steps: steps.map(whole) };
+}"""
+
+
+def test_elimination_reduces_as_the_library_does():
+    """The rows, columns, reduced columns, chains and pairs agree; each step adds the column with the same pivot."""
+    rng = np.random.default_rng(0)
+    cases = [(np.array(SEVEN), radius) for radius in (4.0, 6.2, 99.0)]
+    for n in rng.integers(1, 11, 60).tolist():
+        cases.append((rng.normal(size=(n, 2)), float(rng.uniform(0.3, 2))))
+        cases.append((rng.integers(0, 4, (n, 2)).astype(float), float(rng.uniform(0.3, 3))))
+    given = [(cloud.tolist(), radius) for cloud, radius in cases]
+    additions = 0
+    for (cloud, radius), answer in zip(cases, by_script(["rips.js", "columns.js"], ELIMINATION, given), strict=True):
+        ours = reduction.reduce(reduction.filtration(cloud, 2, max_radius=radius))
+        edges = [j for j, simplex in enumerate(ours.simplices) if len(simplex.vertices) == 2]
+        triangles = [j for j, simplex in enumerate(ours.simplices) if len(simplex.vertices) == 3]
+        assert answer["rows"] == [list(ours.simplices[j].vertices) for j in edges]
+        assert answer["columns"] == [list(ours.simplices[j].vertices) for j in triangles]
+        final: dict[int, dict] = {}
+        before = None
+        for step in answer["steps"]:
+            if step["added"] >= 0:
+                other = final[step["added"]]
+                assert other["pivot"] == before["pivot"]
+                assert set(step["column"]) == set(before["column"]) ^ set(other["column"])
+                additions += 1
+            else:  # a new column: the three sides of its triangle
+                sides = {tuple(answer["rows"][row]) for row in step["column"]}
+                assert sides == set(combinations(answer["columns"][step["k"]], 2))
+            if step["next"] < 0:
+                final[step["k"]] = step
+            before = step
+        for k, j in enumerate(triangles):
+            assert {edges[row] for row in final[k]["column"]} == ours.columns[j]
+            assert {triangles[t] for t in final[k]["chain"]} == ours.chains[j]
+        pairs = {edges[step["pivot"]]: triangles[k] for k, step in final.items() if step["column"]}
+        assert pairs == {birth: death for birth, death in ours.killer.items() if birth in edges}
+    assert additions > 100
+
+
+# ---- matching and motion
+
+MATCH = "([a, b, oneSided]) => { const [s, o] = [rips(a).loops, rips(b).loops]; return { s, o, ...matchLoops(s, o, oneSided) }; }"
+
+
+def test_matchings_have_the_bottleneck_of_the_library():
+    """Random clouds that move, and samples of them; the script's own pairs reach the same cost."""
+    rng = np.random.default_rng(0)
+    cases = [(SEVEN, [[0, 0], [1, 0], [2, 0]], False)]
+    for k in range(240):
+        n = int(rng.integers(6, 26))
+        cloud = polygon(n, 2.0) + rng.normal(0, 0.2, (n, 2)) if k % 2 else rng.normal(size=(n, 2))
+        sample = cloud[rng.permutation(n)[: max(3, n - 4)]]
+        moved = cloud + rng.uniform(-0.2, 0.2, cloud.shape)
+        other = moved if k % 3 else sample
+        cases.append((cloud.tolist(), other.tolist(), k % 3 == 0))
+    matched = 0
+    for (a, b, one_sided), answer in zip(cases, by_script(["rips.js", "match.js"], MATCH, cases), strict=True):
+        ours = lemmas.match_diagrams(rips_persistence(a), rips_persistence(b), one_sided=one_sided, tolerance=1e-9)
+        assert answer["bottleneck"] == pytest.approx(ours.cost, abs=1e-12)
+        pairs = [(s, answer["o"][j]) for s, j in zip(answer["s"], answer["partner"], strict=True) if j >= 0]
+        shifts = np.array([(o["birth"] - s["birth"], o["death"] - s["death"]) for s, o in pairs]).reshape(-1, 2)
+        assert np.abs(shifts).max(initial=0) <= ours.cost + 1e-12
+        assert not one_sided or shifts.min(initial=0) >= -1e-9
+        alone = [s for s, j in zip(answer["s"], answer["partner"], strict=True) if j < 0]
+        alone += [o for j, o in enumerate(answer["o"]) if j not in answer["partner"]]
+        price = 1 if one_sided else 2
+        assert all(loop["death"] - loop["birth"] <= price * ours.cost + 1e-12 for loop in alone)
+        matched += len(pairs)
+    assert matched > 100
+
+
+ATTACK = """([points, epsilon]) => {
+  const lives = [];
+  let moved = points, loops;
+  for (let k = 0; k < 150 && (loops = rips(moved).loops).length; k++) {
+    lives.push(loops[0].death - loops[0].birth);
+    moved = push(moved, points, loops[0], epsilon, 1 - k / 150);
+  }
+  return { lives, moved };
+}"""
+
+
+def test_the_adversary_reaches_the_bound_and_never_beats_it():
+    """The attack stays within epsilon, and leaves the lifetime minus 2 epsilon."""
+    five = lemmas.COUNTEREXAMPLES["a loop that five points lose"].before
+    cases = []
+    for cloud in [five, *rings(3, 3, 8, 30)]:
+        lifetime = rips_persistence(cloud).lifetime[0]
+        cases += [(cloud, lifetime, share * lifetime) for share in (0.2, 0.4, 0.505)]
+    given = [(cloud.tolist(), epsilon) for cloud, _, epsilon in cases]
+    for (cloud, lifetime, epsilon), answer in zip(
+        cases, by_script(["rips.js", "adversary.js"], ATTACK, given), strict=True
+    ):
+        assert answer["lives"][0] == pytest.approx(lifetime)
+        assert min(answer["lives"]) >= lifetime - 2 * epsilon - 1e-12
+        assert lemmas.max_displacement(cloud, np.array(answer["moved"])) <= epsilon * (1 + 1e-12)
+        if cloud is five and epsilon < lifetime / 2:
+            assert min(answer["lives"]) < lifetime - 1.9 * epsilon
+        elif cloud is five:
+            assert len(answer["lives"]) < 150  # the loop is gone
+
+
+# ---- places of a loop: places.js
+
+PLACES = ["rips.js", "places.js"]
+
+
+def test_the_places_of_a_loop_are_topokits():
+    clouds = [*rings(60, 1), *planar_clouds(30, 24, 1)[::6], *rings(1, 2, 3, 4)]
+    seen = 0
+    for cloud, answer in zip(clouds, answers(PLACES, "places", clouds), strict=True):
+        diagram = rips_persistence(cloud)
+        if len(diagram) == 0:
+            assert answer is None
+            continue
+        assert (answer["birth"], answer["death"]) == (diagram.birth[0], diagram.death[0])
+        np.testing.assert_array_equal(answer["edge"], cloud[diagram.killer_edge[0]])
+        np.testing.assert_allclose(answer["thick"], cloud[diagram.killer_triangles[0, 0]].mean(axis=0), atol=1e-12)
+        walk = cloud[diagram.cycle(0)]
+        after = np.roll(walk, -1, axis=0)
+        centroid = np.average((walk + after) / 2, axis=0, weights=np.linalg.norm(after - walk, axis=1))
+        np.testing.assert_allclose(answer["centroid"], centroid, atol=1e-12)
+        seen += 1
+    assert 50 < seen < len(clouds)
+
+
+def test_moves_of_the_places_are_measured_as_topokit_does():
+    clouds = [cloud for cloud in rings(40, 2) if len(rips_persistence(cloud))]
+    given = [(a.tolist(), b.tolist()) for a, b in pairwise(clouds)]
+    moves = by_script(PLACES, "([a, b]) => moved(places(a), places(b))", given)
+    for (a, b), (edge, thick, _) in zip(pairwise(clouds), moves, strict=True):
+        first = rips_persistence(a)
+        second = rips_persistence(b)
+        assert edge == pytest.approx(hausdorff(a[first.killer_edge[0]], b[second.killer_edge[0]]))
+        shift = b[second.killer_triangles[0, 0]].mean(axis=0) - a[first.killer_triangles[0, 0]].mean(axis=0)
+        assert thick == pytest.approx(np.linalg.norm(shift))
+
+
+def test_a_billionth_moves_the_killer_edge_of_a_hexagon_and_nothing_else():
+    hexagon = lemmas.COUNTEREXAMPLES["the sides of a hexagon"].before
+    call = "(points) => moved(places(nudged(points, 0, true, -1e-9)), places(nudged(points, 0, true, 1e-9)))"
+    [[edge, thick, cycle]] = answers(PLACES, call, [hexagon])
+    assert edge == pytest.approx(2 * rips_persistence(hexagon).death[0], rel=1e-6)
+    assert max(thick, cycle) < 1e-8
+
+
+# ---- which bars are loops: rules.js
+
+RULES = """(points) => [byAlpha(points), byEvidence(points)].map(({ alpha, cloud, loops, kept }) => (
+  { alpha, cloud, kept: kept.length, bars: loops.map((l) => [l.birth, l.death, l.strength, l.needed]) }))"""
+RULE_SCRIPTS = [*PLACES, "rules.js"]
+
+
+def spoilt_clouds() -> list[np.ndarray]:
+    """Return rings and sheets with a stray point near and far or with repeated points, and clouds of all densities."""
+    rng = np.random.default_rng(0)
+    clouds = []
+    for n in (5, 12, 30, 50):
+        clouds += [polygon(n, 2.0) + rng.normal(0, 0.05, (n, 2)), rng.uniform(-2, 2, (n, 2))]
+    grid = np.stack(np.meshgrid(np.arange(6.0), np.arange(7.0)), axis=-1).reshape(-1, 2)
+    clouds.append(grid + rng.normal(0, 0.1, grid.shape))
+    clouds.append(np.vstack([polygon(24, 2.0), polygon(24, 2.1) + [5.0, 0.0]]) + rng.normal(0, 0.05, (48, 2)))
+    places = [[0.0, 0.0], [2.3, 0.0], [4.0, 1.0], [7.0, -3.0], [40.0, 0.0]]
+    spoilt = [np.vstack([cloud, [place]]) for cloud in clouds for place in places]
+    spoilt += [rng.standard_t(2, (30, 2)) for _ in range(20)]
+    return spoilt + [np.vstack([cloud, cloud[:5], [[9.0, 9.0], [9.0, 9.0]]]) for cloud in clouds]
+
+
+def test_both_rules_keep_the_loops_that_the_tracker_keeps():
+    clouds = spoilt_clouds()
+    left_out = 0
+    kept = set()
+    for cloud, rules in zip(clouds, answers(RULE_SCRIPTS, RULES, clouds), strict=True):
+        for rule, tracker in zip(rules, (SeqPH.paper(), SeqPH()), strict=True):
+            state = tracker.update(cloud)
+            assert rule["alpha"] == pytest.approx(state.parameters["alpha"])
+            bars = sorted((birth, death) for birth, death, *_ in rule["bars"][: rule["kept"]])
+            assert bars == sorted((loop.birth, loop.death) for loop in state.loops)
+            for birth, death, strength, needed in rule["bars"]:  # the mark is where a bar becomes a loop
+                assert birth < needed
+                assert strength == pytest.approx(1) or (strength > 1) == (death > needed)
+        left_out += len(rules[1]["cloud"]) < len(np.unique(cloud, axis=0))
+        kept.add(tuple(rule["kept"] for rule in rules))
+    assert left_out > 10
+    assert {(0, 0), (0, 1), (1, 1), (0, 2), (2, 2)} <= kept
+
+
+def test_a_stray_point_takes_the_papers_loop_and_not_the_other():
+    clouds = [np.vstack([polygon(20, 2.0), [[2 + distance, 0.1]]]) for distance in (0.3, 2, 6, 60)]
+    kept = [[rule["kept"] for rule in rules] for rules in answers(RULE_SCRIPTS, RULES, clouds)]
+    assert kept == [[1, 1], [1, 1], [0, 1], [0, 1]]
+
+
+# ---- mixtures
+
+MIXTURE = """({ points, most, noise, places }) => {
+  const [loop] = rips(points).loops, mixture = mixtureOf(points, loop, most, noise), one = matched(mixture);
+  const [found, reached] = [places.map((p) => density(mixture, p)), credibilities(mixture, places)];
+  return { mixture, one, density: found, reached };
+}"""
+
+
+def test_mixtures_are_topokits():
+    """Rings with points inside; components, noise and places at random. Credibility is compared with samples."""
+    rng = np.random.default_rng(0)
+    cases = []
+    for k in range(40):
+        ring = polygon(int(rng.integers(8, 25)), 0.2)
+        cloud = np.vstack([ring + rng.normal(0, 0.02, ring.shape), rng.uniform(-0.1, 0.1, (k % 4, 2))])
+        places = rng.uniform(-0.2, 0.2, (25, 2))
+        noise = float(10 ** rng.uniform(-4, -2))
+        cases.append({"points": cloud.tolist(), "most": 2 + k % 5, "noise": noise, "places": places.tolist()})
+    sizes = set()
+    for k, (case, answer) in enumerate(zip(cases, by_script(["rips.js", "mixture.js"], MIXTURE, cases), strict=True)):
+        state = SeqPH(alpha=1e-9).update(np.array(case["points"]))
+        loop = max(state.loops, key=lambda candidate: candidate.lifetime)
+        first = slice(case["most"] - 2)
+        loop = replace(loop, neighbours=loop.neighbours[first], neighbour_values=loop.neighbour_values[first])
+        ours = loop_mixture(loop, case["noise"])
+        components = answer["mixture"]
+        places = np.array(case["places"])
+        np.testing.assert_allclose([part["mean"] for part in components], ours.means)
+        np.testing.assert_allclose([part["weight"] for part in components], ours.weights)
+        np.testing.assert_allclose([part["cov"] for part in components], ours.covariances.reshape(-1, 4)[:, [0, 1, 3]])
+        np.testing.assert_allclose(answer["density"], np.exp(ours.log_prob(places)), atol=1e-12)
+        np.testing.assert_allclose(answer["one"][0]["mean"], ours.mean)
+        np.testing.assert_allclose(answer["one"][0]["cov"], ours.covariance.ravel()[[0, 1, 3]])
+        if k < 8:
+            plane = LoopMixture(ours.means, ours.covariances, ours.weights)
+            reached = plane.credibility(places, n=100_000, rng=0)
+            np.testing.assert_allclose(answer["reached"], reached, atol=0.025)  # its grid is coarse
+        sizes.add(len(components))
+    assert sizes == {2, 3, 4, 5, 6}
+
+
+def test_the_places_in_an_opening_fill_it():
+    cut = [[0, 0], [2, 0], [2, 1], [1, 2], [0, 2]]  # a square with a corner cut off: seven eighths
+    [places] = by_script(["mixture.js"], "(curve) => within(curve, 40)", [cut])
+    assert (np.sum(places, axis=1) < 3).all()
+    assert len(places) / 1600 == pytest.approx(7 / 8, abs=0.02)
+
+
+# ---- links
+
+LINK = """([a, b]) => ({ sum: linkingSum(a, b), gap: gapOf(a, b),
+  crossings: crossingsOf(a, b).map(({ place, sign, over }) => [...place, sign, over ? 1 : 0]) })"""
+
+
+def curves() -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return random curves, and rings about a hook, which has corners far away."""
+    rng = np.random.default_rng(0)
+    tangles = [(rng.normal(size=(int(n), 3)), rng.normal(size=(17, 3))) for n in rng.integers(3, 30, 80)]
+    turns = zip(Rotation.random(40, rng=rng).as_matrix(), rng.integers(0, 4, 40), strict=True)
+    return tangles + [(RING @ turn.T + HOOK[int(k)] + 0.2, close_far(HOOK)) for turn, k in turns]
+
+
+def test_curves_are_linked_as_by_topokit_and_their_distance_is_measured():
+    pairs = curves()
+    numbers = set()
+    share = np.arange(40)[:, None, None] / 40
+    given = [[a.tolist(), b.tolist()] for a, b in pairs]
+    for k, ((a, b), answer) in enumerate(zip(pairs, by_script(["link.js"], LINK, given), strict=True)):
+        number = linking_number(a, b)
+        assert answer["sum"] == pytest.approx(number, abs=1e-6)
+        crossings = np.array(answer["crossings"]).reshape(-1, 4)
+        sign = crossings[:, 2]
+        over = crossings[:, 3]
+        assert (sign @ over, sign @ (1 - over)) == (number, number)
+        numbers.add(number)
+        if k < 12:  # a fine grid on both curves is never nearer and hardly farther
+            fine = [(curve + share * (np.roll(curve, -1, 0) - curve)).reshape(-1, 3) for curve in (a, b)]
+            assert answer["gap"] - 1e-9 <= cdist(*fine).min() < answer["gap"] + 0.15
+    assert numbers >= {-3, -2, -1, 0, 1, 2, 3}
+
+
+def test_crossings_lie_where_they_are_seen_from_above():
+    square = [[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]
+    upright = [[0, 0.25, -1], [2, 0.5, -1], [2, 0.5, 1], [0, 0.25, 1]]  # stands through the square's right side
+    [answer] = by_script(["link.js"], LINK, [[square, upright]])
+    assert sorted(answer["crossings"]) == [[1, 0.375, -1, 0], [1, 0.375, -1, 1]]
+
+
+def test_the_smooth_curve_runs_through_its_handles():
+    [curve] = answers(["link.js"], "(handles) => smooth(handles, 6)", [RING])
+    np.testing.assert_allclose(curve[::6], RING)
+    np.testing.assert_allclose(np.linalg.norm(curve, axis=1), 1, atol=0.01)  # nearly the circle
+
+
+# ---- shares
+
+
+def test_the_cells_of_shares_are_found():
+    data = page_data(figures.shares(results(), MEASURES))
+    packed = data["cells"]
+    cells = np.random.default_rng(0).integers(0, 10_000, packed["shape"])
+    asked = np.random.default_rng(1).integers(0, packed["shape"][:-1], (40, 5))
+    call = "({ table, shape, asked }) => asked.map((index) => cellAt(table, shape, index))"
+    given = [{"table": cells.ravel().tolist(), "shape": packed["shape"], "asked": asked.tolist()}]
+    [found] = by_script(["shares.js"], call, given)
+    assert found == [cells[tuple(index)].tolist() for index in asked]
