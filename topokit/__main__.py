@@ -11,14 +11,11 @@ def run() -> int:
     for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):  # Windows has one of them
         if signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores the other
             signal.signal(number, _end)
-    heard = signal.getsignal(signal.SIGINT)  # a shell's background job ignores it
-    if heard is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _leave)
-    from .cli import main, parser
-
-    parser()
-    signal.signal(signal.SIGINT, heard)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a shell's background job ignores it
+        signal.signal(signal.SIGINT, _interrupt)
     try:
+        from .cli import main
+
         return main()
     except KeyboardInterrupt:
         print("topokit: stopped", file=sys.stderr)
@@ -30,10 +27,14 @@ def _end(number: int, frame: FrameType | None) -> None:
     raise SystemExit(128 + number)  # on its way out everything is closed
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
-    """At once: modules that are being imported make something else of an exception."""
-    os.write(2, b"topokit: stopped\n")
-    os._exit(128 + number)
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, but leave at once while a module is imported: imports may turn it into another error."""
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            os.write(2, b"topokit: stopped\n")
+            os._exit(128 + number)
+        frame = frame.f_back
+    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

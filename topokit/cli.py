@@ -1,307 +1,982 @@
-"""The `topokit` command, and of its parts `track`. What they need is imported when they run.
+"""The `topokit` command: each command is a function of this file, and its options are the function's own parameters.
 
 Exit code 0 when all is well, 1 when the work failed, 2 when the input or the call is wrong or there is no room, 130 after
-Ctrl-C, 141 when nobody reads the output any more.
+Ctrl-C, 141 when nobody reads the output any more. What a command needs is imported when it runs.
 """
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import errno
 import json
-import math
 import os
+import signal
 import sys
-import zipfile
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from itertools import count
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from cyclopts import App, CycloptsError, Parameter, Token
 
 from . import __version__
-from ._archive import FormatError, atomic_file
-from .seqph import PAPER, SeqPH, track
+
+if TYPE_CHECKING:
+    from .io import Episode
+    from .sensors import Cleaner
+    from .sim import Garment, Task
+    from .state import TopologicalState
 
 __all__ = ["main"]
-_PICTURES = (".png", ".svg", ".pdf")
-_LARGEST_FRAME = 2**28  # bytes of a cloud: eleven million points in space
-_OF_CLOUDS = ("pipeline", "unit", "columns", "intrinsics", "topic", "fps")
-_TRACKER = ("alpha", "beta", "epsilon", "loops", "gates", "identity", "memory")
+
+app = App(
+    name="topokit",
+    help="Find the loops of deformable objects in clouds of points, follow them, forecast them, and hang garments by them.",
+    version=f"topokit {__version__}",
+    default_parameter=Parameter(negative=(), show_default=False),
+    help_format="plaintext",
+    result_action="return_value",
+    suppress_keyboard_interrupt=False,
+    exit_on_error=False,
+    print_error=False,
+)
+
+PICTURES = (".png", ".svg", ".pdf")
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command with `arguments` (those of the process when None) and return its exit code."""
-    options = parser().parse_args(arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    known = bool(words) and words[0] in list(app)
+    command = f"topokit {words[0]}" if known else "topokit"
     try:
-        code = int(options.run(options))
-        print(end="", flush=True)  # here, where it can still be told that the output was not taken
-        return code
-    except ModuleNotFoundError as error:  # of a part of ours that needs more than the core
-        wanted = f"{error.name} is needed, and is not there: pip install 'topokit[all]'"
-        print(f"topokit {options.command}: error: {wanted}", file=sys.stderr)
-        return 2
-    except (ValueError, OSError, ImportError, MemoryError) as error:  # any other is a mistake of ours, and shows where
-        print(f"topokit {options.command}: error: {_words(error)}", file=sys.stderr)
-        return 141 if isinstance(error, BrokenPipeError) else 2
-    except RuntimeError as error:  # the input was right, the work failed: a simulation that exploded
-        print(f"topokit {options.command}: failed: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt as stopped:
-        print(f"topokit {options.command}: {str(stopped) or 'stopped; nothing was written'}", file=sys.stderr)
-        return 130
+        code = app(words)
+        print(end="", flush=True)  # here, where an error of the output can still be reported
+        if not words:
+            return 2  # the help was printed, since no command was given
+        return code or 0
+    except CycloptsError as error:
+        return _report(command, f"error: {_one_line(error)} (see {command} --help)", 2)
+    except ModuleNotFoundError as error:
+        return _report(command, f"error: {error.name} is not installed: pip install 'topokit[all]'", 2)
+    except BrokenPipeError as error:
+        return _report(command, f"error: {_of_output(error, 'its reader has stopped, files are written')}", 141)
+    except MemoryError as error:
+        return _report(command, f"error: {str(error) or 'not enough memory for so much at a time'}", 2)
+    except OSError as error:
+        words_of_it = str(error)
+        if error.errno == errno.ENOSPC:
+            words_of_it = _of_output(error, "make room, and repeat the command")
+        return _report(command, f"error: {words_of_it}", 2)
+    except (ValueError, ImportError) as error:  # any other error is a mistake of ours and shows its traceback
+        return _report(command, f"error: {error}", 2)
+    except RuntimeError as error:  # the input was right, and the work failed, as a simulation that exploded
+        return _report(command, f"failed: {error}", 1)
+    except KeyboardInterrupt as error:
+        return _report(command, str(error) or "stopped; nothing was written", 130)
+    except SystemError as error:
+        # Compiled code turns Ctrl-C into a SystemError whose cause is the KeyboardInterrupt.
+        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            raise
+        return _report(command, "stopped; nothing was written", 130)
 
 
-def _words(error: BaseException) -> str:
-    """What an error says, and what to do; where it is not told of a file, it is standard output that takes no more."""
-    if not isinstance(error, OSError) or error.errno not in (errno.EPIPE, errno.ENOSPC):
-        return str(error) or "not enough memory for so much at a time"
-    if error.filename is None:  # what waits for it is dropped: Python would try again at its end
+def _report(command: str, message: str, code: int) -> int:
+    print(f"{command}: {message}", file=sys.stderr)
+    return code
+
+
+def _one_line(error: CycloptsError) -> str:
+    return " ".join(str(error).split()).removesuffix(".")
+
+
+def _of_output(error: OSError, advice: str) -> str:
+    """Return the message of a file, or of standard output, that takes no more."""
+    if error.filename is None:
+        # What waits for standard output is dropped, because Python would try to write it again at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    stopped, full = "its reader has stopped, files are written", "make room, and repeat the command"
-    remedy = stopped if error.errno == errno.EPIPE else full
-    return f"{error.filename or 'standard output'}: {error.strerror}; {remedy}"
+    return f"{error.filename or 'standard output'}: {error.strerror}; {advice}"
 
 
-def parser() -> argparse.ArgumentParser:
-    from . import _simulate
-    from .data import _commands as data
-    from .models import _commands as models
-
-    whole = argparse.ArgumentParser(prog="topokit", description="Sequential topology for deformable objects.")
-    whole.add_argument("--version", action="version", version=f"topokit {__version__}")
-    commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    _simulate.add(commands)
-    _add_track(commands)
-    for part in (data, models):
-        part.add(commands)
-    for command in commands.choices.values():
-        command.add_argument("--json", action="store_true", help="print the answer as JSON")
-    return whole
+# -- parameters that several commands share ---------------------------------------------------------------------------------
 
 
-def _add_track(commands: Any) -> None:
-    tracker = commands.add_parser("track", help="follow the loops of a recorded episode")
-    option = tracker.add_argument
-    what = "a recorded episode (.npz), or clouds: .npy, .npz, .ply, .pcd, depth images (.png), a ROS 2 bag, a folder of files"
-    option("episode", type=Path, nargs="?", metavar="PATH", help=what)
-    option("--pipeline", type=Path, metavar="FILE", help="of clouds: what is left out of each (.json)")
-    option("--unit", choices=("m", "cm", "mm"), help="of clouds (default: metres; millimetres for depth images)")
-    option("--columns", metavar="X,Y,Z", help="which numbers, or names, of a point are its place")
-    option("--intrinsics", type=Path, metavar="FILE", help="fx, fy, cx, cy of a depth camera (.json)")
-    option("--topic", help="of a bag; with --live, of a node of ROS 2 that publishes the loops as TOPIC/loops")
-    option("--fps", type=float, help="frames a second, of clouds without times")
-    live = "instead of a file, read clouds from standard input, .npy arrays one after another, and print a line of JSON"
-    option("--live", action="store_true", help=f"{live} for each as it comes")
-    tracks = "tracks to write (default PATH.tracks.npz), or a line of JSON a frame (.jsonl)"
-    option("--out", type=Path, metavar="TRACKS", help=tracks)
-    option("--plot", type=Path, metavar="PICTURE", help="also draw the tracks (.png, .svg or .pdf)")
-    option("--rerun", type=Path, metavar="FILE", help="also write a recording for Rerun's viewer (.rrd)")
-    clouds = "all vertices (default) or the subsample an observer sees"
-    option("--cloud", choices=("points", "observed"), default="points", help=clouds)
-    for name, what in (("alpha", "sampling"), ("beta", "jitter of killers"), ("epsilon", "motion a frame")):
-        option(f"--{name}", type=float, help=f"{what} in metres (default: estimated)")
-    option("--paper", action="store_true", help="the paper's tracker; options beside it take the place of its own")
-    option("--loops", choices=("evidence", "alpha"), help="which bars are loops (default: by evidence without --alpha)")
-    option("--gates", choices=("near", "proved", "paper"), help="how far a loop may move (default near)")
-    identity = "what a loop's place is (default killer-triangles; the paper's killer edge can jump)"
-    option("--identity", choices=("killer-edge", "killer-triangles", "cycle"), help=identity)
-    option("--memory", type=int, metavar="FRAMES", help="how long a missed loop is remembered (default 20)")
-    tracker.set_defaults(run=_track)
+def _whole(kind: type, tokens: Sequence[Token]) -> int:
+    """Convert a word to a whole number; cyclopts itself would round 1.5."""
+    return int(tokens[0].value)
 
 
-def _track(options: argparse.Namespace) -> int:
-    from .evaluate import summarise_tracks
-    from .io import save_states
-
-    how = dict(PAPER) if options.paper else {}
-    how |= {name: value for name in _TRACKER if (value := getattr(options, name)) is not None}
-    if options.live:
-        return _track_live(options, how)
-    out, film = _tracks_file(options), _is_film(options.episode)
-    given = [f"--{name}" for name in (_OF_CLOUDS, ("plot",))[film] if getattr(options, name)]
-    if given:
-        kind = "episodes" if film else "clouds"
-        raise ValueError(f"{given[0]} is for {kind}, and {options.episode} is not: leave it out")
-    if options.rerun:
-        if options.rerun.suffix != ".rrd":
-            raise ValueError(f"--rerun {options.rerun}: the name of a recording ends in .rrd")
-        from .view._rerun import rerun, sdk
-
-        sdk()  # before the work, so that it is said at once when it is missing
-    states, truth, answer, words, shown = (_track_film if film else _track_episode)(options, how)
-    summaries = summarise_tracks(states, *truth)
-    if out.suffix == ".jsonl":
-        with atomic_file(out) as lines:
-            lines.writelines(f"{json.dumps(state.as_dict())}\n".encode() for state in states)
-    else:
-        save_states(out, states)
-    if options.rerun:
-        rerun(shown, states, options.rerun)
-    if options.json:
-        rows = [dict(list(dataclasses.asdict(summary).items())[: 5 if film else None]) for summary in summaries]
-        print(json.dumps({**answer, "frames": len(states), "tracks": str(out), "loops": rows}))
-        return 0
-    print(words)
-    _print_table(summaries, 35 if film else None)
-    print(f"tracks: {out}" + (f"\npicture: {options.plot}" if options.plot else ""))
-    return 0
+Whole = Annotated[int, Parameter(converter=_whole)]
+Json = Annotated[bool, Parameter(name="--json", help="Print the answer as JSON.")]
+Quiet = Annotated[bool, Parameter(help="Show no progress.")]
 
 
-def _track_episode(options: argparse.Namespace, how: dict[str, Any]) -> tuple[Any, ...]:
-    """States, what they can be compared with, and what is said of the episode, in names and in words."""
-    from .io import load_episode
+@Parameter(name="*", group="Mesh")
+@dataclass(frozen=True)
+class MeshOptions:
+    """How the mesh of a garment is read.
 
-    if options.plot:
-        if options.plot.suffix not in _PICTURES:
-            raise ValueError(f"--plot {options.plot}: the name of a picture ends in {', '.join(_PICTURES)}")
-        from .view import track_figure  # before the work, so that a missing matplotlib is said at once
-    episode = load_episode(options.episode)
-    loud = sys.stderr.isatty() and not options.json
-    states = track(getattr(episode, options.cloud), times=episode.times, progress=loud, **how)
-    if options.plot:
-        with atomic_file(options.plot) as picture:
-            track_figure(episode, states).savefig(picture, format=options.plot.suffix[1:])
-    words = f"{options.episode}: {episode.garment} to {episode.target}, {len(states)} frames, {options.cloud}"
-    return states, (episode.points, episode.loops), {"episode": str(options.episode)}, words, episode
+    Attributes
+    ----------
+    loops
+        Its loops: auto (default), borders, or a file of vertex ids: {NAME: [ID, ...], ...} or [[ID, ...], ...] (.json).
+    unit
+        Its unit (default: the one that makes it as large as a garment).
+    size
+        Its largest extent in metres, instead of a unit.
+    up
+        The axis of the mesh that points up (default: found).
+    """
 
-
-def _track_film(options: argparse.Namespace, how: dict[str, Any]) -> tuple[Any, ...]:
-    """As of an episode, but that there is nothing to compare with; clouds are kept where they are to be shown."""
-    from .io import read_clouds
-
-    asked = {name: getattr(options, name) for name in ("unit", "intrinsics", "topic", "fps")}
-    tracker, clean, states, removed, shown = SeqPH(**how), _cleaner(options), [], Counter[str](), []
-    for time, cloud in read_clouds(options.episode, columns=_columns(options), **asked):
-        left = clean(cloud)
-        states.append(tracker.update(left, time=time))
-        shown += [left] if options.rerun else []
-        removed.update(clean.removed)
-    if not states:
-        raise ValueError(f"{options.episode}: it holds no cloud")
-    told = ", ".join(f"{n / len(states):.0f} {name}" for name, n in removed.items())
-    words = f"{options.episode}: {len(states)} frames\nremoved a frame: {told}"
-    return states, (np.empty((len(states), 0, 3)), ()), {"film": str(options.episode), "removed": removed}, words, shown
+    loops: str | None = None
+    unit: Literal["m", "cm", "mm"] | None = None
+    size: float | None = None
+    up: Annotated[Literal["x", "y", "z", "-x", "-y", "-z"] | None, Parameter(allow_leading_hyphen=True)] = None
 
 
-def _is_film(path: Path) -> bool:
-    """Whether it holds clouds; an archive does when it is none of ours."""
-    if path.suffix != ".npz" or not zipfile.is_zipfile(path):
-        return path.suffix != ".npz"
+@Parameter(name="*", group="Clouds")
+@dataclass(frozen=True)
+class CloudOptions:
+    """How clouds are read that topokit did not record.
+
+    Attributes
+    ----------
+    pipeline
+        What is left out of each of them (.json).
+    unit
+        Unit of the clouds (default: metres; millimetres for depth images).
+    columns
+        Which numbers, or names, of a point are its place, as 0,1,2.
+    intrinsics
+        fx, fy, cx and cy of a depth camera (.json).
+    topic
+        Topic of a ROS 2 bag.
+    fps
+        Frames a second, of clouds without times.
+    """
+
+    pipeline: Path | None = None
+    unit: Literal["m", "cm", "mm"] | None = None
+    columns: str | None = None
+    intrinsics: Path | None = None
+    topic: str | None = None
+    fps: float | None = None
+
+    def given(self) -> list[str]:
+        """Return the names of the options that were given."""
+        return [name for name, value in vars(self).items() if value is not None]
+
+    def chosen_columns(self) -> list[int | str] | None:
+        if self.columns is None:
+            return None
+        return [int(word) if word.isdigit() else word for word in self.columns.split(",")]
+
+    def cleaner(self) -> Cleaner:
+        from ._config import load
+        from .sensors import Cleaner, Pipeline
+
+        if self.pipeline is None:
+            return Cleaner()
+        return Cleaner(load(Pipeline, self.pipeline))
+
+
+@Parameter(name="*", group="Tracker")
+@dataclass(frozen=True)
+class TrackerOptions:
+    """Options of the tracker, `topokit.SeqPH`.
+
+    Attributes
+    ----------
+    alpha
+        Sampling in metres (default: estimated).
+    beta
+        Jitter of killers in metres (default: estimated).
+    epsilon
+        Motion of a frame in metres (default: estimated).
+    paper
+        That of the paper; options beside it take the place of its own.
+    loops
+        Which bars are loops (default: by evidence without --alpha).
+    gates
+        How far a loop may move (default: near).
+    identity
+        What the place of a loop is (default: killer-triangles; the paper's killer edge can jump).
+    memory
+        For how many frames a missed loop is remembered (default: 20).
+    """
+
+    alpha: float | None = None
+    beta: float | None = None
+    epsilon: float | None = None
+    paper: bool = False
+    loops: Literal["evidence", "alpha"] | None = None
+    gates: Literal["near", "proved", "paper"] | None = None
+    identity: Literal["killer-edge", "killer-triangles", "cycle"] | None = None
+    memory: Whole | None = None
+
+    def chosen(self) -> dict[str, Any]:
+        """Return what was given, by the names of the parameters of `SeqPH`."""
+        from .seqph import PAPER
+
+        options = dict(PAPER) if self.paper else {}
+        for name, value in vars(self).items():
+            if name != "paper" and value is not None:
+                options[name] = value
+        return options
+
+
+@Parameter(name="*", group="Processes")
+@dataclass(frozen=True)
+class ClusterOptions:
+    """Where the work of many episodes is done.
+
+    Attributes
+    ----------
+    workers
+        Processes on this machine (default: one a core).
+    scheduler
+        Address of a Dask scheduler whose workers see the same folder.
+    """
+
+    workers: Whole | None = None
+    scheduler: str | None = None
+
+
+def _check_suffix(option: str, path: Path | None, suffixes: Sequence[str]) -> None:
+    """Raise ValueError when a path is given whose name ends in none of the suffixes."""
+    if path is not None and path.suffix not in suffixes:
+        raise ValueError(f"{option} {path}: the name ends in {', '.join(suffixes)}")
+
+
+# -- track ------------------------------------------------------------------------------------------------------------------
+
+
+@app.command
+def track(
+    episode: Path | None = None,
+    /,
+    *,
+    live: bool = False,
+    out: Path | None = None,
+    plot: Path | None = None,
+    cloud: Literal["points", "observed"] = "points",
+    clouds: CloudOptions = CloudOptions(),
+    tracker: TrackerOptions = TrackerOptions(),
+    as_json: Json = False,
+) -> int:
+    """Follow the loops of a recorded episode, of clouds in files, or of clouds as they come.
+
+    Parameters
+    ----------
+    episode
+        A recorded episode (.npz), or clouds: .npy, .npz, .ply, .pcd, depth images (.png), a ROS 2 bag, a folder of files.
+    live
+        Read clouds from standard input, .npy arrays one after another, and print a line of JSON for each as it comes.
+    out
+        Tracks to write (default: PATH.tracks.npz), or a line of JSON for each frame (.jsonl).
+    plot
+        Episodes: also draw the tracks (.png, .svg or .pdf).
+    cloud
+        Episodes: all vertices (default), or the sample of them that an observer sees.
+    """
+    if live:
+        files = {"an episode": episode, "--out": out, "--plot": plot, "--topic": clouds.topic, "--fps": clouds.fps}
+        if given := [name for name, value in files.items() if value is not None]:
+            raise ValueError(f"--live reads standard input and writes standard output: leave out {', '.join(given)}")
+        return _track_live(clouds, tracker)
+    if episode is None:
+        raise ValueError("name an episode or clouds, or give --live to read clouds from standard input")
+    out = _tracks_file(episode, out)
+    _check_suffix("--plot", plot, PICTURES)
+
+    # Options that the kind of input has no use for are refused.
+    is_episode = _is_archive_of_ours(episode)
+    unused = clouds.given() if is_episode else ["plot"] * (plot is not None)
+    if unused:
+        raise ValueError(f"--{unused[0]} is for {'clouds' if is_episode else 'episodes'}, and {episode} is not: leave it out")
+
+    if is_episode:
+        return _track_episode(episode, out, plot, cloud, tracker, as_json)
+    return _track_clouds(episode, out, clouds, tracker, as_json)
+
+
+def _is_archive_of_ours(path: Path) -> bool:
+    """Return whether a file is an archive that topokit wrote; a missing .npz counts as one."""
+    import zipfile
+
+    if path.suffix != ".npz":
+        return False
+    if not zipfile.is_zipfile(path):
+        return True
     with zipfile.ZipFile(path) as archive:
-        return "json.npy" not in archive.namelist()
+        return "json.npy" in archive.namelist()
 
 
-def _cleaner(options: argparse.Namespace) -> Any:
-    from ._config import load
-    from .sensors import Cleaner, Pipeline
-
-    return Cleaner(load(Pipeline, options.pipeline) if options.pipeline else None)
-
-
-def _columns(options: argparse.Namespace) -> list[int | str] | None:
-    words = options.columns.split(",") if options.columns else []
-    return [int(word) if word.isdigit() else word for word in words] or None
-
-
-def _tracks_file(options: argparse.Namespace) -> Path:
-    if options.episode is None:
-        raise ValueError("which episode or film? (or --live, to read clouds from standard input)")
-    path = options.episode if options.episode.name.strip(".") else options.episode.resolve()
-    out: Path = options.out or path.with_suffix(".tracks.npz")
+def _tracks_file(episode: Path, out: Path | None) -> Path:
+    """Return where to write the tracks, or raise ValueError when they cannot be written there."""
+    if out is None:
+        named = episode if episode.name.strip(".") else episode.resolve()  # "." is the folder's own name
+        out = named.with_suffix(".tracks.npz")
     if set(out.name) & set("*?["):
-        raise ValueError(f"--out: say where to write the tracks of {options.episode}")
-    if out.resolve() == options.episode.resolve():
+        raise ValueError(f"--out: name a file for the tracks of {episode}")
+    if out.resolve() == episode.resolve():
         raise ValueError(f"--out {out}: that is the episode itself")
-    if out.suffix not in (".npz", ".jsonl"):
-        raise ValueError(f"--out {out}: the name of tracks ends in .npz or .jsonl")
+    _check_suffix("--out", out, (".npz", ".jsonl"))
     return out
 
 
-def _print_table(summaries: Sequence[Any], width: int | None) -> None:
-    """The identities of an episode, a line each; of a film, as far as they are not compared with the truth."""
-    heads = ("id", "first", "last", "frames", "lifetime", " true loop", "distance", "in hull")
-    print("{:>4} {:>6} {:>5} {:>7} {:>9} {:>10} {:>9} {:>8}".format(*heads)[:width])
-    for row in summaries:
-        line = (
-            f"{row.id:>4} {row.first:>6} {row.last:>5} {row.frames:>7} {100 * row.lifetime:>6.2f} cm  "
-            f"{row.true_loop if row.true_loop >= 0 else '-':>9} {100 * row.distance:>6.2f} cm {100 * row.in_hull:>6.1f} %"
-        )
-        print(line[:width])
-    if not summaries:
-        print("   no loop in any frame")
+def _track_episode(
+    path: Path, out: Path, plot: Path | None, cloud: str, tracker: TrackerOptions, as_json: bool
+) -> int:
+    """Track an episode, and compare the tracks with its true loops."""
+    from ._archive import atomic_file
+    from .evaluate import summarise_tracks
+    from .io import load_episode
+    from .seqph import track as track_sequence
 
+    if plot is not None:
+        from .view import track_figure  # before the work, so that a missing matplotlib is reported at once
+    episode = load_episode(path)
+    options = tracker.chosen()
+    progress = sys.stderr.isatty() and not as_json
+    states = track_sequence(getattr(episode, cloud), times=episode.times, progress=progress, **options)
+    rows = [dataclasses.asdict(row) for row in summarise_tracks(states, episode.points, episode.loops)]
+    if plot is not None:
+        with atomic_file(plot) as picture:
+            track_figure(episode, states).savefig(picture, format=plot.suffix[1:])
+    _write_states(out, states)
 
-def _track_live(options: argparse.Namespace, how: dict[str, Any]) -> int:
-    """Track clouds as they come; what is kept does not grow."""
-    wrong = ["episode", "out", "plot", "rerun", "fps", *(("unit", "columns", "intrinsics") if options.topic else ())]
-    if given := [name for name in wrong if getattr(options, name)]:
-        place = "a topic and publishes" if options.topic else "standard input and writes standard output"
-        raise ValueError(f"--live reads {place}: leave out {', '.join(given)}")
-    if options.topic:
-        from .compat import LoopMessages, listen
-
-        listen(options.topic, LoopMessages(_cleaner(options).pipeline, **how))
+    if as_json:
+        print(json.dumps({"episode": str(path), "frames": len(states), "tracks": str(out), "loops": rows}))
         return 0
+    print(f"{path}: {episode.garment} to {episode.target}, {len(states)} frames, {cloud}")
+    print("  id  first  last  frames  lifetime  true loop  distance  in hull")
+    for row in rows:
+        true_loop = row["true_loop"] if row["true_loop"] >= 0 else "-"
+        compared = f"{true_loop:>9} {100 * row['distance']:>6.2f} cm {100 * row['in_hull']:>6.1f} %"
+        print(f"{_row_of_track(row)}  {compared}")
+    _print_where(rows, out)
+    if plot is not None:
+        print(f"picture: {plot}")
+    return 0
+
+
+def _track_clouds(path: Path, out: Path, clouds: CloudOptions, tracker: TrackerOptions, as_json: bool) -> int:
+    """Track clouds that topokit did not record, each of them cleaned first."""
+    from collections import Counter
+
+    import numpy as np
+
+    from .evaluate import summarise_tracks
+    from .sensors import read_clouds
+    from .seqph import SeqPH
+
+    follower = SeqPH(**tracker.chosen())
+    clean = clouds.cleaner()
+    film = read_clouds(
+        path,
+        unit=clouds.unit,
+        columns=clouds.chosen_columns(),
+        intrinsics=clouds.intrinsics,
+        topic=clouds.topic,
+        fps=clouds.fps,
+    )
+    states: list[TopologicalState] = []
+    removed = Counter[str]()
+    for time, cloud in film:
+        states.append(follower.update(clean(cloud), time=time))
+        removed.update(clean.removed)
+    if not states:
+        raise ValueError(f"{path}: it holds no cloud")
+    _write_states(out, states)
+
+    # There is no true loop to compare with.
+    names = ("id", "first", "last", "frames", "lifetime")
+    summaries = summarise_tracks(states, np.empty((len(states), 0, 3)), ())
+    rows = [{name: getattr(summary, name) for name in names} for summary in summaries]
+    if as_json:
+        answer = {"film": str(path), "removed": removed, "frames": len(states), "tracks": str(out), "loops": rows}
+        print(json.dumps(answer))
+        return 0
+    print(f"{path}: {len(states)} frames")
+    print("removed a frame: " + ", ".join(f"{count / len(states):.0f} {step}" for step, count in removed.items()))
+    print("  id  first  last  frames  lifetime")
+    for row in rows:
+        print(_row_of_track(row))
+    _print_where(rows, out)
+    return 0
+
+
+def _write_states(path: Path, states: Sequence[TopologicalState]) -> None:
+    from ._archive import atomic_file
+    from .io import save_states
+
+    if path.suffix == ".npz":
+        save_states(path, states)
+        return
+    with atomic_file(path) as lines:
+        for state in states:
+            lines.write(f"{json.dumps(state.as_dict())}\n".encode())
+
+
+def _row_of_track(row: dict[str, Any]) -> str:
+    return f"{row['id']:>4} {row['first']:>6} {row['last']:>5} {row['frames']:>7} {100 * row['lifetime']:>6.2f} cm"
+
+
+def _print_where(rows: Sequence[Any], out: Path) -> None:
+    if not rows:
+        print("   no loop in any frame")
+    print(f"tracks: {out}")
+
+
+def _track_live(clouds: CloudOptions, tracker: TrackerOptions) -> int:
+    """Track clouds as they come; what is kept does not grow."""
+    from .sensors import read_stream
+    from .seqph import SeqPH
+
+    follower = SeqPH(**tracker.chosen())
     if sys.stdin is None:
         raise ValueError("standard input is closed; pipe the clouds in")
+    stream = read_stream(
+        sys.stdin.buffer,
+        unit=clouds.unit,
+        columns=clouds.chosen_columns(),
+        intrinsics=clouds.intrinsics,
+        check_unit=clouds.pipeline is not None,  # lengths in a pipeline are metres
+    )
+    prepared = _finite(stream) if clouds.pipeline is None else map(clouds.cleaner(), stream)
     frames = 0
     try:
-        for state in SeqPH(**how).stream(_ready(_clouds(sys.stdin.buffer), options)):
-            frames += 1
+        for state in follower.stream(prepared):
             print(json.dumps(state.as_dict()), flush=True)
+            frames += 1
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped after {frames} frames, which were printed") from None
     return 0
 
 
-def _ready(clouds: Iterator[NDArray[Any]], options: argparse.Namespace) -> Iterator[NDArray[Any]]:
-    """Clouds in metres, through the pipeline; without one, what is not finite is left out, and that is said once."""
-    from .sensors._files import Asked, as_cloud, has_unit
+def _finite(clouds: Iterator[Any]) -> Iterator[Any]:
+    """Yield clouds without the points that are not finite, which is reported once."""
+    import numpy as np
 
-    clean, said = _cleaner(options) if options.pipeline else None, False
-    unsure = clean is not None and options.unit != "m"  # a pipeline is in metres
-    asked = Asked(options.unit, _columns(options), options.intrinsics)
+    reported = False
     for number, cloud in enumerate(clouds):
-        try:
-            cloud = as_cloud(cloud, asked, Path())
-            unsure = unsure and not has_unit(cloud, asked)
-        except ValueError as error:
-            raise FormatError(f"frame {number} on standard input: {error}") from error
-        if clean:
-            yield clean(cloud)
-            continue
         finite = np.isfinite(cloud).all(axis=1)
-        if not (said or finite.all()):
-            said, lost = True, f"frame {number}: {(~finite).sum()} of {len(finite)} points are not finite and left out"
+        if not reported and not finite.all():
+            lost = f"frame {number}: {(~finite).sum()} of {len(finite)} points are not finite and left out"
             print(f"topokit track: {lost}, here and in what follows", file=sys.stderr)
+            reported = True
         yield cloud[finite]
 
 
-def _clouds(stream: Any) -> Iterator[NDArray[np.float64]]:
-    """The .npy arrays of a stream, until it ends."""
-    for number in count():
-        if not stream.peek(1):
-            return
+# -- simulate, mesh, hang ---------------------------------------------------------------------------------------------------
+
+
+@app.command
+def simulate(
+    *,
+    out: Path,
+    task: str | None = None,
+    seed: Whole = 0,
+    randomise: bool = False,
+    cameras: Whole = 0,
+    noise: bool = False,
+    observed: Whole | None = None,
+    time_limit: float = 60.0,
+    mesh: Path | None = None,
+    mesh_options: MeshOptions = MeshOptions(),
+    as_json: Json = False,
+) -> int:
+    """Record an episode: a garment carried to a target and let go there.
+
+    A task is a garment and a target, such as tote-hook. There are
+      -hook, -hanger: apron apron2 tote tote2 backpack mask sheet sheet2
+                      scarf belt net trousers
+      -mannequin: apron apron2 backpack shirt vest
+    With --mesh, hook, hanger and mannequin alone are tasks too.
+
+    Parameters
+    ----------
+    out
+        Where to write the episode (.npz).
+    task
+        What goes where (default: apron-hook; hook with --mesh).
+    seed
+        Seed of everything random (default: 0).
+    randomise
+        Draw physics, size and cameras, not only the path.
+    cameras
+        Observe with so many depth cameras around the target.
+    noise
+        Give the cameras the noise of a depth sensor.
+    observed
+        Points of an observation (default: 500, or all vertices if fewer).
+    time_limit
+        Stop a simulation that has shown no sign of life for so many seconds (default: 60).
+    mesh
+        A garment of one's own (.obj, .ply, .stl).
+    """
+    from .io import save_episode
+    from .sim import Camera, DepthNoise, Randomisation
+    from .sim import simulate as run_simulation
+
+    _check_suffix("--out", out, (".npz",))
+    if cameras < 0 or (noise and not cameras):
+        raise ValueError(f"--cameras {cameras}: a number of cameras, one at least with --noise")
+    garment, chosen = _garment_and_task(mesh, mesh_options, task, "apron-hook")
+    around = ()
+    if cameras:
+        around = Camera.around(chosen.target.seat, cameras, distance=2.2, noise=DepthNoise() if noise else None)
+    episode = run_simulation(
+        garment,
+        task=chosen,
+        seed=seed,
+        randomisation=Randomisation() if randomise else None,
+        cameras=around,
+        n_observed=observed,
+        time_limit=time_limit,
+        progress=sys.stderr.isatty() and not as_json,
+    )
+    save_episode(out, episode)
+
+    answer = {
+        "episode": str(out),
+        "task": episode.task,
+        "seed": episode.seed,
+        "garment": episode.garment,
+        "target": episode.target,
+        "loops": list(episode.named_loops),
+        "frames": len(episode),
+        "vertices": episode.points.shape[1],
+        "observed": episode.observed.shape[1],
+        "success": episode.success,
+    }
+    if as_json:
+        print(json.dumps(answer))
+        return 0
+    size = f"{answer['frames']} frames, {answer['vertices']} vertices"
+    outcome = "it hangs" if episode.success else "it does not hang"
+    print(f"{out}: {episode.garment} to {episode.target}, {size}; {outcome}")
+    return 0
+
+
+def _garment_and_task(path: Path | None, options: MeshOptions, task: str | None, default: str) -> tuple[Any, Task]:
+    """Return the garment of a mesh, None when none is given, and the task that was asked for."""
+    from .sim import TASKS, Hanger, Hook, Mannequin, task_for
+
+    targets: dict[str, Any] = {}
+    if path is not None:
+        targets = {target.name: target for target in (Hook, Hanger, Mannequin)}
+        default = "hook"
+    name = task or default
+    if name not in TASKS and name not in targets:
+        raise ValueError(f"--task {name}: there is no such task; there are {', '.join([*TASKS, *targets])}")
+    if path is None:
+        given = [option for option, value in vars(options).items() if value is not None]
+        if given:
+            raise ValueError(f"--{given[0]} is of a mesh: give --mesh FILE, or leave it out")
+        return None, TASKS[name]
+    garment = _garment(path, options)
+    if name in targets:
+        return garment, task_for(garment, targets[name]().raised_for(garment))
+    return garment, TASKS[name]
+
+
+def _garment(path: Path, options: MeshOptions) -> Garment:
+    """Return the garment of a mesh that has a loop to hang it by."""
+    from ._archive import FormatError, existing, read_json
+    from .sim import Garment
+
+    loops: Any = options.loops or "auto"
+    if loops not in ("auto", "borders"):
         try:
-            yield _cloud(stream)
-        except Exception as error:  # a header can be wrong in a dozen ways
-            raise FormatError(f"frame {number} on standard input is no whole .npy array: {error}") from error
+            loops = read_json(existing(loops).read_bytes())
+        except ValueError as error:
+            raise FormatError(f"--loops {options.loops}: no JSON: {error}") from error
+        if not isinstance(loops, dict | list):
+            raise FormatError(f"--loops {options.loops}: it must hold lists of vertex ids, by name or in a list")
+    scale = METRES[options.unit] if options.unit else None
+    garment = Garment.from_mesh(path, loops=loops, scale=scale, size=options.size, up=options.up)
+    if not garment.loops:
+        reasons = [repair for repair in garment.repairs if "open front" in repair]
+        reason = reasons[0] if reasons else "its border is its edge"
+        raise ValueError(f"{path}: it has no loop to hang it by; {reason}")
+    return garment
 
 
-def _cloud(stream: Any) -> NDArray[Any]:
-    """The next array of a stream; memory is taken when what its header declares is no more than a cloud."""
-    head = np.lib.format
-    read = head.read_array_header_1_0 if head.read_magic(stream) == (1, 0) else head.read_array_header_2_0
-    shape, columns_first, kind = read(stream)
-    size = math.prod(shape) * kind.itemsize
-    if kind.hasobject or not 0 <= size <= _LARGEST_FRAME:
-        raise ValueError(f"its header declares {size} bytes of {kind}; {_LARGEST_FRAME} of numbers at most")
-    data = stream.read(size)
-    if len(data) < size:
-        raise ValueError(f"{len(data)} of {size} bytes")
-    return np.ndarray(shape, kind, data, order="F" if columns_first else "C")
+@app.command
+def mesh(
+    mesh: Path, /, *, plot: Path | None = None, mesh_options: MeshOptions = MeshOptions(), as_json: Json = False
+) -> int:
+    """Say, and draw, what is understood of a mesh: its size, loops and grips.
+
+    Parameters
+    ----------
+    mesh
+        A garment of one's own (.obj, .ply, .stl).
+    plot
+        Also draw it (.png, .svg or .pdf).
+    """
+    _check_suffix("--plot", plot, PICTURES)
+    garment = _garment(mesh, mesh_options)
+    sizes = garment.vertices.max(axis=0) - garment.vertices.min(axis=0)
+    loops = {name: len(loop) for name, loop in garment.named_loops.items()}
+    if plot is not None:
+        _plot_garment(plot, garment)
+    if as_json:
+        answer = {
+            "mesh": str(mesh),
+            "vertices": len(garment.vertices),
+            "faces": len(garment.faces),
+            "metres": sizes.tolist(),
+            "loops": loops,
+            "grips": garment.vertices[garment.grips].tolist(),
+            "repairs": garment.repairs,
+        }
+        print(json.dumps(answer))
+        return 0
+    x, y, z = sizes
+    counts = f"{len(garment.vertices)} vertices, {len(garment.faces)} faces"
+    print(f"{mesh}: {counts}; {x:.2f} by {y:.2f} by {z:.2f} m")
+    for name, count in loops.items():
+        print(f"  {name}: {count} vertices")
+    return 0
+
+
+def _plot_garment(path: Path, garment: Garment) -> None:
+    """Draw the garment from before and from the side, its loops with their names, and its grips."""
+    from matplotlib.figure import Figure
+
+    from ._archive import atomic_file
+    from .view import plot_cloth
+
+    figure = Figure(figsize=(10, 6), dpi=120)
+    for column, view in enumerate(((-70, 12), (-20, 12)), 1):
+        axes: Any = figure.add_subplot(1, 2, column, projection="3d")
+        plot_cloth(garment.vertices, garment.faces, ax=axes, true_loops=garment.loops, view=view)
+        axes.scatter(*garment.vertices[garment.grips].T, color="black", zorder=5)
+        for name, loop in garment.named_loops.items():
+            axes.text(*garment.vertices[loop].mean(axis=0), name, ha="center", zorder=6)
+    with atomic_file(path) as picture:
+        figure.savefig(picture, format=path.suffix[1:])
+
+
+@app.command
+def hang(
+    *,
+    task: Annotated[str | None, Parameter(name=["--task", "--target"])] = None,
+    seed: Whole = 0,
+    model: str | None = None,
+    anywhere: bool = False,
+    fence: float = 0.0,
+    out: Path | None = None,
+    film: Path | None = None,
+    mesh: Path | None = None,
+    mesh_options: MeshOptions = MeshOptions(),
+    as_json: Json = False,
+) -> int:
+    """Hang a garment by what is seen of it, in a closed loop; the exit code is 1 when it does not hang.
+
+    The tasks are those of topokit simulate.
+
+    Parameters
+    ----------
+    task
+        What goes where (default: tote-hook; hook with --mesh).
+    seed
+        Seed of where it starts (default: 0).
+    model
+        Plan by a forecast: carry, or a checkpoint of a motion model (default: a servo, which needs none).
+    anywhere
+        Draw target and start anywhere in the room, at any yaw, by the seed.
+    fence
+        The hands stop so many metres before the arm, and the garment is thrown.
+    out
+        Also write what happened, as an episode (.npz).
+    film
+        Also write a film of it (.gif, .html).
+    mesh
+        A garment of one's own (.obj, .ply, .stl).
+    """
+    from .control import hang as run_hanging
+    from .io import save_episode
+
+    _check_suffix("--out", out, (".npz",))
+    _check_suffix("--film", film, (".gif", ".html"))
+    if film is not None:
+        from . import view  # noqa: F401 - before the work, so that a missing matplotlib is reported at once
+    garment, chosen = _garment_and_task(mesh, mesh_options, task, "tote-hook")
+    scene: dict[str, Any] = {}
+    if anywhere:
+        scene.update(place="anywhere", start="anywhere")
+    if fence:
+        scene.update(fence=fence)
+    progress = sys.stderr.isatty() and not as_json
+    result = run_hanging(chosen, seed=seed, garment=garment, model=model, progress=progress, **scene)
+    if out is not None:
+        save_episode(out, result.episode)
+    if film is not None:
+        _save_film(film, result.episode)
+
+    if as_json:
+        answer = {
+            "task": result.episode.task,
+            "seed": seed,
+            "success": result.success,
+            "linked": result.linked,
+            "reason": result.reason,
+            "steps": result.steps,
+            "seconds_a_decision": result.seconds_a_decision,
+        }
+        print(json.dumps(answer))
+    else:
+        decision = 1000 * result.seconds_a_decision
+        print(f"{result.episode.task}: {result.reason}; {result.steps} frames, {decision:.0f} ms a decision")
+    return 0 if result.success else 1
+
+
+def _save_film(path: Path, episode: Episode) -> None:
+    from .seqph import track as track_sequence
+    from .view import player, save_animation
+
+    if path.suffix == ".gif":
+        save_animation(path, episode)
+    else:
+        player(episode, track_sequence(episode.observed, times=episode.times)).save(path)
+
+
+# -- generate, label, check -------------------------------------------------------------------------------------------------
+
+
+@app.command
+def generate(
+    *,
+    out: Path,
+    episodes: Whole,
+    seed: Whole = 0,
+    config: Path | None = None,
+    time_limit: float = 600.0,
+    retry_failed: bool = False,
+    cluster: ClusterOptions = ClusterOptions(),
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> int:
+    """Make a dataset of many episodes; the same command goes on where it was stopped.
+
+    Parameters
+    ----------
+    out
+        Where to make it, or to go on with it.
+    episodes
+        How many; more than last time adds some.
+    seed
+        Seed of the dataset (default: 0).
+    config
+        A DatasetConfig (.json); what it does not name has its default.
+    time_limit
+        Seconds of processor time of an episode (default: 600).
+    retry_failed
+        Try failed episodes again.
+    """
+    from ._config import load
+    from .data import DatasetConfig, generate_dataset
+
+    settings = DatasetConfig()
+    if config is not None:
+        settings = load(DatasetConfig, config)
+        # Paths of meshes are relative to the configuration.
+        meshes = {
+            name: dataclasses.replace(mesh, file=str(config.parent / mesh.file))
+            for name, mesh in settings.meshes.items()
+        }
+        settings = dataclasses.replace(settings, meshes=meshes)
+    return _make(
+        lambda: generate_dataset(
+            settings,
+            out,
+            episodes,
+            seed,
+            time_limit=time_limit,
+            retry_failed=retry_failed,
+            n_workers=cluster.workers,
+            scheduler=cluster.scheduler,
+            progress=not quiet,
+        ),
+        as_json,
+    )
+
+
+@app.command
+def label(
+    dataset: Path,
+    /,
+    *,
+    observation: Literal["full", "observed", "camera"] = "full",
+    points: Whole | None = None,
+    name: str | None = None,
+    cluster: ClusterOptions = ClusterOptions(),
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> int:
+    """Track the loops of every episode of a dataset; the same command goes on where it was stopped.
+
+    Parameters
+    ----------
+    dataset
+        The folder of the dataset.
+    observation
+        What the tracker sees: all vertices (default), what was recorded, or what the cameras saw.
+    points
+        With observed: a farthest-point sample of so many points.
+    name
+        Name of the labels (default: that of the observation).
+    """
+    from .data import label_dataset
+
+    return _make(
+        lambda: label_dataset(
+            dataset,
+            observation,
+            name=name,
+            n_points=points,
+            n_workers=cluster.workers,
+            scheduler=cluster.scheduler,
+            progress=not quiet,
+        ),
+        as_json,
+    )
+
+
+def _make(work: Callable[[], Any], as_json: bool) -> int:
+    """Do work that Ctrl-C and SIGTERM stop without loss, and print what there is then."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # what was begun is put away, as at Ctrl-C
+    try:
+        made = work()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    from collections import Counter
+
+    counts = Counter(record.status for record in made.records.values())
+    checksum = made.checksum()
+    if as_json:
+        print(json.dumps({"out": made.url, "episodes": sum(counts.values()), **counts, "checksum": checksum}))
+        return 0
+    print(f"{made.url}: " + ", ".join(f"{count} {status}" for status, count in sorted(counts.items())))
+    print(f"checksum: {checksum}")
+    return 0
+
+
+@app.command
+def check(dataset: str, /, *, quiet: Quiet = False, as_json: Json = False) -> int:
+    """Verify a dataset: its checksums, shapes, units and identities; the exit code is 1 when there is a problem.
+
+    Parameters
+    ----------
+    dataset
+        The folder of the dataset.
+    """
+    from .data import check_dataset
+
+    problems = check_dataset(dataset, progress=sys.stderr.isatty() and not quiet)
+    if as_json:
+        print(json.dumps({"dataset": dataset, "problems": [dataclasses.asdict(problem) for problem in problems]}))
+    else:
+        for problem in problems:
+            print(problem)
+        print(f"{dataset}: {len(problems)} problems" if problems else f"{dataset}: all is well")
+    return 1 if problems else 0
+
+
+# -- train, predict ---------------------------------------------------------------------------------------------------------
+
+
+@app.command
+def train(
+    config: Path,
+    /,
+    *,
+    seed: Whole | None = None,
+    out: str | None = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> int:
+    """Train a predictor on a dataset; the same command goes on where it was stopped.
+
+    Parameters
+    ----------
+    config
+        What to train, how, and on what (.json).
+    seed
+        A seed in place of the configuration's; with --out, to train several.
+    out
+        Where checkpoints and log go, in place of the configuration's folder.
+    """
+    from .models import load_config, open_windows
+    from .models import train as run_training
+
+    settings = load_config(config)
+    if seed is not None:
+        settings = dataclasses.replace(settings, seed=seed)
+    if out is not None:
+        settings = dataclasses.replace(settings, out=out)
+    progress = sys.stderr.isatty() and not as_json and not quiet
+    try:
+        answer = run_training(settings, open_windows(settings), progress=progress)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"stopped; the same command goes on from {settings.out}/last.safetensors") from None
+    if as_json:
+        print(json.dumps(answer))
+        return 0
+    model = f"{answer['checkpoint']}: {answer['model']}, {answer['parameters']:,} parameters"
+    loss = f"{answer['validation_loss']:.4f} in epoch {answer['best_epoch'] + 1} of {answer['epochs']}"
+    speed = f", {answer['windows_per_second']:.0f} windows/s" if answer["windows_per_second"] else ""
+    print(f"{model}, validation loss {loss}{speed}")
+    return 0
+
+
+@app.command
+def predict(checkpoint: Path, episode: Path, /, *, frame: Whole = 15, as_json: Json = False) -> int:
+    """Forecast the loops of a recorded episode from one of its frames on.
+
+    Parameters
+    ----------
+    checkpoint
+        A trained predictor (.safetensors).
+    episode
+        A recorded episode (.npz).
+    frame
+        The last frame that is seen (default: 15).
+    """
+    import numpy as np
+
+    from .io import load_episode
+    from .models import Predictor
+
+    predictor = Predictor.load(checkpoint)
+    film = load_episode(episode)
+    last = len(film) - 1
+    if not 0 <= frame < last:
+        raise ValueError(f"--frame {frame}: the episode has frames 0 to {last}, and one must be left to forecast")
+
+    # The predictor sees the frames of its history, and then the plan; past its end the last action goes on.
+    shape = predictor.model.shape
+    for seen in range(max(0, frame - shape.history + 1), frame + 1):
+        held = bool(film.held[seen])
+        predictor.observe(film.observed[seen], film.grippers[seen], held, target=film.centre_line)
+    ahead = np.minimum(np.arange(frame + 1, frame + 1 + shape.horizon), last)
+    forecast = predictor.predict(film.actions[ahead], film.held[ahead])
+
+    if as_json:
+        about = {name: predictor.description.get(name) for name in ("model", "dataset", "topokit")}
+        steps = [[loop.as_dict() for loop in forecast[step]] for step in range(len(forecast))]
+        print(json.dumps({"episode": str(episode), "frame": frame, **about, "steps": steps}))
+        return 0
+    print(f"{predictor.description.get('model')} at frame {frame} of {episode}: loops that are forecast")
+    print(f"{'frame':>6} {'slot':>5} {'present':>8} {'lifetime':>9}   mean of the mixture (m)")
+    for step in sorted({0, *range(14, shape.horizon, 15), shape.horizon - 1}):
+        for loop in forecast[step]:
+            x, y, z = loop.mixture().mean
+            start = f"{frame + 1 + step:>6} {loop.slot:>5} {loop.presence:>8.2f} {100 * loop.lifetime:6.2f} cm"
+            print(f"{start}   {x:7.3f} {y:7.3f} {z:7.3f}")
+    return 0

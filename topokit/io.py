@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ._archive import FormatError, load_archive, save_archive
 from ._validate import WrongKindError, as_ids, as_reals
-from .sensors._files import read_clouds
+from .sensors import read_clouds
 from .seqph import Loop, TopologicalState
 
 __all__ = ["FEWEST_FRAMES", "HISTORY", "HORIZON", "LOOP_NAMES", "SCHEMA", "Episode", "FormatError", "load_episode"]

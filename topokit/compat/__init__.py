@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._gudhi import from_gudhi
-    from ._lerobot import from_lerobot, to_lerobot
     from ._ripser import ripser
-    from ._ros import LoopMessages, listen
     from ._sklearn import LoopFeatures
     from ._torch import births_and_deaths
 

@@ -1,6 +1,6 @@
-"""What sensors send, made ready for the tracker: clouds from files, depth images and ROS bags, and a declared pipeline.
+"""What sensors send, made ready for the tracker: clouds from files, streams, depth images and ROS bags, and a declared pipeline.
 
-`topokit.io.read_clouds` is the door of the files. Taught in chapter 7.
+Taught in chapter 7.
 """
 
 from typing import TYPE_CHECKING
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
+    from ._files import read_clouds, read_stream
     from ._memory import CloudMemory
     from ._pipeline import Cleaner, Pipeline
 
