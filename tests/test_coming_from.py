@@ -1,17 +1,18 @@
-"""The page *Coming from ...*: every piece of code runs, and the table is that of the results."""
+"""The page *Coming from ...*: every piece of code runs where its packages are installed, and the table is that of the results."""
 
 from __future__ import annotations
 
 import importlib.util
 import json
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from sensor_files import cloud_message, ring, save_bag
 
 from topokit import rips_persistence
+from topokit.io import load_episode
 
 from conftest import DATA, polygon
 
@@ -21,83 +22,80 @@ BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
 def imported(block: str) -> set[str]:
-    """The packages that a piece of code imports."""
+    """Return the packages that a piece of code imports."""
     lines = re.findall(r"^(?:from|import) (.+?)(?: import .*| as .*)?$", block, re.MULTILINE)
     return {name.strip().split(".")[0] for line in lines for name in line.split(",")}
 
 
-def test_there_are_pieces_of_all_neighbours():
-    names = {
-        "lerobot",
-        "gudhi",
-        "gymnasium",
-        "networkx",
-        "rerun",
-        "ripser",
-        "sklearn",
-        "stable_baselines3",
-        "torch",
-        "topokit",
-    }
-    assert names <= set().union(*map(imported, BLOCKS))
+def is_installed(name: str) -> bool:
+    return importlib.util.find_spec(name) is not None
 
 
-def write_dataset(folder: Path, clouds: list[np.ndarray]) -> None:
-    """Frames of an episode as LeRobot's datasets hold them, and one of another episode."""
-    import pyarrow as pa
+def write_lerobot(folder: Path, clouds: list[np.ndarray]) -> None:
+    """Write the frames of an episode as LeRobot's datasets hold them, in another order, and one of another episode."""
+    import pyarrow
     from pyarrow import parquet
 
-    for part in ("meta", "data/chunk-000"):
-        (folder / part).mkdir(parents=True)
-    (folder / "meta/info.json").write_text("{}")
-    rows = {"observation.pointcloud": [cloud.tolist() for cloud in [*clouds, clouds[0]]]}
-    rows |= {"timestamp": [0.0, 0.1, 0.0], "frame_index": [0, 1, 0], "episode_index": [0, 0, 1]}
-    parquet.write_table(pa.table(rows), folder / "data/chunk-000/file-000.parquet")
+    (folder / "data/chunk-000").mkdir(parents=True)
+    rows = {
+        "observation.pointcloud": [cloud.tolist() for cloud in (clouds[1], clouds[0], clouds[0])],
+        "timestamp": [0.1, 0.0, 0.0],
+        "frame_index": [1, 0, 0],
+        "episode_index": [0, 0, 1],
+    }
+    parquet.write_table(pyarrow.table(rows), folder / "data/chunk-000/file-000.parquet")
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
 def test_a_piece_runs(number, tmp_path, monkeypatch):
-    needed = imported(BLOCKS[number]) | ({"rerun"} if "view import rerun" in BLOCKS[number] else set())
-    needed |= {"pyarrow"} if "lerobot" in BLOCKS[number] else {"rosbags"} if "LoopMessages" in BLOCKS[number] else set()
-    if missing := [name for name in needed if importlib.util.find_spec(name) is None]:
+    block = BLOCKS[number]
+    needed = imported(block) | ({"rosbags"} if "read_clouds" in block else set())
+    missing = sorted(name for name in needed if not is_installed(name))
+    if missing:
         pytest.skip(f"{missing[0]} is not installed")
     (tmp_path / "data_small").symlink_to(DATA, target_is_directory=True)
     monkeypatch.chdir(tmp_path)
     points = np.column_stack([polygon(20), 0.1 * np.cos(2 * np.arange(20))])
-    whole = "rerun(film, track(film.points, times=film.times)"
-    code = BLOCKS[number].replace(whole, "rerun(film.points[:2], track(film.points[:2])")  # two frames are quick
     names = {"points": points, "clouds": [points, points[:15]]}
-    if "from_lerobot" in BLOCKS[number]:
-        write_dataset(tmp_path / "folding", [points, 1.1 * points])
-    if "LoopMessages" in BLOCKS[number]:
-        from ros import Rclpy, as_ros
-        from test_sensors import cloud_message, ring
+    if "folding" in block:
+        write_lerobot(tmp_path / "folding", [points, 1.1 * points])
+    if "recording" in block:
+        messages = [cloud_message(ring(t).reshape(6, 10, 3), 1 + t) for t in range(2)]
+        save_bag(tmp_path / "recording", {"/camera/points": messages, "/other/points": messages})
+    exec(compile(block, "coming_from.md", "exec"), names)
 
-        Rclpy([]).installed(monkeypatch)
-        names["message"] = as_ros(cloud_message(ring().reshape(6, 10, 3), 1.0))
-    exec(compile(code, "coming_from.md", "exec"), names)
-    loops = [len(names[name]) for name in ("diagram", "bars") if name in names and "worst" not in names]
-    assert all(count == (0 if "descent" in names else 1) for count in loops)
+    # Every cloud here has one loop, unless the piece has opened it.
+    for name in ("diagram", "bars"):
+        if name in names and "worst" not in names:
+            assert len(names[name]) == (0 if "descent" in names else 1)
+    if "graph" in names:
+        known = rips_persistence(points)
+        np.testing.assert_allclose(names["found"]["dgms"][1][:, 0], 2 * known.birth)
+        assert names["found"]["killer_edge"].tolist() == [[-1, -1]]  # the tree ends before it dies
     if "worst" in names:
-        known = rips_persistence(points).lifetime[0]
-        assert 0.005 < known - float(names["bars"].detach().diff()[0]) <= 0.02 + 1e-9
+        lost = rips_persistence(points).lifetime[0] - float(names["bars"].detach().diff()[0])
+        assert 0.005 < lost <= 0.02 + 1e-9
     if "states" in names:
-        assert [state.loops[0].id for state in names["states"]] == [0, 0]
-    if "markers" in names:
-        assert len(names["markers"].markers) == 4
-    if "to_lerobot" in names:
-        assert json.loads((tmp_path / "garments/meta/info.json").read_text())["total_episodes"] == 2
+        assert [[loop.id for loop in state.loops] for state in names["states"]] == [[0], [0]]
+        assert names["states"][0].time < names["states"][1].time
+    if "rr" in names:
+        assert (tmp_path / "apron.rrd").stat().st_size > 10_000
+    if "garments" in names and "LeRobotDataset" in names:
+        film = load_episode(DATA / "apron_hook_0.npz")
+        assert (names["garments"].num_episodes, names["garments"].num_frames) == (2, 2 * (len(film) - 1))
     if "env" in names:
         names["env"].close()
 
 
-def test_the_table_is_that_of_the_results(monkeypatch):
-    pytest.importorskip("torch")
-    monkeypatch.syspath_prepend(ROOT / "book" / "experiments")
-    monkeypatch.delitem(sys.modules, "doors", raising=False)
-    import doors
+def test_pieces_that_no_environment_runs_are_marked():
+    for section in PAGE.split("\n## "):
+        packages = set().union(*map(imported, re.findall(r"```python\n(.*?)```", section, re.DOTALL)))
+        if packages & {"rclpy", "lerobot"}:
+            assert re.search(r"\*(This node was not run|No test runs this piece)", section)
 
+
+def test_the_table_is_that_of_the_results():
+    doors = pytest.importorskip("doors")  # of book/experiments
     found = json.loads((ROOT / "book" / "results" / "doors.json").read_text())
     assert doors.paged(PAGE, found) == PAGE
-    assert [row["neighbour"] for row in found["rows"]] == list(dict.fromkeys(row["neighbour"] for row in found["rows"]))

@@ -1,6 +1,6 @@
 """What neighbours take, and topokit behind the same door, in one run. python book/experiments/doors.py
 
-Writes book/results/doors.json and the table of book/coming_from.md; needs `pip install ripser` beside topokit[all,rerun]. One
+Writes book/results/doors.json and the table of book/coming_from.md; needs `pip install ripser` beside topokit[all]. One
 core, one thread. Each work is done by both in turn, `--repeat` times after a turn that is not counted; the least counts, of the
 processor's time, which other programs stretch less.
 """
@@ -13,7 +13,6 @@ import importlib.metadata
 import json
 import os
 import platform
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -31,9 +30,8 @@ from sklearn.pipeline import make_pipeline
 
 import topokit as tk
 from topokit._archive import atomic_file
-from topokit.compat import LoopFeatures, births_and_deaths, from_gudhi, ripser
+from topokit.compat import LoopFeatures, births_and_deaths, ripser
 from topokit.data import Dataset
-from topokit.io import load_episode
 
 from _rips_clouds import cloud
 from _rips_tables import processor
@@ -65,19 +63,6 @@ def works() -> dict[str, Work]:
         edges = torch.tensor(generators(points.detach().numpy())[1][0]).reshape(-1, 2, 2)
         return (points[edges[..., 0]] - points[edges[..., 1]]).norm(dim=-1) / 2
 
-    graph = gudhi.RipsComplex(points=small).create_simplex_tree(max_dimension=1)
-
-    def collapsed() -> Any:
-        tree = graph.copy()
-        tree.collapse_edges()
-        tree.expansion(2)
-        tree.compute_persistence()
-        return tree.persistence_intervals_in_dimension(1)
-
-    def from_graph() -> Any:
-        found = from_gudhi(graph)
-        return 2 * np.column_stack([found.birth, found.death])
-
     return {
         "ripser.py": (
             "degrees 0 and 1 of 500 points",
@@ -89,7 +74,6 @@ def works() -> dict[str, Work]:
             lambda: generators(small)[1][0],
             lambda: tk.rips_persistence(small).to_gudhi()[1][0],
         ),
-        "GUDHI, edges collapsed": ("a graph of 150 points in a tree", collapsed, from_graph),
         "PyTorch": (
             "a gradient, 150 points, generators by GUDHI",
             lambda: step(by_gudhi),
@@ -139,18 +123,6 @@ def garments(features: Any) -> dict[str, Any]:
     return {"seconds": time.process_time() - began, "score": float(scores.mean()), **told}
 
 
-def recording() -> dict[str, float]:
-    """A film and its tracks as a recording of Rerun."""
-    from topokit.view import rerun
-
-    film = load_episode(ROOT / "data_small" / "apron_hook_0.npz")
-    states = tk.track(film.points, times=film.times)
-    with tempfile.TemporaryDirectory() as folder:
-        began = time.process_time()
-        size = rerun(film, states, Path(folder) / "apron.rrd").stat().st_size
-    return {"frames": len(film), "seconds": time.process_time() - began, "megabytes": size / 1e6}
-
-
 def least(work: Callable[[], Any], times: int) -> float:
     """Milliseconds of the quickest of some turns."""
     found = []
@@ -170,7 +142,7 @@ def measured(repeat: int) -> dict[str, Any]:
             {"neighbour": name, "what": what, "there_ms": min(t for t, _ in turns), "here_ms": min(h for _, h in turns)}
         )
         print(rows[-1])
-    packages = ("topokit", "ripser", "gudhi", "scikit-learn", "torch", "rerun-sdk")
+    packages = ("topokit", "ripser", "gudhi", "scikit-learn", "torch")
     versions = {name: importlib.metadata.version(name) for name in packages if name != "topokit"} | {
         "topokit": tk.__version__
     }
@@ -180,13 +152,12 @@ def measured(repeat: int) -> dict[str, Any]:
         "machine": {"processor": processor(), "python": platform.python_version(), "versions": versions},
         "rows": rows,
         "garments": {"topokit": garments(LoopFeatures(n_loops=6, n_jobs=1)), "ripser.py": garments(Lifetimes())},
-        "recording": recording(),
     }
 
 
 def table(found: dict[str, Any]) -> str:
     """The part of the page that the results fill."""
-    one, other, film = found["garments"]["topokit"], found["garments"]["ripser.py"], found["recording"]
+    one, other = found["garments"]["topokit"], found["garments"]["ripser.py"]
     versions = ", ".join(f"{name} {version}" for name, version in found["machine"]["versions"].items())
     lines = [f"({found['machine']['processor']}, one core, {found['date']}; {versions}.)", ""]
     lines += ["| neighbour | work | there | here |", "|---|---|---|---|"]
@@ -201,8 +172,7 @@ def table(found: dict[str, Any]) -> str:
         "",
         f"In the last row {told}; always saying the most frequent garment, {100 * one['most_frequent']:.0f} %.",
     ]
-    size = f"{film['frames']} frames take {film['seconds']:.2g} s and {film['megabytes']:.2g} MB"
-    return "\n".join([*lines, f"As a recording for Rerun, cycles found, {size}."])
+    return "\n".join(lines)
 
 
 def paged(page: str, found: dict[str, Any]) -> str:
