@@ -1,16 +1,11 @@
-"""Every door: what a stranger may hand in, and what it gets. `book/doors.md` is the table of these tests and others'."""
+"""What a stranger may hand in, and what it gets, through every door at once; `book/doors.md` says what is promised."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import dataclasses
-import io
 import json
 import os
-import re
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,11 +14,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_docstrings import FACES, public
 from test_io import small_episode
 
 import topokit as tk
-from topokit import cli, lemmas
+from topokit import lemmas
 from topokit._archive import FormatError, load_archive, save_archive
 from topokit._config import load
 from topokit.io import load_episode, load_states, save_episode, save_states
@@ -328,122 +322,6 @@ def test_any_mesh_file_is_read_or_refused(tmp_path_factory, noise, suffix, at):
         Garment.from_mesh(path)
 
 
-# -- commands -----------------------------------------------------------------------------------------------------------------
-
-
-def npy(header: str, content: bytes = b"") -> bytes:
-    head = header.encode()
-    return b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + content
-
-
-SHAPE = "{{'descr': '<f8', 'fortran_order': False, 'shape': {}}}\n"
-BAD_FRAMES = {
-    "a header that declares more than there is memory": (
-        npy(SHAPE.format("(1000000000000, 3)")),
-        "268435456 of numbers at most",
-    ),
-    "a negative shape": (npy(SHAPE.format("(-1, -3)"), bytes(24)), "whole .npy array"),
-    "a shape of words": (npy(SHAPE.format("('a', 3)")), "whole .npy array"),
-    "a header nested deep": (npy("-" * 9000 + "1"), "whole .npy array"),
-    "a header that never ends": (npy("(" * 5000), "whole .npy array"),
-    "a version to come": (b"\x93NUMPY\x09\x00aaaa", "whole .npy array"),
-    "an end in the middle": (npy(SHAPE.format("(4, 3)"), bytes(24)), "24 of 96 bytes"),
-    "no array": (bytes(100), "whole .npy array"),
-    "objects": (npy("{'descr': '|O', 'fortran_order': False, 'shape': (1,)}\n"), "whole .npy array"),
-}
-
-
-@pytest.mark.parametrize("what", BAD_FRAMES)
-def test_a_live_frame_that_is_none_is_named(what):
-    data, says = BAD_FRAMES[what]
-    whole = io.BytesIO()
-    np.save(whole, RING)
-    clouds = cli._clouds(io.BufferedReader(io.BytesIO(whole.getvalue() + data)))
-    np.testing.assert_array_equal(next(clouds), RING)
-    with pytest.raises(FormatError, match=rf"frame 1 on standard input is no .*{says}"):
-        next(clouds)
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.binary(max_size=64), st.integers(0, 120))
-def test_any_stream_is_read_or_refused(noise, at):
-    whole = io.BytesIO()
-    np.save(whole, RING)
-    data = whole.getvalue()
-    with contextlib.suppress(ValueError):
-        list(cli._clouds(io.BufferedReader(io.BytesIO(data[:at] + noise + data[at + len(noise) :]))))
-
-
-def test_columns_first_is_the_same_cloud():
-    stream = io.BytesIO()
-    np.save(stream, np.asfortranarray(RING))
-    np.testing.assert_array_equal(next(cli._clouds(io.BufferedReader(io.BytesIO(stream.getvalue())))), RING)
-
-
-def shell(line: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    words = line.replace("topokit", f"{sys.executable} -m topokit")
-    return subprocess.run(["bash", "-c", words], cwd=folder, capture_output=True, text=True)
-
-
-@pytest.fixture(scope="module")
-def clouds(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("doors")
-    with (folder / "clouds.npy").open("wb") as stream:
-        for _ in range(400):
-            np.save(stream, RING)
-    return folder
-
-
-@pytest.mark.parametrize(
-    ("line", "code", "says"),
-    [
-        (
-            "topokit track --live < clouds.npy | head -1 > /dev/null; exit ${PIPESTATUS[0]}",
-            141,
-            "its reader has stopped",
-        ),
-        ("topokit track --live < clouds.npy > /dev/full", 2, "standard output: No space left on device; make room"),
-        ("topokit track --live <&-", 2, "standard input is closed"),
-        ("topokit track /dev/null", 2, "/dev/null: a device or a pipe, not a file"),
-    ],
-    ids=["a broken pipe", "a full disk", "no input", "a device"],
-)
-def test_what_is_not_taken_or_not_there_has_its_own_words(clouds, line, code, says):
-    done = shell(line, clouds)
-    assert done.returncode == code, done.stderr
-    assert says in done.stderr
-    assert "Traceback" not in done.stderr
-
-
-BAD_LINES = [
-    ("track episode.npz --alpha nan", "alpha must be zero or more and finite, not nan"),
-    ("track episode.npz --epsilon inf", "epsilon must be"),
-    ("track episode.npz --memory -1", "memory must be 0 or more"),
-    ("track episode.npz --plot folder", "--plot folder: the name of a picture ends in .png, .svg, .pdf"),
-    ("track episode.npz --plot a.txt", "ends in .png"),
-    ("track --live --alpha nan", "alpha must be"),
-]
-
-
-@pytest.mark.parametrize(("line", "says"), BAD_LINES)
-def test_bad_options_of_track_write_nothing(line, says, tmp_path, capsys, monkeypatch):
-    save_episode(tmp_path / "episode.npz", RECORDED)
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(line.split()) == 2
-    assert says in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["episode.npz"]
-
-
-def test_too_little_memory_is_a_sentence(tmp_path, capsys, monkeypatch):
-    def greedy(*_: object, **__: object) -> None:
-        raise MemoryError
-
-    save_episode(tmp_path / "episode.npz", RECORDED)
-    monkeypatch.setattr(cli, "track", greedy)
-    assert cli.main(["track", str(tmp_path / "episode.npz")]) == 2
-    assert capsys.readouterr().err == "topokit track: error: not enough memory for so much at a time\n"
-
-
 # -- the environment ------------------------------------------------------------------------------------------------------------
 
 
@@ -475,25 +353,3 @@ def test_an_action_that_is_none_moves_nothing(action, monkeypatch):
     monkeypatch.setattr(env, "_running", lambda: None)
     with pytest.raises(ValueError, match="action"):
         env.step(action)
-
-
-# -- the table -----------------------------------------------------------------------------------------------------------
-
-TABLE = (ROOT / "book" / "doors.md").read_text()
-
-
-def test_every_public_name_and_command_stands_in_the_table():
-    words = set(re.findall(r"`([^`]+)`", TABLE))
-    names = {name.removeprefix(f"{face}.") for face in FACES for name, _ in public(face)}
-    missing = {name for name in names if "." not in name} - {word.split("(")[0].split(".")[-1] for word in words}
-    assert not missing, sorted(missing)
-    parser = cli.parser()
-    commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction)).choices
-    assert {f"topokit {name}" for name in commands} <= {" ".join(word.split()[:2]) for word in words}
-
-
-def test_every_test_of_the_table_is_there():
-    named = re.findall(r"`(\w+\.py)::(\w+)`", TABLE)
-    assert len(named) > 60
-    for file, name in named:
-        assert re.search(rf"^def {name}\(", (ROOT / "tests" / file).read_text(), re.M), f"{file}::{name}"

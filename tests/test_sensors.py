@@ -2,104 +2,43 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.lib import recfunctions
 from PIL import Image
-from pypcd4 import Encoding, PointCloud
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from pypcd4 import Encoding
+from rosbags.rosbag2 import StoragePlugin
+from sensor_files import (
+    LENS,
+    cloud_message,
+    clouds,
+    depth_image,
+    image_message,
+    info_message,
+    npy,
+    npz,
+    pcd,
+    ply,
+    png,
+    ring,
+    save_bag,
+    save_pcd,
+)
+from sklearn.linear_model import RANSACRegressor
 
 import topokit as tk
-from topokit._config import from_mapping, load
-from topokit.cli import main
-from topokit.io import FormatError, load_states, read_clouds
-from topokit.sensors import Cleaner, Pipeline, _pipeline
-from topokit.sensors._pipeline import _voxel_means
-
-LENS = {"fx": 30.0, "fy": 30.0, "cx": 20.0, "cy": 15.0}
-MESSAGES = get_typestore(Stores.ROS2_HUMBLE)
-
-
-def ring(t: float = 0.0, n: int = 60) -> np.ndarray:
-    """A loop 60 cm across, (n, 3) float32, that moves."""
-    angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
-    return np.column_stack([0.3 * np.cos(angle), 0.3 * np.sin(angle), 1 + 0.01 * t + 0 * angle]).astype(np.float32)
-
-
-def clouds(path: Path, **asked: object) -> list[np.ndarray]:
-    return [cloud for _, cloud in read_clouds(path, **asked)]
-
-
-def save_pcd(path: Path, points: np.ndarray, encoding: Encoding = Encoding.BINARY_COMPRESSED) -> Path:
-    """With colours, as PCL writes `PointXYZRGB`."""
-    colours = PointCloud.encode_rgb(np.full((len(points), 3), 200, np.uint8))
-    PointCloud.from_xyzrgb_points(np.column_stack([points, colours.ravel()])).save(path, encoding)
-    return path
-
-
-def depth_image(t: float = 0.0) -> np.ndarray:
-    """Millimetres (30, 40) of a ring in front of a wall at 2 m; a corner is not seen."""
-    rows, columns = np.indices((30, 40))
-    away = np.hypot(rows - 15, columns - 20 - t)
-    image = np.where((away > 5) & (away < 9), 1000, 2000).astype(np.uint16)
-    image[:3, :3] = 0
-    return image
-
-
-def header(t: float) -> object:
-    time = MESSAGES.types["builtin_interfaces/msg/Time"](int(t), round(1e9 * (t % 1)))
-    return MESSAGES.types["std_msgs/msg/Header"](time, "camera")
-
-
-def cloud_message(points: np.ndarray, t: float, order: str = "<") -> object:
-    """Organised (h, w, 3), with colours between and a gap at the end of each row, as drivers send it."""
-    kind = np.dtype(
-        {"names": ["x", "y", "z", "rgb"], "formats": [f"{order}f4"] * 4, "offsets": [0, 4, 8, 16], "itemsize": 32}
-    )
-    height, width = points.shape[:2]
-    rows = np.zeros((height, 32 * width + 8), np.uint8)
-    for row, part in zip(rows, points, strict=True):
-        filled = row[:-8].view(kind)
-        for axis, name in enumerate("xyz"):
-            filled[name] = part[:, axis]
-    field = MESSAGES.types["sensor_msgs/msg/PointField"]
-    fields = [field(name, kind.fields[name][1], 7, 1) for name in kind.names]
-    message = MESSAGES.types["sensor_msgs/msg/PointCloud2"]
-    return message(header(t), height, width, fields, order == ">", 32, rows.shape[1], rows.ravel(), False)
-
-
-def image_message(image: np.ndarray, t: float, encoding: str = "16UC1") -> object:
-    message = MESSAGES.types["sensor_msgs/msg/Image"]
-    step = image.strides[0]
-    return message(header(t), *image.shape, encoding, 0, step, np.frombuffer(image.tobytes(), np.uint8))
-
-
-def info_message(t: float) -> object:
-    roi = MESSAGES.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-    k = np.array([30.0, 0, 20, 0, 30, 15, 0, 0, 1])
-    r, p = np.eye(3).ravel(), np.zeros(12)
-    message = MESSAGES.types["sensor_msgs/msg/CameraInfo"]
-    return message(header(t), 30, 40, "plumb_bob", np.zeros(5), k, r, p, 0, 0, roi)
-
-
-def save_bag(path: Path, topics: dict[str, list[object]], storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
-    """A bag as `ros2 bag record` writes it; message t is received at 100 + t seconds."""
-    with Writer(path, version=9, storage_plugin=storage) as bag:
-        for name, messages in topics.items():
-            kind = messages[0].__msgtype__
-            connection = bag.add_connection(name, kind, typestore=MESSAGES)
-            for t, message in enumerate(messages):
-                bag.write(connection, int(1e9 * (100 + t)), MESSAGES.serialize_cdr(message, kind))
-    return path
-
+from topokit._config import from_mapping
+from topokit.io import FormatError
+from topokit.sensors import Cleaner, Pipeline, read_clouds, read_stream
 
 # Each kind of file: a film of the ring at 0 and 1, or its first frame.
 
@@ -174,9 +113,7 @@ def test_units_are_looked_at_where_something_is_seen(tmp_path):
         np.save(tmp_path / f"{t}.npy", cloud)
     np.save(tmp_path / "film.npy", [blank, 1000 * ring()])
     for path, name in ((tmp_path / "[0-9].npy", "2.npy"), (tmp_path / "film.npy", "film.npy")):
-        with pytest.raises(
-            FormatError, match=rf"{name}: it is .* are these millimetres\? Declare unit='mm' \(--unit mm\)"
-        ):
+        with pytest.raises(FormatError, match=rf"{name}: .*--unit mm"):
             clouds(path)
 
 
@@ -253,80 +190,47 @@ def test_a_bag_of_depth_images(tmp_path):
     assert [time for time, _ in found] == [100, 100]  # no stamp: when it was received
     np.testing.assert_allclose(found[0][1], found[1][1], atol=1e-6)
     np.testing.assert_allclose(found[0][1].reshape(30, 40, 3)[15, 27], [7 / 30, 0, 1], atol=1e-6)
-    with pytest.raises(FormatError, match=r"which topic\? There is /16UC1/depth/image, .* name one as topic="):
+    with pytest.raises(FormatError, match="/16UC1/depth/image, .*topic="):
         next(read_clouds(bag))
-    with pytest.raises(FormatError, match="which topic"):
+    with pytest.raises(FormatError, match="/16UC1/depth/image"):
         next(read_clouds(bag, topic="/nothing"))
-    with pytest.raises(FormatError, match="images of encoding mono8: depth is one of 16UC1"):
+    with pytest.raises(FormatError, match="mono8"):
         next(read_clouds(bag, topic="/rgb/image"))
 
 
 # What is refused, and in which words.
 
 
-def npz(**arrays: object) -> bytes:
-    stream = io.BytesIO()
-    np.savez(stream, **arrays)
-    return stream.getvalue()
-
-
-def npy(array: object) -> bytes:
-    stream = io.BytesIO()
-    np.save(stream, array)
-    return stream.getvalue()
-
-
-def png(array: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(array).save(stream, "png")
-    return stream.getvalue()
-
-
-def pcd(encoding: Encoding = Encoding.BINARY_COMPRESSED) -> bytes:
-    stream = io.BytesIO()
-    PointCloud.from_xyz_points(ring()).save(stream, encoding)
-    return stream.getvalue()
-
-
-def ply(encoding: str = "binary") -> bytes:
-    return trimesh.exchange.ply.export_ply(trimesh.PointCloud(ring()), encoding=encoding)
-
-
 XYI = recfunctions.unstructured_to_structured(ring(), names=["x", "y", "intensity"])
+# The bytes of a file, None where there is no file, and what the error must mention beside the file.
 BAD = {
-    "none.pcd": (None, "there is no such file"),
-    "cloud.txt": (b"1 2 3", r"holds files .txt; a film is one of .npy, .npz, .ply, .pcd, .png"),
+    "none.pcd": (None, ""),
+    "cloud.txt": (b"1 2 3", ".txt"),
     "empty.npy": (b"", ""),
-    "pickled.npy": (npy(np.array([{}])), "Python objects"),
-    "half.npy": (npy(ring())[:300], "size"),
-    "words.npy": (npy(np.array([["a", "b", "c"]])), "must hold real numbers"),
-    "flat.npy": (npy(np.zeros(3)), r"of shape \(3,\); a cloud is \(n, 3\), one row a point"),
-    "number.npy": (npy(3.0), r"of shape \(\); a cloud is"),
-    "columns.npy": (npy(ring().T), r"of shape \(3, 60\); a cloud is \(n, 3\), one row a point"),
-    "colours.npy": (
-        npy(np.ones((9, 6))),
-        r"6 numbers a point, and a place has three: say which, as columns=\(0, 1, 2\)",
-    ),
-    "named.npy": (npy(XYI), "its points have no z: they have x, y, intensity"),
-    "depth.npy": (npy(np.ones((30, 40), np.float32)), "a depth image needs its camera: fx, fy, cx and cy"),
-    "millimetres.npy": (npy(1000 * ring()), r"it is 5\d\d.* m across: are these millimetres\? Declare unit='mm'"),
-    "two.npz": (npz(a=ring(), b=ring()), "it holds a, b: name the array of clouds 'points'"),
-    "ours.npz": (npz(points=[ring()], json=np.zeros(9)), "topokit wrote it, .* read it by load_episode"),
-    "late.npz": (npz(points=[ring()], times=[0.0, 1.0]), r"times has shape \(2,\); there are 1 clouds"),
-    "colour.png": (png(np.zeros((30, 40, 3), np.uint8)), r"mode RGB: a depth image has 16 bits a pixel; a pattern"),
-    "depth.png": (png(depth_image()), "a depth image needs its camera"),
-    "no.png": (b"hello", "cannot identify image file"),
-    "half.ply": (ply()[:-8], "unexpected length"),
-    "fewer.ply": (ply("ascii")[:-40], "cut off or damaged"),
-    "no.ply": (b"hello", "ply"),
+    "pickled.npy": (npy(np.array([{}])), ""),
+    "half.npy": (npy(ring())[:300], ""),
+    "words.npy": (npy(np.array([["a", "b", "c"]])), "real numbers"),
+    "flat.npy": (npy(np.zeros(3)), r"\(3,\)"),
+    "number.npy": (npy(3.0), r"\(\)"),
+    "columns.npy": (npy(ring().T), r"\(3, 60\)"),
+    "colours.npy": (npy(np.ones((9, 6))), r"columns=\(0, 1, 2\)"),
+    "named.npy": (npy(XYI), "no z: .* intensity"),
+    "depth.npy": (npy(np.ones((30, 40), np.float32)), "fx, fy, cx and cy"),
+    "millimetres.npy": (npy(1000 * ring()), "unit='mm'"),
+    "two.npz": (npz(a=ring(), b=ring()), "a, b: .*'points'"),
+    "ours.npz": (npz(points=[ring()], json=np.zeros(9)), "load_episode"),
+    "late.npz": (npz(points=[ring()], times=[0.0, 1.0]), "times"),
+    "colour.png": (png(np.zeros((30, 40, 3), np.uint8)), "RGB"),
+    "depth.png": (png(depth_image()), "fx, fy, cx and cy"),
+    "no.png": (b"hello", ""),
+    "half.ply": (ply()[:-8], ""),
+    "fewer.ply": (ply("ascii")[:-40], ""),
+    "no.ply": (b"hello", ""),
     "half.pcd": (pcd(encoding=Encoding.BINARY)[:-8], ""),
-    "fewer.pcd": (pcd(encoding=Encoding.BINARY)[:-12], "cut off or damaged: 59 of 60 points"),
-    "many.pcd": (pcd().replace(b"POINTS 60", b"POINTS 600000000"), "bytes claim to hold 600000000 points"),
-    "fields.pcd": (
-        pcd().replace(b"COUNT 1", b"COUNT 9999999"),
-        "bytes claim to hold 60 points, 9999999 numbers in a field",
-    ),
-    "no.pcd": (b"hello", "not a PCD file: its header has no line DATA"),
+    "fewer.pcd": (pcd(encoding=Encoding.BINARY)[:-12], "59 of 60"),
+    "many.pcd": (pcd().replace(b"POINTS 60", b"POINTS 600000000"), "600000000"),
+    "fields.pcd": (pcd().replace(b"COUNT 1", b"COUNT 9999999"), "9999999"),
+    "no.pcd": (b"hello", "DATA"),
     "no.mcap": (b"hello", ""),
     "no.db3": (b"hello", ""),
 }
@@ -334,10 +238,10 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_files_are_named(name, tmp_path):
-    data, says = BAD[name]
+    data, mentions = BAD[name]
     if data is not None:
         (tmp_path / name).write_bytes(data)
-    with pytest.raises((FormatError, FileNotFoundError), match=rf"(?s){name}: .*({says})"):
+    with pytest.raises((FormatError, FileNotFoundError), match=rf"(?s){name}: .*({mentions})"):
         clouds(tmp_path / name)
 
 
@@ -366,11 +270,11 @@ def test_a_file_of_any_bytes_is_read_or_refused(kind, tmp_path):
 
 
 def test_a_film_is_of_one_kind(tmp_path):
-    with pytest.raises(FormatError, match="holds no cloud; a film is one of"):
+    with pytest.raises(FormatError, match="no cloud"):
         clouds(tmp_path)
     np.save(tmp_path / "0.npy", ring())
     save_pcd(tmp_path / "1.pcd", ring())
-    with pytest.raises(FormatError, match=r"holds files .npy, .pcd; a film"):
+    with pytest.raises(FormatError, match=r"\.npy, \.pcd"):
         clouds(tmp_path)
     for asked, says in (
         ({"unit": "inch"}, "unit must be one of m, cm, mm"),
@@ -388,7 +292,7 @@ def test_units_and_columns_are_declared(tmp_path):
     for columns, says in (((3, 4, 6), "no 6: they have 0, 1, 2, 3, 4, 5"), (("x", "y", "z"), "no x: they have 0, 1")):
         with pytest.raises(FormatError, match=f"mm.npy: its points have {says}"):
             clouds(tmp_path / "mm.npy", unit="mm", columns=columns)
-    with pytest.raises(FormatError, match=r"mm across: are these metres\? Declare unit='m'"):
+    with pytest.raises(FormatError, match="unit='m'"):
         clouds(tmp_path / "m.npy", unit="mm")
     np.save(tmp_path / "hall.npy", 1000 * ring())
     np.testing.assert_array_equal(clouds(tmp_path / "hall.npy", unit="m")[0], 1000 * ring())
@@ -406,6 +310,56 @@ def test_files_of_numpy_need_no_extra(tmp_path):
     code = "import sys\nfor name in 'pydantic pypcd4 rosbags trimesh PIL pandas sklearn'.split(): sys.modules[name] = None\n"
     code += f"from topokit.io import read_clouds\nassert len(list(read_clouds({str(tmp_path / 'film.npz')!r}))) == 2"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+# A stream.
+
+
+def stream(data: bytes) -> io.BufferedReader:
+    return io.BufferedReader(io.BytesIO(data))
+
+
+def header_of(shape: str, content: bytes = b"", kind: str = "<f8") -> bytes:
+    head = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}}}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + content
+
+
+BAD_FRAMES = {
+    "a header that declares more than there is memory": header_of("(1000000000000, 3)"),
+    "a negative shape": header_of("(-1, -3)", bytes(24)),
+    "a shape of words": header_of("('a', 3)"),
+    "a header nested deep": header_of("-" * 9000 + "1"),
+    "a header that never ends": header_of("(" * 5000),
+    "a version to come": b"\x93NUMPY\x09\x00aaaa",
+    "an end in the middle": header_of("(4, 3)", bytes(24)),
+    "no array": bytes(100),
+    "objects": header_of("(1,)", kind="|O"),
+    "complex numbers": npy(np.zeros((5, 3), dtype=complex)),
+}
+
+
+@pytest.mark.parametrize("what", BAD_FRAMES)
+def test_a_frame_of_a_stream_that_is_none_is_named(what):
+    frames = read_stream(stream(npy(ring()) + BAD_FRAMES[what]))
+    np.testing.assert_array_equal(next(frames), ring())
+    with pytest.raises(FormatError, match="frame 1"):
+        next(frames)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.binary(max_size=64), st.integers(0, 120))
+def test_any_stream_is_read_or_refused(noise, at):
+    data = npy(ring())
+    with contextlib.suppress(FormatError):
+        list(read_stream(stream(data[:at] + noise + data[at + len(noise) :])))
+
+
+def test_a_stream_may_be_written_columns_first_and_in_other_units():
+    found = list(read_stream(stream(npy(np.asfortranarray(1000 * ring())) * 2), unit="mm"))
+    np.testing.assert_allclose(found, [ring()] * 2, rtol=1e-6)
+    with pytest.raises(FormatError, match="unit='mm'"):
+        list(read_stream(stream(npy(1000 * ring()))))
+    assert len(list(read_stream(stream(npy(1000 * ring())), check_unit=False))) == 1
 
 
 # The pipeline.
@@ -459,32 +413,35 @@ def test_every_step_says_what_it_removed():
     assert loops.max() > 0.15
 
 
-def test_planes_are_followed_and_searched_for_when_they_are_lost(monkeypatch):
-    searched = []
-    found = _pipeline._found
-    monkeypatch.setattr(_pipeline, "_found", lambda *some: searched.append(1) or found(*some))
+@pytest.fixture
+def searches(monkeypatch) -> list[int]:
+    """A list that grows by one whenever a plane is searched for; a search takes long, and fits once along each axis."""
+    fits: list[int] = []
+    fit = RANSACRegressor.fit
+    monkeypatch.setattr(RANSACRegressor, "fit", lambda *given: fits.append(1) or fit(*given))
+    return fits
+
+
+def test_planes_are_followed_and_searched_for_when_they_are_lost(searches):
     clean = Cleaner(Pipeline(planes=2, eye=EYE))
     for t in (0, 0.5, 1, 1.5):
         clean(scene(t))
-    assert len(searched) == 2
+    assert len(searches) == 2 * 3
     assert clean.removed["on planes"] > 8900
     clean((scene(0) - EYE) @ np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]]) + EYE)  # the camera fell over
-    assert len(searched) == 4
+    assert len(searches) == 4 * 3
     assert clean.removed["on planes"] > 8900
 
 
-def test_no_plane_is_found_where_none_is(monkeypatch):
-    rng = np.random.default_rng(0)
-    ball = rng.standard_normal((2000, 3))
-    clean, searched = Cleaner(Pipeline(planes=1, eye=EYE, points=None)), []
-    found = _pipeline._found
-    monkeypatch.setattr(_pipeline, "_found", lambda *some: searched.append(1) or found(*some))
+def test_no_plane_is_found_where_none_is(searches):
+    ball = np.random.default_rng(0).standard_normal((2000, 3))
+    clean = Cleaner(Pipeline(planes=1, eye=EYE, points=None))
     for _ in range(30):
         assert len(clean(ball)) == 2000
         assert clean.removed["on planes"] == 0
-    assert len(searched) == 1  # for a search takes long
+    assert len(searches) == 3
     assert len(clean(ring()[:4])) == 4
-    assert len(searched) == 2
+    assert len(searches) == 2 * 3
 
 
 def test_cloth_before_a_wall_is_no_wall():
@@ -497,16 +454,16 @@ def test_cloth_before_a_wall_is_no_wall():
     assert (kept[:, 2] == 1).all()
 
 
-def test_the_steps_against_their_definitions():
+def test_voxels_keep_the_means_of_cubes():
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (3000, 3))
-    means = _voxel_means(points, 0.1)
+    means = Cleaner(Pipeline(voxel=0.1, points=None))(points)
     cells = np.floor(points / 0.1).astype(int)
     places, numbers = np.unique(cells, axis=0, return_inverse=True)
     expected = [points[numbers.ravel() == i].mean(axis=0) for i in range(len(places))]
     order = np.lexsort(np.floor(means / 0.1).T[::-1])
     np.testing.assert_allclose(means[order], expected)
-    with pytest.raises(ValueError, match=r"voxel: 1e-09 m is too small for a scene of"):
-        _voxel_means(points, 1e-9)
+    with pytest.raises(ValueError, match="voxel: 1e-09 m"):
+        Cleaner(Pipeline(voxel=1e-9))(points)
 
 
 def test_organised_clouds_and_doubles_are_cleaned_alike():
@@ -519,25 +476,21 @@ def test_organised_clouds_and_doubles_are_cleaned_alike():
 
 
 def test_what_cannot_be_cleaned_says_why():
-    with pytest.raises(
-        ValueError, match=r"points must be \(n, 3\) or \(h, w, 3\), not of shape \(9, 6\): pick x, y and z"
-    ):
+    with pytest.raises(ValueError, match=r"\(9, 6\)"):
         Cleaner()(np.ones((9, 6)))
     clean = Cleaner(Pipeline(crop=((5, 5, 5), (6, 6, 6))))
-    with pytest.raises(
-        ValueError, match=r"nothing is left of frame 0: removed were 0 not finite, .* 60 outside the box"
-    ):
+    with pytest.raises(ValueError, match="60 outside the box"):
         clean(ring())
 
 
 @pytest.mark.parametrize(
     ("entries", "says"),
     [
-        ({"voxels": 1}, "there is no 'voxels'; there are finite, zeros, crop"),
-        ({"voxel": -0.1}, "voxel: .*greater than 0"),
+        ({"voxels": 1}, "voxels"),
+        ({"voxel": -0.1}, "voxel"),
         ({"planes": 1.5}, "planes"),
         ({"points": "many"}, "points"),
-        ({"crop": [[0, 0, 0], [1, 0, 1]]}, r"crop: \(0.0, 0.0, 0.0\) is not below \(1.0, 0.0, 1.0\)"),
+        ({"crop": [[0, 0, 0], [1, 0, 1]]}, "crop"),
     ],
 )
 def test_a_wrong_pipeline_is_refused(entries, says):
@@ -548,119 +501,3 @@ def test_a_wrong_pipeline_is_refused(entries, says):
 def test_a_box_may_be_lists_or_an_array():
     box = ((-1.0, -1.0, 0.0), (1.0, 1.0, 2.0))
     assert Pipeline(crop=[list(corner) for corner in box]).crop == Pipeline(crop=np.array(box)).crop == box
-
-
-# The command.
-
-
-@pytest.fixture
-def film(tmp_path):
-    """Five organised clouds with NaN rows and colours, in millimetres."""
-    folder = tmp_path / "film"
-    folder.mkdir()
-    for t in range(5):
-        points = 1000 * ring(t, 400)
-        points[::10] = np.nan
-        save_pcd(folder / f"{t}.pcd", points)
-    return folder
-
-
-def test_track_takes_a_film(film, tmp_path, capsys):
-    (tmp_path / "how.json").write_text('{"points": 100, "voxel": 0.001}')
-    arguments = ["track", str(film), "--unit", "mm", "--fps", "10", "--pipeline", str(tmp_path / "how.json")]
-    assert main(arguments) == 0
-    out = capsys.readouterr().out
-    assert "film: 5 frames" in out
-    assert "nan" not in out  # there is no true loop to be compared with
-    assert "removed a frame: 40 not finite, 0 at (0, 0, 0), 0 by voxels, 260 by farthest points" in out
-    states = load_states(tmp_path / "film.tracks.npz")
-    assert [state.time for state in states] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
-    assert [[loop.id for loop in state.loops] for state in states] == [[0]] * 5
-    assert load(Pipeline, tmp_path / "how.json") == Pipeline(points=100, voxel=0.001)
-    assert main([*arguments, "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert answer["removed"]["not finite"] == 200
-    assert [loop["frames"] for loop in answer["loops"]] == [5]
-
-
-def test_track_takes_the_folder_that_it_runs_in(film, monkeypatch, capsys):
-    monkeypatch.chdir(film)
-    assert main(["track", ".", "--unit", "mm"]) == 0
-    assert capsys.readouterr().out.endswith(f"tracks: {film}.tracks.npz\n")
-
-
-def test_tracks_of_one_file_do_not_spoil_its_folder(film, capsys):
-    assert main(["track", str(film / "3.pcd"), "--unit", "mm"]) == 0
-    assert main(["track", str(film), "--unit", "mm"]) == 0
-    assert "film: 5 frames" in capsys.readouterr().out
-
-
-def test_track_takes_an_archive_of_clouds_that_topokit_did_not_write(tmp_path, capsys):
-    np.savez(tmp_path / "film.npz", [ring(t) for t in range(3)])
-    assert main(["track", str(tmp_path / "film.npz")]) == 0
-    assert "film.npz: 3 frames" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["film"], "0.pcd: it is"),
-        (["film", "--unit", "mm", "--plot", "a.png"], "--plot is for episodes, and film is not: leave it out"),
-        (["film/*.pcd", "--unit", "mm"], "--out: say where to write the tracks of film/*.pcd"),
-        (["film", "--unit", "mm", "--pipeline", "bad.json"], "bad.json: there is no 'voxels'"),
-        (["film", "--unit", "mm", "--columns", "a,b,c"], "0.pcd: its points have no a: they have x, y, z, rgb"),
-        (["episode.npz", "--unit", "mm"], "--unit is for clouds, and episode.npz is not: leave it out"),
-        (["cloud.txt"], "holds files .txt"),
-        (["depth.npy", "--intrinsics", "none.json"], "error: none.json: there is no such file"),
-        (["--live", "--topic", "/points", "--fps", "3"], "leave out fps"),
-    ],
-)
-def test_bad_calls_write_nothing(arguments, says, film, tmp_path, episode_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("bad.json").write_text('{"voxels": 1}')
-    Path("cloud.txt").write_text("1 2 3")
-    np.save("depth.npy", depth_image())
-    Path("episode.npz").write_bytes(episode_path.read_bytes())
-    assert main(["track", *arguments]) == 2
-    assert says in capsys.readouterr().err
-    assert not list(tmp_path.rglob("*.tracks.npz"))
-
-
-def live(frames: list[np.ndarray], *options: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "topokit", "track", "--live", *options]
-    done = subprocess.run(command, input=b"".join(map(npy, frames)), capture_output=True)
-    return subprocess.CompletedProcess(command, done.returncode, done.stdout.decode(), done.stderr.decode())
-
-
-def test_live_leaves_out_what_is_not_finite_and_says_so_once():
-    frames = [ring(t) for t in range(3)]
-    frames[1][7] = frames[2][3] = np.nan
-    done = live(frames)
-    assert done.returncode == 0, done.stderr
-    assert [json.loads(line)["frame"] for line in done.stdout.splitlines()] == [0, 1, 2]
-    assert done.stderr.splitlines() == [
-        "topokit track: frame 1: 1 of 60 points are not finite and left out, here and in what follows"
-    ]
-
-
-def test_the_advice_about_a_frame_is_python():
-    points = ring()
-    points[7] = np.nan
-    with pytest.raises(ValueError, match="frame 0 has 1 of 60 points") as refused:
-        tk.SeqPH().update(points)
-    assert len(eval(str(refused.value).split("for example ")[1])) == 59
-
-
-def test_live_takes_a_pipeline_and_asks_about_colours(tmp_path):
-    frames = [np.column_stack([1000 * ring(t, 300), np.full((300, 3), 200)]) for t in range(2)]
-    (tmp_path / "how.json").write_text('{"points": 50}')
-    options = ["--unit", "mm", "--columns", "0,1,2", "--pipeline", str(tmp_path / "how.json")]
-    done = live(frames, *options)
-    assert done.returncode == 0, done.stderr
-    assert [len(json.loads(line)["loops"]) for line in done.stdout.splitlines()] == [1, 1]
-    refused = live(frames, *options[2:])
-    assert refused.returncode == 2
-    assert "frame 0 on standard input: it is 591.7 m across: are these millimetres? Declare" in refused.stderr
-    refused = live(frames)
-    assert refused.returncode == 2
-    assert "frame 0 on standard input: 6 numbers a point, and a place has three" in refused.stderr

@@ -24,8 +24,8 @@ from . import __version__
 if TYPE_CHECKING:
     from .io import Episode
     from .sensors import Cleaner
+    from .seqph import TopologicalState
     from .sim import Garment, Task
-    from .state import TopologicalState
 
 __all__ = ["main"]
 
@@ -294,7 +294,9 @@ def track(
     is_episode = _is_archive_of_ours(episode)
     unused = clouds.given() if is_episode else ["plot"] * (plot is not None)
     if unused:
-        raise ValueError(f"--{unused[0]} is for {'clouds' if is_episode else 'episodes'}, and {episode} is not: leave it out")
+        raise ValueError(
+            f"--{unused[0]} is for {'clouds' if is_episode else 'episodes'}, and {episode} is not: leave it out"
+        )
 
     if is_episode:
         return _track_episode(episode, out, plot, cloud, tracker, as_json)
@@ -326,9 +328,7 @@ def _tracks_file(episode: Path, out: Path | None) -> Path:
     return out
 
 
-def _track_episode(
-    path: Path, out: Path, plot: Path | None, cloud: str, tracker: TrackerOptions, as_json: bool
-) -> int:
+def _track_episode(path: Path, out: Path, plot: Path | None, cloud: str, tracker: TrackerOptions, as_json: bool) -> int:
     """Track an episode, and compare the tracks with its true loops."""
     from ._archive import atomic_file
     from .evaluate import summarise_tracks
@@ -449,8 +449,8 @@ def _track_live(clouds: CloudOptions, tracker: TrackerOptions) -> int:
     frames = 0
     try:
         for state in follower.stream(prepared):
-            print(json.dumps(state.as_dict()), flush=True)
             frames += 1
+            print(json.dumps(state.as_dict()), flush=True)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped after {frames} frames, which were printed") from None
     return 0

@@ -157,8 +157,9 @@ def _read(path: Path, declared: _Declared) -> Frames:
     """Yield the clouds of a film in metres, each with its time; whatever is wrong with a file names it."""
     unsure = declared.unit != "m"
     try:
-        for path in _files_of(path):
-            for time, cloud in _READERS[_kind(path)](path, declared):
+        for file in _files_of(path):
+            path = file  # the one to name when something is wrong
+            for time, cloud in _READERS[_kind(file)](file, declared):
                 if unsure and _size_is_plausible(cloud, declared):
                     unsure = False
                 yield time, cloud
