@@ -33,7 +33,7 @@ def is_installed(name: str) -> bool:
 
 def write_lerobot(folder: Path, clouds: list[np.ndarray]) -> None:
     """Write the frames of an episode as LeRobot's datasets hold them, in another order, and one of another episode."""
-    import pyarrow
+    import pyarrow as pa
     from pyarrow import parquet
 
     (folder / "data/chunk-000").mkdir(parents=True)
@@ -43,7 +43,7 @@ def write_lerobot(folder: Path, clouds: list[np.ndarray]) -> None:
         "frame_index": [1, 0, 0],
         "episode_index": [0, 0, 1],
     }
-    parquet.write_table(pyarrow.table(rows), folder / "data/chunk-000/file-000.parquet")
+    parquet.write_table(pa.table(rows), folder / "data/chunk-000/file-000.parquet")
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -190,7 +190,7 @@ def test_a_bag_of_depth_images(tmp_path):
     assert [time for time, _ in found] == [100, 100]  # no stamp: when it was received
     np.testing.assert_allclose(found[0][1], found[1][1], atol=1e-6)
     np.testing.assert_allclose(found[0][1].reshape(30, 40, 3)[15, 27], [7 / 30, 0, 1], atol=1e-6)
-    with pytest.raises(FormatError, match="/16UC1/depth/image, .*topic="):
+    with pytest.raises(FormatError, match=r"/16UC1/depth/image, .*topic="):
         next(read_clouds(bag))
     with pytest.raises(FormatError, match="/16UC1/depth/image"):
         next(read_clouds(bag, topic="/nothing"))
