@@ -368,7 +368,7 @@ def test_the_command(hanging, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--film", "a.mp4"], "the name ends in .gif or .html"),
+        (["--film", "a.mp4"], ".gif, .html"),
         (["--out", "a.txt"], "the name ends in .npz"),
         (["--task", "cat-hook"], "there is no such task"),
         (["--loops", "auto"], "give --mesh FILE"),
