@@ -14,7 +14,7 @@ from topokit.evaluate import Bootstrap, Condition, Estimate, EvaluationConfig
 from topokit.evaluate._accuracy import COLUMNS, TrueCurves, measure_forecasts, opening_points
 from topokit.evaluate._forecasters import steps_of
 from topokit.evaluate._summary import Samples, mean_of, summarise
-from topokit.models import Forecast, States
+from topokit.models import Forecast, StateTensors
 
 HORIZON, SLOTS = 4, 3
 STEPS = (1, 2, 4)
@@ -28,7 +28,7 @@ def circle(centre: tuple[float, float, float] = (0, 0, 0), radius: float = 0.1) 
     return np.repeat((np.array(centre) + radius * ring)[None], len(STEPS), axis=0)
 
 
-def said(places: list[tuple[float, float, float]], lifetimes: list[float], there: list[bool] | None = None) -> States:
+def said(places: list[tuple[float, float, float]], lifetimes: list[float], there: list[bool] | None = None) -> StateTensors:
     """A forecast of one window that says the same at every step; slots that are not named are absent, far off."""
     fill = SLOTS - len(places)
     middle = np.array([*places, *[(9.0, 9.0, 9.0)] * fill])
@@ -36,7 +36,7 @@ def said(places: list[tuple[float, float, float]], lifetimes: list[float], there
     seen = torch.tensor([*(there or [True] * len(places)), *[False] * fill]).expand(1, HORIZON, SLOTS)
     corners = torch.tensor(middle[:, None] + PANE, dtype=torch.float32).expand(1, HORIZON, SLOTS, 8, 3)
     small = torch.full((1, HORIZON, SLOTS), 0.02)
-    return States(
+    return StateTensors(
         corners.clone(),
         small[..., None].expand(*small.shape, 4).clone(),
         small,
@@ -47,7 +47,7 @@ def said(places: list[tuple[float, float, float]], lifetimes: list[float], there
     )
 
 
-def score(states: States, *curves: np.ndarray, target: States | None = None) -> dict[str, np.ndarray]:
+def score(states: StateTensors, *curves: np.ndarray, target: StateTensors | None = None) -> dict[str, np.ndarray]:
     """All columns, (K,) of the one window."""
     target = states if target is None else target
     rng = np.random.default_rng(0)

@@ -27,7 +27,7 @@ from topokit.models import (
     forecast_loss,
     load_model,
     load_tensors,
-    target_states,
+    StateTensors.from_labels,
 )
 from topokit.models._baselines import past_window
 from topokit.models._checkpoint import describe, save_tensors
@@ -108,7 +108,7 @@ def test_a_step_knows_nothing_of_the_plan_after_it(window, name):
 
 
 def test_hold_and_carry_are_what_they_say(window):
-    truth = target_states(window)
+    truth = StateTensors.from_labels(window)
     hold, carry = make("hold")(window), make("carry")(window)
     last = window["past_triangles"][:, -1, 0, 0, 0]
     assert torch.allclose(hold.corners[:, :, 0, 0], last[:, None].expand(-1, HORIZON, -1))

@@ -11,12 +11,12 @@ import topokit as tk
 from topokit.io import load_episode
 from topokit.models import (
     LossWeights,
-    States,
+    StateTensors,
     forecast_loss,
     loop_mixtures,
     match_slots,
-    past_states,
-    target_states,
+    StateTensors.from_past,
+    StateTensors.from_labels,
 )
 from topokit.models._baselines import past_window
 from topokit.models._states import corners_of
@@ -39,7 +39,7 @@ def window():
 
 def test_corners_give_the_triangles_of_the_tracker_back(tracked):
     past = past_window(tracked, 3)
-    states = past_states(past)
+    states = StateTensors.from_past(past)
     seen = 0
     for frame, state in enumerate(tracked):
         for slot in range(3):
@@ -65,7 +65,7 @@ def test_slots_of_a_history_are_ordered_by_lifetime(tracked):
 
 
 def test_neighbours_stand_on_their_edges_when_some_are_missing(window):
-    states = target_states(window)
+    states = StateTensors.from_labels(window)
     assert torch.allclose(states.values[:, :, 0, :].sum(-1), window["values"][:, :, 0].sum(-1))
     assert (states.neighbour_values[:, :, 0] > 0).sum() == 2 * 6 * 60
     there = states.values[:, :, 0] > 0
@@ -75,7 +75,7 @@ def test_neighbours_stand_on_their_edges_when_some_are_missing(window):
 
 
 def test_corners_of_corners(window):
-    states = target_states(window)
+    states = StateTensors.from_labels(window)
     corners, values = corners_of(states.triangles, states.values)
     there = window["present"]
     assert torch.allclose(corners[there], states.corners[there])
@@ -105,7 +105,7 @@ def losses(states, window, **options):
 
 
 def test_the_truth_has_no_error_and_anything_else_more(window):
-    truth = target_states(window)
+    truth = StateTensors.from_labels(window)
     best, parts = losses(truth, window)
     assert parts["features"] < 1e-9
     assert parts["presence"] < 1e-6
@@ -120,14 +120,14 @@ def test_the_truth_has_no_error_and_anything_else_more(window):
 
 
 def test_an_edge_has_no_direction(window):
-    truth = target_states(window)
+    truth = StateTensors.from_labels(window)
     assert losses(truth.reversed(), window)[1]["features"] < 1e-9
     wrong = truth.replace(corners=truth.corners[..., [2, 1, 0, 3, 4, 5, 6, 7], :])
     assert losses(wrong, window)[1]["features"] > 0.1
 
 
 def test_slots_are_matched(window):
-    truth = target_states(window)
+    truth = StateTensors.from_labels(window)
     order = torch.tensor([[2, 0, 3, 1]]).expand(6, -1)
     moved = truth.slots(order)
     assert losses(moved, window)[1]["presence"] > 1
@@ -140,7 +140,7 @@ def test_slots_are_matched(window):
 
 
 def test_absent_loops_have_no_say_in_places(window):
-    truth = target_states(window)
+    truth = StateTensors.from_labels(window)
     there = (truth.presence > 0)[..., None, None]
     noise = truth.replace(corners=torch.where(there, truth.corners, torch.randn_like(truth.corners)))
     assert losses(noise, window)[1]["features"] < 1e-9
@@ -148,7 +148,7 @@ def test_absent_loops_have_no_say_in_places(window):
 
 def test_a_batch_without_a_loop_has_a_finite_loss(window):
     empty = window | {"present": torch.zeros_like(window["present"])}
-    states = target_states(window)
+    states = StateTensors.from_labels(window)
     leaf = states.corners.clone().requires_grad_()
     total, _ = forecast_loss(states.replace(corners=leaf), empty, LossWeights(centre=1, match=True))
     total.backward()
@@ -162,7 +162,7 @@ def test_bad_weights_are_named():
 
 
 def test_states_index_and_replace(window):
-    states = target_states(window)
-    assert isinstance(states, States)
+    states = StateTensors.from_labels(window)
+    assert isinstance(states, StateTensors)
     assert states[:, 3:5].corners.shape == (6, 2, SLOTS, 8, 3)
     assert states.triangles.shape == (6, 60, SLOTS, 6, 3, 3)

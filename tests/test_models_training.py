@@ -30,7 +30,7 @@ from topokit.models import (
     load_model,
     load_tensors,
     open_windows,
-    target_states,
+    StateTensors.from_labels,
     train,
 )
 from topokit.models._config import epoch_order, mirrored
@@ -245,9 +245,9 @@ def test_few_films_are_learned_beside_those_that_the_start_knows(tmp_path):
     entries |= {"split": {"shares": shares, "seed": 4, "held_out": HELD_OUT}, "windows": {"stride": 4}}
     (tmp_path / "new.json").write_text(json.dumps(entries | {"rehearse": "old.json"}))
     with pytest.raises(ValueError, match=r"old\.json: cannot be rehearsed, its windows is not that"):
-        open_windows(load_config(tmp_path / "new.json"))
+        open_windows(TrainConfig.load(tmp_path / "new.json"))
     (tmp_path / "old.json").write_text(json.dumps({**entries, "split": {"shares": shares}}))
-    both = open_windows(load_config(tmp_path / "new.json"))
+    both = open_windows(TrainConfig.load(tmp_path / "new.json"))
     new, old = (
         open_windows(TrainConfig(**{**entries, "split": split})) for split in (entries["split"], {"shares": shares})
     )
@@ -274,7 +274,7 @@ def test_too_little_data(tmp_path, windows):
 def test_load_config(tmp_path):
     entries = {"model": "mlp", "dataset": "data", "shape": {"slots": 2}, "loss": {"centre": 0.1}}
     (tmp_path / "a.json").write_text(json.dumps(entries))
-    a = load_config(tmp_path / "a.json")
+    a = TrainConfig.load(tmp_path / "a.json")
     assert a.shape == Shape(slots=2)
     assert a.dataset == str(tmp_path / "data")
     assert from_mapping(TrainConfig, json.loads(json.dumps(asdict(a))), "c") == a
@@ -298,7 +298,7 @@ def test_bad_configurations_are_named(tmp_path, text, says):
     path = tmp_path / "c.json"
     path.write_text(text)
     with pytest.raises(ValueError, match=rf"c\.json.*{says}"):
-        load_config(path)
+        TrainConfig.load(path)
 
 
 def test_a_mirrored_window_is_the_window_of_the_mirrored_scene():
@@ -311,7 +311,7 @@ def test_a_mirrored_window_is_the_window_of_the_mirrored_scene():
     assert torch.equal(mirror["actions"][2, :, 0, 1:], window["actions"][2, :, 1, 1:])
     again = mirrored(mirror, which)
     assert all(torch.equal(part, again[name]) for name, part in window.items())
-    one, other = target_states(window), target_states(mirror)
+    one, other = StateTensors.from_labels(window), StateTensors.from_labels(mirror)
     assert torch.allclose(one.mean[0] * torch.tensor([-1.0, 1, 1]), other.mean[0])
     carried = (build("carry", SHAPE, Normalisation())(w).mean for w in (window, mirror))
     assert torch.allclose(next(carried)[2] * torch.tensor([-1.0, 1, 1]), next(carried)[2], atol=1e-6)

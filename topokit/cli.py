@@ -912,17 +912,17 @@ def train(
     out
         Where checkpoints and log go, in place of the configuration's folder.
     """
-    from .models import load_config, open_windows
+    from .models import TrainConfig
     from .models import train as run_training
 
-    settings = load_config(config)
+    settings = TrainConfig.load(config)
     if seed is not None:
         settings = dataclasses.replace(settings, seed=seed)
     if out is not None:
         settings = dataclasses.replace(settings, out=out)
     progress = sys.stderr.isatty() and not as_json and not quiet
     try:
-        answer = run_training(settings, open_windows(settings), progress=progress)
+        answer = run_training(settings, progress=progress)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped; the same command goes on from {settings.out}/last.safetensors") from None
     if as_json:

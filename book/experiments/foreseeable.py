@@ -31,7 +31,7 @@ from topokit.data._recipe import DatasetConfig, make_episode
 from topokit.evaluate._accuracy import measure_forecasts
 from topokit.evaluate._conditions import kinds_of, spread_windows, true_curves
 from topokit.evaluate._forecasters import of_stream, of_windows
-from topokit.models import MotionPredictor, Normalisation, Predictor, Shape, build, past_states, target_states
+from topokit.models import MotionPredictor, Normalisation, Predictor, Shape, StateTensors, build
 from topokit.models._motion import KNOTS, _hands, carried
 from topokit.sim import Randomisation, SimulationError
 from topokit.sim._episode import Run, record_afresh
@@ -168,7 +168,7 @@ def main() -> None:
 
     batch = default_collate([windows[i] for i in range(len(windows))])
     truth = true_curves(windows, range(len(windows)), STEPS)
-    target, past = target_states(batch), past_states(batch)[:, -1:]
+    target, past = StateTensors.from_labels(batch), StateTensors.from_past(batch)[:, -1:]
     batch["turn"] = torch.eye(3)
     forecasters = {}
     for name, asked_for in futures.items():

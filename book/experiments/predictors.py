@@ -67,7 +67,7 @@ Times = dict[str, float]
 def configured(name: str) -> TrainConfig:
     """The options and the loss that the trained checkpoint has, or the defaults of what has none."""
     path = ROOT / "data_small" / "checkpoints" / f"{name}.json"
-    return load_config(path) if path.exists() else TrainConfig(name)
+    return TrainConfig.load(path) if path.exists() else TrainConfig(name)
 
 
 def fresh(name: str) -> PredictiveModel | Motion:

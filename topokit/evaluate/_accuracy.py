@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from topokit.models import States, loop_mixtures, match_slots
+from topokit.models import StateTensors, loop_mixtures
 from topokit.seqph import assign
 
 from ._tracking import distance_to_hull, extent
@@ -83,9 +83,9 @@ class TrueCurves:
 
 
 def measure_forecasts(
-    states: States,
-    target: States,  # what the tracker saw at all steps
-    past: States,  # and at the last frame before them
+    states: StateTensors,
+    target: StateTensors,  # what the tracker saw at all steps
+    past: StateTensors,  # and at the last frame before them
     truth: Sequence[TrueCurves],
     steps: Sequence[int],
     fine: Sequence[int],  # of these, where likelihood and coverage are taken, which are dear
@@ -205,7 +205,7 @@ def opening_points(curve: Array, n: int, rng: np.random.Generator) -> Array:
 
 
 def _measure_mixtures(
-    states: States,
+    states: StateTensors,
     truth: Sequence[TrueCurves],
     pairs: Sequence[tuple[int, int, int, int]],
     columns: Mapping[str, Array],
@@ -231,9 +231,9 @@ def _measure_mixtures(
         columns[name][count > 0] = total[count > 0] / count[count > 0]
 
 
-def _count_slots(states: States, target: States, past: States, at: Tensor, columns: Mapping[str, Array]) -> None:
+def _count_slots(states: StateTensors, target: StateTensors, past: StateTensors, at: Tensor, columns: Mapping[str, Array]) -> None:
     """Fill in the counts of slots. Slots have no order: the one that suits the forecast best over all steps is taken."""
-    now, logits = target.slots(match_slots(states, target))[:, at].presence > 0, states[:, at].presence  # (B, K, S)
+    now, logits = target.matched_to(states)[:, at].presence > 0, states[:, at].presence  # (B, K, S)
     said = logits > 0
     columns["brier"][:] = (logits.double().sigmoid() - now.double()).square().mean(dim=-1).numpy()
     for name, which in zip(_SLOTS, (now, ~now), strict=True):

@@ -19,9 +19,7 @@ from pydantic import AfterValidator, Field
 
 from topokit._config import Count, NotNegative, checked, load
 from topokit.data import Dataset, WindowDataset
-from topokit.models import MODELS, Motion, MotionPredictor, Normalisation, Shape, load_model, target_states
-from topokit.models._baselines import Carry, Hold
-from topokit.models._checkpoint import Model
+from topokit.models import MotionPredictor, Predictor, Shape, StateTensors, build
 from topokit.sampling import spoil
 
 from ._accuracy import TrueCurves
@@ -29,7 +27,8 @@ from ._forecasters import Forecaster, of_stream, of_windows, turned
 from ._results import digest, library_digest
 from ._tracking import true_loops
 
-_BASELINES = {"hold": Hold, "carry": Carry}
+_BASELINES = ("hold", "carry")
+_MODELS = (*_BASELINES, "ridge", "mlp", "pointnet", "motion")
 UNTRAINED = ("seqph", *_BASELINES)  # need no checkpoint; the first sees the future
 
 
@@ -133,8 +132,8 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
         observe = spoilt_observer(condition.clouds, config.seed)
         observed = WindowDataset(dataset, windows.episodes, observe=observe, **options).select(rows)
     shown = {config.ours: "ours"}
-    untrained: dict[str, Forecaster] = {"seqph": target_states}
-    untrained |= {name: of_windows(kind(config.shape, Normalisation()).eval()) for name, kind in _BASELINES.items()}
+    untrained: dict[str, Forecaster] = {"seqph": StateTensors.from_labels}
+    untrained |= {name: of_windows(build(name, config.shape).eval()) for name in _BASELINES}
     turn = partial(turned, degrees=condition.turned)
     forecasters = {shown.get(name, name): [turn(one)] for name, one in untrained.items()}
     checkpoints = {}
@@ -145,8 +144,7 @@ def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Pa
             raise ValueError(f"condition {condition.name!r}: {name} lists the same weights twice")
         for one in about:
             _check_unseen(one, clean, condition)
-        models = [model for model, _ in found]
-        made = [of_stream(MotionPredictor(m), observed) if isinstance(m, Motion) else of_windows(m) for m in models]
+        made = [of_stream(p, observed) if isinstance(p, MotionPredictor) else of_windows(p.model) for p, _ in found]
         forecasters[shown.get(name, name)] = [turn(one) for one in made]
     return PreparedCondition(clean, observed, forecasters, _entries(config, condition, clean, checkpoints))
 
@@ -243,18 +241,19 @@ def _true_curves(url: str, number: int) -> TrueCurves:
     )
 
 
-def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> tuple[Model, dict[str, Any]]:
-    model, description = load_model(path)
-    if name in MODELS and description["model"] != name:
+def _load(config: EvaluationConfig, name: str, path: Path, shown: str) -> tuple[Predictor, dict[str, Any]]:
+    predictor = Predictor.load(path)
+    model, description = predictor.model, predictor.description
+    if name in _MODELS and description["model"] != name:
         raise ValueError(f"{path}: a checkpoint of {description['model']!r}, listed under {name!r}")
-    if model.shape.horizon != config.shape.horizon or not (isinstance(model, Motion) or model.shape == config.shape):
+    if model.shape.horizon != config.shape.horizon or not (isinstance(predictor, MotionPredictor) or model.shape == config.shape):
         has = ", ".join(f"{size} {value}" for size, value in asdict(model.shape).items())
         raise ValueError(f"{path}: trained on windows of another shape: {has}; the evaluation has {config.shape}")
     trained = description.get("config", {})
     if trained.get("windows", {}).get("resampled") is False:
         told = "its clouds began at the first vertex of the mesh, and those of an evaluation do not: it may do worse for that"
         warnings.warn(f"{path} was trained with resampled=False: {told}", stacklevel=2)
-    return model, {
+    return predictor, {
         "checkpoint": shown,
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "model": description["model"],

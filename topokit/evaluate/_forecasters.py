@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from topokit.data import WindowDataset
-from topokit.models import Forecast, MotionPredictor, PredictiveModel, States
-from topokit.models._states import NOISE
+from topokit.models import NOISE, Forecast, MotionPredictor, StateTensors
 
-Forecaster = Callable[[Mapping[str, Tensor]], States]
+Forecaster = Callable[[Mapping[str, Tensor]], StateTensors]
 _TURNS = ("clouds", "grippers", "actions", "triangles", "past_triangles")
 
 
@@ -29,9 +28,9 @@ def steps_of(horizon: int) -> tuple[int, ...]:
     return tuple(sorted({1, *range(5, horizon + 1, 5), *horizons_of(horizon)}))
 
 
-def of_windows(model: PredictiveModel) -> Forecaster:
+def of_windows(model: torch.nn.Module) -> Forecaster:
     """A model that looks at the windows themselves."""
-    return lambda window: model(window).each(Tensor.float)
+    return lambda window: model(window).map(Tensor.float)
 
 
 def of_stream(predictor: MotionPredictor, windows: WindowDataset) -> Forecaster:
@@ -43,7 +42,7 @@ def of_stream(predictor: MotionPredictor, windows: WindowDataset) -> Forecaster:
     seen = lru_cache(8)(windows.seen)
     steps = steps_of(windows.horizon)
 
-    def forecast(window: Mapping[str, Tensor]) -> States:
+    def forecast(window: Mapping[str, Tensor]) -> StateTensors:
         found = []
         for i, (number, frame) in enumerate(zip(window["episode"].tolist(), window["frame"].tolist(), strict=True)):
             clouds, target = seen(number)
@@ -64,14 +63,14 @@ def turned(forecaster: Forecaster, degrees: float) -> Forecaster:
     axes = [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
     turn = torch.tensor(axes, dtype=torch.float32)
 
-    def forecast(window: Mapping[str, Tensor]) -> States:
+    def forecast(window: Mapping[str, Tensor]) -> StateTensors:
         states = forecaster({**window, **{name: window[name] @ turn.T for name in _TURNS}, "turn": turn})
         return states.replace(corners=states.corners @ turn)
 
     return forecast
 
 
-def _stacked(forecasts: list[Forecast], slots: int) -> States:
+def _stacked(forecasts: list[Forecast], slots: int) -> StateTensors:
     """Of B forecasts, with as many slots as the windows have: a slot that a forecast lacks is empty."""
 
     def stack(name: str, empty: float) -> Tensor:
@@ -80,5 +79,5 @@ def _stacked(forecasts: list[Forecast], slots: int) -> States:
         padded = [np.pad(part, width, constant_values=empty) for part, width in zip(parts, more, strict=True)]
         return torch.from_numpy(np.stack(padded)).float()
 
-    parts = {part.name: stack(part.name, NOISE if part.name == "noise" else 0.0) for part in fields(States)}
-    return States(**parts | {"presence": parts["presence"].double().logit(1e-6).float()})
+    parts = {part.name: stack(part.name, NOISE if part.name == "noise" else 0.0) for part in fields(StateTensors)}
+    return StateTensors(**parts | {"presence": parts["presence"].double().logit(1e-6).float()})

@@ -25,7 +25,7 @@ from tqdm import tqdm
 import topokit
 from topokit.data import Dataset
 from topokit.io import save_episode
-from topokit.models import States, past_states, target_states
+from topokit.models import StateTensors
 
 from ._accuracy import COLUMNS, measure_forecasts
 from ._conditions import Condition, EvaluationConfig, PreparedCondition, kinds_of, prepare_condition, true_curves
@@ -102,7 +102,7 @@ def _measured(config: EvaluationConfig, condition: Condition, prepared: Prepared
             rows = range(start, min(start + BATCH, len(clean)))
             labelled, window = (default_collate([windows[i] for i in rows]) for windows in (clean, observed))
             truth = true_curves(clean, rows, steps)
-            target, past = target_states(labelled), past_states(labelled)[:, -1:]
+            target, past = StateTensors.from_labels(labelled), StateTensors.from_past(labelled)[:, -1:]
             for name, found in prepared.forecasters.items():
                 for forecaster, part in zip(found, parts[name], strict=True):
                     rng = np.random.default_rng((config.seed, number))  # the same points of the openings for all
@@ -175,7 +175,7 @@ def _worst(samples: Samples, tolerance: float) -> list[int]:
     return [row for row in ranked[np.sort(first)].tolist() if reach[row] > tolerance][:MOST_FAILURES]
 
 
-def _loops(states: States) -> list[dict[str, Any]]:
+def _loops(states: StateTensors) -> list[dict[str, Any]]:
     presence, lifetime = states.presence.sigmoid(), states.death - states.birth
     return [
         {

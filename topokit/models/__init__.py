@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 from topokit._lazy import attach
 
 if TYPE_CHECKING:
-    from ._baselines import Normalisation, PredictiveModel, Shape
-    from ._checkpoint import MODELS, build, load_model, load_tensors
-    from ._config import TrainConfig, Windows, load_config, open_windows
+    from ._baselines import Normalisation, Shape
+    from ._checkpoint import build
+    from ._config import TrainConfig
     from ._motion import Motion
     from ._motion_predictor import MotionPredictor
-    from ._predictor import Forecast, PredictedLoop, Predictor
+    from ._predictor import Forecast, Predictor
     from ._scenes import Scenes
-    from ._states import LossWeights, States, forecast_loss, loop_mixtures, match_slots, past_states, target_states
+    from ._states import NOISE, LossWeights, StateTensors, forecast_loss, loop_mixtures
     from ._training import train
 
 __getattr__, __all__ = attach(__name__, __file__, "learn")

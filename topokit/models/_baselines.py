@@ -22,7 +22,7 @@ from topokit._validate import positive
 from topokit.io import HISTORY, HORIZON
 from topokit.seqph import TopologicalState
 
-from ._states import NOISE, NUMBERS, PAST, States, Window, past_states, target_states
+from ._states import NOISE, NUMBERS, PAST, StateTensors, Window
 
 Context = dict[str, Tensor]
 _Place = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -79,7 +79,7 @@ class PredictiveModel(nn.Module, ABC):
         """What the forecast needs of the frames kept, (B, F, ...), and of the tracked states, (B, history, ...) newest first."""
 
     @abstractmethod
-    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
+    def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
         """Forecast the states of all steps.
 
         Parameters
@@ -101,7 +101,7 @@ class PredictiveModel(nn.Module, ABC):
             kept |= {name: window[name].flip(1) for name in PAST}
         return self.gather(kept)
 
-    def forward(self, window: Window) -> States:
+    def forward(self, window: Window) -> StateTensors:
         """The forecast."""
         return self.decode(self.encode(window), window["actions"], window["actions_held"])
 
@@ -109,10 +109,10 @@ class PredictiveModel(nn.Module, ABC):
         """Coordinates in metres to about the unit cube."""
         return (points - self.origin) / self.normalisation.scale
 
-    def _states(self, numbers: Tensor, about: Tensor) -> States:
+    def _states(self, numbers: Tensor, about: Tensor) -> StateTensors:
         """The last layer of a network (..., NUMBERS) as states: corners are `scale` times the first 24, about places (..., 3)."""
         corners, positive = numbers[..., :24].unflatten(-1, (8, 3)), self._positive(numbers[..., 24:31])
-        return States(
+        return StateTensors(
             corners=torch.add(about, corners, alpha=self.normalisation.scale),
             neighbour_values=positive[..., :4],
             birth=positive[..., 4],
@@ -139,19 +139,20 @@ class Hold(PredictiveModel):
         present = kept["past_present"]  # (B, h, slots), the newest frame first
         last = present.int().argmax(dim=1)  # (B, slots); 0 of one that was never tracked
         batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])
-        loops = past_states({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
+        loops = StateTensors.from_past({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
         known, grippers = present.any(dim=1), kept["grippers"][:, 0]
         corners = torch.where(known[..., None, None], loops.corners, grippers.mean(dim=1)[:, None, None])
         loops = loops.replace(corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
         return vars(loops) | {"known": known, "grippers": grippers, "grippers_then": kept["grippers"][batch, last]}
 
-    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
+    def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
         moved = self._moved(context, actions, held)  # (C, K, slots or 1, 3)
-        last = States(*(context[part.name] for part in dataclasses.fields(States)))
-        still = last.each(lambda part: part[:, None].expand(*actions.shape[:2], *part.shape[1:]))
+        last = StateTensors(*(context[part.name] for part in dataclasses.fields(StateTensors)))
+        still = last.map(lambda part: part[:, None].expand(*actions.shape[:2], *part.shape[1:]))
         shift = moved.diff(dim=1, prepend=torch.zeros_like(moved[:, :1])).norm(dim=-1)
         return still.replace(
-            corners=still.corners + moved[..., None, :], killer_shift=shift.expand_as(still.killer_shift)
+            corners=still.corners + moved[..., None, :],
+            killer_shift=shift.expand_as(still.killer_shift),
         )
 
     def _moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
@@ -184,7 +185,7 @@ class Ridge(Hold):
         inputs = 1 + 24 + 4 + 4 + 9 + 7 * shape.horizon + shape.slots
         self.coefficients = nn.Parameter(torch.zeros(inputs, shape.horizon * NUMBERS), requires_grad=False)
 
-    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
+    def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
         kept = {name: part.expand(len(actions), *part.shape[1:]) for name, part in context.items()}
         numbers = (self._inputs(kept, actions, held) @ self.coefficients).unflatten(-1, (self.shape.horizon, NUMBERS))
         states = self._states(numbers.transpose(1, 2), kept["corners"][:, None])
@@ -199,7 +200,7 @@ class Ridge(Hold):
         gram, there_gram = torch.zeros(2, size, size, dtype=torch.float64)
         moments = torch.zeros(size, self.shape.horizon, NUMBERS, dtype=torch.float64)
         for window in batches:
-            kept, target = self.encode(window), target_states(window)
+            kept, target = self.encode(window), StateTensors.from_labels(window)
             x = self._inputs(kept, window["actions"], window["actions_held"]).double()  # (B, slots, inputs)
             scale, value = self.normalisation.scale, self.normalisation.value
             values = torch.stack([target.birth, target.death - target.birth, target.killer_shift], dim=-1)

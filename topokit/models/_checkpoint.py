@@ -1,14 +1,13 @@
-"""Models by their names, and checkpoints: tensors as safetensors, all else as JSON in the same file's header.
+"""Models by their names, and their checkpoints: a safetensors file whose metadata describes the model as JSON.
 
-One file, so that weights and description cannot come apart; replaced in one piece, so that a reader never sees half of it.
-Loading runs no code.
+Weights and description are one file, which is replaced in one piece. Loading runs no code.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import textwrap
+import zlib
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -27,28 +26,35 @@ from ._baselines import Carry, Hold, Normalisation, PredictiveModel, Ridge, Shap
 from ._motion import Motion
 from ._networks import MLP, PointNet
 
-SCHEMA = 2
-_KIND = "topokit-checkpoint"
-
 Model = PredictiveModel | Motion
-_KINDS: tuple[type[Model], ...] = (Hold, Carry, Ridge, MLP, PointNet, Motion)
-MODELS: Mapping[str, type[Model]] = {kind.__name__.lower(): kind for kind in _KINDS}
+MODELS: Mapping[str, type[Model]] = {
+    "hold": Hold,
+    "carry": Carry,
+    "ridge": Ridge,
+    "mlp": MLP,
+    "pointnet": PointNet,
+    "motion": Motion,
+}
 
 
-def build(name: str, shape: Shape, normalisation: Normalisation, options: Mapping[str, Any] | None = None) -> Model:
+def build(
+    name: str,
+    shape: Shape | None = None,
+    normalisation: Normalisation | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Model:
     """Make a model with freshly drawn weights.
 
-    "hold", "carry" and "ridge" are baselines without a network, "mlp" and "pointnet" the paper's, "motion" is ours.
+    "hold", "carry" and "ridge" are baselines without a network, "mlp" and "pointnet" the paper's networks, "motion" is ours.
 
     Parameters
     ----------
-    name : str
-        A key of `MODELS`.
-    shape : Shape
-    normalisation : Normalisation
+    name : {"hold", "carry", "ridge", "mlp", "pointnet", "motion"}
+    shape : Shape, optional
+    normalisation : Normalisation, optional
     options : mapping, optional
-        Of "ridge" `penalty`, on squared coefficients; of "mlp" and "pointnet" `hidden` units, of "mlp" the `points`
-        of a cloud that it reads; of "motion" `width` of codes.
+        For "ridge" the `penalty` on squared coefficients; for "mlp" and "pointnet" the `hidden` units; for "mlp" also how many
+        `points` of a cloud it reads; for "motion" the `width` of codes.
 
     Raises
     ------
@@ -59,44 +65,45 @@ def build(name: str, shape: Shape, normalisation: Normalisation, options: Mappin
         raise ValueError(f"there is no model {name!r}; there are {', '.join(MODELS)}")
     options = dict(options or {})
     try:
-        return MODELS[name](shape, normalisation, **options)
+        model = MODELS[name](shape or Shape(), normalisation or Normalisation(), **options)
     except (TypeError, OverflowError) as error:
         raise ValueError(f"model {name!r} with options {options}: {error}") from error
+    model.options = options
+    return model
 
 
-def describe(model: Model, name: str, options: Mapping[str, Any], **more: Any) -> dict[str, Any]:
-    """Return what must be known to build the model again, and whatever `more` there is to say about it."""
+def describe(model: Model) -> dict[str, Any]:
+    """Return what `build` needs to make the model again, and the versions that it was made with."""
     return {
-        "model": name,
-        "options": dict(options),
+        "model": type(model).__name__.lower(),
+        "options": model.options,
         "shape": asdict(model.shape),
         "normalisation": asdict(model.normalisation),
         "topokit": topokit.__version__,
         "torch": torch.__version__,
-        **more,
     }
 
 
-def save_tensors(path: Path, tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> Path:
-    """Write tensors and their description (JSON) to one file, checksummed."""
+def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> None:
+    """Write tensors and their description to one file."""
+    path = Path(path)
     if path.suffix != ".safetensors":
         raise ValueError(f"{path}: the name of a checkpoint ends in .safetensors")
-    whole = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    document = {"kind": _KIND, "schema": SCHEMA, **description}
-    document["sha256"] = _digest(whole, document)
-    content = safetensors.torch.save(whole, metadata={"topokit": json.dumps(document, sort_keys=True)})
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    text = json.dumps(dict(description), sort_keys=True)
+    metadata = {"topokit": text, "crc32": str(_crc32(tensors, text))}
+    content = safetensors.torch.save(tensors, metadata)
     with atomic_file(path) as handle:
         handle.write(content)
-    return path
 
 
 def load_tensors(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """Read the description of a checkpoint, and its tensors.
+    """Return the description of a checkpoint, and its tensors.
 
     Raises
     ------
     FormatError
-        When it is damaged, was not written by topokit, or is of another schema; says which.
+        When the file is damaged, or was not written by topokit.
     """
     path = existing(path)
     try:
@@ -105,58 +112,48 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
             tensors = {name: archive.get_tensor(name) for name in archive.keys()}  # noqa: SIM118  (it is no dict)
     except (SafetensorError, ValueError, RuntimeError) as error:
         raise FormatError(f"{path}: no checkpoint, or a truncated or damaged one ({error}); copy it again") from error
-    try:
-        document = json.loads(metadata["topokit"])
-        digest, whole = document.pop("sha256"), _digest(tensors, document)
-        kind = document.pop("kind"), document.pop("schema")
-    except (KeyError, ValueError, AttributeError, TypeError, RecursionError) as error:
-        raise FormatError(f"{path}: topokit did not write this safetensors file: its header names no model") from error
-    if kind != (_KIND, SCHEMA):
-        raise FormatError(f"{path}: a {kind[0]} of schema {kind[1]}; this topokit reads a {_KIND} of schema {SCHEMA}")
-    if whole != digest:
+    if not {"topokit", "crc32"} <= metadata.keys():
+        raise FormatError(f"{path}: topokit did not write this safetensors file: its metadata describes no model")
+    text = metadata["topokit"]
+    if metadata["crc32"] != str(_crc32(tensors, text)):
         raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy it again")
-    return document, tensors
+    try:
+        return dict(json.loads(text)), tensors
+    except (ValueError, TypeError, RecursionError) as error:
+        raise FormatError(f"{path}: its metadata describes no model") from error
 
 
 def load_model(path: str | Path) -> tuple[Model, dict[str, Any]]:
-    """Build the model of a checkpoint, ready to predict, and return its description with it.
+    """Return the model of a checkpoint, ready to predict, and the checkpoint's description.
 
     Raises
     ------
     FormatError
-        When the description or the weights do not fit a model of this topokit; says which and where.
+        When the description or the weights do not fit a model of this topokit; names what does not fit.
     """
     description, tensors = load_tensors(path)
-    weights = {name: part.float() for name, part in part_of(tensors, "model.").items()}
+    weights = {name: tensor.float() for name, tensor in tensors.items()}
     try:
         shape = from_mapping(Shape, description["shape"], "shape")
         normalisation = from_mapping(Normalisation, description["normalisation"], "normalisation")
-        with torch.device("meta"):  # no memory is taken for what the description claims
+        # A model on the "meta" device takes no memory, however large the description claims that it is. `load_state_dict`
+        # compares its tensors' names and shapes with those of the file, then puts the file's tensors in their places.
+        with torch.device("meta"):
             model = build(description["model"], shape, normalisation, description["options"])
         model.load_state_dict(weights, assign=True)
         if isinstance(model, PredictiveModel):
-            model.origin = torch.tensor(normalisation.origin)
+            model.origin = torch.tensor(normalisation.origin)  # not in the file: it is part of the description
     except (KeyError, TypeError, ValueError) as error:
         raise FormatError(f"{path}: describes no model that this topokit can build: {error}") from error
-    except RuntimeError as error:  # of torch: it lists every weight
-        raise FormatError(f"{path}: weights of another shape: {textwrap.shorten(str(error), 300)}") from error
-    for name, part in weights.items():
-        if not part.isfinite().all():
+    except RuntimeError as error:
+        reason = textwrap.shorten(str(error), 300)  # PyTorch lists every weight
+        raise FormatError(f"{path}: weights of another shape: {reason}") from error
+    for name, tensor in weights.items():
+        if not tensor.isfinite().all():
             raise FormatError(f"{path}: the weights {name} hold a NaN or an infinite number; train it again")
     return model.eval(), description
 
 
-def part_of(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    """Those whose names begin so, under the rest of their names."""
-    return {name.removeprefix(prefix): part for name, part in tensors.items() if name.startswith(prefix)}
-
-
-def _digest(tensors: Mapping[str, Tensor], document: dict[str, Any]) -> str:
-    """SHA-256 over names, types, shapes and values, and over the document."""
-    digest = hashlib.sha256()
-    for name in sorted(tensors):
-        tensor = tensors[name]
-        digest.update(f"{name}|{tensor.dtype}|{tuple(tensor.shape)}|".encode())
-        digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data if tensor.numel() else b"")
-    digest.update(json.dumps(document, sort_keys=True).encode())
-    return digest.hexdigest()
+def _crc32(tensors: Mapping[str, Tensor], text: str) -> int:
+    """Return a checksum of tensors (their names, types, shapes and values) and of their description."""
+    return zlib.crc32(text.encode(), zlib.crc32(safetensors.torch.save(dict(tensors))))

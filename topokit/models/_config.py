@@ -1,39 +1,41 @@
-"""What is trained on: a configuration (JSON), the windows of two splits that it names, and more made of them.
-
-Scenes are alike left and right of the plane x = 0: the mirror image of an episode could have happened.
-"""
+"""What a training is configured with, and the windows of two splits that it reads."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import torch
 from pydantic import Field
-from torch import Tensor
-from torch.utils.data import default_collate
+from torch.utils.data import ConcatDataset, Subset
 
 from topokit._config import Count, NotNegative, Positive, checked, load
 
-from ._baselines import Normalisation, Shape
+from ._baselines import Shape
 from ._checkpoint import MODELS
-from ._states import LossWeights, Window, target_states
+from ._states import LossWeights
 
-_PLACES = {"clouds", "triangles", "past_triangles", "grippers", "actions"}
-_PLACES |= {"cloud", "points", "flow", "target", "future"}  # of scenes
 Natural = Annotated[int, Field(ge=0)]
+
+
+class Windows(NamedTuple):
+    """What is trained on: two splits without a common episode, each a torch data set that has a length."""
+
+    train: Any  #: windows, as of `topokit.data.WindowDataset`
+    validation: Any  #: windows that are held back
+    checksum: str = ""  #: of the dataset that they are from
 
 
 @checked
 class TrainConfig:
     """What `topokit train` does. An entry that is unknown or refused is a ValueError that names it."""
 
-    model: str  #: a name of `topokit.models.MODELS`
+    model: str  #: a name that `topokit.models.build` knows
     dataset: str = "."  #: directory of a dataset, relative to the configuration's file
     out: str = "run"  #: directory for checkpoints and logs, relative to the configuration's file
-    start: str = ""  #: checkpoint that is gone on from, relative to the configuration's file: then few films do
-    rehearse: str = ""  #: configuration whose windows are half of those trained on, as of what `start` knows
+    start: str = ""  #: checkpoint whose weights the training starts from, relative to the configuration's file
+    rehearse: str = ""  #: configuration whose windows are half of those trained on, so that `start` is not forgotten
     options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
     windows: dict[str, Any] = field(default_factory=dict)  #: of `topokit.data.WindowDataset`: labels, stride
     shape: Shape = field(default_factory=Shape)  #: sizes of a window
@@ -42,14 +44,13 @@ class TrainConfig:
     seed: Natural = 0  #: of weights and of the order of windows
     batch: Count = 64  #: windows a step
     epochs: Count = 20  #: at most
-    windows_per_epoch: Count | None = None  #: so many, drawn anew for each epoch; all of them when not given
-    validation_windows: Count = 2000  #: at most so many are looked at, the same ones every time
+    windows_per_epoch: Count | None = None  #: drawn anew for each epoch; all windows when not given
+    validation_windows: Count = 2000  #: at most; the same ones in every epoch
     learning_rate: Positive = 1e-3  #: of AdamW; rises over the first 2 % of steps, falls along a cosine to a hundredth
     weight_decay: NotNegative = 1e-4  #: of AdamW
     clip: Positive = 1.0  #: largest norm of a gradient
     patience: Count = 5  #: stop after so many epochs without a smaller validation loss
-    minutes_between_checkpoints: Positive = 5.0  #: within an epoch; one more at its end
-    threads: Count = 2  #: that share the sums; with another number weights differ in their last bits
+    threads: Count = 2  #: of PyTorch; with another number weights differ in their last bits
     workers: Natural = 0  #: processes that read windows beside the one that trains
     accelerator: str = "cpu"  #: of Lightning Fabric: "cpu", "cuda", "auto"
     precision: str = "32-true"  #: of Lightning Fabric: "32-true", "bf16-mixed", "16-mixed"
@@ -58,76 +59,64 @@ class TrainConfig:
         if self.model not in MODELS:
             raise ValueError(f"model must be one of {', '.join(MODELS)}, not {self.model!r}")
 
+    @classmethod
+    def load(cls, path: str | Path) -> TrainConfig:
+        """Read a configuration (JSON). Its paths are made relative to the working directory."""
+        config = load(cls, path)
+        folder = Path(path).parent
+        changes: dict[str, Any] = {}
+        for name in ("dataset", "out", "start", "rehearse"):
+            if getattr(config, name):
+                changes[name] = str(folder / getattr(config, name))
+        return replace(config, **changes)
 
-def load_config(path: str | Path) -> TrainConfig:
-    """Read a configuration; paths in it are then relative to the working directory."""
-    config, home = load(TrainConfig, path), Path(path).parent
-    paths = {name: getattr(config, name) for name in ("dataset", "out", "start", "rehearse")}
-    found: dict[str, Any] = {name: str(home / path) for name, path in paths.items() if path}
-    return replace(config, **found)
+    def open_windows(self) -> Windows:
+        """Open the windows of the dataset, split by episode or as `split` says.
 
+        Raises
+        ------
+        ValueError
+            When the model, the shape or the windows of what is rehearsed are not those of this configuration.
+        """
+        if self.rehearse:
+            return self._open_with_rehearsal()
 
-@dataclass(frozen=True, eq=False)
-class Windows:
-    """What is trained on: two splits without a common episode, each a torch data set that has a length."""
+        # Datasets need packages that the extra `learn` does not have.
+        from topokit.data import Dataset, WindowDataset
 
-    train: Any  #: windows, as of `topokit.data.WindowDataset`
-    validation: Any  #: windows that are held back
-    checksum: str = ""  #: of the dataset that they are from
+        from ._scenes import Scenes
 
+        dataset = Dataset(self.dataset)
+        parts = dataset.split(**self.split)
+        sizes: dict[str, Any] = asdict(self.shape)
+        options = {"n_points": sizes.pop("points"), **self.windows}
+        kind: Any = Scenes
+        if self.model != "motion":
+            kind = WindowDataset
+            options = {**sizes, **options}
+        train = kind(dataset, parts["train"], **options)
+        validation = kind(dataset, parts["validation"], **options)
+        return Windows(train, validation, dataset.checksum())
 
-def open_windows(config: TrainConfig) -> Windows:
-    """The windows of a dataset that `topokit generate` made, split by episode or as `config.split` says.
-
-    Raises
-    ------
-    ValueError
-        When the model, the shape or the windows of what is rehearsed are not those of `config`.
-    """
-    if config.rehearse:
-        earlier, kind = load_config(config.rehearse), ("model", "shape", "windows")
-        if other := [name for name in kind if getattr(earlier, name) != getattr(config, name)]:
-            raise ValueError(f"{config.rehearse}: cannot be rehearsed, its {other[0]} is not that of the configuration")
-        new, old = open_windows(replace(config, rehearse="")), open_windows(earlier)
-        few: Any = torch.utils.data.Subset(old.train, spread(len(old.train), len(new.train)))
-        return Windows(torch.utils.data.ConcatDataset([new.train, few]), new.validation, new.checksum + old.checksum)
-    from topokit.data import Dataset, WindowDataset  # which need what the extra `learn` has not
-
-    from ._scenes import Scenes
-
-    episodes, sizes = Dataset(config.dataset), asdict(config.shape)
-    parts, size = episodes.split(**config.split), {"n_points": sizes.pop("points")}
-    made, options = (Scenes, size) if config.model == "motion" else (WindowDataset, size | sizes)
-    train, validation = (made(episodes, parts[part], **options, **config.windows) for part in ("train", "validation"))
-    return Windows(train, validation, episodes.checksum())
-
-
-def normalisation_of(data: Any) -> Normalisation:
-    """Where the coordinates and filtration values of some windows lie."""
-    window = default_collate([data[i] for i in spread(len(data), 200)])
-    clouds, target = window["clouds"], target_states(window)
-    origin = clouds.mean(dim=(0, 1, 2))
-    deaths = target.death[target.presence > 0]
-    value = float(deaths.mean()) if len(deaths) else Normalisation().value
-    return Normalisation(tuple(origin.tolist()), float((clouds - origin).std()), value)
+    def _open_with_rehearsal(self) -> Windows:
+        """Open as many windows of the configuration that is rehearsed as there are new ones to train on."""
+        earlier = TrainConfig.load(self.rehearse)
+        for name in ("model", "shape", "windows"):
+            if getattr(earlier, name) != getattr(self, name):
+                raise ValueError(f"{self.rehearse}: cannot be rehearsed, its {name} is not that of the configuration")
+        new = replace(self, rehearse="").open_windows()
+        old = earlier.open_windows()
+        repeated: Any = Subset(old.train, spread(len(old.train), len(new.train)))
+        return Windows(ConcatDataset([new.train, repeated]), new.validation, new.checksum + old.checksum)
 
 
 def epoch_order(n: int, count: int | None, seed: int, epoch: int) -> list[int]:
-    """`count` of n windows, or all, in an order that seed and epoch decide."""
+    """Return `count` of n windows, or all, in an order that depends on seed and epoch alone."""
     generator = torch.Generator().manual_seed(seed * 1_000_003 + epoch)
     return torch.randperm(n, generator=generator)[:count].tolist()
 
 
 def spread(n: int, most: int) -> list[int]:
-    """At most so many of n numbers, evenly spaced."""
-    return [i * n // min(n, most) for i in range(min(n, most))]
-
-
-def mirrored(window: Window, which: Tensor) -> dict[str, Tensor]:
-    """A batch of windows, those where `which` (B,) is true seen in the mirror x -> -x, where the grippers change names."""
-    flipped = dict(window)
-    for name in _PLACES & set(window):
-        image = window[name][which] * window[name].new_tensor([-1.0, 1.0, 1.0])
-        flipped[name] = window[name].clone()
-        flipped[name][which] = image.flip(-2) if name in ("grippers", "actions") else image
-    return flipped
+    """Return at most so many of n numbers, evenly spaced."""
+    count = min(n, most)
+    return [i * n // count for i in range(count)]

@@ -169,7 +169,7 @@ def _between(values: Array) -> Array:
 
 
 def _corners(loop: Loop) -> tuple[list[int], list[bool]]:
-    """The vertices of a loop's eight corners, in the order of `States.corners`; of its four neighbours which there are."""
+    """The vertices of a loop's eight corners, in the order of `StateTensors.corners`; of its four neighbours which there are."""
     edge, triangles = loop.killer_edge.tolist(), loop.killer_triangle_ids.tolist()
     corners = [*edge, *(next(v for v in triangle if v not in edge) for triangle in triangles)]
     apexes = {frozenset(outer): apex for *outer, apex in loop.neighbour_ids.tolist()}
@@ -178,7 +178,7 @@ def _corners(loop: Loop) -> tuple[list[int], list[bool]]:
 
 
 def _forecast(corners: Array, scales: Array, loops: Sequence[Loop], frame: Frame) -> Forecast:
-    """States (C, 60, S) of loops of a frame, whose corners (C, 60, S, 8, 3) are where these are, to those scales."""
+    """StateTensors (C, 60, S) of loops of a frame, whose corners (C, 60, S, 8, 3) are where these are, to those scales."""
     now = np.array([loop.killer_edge_points for loop in loops], np.float32).reshape(-1, 2, 3)
     birth = np.broadcast_to(np.array([loop.birth for loop in loops], np.float32), corners.shape[:3])
     ends = corners[..., :2, :]

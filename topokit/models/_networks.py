@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ._baselines import Context, Normalisation, PredictiveModel, Shape
-from ._states import NUMBERS, States
+from ._states import NUMBERS, StateTensors
 
 HIDDEN, POINTS = (512, 512, 256, 128), (64, 64, 96)  # units of the paper's hidden layers, and of those for every point
 
@@ -51,7 +51,7 @@ class MLP(PredictiveModel):
     def gather(self, kept: Context) -> Context:
         return {"first": self.history_layer(kept["frame"].flatten(1))}
 
-    def decode(self, context: Context, actions: Tensor, held: Tensor) -> States:
+    def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
         plan = torch.cat([self.normalise(actions).flatten(1), held.to(actions)], dim=1)
         numbers = self.rest(context["first"] + self.action_layer(plan))
         return self._states(numbers.unflatten(1, (self.shape.horizon, self.shape.slots, NUMBERS)), self.origin)

@@ -19,9 +19,9 @@ from topokit.sampling import farthest_point_sample
 from topokit.seqph import SeqPH, TopologicalState
 
 from ._baselines import past_window
-from ._checkpoint import Model, load_model
+from ._checkpoint import Model, describe, load_model, save_tensors
 from ._motion import Motion
-from ._states import NOISE, TRIANGLES, States
+from ._states import NOISE, TRIANGLES, StateTensors
 
 _PLANS_AT_ONCE = 250  # so that weights are read seldom, and what lies between layers stays in the cache
 
@@ -81,7 +81,7 @@ class Forecast:
     noise: Array  #: (K, S) of the mixtures, square metres
 
     @classmethod
-    def from_states(cls, states: States) -> Forecast:
+    def from_states(cls, states: StateTensors) -> Forecast:
         """Of a model's output (C, K, S), on the CPU."""
         return cls(*(part.numpy() for part in vars(states.replace(presence=states.presence.sigmoid())).values()))
 
@@ -118,8 +118,8 @@ class Forecast:
         return self._states.mean.numpy()
 
     @property
-    def _states(self) -> States:
-        return States(*map(torch.from_numpy, vars(self).values()))
+    def _states(self) -> StateTensors:
+        return StateTensors(*map(torch.from_numpy, vars(self).values()))
 
     def __len__(self) -> int:
         return self.birth.shape[-2]
@@ -167,6 +167,10 @@ class Predictor:
 
         model, description = load_model(path)
         return (MotionPredictor if isinstance(model, Motion) else cls)(model, description)
+
+    def save(self, path: str | Path) -> None:
+        """Write the model and its description to a checkpoint (.safetensors)."""
+        save_tensors(path, self.model.state_dict(), self.description | describe(self.model))
 
     def reset(self) -> None:
         """Forget everything observed."""
@@ -226,7 +230,7 @@ class Predictor:
         chunks = self._plans(actions, held)
         context = self._encoded()
         parts = (vars(self.model.decode(context, *chunk)).values() for chunk in chunks)
-        forecast = Forecast.from_states(States(*map(torch.cat, zip(*parts, strict=True))))
+        forecast = Forecast.from_states(StateTensors(*map(torch.cat, zip(*parts, strict=True))))
         return forecast if np.ndim(actions) == 4 else forecast.plan(0)
 
     def _encoded(self) -> dict[str, Tensor]:

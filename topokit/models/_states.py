@@ -1,8 +1,8 @@
 """States as tensors, every loop as eight corners and a few numbers; their mixtures, and the losses that training minimises.
 
-Idea: the two killer triangles share the killer edge, and a neighbour shares an edge with one of them. So six triangles have
-eight corners: the ends x, y of the killer edge, the apexes z1 (thick), z2, and an apex a neighbour. Predicting corners keeps
-triangles that share an edge together and is half the size.
+Idea: the two killer triangles share the killer edge, and each neighbour shares an edge with one of them. So six triangles have
+eight corners: the ends x, y of the killer edge, the apexes z1 (thick) and z2 of the killer triangles, and one apex for each of
+the four neighbours. Triangles that share an edge stay together when corners are predicted, and there are half as many numbers.
 
 Source: Antonova et al. 2021, section 5 (the L2 loss) and equation 1; slots as in Carion et al. 2020. Taught in chapters 10, 11.
 """
@@ -24,25 +24,50 @@ from topokit._config import NotNegative, checked
 from topokit.mixture import moments
 
 TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  # x y z1, x y z2, then the neighbours
-_OTHER_WAY = ([1, 0, 2, 3, 5, 4, 7, 6], [1, 0, 3, 2])  # corners and neighbours when x and y change places
 NUMBERS = 32  # of a loop: 8 corners, 4 neighbour values, birth, lifetime, killer_shift, presence
-NOISE = 1e-4  # square metres that a mixture's covariances have more than their triangles', where nobody says otherwise
-POSITION, VALUE = 0.1, 0.02  # metres that count as one in the losses: of places, and of filtration values
+NOISE = 1e-4  # square metres; added to the covariances of a mixture's triangles when a forecast gives no other value
 PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "killer_shift", "present"))
-Window = Mapping[str, Tensor]  # a batch of windows, as of `topokit.data.WindowDataset`
+Window = Mapping[str, Tensor]  # a batch of windows, as `topokit.data.WindowDataset` makes them
+
+# Corners and neighbours of a loop whose killer edge is read from y to x.
+_REVERSED_CORNERS = [1, 0, 2, 3, 5, 4, 7, 6]
+_REVERSED_NEIGHBOURS = [1, 0, 3, 2]
+
+# Lengths in metres that count as one in the losses.
+_POSITION_UNIT = 0.1
+_VALUE_UNIT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class States:
-    """States of B sequences, K steps, S slots. Metres; a slot without a loop holds zeros or what the model thinks."""
+class StateTensors:
+    """States of B sequences, K steps, S slots, in metres. An empty slot holds zeros, or whatever the model predicts for it."""
 
-    corners: Tensor  #: (B, K, S, 8, 3) x, y, z1, z2 and the neighbours' apexes, in the order of `TRIANGLES`
+    corners: Tensor  #: (B, K, S, 8, 3) x, y, z1, z2 and the neighbours' apexes
     neighbour_values: Tensor  #: (B, K, S, 4) filtration values, 0 where there is no neighbour; the killers' are `death`
     birth: Tensor  #: (B, K, S)
     death: Tensor  #: (B, K, S)
-    killer_shift: Tensor  #: (B, K, S)
+    killer_shift: Tensor  #: (B, K, S) Hausdorff distance between the killer edge and that of the step before
     presence: Tensor  #: (B, K, S) logit of the loop being there
-    noise: Tensor  #: (B, K, S) square metres, what the mixtures' covariances have more than the triangles'
+    noise: Tensor  #: (B, K, S) square metres, added to the covariances of the mixture's triangles
+
+    @classmethod
+    def from_labels(cls, window: Window) -> StateTensors:
+        """Return what should be predicted for a batch of windows."""
+        corners, neighbour_values = corners_of(window["triangles"], window["values"])
+        return cls(
+            corners=corners,
+            neighbour_values=neighbour_values,
+            birth=window["birth"],
+            death=window["death"],
+            killer_shift=torch.nan_to_num(window["killer_shift"]),
+            presence=torch.where(window["present"], 20.0, -20.0),
+            noise=torch.full_like(window["birth"], NOISE),
+        )
+
+    @classmethod
+    def from_past(cls, window: Window) -> StateTensors:
+        """Return what the tracker saw in the history of a batch of windows."""
+        return cls.from_labels({name.removeprefix("past_"): window[name] for name in PAST})
 
     @property
     def triangles(self) -> Tensor:
@@ -56,68 +81,70 @@ class States:
 
     @property
     def mean(self) -> Tensor:
-        """(B, K, S, 3) mean of the mixture; a loop's `centre` is another place, the middle of its killer triangles alone."""
-        weights = self.values / self.values.sum(dim=-1, keepdim=True).clamp_min(1e-9)
-        shares = functional.one_hot(torch.tensor(TRIANGLES), 8).sum(dim=1).to(weights) / 3  # of corners in barycentres
-        return ((weights @ shares)[..., None, :] @ self.corners)[..., 0, :]
+        """(B, K, S, 3) mean of the mixture. A loop's `centre` is another place: the middle of its killer triangles alone."""
+        weights = self.values / self.values.sum(dim=-1, keepdim=True).clamp_min(1e-9)  # (B, K, S, 6)
+        # Each corner's share in the barycentres of the six triangles.
+        shares = functional.one_hot(torch.tensor(TRIANGLES), 8).sum(dim=1).to(weights) / 3  # (6, 8)
+        return ((weights @ shares)[..., None, :] @ self.corners)[..., 0, :]  # (B, K, S, 3)
 
-    def reversed(self) -> States:
-        """The same loops with the ends of their killer edges the other way round."""
-        corners, neighbours = _OTHER_WAY
-        values = self.neighbour_values[..., neighbours]
-        return self.replace(corners=self.corners[..., corners, :], neighbour_values=values)
+    def reversed(self) -> StateTensors:
+        """Return the same loops with the ends of their killer edges exchanged."""
+        return self.replace(
+            corners=self.corners[..., _REVERSED_CORNERS, :],
+            neighbour_values=self.neighbour_values[..., _REVERSED_NEIGHBOURS],
+        )
 
-    def replace(self, **parts: Tensor) -> States:
-        """A copy with other parts."""
+    def replace(self, **parts: Tensor) -> StateTensors:
+        """Return a copy with other parts."""
         return dataclasses.replace(self, **parts)
 
-    def __getitem__(self, index: Any) -> States:
+    def __getitem__(self, index: Any) -> StateTensors:
         """Index all parts alike, along the leading dimensions."""
-        return self.each(lambda part: part[index])
+        return self.map(lambda part: part[index])
 
-    def slots(self, order: Tensor) -> States:
-        """The slots in another order (B, S) for every sequence."""
-        index = order[:, None]
-        return self.each(lambda part: part.take_along_dim(index.reshape(*index.shape, *(1,) * (part.dim() - 3)), dim=2))
+    def map(self, change: Callable[[Tensor], Tensor]) -> StateTensors:
+        """Return a copy with every part changed alike."""
+        return StateTensors(*(change(part) for part in vars(self).values()))
 
-    def each(self, change: Callable[[Tensor], Tensor]) -> States:
-        """Every part changed alike."""
-        return States(*(change(part) for part in vars(self).values()))
+    def slots(self, order: Tensor) -> StateTensors:
+        """Return the slots in another order (B, S) for every sequence."""
+
+        def reorder(part: Tensor) -> Tensor:
+            trailing = (1,) * (part.dim() - 3)
+            index = order.reshape(len(order), 1, -1, *trailing)  # (B, 1, S, 1 ...)
+            return part.take_along_dim(index, dim=2)
+
+        return self.map(reorder)
+
+    def matched_to(self, predicted: StateTensors) -> StateTensors:
+        """Return these target states with their slots in the order that fits a prediction best over all steps."""
+        return self.slots(match_slots(predicted, self))
 
 
 def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
-    """Corners (..., 8, 3) and neighbour values (..., 4) of labels: triangles (..., 6, 3, 3) and values (..., 6).
+    """Return corners (..., 8, 3) and neighbour values (..., 4) of labels: triangles (..., 6, 3, 3) and values (..., 6).
 
-    Labels list the neighbours without gaps, so the outer edge says which it is. The apex of an absent one is that edge's middle.
+    Labels list the neighbours without gaps, so the edge that a neighbour shares identifies it. The apex of an absent neighbour
+    is the middle of that edge.
     """
-    corners = torch.cat([triangles[..., 0, :, :], triangles[..., 1, 2:, :]], dim=-2)  # x y z1, z2
+    corners = torch.cat([triangles[..., 0, :, :], triangles[..., 1, 2:, :]], dim=-2)  # (..., 4, 3): x, y, z1, z2
     edges = torch.tensor([triangle[:2] for triangle in TRIANGLES[2:]], device=triangles.device)
     outer = corners[..., edges, :]  # (..., 4 edges, 2, 3)
-    found = triangles[..., 2:, :, :]  # (..., 4 neighbours, 3, 3)
-    gap = (found[..., :, None, :2, :] - outer[..., None, :, :, :]).abs().sum(dim=(-1, -2))  # (..., neighbour, edge)
-    present = values[..., 2:] > 0
-    stands = functional.one_hot(gap.argmin(dim=-1), 4).to(triangles) * present[..., None].to(triangles)
-    neighbour_values = (stands * values[..., 2:, None]).sum(dim=-2)
-    apexes = stands.transpose(-1, -2) @ found[..., 2, :]
+
+    # Assign each listed neighbour to the outer edge that its first two vertices are.
+    listed = triangles[..., 2:, :, :]  # (..., 4 neighbours, 3, 3)
+    gap = (listed[..., :, None, :2, :] - outer[..., None, :, :, :]).abs().sum(dim=(-1, -2))  # (..., neighbour, edge)
+    present = (values[..., 2:] > 0).to(triangles)
+    assigned = functional.one_hot(gap.argmin(dim=-1), 4).to(triangles) * present[..., None]
+
+    neighbour_values = (assigned * values[..., 2:, None]).sum(dim=-2)  # (..., 4)
+    apexes = assigned.transpose(-1, -2) @ listed[..., 2, :]  # (..., 4, 3)
     apexes = torch.where((neighbour_values > 0)[..., None], apexes, outer.mean(dim=-2))
     return torch.cat([corners, apexes], dim=-2), neighbour_values
 
 
-def target_states(window: Window) -> States:
-    """What should be predicted for a batch of windows."""
-    shift, presence = torch.nan_to_num(window["killer_shift"]), torch.where(window["present"], 20.0, -20.0)
-    corners, neighbour_values = corners_of(window["triangles"], window["values"])
-    birth = window["birth"]
-    return States(corners, neighbour_values, birth, window["death"], shift, presence, torch.full_like(birth, NOISE))
-
-
-def past_states(window: Window) -> States:
-    """What the tracker saw in the history of a batch of windows."""
-    return target_states({name.removeprefix("past_"): window[name] for name in PAST})
-
-
 def loop_mixtures(triangles: Tensor, values: Tensor, noise: float | Tensor = NOISE) -> MixtureSameFamily:
-    """Mixtures of a batch of loops, by the formula of `topokit.loop_mixture`.
+    """Return the mixtures of a batch of loops: `topokit.loop_mixture`, batched and differentiable.
 
     Parameters
     ----------
@@ -127,9 +154,9 @@ def loop_mixtures(triangles: Tensor, values: Tensor, noise: float | Tensor = NOI
     noise : float or Tensor (...)
         Added to the diagonal of every sample covariance, square metres.
     """
-    means, scatter = moments(triangles)
-    more = torch.as_tensor(noise, dtype=triangles.dtype, device=triangles.device)[..., None, None, None]
-    covariances = scatter / 2 + more * torch.eye(triangles.shape[-1]).to(triangles)
+    means, scatter = moments(triangles)  # (..., m, 3), (..., m, 3, 3)
+    noise = torch.as_tensor(noise, dtype=triangles.dtype, device=triangles.device)
+    covariances = scatter / 2 + noise[..., None, None, None] * torch.eye(triangles.shape[-1]).to(triangles)
     components = MultivariateNormal(means, covariances, validate_args=False)
     weights = Categorical(probs=values.clamp_min(1e-12), validate_args=False)
     return MixtureSameFamily(weights, components, validate_args=False)
@@ -137,76 +164,84 @@ def loop_mixtures(triangles: Tensor, values: Tensor, noise: float | Tensor = NOI
 
 @checked
 class LossWeights:
-    """Weights of the parts of the loss, and whether slots may be matched."""
+    """Weights of the parts of the loss, and whether slots are matched."""
 
-    #: Squared errors of corners, values, birth, death and killer_shift of loops that are there (the paper's L2), the better
-    #: way round.
+    #: Squared errors of corners, values, birth, death and killer shift of the present loops (the paper's L2). The ends of a killer edge
+    #: are taken in the order that fits better.
     features: NotNegative = 1.0
     presence: NotNegative = 1.0  #: binary cross-entropy of the presence of each slot
-    centre: NotNegative = 0.0  #: distance of the mixtures' means, with the square below 2 cm: jumps of labels pull less
-    #: Take the cheapest order of the slots for the whole horizon, not that of the labels: by mean lifetime over the history.
+    centre: NotNegative = 0.0  #: Huber loss of the distance of the mixtures' means, quadratic below 2 cm
+    #: Compare with the target slots in the cheapest order for the whole horizon. Otherwise their order is that of the labels.
     match: bool = False
 
 
-def forecast_loss(predicted: States, window: Window, weights: LossWeights) -> tuple[Tensor, dict[str, Tensor]]:
-    """Loss of a batch; and for the log the same, its parts, and the mean distance of the mixtures' means in metres.
+def forecast_loss(
+    predicted: StateTensors, window: Window, weights: LossWeights
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Return the loss of a batch; and for the log the loss, its parts, and the mean distance of the mixtures' means in metres.
 
     Parameters
     ----------
-    predicted : States
+    predicted : StateTensors
     window : mapping of str to Tensor
         The batch, labels included.
     weights : LossWeights
     """
-    target = target_states(window)
+    target = StateTensors.from_labels(window)
     if weights.match:
-        target = target.slots(match_slots(predicted, target))
-    there = target.presence > 0
-    gap = (predicted.mean - target.mean)[there].norm(dim=-1)
+        target = target.matched_to(predicted)
+    present = target.presence > 0  # (B, K, S)
+    distance = (predicted.mean - target.mean)[present].norm(dim=-1)
+    centre = functional.huber_loss(
+        distance / _POSITION_UNIT, torch.zeros_like(distance), delta=0.2, reduction="none"
+    )
     parts = {
-        "features": _features(predicted, target, there),
-        "presence": functional.binary_cross_entropy_with_logits(predicted.presence, there.to(predicted.presence)),
-        "centre": _mean(functional.huber_loss(gap / POSITION, torch.zeros_like(gap), delta=0.2, reduction="none")),
+        "features": _features_error(predicted[present], target[present]),
+        "presence": functional.binary_cross_entropy_with_logits(predicted.presence, present.to(predicted.presence)),
+        "centre": _mean(centre),
     }
     total = torch.stack([getattr(weights, name) * part for name, part in parts.items()]).sum()
-    parts = {"loss": total, **parts, "distance": _mean(gap)}
-    return total, {name: part.detach() for name, part in parts.items()}
+    logged = {"loss": total, **parts, "distance": _mean(distance)}
+    return total, {name: part.detach() for name, part in logged.items()}
 
 
 @torch.no_grad()
-def match_slots(predicted: States, target: States) -> Tensor:
-    """(B, S) which target slot each predicted slot should have, the same for all steps; the cheapest of all orders.
-
-    Parameters
-    ----------
-    predicted, target : States
-    """
-    there = (target.presence > 0).to(predicted.presence)  # (B, K, S)
-    apart = torch.cdist(predicted.mean, target.mean) / POSITION  # (B, K, predicted, target)
+def match_slots(predicted: StateTensors, target: StateTensors) -> Tensor:
+    """Return (B, S) which target slot each predicted slot is compared with at all steps: the cheapest of all orders."""
+    present = (target.presence > 0).to(predicted.presence)  # (B, K, S)
+    distance = torch.cdist(predicted.mean, target.mean) / _POSITION_UNIT  # (B, K, predicted, target)
+    # The cross-entropy of the presence of every pair.
     logit = predicted.presence[..., :, None]
-    wrong = functional.softplus(logit) - logit * there[..., None, :]  # cross-entropy of every pair
-    cost = (apart.clamp_max(5.0) * there[..., None, :] + wrong).mean(dim=1)  # (B, predicted, target)
+    entropy = functional.softplus(logit) - logit * present[..., None, :]
+    cost = (distance.clamp_max(5.0) * present[..., None, :] + entropy).mean(dim=1)  # (B, predicted, target)
+
     slots = cost.shape[-1]
     orders = torch.tensor(list(itertools.permutations(range(slots))), device=cost.device)  # (S!, S)
     totals = cost[:, torch.arange(slots, device=cost.device), orders].sum(dim=-1)  # (B, S!)
-    return orders[totals.argmin(dim=-1)]
+    return orders[totals.argmin(dim=-1)]  # (B, S)
 
 
-def _features(predicted: States, target: States, there: Tensor) -> Tensor:
-    """Mean over the loops that are there of the mean squared errors of their features."""
-    predicted, target = predicted[there], target[there]
-    numbers, truth = (torch.stack([part.birth, part.death, part.killer_shift], dim=-1) for part in (predicted, target))
-    error = ((numbers - truth) / VALUE).square().mean(dim=-1)
-    return _mean(error + torch.minimum(_edge_errors(predicted, target), _edge_errors(predicted, target.reversed())))
+def _features_error(predicted: StateTensors, target: StateTensors) -> Tensor:
+    """Return the mean over N loops of the mean squared errors of their features."""
+    numbers = torch.stack([predicted.birth, predicted.death, predicted.killer_shift], dim=-1)  # (N, 3)
+    truth = torch.stack([target.birth, target.death, target.killer_shift], dim=-1)
+    error = ((numbers - truth) / _VALUE_UNIT).square().mean(dim=-1)
+    # A killer edge has no direction: take the order of its ends that fits better.
+    forwards = _corners_error(predicted, target)
+    backwards = _corners_error(predicted, target.reversed())
+    return _mean(error + torch.minimum(forwards, backwards))
 
 
-def _edge_errors(predicted: States, target: States) -> Tensor:
-    counts = torch.cat([torch.ones_like(target.corners[..., :4, 0]), (target.neighbour_values > 0).float()], dim=-1)
-    places = ((predicted.corners - target.corners) / POSITION).square().sum(dim=-1)
-    values = ((predicted.neighbour_values - target.neighbour_values) / VALUE).square().mean(dim=-1)
-    return (places * counts).sum(dim=-1) / counts.sum(dim=-1) + values
+def _corners_error(predicted: StateTensors, target: StateTensors) -> Tensor:
+    """Return the mean squared errors of N loops' corners and neighbour values; apexes of absent neighbours do not count."""
+    killers = torch.ones_like(target.corners[..., :4, 0])
+    neighbours = (target.neighbour_values > 0).float()
+    counts = torch.cat([killers, neighbours], dim=-1)  # (N, 8)
+    squares = ((predicted.corners - target.corners) / _POSITION_UNIT).square().sum(dim=-1)  # (N, 8)
+    values = ((predicted.neighbour_values - target.neighbour_values) / _VALUE_UNIT).square().mean(dim=-1)
+    return (squares * counts).sum(dim=-1) / counts.sum(dim=-1) + values
 
 
 def _mean(errors: Tensor) -> Tensor:
-    """Mean, and zero (with a gradient) of nothing: a batch may have no loop."""
+    """Return the mean; of nothing, a zero that has a gradient: a batch may have no loop."""
     return errors.sum() / max(errors.numel(), 1)

@@ -10,15 +10,15 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from topokit.models import load_config, open_windows, train
+from topokit.models import TrainConfig, train
 
 HERE = Path(__file__).parent
 RATES, EPOCHS, EACH = (0.0003, 0.001, 0.003), 3, 6_000
 
-windows = open_windows(load_config(HERE / f"{sys.argv[1]}.json"))  # of the same films for all
+windows = TrainConfig.load(HERE / f"{sys.argv[1]}.json").open_windows()  # of the same films for all
 windows.train.load()
 for model in sys.argv[1:]:
-    config, found = replace(load_config(HERE / f"{model}.json"), epochs=EPOCHS, windows_per_epoch=EACH), {}
+    config, found = replace(TrainConfig.load(HERE / f"{model}.json"), epochs=EPOCHS, windows_per_epoch=EACH), {}
     for rate in RATES:
         told = train(replace(config, learning_rate=rate, out=f"{config.out}-{rate:g}"), windows)
         found[f"{rate:g}"] = round(told["validation_loss"], 4)
