@@ -25,9 +25,7 @@ import numpy as np
 from topokit import track
 from topokit.data import Dataset, generate_dataset, label_dataset
 from topokit.io import load_episode, load_states, save_episode, save_states
-from topokit.models import build, load_model
-from topokit.models._baselines import Normalisation, Shape
-from topokit.models._checkpoint import describe, save_tensors
+from topokit.models import Normalisation, Predictor, Shape, build
 
 from conftest import DATA, polygon
 from small_datasets import SEED, TINY, without_dask
@@ -110,13 +108,13 @@ def states(folder: Path) -> tuple[Path, Reader]:
 
 def checkpoint(folder: Path) -> tuple[Path, Reader]:
     def read(path: Path) -> str:
-        model, description = load_model(path)
-        return digest(description, model.state_dict())
+        predictor = Predictor.load(path)
+        return digest(predictor.description, predictor.model.state_dict())
 
     shape, normalisation, options = Shape(2, 2, 4, 1), Normalisation(), {"hidden": (2, 2)}
-    model = build("mlp", shape, normalisation, options)
-    tensors = {f"model.{name}": tensor for name, tensor in model.state_dict().items()}
-    return save_tensors(folder / "tiny.safetensors", tensors, describe(model, "mlp", options)), read
+    path = folder / "tiny.safetensors"
+    Predictor(build("mlp", shape, normalisation, options)).save(path)
+    return path, read
 
 
 KINDS = {kind.__name__: kind for kind in (dataset, episode, states, checkpoint)}

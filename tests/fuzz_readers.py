@@ -173,14 +173,14 @@ def states() -> Callable[[bytes], object]:
 
 def checkpoint() -> Callable[[bytes], object]:
     """A checkpoint of which the description was changed, or its header's bytes."""
-    from topokit.models import load_model
+    from topokit.models import Predictor
 
     whole, path = (
         min((DATA / "checkpoints").glob("**/*.safetensors"), key=os.path.getsize).read_bytes(),
         FOLDER / "m.safetensors",
     )
     path.write_bytes(whole)
-    load_model(path)  # the first takes seconds
+    Predictor.load(path)  # the first takes seconds
     size = int.from_bytes(whole[:8], "little")
     header, body = json.loads(whole[8 : 8 + size]), whole[8 + size :]
 
@@ -198,7 +198,7 @@ def checkpoint() -> Callable[[bytes], object]:
                 change_words(choose, changed)
             content = json.dumps(changed).encode()
             path.write_bytes(len(content).to_bytes(8, "little") + content + body)
-        load_model(path)
+        Predictor.load(path)
 
     return read
 

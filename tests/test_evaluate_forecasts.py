@@ -34,8 +34,7 @@ from topokit.evaluate import (
 from topokit.evaluate._conditions import prepare_condition, spoilt_observer, spread_windows, true_curves
 from topokit.evaluate._summary import steps_of
 from topokit.io import load_episode
-from topokit.models import Normalisation, Shape, TrainConfig, build, open_windows, train
-from topokit.models._checkpoint import describe, save_tensors
+from topokit.models import Predictor, Shape, TrainConfig, build, train
 
 from conftest import DATA
 
@@ -72,7 +71,7 @@ def trained(out: Path, model: str = "mlp", seed: int = 0, split: dict[str, Any] 
         windows_per_epoch=16,
         validation_windows=8,
     )
-    train(config, open_windows(config))
+    train(config)
     return config
 
 
@@ -291,7 +290,7 @@ def test_no_order_of_the_shares_hides_a_leak(tmp_path):
     other = {"seed": 1, "shares": {name: SHARES[name] for name in ("test", "train", "validation")}}
     config = trained(tmp_path, split=other)
     models = {"mlp": [str(tmp_path / "best.safetensors")]}
-    windows = open_windows(config)
+    windows = config.open_windows()
     learned = {*windows.train.index[:, 0].tolist(), *windows.validation.index[:, 0].tolist()}
     for split in (SPLIT, other):
         for part in ("train", "validation"):
@@ -346,9 +345,7 @@ def test_it_refuses_checkpoints_that_do_not_fit(checkpoints, tmp_path):
         handle.truncate(1000)
     refused({"mlp": ["damaged.safetensors"]}, FormatError, "damaged")
     shape = Shape(history=8, horizon=30, points=64)
-    model = build("mlp", shape, Normalisation())
-    weights = {f"model.{key}": part for key, part in model.state_dict().items()}
-    save_tensors(tmp_path / "short.safetensors", weights, describe(model, "mlp", {}))
+    Predictor(build("mlp", shape)).save(tmp_path / "short.safetensors")
     refused({"mlp": ["short.safetensors"]}, ValueError, "windows of another shape: history 8, horizon 30, points 64")
 
 

@@ -17,20 +17,17 @@ from topokit._archive import FormatError
 from topokit.cli import main
 from topokit.io import load_episode
 from topokit.models import (
-    MODELS,
     Forecast,
     LossWeights,
     Normalisation,
     Predictor,
     Shape,
+    StateTensors,
     build,
     forecast_loss,
-    load_model,
-    load_tensors,
-    StateTensors.from_labels,
 )
 from topokit.models._baselines import past_window
-from topokit.models._checkpoint import describe, save_tensors
+from topokit.models._checkpoint import MODELS, describe, load_model, load_tensors, save_tensors
 
 from windows import HISTORY, HORIZON, POINTS, SLOTS, RingWindows
 
@@ -65,8 +62,8 @@ def stream(window):
 
 def save(path, name="mlp", **changes):
     model = make(name)
-    entries = {f"model.{key}": part for key, part in model.state_dict().items()}
-    return save_tensors(path, entries, describe(model, name, SMALL.get(name, {})) | changes)
+    save_tensors(path, model.state_dict(), describe(model) | changes)
+    return path
 
 
 @pytest.mark.parametrize("name", OF_WINDOWS)
@@ -326,9 +323,6 @@ def test_checkpoints_for_other_shapes_or_models(tmp_path):
     save(path, options={"layers": 9})
     with pytest.raises(FormatError, match="layers"):
         Predictor.load(path)
-    save(path, schema=9)
-    with pytest.raises(FormatError, match="schema 9"):
-        Predictor.load(path)
 
 
 def test_the_name_of_a_checkpoint(tmp_path):
@@ -339,7 +333,8 @@ def test_the_name_of_a_checkpoint(tmp_path):
 def test_half_precision_is_half_the_size(tmp_path):
     whole = save(tmp_path / "a.safetensors")
     entries = {name: part.half() for name, part in load_tensors(whole)[1].items()}
-    half = save_tensors(tmp_path / "b.safetensors", entries, describe(make("mlp"), "mlp", SMALL["mlp"]))
+    half = tmp_path / "b.safetensors"
+    save_tensors(half, entries, describe(make("mlp")))
     assert half.stat().st_size < 0.6 * whole.stat().st_size
     assert all(part.dtype == torch.float32 for part in load_model(half)[0].state_dict().values())
 
@@ -403,14 +398,6 @@ def test_one_bit_of_the_description_is_noticed(tmp_path):
         Predictor.load(rewritten(path, lambda text: text.replace('"scale": 0.1', '"scale": 0.3')))
 
 
-@pytest.mark.parametrize("schema", [1, 3])
-def test_checkpoints_of_another_schema_are_refused(tmp_path, schema):
-    """The checksum of the first covered the tensors alone: whoever claims it could say what he likes."""
-    path = save(tmp_path / "c.safetensors")
-    with pytest.raises(FormatError, match=f"of schema {schema}; this topokit reads a topokit-checkpoint of schema 2"):
-        Predictor.load(rewritten(path, lambda text: text.replace('"schema": 2', f'"schema": {schema}')))
-
-
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -453,8 +440,9 @@ def test_a_description_too_deep_to_read_is_refused(tmp_path):
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_weights_that_are_no_numbers_are_refused(tmp_path, bad):
     weights = load_tensors(save(tmp_path / "c.safetensors"))[1]
-    weights["model.rest.1.bias"][3] = bad
-    path = save_tensors(tmp_path / "bad.safetensors", weights, describe(make("mlp"), "mlp", SMALL["mlp"]))
+    weights["rest.1.bias"][3] = bad
+    path = tmp_path / "bad.safetensors"
+    save_tensors(path, weights, describe(make("mlp")))
     with pytest.raises(FormatError, match=r"rest\.1\.bias hold a NaN or an infinite number"):
         Predictor.load(path)
 

@@ -14,12 +14,9 @@ from topokit.models import (
     StateTensors,
     forecast_loss,
     loop_mixtures,
-    match_slots,
-    StateTensors.from_past,
-    StateTensors.from_labels,
 )
 from topokit.models._baselines import past_window
-from topokit.models._states import corners_of
+from topokit.models._states import corners_of, match_slots
 
 from windows import SLOTS, RingWindows
 

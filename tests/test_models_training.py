@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -18,22 +17,9 @@ import torch
 from torch.utils.data import default_collate
 
 from topokit._archive import FormatError
-from topokit._config import from_mapping
-from topokit.models import (
-    LossWeights,
-    Normalisation,
-    Shape,
-    TrainConfig,
-    Windows,
-    build,
-    load_config,
-    load_model,
-    load_tensors,
-    open_windows,
-    StateTensors.from_labels,
-    train,
-)
-from topokit.models._config import epoch_order, mirrored
+from topokit.models import LossWeights, Motion, Predictor, Shape, StateTensors, TrainConfig, build, train
+from topokit.models._config import epoch_order
+from topokit.models._training import mirrored
 
 from windows import POINTS, SLOTS, RingScenes, RingWindows
 
@@ -41,29 +27,22 @@ SHAPE = Shape(points=POINTS, slots=SLOTS)
 MORE = LossWeights(centre=1.0, match=True)
 ROOT = Path(__file__).parents[1]
 HELD_OUT = ["backpack", "belt", "mask", "net", "scarf", "sheet", "sheet2", "shirt", "tote", "tote2", "vest"]
+OPTIONS = {"mlp": {"hidden": [32, 16]}, "pointnet": {"hidden": [64, 32]}, "motion": {"width": 16}}
 
 
 @pytest.fixture(scope="module")
 def windows():
-    return Windows(RingWindows(96, seed=0), RingWindows(24, seed=1), "rings")
+    return RingWindows(96, seed=0), RingWindows(24, seed=1), "rings"
 
 
 @pytest.fixture(scope="module")
 def scenes():
-    return Windows(RingScenes(96, seed=0), RingScenes(24, seed=1), "rings")
+    return RingScenes(96, seed=0), RingScenes(24, seed=1), "rings"
 
 
-def config(out, **changes):
-    entries = {
-        "model": "mlp",
-        "options": {"hidden": [32, 16]},
-        "shape": SHAPE,
-        "batch": 16,
-        "epochs": 3,
-        "threads": 1,
-        "out": str(out),
-    }
-    return TrainConfig(**(entries | changes))
+def config(out, model="mlp", **changes):
+    entries = {"options": OPTIONS.get(model, {}), "shape": SHAPE, "batch": 16, "epochs": 3, "threads": 1}
+    return TrainConfig(model, out=str(out), **(entries | changes))
 
 
 def log(out):
@@ -71,61 +50,63 @@ def log(out):
         return list(csv.DictReader(handle))
 
 
+def weights(out, name="best"):
+    return Predictor.load(out / f"{name}.safetensors").model.state_dict()
+
+
+def same(one, other):
+    return one.keys() == other.keys() and all(torch.equal(part, other[name]) for name, part in one.items())
+
+
+class Interrupted:
+    """Windows; Ctrl-C comes after so many of them."""
+
+    def __init__(self, data, reads):
+        self.data = data
+        self.reads = reads
+
+    def __len__(self):
+        return len(self.data)
+
+    def __getitem__(self, i):
+        self.reads -= 1
+        if self.reads < 0:
+            raise KeyboardInterrupt
+        return self.data[i]
+
+
 @pytest.mark.parametrize(
-    ("model", "options", "loss"),
-    [
-        ("mlp", {"hidden": [64, 32]}, LossWeights()),
-        ("pointnet", {"hidden": [64, 32]}, LossWeights()),
-        ("pointnet", {"hidden": [64, 32]}, MORE),
-        ("motion", {"width": 16}, LossWeights()),
-    ],
+    ("model", "loss"),
+    [("mlp", LossWeights()), ("pointnet", LossWeights()), ("pointnet", MORE), ("motion", LossWeights())],
 )
-def test_the_loss_falls_and_the_checkpoint_is_the_best_epoch(tmp_path, windows, scenes, model, options, loss):
-    how = config(tmp_path, model=model, options=options, loss=loss, epochs=12, learning_rate=3e-3)
+def test_the_loss_falls_and_the_checkpoint_is_the_best_epoch(tmp_path, windows, scenes, model, loss):
+    how = config(tmp_path, model, loss=loss, epochs=12, learning_rate=3e-3)
     answer = train(how, scenes if model == "motion" else windows)
-    rows = log(tmp_path)
-    losses = [float(row["validation_loss"]) for row in rows]
+    losses = [float(row["validation_loss"]) for row in log(tmp_path)]
     assert losses[-1] < 0.7 * losses[0]
     assert answer["validation_loss"] == min(losses)
-    assert answer["finished"]
-    _, description = load_model(tmp_path / "best.safetensors")
+    description = Predictor.load(answer["checkpoint"]).description
+    assert description["epoch"] == answer["best_epoch"] == losses.index(min(losses))
     assert description["dataset"] == "rings"
-    free = {
-        "workers",
-        "minutes_between_checkpoints",
-        "out",
-        "dataset",
-        "start",
-        "rehearse",
-        "accelerator",
-    }  # no weights
-    assert description["config"] == json.loads(json.dumps({k: v for k, v in asdict(how).items() if k not in free}))
-    assert description["normalisation"]["scale"] > 0
+    stored = json.loads(json.dumps(dataclasses.asdict(how)))
+    assert description["config"].items() <= stored.items()
+    assert {"seed", "split", "learning_rate", "threads"} < description["config"].keys()
 
 
 @pytest.mark.parametrize("model", ["mlp", "motion"])
-@pytest.mark.parametrize("stop", [4, 6, 13])  # within an epoch, at its end, in the last
-def test_stopped_and_resumed_is_as_undisturbed(tmp_path, windows, scenes, stop, model):
-    how = {"model": model, "options": {"width": 16} if model == "motion" else {"hidden": [16]}, "loss": MORE}
-    windows = scenes if model == "motion" else windows
-    whole, parts = config(tmp_path / "whole", **how), config(tmp_path / "parts", **how)
-    train(whole, windows)
-    assert not train(parts, windows, stop_after=stop)["finished"]
-    assert train(parts, windows)["finished"]
-    one, other = (load_tensors(tmp_path / name / "last.safetensors") for name in ("whole", "parts"))
-    assert one[1].keys() == other[1].keys()
-    assert all(torch.equal(part, other[1][name]) for name, part in one[1].items())
-    drop = {"seconds"}
-    for a, b in zip(log(tmp_path / "whole"), log(tmp_path / "parts"), strict=True):
-        assert {k: v for k, v in a.items() if k not in drop} == {k: v for k, v in b.items() if k not in drop}
-
-
-def test_other_weights_in_the_place_of_a_training_are_named(tmp_path, windows):
-    how = config(tmp_path, epochs=1)
-    train(how, windows)
-    shutil.copy(tmp_path / "best.safetensors", tmp_path / "last.safetensors")
-    with pytest.raises(FormatError, match=r"last.safetensors: not the checkpoint of a training"):
-        train(how, windows)
+@pytest.mark.parametrize("steps", [0, 4, 6, 13])  # before anything, within an epoch, at its end, in the last
+def test_interrupted_and_resumed_is_as_undisturbed(tmp_path, windows, scenes, steps, model):
+    train_data, held_back, name = scenes if model == "motion" else windows
+    whole = config(tmp_path / "whole", model, loss=MORE)
+    parts = dataclasses.replace(whole, out=str(tmp_path / "parts"))
+    train(whole, (train_data, held_back, name))
+    reads = 16 * steps + (0 if model == "motion" else 96)  # the units are those of all windows
+    with pytest.raises(KeyboardInterrupt):
+        train(parts, (Interrupted(train_data, reads), held_back, name))
+    train(parts, (train_data, held_back, name))
+    assert same(weights(tmp_path / "whole"), weights(tmp_path / "parts"))
+    for row, other in zip(log(tmp_path / "whole"), log(tmp_path / "parts"), strict=True):
+        assert row | {"seconds": 0} == other | {"seconds": 0}
 
 
 def test_killed_and_resumed_is_as_undisturbed(tmp_path, windows):
@@ -135,11 +116,10 @@ import sys
 sys.path.insert(0, sys.argv[2])
 import torch
 torch.set_num_threads(1)
-from test_models_training import config, windows
-from topokit.models import train, Windows
+from test_models_training import config
+from topokit.models import train
 from windows import RingWindows
-train(config(sys.argv[1], epochs=8, patience=99, minutes_between_checkpoints=1e-4),
-      Windows(RingWindows(96, seed=0), RingWindows(24, seed=1), "rings"))
+train(config(sys.argv[1], epochs=20, patience=99), (RingWindows(96, seed=0), RingWindows(24, seed=1), "rings"))
 """
     here = str(Path(__file__).parent)
     process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "killed"), here])
@@ -152,44 +132,37 @@ train(config(sys.argv[1], epochs=8, patience=99, minutes_between_checkpoints=1e-
     torch.set_num_threads(1)
     try:
         for name in ("killed", "whole"):
-            answer = train(config(tmp_path / name, epochs=8, patience=99, minutes_between_checkpoints=1e-4), windows)
-            assert answer["steps"] == 8 * 6
+            answer = train(config(tmp_path / name, epochs=20, patience=99), windows)
+            assert answer["steps"] == 20 * 6
     finally:
         torch.set_num_threads(threads)
-    one, other = (load_tensors(tmp_path / name / "best.safetensors")[1] for name in ("killed", "whole"))
-    assert all(torch.equal(part, other[name]) for name, part in one.items())
+    assert same(weights(tmp_path / "killed"), weights(tmp_path / "whole"))
 
 
-def test_the_same_training_gives_the_same_bytes_wherever_it_is_made(tmp_path, windows):
-    """In another folder, begun with another number of threads, stopped on the way."""
+@pytest.mark.parametrize("model", ["mlp", "motion"])
+def test_the_bytes_do_not_depend_on_the_threads_outside(tmp_path, windows, scenes, model):
     made = []
-    for threads, place, stop in ((1, "a", None), (4, "b/c", 4)):
-        before = torch.get_num_threads()
-        torch.set_num_threads(threads)
-        try:
-            for model, options in (("ridge", {}), ("pointnet", {"hidden": [32, 16]})):
-                wanted = config(tmp_path / place / model, model=model, options=options, epochs=2)
-                train(wanted, windows, stop_after=stop)
-                train(wanted, windows)
-                made.append((tmp_path / place / model / "best.safetensors").read_bytes())
+    before = torch.get_num_threads()
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            out = tmp_path / str(threads)
+            train(config(out, model, epochs=2), scenes if model == "motion" else windows)
+            made.append((out / "best.safetensors").read_bytes())
             assert torch.get_num_threads() == threads
-        finally:
-            torch.set_num_threads(before)
-    assert made[:2] == made[2:]
+    finally:
+        torch.set_num_threads(before)
+    assert made[0] == made[1]
 
 
-def test_seeds_differ_and_repeat(tmp_path, windows):
-    weights = []
-    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        train(config(tmp_path / name, epochs=1, seed=seed), windows)
-        weights.append(load_tensors(tmp_path / name / "best.safetensors")[1]["model.rest.1.weight"])
-    assert torch.equal(weights[0], weights[1])
-    assert not torch.equal(weights[0], weights[2])
+def test_another_seed_gives_other_weights(tmp_path, windows):
+    for seed in (0, 1):
+        train(config(tmp_path / str(seed), epochs=1, seed=seed), windows)
+    assert not same(weights(tmp_path / "0"), weights(tmp_path / "1"))
 
 
 def test_early_stopping(tmp_path, windows):
     answer = train(config(tmp_path, epochs=50, patience=1, learning_rate=1e-9), windows)
-    assert answer["finished"]
     assert answer["epochs"] < 50
     assert answer["epochs"] == answer["best_epoch"] + 2
 
@@ -201,41 +174,41 @@ def test_a_finished_training_is_left_alone(tmp_path, windows):
     assert (tmp_path / "last.safetensors").read_bytes() == before
 
 
-def test_another_configuration_or_dataset_is_refused(tmp_path, windows):
-    train(config(tmp_path), windows, stop_after=2)
-    with pytest.raises(ValueError, match=r"holds a training with batch = 16, the configuration says 8"):
+def test_what_is_no_checkpoint_of_this_training_is_not_resumed_from(tmp_path, windows):
+    how = config(tmp_path, epochs=1)
+    train(how, windows)
+    with pytest.raises(ValueError, match=r"batch.*16.*8"):
         train(config(tmp_path, batch=8), windows)
     with pytest.raises(ValueError, match="another dataset"):
-        train(config(tmp_path), Windows(windows.train, windows.validation, "others"))
-
-
-def test_a_damaged_checkpoint_is_not_resumed_from(tmp_path, windows):
-    train(config(tmp_path), windows, stop_after=2)
-    path = tmp_path / "last.safetensors"
-    path.write_bytes(path.read_bytes()[:-50])
-    with pytest.raises(ValueError, match="truncated or damaged"):
-        train(config(tmp_path), windows)
+        train(how, (*windows[:2], "others"))
+    last = tmp_path / "last.safetensors"
+    whole = last.read_bytes()
+    shutil.copy(tmp_path / "best.safetensors", last)
+    with pytest.raises(FormatError, match=r"last\.safetensors"):
+        train(how, windows)
+    last.write_bytes(whole[:-50])
+    with pytest.raises(FormatError, match=r"last\.safetensors"):
+        train(how, windows)
 
 
 def test_ridge_is_solved_in_one_pass(tmp_path, windows):
-    answer = train(config(tmp_path, model="ridge", options={"penalty": 1.0}), windows)
-    assert answer["finished"]
-    model, _ = load_model(tmp_path / "best.safetensors")
-    assert model.coefficients.abs().sum() > 0
+    answer = train(config(tmp_path, "ridge", options={"penalty": 1.0}), windows)
+    assert answer["epochs"] == 1
+    assert weights(tmp_path)["coefficients"].abs().sum() > 0
 
 
-@pytest.mark.parametrize(("model", "options"), [("mlp", {"hidden": [32, 16]}), ("motion", {"width": 16})])
-def test_a_training_goes_on_from_a_checkpoint_with_other_films(tmp_path, windows, scenes, model, options):
+@pytest.mark.parametrize("model", ["mlp", "motion"])
+def test_a_training_starts_from_a_checkpoint_with_other_films(tmp_path, windows, scenes, model):
     data = scenes if model == "motion" else windows
-    how = {"model": model, "options": options, "learning_rate": 3e-3}
-    first = train(config(tmp_path / "first", **how, epochs=6), data)
-    more = config(tmp_path / "more", **how, start=first["checkpoint"], epochs=1)
-    more = dataclasses.replace(more, learning_rate=1e-12)  # nothing is learned: the weights are those of the start
-    assert train(more, data)["validation_loss"] == pytest.approx(first["validation_loss"], rel=0.01)
-    assert train(config(tmp_path / "afresh", **how, epochs=1), data)["validation_loss"] > first["validation_loss"]
-    assert load_model(tmp_path / "more" / "best.safetensors")[1]["start"] == "best.safetensors"
-    with pytest.raises(ValueError, match="its options is"):
-        train(config(tmp_path / "other", **{**how, "options": {}}, start=first["checkpoint"]), data)
+    first = train(config(tmp_path / "first", model, epochs=6, learning_rate=3e-3), data)
+    # With a learning rate of next to nothing the weights are those of the start.
+    still = config(tmp_path / "more", model, start=first["checkpoint"], epochs=1, learning_rate=1e-12)
+    assert train(still, data)["validation_loss"] == pytest.approx(first["validation_loss"], rel=0.01)
+    afresh = config(tmp_path / "afresh", model, epochs=1, learning_rate=3e-3)
+    assert train(afresh, data)["validation_loss"] > first["validation_loss"]
+    assert Predictor.load(tmp_path / "more" / "best.safetensors").description["start"] == "best.safetensors"
+    with pytest.raises(ValueError, match="options"):
+        train(config(tmp_path / "other", model, options={}, start=first["checkpoint"]), data)
 
 
 def test_few_films_are_learned_beside_those_that_the_start_knows(tmp_path):
@@ -244,19 +217,18 @@ def test_few_films_are_learned_beside_those_that_the_start_knows(tmp_path):
     (tmp_path / "old.json").write_text(json.dumps(entries))
     entries |= {"split": {"shares": shares, "seed": 4, "held_out": HELD_OUT}, "windows": {"stride": 4}}
     (tmp_path / "new.json").write_text(json.dumps(entries | {"rehearse": "old.json"}))
-    with pytest.raises(ValueError, match=r"old\.json: cannot be rehearsed, its windows is not that"):
-        open_windows(TrainConfig.load(tmp_path / "new.json"))
+    with pytest.raises(ValueError, match=r"old\.json.*windows"):
+        TrainConfig.load(tmp_path / "new.json").open_windows()
     (tmp_path / "old.json").write_text(json.dumps({**entries, "split": {"shares": shares}}))
-    both = open_windows(TrainConfig.load(tmp_path / "new.json"))
+    both = TrainConfig.load(tmp_path / "new.json").open_windows()
     new, old = (
-        open_windows(TrainConfig(**{**entries, "split": split})) for split in (entries["split"], {"shares": shares})
+        TrainConfig(**{**entries, "split": split}).open_windows() for split in (entries["split"], {"shares": shares})
     )
     n = len(new.train)
     assert len(both.train) == 2 * n > 0
     assert len(both.validation) == len(new.validation)
     assert torch.equal(both.train[n - 1]["cloud"], new.train[n - 1]["cloud"])
     assert torch.equal(both.train[2 * n - 1]["cloud"], old.train[(n - 1) * len(old.train) // n]["cloud"])
-    assert both.checksum == new.checksum + old.checksum
 
 
 def test_every_window_once_an_epoch_and_another_order_the_next():
@@ -267,65 +239,68 @@ def test_every_window_once_an_epoch_and_another_order_the_next():
 
 
 def test_too_little_data(tmp_path, windows):
-    with pytest.raises(ValueError, match=r"96 windows to train on .* a batch has 128"):
+    with pytest.raises(ValueError, match=r"96.*128"):
         train(config(tmp_path, batch=128), windows)
 
 
-def test_load_config(tmp_path):
+def test_paths_of_a_configuration_are_relative_to_it(tmp_path):
     entries = {"model": "mlp", "dataset": "data", "shape": {"slots": 2}, "loss": {"centre": 0.1}}
     (tmp_path / "a.json").write_text(json.dumps(entries))
     a = TrainConfig.load(tmp_path / "a.json")
     assert a.shape == Shape(slots=2)
+    assert a.loss.centre == 0.1
     assert a.dataset == str(tmp_path / "data")
-    assert from_mapping(TrainConfig, json.loads(json.dumps(asdict(a))), "c") == a
+    assert a.start == ""
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "named"),
     [
-        ("{", "not JSON"),
-        ("[]", "an object with named entries"),
-        ('{"model": "gpt"}', "model must be one of hold, carry, ridge, mlp, pointnet, motion, not 'gpt'"),
-        ('{"model": "mlp", "epoch": 3}', "there is no 'epoch'; there are .*epochs"),
-        ('{"model": "mlp", "batch": 0}', "batch: .* greater than or equal to 1, not 0"),
-        ('{"model": "mlp", "learning_rate": "fast"}', "learning_rate: .* valid number, not 'fast'"),
-        ('{"model": "mlp", "shape": {"slots": 0}}', r"shape\.slots: .* greater than or equal to 1"),
-        ('{"model": "mlp", "loss": {"centre": -1}}', r"loss\.centre: .* greater than or equal to 0"),
-        ("{}", "'model' is missing"),
+        ("{", "JSON"),
+        ("[]", "object"),
+        ('{"model": "gpt"}', "pointnet.*'gpt'"),
+        ('{"model": "mlp", "epoch": 3}', "'epoch'.*epochs"),
+        ('{"model": "mlp", "batch": 0}', "batch.*0"),
+        ('{"model": "mlp", "learning_rate": "fast"}', "learning_rate.*'fast'"),
+        ('{"model": "mlp", "shape": {"slots": 0}}', r"shape\.slots"),
+        ('{"model": "mlp", "loss": {"centre": -1}}', r"loss\.centre.*-1"),
+        ("{}", "'model'"),
     ],
 )
-def test_bad_configurations_are_named(tmp_path, text, says):
+def test_bad_configurations_are_named(tmp_path, text, named):
     path = tmp_path / "c.json"
     path.write_text(text)
-    with pytest.raises(ValueError, match=rf"c\.json.*{says}"):
+    with pytest.raises(ValueError, match=rf"c\.json.*{named}"):
         TrainConfig.load(path)
 
 
 def test_a_mirrored_window_is_the_window_of_the_mirrored_scene():
     data = RingWindows(4, seed=2)
+    image = torch.tensor([-1.0, 1.0, 1.0])
     window = default_collate([data[i] for i in range(4)])
-    which = torch.tensor([True, False, True, False])
-    mirror = mirrored(window, which)
-    assert torch.equal(mirror["clouds"][1], window["clouds"][1])
-    assert torch.equal(mirror["clouds"][0, ..., 0], -window["clouds"][0, ..., 0])
-    assert torch.equal(mirror["actions"][2, :, 0, 1:], window["actions"][2, :, 1, 1:])
-    again = mirrored(mirror, which)
-    assert all(torch.equal(part, again[name]) for name, part in window.items())
-    one, other = StateTensors.from_labels(window), StateTensors.from_labels(mirror)
-    assert torch.allclose(one.mean[0] * torch.tensor([-1.0, 1, 1]), other.mean[0])
-    carried = (build("carry", SHAPE, Normalisation())(w).mean for w in (window, mirror))
-    assert torch.allclose(next(carried)[2] * torch.tensor([-1.0, 1, 1]), next(carried)[2], atol=1e-6)
-
-
-def test_the_mirror_exchanges_the_grippers_and_their_targets():
-    data, image = RingWindows(2, seed=2), torch.tensor([-1.0, 1, 1])
-    window = default_collate([data[i] for i in range(2)])
-    for name in ("grippers", "actions"):  # one is higher and farther ahead than the other
-        window[name] = window[name] + torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.02, 0.03]])
-    mirror = mirrored(window, torch.tensor([True, False]))
+    # One gripper is higher and farther ahead than the other.
     for name in ("grippers", "actions"):
-        assert torch.equal(mirror[name][0, :, 0], window[name][0, :, 1] * image)
-        assert torch.equal(mirror[name][0, :, 1], window[name][0, :, 0] * image)
+        window[name] = window[name] + torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.02, 0.03]])
+    mirror = mirrored(window, torch.tensor([True, False, True, False]))
+    assert torch.equal(mirror["clouds"][1], window["clouds"][1])
+    assert torch.equal(mirror["clouds"][0], window["clouds"][0] * image)
+    for name in ("grippers", "actions"):  # which exchange their places
+        assert torch.equal(mirror[name][0], window[name][0].flip(1) * image)
+        assert torch.equal(mirror[name][1], window[name][1])
+    again = mirrored(mirror, torch.tensor([True, False, True, False]))
+    assert all(torch.equal(part, again[name]) for name, part in window.items())
+    assert torch.allclose(StateTensors.from_labels(window).mean[0] * image, StateTensors.from_labels(mirror).mean[0])
+    forecast, mirrored_forecast = (build("carry", SHAPE)(one).mean for one in (window, mirror))
+    assert torch.allclose(forecast[2] * image, mirrored_forecast[2], atol=1e-6)
+
+
+def test_the_mirror_of_a_scene_has_the_mirror_of_its_motion():
+    scenes = RingScenes(2, seed=2)
+    image = torch.tensor([-1.0, 1.0, 1.0])
+    window = default_collate([scenes[i] for i in range(2)])
+    mirror = mirrored(window, torch.tensor([True, False]))
+    for name in ("cloud", "points", "flow", "target", "future"):
+        assert torch.equal(mirror[name][0], window[name][0] * image)
         assert torch.equal(mirror[name][1], window[name][1])
 
 
@@ -333,7 +308,28 @@ def test_mixed_precision_learns_from_exact_coordinates(tmp_path, windows):
     """Targets are not rounded: the loss is about that of 32 bits."""
     losses = []
     for precision in ("32-true", "bf16-mixed"):
-        how = {"model": "pointnet", "options": {"hidden": [16]}, "loss": MORE, "epochs": 1}
-        losses.append(train(config(tmp_path / precision, precision=precision, **how), windows)["validation_loss"])
+        how = config(tmp_path / precision, "pointnet", loss=MORE, epochs=1, precision=precision)
+        losses.append(train(how, windows)["validation_loss"])
     assert losses[0] != losses[1]
     assert abs(losses[0] - losses[1]) < 0.05 * losses[0]
+
+
+def test_it_learns_to_swing_and_how_sure_it_is(tmp_path):
+    data = (RingScenes(96, seed=0), RingScenes(16, seed=1))
+    how = config(
+        tmp_path, "motion", options={"width": 32}, shape=Shape(points=160), batch=8, epochs=16, learning_rate=0.01
+    )
+    train(how, data)
+    model = Predictor.load(tmp_path / "best.safetensors").model
+    test = default_collate(RingScenes(32, seed=2).items)
+    torch.manual_seed(0)
+    carry = build("motion", Shape(points=160))
+    assert isinstance(model, Motion)
+    torch.nn.init.zeros_(carry.out[2].weight)  # it predicts that the cloth is carried
+    with torch.inference_mode():
+        places, scales = model(test)
+        carried, _ = carry(test)
+    known = test["known"][..., None].expand(scales.shape)
+    error = (places - test["future"]).norm(dim=-1)[known]
+    assert error.mean() < 0.8 * (carried - test["future"]).norm(dim=-1)[known].mean()
+    assert 1 < float((error / scales[known]).mean()) < 8  # of a Laplace distribution in three dimensions it is 3

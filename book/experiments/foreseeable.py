@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from torch.utils.data import default_collate
 from tqdm import tqdm
 
+from topokit.control import Carried
 from topokit.data import Dataset, WindowDataset
 from topokit.data._recipe import DatasetConfig, make_episode
 from topokit.evaluate._accuracy import measure_forecasts
 from topokit.evaluate._conditions import kinds_of, spread_windows, true_curves
 from topokit.evaluate._forecasters import of_stream, of_windows
 from topokit.models import MotionPredictor, Normalisation, Predictor, Shape, StateTensors, build
-from topokit.models._motion import KNOTS, _hands, carried
 from topokit.sim import Randomisation, SimulationError
 from topokit.sim._episode import Run, record_afresh
 
@@ -103,10 +103,12 @@ def forecast(model: MotionPredictor, points: Array, film: Any, frame: int) -> Ar
 def carry_of(points: Array, film: Any, frame: int) -> Array:
     """(4, n, 3) where all vertices are at the `STEPS` if the grippers carry them as long as they hold."""
     ahead = slice(frame + 1, frame + 61)
-    parts = (film.actions[ahead], film.held[ahead], film.grippers[frame], points[frame])
-    actions, held, before, now = (torch.from_numpy(np.asarray(part, float)[None]) for part in parts)
-    hands = _hands(actions, held, before)[0][0, [KNOTS.index(step) for step in STEPS]]
-    return carried(*(part.expand(len(STEPS), -1, -1) for part in (now, before)), hands).numpy()
+    start = film.grippers[frame]
+    moves = np.diff(film.actions[ahead], axis=0, prepend=start[None]) * film.held[ahead][:, None, None]
+    carrier = Carried()
+    carrier.observe(points[frame], start)
+    places, _ = carrier.move(start + moves.cumsum(axis=0), None, points[frame])
+    return places[np.array(STEPS) - 1]
 
 
 def all_there(twins: Mapping[Any, Array | None], pair: list[int]) -> bool:

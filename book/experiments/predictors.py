@@ -40,18 +40,15 @@ import topokit as tk
 from topokit.data import Dataset, WindowDataset
 from topokit.io import load_episode
 from topokit.models import (
-    MODELS,
     Motion,
     MotionPredictor,
     Normalisation,
-    PredictiveModel,
     Predictor,
     Scenes,
     Shape,
     TrainConfig,
     build,
     forecast_loss,
-    load_config,
 )
 
 ROOT = Path(__file__).parents[2]
@@ -60,6 +57,7 @@ from windows import RingScenes, RingWindows
 
 EPISODE = ROOT / "data_small" / "apron_hook_0.npz"
 NETWORKS = ("mlp", "pointnet", "motion")
+MODELS = ("hold", "carry", "ridge", *NETWORKS)
 GOALS = {"mlp": 2.0, "motion": 5.0}
 Times = dict[str, float]
 
@@ -70,7 +68,7 @@ def configured(name: str) -> TrainConfig:
     return TrainConfig.load(path) if path.exists() else TrainConfig(name)
 
 
-def fresh(name: str) -> PredictiveModel | Motion:
+def fresh(name: str) -> torch.nn.Module:
     """A model with freshly drawn weights."""
     how = configured(name)
     return build(name, how.shape, Normalisation(), how.options)
@@ -255,7 +253,7 @@ def main() -> int:
         )
         answer["training"] = {}
         for name in options.models:
-            if not MODELS[name].learns:
+            if not fresh(name).learns:
                 continue
             row = answer["training"][name] = training(name, options.dataset, options.batch, options.steps, peak)
             shares = ", ".join(f"{part} {100 * share:.0f} %" for part, share in row["shares"].items())

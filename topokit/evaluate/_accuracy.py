@@ -231,7 +231,9 @@ def _measure_mixtures(
         columns[name][count > 0] = total[count > 0] / count[count > 0]
 
 
-def _count_slots(states: StateTensors, target: StateTensors, past: StateTensors, at: Tensor, columns: Mapping[str, Array]) -> None:
+def _count_slots(
+    states: StateTensors, target: StateTensors, past: StateTensors, at: Tensor, columns: Mapping[str, Array]
+) -> None:
     """Fill in the counts of slots. Slots have no order: the one that suits the forecast best over all steps is taken."""
     now, logits = target.matched_to(states)[:, at].presence > 0, states[:, at].presence  # (B, K, S)
     said = logits > 0

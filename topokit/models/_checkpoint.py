@@ -90,9 +90,9 @@ def save_tensors(path: str | Path, tensors: Mapping[str, Tensor], description: M
     if path.suffix != ".safetensors":
         raise ValueError(f"{path}: the name of a checkpoint ends in .safetensors")
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    text = json.dumps(dict(description), sort_keys=True)
-    metadata = {"topokit": text, "crc32": str(_crc32(tensors, text))}
-    content = safetensors.torch.save(tensors, metadata)
+    document = {**description, "crc32": _crc32(tensors, description)}
+    # One entry alone: safetensors writes several in an order that changes from run to run.
+    content = safetensors.torch.save(tensors, {"topokit": json.dumps(document, sort_keys=True)})
     with atomic_file(path) as handle:
         handle.write(content)
 
@@ -112,15 +112,14 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
             tensors = {name: archive.get_tensor(name) for name in archive.keys()}  # noqa: SIM118  (it is no dict)
     except (SafetensorError, ValueError, RuntimeError) as error:
         raise FormatError(f"{path}: no checkpoint, or a truncated or damaged one ({error}); copy it again") from error
-    if not {"topokit", "crc32"} <= metadata.keys():
-        raise FormatError(f"{path}: topokit did not write this safetensors file: its metadata describes no model")
-    text = metadata["topokit"]
-    if metadata["crc32"] != str(_crc32(tensors, text)):
-        raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy it again")
     try:
-        return dict(json.loads(text)), tensors
-    except (ValueError, TypeError, RecursionError) as error:
-        raise FormatError(f"{path}: its metadata describes no model") from error
+        description = dict(json.loads(metadata["topokit"]))
+        checksum = description.pop("crc32")
+    except (KeyError, ValueError, TypeError, RecursionError) as error:
+        raise FormatError(f"{path}: topokit did not write this safetensors file: its metadata describes no model") from error
+    if checksum != _crc32(tensors, description):
+        raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy it again")
+    return description, tensors
 
 
 def load_model(path: str | Path) -> tuple[Model, dict[str, Any]]:
@@ -154,6 +153,7 @@ def load_model(path: str | Path) -> tuple[Model, dict[str, Any]]:
     return model.eval(), description
 
 
-def _crc32(tensors: Mapping[str, Tensor], text: str) -> int:
+def _crc32(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> int:
     """Return a checksum of tensors (their names, types, shapes and values) and of their description."""
+    text = json.dumps(dict(description), sort_keys=True)
     return zlib.crc32(text.encode(), zlib.crc32(safetensors.torch.save(dict(tensors))))

@@ -166,8 +166,8 @@ def loop_mixtures(triangles: Tensor, values: Tensor, noise: float | Tensor = NOI
 class LossWeights:
     """Weights of the parts of the loss, and whether slots are matched."""
 
-    #: Squared errors of corners, values, birth, death and killer shift of the present loops (the paper's L2). The ends of a killer edge
-    #: are taken in the order that fits better.
+    #: Squared errors of corners, values, birth, death and killer shift of the present loops (the paper's L2). The ends of
+    #: a killer edge are taken in the order that fits better.
     features: NotNegative = 1.0
     presence: NotNegative = 1.0  #: binary cross-entropy of the presence of each slot
     centre: NotNegative = 0.0  #: Huber loss of the distance of the mixtures' means, quadratic below 2 cm
@@ -175,9 +175,7 @@ class LossWeights:
     match: bool = False
 
 
-def forecast_loss(
-    predicted: StateTensors, window: Window, weights: LossWeights
-) -> tuple[Tensor, dict[str, Tensor]]:
+def forecast_loss(predicted: StateTensors, window: Window, weights: LossWeights) -> tuple[Tensor, dict[str, Tensor]]:
     """Return the loss of a batch; and for the log the loss, its parts, and the mean distance of the mixtures' means in metres.
 
     Parameters
@@ -192,9 +190,7 @@ def forecast_loss(
         target = target.matched_to(predicted)
     present = target.presence > 0  # (B, K, S)
     distance = (predicted.mean - target.mean)[present].norm(dim=-1)
-    centre = functional.huber_loss(
-        distance / _POSITION_UNIT, torch.zeros_like(distance), delta=0.2, reduction="none"
-    )
+    centre = functional.huber_loss(distance / _POSITION_UNIT, torch.zeros_like(distance), delta=0.2, reduction="none")
     parts = {
         "features": _features_error(predicted[present], target[present]),
         "presence": functional.binary_cross_entropy_with_logits(predicted.presence, present.to(predicted.presence)),

@@ -42,7 +42,18 @@ except ModuleNotFoundError:  # conda-forge has it as a part of Lightning
 LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
 _FREE = ("workers", "out", "dataset", "start", "rehearse", "accelerator")  # may change when a training goes on
 _OPTIMIZER = "optimizer."  # before the names of the optimiser's tensors in `last.safetensors`
-_PLACES = {"clouds", "triangles", "past_triangles", "grippers", "actions", "cloud", "points", "flow", "target", "future"}
+_PLACES = {
+    "clouds",
+    "triangles",
+    "past_triangles",
+    "grippers",
+    "actions",
+    "cloud",
+    "points",
+    "flow",
+    "target",
+    "future",
+}
 
 
 def train(config: TrainConfig, windows: Sequence[Any] | None = None, *, progress: bool = False) -> dict[str, Any]:
@@ -293,7 +304,9 @@ class _Training:
 
     def _check_same(self, description: dict[str, Any]) -> None:
         """Refuse to go on with another configuration, or on another dataset."""
-        earlier = asdict(TrainConfig(self.config.model)) | description.get("config", {})  # an older one may lack entries
+        earlier = asdict(TrainConfig(self.config.model)) | description.get(
+            "config", {}
+        )  # an older one may lack entries
         for name, value in _as_json(asdict(self.config)).items():
             if name not in _FREE and _as_json(earlier[name]) != value:
                 other = f"{name} = {earlier[name]!r}, the configuration says {value!r}"
