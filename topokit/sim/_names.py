@@ -1,8 +1,8 @@
-"""What the loops of a stranger's garment are called, by their place and size on the mesh as it stands, z up.
+"""Name the loops of a stranger's garment by their place and size on the mesh as it stands, z up.
 
-A border low down and wide is a hem, and then the garment is a tube: what lies aside of it is for an arm, what is on top for the
-neck. A border that goes around another loop is the edge of the cloth. Of the rest, those of a flat cloth (an apron) are a neck at
-the top, a waist or holes; those of a bag are handles at the top, or straps.
+A border low down and wide is a hem, and then the garment is a tube: a loop aside of it is for an arm, one on top for the neck.
+A border that goes around another loop is the edge of the cloth. Of the rest, the loops of a flat cloth (an apron) are a neck
+at the top, a waist or holes; those of a bag are handles at the top, or straps.
 """
 
 from __future__ import annotations
@@ -16,71 +16,93 @@ from topokit.linking import side_lengths
 
 from ._surface import Array, Ids, border_cycles
 
-_TOP = 0.12  # of the height, as far below the highest vertex as a strap is wide at most
+_TOP = 0.12  # of the height: a strap is at most as wide
 _SLACK = np.array([0.05, 0.15, 0.05])  # by which a loop may stand out of the one around it
-_OUTSIDE = ("edge", "hem", "waist", "rim", "leg", "mesh")  # nobody hangs a garment by these
+_OUTSIDE = ("edge", "hem", "waist", "rim", "leg", "mesh")  # a garment is not hung by these
 
 
 def kind(name: str) -> str:
-    """What a name is without its number: that of "handle 2" is "handle"."""
+    """Return a name without its number: "handle" for "handle 2"."""
     word, _, number = name.rpartition(" ")
-    return word if word and number.isdigit() else name
+    if word and number.isdigit():
+        return word
+    return name
 
 
 def to_hang_by(names: Iterable[str]) -> list[str]:
-    """Those of the names by which one would hang a garment, the neck first."""
+    """Return the names of the loops by which one would hang a garment, the neck first."""
     return sorted((name for name in names if kind(name) not in _OUTSIDE), key=lambda name: kind(name) != "neck")
 
 
 def numbered(kinds: Sequence[str]) -> tuple[str, ...]:
-    """Names that differ: of several loops of a kind each gets a number, from 1 on."""
-    many = {one: kinds.count(one) > 1 for one in kinds}
-    return tuple(f"{one} {kinds[: i + 1].count(one)}" if many[one] else one for i, one in enumerate(kinds))
+    """Return names that differ: several loops of a kind get a number each, from 1 on."""
+    names = []
+    for i, word in enumerate(kinds):
+        if kinds.count(word) > 1:
+            word = f"{word} {kinds[: i + 1].count(word)}"
+        names.append(word)
+    return tuple(names)
 
 
 def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
-    """Names of the loops, each its own."""
+    """Return a name for each loop, all different."""
     outlines = border_cycles(faces)
-    boxes, borders = ([_box(vertices, cycle) for cycle in cycles] for cycles in (loops, outlines))
-    outer = [any(set(loop.tolist()) == set(border.tolist()) for border in outlines) for loop in loops]
+    boxes = [_box(vertices, loop) for loop in loops]
+    borders = [_box(vertices, border) for border in outlines]
     flat = is_flat(vertices, faces)
+    # A tube: hem, arms and neck.
     if not flat and any(_is_hem(box) for box in borders):
-        others = ["arm" if np.linalg.norm(box[:, :2].mean(axis=0)) > 0.2 else "neck" for box in boxes]
-        return numbered(["hem" if _is_hem(box) else other for box, other in zip(boxes, others, strict=True)])
+        return numbered([_kind_on_tube(box) for box in boxes])
+    # A border that goes around a clearly shorter loop is the edge of the cloth; so is the only border of the only loop.
     lengths = [side_lengths(vertices[loop]).sum() for loop in loops]
-    edges = [len(borders) == len(boxes) == 1] * len(boxes)
+    is_border = [any(set(loop.tolist()) == set(border.tolist()) for border in outlines) for loop in loops]
+    is_edge = [len(borders) == len(boxes) == 1] * len(boxes)
     for (i, box), (j, other) in itertools.permutations(enumerate(boxes), 2):
-        inside = (box[0] < other[0] + _SLACK).all() and (box[1] > other[1] - _SLACK).all()
-        edges[i] |= bool(outer[i] and inside and lengths[i] > 1.3 * lengths[j])
-    inner = [box for box, edge in zip(boxes, edges, strict=True) if not edge]
+        around = (box[0] < other[0] + _SLACK).all() and (box[1] > other[1] - _SLACK).all()
+        is_edge[i] |= bool(is_border[i] and around and lengths[i] > 1.3 * lengths[j])
+    inner = [box for box, edge in zip(boxes, is_edge, strict=True) if not edge]
+    # A mask: one loop is above, and the other is its mirror image.
     if flat and len(inner) == 2 and np.abs(inner[0] + inner[1][::-1] - [0, 0, 1])[:, [0, 2]].max() < 0.1:
-        kinds = ["ear"] * len(boxes)  # one is above, and the other is its mirror image
+        kinds = ["ear"] * len(boxes)
     else:
         tops = sum(box[1, 2] > 1 - _TOP for box in inner)
         kinds = [_kind(box, flat, tops) for box in boxes]
-    return numbered(["edge" if edge else one for edge, one in zip(edges, kinds, strict=True)])
+    return numbered(["edge" if edge else word for edge, word in zip(is_edge, kinds, strict=True)])
 
 
 def _box(vertices: Array, loop: Ids) -> Array:
-    """(2, 3) lowest and highest x, y and z of a loop: z from 0 to 1, x and y from the middle in shares of the width."""
-    low, size = vertices.min(axis=0), np.ptp(vertices, axis=0)
-    unit = np.maximum([size[:2].max(), size[:2].max(), size[2]], 1e-12)
+    """Return (2, 3) lowest and highest x, y and z of a loop: z from 0 to 1, x and y from the middle in shares of the width."""
+    low = vertices.min(axis=0)
+    size = np.ptp(vertices, axis=0)
+    width = size[:2].max()
+    unit = np.maximum([width, width, size[2]], 1e-12)
     places = (vertices[loop] - low - size / 2 * [1, 1, 0]) / unit
     return np.array([places.min(axis=0), places.max(axis=0)])
 
 
 def _is_hem(box: Array) -> bool:
+    """Return True for a border low down and wide."""
     return bool(box[1, 2] < 0.35 and np.ptp(box[:, :2], axis=0).max() > 0.3)
 
 
 def is_flat(vertices: Array, faces: Ids) -> bool:
-    """Whether most of the surface faces one way; the sides of a bag cancel."""
+    """Return True when most of the surface faces one way; the sides of a bag cancel."""
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     normal = np.cross(b - a, c - a)
     return bool(np.linalg.norm(normal.sum(axis=0)) > 0.6 * np.linalg.norm(normal, axis=1).sum())
 
 
+def _kind_on_tube(box: Array) -> str:
+    """Return the kind of a loop of a tube: hem, or arm when it lies aside, or neck."""
+    if _is_hem(box):
+        return "hem"
+    if np.linalg.norm(box[:, :2].mean(axis=0)) > 0.2:
+        return "arm"
+    return "neck"
+
+
 def _kind(box: Array, flat: bool, tops: int) -> str:
+    """Return the kind of a loop of a garment that is no tube; `tops` is the number of loops that reach its top."""
     if not flat:
         return "strap" if abs(box[:, 0].mean()) > 0.15 else "handle"
     if box[1, 2] > 1 - _TOP:
