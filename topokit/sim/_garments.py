@@ -1,4 +1,4 @@
-"""Garments: triangle meshes that know their true loops and where to be held.
+"""Garments: triangle meshes with their true loops and the places where they are held.
 
 A garment is cut from flat patterns and sewn together. Triangles are near-equilateral, so that a mass-spring cloth behaves
 alike in every direction, and the border of an opening keeps its order: it is the true loop.
@@ -25,17 +25,19 @@ Sizes = ParamSpec("Sizes")
 
 
 def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]:
-    """A function that makes a garment of what a pattern returns, its fields in their order; its docstring names its sizes."""
+    """Return a function that makes a garment of what a pattern returns; its docstring names the pattern's sizes."""
 
     @functools.wraps(pattern)
     def garment(*arguments: Sizes.args, **sizes: Sizes.kwargs) -> Garment:
         fields = pattern(*arguments, **sizes)
-        return Garment(*(fields if len(fields) > 6 else (*fields, (), LOOP_NAMES.get(fields[0], ()))))
+        if len(fields) == 6:  # without repairs and names of its loops
+            fields = (*fields, (), LOOP_NAMES.get(fields[0], ()))
+        return Garment(*fields)
 
     words = inspect.cleandoc(pattern.__doc__ or "")
     if "Parameters\n" not in words:
-        told = [f"{name} : {size.annotation}" for name, size in inspect.signature(pattern).parameters.items()]
-        garment.__doc__ = "\n".join([words, "", "Parameters", "-" * 10, *told])
+        rows = [f"{name} : {size.annotation}" for name, size in inspect.signature(pattern).parameters.items()]
+        garment.__doc__ = "\n".join([words, "", "Parameters", "-" * 10, *rows])
     # So that pickle finds it: tasks travel to other processes.
     garment.__module__ = __name__
     garment.__qualname__ = f"Garment.{pattern.__name__}"
@@ -63,6 +65,7 @@ class Garment:
     loop_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        # Check and copy the arrays, so that nobody else can change them.
         vertices = as_points(self.vertices, "vertices", copy=True)
         if vertices.shape[1] != 3:
             raise ValueError(f"vertices must be an (N, 3) array, not of shape {vertices.shape}")
@@ -78,11 +81,13 @@ class Garment:
         values = {"vertices": vertices, "faces": faces, "grips": grips, "loops": loops}
         for key, value in {**values, "parameters": dict(self.parameters)}.items():
             object.__setattr__(self, key, value)
+        # Check that they are a cloth, and name its loops.
         check_mesh(vertices, faces)
         for i, loop in enumerate(loops):
             check_loop(loop, self.edges, f"loops[{i}]")
         names = tuple(self.loop_names) or _names.named(vertices, faces, loops)
-        if not len(set(names)) == len(names) == len(loops) or not all(isinstance(name, str) and name for name in names):
+        words = all(isinstance(name, str) and name for name in names)
+        if not words or not len(set(names)) == len(names) == len(loops):
             raise ValueError(f"loop_names must be {len(loops)} different names, one a loop, not {names!r:.200}")
         object.__setattr__(self, "loop_names", names)
         self.edges.setflags(write=False)  # made once and handed out often
@@ -90,7 +95,7 @@ class Garment:
 
     @property
     def named_loops(self) -> dict[str, Ids]:
-        """The true loops by their names."""
+        """Return the true loops by their names."""
         return dict(zip(self.loop_names, self.loops, strict=True))
 
     @property

@@ -4,6 +4,10 @@ Idea: people's reaching movements minimise the integral of squared jerk. Through
 ends, the minimiser is the quintic spline of four continuous derivatives; between two rests it is
 start + (10 s^3 - 15 s^4 + 6 s^5) (end - start) with s the share of the time.
 
+A film of plans that succeed does not show what the cloth does under other plans. `off_script` changes a path as hands do that
+miss, hesitate, take a detour, let go too early, push, or wander. Each change has a probability of its own, and changes are
+composed; what was drawn is noted in `GripperPath.drawn`.
+
 Source: Flash and Hogan 1985, *The coordination of arm movements*. Taught in chapter 8.
 """
 
@@ -24,9 +28,10 @@ from ._garments import Garment
 from ._surface import Array, EdgeGraph
 from ._targets import Target, gap
 
-_CLEAR, _ABOVE = 0.3, 0.05  # metres at a start from the rods, and from the floor
-_TAUT = 1.02  # the grippers are at most so far apart, in multiples of the way between them along the cloth
-_TIME, _PLACE, _OPENING, _YAW, _REST = 0, slice(1, 4), 4, 5, 6  # columns of a path's table
+_CLEAR = 0.3  # metres from the rods, at a start
+_ABOVE = 0.05  # metres from the floor, at a start
+_TAUT = 1.02  # the grippers are at most so far apart, in multiples of their distance along the cloth
+_TIME, _PLACE, _OPENING, _YAW, _REST = 0, slice(1, 4), 4, 5, 6  # columns of the table that `off_script` changes
 
 
 @dataclass(frozen=True)
@@ -56,8 +61,9 @@ class GripperPath:
     def __post_init__(self) -> None:
         if len(self.vias) < 2:
             raise ValueError(f"a path needs two places at least, not {len(self.vias)}")
-        table, spread = self._table, np.asarray(self.spread)
-        for name, values, shape in (("vias", table, (len(self.vias), 6)), ("spread", spread, (2, 3))):
+        table = self._table
+        checks = (("vias", table, (len(self.vias), 6)), ("spread", np.asarray(self.spread), (2, 3)))
+        for name, values, shape in checks:
             if values.shape != shape or not np.isfinite(values).all():
                 raise ValueError(f"{name} must be finite numbers of shape {shape}, not {values.tolist()}")
         if not ((np.diff(table[:, 0]) > 0).all() and (table[:, 4] > 0).all()):
@@ -66,9 +72,16 @@ class GripperPath:
             raise ValueError(f"the end ({self.end} s) must come after the release ({self.release} s), and that after 0")
 
     def at(self, time: ArrayLike) -> Array:
-        """(..., 2, 3) where the two grippers should be at these times (...)."""
-        t, times, places = np.asarray(time, dtype=np.float64), self._table[:, 0], self._table[:, 1:]
+        """Return (..., 2, 3) where the two grippers should be at these times (...).
+
+        `scipy.interpolate.BPoly.from_derivatives` gives the same to 9e-16 m. Cloth is chaotic enough for that to move it by up to
+        0.3 mm, and recorded episodes would change, so the sum is written out.
+        """
+        t = np.asarray(time, dtype=np.float64)
+        times = self._table[:, 0]
+        places = self._table[:, 1:]
         velocities, accelerations = self._derivatives
+        # The stretch of the path at each time, its duration h, and the share s of it that is over.
         i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
         h = (times[i + 1] - times[i])[..., None]
         s = np.clip((t - times[i])[..., None] / h, 0, 1)
@@ -79,7 +92,8 @@ class GripperPath:
         value = value - h * cube * (4 - 7 * s + 3 * s * s) * velocities[i + 1]
         value = value + h * h / 2 * (s * s - cube * (3 - 3 * s + s * s)) * accelerations[i]
         value = value + h * h / 2 * cube * (1 - 2 * s + s * s) * accelerations[i + 1]
-        spread = np.stack([turned(one, value[..., 4]) for one in self.spread], -2)
+        # The grippers stand at their opening on either side of the middle, turned by the yaw.
+        spread = np.stack([turned(gripper, value[..., 4]) for gripper in self.spread], -2)
         return np.asarray(value[..., None, :3] + value[..., None, 3:4] * spread)
 
     def moved(self, place: ArrayLike, yaw: float) -> GripperPath:
@@ -97,20 +111,23 @@ class GripperPath:
 
     @property
     def widest(self) -> float:
-        """How far the grippers are apart at most, metres."""
-        one, other = np.moveaxis(self.at(np.arange(0, self.end, 0.02)), -2, 0)
-        return float(np.linalg.norm(one - other, axis=-1).max())
+        """The largest distance between the grippers, metres."""
+        first, second = np.moveaxis(self.at(np.arange(0, self.end, 0.02)), -2, 0)
+        return float(np.linalg.norm(first - second, axis=-1).max())
 
     @functools.cached_property
     def _table(self) -> Array:
-        """(k, 6) times, middles, openings, yaws."""
+        """Return (k, 6) times, middles, openings, yaws."""
         return np.array([[v.time, *np.asarray(v.place), v.opening, v.yaw] for v in self.vias], dtype=np.float64)
 
     @functools.cached_property
     def _derivatives(self) -> tuple[Array, Array]:
-        """(k, 5) velocities and accelerations at the places: 0 at a rest, the minimum-jerk spline's between two rests."""
-        times, places = self._table[:, 0], self._table[:, 1:]
-        velocities, accelerations = np.zeros_like(places), np.zeros_like(places)
+        """Return (k, 5) velocities and accelerations at the places: 0 at a rest, the minimum-jerk spline's between two rests."""
+        times = self._table[:, 0]
+        places = self._table[:, 1:]
+        velocities = np.zeros_like(places)
+        accelerations = np.zeros_like(places)
+        # From each rest to the next one a spline of its own, with velocity and acceleration 0 at both ends.
         still = ([(1, np.zeros(places.shape[1])), (2, np.zeros(places.shape[1]))],) * 2
         rests = [0, *(i for i in range(1, len(self.vias) - 1) if self.vias[i].rest), len(self.vias) - 1]
         for first, last in itertools.pairwise(rests):
@@ -118,12 +135,13 @@ class GripperPath:
                 stroke = slice(first, last + 1)
                 spline = make_interp_spline(times[stroke], places[stroke], k=5, bc_type=still)
                 inner = slice(first + 1, last)
-                velocities[inner], accelerations[inner] = spline(times[inner], 1), spline(times[inner], 2)
+                velocities[inner] = spline(times[inner], 1)
+                accelerations[inner] = spline(times[inner], 2)
         return velocities, accelerations
 
 
 def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
-    """Return a path that does not do what the script does.
+    """Return a path that differs from the script.
 
     One in seven wanders about the target, one in ten pushes the cloth against it. The others are the script at another
     pace with some of: a miss, other openings, a detour, a stop, another start and yaw; an early or a late release, or none.
@@ -137,69 +155,89 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
         As it stands in the script's coordinates.
     rng : numpy.random.Generator
     """
-    way = _table(path)
-    drawn, kind, longest = dict[str, float](), rng.random(), max(path.LONGEST, path.end)
+    table = _table(path)
+    drawn: dict[str, float] = {}
+    kind = rng.random()
+    longest = max(path.LONGEST, path.end)
     drop = float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min()) + _ABOVE
+    # What the hands do: wander, push, miss, or follow the script.
     if kind < 0.15:
-        drawn["wander"], way = 1.0, _wander(way[0], target.seat, drop, rng)
+        drawn["wander"] = 1.0
+        table = _wander(table[0], target.seat, drop, rng)
     elif kind < 0.25:
-        drawn["push"], way = 1.0, _push(way[0], target.seat, drop, rng)
+        drawn["push"] = 1.0
+        table = _push(table[0], target.seat, drop, rng)
     elif kind < 0.65:
-        approach, shift, turn = max(1, len(way) - 3), rng.normal(0, 0.08, 3), float(rng.normal(0, 15))
-        way[approach:, _PLACE] += shift
-        way[approach:, _YAW] += turn
-        drawn |= {"miss": float(np.linalg.norm(shift)), "turn": turn}
+        approach = max(1, len(table) - 3)
+        shift = rng.normal(0, 0.08, 3)
+        turn = float(rng.normal(0, 15))
+        table[approach:, _PLACE] += shift
+        table[approach:, _YAW] += turn
+        drawn["miss"] = float(np.linalg.norm(shift))
+        drawn["turn"] = turn
+    # They open and close on the path.
     if rng.random() < 0.5:
         drawn["openings"] = 1.0
-        way[1:, _OPENING] *= rng.uniform(0.6, 1.4, len(way) - 1)
+        table[1:, _OPENING] *= rng.uniform(0.6, 1.4, len(table) - 1)
+    # A detour: one more place, a quarter of a second later.
     if rng.random() < 0.3:
-        i, aside = int(rng.integers(1, len(way))), rng.normal(0, 0.1, 3)
-        between = (way[i - 1] + way[i] + [0.25, 0, 0, 0, 0, 0, 0]) / 2 + [0, *aside, 0, 0, 0]
+        i = int(rng.integers(1, len(table)))
+        aside = rng.normal(0, 0.1, 3)
+        between = (table[i - 1] + table[i] + [0.25, 0, 0, 0, 0, 0, 0]) / 2 + [0, *aside, 0, 0, 0]
         between[_REST] = 0
-        way[i:, _TIME] += 0.25
-        drawn["detour"], way = float(np.linalg.norm(aside)), np.insert(way, i, between, axis=0)
+        table[i:, _TIME] += 0.25
+        drawn["detour"] = float(np.linalg.norm(aside))
+        table = np.insert(table, i, between, axis=0)
+    # A stop of 0.3 s at a place.
     if rng.random() < 0.25:
-        i = int(rng.integers(1, len(way)))
-        drawn["stop"], way[i, _REST] = float(way[i, _TIME]), 1
-        way = np.insert(way, i, way[i], axis=0)
-        way[i + 1 :, _TIME] += 0.3
+        i = int(rng.integers(1, len(table)))
+        drawn["stop"] = float(table[i, _TIME])
+        table[i, _REST] = 1
+        table = np.insert(table, i, table[i], axis=0)
+        table[i + 1 :, _TIME] += 0.3
     if rng.random() < 0.6:
-        drawn["elsewhere"] = _elsewhere(way, garment, target, rng)
-    drawn["pace"] = min(float(0.7 * 2 ** rng.random()), (longest - 0.4) / float(way[-1, _TIME]))
-    way[:, _TIME] *= drawn["pace"]
-    last = float(way[-1, _TIME])
-    release = (last + 0.05, rng.uniform(0.35, 1) * last, last + rng.uniform(0.2, 0.7), longest)
-    let_go = float(release[int(rng.choice(4, p=(0.35, 0.3, 0.15, 0.2)))])  # as scripted, early, late, never
-    end = min(longest, max(3.0, let_go + path.end - path.release))
-    drawn["release"] = end if let_go == longest else min(let_go, longest - 0.25)
+        drawn["elsewhere"] = _elsewhere(table, garment, target, rng)
+    # The pace, and when they let go: as scripted, early, late, or never.
+    drawn["pace"] = min(float(0.7 * 2 ** rng.random()), (longest - 0.4) / float(table[-1, _TIME]))
+    table[:, _TIME] *= drawn["pace"]
+    last = float(table[-1, _TIME])
+    releases = (last + 0.05, rng.uniform(0.35, 1) * last, last + rng.uniform(0.2, 0.7), longest)
+    release = float(releases[int(rng.choice(4, p=(0.35, 0.3, 0.15, 0.2)))])
+    end = min(longest, max(3.0, release + path.end - path.release))
+    drawn["release"] = end if release == longest else min(release, longest - 0.25)
+    # The cloth is not torn: openings shrink until the grippers are near enough, or as near as in the script.
     cloth = float(EdgeGraph(garment.vertices, garment.edges).distances(garment.grips)[0, 1])
-    most = max(_TAUT * cloth, path.widest)  # as in the script, if that draws it wider
+    most = max(_TAUT * cloth, path.widest)
     while True:
-        other = replace(path, vias=_vias(way), release=drawn["release"], end=end, drawn=drawn)
+        other = replace(path, vias=_vias(table), release=drawn["release"], end=end, drawn=drawn)
         if other.widest <= most:
             return other
-        way[1:, _OPENING] = way[1:, _OPENING] * 0.99 * most / other.widest
+        table[1:, _OPENING] = table[1:, _OPENING] * 0.99 * most / other.widest
 
 
 def from_elsewhere(path: GripperPath, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
-    """The script from another start, turned by any yaw; as it is when nothing is free."""
-    way = _table(path)
-    _elsewhere(way, garment, target, rng)
-    later = float(way[-1, _TIME]) - path.vias[-1].time
-    return replace(path, vias=_vias(way), release=path.release + later, end=path.end + later)
+    """Return the script from another start, turned by any yaw; as it is when no place is free."""
+    table = _table(path)
+    _elsewhere(table, garment, target, rng)
+    later = float(table[-1, _TIME]) - path.vias[-1].time
+    return replace(path, vias=_vias(table), release=path.release + later, end=path.end + later)
 
 
 def _table(path: GripperPath) -> Array:
-    return np.array([[v.time, *np.asarray(v.place), v.opening, v.yaw, v.rest] for v in path.vias], dtype=np.float64)
+    """Return (k, 7) times, middles, openings, yaws and rests of the places of a path."""
+    rows = [[via.time, *np.asarray(via.place), via.opening, via.yaw, via.rest] for via in path.vias]
+    return np.array(rows, dtype=np.float64)
 
 
-def _vias(way: Array) -> list[Via]:
-    return [Via(v[_TIME], v[_PLACE], v[_OPENING], bool(v[_REST]), v[_YAW]) for v in way]
+def _vias(table: Array) -> list[Via]:
+    """Return the places of a table."""
+    return [Via(row[_TIME], row[_PLACE], row[_OPENING], bool(row[_REST]), row[_YAW]) for row in table]
 
 
 def _wander(start: Array, seat: Array, drop: float, rng: np.random.Generator) -> Array:
-    """Random places around the seat, as high as the garment is long."""
-    low, rows = max(float(seat[2]) - 0.1, drop), [start]
+    """Return random places around the seat, as high as the garment is long."""
+    low = max(float(seat[2]) - 0.1, drop)
+    rows = [start]
     for _ in range(int(rng.integers(3, 6))):
         place = np.array([*rng.uniform((-0.35, -0.5), (0.35, 0.15)), 0]) + [seat[0], seat[1], low + rng.uniform(0, 0.4)]
         time = rows[-1][_TIME] + 0.3 + float(np.linalg.norm(place - rows[-1][_PLACE])) / rng.uniform(0.6, 1.2)
@@ -208,7 +246,7 @@ def _wander(start: Array, seat: Array, drop: float, rng: np.random.Generator) ->
 
 
 def _push(start: Array, seat: Array, drop: float, rng: np.random.Generator) -> Array:
-    """Straight on at a height at which the cloth meets the target; half of the time back again."""
+    """Return a straight path at a height at which the cloth meets the target; half of the time it goes back again."""
     x, beyond, z = rng.uniform((-0.15, -0.05, 0.0), (0.15, 0.2, 0.25))
     times = np.cumsum([start[_TIME] + 1.0, (beyond + 0.35) / rng.uniform(0.35, 0.8) + 0.2, 0.9])
     ahead = (seat[1] - 0.35, seat[1] + beyond, seat[1] - 0.35)
@@ -216,17 +254,20 @@ def _push(start: Array, seat: Array, drop: float, rng: np.random.Generator) -> A
     return np.array([start, *rows[: rng.integers(2, 4)]])
 
 
-def _elsewhere(way: Array, garment: Garment, target: Target, rng: np.random.Generator) -> float:
-    """Start turned by any yaw, somewhere before or beside the target; how far from its seat, 0 when nothing is free."""
+def _elsewhere(table: Array, garment: Garment, target: Target, rng: np.random.Generator) -> float:
+    """Start at any yaw somewhere before or beside the target; return how far from its seat, 0 when no place is free."""
     cloth = garment.vertices - garment.vertices[garment.grips].mean(axis=0)
     for _ in range(30):
-        yaw, away = float(rng.uniform(-180, 180)), float(rng.uniform(0.5, 1.0))
-        place = target.seat + turned([0, -away, 0], rng.uniform(-100, 100))
-        place[2] = way[0, _PLACE][2] + rng.uniform(-0.15, 0.15)
-        there = turned(cloth, yaw) + place
-        if there[:, 2].min() > _ABOVE and gap(there, target) > _CLEAR:
-            needs = max(float(np.linalg.norm(place - way[1, _PLACE])), abs(yaw - way[1, _YAW]) / 120)
-            way[1:, _TIME] += max(0.0, needs - way[1, _TIME] + way[0, _TIME])
-            way[0, _PLACE], way[0, _YAW] = place, yaw
-            return away
+        yaw = float(rng.uniform(-180, 180))
+        distance = float(rng.uniform(0.5, 1.0))
+        place = target.seat + turned([0, -distance, 0], rng.uniform(-100, 100))
+        place[2] = table[0, _PLACE][2] + rng.uniform(-0.15, 0.15)
+        hanging = turned(cloth, yaw) + place
+        if hanging[:, 2].min() > _ABOVE and gap(hanging, target) > _CLEAR:
+            # From farther off, or turned by more, the first stretch takes longer.
+            takes = max(float(np.linalg.norm(place - table[1, _PLACE])), abs(yaw - table[1, _YAW]) / 120)
+            table[1:, _TIME] += max(0.0, takes - table[1, _TIME] + table[0, _TIME])
+            table[0, _PLACE] = place
+            table[0, _YAW] = yaw
+            return distance
     return 0.0

@@ -33,14 +33,15 @@ class Panel:
     holes: tuple[Ids, ...]  # vertex ids around each hole, once
 
     def placed(self, place: Callable[[Array], Array]) -> Panel:
-        """The panel with its vertices moved by `place`, (n, 3) to (n, 3)."""
+        """Return the panel with its vertices moved by `place`, (n, 3) to (n, 3)."""
         return replace(self, vertices=place(self.vertices))
 
     def mirrored(self) -> Panel:
+        """Return the panel on the other side of the plane y = 0."""
         return replace(self, vertices=self.vertices * [1, -1, 1])
 
     def nearest(self, places: Array) -> Ids:
-        """The vertices nearest to places (k, 2) of the pattern."""
+        """Return the vertices nearest to places (k, 2) of the pattern."""
         return np.asarray(cKDTree(self.vertices[:, [0, 2]]).query(places)[1], dtype=np.int64)
 
 
@@ -67,7 +68,7 @@ class Arch:
         return float(np.linalg.norm(np.diff(self._dense(0.0), axis=0), axis=1).sum())
 
     def _dense(self, offset: float) -> Array:
-        """(721, 2) points from the right end over the top to the left end, moved outwards by `offset`; two more with legs."""
+        """Return (721, 2) points from the right end over the top to the left, moved outwards by `offset`; two more with legs."""
         angle = np.linspace(0, np.pi, 721)
         points = np.column_stack([self.half_span * np.cos(angle), self.height * np.sin(angle)])
         normal = np.column_stack([self.height * np.cos(angle), self.half_span * np.sin(angle)])
@@ -77,17 +78,18 @@ class Arch:
         return np.vstack([curve[:1], curve + [0, self.leg], curve[-1:]])
 
     def points(self, share: Array, offset: float = 0.0) -> Array:
-        """(k, 2) points at these shares of the arc length of the arch moved outwards by `offset`."""
+        """Return (k, 2) points at these shares of the arc length of the arch moved outwards by `offset`."""
         dense = self._dense(offset)
         return points_at(dense, share * arc_length(dense)[-1])
 
     def strap(self, width: float, spacing: float, length: float) -> tuple[Array, list[Array], Array]:
-        """Outer border (181, 2), the opening below (its inner border and the way back) and inner vertices of a strap."""
+        """Return a strap: its outer border (181, 2), the opening below (inner border and line back), its inner vertices."""
         narrowest = min(self.half_span**2 / self.height, self.height**2 / self.half_span)  # radius of curvature
         if width / 2 >= narrowest:
             raise ValueError(f"a strap so long ({length}) and bent must be less wide than {2 * narrowest:.3f}: {width}")
         share = np.linspace(0, 1, 181)
-        outer, inner = self.points(share, width / 2), self.points(share, -width / 2)
+        outer = self.points(share, width / 2)
+        inner = self.points(share, -width / 2)
         opening = [inner, *polyline(inner[-1], inner[0])]
         if width < 1.4 * spacing:  # too narrow for a row between its borders
             return outer, opening, np.zeros((0, 2))
@@ -96,27 +98,28 @@ class Arch:
 
 
 def polyline(*corners: Sequence[float] | Array) -> list[Array]:
+    """Return the segments between consecutive corners."""
     return [np.array([a, b], dtype=np.float64) for a, b in itertools.pairwise(corners)]
 
 
 def ellipse(x: float, z: float, wide: float, high: float) -> list[Array]:
-    """A hole of these half-axes about (x, z)."""
+    """Return the border of a hole with these half-axes about (x, z)."""
     angle = np.linspace(0, 2 * np.pi, 361)
     return [np.column_stack([x + wide * np.cos(angle), z + high * np.sin(angle)])]
 
 
 def mirror(line: Array) -> Array:
-    """The other side of x = 0, run through backwards."""
+    """Return a line on the other side of x = 0, run through backwards."""
     return (line * [-1, 1])[::-1]
 
 
 def chain(*ids: Ids) -> Ids:
-    """Ids along consecutive sides, each joint once."""
+    """Return the ids along consecutive sides, each joint once."""
     return np.concatenate([ids[0], *(side[1:] for side in ids[1:])])
 
 
 def ring(one: Ids, other: Ids) -> Ids:
-    """The cycle of two paths between the same ends."""
+    """Return the cycle of two paths between the same ends."""
     return np.concatenate([one[:-1], other[:0:-1]])
 
 
@@ -127,12 +130,16 @@ def cut(
 
     The outline and each hole are closed chains of polylines, counter-clockwise, whose joints stay vertices.
     """
-    flat, faces, borders = triangulate(outline, holes, spacing, np.zeros((0, 2)) if fixed is None else fixed)
+    if fixed is None:
+        fixed = np.zeros((0, 2))
+    flat, faces, borders = triangulate(outline, holes, spacing, fixed)
+    # At a coarse spacing Delaunay triangles can cut across a border.
     edges = half_edges(faces)
     lost = next((pair for border in borders for pair in strangers(border, edges)), None)
     if lost is not None:
         x, z = flat[lost[0]]
         raise ValueError(f"spacing {spacing} is too coarse: the border is lost near x = {x:.3f}, z = {z:.3f} m")
+    # Each polyline of the outline has its own share of the vertices around it.
     starts = np.cumsum([0, *(count_steps(line, spacing) for line in outline)])
     around = np.append(borders[0], borders[0][:1])
     sides = tuple(around[a : b + 1] for a, b in itertools.pairwise(starts))
@@ -141,12 +148,14 @@ def cut(
 
 
 def band(lengths: Sequence[float], widths: Sequence[float], spacing: float) -> tuple[Panel, Ids, Ids, Ids, Ids]:
-    """A straight strip in x from 0 to its length and in z from minus its width to 0, with joints after these.
+    """Return a straight strip in x from 0 to its length and in z from minus its width to 0, with joints after these.
 
     Returned are also the ids along its borders: low and high (z = 0) with x growing, start (x = 0) and end with z growing.
     """
-    x, z = np.cumsum([0.0, *lengths]), np.cumsum([-sum(widths), *widths])
+    x = np.cumsum([0.0, *lengths])
+    z = np.cumsum([-sum(widths), *widths])
     z[-1] = 0.0
+    # The outline runs along the low border, up the end, back along the high border, and down the start.
     corners = [(x0, z[0]) for x0 in x] + [(x[-1], z0) for z0 in z[1:]] + [(x0, 0) for x0 in x[-2::-1]]
     panel = cut(polyline(*corners, *((0, z0) for z0 in z[-2::-1])), [], spacing)
     joints = itertools.pairwise(np.cumsum([0, *(len(lengths), len(widths)) * 2]))
@@ -161,6 +170,7 @@ def inflate(panel: Panel, seams: Sequence[int], depth: float, top: float = np.in
     """
     seam = np.unique(np.concatenate([panel.sides[i] for i in seams]))
     panel = _without_chords(panel, seam)
+    # Solve the graph Laplacian of the panel for even pressure, with height 0 along the seam.
     edges = np.unique(half_edges(panel.faces), axis=0)
     n = len(panel.vertices)
     graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(n, n)).tocsr()
@@ -194,6 +204,7 @@ def sew(panels: Sequence[Panel], seams: Sequence[tuple[int, Ids, int, Ids]]) -> 
 
     A seam (i, ids, j, other) makes one vertex, where panel i has it, of each vertex of `ids` and its partner in `other`.
     """
+    # Vertices that a seam joins are one component of a graph, of which the first vertex stays.
     first = np.cumsum([0, *(len(panel.vertices) for panel in panels)])
     pairs = np.concatenate([np.column_stack([first[i] + a, first[j] + b]) for i, a, j, b in seams])
     label = joined(pairs, first[-1])
@@ -212,14 +223,16 @@ def triangulate(
     """Triangulate a flat pattern; return its vertices (n, 2), faces (f, 3) and borders (ids of the outline and of each hole)."""
     wide, high = np.ptp(np.concatenate(outline), axis=0)
     demand(wide * high <= _MOST * spacing**2, f"spacing {spacing} is too fine for a pattern of {wide:g} by {high:g} m")
+    # Vertices: the borders at the spacing, those that are fixed, and a lattice inside that keeps clear of both.
     borders = [np.concatenate([_resample(line, spacing) for line in chain]) for chain in (outline, *holes)]
     kept = np.concatenate([*borders, fixed])
     lattice = _lattice(borders[0].min(axis=0), borders[0].max(axis=0), spacing)
     lattice = lattice[_inside(lattice, borders) & (cKDTree(kept).query(lattice)[0] > 0.75 * spacing)]
     points = np.concatenate([kept, lattice])
-    for _ in range(_ROUNDS):  # Laplacian relaxation of the lattice towards the border
-        one = half_edges(_faces(points, borders, spacing))
-        ends = np.concatenate([one, one[:, ::-1]])
+    # Laplacian relaxation: each vertex of the lattice goes to the mean of its neighbours.
+    for _ in range(_ROUNDS):
+        edges = half_edges(_faces(points, borders, spacing))
+        ends = np.concatenate([edges, edges[:, ::-1]])
         count = np.bincount(ends[:, 0], minlength=len(points))[:, None]
         mean = np.column_stack([np.bincount(ends[:, 0], points[ends[:, 1], i], len(points)) for i in range(2)]) / count
         points[len(kept) :] = mean[len(kept) :]
@@ -229,7 +242,7 @@ def triangulate(
 
 
 def _faces(points: Array, borders: Sequence[Array], spacing: float) -> Ids:
-    """Delaunay triangles inside the pattern, counter-clockwise, without the slivers along straight borders."""
+    """Return the Delaunay triangles inside the pattern, counter-clockwise, without the slivers along straight borders."""
     faces = Delaunay(points).simplices.astype(np.int64)
     a, b, c = points[faces].transpose(1, 0, 2)
     area = ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
@@ -238,26 +251,29 @@ def _faces(points: Array, borders: Sequence[Array], spacing: float) -> Ids:
 
 
 def arc_length(line: Array) -> Array:
+    """Return (k,) the arc length at each point of a polyline (k, d)."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
 
 
 def points_at(line: Array, at: Array) -> Array:
-    """(n, 2) points of a polyline (k, 2) at arc lengths (n,)."""
+    """Return (n, 2) points of a polyline (k, 2) at arc lengths (n,)."""
     length = arc_length(line)
     return np.column_stack([np.interp(at, length, line[:, i]) for i in range(2)])
 
 
 def count_steps(line: Array, spacing: float) -> int:
+    """Return into how many steps a polyline is divided."""
     return max(1, round(float(arc_length(line)[-1]) / spacing))
 
 
 def _resample(line: Array, spacing: float) -> Array:
-    """Points at equal arc lengths of about `spacing` along a polyline, without its last point."""
+    """Return points at equal arc lengths of about `spacing` along a polyline, without its last point."""
     count = count_steps(line, spacing)
     return points_at(line, arc_length(line)[-1] * np.arange(count) / count)
 
 
 def _lattice(low: Array, high: Array, spacing: float) -> Array:
+    """Return the points (n, 2) of a triangular lattice in a box, symmetric about x = 0."""
     row = spacing * np.sqrt(3) / 2
     half = int(np.ceil(max(-low[0], high[0]) / spacing)) + 1
     across = spacing * np.arange(-half, half + 1)
@@ -266,11 +282,14 @@ def _lattice(low: Array, high: Array, spacing: float) -> Array:
 
 
 def _inside(points: Array, borders: Sequence[Array]) -> NDArray[np.bool_]:
-    """Even-odd rule over all borders: inside the outline and in none of the holes."""
-    x, y = points[:, :1], points[:, 1:]
+    """Return whether points (n, 2) are inside the outline and in none of the holes, by the even-odd rule."""
+    x = points[:, :1]
+    y = points[:, 1:]
     crossings = np.zeros(len(points), dtype=np.int64)
     for border in borders:
-        (x0, y0), (x1, y1) = border.T, np.roll(border, -1, axis=0).T
+        # Count the edges of the border that a ray from each point towards +x crosses.
+        x0, y0 = border.T
+        x1, y1 = np.roll(border, -1, axis=0).T
         spans = (y0 > y) != (y1 > y)
         rise = np.where(y1 == y0, 1.0, y1 - y0)
         crossings += (spans & (x < x0 + (y - y0) / rise * (x1 - x0))).sum(axis=1)

@@ -1,6 +1,8 @@
 """The patterns of the wardrobe: which pieces are cut, how they are placed in space and sewn together.
 
-Every function returns the fields of a `Garment`; its sizes are in metres, angles in degrees.
+Idea: a pattern is drawn as polylines and curves in the plane (x, z). `cut` fills it with triangles, `inflate` and `placed` take
+it into space, and `sew` joins pieces along their seams. A border keeps the order in which it is drawn: the border of an opening
+is the true loop. Every function returns the fields of a `Garment`; its sizes are in metres, angles in degrees.
 """
 
 from __future__ import annotations
@@ -55,13 +57,17 @@ def apron(
     """
     sizes = check_sizes(locals(), without=("waist_strap_length", "waist_strap_width") if loops == 1 else ())
     name = numbered("apron", loops, "loops")
+    # What does not fit is refused before anything is cut.
     demand(bib_width <= body_width, f"bib_width {bib_width} must not exceed body_width {body_width}")
     opens = bib_width >= 2 * strap_width + 3 * spacing
     demand(opens, f"bib_width {bib_width} is too narrow for straps of strap_width {strap_width}")
+    # The neck strap is an arch over the bib.
     arch = Arch.of_length(bib_width - strap_width, strap_length)
     outer, opening, middle = arch.strap(strap_width, spacing, strap_length)
-    half_body, half_bib = body_width / 2, bib_width / 2
-    waist, hem = -bib_height, -bib_height - body_height
+    half_body = body_width / 2
+    half_bib = bib_width / 2
+    waist = -bib_height
+    hem = waist - body_height
     # The armhole leaves the bib vertically and reaches the waist horizontally: a quarter of an ellipse.
     angle = np.pi / 2 * np.linspace(0, 1, 181)
     armhole = np.column_stack([half_body - (half_body - half_bib) * np.sin(angle), waist * np.cos(angle)])
@@ -70,6 +76,7 @@ def apron(
         fits = waist_strap_width + spacing <= body_height
         demand(fits, f"waist_strap_width {waist_strap_width} is too wide for body_height {body_height}")
         side = polyline((half_body, hem), (half_body, waist - waist_strap_width), (half_body, waist))
+    # The outline runs up the right side, over the strap, down the left side and back along the hem.
     left = [mirror(line) for line in [armhole, *side[::-1]]]
     outline = [*side, armhole, outer, *left, *polyline((-half_body, hem), (half_body, hem))]
     front = cut(outline, [opening], spacing, middle)
@@ -81,8 +88,9 @@ def apron(
 
 
 def _with_waist_strap(front: Panel, sizes: Mapping[str, float]) -> tuple[Array, Ids, Ids]:
-    """Vertices and faces of an apron with a strap behind, and the loop along the strap and across the apron."""
-    length, waist = sizes["waist_strap_length"], -sizes["bib_height"]
+    """Return vertices and faces of an apron with a strap behind, and the loop along the strap and across the apron."""
+    length = sizes["waist_strap_length"]
+    waist = -sizes["bib_height"]
     around = Arch.of_length(sizes["body_width"], length, "waist_strap_length")
     strap, _, high, start, end = band([length], [sizes["waist_strap_width"]], sizes["spacing"])
     share = strap.vertices[:, 0] / length
@@ -112,8 +120,12 @@ def shirt(
     independent, the fourth is their sum. The sleeves fall by `sleeve_angle`. The grips are on the shoulders of the front.
     """
     sizes = check_sizes(locals())
-    half, neck, angle = width / 2, neck_width / 2, np.radians(sleeve_angle)
-    along, across = np.array([np.cos(angle), -np.sin(angle)]), np.array([-np.sin(angle), -np.cos(angle)])
+    half = width / 2
+    neck = neck_width / 2
+    # Directions along the sleeve, which falls by the angle, and across it downwards.
+    angle = np.radians(sleeve_angle)
+    along = np.array([np.cos(angle), -np.sin(angle)])
+    across = np.array([-np.sin(angle), -np.cos(angle)])
     demand(neck + spacing <= half, f"neck_width {2 * neck} must be less than the width {2 * half}")
     top = np.array([neck, 0]) + ((half - neck) / along[0] + sleeve_length) * along
     low = top + sleeve_width * across
@@ -141,13 +153,16 @@ def vest(
     independent, the fourth is their sum. The grips are on the shoulders of the front.
     """
     sizes = check_sizes(locals())
-    half, neck = width / 2, neck_width / 2
+    half = width / 2
+    neck = neck_width / 2
     tip = np.array([neck + shoulder_width, -0.25 * shoulder_width])
     demand(tip[0] <= half, f"width {width} is too narrow for the neck and two times shoulder_width {shoulder_width}")
     fits = armhole_depth + spacing <= length and -armhole_depth < tip[1] - 2 * spacing
     demand(fits, f"armhole_depth {armhole_depth} must lie between the shoulder's drop and length {length}")
+    # The armhole is a quarter of an ellipse from the side up to the tip of the shoulder.
     bend = np.pi / 2 * np.linspace(0, 1, 181)
-    across, down = half - (half - tip[0]) * np.sin(bend), (tip[1] + armhole_depth) * (1 - np.cos(bend))
+    across = half - (half - tip[0]) * np.sin(bend)
+    down = (tip[1] + armhole_depth) * (1 - np.cos(bend))
     hole = np.column_stack([across, -armhole_depth + down])
     right = [*polyline((half, -length), hole[0]), hole, *polyline(tip, (neck, 0))]
     return ("vest", *_tunic(sizes, right, (0, 2), neck + shoulder_width / 2), sizes)
@@ -156,18 +171,24 @@ def vest(
 def _tunic(
     sizes: Mapping[str, float], right: list[Array], seams: Sequence[int], grip: float
 ) -> tuple[Array, Ids, tuple[Ids, ...], Ids]:
-    """Front (towards -y) and back of the same right half, which runs from the hem to the neck, joined along its `seams`."""
-    neck, hem, half_width, k = sizes["neck_width"] / 2, sizes["length"], right[0][0, 0], len(right)
+    """Return a front (towards -y) and a back of the same right half, from the hem to the neck, joined along its `seams`."""
+    neck = sizes["neck_width"] / 2
+    hem = sizes["length"]
+    half_width = right[0][0, 0]
+    k = len(right)  # the side of the collar; the mirrored sides follow it
     angle = np.pi * np.linspace(0, 1, 181)
     joined = [*seams, *(2 * k - i for i in seams)]
+    # The collar of the back dips a third as deep as that of the front.
     panels = []
     for dip in (sizes["neck_depth"], sizes["neck_depth"] / 3):
         collar = np.column_stack([neck * np.cos(angle), -dip * np.sin(angle)])
         outline = [*right, collar, *(mirror(line) for line in right[::-1])]
         panel = cut([*outline, *polyline((-half_width, -hem), (half_width, -hem))], [], sizes["spacing"])
         panels.append(inflate(panel, joined, sizes["depth"] / 2))
-    front, back = panels[0], panels[1].mirrored()
+    front = panels[0]
+    back = panels[1].mirrored()
     vertices, faces, (a, b) = sew([front, back], [(0, front.sides[i], 1, back.sides[i]) for i in joined])
+    # The loops are the sides that are not sewn: the collar, the arms, the hem.
     open_sides = [k, *(i for i in range(2 * k + 1) if i not in joined and i not in (k, 2 * k + 1)), 2 * k + 1]
     rims = tuple(ring(a[front.sides[i]], b[back.sides[i]]) for i in open_sides)
     height = np.interp(grip, *right[-1][::-1].T)
@@ -193,7 +214,8 @@ def mask(
     on the upper ear loop.
     """
     sizes = check_sizes(locals())
-    half, low = width / 2, -height
+    half = width / 2
+    low = -height
     fits = strap_span - strap_width >= 2 * spacing and strap_span + strap_width + spacing <= width
     demand(fits, f"strap_span {strap_span} must leave room for straps of strap_width {strap_width} in width {width}")
     arch = Arch.of_length(strap_span, strap_length)
@@ -201,12 +223,13 @@ def mask(
     side = np.column_stack([half + bow * np.sin(np.pi * np.linspace(0, 1, 91)), np.linspace(low, 0, 91)])
     top = [side, *polyline(side[-1], outer[0]), outer, *polyline(outer[-1], (-half, 0))]
 
-    def turned(line: Array) -> Array:
-        """Half a turn in the plane, which brings the upper half of the pattern to the lower one."""
+    def opposite(line: Array) -> Array:
+        """Return a line of the upper half of the pattern after half a turn in the plane: a line of the lower half."""
         return np.array([0, low]) - line
 
-    holes = [hole, [turned(line) for line in hole]]
-    panel = cut([*top, *map(turned, top)], holes, spacing, np.concatenate([middle, turned(middle)]))
+    holes = [hole, [opposite(line) for line in hole]]
+    panel = cut([*top, *map(opposite, top)], holes, spacing, np.concatenate([middle, opposite(middle)]))
+    # A dome that is 1 in the middle and 0 along the border.
     x, _, z = panel.vertices.T
     dome = np.clip(1 - (x / half) ** 2, 0, 1) * np.clip(1 - (2 * z / low - 1) ** 2, 0, 1)
     vertices = panel.vertices - depth * dome[:, None] * [0, 1, 0]
@@ -234,12 +257,18 @@ def sheet(
     sizes = check_sizes(given, without=[name for name in ("hole_distance", "hole_height") if given[name] is None])
     whole = isinstance(holes, int) and not isinstance(holes, bool) and 0 <= holes <= 20
     demand(whole, f"holes must be a whole number from 0 to 20, not {holes!r}")
-    half, low, gap = width / 2, -height, hole_distance / 2
-    tall = hole_radius if hole_height is None else sizes["hole_height"] / 2
+    half = width / 2
+    low = -height
+    gap = hole_distance / 2
+    tall = hole_radius
+    if hole_height is not None:
+        tall = sizes["hole_height"] / 2
     places = [(2 * i - holes + 1) * gap for i in range(holes)]
-    of, room, high = f"of hole_radius {hole_radius}", hole_radius + spacing, tall + spacing
+    of = f"of hole_radius {hole_radius}"
+    room = hole_radius + spacing
+    high = tall + spacing
     if holes:
-        least = 1.2 if tall == hole_radius else 0.5
+        least = 1.2 if tall == hole_radius else 0.5  # slits may be narrower than round holes
         narrow = "hole_radius" if hole_radius <= tall else "hole_height"
         demand(min(hole_radius, tall) >= least * spacing, f"{narrow} {sizes[narrow]} is too small for the spacing")
         demand(high <= hole_drop <= height - high, f"hole_drop {hole_drop} puts a hole {of} over the border")
@@ -272,8 +301,12 @@ def trousers(
     on the loop.
     """
     sizes = check_sizes(locals())
-    half, low, spread = waist_width / 2, -length, (length - rise) * np.tan(np.radians(leg_angle))
-    inner, crotch = np.array([spread + spacing, low]), np.array([spacing, -rise])  # so wide that the legs do not touch
+    half = waist_width / 2
+    low = -length
+    spread = (length - rise) * np.tan(np.radians(leg_angle))
+    # The crotch is two spacings wide, so that the legs do not touch.
+    inner = np.array([spread + spacing, low])
+    crotch = np.array([spacing, -rise])
     outer = inner + [leg_width, 0]
     fits = rise + 2 * spacing <= length and 2 * spacing <= leg_width
     demand(fits, f"rise {rise} must be less than length {length}, and leg_width {leg_width} twice the spacing at least")
@@ -283,6 +316,7 @@ def trousers(
     over, opening, middle = arch.strap(loop_width, spacing, loop_length)
     legs = polyline((-half, 0), outer * [-1, 1], inner * [-1, 1], crotch * [-1, 1], crotch, inner, outer, (half, 0))
     seams = (0, 2, 3, 4, 6)  # all but the ends of the legs, 1 and 5
+    # The back is the front with the loop on top of its waist.
     front = cut([*legs, *polyline((half, 0), (-half, 0))], [], spacing)
     top = [*polyline((half, 0), over[0]), over, *polyline(over[-1], (-half, 0))]
     back = cut([*legs, *top], [opening], spacing, middle)
@@ -290,6 +324,7 @@ def trousers(
     pieces = [inflate(front, seams, depth / 2), inflate(back, seams, depth / 2, top=0.0).mirrored()]
     vertices, faces, (a, b) = sew(pieces, [(0, front.sides[i], 1, back.sides[i]) for i in seams])
     ends = [ring(a[front.sides[i]], b[back.sides[i]]) for i in (5, 1)]
+    # The waist runs beneath the loop at the back: along the edges between the loop's ends.
     beneath = EdgeGraph(pieces[1].vertices, half_edges(back.faces)).path(int(back.sides[8][0]), int(back.sides[8][-1]))
     waist = chain(back.sides[7], np.array(beneath), back.sides[9])
     return "trousers", vertices, faces, (b[back.holes[0]], ring(a[front.sides[7]], b[waist]), *ends), b[grips], sizes
@@ -313,9 +348,11 @@ def tote(
     opening under a handle. The grips are on the one handle, or one on each of the two. When `handle_length` is not given, one
     handle is 0.72 m long, and each of two 0.50 m.
     """
-    handle_length = (0.72 if handles == 1 else 0.50) if handle_length is None else handle_length
+    if handle_length is None:
+        handle_length = 0.72 if handles == 1 else 0.50
     sizes = check_sizes(locals(), without=("handle_span",) if handles == 1 else ())
-    name, half = numbered("tote", handles, "handles"), width / 2
+    name = numbered("tote", handles, "handles")
+    half = width / 2
     sides = polyline((-half, 0), (-half, -height), (half, -height), (half, 0))
     if handles == 2:
         return _tote_of_two(sizes, sides)
@@ -326,19 +363,25 @@ def tote(
 def _tote_of_one(
     sizes: Mapping[str, float], sides: list[Array], holes: Sequence[Sequence[Array]]
 ) -> tuple[Array, Ids, list[Ids], Ids]:
-    """Vertices, faces, loops (handle, rim, the holes of the front, those of the back) and grips of a bag with one handle."""
-    half, spacing, width = sizes["width"] / 2, sizes["spacing"], sizes["width"]
-    handle_length, handle_width = sizes["handle_length"], sizes["handle_width"]
+    """Return vertices, faces, loops (handle, rim, the holes of the front and of the back) and grips of a bag with one handle."""
+    spacing = sizes["spacing"]
+    width = sizes["width"]
+    half = width / 2
+    handle_length = sizes["handle_length"]
+    handle_width = sizes["handle_width"]
     fits = handle_width <= width - 2 * spacing
     demand(fits, f"handle_width {handle_width} must be less than width {width} by twice the spacing {spacing}")
+    # The panels: the ends of the handle stand in the upper corners, half of each on either panel.
     top = polyline((half, 0), (half - handle_width / 2, 0), (handle_width / 2 - half, 0), (-half, 0))
     panel = cut([*sides, *top], holes, spacing)
     front = inflate(panel, (0, 1, 2), sizes["depth"] / 2)
+    # The handle: a straight band bent along an arch from side to side.
     arch = Arch.of_length(width, handle_length, "handle_length")
     strap, low, _, start, end = band([handle_length], [handle_width / 2, handle_width / 2], spacing)
     grips = strap.nearest(np.column_stack([handle_length * THIRDS, [-handle_width / 2] * 2]))
     over = arch.points(strap.vertices[:, 0] / handle_length)
     cloth = strap.placed(lambda v: np.column_stack([over[:, 0], v[:, 2] + handle_width / 2, over[:, 1]]))
+    # Sew the panels along sides and bottom, and half of each end of the handle to either panel.
     half_end = len(start) // 2
     seams = [(0, panel.sides[i], 1, panel.sides[i]) for i in range(3)]
     seams += [(0, panel.sides[3][::-1], 2, start[: half_end + 1]), (1, panel.sides[3], 2, start[half_end:])]
@@ -350,8 +393,11 @@ def _tote_of_one(
 
 
 def _tote_of_two(sizes: dict[str, float], sides: list[Array]) -> Fields:
-    half, spacing = sizes["width"] / 2, sizes["spacing"]
-    span, width = sizes["handle_span"], sizes["handle_width"]
+    """Return a bag with a handle on each of its panels, cut in one piece with it."""
+    half = sizes["width"] / 2
+    spacing = sizes["spacing"]
+    span = sizes["handle_span"]
+    width = sizes["handle_width"]
     fits = 2 * spacing <= span - width and span + width <= 2 * half - 2 * spacing
     demand(fits, f"handle_span {span} must leave room for handles of handle_width {width} in width {2 * half}")
     arch = Arch.of_length(span, sizes["handle_length"], "handle_length")
@@ -362,7 +408,7 @@ def _tote_of_two(sizes: dict[str, float], sides: list[Array]) -> Fields:
     seams = [(0, panel.sides[i], 1, panel.sides[i]) for i in range(3)]
     vertices, faces, (a, b) = sew([front, front.mirrored()], seams)
     held = panel.nearest(arch.points(np.array([0.42, 0.58])))  # one on each handle, so that both stay up
-    loops = a[panel.holes[0]], b[panel.holes[0]]
+    loops = (a[panel.holes[0]], b[panel.holes[0]])
     return "tote2", vertices, faces, loops, np.array([a[held[0]], b[held[1]]]), sizes
 
 
@@ -384,7 +430,8 @@ def backpack(
     the left one (x < 0) first. There is one grip on each strap.
     """
     sizes = check_sizes(locals())
-    half, low = width / 2, -height
+    half = width / 2
+    low = -height
     rim = low + box_height
     span = -rim - 2 * strap_width
     opens = span - strap_width >= 2 * spacing
@@ -392,24 +439,29 @@ def backpack(
     arch = Arch.of_length(span, strap_length)
 
     def aside(line: Array) -> Array:
-        """From above the origin to the right side of the back."""
+        """Return a line drawn above the origin, moved to the right side of the back."""
         return line[:, ::-1] * [1, -1] + [half, rim / 2]
 
+    # The back, with a strap on either side, is cut flat; then the straps are folded away from its plane.
     outer, hole, middle = arch.strap(strap_width, spacing, strap_length)
-    outer, hole, middle = aside(outer), [aside(line) for line in hole], aside(middle)
+    outer = aside(outer)
+    hole = [aside(line) for line in hole]
+    middle = aside(middle)
     right = [*polyline((half, low), (half, rim), outer[0]), outer, *polyline(outer[-1], (half, 0))]
-    top, bottom = polyline((half, 0), (-half, 0)), polyline((-half, low), (half, low))
+    top = polyline((half, 0), (-half, 0))
+    bottom = polyline((-half, low), (half, low))
     outline = [*right, *top, *(mirror(line) for line in right[::-1]), *bottom]
     holes = [hole, [mirror(line) for line in hole]]
     back = cut(outline, holes, spacing, np.concatenate([middle, mirror(middle)]))
     held = aside(arch.points(np.array([0.6])))
     grips = back.nearest(np.concatenate([held * [-1, 1], held]))
     back = back.placed(lambda v: _folded(v, half, np.radians(strap_angle)))
+    # The gusset, a band around three sides of the box, stands upright between back and front.
     edge = chain(back.sides[0][::-1], back.sides[-1][::-1], back.sides[-2][::-1])
     gusset, low_edge, high_edge, *_ = band([box_height, width, box_height], [depth], spacing)
-    way = np.array([[half, rim], [half, low], [-half, low], [-half, rim]])
+    corners = np.array([[half, rim], [half, low], [-half, low], [-half, rim]])
     at = np.cumsum([0, box_height, width, box_height])
-    x, z = (np.interp(gusset.vertices[:, 0], at, way[:, i]) for i in range(2))
+    x, z = (np.interp(gusset.vertices[:, 0], at, corners[:, i]) for i in range(2))
     sides = gusset.placed(lambda v: np.column_stack([x, v[:, 2], z]))
     front = cut(polyline((-half, rim), (-half, low), (half, low), (half, rim), (-half, rim)), [], spacing)
     front_edge = chain(*(front.sides[i] for i in range(3)))[::-1]
@@ -420,6 +472,7 @@ def backpack(
 
 
 def _folded(vertices: Array, half: float, angle: float) -> Array:
+    """Return vertices of which those beyond |x| = `half` are folded towards +y by an angle in radians."""
     beyond = np.maximum(np.abs(vertices[:, 0]) - half, 0)
     x = np.sign(vertices[:, 0]) * (np.minimum(np.abs(vertices[:, 0]), half) + beyond * np.cos(angle))
     return np.column_stack([x, vertices[:, 1] + beyond * np.sin(angle), vertices[:, 2]])
@@ -447,7 +500,8 @@ def net(
         whole = isinstance(count, int) and not isinstance(count, bool) and 1 <= count <= 12
         demand(whole, f"{name} must be a whole number from 1 to 12, not {count!r}")
     demand(mesh_radius >= 1.2 * spacing, f"mesh_radius {mesh_radius} is too small for the spacing {spacing}")
-    across, down = width / columns, height / rows
+    across = width / columns
+    down = height / rows
     fits = min(across, down) >= 2 * mesh_radius + spacing
     demand(fits, f"mesh_radius {mesh_radius} leaves no cord in {rows} rows and {columns} columns")
     places = [((i + 0.5) * across - width / 2, (j + 0.5) * down - height) for j in range(rows) for i in range(columns)]
@@ -467,11 +521,12 @@ def scarf(*, spacing: float = 0.03, length: float = 1.3, width: float = 0.26) ->
     sizes = check_sizes(locals())
     demand(length >= 8 * spacing, f"length {length} is too short for spacing {spacing}")
     panel, low, _, start, end = band([length], [width], spacing)
+    # The band is bent along an ellipse of its own length.
     angle = np.linspace(0, 2 * np.pi, 2881)
     oval = np.column_stack([-np.sin(angle), 2 * (np.cos(angle) - 1)])
     oval *= length / arc_length(oval)[-1]
-    way = points_at(oval, panel.vertices[:, 0])
-    cloth = panel.placed(lambda v: np.column_stack([way[:, 0], v[:, 2] + width / 2, way[:, 1]]))
+    around = points_at(oval, panel.vertices[:, 0])
+    cloth = panel.placed(lambda v: np.column_stack([around[:, 0], v[:, 2] + width / 2, around[:, 1]]))
     vertices, faces, (ids,) = sew([cloth], [(0, start, 0, end)])
     held = [int(np.argmin(np.abs(panel.vertices[low, 0] / length - at))) for at in (1 / 16, 15 / 16)]
     return "scarf", vertices, faces, (ids[low[:-1]],), ids[low[held]], sizes
@@ -494,18 +549,20 @@ def belt(
     demand(loop_radius >= 1.2 * spacing, f"loop_radius {loop_radius} is too small for the spacing {spacing}")
     demand(loop_width >= 1.2 * spacing, f"loop_width {loop_width} is too small for the spacing {spacing}")
     demand(2 * spacing <= width <= 1.6 * outer, f"width {width} must be {2 * spacing:g} to {1.6 * outer:g}")
+    # The ring's outer border begins and ends where it meets the strap.
     foot = np.arcsin(width / 2 / outer)
     angle = np.linspace(foot - np.pi / 2, 3 * np.pi / 2 - foot, 361)
     around = outer * np.column_stack([np.cos(angle), np.sin(angle)])
     low = -outer - length
-    strap, back = polyline((-width / 2, low), (width / 2, low), around[0]), polyline(around[-1], (-width / 2, low))
+    strap = polyline((-width / 2, low), (width / 2, low), around[0])
+    back = polyline(around[-1], (-width / 2, low))
     panel = cut([*strap, around, *back], [ellipse(0, 0, loop_radius, loop_radius)], spacing)
     held = (loop_radius + loop_width / 2) * np.array([[-0.5, 0.75**0.5], [0.5, 0.75**0.5]])
     return "belt", panel.vertices, panel.faces, panel.holes, panel.nearest(held), sizes
 
 
 def check_sizes(given: Mapping[str, float | None], without: Sequence[str] = ()) -> dict[str, float]:
-    """The sizes among a function's arguments, each a positive number; an angle lies between 0 and 80 degrees."""
+    """Return the sizes among a function's arguments, each a positive number; an angle lies between 0 and 80 degrees."""
     sizes = {}
     for name in [name for name in given if name not in {*_COUNTS, *without}]:
         angle = name.endswith("_angle")
@@ -515,5 +572,6 @@ def check_sizes(given: Mapping[str, float | None], without: Sequence[str] = ()) 
 
 
 def numbered(kind: str, number: int, name: str) -> str:
+    """Return the name of a garment with one or two of something: "apron" or "apron2"."""
     demand(number in (1, 2), f"{name} must be 1 or 2, not {number!r}")
     return kind if number == 1 else f"{kind}{number}"
