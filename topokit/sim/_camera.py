@@ -1,4 +1,4 @@
-"""Depth cameras: what they see of the cloth, as points in metres.
+"""Depth cameras: images of the cloth, and their pixels as points in metres.
 
 A camera draws the whole scene, so that what is in front hides what is behind; only the cloth's pixels become points.
 
@@ -42,11 +42,14 @@ class DepthNoise:
         mask : (h, w) array of bool
         rng : numpy.random.Generator
         """
+        # Across the view: each pixel reads the place of a neighbour, so that outlines become ragged.
         rows, columns = np.indices(depth.shape)
         shift = np.rint(self.lateral * rng.standard_normal((2, *depth.shape))).astype(np.int64)
         rows = np.clip(rows + shift[0], 0, depth.shape[0] - 1)
         columns = np.clip(columns + shift[1], 0, depth.shape[1] - 1)
-        depth, mask = depth[rows, columns], mask[rows, columns] & (rng.random(mask.shape) >= self.dropout)
+        depth = depth[rows, columns]
+        mask = mask[rows, columns] & (rng.random(mask.shape) >= self.dropout)
+        # Along the view: a deviation that grows with the square of the distance.
         deviation = self.axial + self.axial_growth * (np.where(mask, depth, self.best) - self.best) ** 2
         return depth + deviation * rng.standard_normal(depth.shape), mask
 
@@ -75,7 +78,7 @@ class Camera:
 
     @property
     def axes(self) -> Array:
-        """(3, 3) unit vectors to the right, up and forward in the picture."""
+        """Unit vectors (3, 3) to the right, up and forward in the picture."""
         forward = np.subtract(self.target, self.eye)
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, self.up)
@@ -84,14 +87,16 @@ class Camera:
 
     @property
     def matrices(self) -> tuple[list[float], list[float]]:
-        """OpenGL's view and projection matrices, column by column: what PyBullet's renderer takes."""
+        """OpenGL's view and projection matrices, column by column, as PyBullet's renderer takes them."""
         axes = self.axes * [[1], [1], [-1]]  # OpenGL looks along -z
         view = np.eye(4)
-        view[:3, :3], view[:3, 3] = axes, -axes @ self.eye
+        view[:3, :3] = axes
+        view[:3, 3] = -axes @ self.eye
         scale = 1 / np.tan(np.radians(self.fov) / 2)
         reach = self.near - self.far
         projection = np.diag([scale * self.height / self.width, scale, (self.near + self.far) / reach, 0.0])
-        projection[2, 3], projection[3, 2] = 2 * self.near * self.far / reach, -1.0
+        projection[2, 3] = 2 * self.near * self.far / reach
+        projection[3, 2] = -1.0
         return view.T.ravel().tolist(), projection.T.ravel().tolist()
 
     def depths(self, buffer: ArrayLike) -> Array:
@@ -114,7 +119,8 @@ class Camera:
         ValueError
             When a shape is not the camera's, or a pixel of the mask has no depth.
         """
-        metres, chosen = np.asarray(depth, dtype=np.float64), np.asarray(mask, dtype=bool)
+        metres = np.asarray(depth, dtype=np.float64)
+        chosen = np.asarray(mask, dtype=bool)
         for name, image in (("depth", metres), ("mask", chosen)):
             if image.shape != (self.height, self.width):
                 raise ValueError(f"{name} must be of shape {(self.height, self.width)}, not {image.shape}")

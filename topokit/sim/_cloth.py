@@ -1,4 +1,4 @@
-"""Kinds of cloth, and the physics of a garment made of one.
+"""Kinds of cloth, and the physics of a garment made of a kind of cloth.
 
 Idea: with springs of stiffness k = s m / (N dt^2) the mass m cancels in the strain: a strap that carries the garment stretches by
 about g dt^2 S / (s L^2), where S is the garment's size and L the length of its edges. Small or fine meshes are rubber because the
@@ -20,9 +20,11 @@ from ._surface import face_areas
 from ._world import SimulationConfig
 
 _FRAME = 0.036  # s, between two frames
-_STEPS = (27, 81)  # of a frame: a slower clock lets straps tunnel, a quicker one takes long
+_FEWEST_STEPS = 27  # of a frame: a slower clock lets straps tunnel
+_MOST_STEPS = 81  # of a frame: a quicker clock takes long
 _CLOCK = 1.0  # m^0.5, steps of a frame times L / sqrt(S): about what the wardrobe's garments have
-_MARGIN = (0.3, 0.18)  # of the shortest edge, and of the usual one, at most
+_MARGIN = 0.3  # of the shortest edge, at most
+_MARGIN_OF_USUAL = 0.18  # of the median edge, at most
 
 
 @checked
@@ -36,26 +38,29 @@ class Cloth:
     friction: NotNegative = 1.0  #: coefficient
 
     def config(self, garment: Garment, **options: Any) -> SimulationConfig:
-        """Return the physics of a garment of this cloth: its mass is area times density, its clock as fast as its edges ask.
+        """Return the physics of a garment of this cloth: mass is area times density, and the clock as fast as the edges need.
 
         Parameters
         ----------
         garment : Garment
         **options
-            Fields of `SimulationConfig`, as they shall be instead.
+            Fields of `SimulationConfig` that replace those.
         """
-        area, lengths = float(face_areas(garment.vertices, garment.faces).sum()), garment.edge_lengths
-        usual, mass = float(np.median(lengths)), self.density * area
-        steps = min(max(math.ceil(_CLOCK * area**0.25 / usual), _STEPS[0]), _STEPS[1])
+        area = float(face_areas(garment.vertices, garment.faces).sum())
+        mass = self.density * area
+        shortest = float(garment.edge_lengths.min())
+        usual = float(np.median(garment.edge_lengths))
+        # sqrt(S) is area**0.25, as S goes with the square root of the area.
+        steps = min(max(math.ceil(_CLOCK * area**0.25 / usual), _FEWEST_STEPS), _MOST_STEPS)
         physics = {
             "dt": _FRAME / steps,
             "steps_per_frame": steps,
             "mass": mass,
             "stiffness": self.stiffness,
-            "bending": self.bending * (_STEPS[0] / steps) ** 2,  # the same acceleration at any clock
+            "bending": self.bending * (_FEWEST_STEPS / steps) ** 2,  # the same acceleration at any clock
             "damping": self.damping * mass / len(garment.vertices),
             "friction": self.friction,
-            "margin": min(_MARGIN[0], _MARGIN[1] * usual / float(lengths.min())),
+            "margin": min(_MARGIN, _MARGIN_OF_USUAL * usual / shortest),
         }
         return SimulationConfig(**{**physics, **options})
 
@@ -71,5 +76,7 @@ CLOTHS: Mapping[str, Cloth] = {
 
 
 def usual_config(garment: Garment) -> SimulationConfig:
-    """The physics of a garment when none is asked for: by its area and its edges when it is not in the wardrobe."""
-    return SimulationConfig() if garment.name in WARDROBE else Cloth().config(garment)
+    """Return the physics of a garment when none is given: the standard one in the wardrobe, else by its area and edges."""
+    if garment.name in WARDROBE:
+        return SimulationConfig()
+    return Cloth().config(garment)

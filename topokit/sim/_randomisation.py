@@ -20,8 +20,9 @@ Bounds = tuple[float, float]
 
 
 def _ordered(bounds: Bounds) -> Bounds:
+    """Return a range, or raise ValueError when its ends are in the wrong order."""
     if bounds[0] > bounds[1]:
-        raise ValueError("a range is its low end before its high one")
+        raise ValueError("the low end of a range comes first")
     return bounds
 
 
@@ -73,6 +74,7 @@ class Randomisation:
         garment : Garment
         cameras : sequence of Camera
         """
+        # The physics, and the scale of the garment.
         drawn: dict[str, Any] = {}
         shares = self.generator(seed, "physics").random(len(self.PHYSICS) + 1)
         for name, share in zip((*self.PHYSICS, "scale"), shares, strict=True):
@@ -83,6 +85,7 @@ class Randomisation:
         if "scale" in drawn:
             parameters = {**garment.parameters, "scale": drawn["scale"]}
             garment = dataclasses.replace(garment, vertices=drawn["scale"] * garment.vertices, parameters=parameters)
+        # The cameras.
         rng = self.generator(seed, "cameras")
         moved = tuple(self._moved(camera, *rng.random(3)) for camera in cameras)
         if cameras:
@@ -90,9 +93,10 @@ class Randomisation:
         return config, garment, moved, drawn
 
     def _moved(self, camera: Camera, *shares: float) -> Camera:
-        """The camera moved on the sphere about the place it looks at; it is never raised to the zenith."""
+        """Return the camera moved on the sphere about the place it looks at; it is never raised to the zenith."""
         ranges = (self.camera_distance or (1.0, 1.0), self.camera_turn or (0.0, 0.0), self.camera_tilt or (0.0, 0.0))
         distance, turn, tilt = map(_between, ranges, shares)
+        # In spherical coordinates about that place.
         x, y, z = np.subtract(camera.eye, camera.target)
         radius = distance * float(np.sqrt(x * x + y * y + z * z))
         azimuth = np.arctan2(y, x) + np.radians(turn)
@@ -103,9 +107,13 @@ class Randomisation:
 
     def describe(self) -> dict[str, Any]:
         """Return the version and the ranges, as an episode records them."""
-        return {"version": self.version, "ranges": {k: v and list(v) for k, v in dataclasses.asdict(self).items()}}
+        ranges = {name: bounds and list(bounds) for name, bounds in dataclasses.asdict(self).items()}
+        return {"version": self.version, "ranges": ranges}
 
 
 def _between(bounds: Bounds, share: float, logarithmic: bool = False) -> float:
+    """Return the number at a share of the way from the low to the high end of a range."""
     low, high = bounds
-    return float(low * (high / low) ** share if logarithmic else low + share * (high - low))
+    if logarithmic:
+        return float(low * (high / low) ** share)
+    return float(low + share * (high - low))

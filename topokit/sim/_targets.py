@@ -1,6 +1,6 @@
-"""What a garment is hung on: collision shapes, and the centre line that decides whether it hangs there.
+"""Targets: collision shapes to hang a garment on, and the centre line that decides whether it hangs there.
 
-Every target stands on the floor z = 0 at y = `distance` and faces the grippers, which come from smaller y; `Placed` puts it
+Idea: every target stands on the floor z = 0 at y = `distance` and faces the grippers, which come from smaller y; `Placed` puts it
 elsewhere. Its centre line starts at the floor and is closed far away
 (`topokit.linking.close_far`), so that the linking number of a garment's loop with it is defined: not 0 for a loop on the
 target, 0 for one that slipped off, lies against it or was never on.
@@ -33,14 +33,14 @@ _SHOULDER = 0.3  # radius of the shoulders as a share of the depth of the chest
 
 @checked
 class Target(ABC):
-    """What `simulate` asks of a target. Subclass it, as a frozen dataclass, to hang garments on something else."""
+    """The interface of a target. Subclass it, as a frozen dataclass, to hang garments on something else."""
 
     distance: float = field(default=0.3, kw_only=True)  #: y of its pole or axis, metres
 
     name: ClassVar[str]
 
     def at(self, time: float) -> Target:
-        """Return it as it stands so many seconds after the first frame: itself, unless it moves.
+        """Return the target as it stands so many seconds after the first frame: itself, unless it moves.
 
         Parameters
         ----------
@@ -51,7 +51,7 @@ class Target(ABC):
     @property
     @abstractmethod
     def centre_line(self) -> Array:
-        """(K, 3) an open polyline from the floor to the tip, in metres."""
+        """An open polyline (K, 3) from the floor to the tip, in metres."""
 
     @property
     @abstractmethod
@@ -61,7 +61,7 @@ class Target(ABC):
     @property
     @abstractmethod
     def seat(self) -> Array:
-        """(3,) the middle of where a strap should come to rest."""
+        """The middle (3,) of where a strap should come to rest."""
 
     @property
     def lowest(self) -> float:
@@ -69,7 +69,7 @@ class Target(ABC):
         return float(self.seat[2])
 
     def holds(self, loop: ArrayLike) -> bool:
-        """Whether a closed curve (L, 3) winds around the target: its linking number with the closed centre line is not 0."""
+        """Return whether a closed curve (L, 3) winds around the target: it links the closed centre line."""
         return _linked(loop, close_far(self.centre_line))
 
     def raised_for(self, garment: Garment) -> Target:
@@ -82,7 +82,7 @@ class Target(ABC):
         return self
 
     def describe(self) -> dict[str, Any]:
-        """Return its sizes and where it stands, as an episode records them."""
+        """Return the target's sizes and its position, as an episode records them."""
         return {**asdict(self), "position": [0.0, self.distance, 0.0]}
 
 
@@ -105,8 +105,10 @@ class Hook(Target):
 
     @property
     def centre_line(self) -> Array:
-        """(4, 3) foot of the pole, pole and arm, arm and tip, end of the tip."""
-        pole, near, top = self.distance, self.distance - self.reach, self.height + self.tip
+        """Foot of the pole, pole and arm, arm and tip, end of the tip: (4, 3)."""
+        pole = self.distance
+        near = self.distance - self.reach
+        top = self.height + self.tip
         return _upright((pole, 0), (pole, self.height), (near, self.height), (near, top))
 
     @property
@@ -145,7 +147,7 @@ class Hanger(Target):
 
     @property
     def centre_line(self) -> Array:
-        """(6, 3) foot of a post, its top, the rail over the hanger, the meeting of the arms, the end of the near arm, its tip."""
+        """Foot of a post, its top, the rail over the hanger, the meeting of the arms, the near arm's end and its tip: (6, 3)."""
         return self._line(-1)
 
     @property
@@ -155,20 +157,23 @@ class Hanger(Target):
     @property
     def rods(self) -> list[Rod]:
         """One post, the rail's half, the stem and the near arm; then the far arm and the rest of the rail."""
-        far, rest = self._line(1)[3:], self._line(1)[2::-1] * [-1, 1, 1]
-        return [rod for line in (self.centre_line, far, rest) for rod in _tube(line, self.radius)]
+        far_arm = self._line(1)[3:]
+        rest_of_rail = self._line(1)[2::-1] * [-1, 1, 1]
+        return [rod for line in (self.centre_line, far_arm, rest_of_rail) for rod in _tube(line, self.radius)]
 
     @property
     def lowest(self) -> float:
         return self.height - self.drop
 
     def holds(self, loop: ArrayLike) -> bool:
-        """Whether a closed curve (L, 3) winds around either arm."""
+        """Return whether a closed curve (L, 3) winds around either arm."""
         return _linked(loop, *(close_far(self._line(side)) for side in (-1, 1)))
 
     def _line(self, side: int) -> Array:
-        """From the foot of a post to the tip of the near (-1) or the far arm (1)."""
-        pole, top, end = self.distance, self.height + self.stem, self.distance + side * self.width / 2
+        """Return the line from the foot of a post to the tip of the near (-1) or the far arm (1)."""
+        pole = self.distance
+        top = self.height + self.stem
+        end = self.distance + side * self.width / 2
         post = _upright((pole, 0), (pole, top)) + [self.span / 2, 0, 0]
         arm = _upright((pole, top), (pole, self.height), (end, self.lowest), (end, self.lowest + self.tip))
         return np.concatenate([post, arm])
@@ -196,7 +201,8 @@ class Mannequin(Target):
 
     def __post_init__(self) -> None:
         for name, part in (("head_height", "head_radius"), ("shoulder_width", "depth"), ("torso_length", "depth")):
-            value, least = getattr(self, name), 2 * getattr(self, part)
+            value = getattr(self, name)
+            least = 2 * getattr(self, part)
             if value < least:
                 raise ValueError(f"{name} {value} must be at least twice {part}, {least}")
         if self.neck_radius >= self.head_radius:
@@ -206,28 +212,28 @@ class Mannequin(Target):
 
     @property
     def shoulder_height(self) -> float:
-        """Top of the shoulders beside the neck."""
+        """The top of the shoulders beside the neck, metres."""
         return self.height - self.head_height - self.neck_length
 
     @property
     def head_centre(self) -> Array:
-        """(3,) the middle of the head."""
+        """The middle (3,) of the head."""
         return np.array([0, self.distance, self.height - self.head_height / 2])
 
     @property
     def shoulder(self) -> Array:
-        """(3,) the middle of the right shoulder's end (x > 0)."""
+        """The middle (3,) of the right shoulder's end (x > 0)."""
         radius = _SHOULDER * self.depth
         return np.array([self.shoulder_width / 2 - radius, self.distance, self.shoulder_height - radius - 0.035])
 
     @property
     def centre_line(self) -> Array:
-        """(4, 3) foot, hips, shoulders, top of the head."""
+        """Foot, hips, shoulders, top of the head: (4, 3)."""
         return _upright(*((self.distance, z) for z in (0, self.lowest, self.shoulder_height, self.height)))
 
     @property
     def seat(self) -> Array:
-        """(3,) the axis at the top of the shoulders, where a neck strap lies."""
+        """The axis (3,) at the top of the shoulders, where a neck strap lies."""
         return np.array([0, self.distance, self.shoulder_height])
 
     @property
@@ -237,23 +243,29 @@ class Mannequin(Target):
     @property
     def rods(self) -> list[Rod]:
         foot, hips, neck, top = self.centre_line
-        ball, low = np.array([0, 0, self.head_radius]), neck - [0, 0, _SHOULDER * self.depth]
+        # Head, neck, stand and the middle of the torso lie on the axis.
+        ball = np.array([0, 0, self.head_radius])
+        low = neck - [0, 0, _SHOULDER * self.depth]
         radius = self.depth / 2
-        chest, hip = neck - [0, 0, 1.4 * radius], hips + [0, 0, radius]
+        chest = neck - [0, 0, 1.4 * radius]
+        hip = hips + [0, 0, radius]
         aside = np.array([self.shoulder_width / 2 - radius - 0.02, 0, 0])
         head = (top - [0, 0, self.head_height] + ball, top - ball, self.head_radius)
         rods = [head, (low, top - ball, self.neck_radius), (foot, hips, 0.02), (chest, hip, radius)]
+        # A shoulder and a side of the torso on the right and on the left.
         for side in (1, -1):
             rods.append((low, self.shoulder * [side, 1, 1], _SHOULDER * self.depth))
             rods.append((chest + side * aside, hip + 0.75 * side * aside, radius))
         return rods
 
     def holds(self, loop: ArrayLike) -> bool:
-        """Whether a closed curve (L, 3) is around the axis and below the middle of the head, or around a shoulder."""
-        curve, foot = as_points(loop, "loop"), self.centre_line[0]
+        """Return whether a closed curve (L, 3) is around the axis and below the middle of the head, or around a shoulder."""
+        curve = as_points(loop, "loop")
+        foot = self.centre_line[0]
         if curve[:, 2].mean() < self.head_centre[2] and super().holds(curve):
             return True
-        ends = {side: self.shoulder * [side, 1, 1] for side in (-1, 1)}  # out through the shoulders
+        # Two more lines go up the axis and out through a shoulder.
+        ends = {side: self.shoulder * [side, 1, 1] for side in (-1, 1)}
         return _linked(curve, *(close_far([foot, x * [0, 1, 1], x], end=(side, 0, 0)) for side, x in ends.items()))
 
 
@@ -261,8 +273,7 @@ class Mannequin(Target):
 class Placed(Target):
     """Another target elsewhere: turned about the z axis by `yaw`, and then moved by x, y and z.
 
-    Tasks plan for the target as it is and carry the path over, with the garment. What a target of one's own must be to be
-    placed is a `Target`: each of its numbers may be of any sign, as its class allows.
+    Tasks plan for the target as it is, and move the path and the garment with it. Any `Target` can be placed.
     """
 
     target: Target  #: any, a placed one too
@@ -270,14 +281,14 @@ class Placed(Target):
     y: float = 0.0  #: metres
     z: float = 0.0  #: metres
     yaw: float = 0.0  #: degrees, from x towards y
-    distance: float = field(default=0.0, init=False, kw_only=True)  #: not asked for: that of its target counts
+    distance: float = field(default=0.0, init=False, kw_only=True)  #: fixed: the distance of its target counts
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", self.target.name)
 
     @property
     def place(self) -> Array:
-        """(3,) x, y and z."""
+        """The place (3,): x, y and z."""
         return np.array([self.x, self.y, self.z])
 
     @property
@@ -297,7 +308,7 @@ class Placed(Target):
         return self.target.lowest + self.z
 
     def holds(self, loop: ArrayLike) -> bool:
-        """Whether its target holds the loop moved back."""
+        """Return whether its target holds the loop moved back."""
         return self.target.holds(turned(as_points(loop, "loop") - self.place, -self.yaw))
 
     def at(self, time: float) -> Target:
@@ -305,23 +316,25 @@ class Placed(Target):
 
     def describe(self) -> dict[str, Any]:
         own = self.target.describe()
+        # Places of places add up.
         position = self._there(own["position"]).tolist()
         return {**own, "position": position, "yaw": own.get("yaw", 0.0) + self.yaw}
 
     def _there(self, places: ArrayLike) -> Array:
+        """Return places of the target where they are now."""
         return turned(places, self.yaw) + self.place
 
 
 @checked
 class Moving(Placed):
-    """A target that goes from where it is described to x, y and z from there, and stands still before and after.
+    """A target that moves by x, y and z once, and stands still before and after.
 
-    It goes as a reaching hand does, by a polynomial of degree five. What it is after its way counts for scripts, for success and
-    for an episode's centre line.
+    It moves as a reaching hand does, by a polynomial of degree five. Scripts, success and an episode's centre line refer to the
+    place where it arrives.
     """
 
     start: NotNegative = 0.5  #: seconds after the first frame when it sets off
-    seconds: Positive = 1.0  #: that it takes
+    seconds: Positive = 1.0  #: duration of the move
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -334,13 +347,13 @@ class Moving(Placed):
         return Placed(self.target.at(time), x, y, z)
 
     def describe(self) -> dict[str, Any]:
-        way = {"by": self.place.tolist(), "start": self.start, "seconds": self.seconds}
-        return {**super().describe(), "moves": way}
+        move = {"by": self.place.tolist(), "start": self.start, "seconds": self.seconds}
+        return {**super().describe(), "moves": move}
 
 
 @checked
 class Travelling(Placed):
-    """A target that goes on and on at one speed, level; what is planned and described is where it was at first."""
+    """A target that moves on at one level velocity; plans and descriptions take it where it was at first."""
 
     vx: float = 0.0  #: m/s
     vy: float = 0.0  #: m/s
@@ -353,7 +366,7 @@ class Travelling(Placed):
 
 
 def gap(points: Array, target: Target) -> float:
-    """The least distance of points (N, 3) from the surface of the target."""
+    """Return the least distance of points (N, 3) from the surface of the target."""
     return min(float(to_segment(points, start, end).min()) - radius for start, end, radius in target.rods)
 
 
@@ -368,12 +381,15 @@ def _raised(target: Hook | Hanger, garment: Garment) -> Target:
 
 
 def _linked(loop: ArrayLike, *lines: Array) -> bool:
+    """Return whether a loop links any of some closed lines."""
     return any(linking_number(loop, line) != 0 for line in lines)
 
 
 def _upright(*places: tuple[float, float]) -> Array:
+    """Return points (y, z) of the plane x = 0."""
     return np.array([[0.0, y, z] for y, z in places])
 
 
 def _tube(line: Array, radius: float) -> list[Rod]:
+    """Return a rod along each segment of a line."""
     return [(start, end, radius) for start, end in itertools.pairwise(line)]

@@ -1,5 +1,8 @@
 """Tasks: which garment goes to which target, on which scripted path, and when it hangs there.
 
+Idea: a script carries the loop by which one would hang the garment (`Garment.hanging_loop`). It places a few stations relative to
+target and garment, and moves them by draws from given ranges.
+
 Source: Antonova et al. 2021, section 6. Taught in chapter 8.
 """
 
@@ -41,7 +44,7 @@ class Task:
     plan: PathScript  #: draws the path; all its randomness comes from the generator
     #: Names of the true loops of which one at least must be on the target; "handle" is each of "handle 1", "handle 2", ... too.
     loops: tuple[str, ...] = ()
-    all_loops: bool = False  #: whether each of them must be
+    all_loops: bool = False  #: each of them must be, not only one
 
     def wanted(self, loops: Mapping[str, Loop]) -> dict[str, Loop]:
         """Return those of the named loops that the task asks for.
@@ -65,7 +68,7 @@ class Task:
         return count if self.all_loops else min(count, 1)
 
     def hangs(self, points: ArrayLike, loops: Mapping[str, ArrayLike], target: Target | None = None) -> bool:
-        """Whether the loops that must be are on the target, and the garment has not slid down around it.
+        """Return whether the loops that must be are on the target, and the garment has not slid down around it.
 
         Parameters
         ----------
@@ -76,7 +79,8 @@ class Task:
         target : Target, optional
             The task's own when not given.
         """
-        cloud, target = as_points(points), target or self.target
+        cloud = as_points(points)
+        target = target or self.target
         wanted = self.wanted(loops)
         if not wanted or cloud[:, 2].max() <= target.lowest:
             return False
@@ -88,12 +92,13 @@ def check_loops(task: Task, garment: Garment) -> None:
     """Raise ValueError when the garment lacks loops that the task asks for; the message says which it has."""
     names = garment.loop_names
     if not {*task.loops} <= {*names, *map(kind, names)}:
-        asks, has = (", ".join(some) or "none" for some in (task.loops, names))
+        asks = ", ".join(task.loops) or "none"
+        has = ", ".join(names) or "none"
         raise ValueError(f"{task.name} asks for the loops {asks}; the {garment.name} has {has}: mark or name them")
 
 
 def planned(task: Task, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
-    """The path of a task: of a target elsewhere, planned where it stands otherwise, and carried over."""
+    """Return the path of a task; for a `Placed` target it is planned for the target itself, and moved with it."""
     if isinstance(target, Placed):
         return planned(task, garment, target.target, rng).moved(target.place, target.yaw)
     return task.plan(garment, target, rng)
@@ -104,7 +109,10 @@ def hang_by_strap(
 ) -> GripperPath:
     """Carry the first true loop over the upturned tip, and lower it; an `opening` above 1 turns straps to face the arm."""
     aside, below = _opening(garment, opening)
-    tip, seat, radius = target.centre_line[-1], target.seat, target.rods[0][2]
+    tip = target.centre_line[-1]
+    seat = target.seat
+    radius = target.rods[0][2]
+    # Stations of the middle between the grippers: far before the tip, before it, above the seat, and down.
     over = np.array([-aside, seat[1], tip[2] + radius + 0.04 + below])
     start = _about(rng, [over[0], tip[1] - _reach(garment), over[2]], (-0.12, 0.12), (-0.42, -0.32), (-0.06, 0.10))
     before = _about(rng, [over[0], tip[1], over[2]], (-0.015, 0.015), (-0.14, -0.10), (0.0, 0.02))
@@ -118,9 +126,13 @@ def hang_by_strap(
 
 def pull_over_head(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
     """Carry a neck strap, drawn wide, over the head of a mannequin from the front, and lower it behind the neck."""
-    dummy, spread, below = _mannequin(target), _spread(garment), _opening(garment)[1]
+    dummy = _mannequin(target)
+    spread = _spread(garment)
+    below = _opening(garment)[1]
     wide = max(1.0, (2 * dummy.head_radius + 0.06) / float(np.linalg.norm(spread[0] - spread[1])))
-    top, axis = dummy.height + below, dummy.distance
+    top = dummy.height + below
+    axis = dummy.distance
+    # Stations: far before the head, before it, over it, behind it, and down at the nape.
     far = axis - dummy.depth / 2 - 0.1 - _reach(garment)
     start = _about(rng, [0, far, dummy.height], (-0.1, 0.1), (-0.4, -0.3), (-0.15, 0.05))
     before = _about(rng, [0, axis - 0.12, top + 0.06], (-0.02, 0.02), (-0.03, 0.0), (0.0, 0.02))
@@ -134,10 +146,13 @@ def pull_over_head(garment: Garment, target: Target, rng: np.random.Generator) -
 
 def put_on_shoulders(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
     """Carry two straps past the shoulders of a mannequin, one on either side, draw them together behind, and lower them."""
-    dummy, spread = _mannequin(target), _spread(garment)
+    dummy = _mannequin(target)
+    spread = _spread(garment)
     x, y, z = dummy.shoulder
     half = float(np.linalg.norm(spread[0] - spread[1])) / 2
-    wide, narrow = (x + 0.11) / half, (x - 0.08) / half
+    wide = (x + 0.11) / half
+    narrow = (x - 0.08) / half
+    # Stations: far before the shoulders, before them, past them, together behind them, and down.
     start = _about(rng, [0, y - 0.45, z + 0.10], (-0.08, 0.08), (-0.25, -0.15), (-0.1, 0.1))
     before = _about(rng, [0, y - 0.10, z + 0.11], (-0.01, 0.01), (-0.02, 0.0), (0.0, 0.02))
     past = _about(rng, [0, y + 0.13, z + 0.11], (-0.01, 0.01), (-0.005, 0.005), (0.0, 0.01))
@@ -149,7 +164,9 @@ def put_on_shoulders(garment: Garment, target: Target, rng: np.random.Generator)
 def dress(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
     """Lift a garment by its shoulders over a mannequin, and lower it over head and shoulders."""
     dummy = _mannequin(target)
-    top, axis = dummy.height, dummy.distance
+    top = dummy.height
+    axis = dummy.distance
+    # Stations: before the body, above it, with the grippers at the head, and down at the shoulders.
     length = float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min())
     start = _about(rng, [0, axis, top + length + 0.10], (-0.08, 0.08), (-0.45, -0.35), (-0.05, 0.05))
     above = _about(rng, [0, axis, top + length + 0.06], (-0.01, 0.01), (-0.01, 0.01), (0, 0.03))
@@ -160,74 +177,84 @@ def dress(garment: Garment, target: Target, rng: np.random.Generator) -> Gripper
 
 
 def _mannequin(target: Target) -> Mannequin:
+    """Return the target, or raise TypeError when it is no mannequin."""
     if not isinstance(target, Mannequin):
         raise TypeError(f"this path is for a Mannequin, not for a {type(target).__name__}")
     return target
 
 
 def _spread(garment: Garment) -> Array:
+    """Return (2, 3) the grips relative to their middle."""
     grips = garment.vertices[garment.grips]
     return np.asarray(grips - grips.mean(axis=0))
 
 
 def _reach(garment: Garment) -> float:
-    """How far the garment lies before its grips, towards the target."""
+    """Return how far the garment lies before its grips, towards the target, metres."""
     return float(garment.vertices[:, 1].max() - garment.vertices[garment.grips, 1].mean())
 
 
 def _opening(garment: Garment, opening: float = 1.0) -> tuple[float, float]:
-    """How far to the right of the middle between the grips the loop to hang by will be, and how far below them its top."""
+    """Return how far to the right of the grips' middle the loop to hang by will be, and how far below them its top."""
     if not garment.loops:
         return 0.0, 0.0
-    grips, curve = _spread(garment), garment.vertices[garment.hanging_loop]
-    curve = curve - garment.vertices[garment.grips].mean(axis=0)
+    curve = garment.vertices[garment.hanging_loop] - garment.vertices[garment.grips].mean(axis=0)
+    grips = _spread(garment)
     gap = np.linalg.norm(curve[:, None] - grips, axis=2)  # (L, 2)
     grips = grips * opening
+    # A loop that grips hold hangs below them.
     aside = float(curve[:, 0].mean())
-    holding = grips[gap.min(axis=0) < 0.06, 0]  # x of the grips that hold this loop: it hangs below them
+    holding = grips[gap.min(axis=0) < 0.06, 0]
     slope = 0.0
     if len(holding):
         aside = float(holding.mean() + np.clip(aside - holding.mean(), -0.12, 0.12))
         slope = 0.6 * abs(aside - float(holding.mean()))  # a strap held at one place falls off to the side
-    ends, step = gap.argmin(axis=0), np.linalg.norm(curve - np.roll(curve, -1, axis=0), axis=1)
-    arc, chord = float(step[ends.min() : ends.max()].sum()), float(np.linalg.norm(grips[0] - grips[1]))
-    arc = min(arc, float(step.sum()) - arc)  # of the strap between the grips, which sags like a shallow parabola
-    return aside, max(-float(curve[:, 2].max()), 0.0) + slope + float(np.sqrt(3 / 8 * chord * max(arc - chord, 0)))
+    # The strap between the grips sags like a shallow parabola of its arc length over their distance.
+    ends = gap.argmin(axis=0)
+    step = np.linalg.norm(curve - np.roll(curve, -1, axis=0), axis=1)
+    arc = float(step[ends.min() : ends.max()].sum())
+    arc = min(arc, float(step.sum()) - arc)
+    chord = float(np.linalg.norm(grips[0] - grips[1]))
+    sag = float(np.sqrt(3 / 8 * chord * max(arc - chord, 0)))
+    return aside, max(-float(curve[:, 2].max()), 0.0) + slope + sag
 
 
 def warn_of_floor(garment: Garment, target: Target) -> None:
-    """Say so when a garment is longer, from the loop it hangs by down, than its target is high."""
-    long, high = garment.hangs_down, float(target.seat[2])
+    """Log a warning when a garment is longer, from the loop it hangs by down, than its target is high."""
+    long = garment.hangs_down
+    high = float(target.seat[2])
     if long > high:
         what = "it will stand on the floor; give a smaller size, or a higher target"
         _log.warning("the %s hangs %.2f m down from a %s %.2f m high: %s", garment.name, long, target.name, high, what)
 
 
 def _behind(garment: Garment) -> bool:
-    """Whether the loop that is carried lies beside its grip, as a backpack's strap does, and not under it, as a handle."""
+    """Return whether the loop that is carried lies beside its grip, as a backpack's strap does, not under it, as a handle."""
     gaps = garment.vertices[garment.hanging_loop].mean(axis=0) - garment.vertices[garment.grips]
     return bool(np.linalg.norm(gaps[:, :2], axis=1).min() > _BESIDE)
 
 
 def _facing(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
-    """A plan for the garment turned so that the arm will go through a loop that looks aside: through the one in front."""
+    """Return a path on which the garment is turned so that the arm goes through the loop in front, if loops look aside."""
+    # The normal of what the loop encloses says which way it looks; either side may come first.
     curve = garment.vertices[garment.hanging_loop] if garment.loops else np.zeros((1, 3))
-    x, y, z = np.cross(curve, np.roll(curve, -1, axis=0)).sum(axis=0)  # along the normal of what the loop encloses
-    yaw = float((np.degrees(np.arctan2(x, y)) + 90) % 180 - 90)  # either side may come first
+    x, y, z = np.cross(curve, np.roll(curve, -1, axis=0)).sum(axis=0)
+    yaw = float((np.degrees(np.arctan2(x, y)) + 90) % 180 - 90)
     if abs(yaw) < _ASIDE or np.hypot(x, y) < abs(z):
         return hang_by_strap(garment, target, rng)
-    there = garment.turned(yaw)
-    ahead = {name: float(there.vertices[there.named_loops[name], 1].mean()) for name in to_hang_by(there.loop_names)}
+    # Plan for the turned garment with the loop in front alone.
+    faced = garment.turned(yaw)
+    ahead = {name: float(faced.vertices[faced.named_loops[name], 1].mean()) for name in to_hang_by(faced.loop_names)}
     front = max(ahead, key=ahead.__getitem__)
-    only = replace(there, loops=(there.named_loops[front],), loop_names=(front,))
-    back = [0, ahead[front] - float(there.vertices[there.grips, 1].mean()), 0]
+    only = replace(faced, loops=(faced.named_loops[front],), loop_names=(front,))
+    back = [0, ahead[front] - float(faced.vertices[faced.grips, 1].mean()), 0]
     path = hang_by_strap(only, target, rng, rest=2.0)
     vias = [replace(via, yaw=via.yaw + yaw, place=np.asarray(via.place) - back) for via in path.vias]
     return replace(path, vias=vias, spread=_spread(garment))
 
 
 def _about(rng: np.random.Generator, place: ArrayLike, *ranges: tuple[float, float]) -> Array:
-    """A place moved along each axis by a draw from its range."""
+    """Return a place moved along each axis by a draw from its range."""
     return np.asarray(place + rng.uniform(*np.transpose(ranges)))
 
 
@@ -235,12 +262,15 @@ _sideways = functools.partial(hang_by_strap, opening=1.15, rest=2.0)
 
 
 def _tasks() -> Iterator[Task]:
+    """Yield every task of the wardrobe."""
+    # Everything with a loop to hang by goes on hooks and hangers.
     for target in (Hook(), Hanger()):
         for name in ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet", "sheet2", *_SMALL):
             plan: PathScript = _sideways if name == "backpack" else hang_by_strap
-            loops = {"tote2": LOOP_NAMES["tote2"], "backpack": ("strap",), "net": ("handle",)}.get(name)
-            loops = loops or LOOP_NAMES[name][:1]
+            several = {"tote2": LOOP_NAMES["tote2"], "backpack": ("strap",), "net": ("handle",)}
+            loops = several.get(name) or LOOP_NAMES[name][:1]
             yield Task(f"{name}-{target.name}", WARDROBE[name], target, plan, loops, all_loops=name == "tote2")
+    # What is worn goes on a mannequin.
     bodies: list[tuple[str, PathScript, tuple[str, ...]]] = [
         ("apron", pull_over_head, ("neck",)),
         ("apron2", pull_over_head, ("neck",)),
@@ -257,9 +287,12 @@ TASKS: Mapping[str, Task] = {task.name: task for task in _tasks()}
 
 
 def as_task(task: str | Task) -> Task:
-    if isinstance(task, str) and task not in TASKS:
+    """Return a task, given it or its name in `TASKS`."""
+    if isinstance(task, Task):
+        return task
+    if task not in TASKS:
         raise ValueError(f"there is no task {task!r}; there are {', '.join(TASKS)}")
-    return TASKS[task] if isinstance(task, str) else task
+    return TASKS[task]
 
 
 def resolved(task: str | Task | None, garment: Garment | None, target: Target | None) -> tuple[Task, Garment, Target]:
@@ -284,20 +317,21 @@ def task_for(garment: Garment, target: Target) -> Task:
     if isinstance(target, Placed):
         return replace(task_for(garment, target.target), target=target)
     name = f"{garment.name}-{target.name}"
-    names, kinds = to_hang_by(garment.loop_names), [*map(kind, garment.loop_names)]
+    names = to_hang_by(garment.loop_names)
+    kinds = [*map(kind, garment.loop_names)]
     if name in TASKS and {*TASKS[name].loops} <= {*kinds, *garment.loop_names}:
         return replace(TASKS[name], garment=functools.partial(_itself, garment), target=target)
-    plan: PathScript = _sideways if kinds.count("strap") > 1 and _behind(garment) else _facing
-    loops, every = tuple(names), False
-    if isinstance(target, Mannequin):
-        plan = pull_over_head
-        if {"neck", "hem"} <= {*kinds}:
-            plan, loops, every = dress, ("neck", "hem"), True
-        elif kinds.count("strap") > 1:
-            plan, loops, every = put_on_shoulders, ("strap",), True
-        elif "neck" in kinds:
-            loops = ("neck",)
-    return Task(name, functools.partial(_itself, garment), target, plan, loops, every)
+    make = functools.partial(_itself, garment)
+    straps = kinds.count("strap") > 1
+    if not isinstance(target, Mannequin):
+        plan: PathScript = _sideways if straps and _behind(garment) else _facing
+        return Task(name, make, target, plan, tuple(names))
+    if {"neck", "hem"} <= {*kinds}:
+        return Task(name, make, target, dress, ("neck", "hem"), all_loops=True)
+    if straps:
+        return Task(name, make, target, put_on_shoulders, ("strap",), all_loops=True)
+    loops = ("neck",) if "neck" in kinds else tuple(names)
+    return Task(name, make, target, pull_over_head, loops)
 
 
 def _itself(garment: Garment) -> Garment:

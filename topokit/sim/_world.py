@@ -1,4 +1,4 @@
-"""One PyBullet world: a cloth, two grippers that hold it, rods to hang it on, a floor; and whether its cloth is physical."""
+"""One PyBullet world: a cloth, two grippers that hold it, rods to hang it on, a floor; and a check that its cloth is physical."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ Stretch = Annotated[float, Field(gt=1)]
 
 @checked
 class SimulationConfig:
-    """Physics, grippers and clock of a simulation. SI units; a ValueError names the number that is out of its range.
+    """Physics, grippers and clock of a simulation, in SI units. A ValueError names a number that is out of its range.
 
     Each gripper is a body without a shape, drawn to its target by a force kp * error + kd * (velocity of the target -
-    velocity), plus the weight it carries. An episode is refused in which the 99th percentile of edge length over rest
-    length exceeds `max_stretch`, or the longest edge `max_edge_stretch`. Cloth that explodes exceeds both at once; a vertex
-    that is caught behind a rod stretches its own edges alone. Episodes that went well stayed below 1.2 and 1.8.
+    velocity), plus the weight it carries. An episode is refused when the 99th percentile of edge length over rest
+    length exceeds `max_stretch`, or the longest edge exceeds `max_edge_stretch`. Cloth that explodes exceeds both at once; a
+    vertex that is caught behind a rod stretches its own edges alone. Episodes that succeeded stayed below 1.2 and 1.8.
     """
 
     GRAVITY = 9.8  # m/s^2, the same in every world
@@ -71,6 +71,7 @@ class SimulationConfig:
 
 
 def _pybullet() -> ModuleType:
+    """Return PyBullet; an ImportError says how to install it."""
     try:
         with _silent():
             import pybullet
@@ -114,7 +115,7 @@ class World(contextlib.AbstractContextManager["World"]):
         self._config = config
         self._goals: list[list[float]] | None = None
         self._push = [0.0, 0.0]
-        self._rods: list[tuple[int, Array, list[float]]] = []
+        self._rods: list[tuple[int, Array, list[float]]] = []  # body, middle and orientation of each
         with _silent():
             self._client = self._p.connect(self._p.DIRECT)
         try:
@@ -122,13 +123,15 @@ class World(contextlib.AbstractContextManager["World"]):
             self._bullet("setGravity", 0, 0, -config.GRAVITY)
             self._bullet("setPhysicsEngineParameter", fixedTimeStep=config.dt)
             self._cloth = self._load(garment, offset)
-            # Bodies without a shape: a kinematic or a fixed anchor body can make the cloth explode, these do not.
-            places = (garment.vertices[garment.grips] + offset).tolist()
-            body = ("createMultiBody", config.gripper_mass, -1, -1)
-            self._grippers = [self._bullet(*body, basePosition=place) for place in places]
-            ends = zip(garment.grips.tolist(), self._grippers, strict=True)
-            self._anchors = [self._bullet("createSoftBodyAnchor", self._cloth, *pair, -1) for pair in ends]
-            # A thick slab with its top at z = 0: cloth would rest 10 cm above PyBullet's endless plane.
+            # Grippers without a shape: a kinematic or a fixed anchor body can make the cloth explode, these do not.
+            self._grippers: list[int] = []
+            self._anchors: list[int] = []
+            for vertex in garment.grips.tolist():
+                place = (garment.vertices[vertex] + offset).tolist()
+                self._grippers.append(self._bullet("createMultiBody", config.gripper_mass, -1, -1, basePosition=place))
+            for vertex, gripper in zip(garment.grips.tolist(), self._grippers, strict=True):
+                self._anchors.append(self._bullet("createSoftBodyAnchor", self._cloth, vertex, gripper, -1))
+            # The floor is a thick slab with its top at z = 0: cloth would rest 10 cm above PyBullet's endless plane.
             slab = self._bullet("createCollisionShape", self._p.GEOM_BOX, halfExtents=[4, 4, 0.5])
             self._add_fixed(slab, basePosition=[0, 0, -0.5])
         except BaseException:
@@ -147,7 +150,8 @@ class World(contextlib.AbstractContextManager["World"]):
     def add_rods(self, rods: Sequence[tuple[Array, Array, float]]) -> None:
         """Add fixed capsules, each (start, end, radius)."""
         for start, end, radius in rods:
-            axis, middle = end - start, (start + end) / 2
+            axis = end - start
+            middle = (start + end) / 2
             length = float(np.linalg.norm(axis))
             shape = self._bullet("createCollisionShape", self._p.GEOM_CAPSULE, radius=radius, height=length)
             turn = _turn_z_to(axis / length)
@@ -156,10 +160,11 @@ class World(contextlib.AbstractContextManager["World"]):
 
     def move_rods(self, by: Array) -> None:
         """Put the rods (R, 3) metres from where they were added, without turning them."""
-        for (body, place, turn), way in zip(self._rods, by, strict=True):
-            self._p.resetBasePositionAndOrientation(body, (place + way).tolist(), turn, self._client)
+        for (body, middle, turn), shift in zip(self._rods, by, strict=True):
+            self._p.resetBasePositionAndOrientation(body, (middle + shift).tolist(), turn, self._client)
 
     def _add_fixed(self, shape: int, **place: list[float]) -> int:
+        """Return a body that does not move."""
         body: int = self._bullet("createMultiBody", 0, shape, -1, **place)
         self._bullet("changeDynamics", body, -1, lateralFriction=self._config.friction)
         return body
@@ -179,26 +184,27 @@ class World(contextlib.AbstractContextManager["World"]):
         self._bullet("setGravity", x, y, -self._config.GRAVITY)
 
     def release(self, keep: int = 0) -> None:
-        """Let go of the garment, but for the first `keep` grippers; they stay, without a shape that could touch it."""
+        """Let go of the garment, but for the first `keep` grippers. Grippers have no shape that could touch it afterwards."""
         for anchor in self._anchors[keep:]:
             self._bullet("removeConstraint", anchor)
         del self._anchors[keep:]
 
     def vertices(self) -> Array:
-        """(N, 3) positions in the order of the garment's vertices."""
+        """Return (N, 3) positions in the order of the garment's vertices."""
         _, points = self._bullet("getMeshData", self._cloth, -1, flags=self._p.MESH_DATA_SIMULATION_MESH)
         return np.array(points)
 
     def grippers(self) -> Array:
-        """(2, 3) positions of the grippers."""
+        """Return (2, 3) positions of the grippers."""
         return np.array([self._bullet("getBasePositionAndOrientation", body)[0] for body in self._grippers])
 
     def image(self, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
-        """Return what a camera sees: depth (h, w) in metres, inf where nothing is, and the mask (h, w) of the cloth.
+        """Return a camera's image: depth (h, w) in metres, inf where nothing is, and the mask (h, w) of the cloth.
 
         The first step must have been taken: before it the renderer draws the cloth in a wrong place.
         """
-        size, options = (camera.width, camera.height), {"renderer": self._p.ER_TINY_RENDERER, "shadow": 0}
+        size = (camera.width, camera.height)
+        options = {"renderer": self._p.ER_TINY_RENDERER, "shadow": 0}
         _, _, _, buffer, bodies = self._bullet("getCameraImage", *size, *camera.matrices, **options)
         depth = camera.depths(buffer)
         return depth, (np.reshape(bodies, depth.shape) == self._cloth) & np.isfinite(depth)
@@ -232,7 +238,13 @@ class World(contextlib.AbstractContextManager["World"]):
         return points
 
     def seen(self, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
-        """Return what `observe` does, or an array (0, 3) when no cloth is in view."""
+        """Return what `observe` returns, or an array (0, 3) when no cloth is in view.
+
+        Parameters
+        ----------
+        cameras, n, rng
+            As of `observe`.
+        """
         views = []
         for camera in cameras:
             depth, mask = self.image(camera)
@@ -246,11 +258,12 @@ class World(contextlib.AbstractContextManager["World"]):
         return np.asarray(points[np.resize(chosen, n)])
 
     def _bullet(self, function: str, *arguments: Any, **options: Any) -> Any:
+        """Call a function of PyBullet for this client."""
         return getattr(self._p, function)(*arguments, **options, physicsClientId=self._client)
 
     def _load(self, garment: Garment, offset: Array) -> int:
         """Load the garment through a temporary OBJ file, the only way PyBullet takes a mesh."""
-        lengths, stiffness = garment.edge_lengths, self._config.elastic_stiffness(len(garment.vertices))
+        stiffness = self._config.elastic_stiffness(len(garment.vertices))
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "cloth.obj"
             rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in garment.vertices.tolist()]
@@ -271,36 +284,46 @@ class World(contextlib.AbstractContextManager["World"]):
                 frictionCoeff=self._config.friction,
                 useFaceContact=1,
                 useSelfCollision=int(self._config.self_collision),
-                collisionMargin=self._config.margin * float(lengths.min()),
+                collisionMargin=self._config.margin * float(garment.edge_lengths.min()),
             )
 
     def _draw(self, body: int, goal: list[float], before: list[float]) -> None:
         """Push a gripper towards its goal, which was at `before` a step ago; in plain floats, far quicker than arrays."""
-        config, client = self._config, self._client
-        kp, kd, dt, most = config.kp, config.kd, config.dt, config.max_force
+        config = self._config
+        client = self._client
+        kp = config.kp
+        kd = config.kd
+        dt = config.dt
         place, _ = self._p.getBasePositionAndOrientation(body, client)
         (u, v, w), _ = self._p.getBaseVelocity(body, client)
+        # The weight of the cloth is fed forward, or the gripper sags.
         holding = self._grippers[: len(self._anchors)]
-        carried = config.mass / len(holding) if body in holding else 0.0  # fed forward, or it sags
+        carried = config.mass / len(holding) if body in holding else 0.0
+        # A spring and a damper towards the goal, without the push that cloth alone feels, and with the weight.
         x = kp * (goal[0] - place[0]) + kd * ((goal[0] - before[0]) / dt - u) - self._push[0] * config.gripper_mass
         y = kp * (goal[1] - place[1]) + kd * ((goal[1] - before[1]) / dt - v) - self._push[1] * config.gripper_mass
         z = kp * (goal[2] - place[2]) + kd * ((goal[2] - before[2]) / dt - w)
         z += config.GRAVITY * (config.gripper_mass + carried)
+        # The force is limited.
         size = math.sqrt(x * x + y * y + z * z)
-        if size > most:
-            x, y, z = (most / size * part for part in (x, y, z))
+        if size > config.max_force:
+            share = config.max_force / size
+            x *= share
+            y *= share
+            z *= share
         self._p.applyExternalForce(body, -1, (x, y, z), place, self._p.WORLD_FRAME, client)
 
 
 def check_stretch(garment: Garment, config: SimulationConfig, points: Array, where: str) -> tuple[float, float]:
-    """The 99th percentile and the maximum of edge length over rest length; a SimulationError when they are not physical."""
+    """Return the 99th percentile and the maximum of edge length over rest length, or raise SimulationError."""
     lost = ~np.isfinite(points).all(axis=1)
     if lost.any():
         vertex = int(np.argmax(lost))
         raise SimulationError(f"{where}: vertex {vertex} is at {points[vertex]}: the cloth exploded")
     edges = garment.edges
     stretch = edge_lengths(points, edges) / garment.edge_lengths
-    most, worst = float(np.percentile(stretch, 99)), float(stretch.max())
+    most = float(np.percentile(stretch, 99))
+    worst = float(stretch.max())
     edge = f"most of all {edges[np.argmax(stretch)].tolist()}, {worst:.2f} times its length"
     limits = (("max_stretch", "one edge in a hundred is", most), ("max_edge_stretch", "an edge is", worst))
     for name, what, value in limits:
@@ -311,6 +334,7 @@ def check_stretch(garment: Garment, config: SimulationConfig, points: Array, whe
 
 
 def _turn_z_to(axis: Array) -> list[float]:
+    """Return the quaternion (x, y, z, w) that turns the z axis to a unit vector."""
     if axis[2] < -0.999999:
         return [1.0, 0.0, 0.0, 0.0]
     x, y, z = np.cross([0, 0, 1], axis)
