@@ -33,9 +33,10 @@ import numpy as np
 KERNELS = ("_edges", "_creators", "_tree", "_lunes", "_cloud", "_cycles", "_jit", "kernel")
 SPARED = [*(f"topokit.rips.{name}" for name in KERNELS), "topokit.sim._pattern"]  # Atheris keeps what arrays compare to
 with atheris.instrument_imports(include=["topokit"], exclude=SPARED):
-    from topokit import SeqPH, cli, track
+    from topokit import SeqPH, track
     from topokit import io as episodes
     from topokit._archive import load_archive
+    from topokit.sensors import read_stream
     from topokit.sim import Garment
 
 LONGEST = 1 << 14  # bytes of an input
@@ -58,7 +59,7 @@ def mesh(suffix: str) -> Callable[[bytes], object]:
 def live(data: bytes) -> None:
     """What `topokit track --live` reads; clouds of more than a few points are read, and not tracked."""
     tracker = SeqPH()
-    for cloud in cli._clouds(io.BufferedReader(io.BytesIO(data))):
+    for cloud in read_stream(io.BufferedReader(io.BytesIO(data)), check_unit=False):
         if cloud.size <= 60:
             json.dumps(tracker.update(cloud).as_dict())
 

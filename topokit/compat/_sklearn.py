@@ -23,7 +23,7 @@ class LoopFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     Parameters
     ----------
     n_loops : int
-        As many loops of a cloud, longest lifetime first; for those that it has not there are zeros.
+        So many loops of a cloud, longest lifetime first; a cloud that has fewer gets zeros.
     n_dims : int
         Coordinates of a point, where each cloud is a row (x, y, z, x, y, z, ...).
     n_jobs : int, optional
@@ -40,15 +40,17 @@ class LoopFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     """
 
     def __init__(self, n_loops: int = 4, n_dims: int = 3, n_jobs: int | None = None) -> None:
-        self.n_loops, self.n_dims, self.n_jobs = n_loops, n_dims, n_jobs
+        self.n_loops = n_loops
+        self.n_dims = n_dims
+        self.n_jobs = n_jobs
 
     def fit(self, X: Any, y: object = None) -> LoopFeatures:
-        """Look at the parameters, and at how long a row is: nothing is learned.
+        """Check the parameters and remember how long a row is; nothing is learned.
 
         Parameters
         ----------
         X, y
-            As of `transform`; nothing.
+            Clouds as in `transform`; not used.
         """
         whole(self.n_loops, "n_loops", 1)
         self._clouds(X, reset=True)
@@ -60,13 +62,13 @@ class LoopFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         Parameters
         ----------
         X : list of (n, d) array_like, (m, n, d) array_like or (m, n * n_dims) array_like
-            Clouds, each of as many points as it has; or each a row.
+            Clouds, which need not have the same number of points; or a cloud in each row.
         """
-        bars = self.diagrams(X)
-        rows = np.zeros((len(bars), self.n_loops, 2))
-        for row, some in zip(rows, bars, strict=True):
-            row[: len(some)] = some[: self.n_loops]
-            row[:, 1] -= row[:, 0]
+        diagrams = self.diagrams(X)
+        rows = np.zeros((len(diagrams), self.n_loops, 2))
+        for row, bars in zip(rows, diagrams, strict=True):
+            row[: len(bars)] = bars[: self.n_loops]
+            row[:, 1] -= row[:, 0]  # from death to lifetime
         return rows.reshape(len(rows), -1)
 
     def diagrams(self, X: Any) -> list[NDArray[np.float64]]:
@@ -75,19 +77,22 @@ class LoopFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         Parameters
         ----------
         X
-            As of `transform`.
+            Clouds as in `transform`.
         """
-        found = rips_persistence_many(self._clouds(X, reset=False), self.n_jobs)
-        return [np.column_stack([diagram.birth, diagram.death]) for diagram in found]
+        diagrams = rips_persistence_many(self._clouds(X, reset=False), self.n_jobs)
+        return [np.column_stack([diagram.birth, diagram.death]) for diagram in diagrams]
 
     def get_feature_names_out(self, input_features: object = None) -> NDArray[np.object_]:
-        """Return what the columns are: birth0, lifetime0, birth1, and so on; `input_features` is not looked at."""
-        return np.array([f"{name}{i}" for i in range(self.n_loops) for name in ("birth", "lifetime")], dtype=object)
+        """Return the names of the columns: birth0, lifetime0, birth1, and so on; `input_features` is not used."""
+        names = [f"{name}{i}" for i in range(self.n_loops) for name in ("birth", "lifetime")]
+        return np.array(names, dtype=object)
 
     def _clouds(self, X: Any, reset: bool) -> list[NDArray[np.float64]]:
-        """Clouds as they are given, or from the rows of an array that scikit-learn has checked."""
+        """Return clouds as they are given, or from the rows of an array that scikit-learn has checked."""
         if isinstance(X, (list, tuple, np.ndarray)) and len(X) and np.ndim(X[0]) == 2:
             return as_sequence(X, "X")
+
+        # A cloud in each row: scikit-learn's own form.
         rows = validate_data(self, X, reset=reset, dtype=np.float64)
         n_dims = whole(self.n_dims, "n_dims", 1)
         if rows.shape[1] % n_dims:

@@ -17,14 +17,14 @@ from topokit.rips import Diagram, rips_persistence_many
 
 
 def births_and_deaths(points: Tensor, n_loops: int | None = None, *, n_jobs: int | None = None) -> Tensor:
-    """Return births and deaths of the loops of clouds, as functions of the points.
+    """Compute births and deaths of the loops of clouds, as functions of the points.
 
     Parameters
     ----------
     points : (n, d) or (batch, n, d) Tensor
         On any device; persistence itself is computed on the processor.
     n_loops : int, optional
-        As many of each cloud, longest lifetime first, by default as many as one has at most; what is not there is (0, 0).
+        So many of each cloud, longest lifetime first; by default as many as the cloud with the most. Missing ones are (0, 0).
     n_jobs : int, optional
         Threads for a batch; by default one for each core.
 
@@ -51,16 +51,22 @@ def births_and_deaths(points: Tensor, n_loops: int | None = None, *, n_jobs: int
     tensor([0.3536, 0.3536])
     """
     if not isinstance(points, Tensor) or not points.is_floating_point():
-        what = points.dtype if isinstance(points, Tensor) else type(points).__name__
-        raise WrongKindError(f"points must be a tensor of floating point, not {what}")
+        kind = points.dtype if isinstance(points, Tensor) else type(points).__name__
+        raise WrongKindError(f"points must be a tensor of floating point, not {kind}")
     if points.ndim not in (2, 3):
         raise ValueError(f"points must be of shape (n, d) or (batch, n, d), not {tuple(points.shape)}")
     batch = points if points.ndim == 3 else points[None]
     if not len(batch):
         raise ValueError(f"points holds no cloud: its shape is {tuple(points.shape)}")
+
+    # Which edges create and end the loops; nothing of this is differentiated.
     diagrams = rips_persistence_many(batch.detach().cpu().double().numpy(), n_jobs)
-    most = max(map(len, diagrams), default=0) if n_loops is None else whole(n_loops, "n_loops")
-    edges = torch.from_numpy(np.stack([_edges(diagram, most) for diagram in diagrams])).to(points.device)
+    if n_loops is None:
+        n_loops = max(map(len, diagrams), default=0)
+    n_loops = whole(n_loops, "n_loops")
+    edges = torch.from_numpy(np.stack([_edges(diagram, n_loops) for diagram in diagrams])).to(points.device)
+
+    # Half the lengths of these edges, as functions of their ends.
     clouds = torch.arange(len(batch), device=points.device)[:, None, None, None]
     ends = batch[clouds, edges]  # (batch, n_loops, 2, 2, d)
     bars = torch.linalg.vector_norm(ends[..., 0, :] - ends[..., 1, :], dim=-1) / 2
@@ -68,6 +74,7 @@ def births_and_deaths(points: Tensor, n_loops: int | None = None, *, n_jobs: int
 
 
 def _edges(diagram: Diagram, n: int) -> np.ndarray:
-    """(n, 2, 2) birth and killer edges of the first loops, or an edge from a vertex to itself."""
+    """Return the (n, 2, 2) birth and killer edges of the first loops; a missing one is an edge from a vertex to itself."""
     edges = np.stack([diagram.birth_edge, diagram.killer_edge], axis=1)[:n]
-    return np.concatenate([edges, np.zeros((n - len(edges), 2, 2), np.int64)])
+    missing = np.zeros((n - len(edges), 2, 2), np.int64)
+    return np.concatenate([edges, missing])

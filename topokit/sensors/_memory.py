@@ -11,6 +11,7 @@ Source: Newcombe, Fox and Seitz 2015, *DynamicFusion* (one model of a moving sce
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +20,9 @@ from topokit._validate import Array, as_points, whole
 from topokit.sampling import as_tree
 from topokit.seqph import TopologicalState
 
-_APART = 0.7  # how far from all that is seen a remembered point is, in distances of points from their nearest other one
-_THICK = 1.3  # what is less far in front of the cloth or behind it belongs to it, in the same
+# Distances in space are in units of the distance of cloth points from their nearest other one.
+_APART = 0.7  # how far from all that is seen a remembered point is
+_THICK = 1.3  # what is less far in front of the cloth or behind it belongs to it
 _BESIDE = 1.2  # how far in the picture from what is seen is beside it, in distances of points from their fifth nearest
 _AROUND = 4  # how many that are near in the picture must all be farther away, where a place is empty
 _WITHIN = np.array([[1 / 3] * 3, *(np.eye(3) + 1) / 4, *(3 * np.eye(3) + 1) / 6])  # places in a triangle
@@ -29,7 +31,7 @@ _WITHIN = np.array([[1 / 3] * 3, *(np.eye(3) + 1) / 4, *(3 * np.eye(3) + 1) / 6]
 class CloudMemory:
     """The cloud of what a depth camera sees and of what it remembers, a call a frame; a memory for each film.
 
-    Remembered points move as the middle of what is in sight does: one side of a piece of cloth tells little more of the other.
+    Remembered points move with the mean of what is in sight: one side of a piece of cloth shows little of how the other moves.
     So the cloth should stay in the picture, and what passes in front of it should be given as `around`; otherwise what is
     hidden, or has left, passes for motion. Clouds should be evenly sampled (`Pipeline` with a voxel, or farthest points): where
     points are drawn at random anew in every frame, those of many frames pile up.
@@ -48,91 +50,121 @@ class CloudMemory:
 
     def __init__(self, frames: int = 30) -> None:
         self.frames = whole(frames, "frames")
-        self._view: _View | None = None  # the last one
-        self._remembered, self._in_sight = np.zeros((0, 3)), np.zeros(0, np.int64)  # places, frames they were in sight
+        self._view: _View | None = None  # of the last frame
+        self._remembered = np.zeros((0, 3))
+        self._frames_in_sight = np.zeros(0, np.int64)  # of each remembered point
         self._open: set[int] = set()  # identities of loops that have been looked through
 
     def __call__(self, points: ArrayLike, *, eye: ArrayLike = (0, 0, 0), around: ArrayLike | None = None) -> Array:
-        """(k, 3) what is seen, each place once, and what is remembered. A frame that is refused changes nothing.
+        """Return (k, 3) what is seen, each place once, and what is remembered. A frame that is refused changes nothing.
 
         Parameters
         ----------
         points : (n, 3) array_like
-            Of the cloth, in a frame of reference that does not move.
+            Points of the cloth, in a frame of reference that does not move.
         eye : (3,) array_like
             Where the camera is.
         around : (m, 3) array_like, optional
             What else it sees, such as a wall or a hand: it hides what is behind, and is seen through places that are empty.
             Without it, what is beside the cloth in the picture stays.
         """
-        cloth, others = _in_space(points, "points"), _in_space(around, "around")
+        cloth = _in_space(points, "points")
+        others = _in_space(np.zeros((0, 3)) if around is None else around, "around")
         view = _View(cloth, others, _in_space(np.reshape(eye, (1, -1)), "eye"))
         if self._view is not None:
-            self._follow(self._view, view)
+            self._carry_along(self._view, view)
         self._view = view
         return np.vstack([view.cloth, self._remembered])
 
     def open_loops(self, state: TopologicalState) -> TopologicalState:
-        """Of the loops tracked in the last cloud, those that the camera looks through past all cloth, now or before.
+        """Keep those loops of the last cloud that the camera looks through past all cloth, now or before.
 
         Parameters
         ----------
         state : TopologicalState
-            Of loops in space.
+            The tracked loops of the last cloud, in space.
         """
         for loop in state.loops:
             _in_space(loop.killer_triangles[0], f"loop {loop.id}")
-            if self._view and self._view.look((_WITHIN @ loop.killer_triangles).reshape(-1, 3))[3].any():
+            if self._view is None:
+                continue
+            inside = (_WITHIN @ loop.killer_triangles).reshape(-1, 3)
+            if self._view.look_at(inside).past_all_cloth.any():
                 self._open.add(loop.id)
         return replace(state, loops=tuple(loop for loop in state.loops if loop.id in self._open))
 
-    def _follow(self, before: _View, now: _View) -> None:
-        """Carry along what is remembered and what was seen, and keep what is neither seen again nor contradicted."""
-        stays, was_there = ~now.look(before.cloth)[2], ~before.look(now.cloth)[2]
+    def _carry_along(self, before: _View, now: _View) -> None:
+        """Move what is remembered and what was seen, and keep what is neither seen again nor contradicted."""
+        # The motion is that of the mean of the cloth which nothing else hides in either frame.
+        stays = ~now.look_at(before.cloth).covered
+        was_there = ~before.look_at(now.cloth).covered
         if not (stays.any() and was_there.any()):
-            stays[:] = was_there[:] = True
+            stays[:] = True
+            was_there[:] = True
         motion = now.cloth[was_there].mean(axis=0) - before.cloth[stays].mean(axis=0)
         carried = np.vstack([self._remembered, before.cloth]) + motion
-        empty, hidden, *_ = now.look(carried)
-        in_sight = np.pad(self._in_sight, (0, len(before.cloth))) + ~hidden
-        apart = now.tree.query(carried)[0] >= _APART * now.spacing
-        kept = apart & ~empty & (in_sight <= self.frames)
-        self._remembered, self._in_sight = carried[kept], in_sight[kept]
+
+        place = now.look_at(carried)
+        frames_in_sight = np.pad(self._frames_in_sight, (0, len(before.cloth))) + ~place.hidden
+        not_seen_again = now.tree.query(carried)[0] >= _APART * now.spacing
+        kept = not_seen_again & ~place.empty & (frames_in_sight <= self.frames)
+        self._remembered = carried[kept]
+        self._frames_in_sight = frames_in_sight[kept]
+
+
+class _Places(NamedTuple):
+    """What a view shows of n places."""
+
+    empty: NDArray[np.bool_]  #: (n,) looked through
+    hidden: NDArray[np.bool_]  #: (n,) hidden, or beside all that is seen
+    covered: NDArray[np.bool_]  #: (n,) hidden by what is not cloth
+    past_all_cloth: NDArray[np.bool_]  #: (n,) in a direction in which no cloth is seen
 
 
 class _View:
-    """What a camera sees in a frame: the cloth, how far its points are apart, and all in directions from the eye."""
+    """What a camera sees in a frame: the cloth, the distances of its points, and all in directions from the eye."""
 
     def __init__(self, points: Array, others: Array, eye: Array) -> None:
-        self.cloth, self._eye = np.unique(points + 0.0, axis=0), eye  # -0.0 and 0.0 are one place
+        self.cloth = np.unique(points + 0.0, axis=0)  # -0.0 and 0.0 are one place
+        self._eye = eye
         if len(self.cloth) <= _AROUND:
             raise ValueError(f"points has {len(self.cloth)} places, too few to tell what they hide: skip the frame")
         directions, self._depths = self._from_eye(np.vstack([self.cloth, others]))
         if not self._depths.all():
             raise ValueError(f"a point is where the eye is, at {eye[0].tolist()}: drop pixels that saw nothing")
-        self._picture, self._of_cloth = as_tree(directions), as_tree(directions[: len(self.cloth)])
+        self._picture = as_tree(directions)
+        self._picture_of_cloth = as_tree(directions[: len(self.cloth)])
         self.tree = as_tree(self.cloth)
         self.spacing = float(np.median(self.tree.query(self.cloth, k=2)[0][:, 1]))
-        fifth = self._of_cloth.query(self._of_cloth.data, k=[min(6, len(self.cloth))])[0]
-        self._beside = _BESIDE * float(np.median(fifth))
+        to_fifth = self._picture_of_cloth.query(self._picture_of_cloth.data, k=[min(6, len(self.cloth))])[0]
+        self._beside = _BESIDE * float(np.median(to_fifth))
 
-    def look(self, points: Array) -> tuple[NDArray[np.bool_], ...]:
-        """(n,) what is known of places: looked through; hidden or unknown; behind what is not cloth; seen past all cloth."""
-        directions, depths = self._from_eye(points)
+    def look_at(self, places: Array) -> _Places:
+        """Compare places with what is seen in their directions."""
+        directions, depths = self._from_eye(places)
         away, near = self._picture.query(directions, k=_AROUND)
-        farther, thick = self._depths[near] - depths[:, None], _THICK * self.spacing
-        beside, behind = away[:, 1] >= self._beside, farther[:, 0] < -thick
+        farther = self._depths[near] - depths[:, None]
+        thickness = _THICK * self.spacing
+        beside = away[:, 1] >= self._beside
+        behind = farther[:, 0] < -thickness
         covered = behind & ~beside & (near[:, 0] >= len(self.cloth))
-        past = ~covered & (self._of_cloth.query(directions, k=2)[0][:, 1] >= self._beside)
-        return (farther > thick).all(axis=1) & ~beside, behind | beside, covered, past
+        beside_cloth = self._picture_of_cloth.query(directions, k=2)[0][:, 1] >= self._beside
+        return _Places(
+            empty=(farther > thickness).all(axis=1) & ~beside,
+            hidden=behind | beside,
+            covered=covered,
+            past_all_cloth=~covered & beside_cloth,
+        )
 
     def _from_eye(self, points: Array) -> tuple[Array, Array]:
-        depths = np.linalg.norm(points - self._eye, axis=1)
-        return (points - self._eye) / np.where(depths > 0, depths, 1)[:, None], depths
+        """Return (n, 3) unit directions and (n,) distances from the eye."""
+        rays = points - self._eye
+        depths = np.linalg.norm(rays, axis=1)
+        return rays / np.where(depths > 0, depths, 1)[:, None], depths
 
 
-def _in_space(points: ArrayLike | None, name: str) -> Array:
-    array = as_points(np.zeros((0, 3)) if points is None else points, name)
+def _in_space(points: ArrayLike, name: str) -> Array:
+    array = as_points(points, name)
     if array.shape[1] != 3:
         raise ValueError(f"{name} must be in space, (n, 3), not of shape {array.shape}: pick x, y and z")
     return array

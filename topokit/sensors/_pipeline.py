@@ -1,4 +1,4 @@
-"""The declared pipeline: what is left out of a raw cloud before loops are looked for, step by step, and counted.
+"""The declared pipeline: which points are left out of a raw cloud before loops are looked for, step by step, and counted.
 
 Source: Fischler and Bolles 1981 (RANSAC); outliers and farthest points as in `topokit.sampling`.
 """
@@ -6,6 +6,8 @@ Source: Fischler and Bolles 1981 (RANSAC); outliers and farthest points as in `t
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -27,7 +29,7 @@ _TURN = np.cos(np.radians(10))  # a plane turns less from one frame to the next
 
 @checked
 class Pipeline:
-    """What is done to each frame, in this order; a step that is not declared is left out.
+    """The steps that each frame goes through, in this order; a step that is not declared is left out.
 
     Examples
     --------
@@ -55,7 +57,7 @@ class Pipeline:
 class Cleaner:
     """A pipeline at work on the frames of one film, a call a frame: planes are followed from frame to frame.
 
-    After a call, `removed` tells how many points each step took. Without a pipeline it is `Pipeline()`.
+    After a call, `removed` holds how many points each step removed. Without a pipeline it is `Pipeline()`.
 
     Examples
     --------
@@ -70,54 +72,82 @@ class Cleaner:
     def __init__(self, pipeline: Pipeline | None = None) -> None:
         self.pipeline = Pipeline() if pipeline is None else pipeline
         self.removed: dict[str, int] = {}
-        self._frame = self._search_from = 0
+        self._frame = 0
+        self._search_from = 0  # the frame from which on planes are searched for
         self._planes: list[Array] = []  # of the last frame: unit normal, and its product with the plane's points
 
     def __call__(self, points: ArrayLike) -> Array:
-        """What is left (k, 3) of a frame, (n, 3) or (h, w, 3) in metres."""
-        raw, how = as_reals(points, "points"), self.pipeline
+        """Return what is left (k, 3) of a frame, (n, 3) or (h, w, 3) in metres."""
+        raw = as_reals(points, "points")
         if raw.ndim not in (2, 3) or raw.shape[-1] != 3:
             raise ValueError(f"points must be (n, 3) or (h, w, 3), not of shape {raw.shape}: pick x, y and z")
-        raw = np.ascontiguousarray(raw.reshape(-1, 3), dtype=np.float32 if raw.dtype == np.float32 else np.float64)
-        left, dropped = _sieve(raw, how.finite, how.zeros, np.array(how.crop or ((-np.inf,) * 3, (np.inf,) * 3)))
-        names = {"not finite": how.finite, "at (0, 0, 0)": how.zeros, "outside the box": how.crop}
-        self.removed = {name: int(n) for (name, asked), n in zip(names.items(), dropped, strict=True) if asked}
-        steps: tuple[tuple[str, Any, Any], ...] = (
-            ("on planes", how.planes, self._off_planes),
-            ("by voxels", how.voxel, _voxel_means),
-            ("outliers", how.outliers, lambda some, factor: some[inliers(some, factor=factor)]),
-            ("by farthest points", how.points, lambda some, n: some[farthest_point_sample(some, min(n, len(some)))[0]]),
-        )
-        for name, asked, step in steps:
-            if asked and len(left):
-                before, left = len(left), step(left, asked)
-                self.removed[name] = before - len(left)
+        kind = np.float32 if raw.dtype == np.float32 else np.float64
+        raw = np.ascontiguousarray(raw.reshape(-1, 3), dtype=kind)
+        declared = self.pipeline
+        self.removed = {}
+
+        # The first three steps in one pass, since a frame may have 300,000 points.
+        box = np.array(declared.crop or ((-np.inf,) * 3, (np.inf,) * 3))
+        left, (not_finite, at_zero, outside) = _sieve(raw, declared.finite, declared.zeros, box)
+        if declared.finite:
+            self.removed["not finite"] = int(not_finite)
+        if declared.zeros:
+            self.removed["at (0, 0, 0)"] = int(at_zero)
+        if declared.crop is not None:
+            self.removed["outside the box"] = int(outside)
+
+        if declared.planes:
+            left = self._step("on planes", left, self._off_planes)
+        if declared.voxel is not None:
+            left = self._step("by voxels", left, partial(_voxel_means, edge=declared.voxel))
+        if declared.outliers is not None:
+            left = self._step("outliers", left, partial(_without_outliers, factor=declared.outliers))
+        if declared.points is not None:
+            left = self._step("by farthest points", left, partial(_farthest, n=declared.points))
         if not len(left):
-            told = ", ".join(f"{n} {name}" for name, n in self.removed.items())
-            raise ValueError(f"nothing is left of frame {self._frame}: removed were {told}; look at box and units")
+            removed = ", ".join(f"{count} {name}" for name, count in self.removed.items())
+            raise ValueError(f"nothing is left of frame {self._frame}: removed were {removed}; look at box and units")
         self._frame += 1
         return np.asarray(left, dtype=np.float64)
 
-    def _off_planes(self, points: Any, count: int) -> Any:
+    def _step(self, name: str, points: Array, step: Callable[[Array], Array]) -> Array:
+        """Do a step on what is left, and count what it removes."""
+        if not len(points):
+            return points
+        left = step(points)
+        self.removed[name] = len(points) - len(left)
+        return left
+
+    def _off_planes(self, points: Array) -> Array:
+        """Return the points that are on none of the planes, the largest first."""
         thickness = self.pipeline.thickness
         sample = points[:: max(1, len(points) // _SAMPLE)].astype(np.float64)
-        before, self._planes = self._planes, []
-        for number in range(count):
-            plane = _followed(sample, before[number], thickness) if number < len(before) else None
+        before = self._planes
+        self._planes = []
+        for number in range(self.pipeline.planes):
+            # A plane of the frame before is followed; where it is lost, or was not there, one is searched for.
+            plane = None
+            if number < len(before):
+                plane = _followed(sample, before[number], thickness)
             if plane is None and self._frame >= self._search_from:
                 plane = _found(sample, thickness, np.array(self.pipeline.eye))
-                self._search_from = self._frame + (_REST if plane is None else 0)
+                self._search_from = self._frame
+                if plane is None:
+                    self._search_from += _REST
             if plane is None:
                 break
             self._planes.append(plane)
-            points, sample = (some[~_on(some, plane, thickness)] for some in (points, sample))
+            points = points[~_on(points, plane, thickness)]
+            sample = sample[~_on(sample, plane, thickness)]
         return points
 
 
 @njit(cache=True)
 def _sieve(points: Any, finite: bool, zeros: bool, box: Any) -> Any:
-    """The points that pass, and how many are not finite, how many at (0, 0, 0), how many outside: one pass over 300,000."""
-    kept, n, dropped = np.empty_like(points), 0, np.zeros(3, np.int64)
+    """Return the points that pass, and how many are not finite, how many at (0, 0, 0), how many outside the box."""
+    kept = np.empty_like(points)
+    dropped = np.zeros(3, np.int64)
+    n = 0
     for x, y, z in points:
         if finite and not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
             dropped[0] += 1
@@ -126,13 +156,15 @@ def _sieve(points: Any, finite: bool, zeros: bool, box: Any) -> Any:
         elif x < box[0, 0] or x > box[1, 0] or y < box[0, 1] or y > box[1, 1] or z < box[0, 2] or z > box[1, 2]:
             dropped[2] += 1
         else:
-            kept[n, 0], kept[n, 1], kept[n, 2] = x, y, z
+            kept[n, 0] = x
+            kept[n, 1] = y
+            kept[n, 2] = z
             n += 1
     return kept[:n], dropped
 
 
 def _fitted(points: Array) -> Array:
-    """The plane of least squares."""
+    """Return the plane of least squares."""
     middle = points.mean(axis=0)
     normal = np.linalg.eigh((points - middle).T @ (points - middle))[1][:, 0]
     return np.array([*normal, normal @ middle])
@@ -144,38 +176,56 @@ def _on(points: Any, plane: Array, thickness: float) -> NDArray[np.bool_]:
 
 
 def _followed(points: Array, plane: Array, thickness: float) -> Array | None:
-    """Where a plane of the frame before is now; None when it is there no more."""
+    """Return where a plane of the frame before is now; None when it is there no more."""
     for width in (3 * thickness, thickness):
         near = _on(points, plane, width)
         if near.sum() < max(3, _SHARE * len(points)):
             return None
-        before, plane = plane, _fitted(points[near])
+        before = plane
+        plane = _fitted(points[near])
         if abs(before[:3] @ plane[:3]) < _TURN:
             return None
     return plane
 
 
 def _found(sample: Array, thickness: float, eye: Array) -> Array | None:
-    """The plane that most points are on, of those that are not seen through: RANSAC along each axis, then least squares."""
+    """Return the plane that most points are on, of those that are not seen through: RANSAC along each axis, then least squares."""
     from sklearn.linear_model import RANSACRegressor
 
-    points, near = sample[::4], np.zeros(len(sample[::4]), bool)
+    points = sample[::4]
+    best = np.zeros(len(points), bool)
     for axis in range(3):
-
-        def is_opaque(model: Any, *_: Any, axis: int = axis) -> bool:
-            normal = np.insert(model.coef_, axis, -1.0)
-            apart = points @ normal + model.intercept_
-            behind = apart * np.sign(eye @ normal + model.intercept_) < -3 * thickness * np.linalg.norm(normal)
-            return bool(behind.mean() <= _BEHIND and np.sum(np.abs(apart) <= thickness) > 10)
-
-        search = RANSACRegressor(residual_threshold=thickness, max_trials=300, random_state=0, is_model_valid=is_opaque)
+        # Along this axis the plane is a function of the other two coordinates.
+        others = np.delete(points, axis, axis=1)
+        search = RANSACRegressor(
+            residual_threshold=thickness,
+            max_trials=300,
+            random_state=0,
+            is_model_valid=partial(_is_opaque, points=points, axis=axis, thickness=thickness, eye=eye),
+        )
         with contextlib.suppress(ValueError):  # none of its trials was valid
-            on = search.fit(np.delete(points, axis, axis=1), points[:, axis]).inlier_mask_
-            near = max(near, on, key=np.sum)
-    return _followed(sample, _fitted(points[near]), thickness) if near.any() else None
+            on_plane = search.fit(others, points[:, axis]).inlier_mask_
+            if on_plane.sum() > best.sum():
+                best = on_plane
+    if not best.any():
+        return None
+    return _followed(sample, _fitted(points[best]), thickness)
 
 
-def _voxel_means(points: Any, edge: float) -> Any:
+def _is_opaque(
+    model: Any, _others: Array, _values: Array, *, points: Array, axis: int, thickness: float, eye: Array
+) -> bool:
+    """Return whether few points lie behind the plane of a linear model, seen from the eye, and some on it."""
+    normal = np.insert(model.coef_, axis, -1.0)
+    offsets = points @ normal + model.intercept_
+    side_of_eye = np.sign(eye @ normal + model.intercept_)
+    behind = offsets * side_of_eye < -3 * thickness * np.linalg.norm(normal)
+    on_plane = np.abs(offsets) <= thickness
+    return bool(behind.mean() <= _BEHIND and on_plane.sum() > 10)
+
+
+def _voxel_means(points: Array, edge: float) -> Array:
+    """Return the mean of the points in each cube that holds any."""
     from pandas import factorize
 
     cells = np.floor(points / edge)
@@ -183,6 +233,16 @@ def _voxel_means(points: Any, edge: float) -> Any:
     sizes = cells.max(axis=0).astype(np.float64) + 1
     if sizes.prod() > 2**62:
         raise ValueError(f"voxel: {edge} m is too small for a scene of {sizes.max() * edge:.3g} m; crop it first")
-    numbers = factorize(cells.astype(np.int64) @ np.array([sizes[1] * sizes[2], sizes[2], 1], np.int64))[0]
+    strides = np.array([sizes[1] * sizes[2], sizes[2], 1], np.int64)
+    numbers = factorize(cells.astype(np.int64) @ strides)[0]
     sums = [np.bincount(numbers, points[:, axis]) for axis in range(3)]
     return np.column_stack(sums) / np.bincount(numbers)[:, None]
+
+
+def _without_outliers(points: Array, factor: float) -> Array:
+    return points[inliers(points, factor=factor)]
+
+
+def _farthest(points: Array, n: int) -> Array:
+    chosen, _ = farthest_point_sample(points, min(n, len(points)))
+    return points[chosen]
