@@ -1,7 +1,7 @@
-"""The best picture of a cloth and its loops, still or as a film, by PyVista; by Matplotlib where PyVista cannot draw.
+"""Shaded pictures of a cloth and its loops, still or as a film, by PyVista; by Matplotlib where PyVista cannot draw.
 
-Without the system's OpenGL, VTK does not raise: it ends the process. So whether it can draw is found out once, in a
-process of its own.
+Without the system's OpenGL, VTK does not raise an error but ends the process. So a process of its own finds out once whether
+PyVista can draw.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from topokit.view._plots import (
 
 _PROBE = """
 import sys
-sys.path[:] = filter(None, sys.path)  # what lies in the working directory is not imported
+sys.path[:] = filter(None, sys.path)  # files in the working directory are not imported
 import pyvista
 plotter = pyvista.Plotter(off_screen=True, window_size=(32, 32))
 plotter.add_mesh(pyvista.Sphere(), color="black")
@@ -49,14 +49,15 @@ assert plotter.screenshot(None, return_img=True).min() < 128
 # In this environment VTK opens no window: EGL on Linux without a display.
 _NO_SCREEN = sys.platform.startswith("linux") and not os.environ.get("DISPLAY")
 _WINDOW = {"VTK_DEFAULT_OPENGL_WINDOW": "vtkEGLRenderWindow"} if _NO_SCREEN else {}
-_STEEL, _GLOSS = "#7F91A5", {"specular": 0.5, "specular_power": 22}
-# turned and lifted from the eye in degrees, colour, strength
+_STEEL = "#7F91A5"
+_GLOSS = {"specular": 0.5, "specular_power": 22}
+# degrees to the right of the eye and above it, colour, strength
 _LAMPS = ((-45, 40, "#FFF6E5", 0.72), (55, 10, "#E6F0FF", 0.35), (170, 30, "white", 0.25))
 
 
 @functools.cache
 def pyvista_works() -> tuple[bool, str]:
-    """Return whether PyVista can draw on this machine, and what to do when it cannot. Found out once a process."""
+    """Return whether PyVista can draw on this machine, and what to install when it cannot; computed once a process."""
     if find_spec("pyvista") is None:
         return False, "PyVista is not installed: pip install 'topokit[view]'"
     command = [sys.executable, "-c", _PROBE]
@@ -72,22 +73,23 @@ def render_cloth(
 ) -> Image.Image:
     """Return a shaded picture of a cloth with the killer triangles of its loops, as an RGB image of Pillow.
 
-    Where PyVista cannot draw the picture is `plot_cloth`'s, and one line on stderr says what to install.
+    Where PyVista cannot draw, the picture is that of `plot_cloth`, and one line on stderr names what to install.
 
     Parameters
     ----------
     points, faces : (N, 3) and (F, 3) array_like
-        As of `Scene`.
+        Vertices and triangles, as in `Scene`.
     size : (2,) int
         Width and height in pixels.
     **scene
-        What else is drawn, and from where: the other parameters of `Scene`.
+        The other parameters of `Scene`.
     """
     checked = Scene(points, faces, **scene)
     works, reason = pyvista_works()
-    if not works:
-        _tell(reason)
-    return Image.fromarray((_by_pyvista if works else _by_matplotlib)(checked, size))
+    if works:
+        return Image.fromarray(_by_pyvista(checked, size))
+    _tell(reason)
+    return Image.fromarray(_by_matplotlib(checked, size))
 
 
 def save_animation(
@@ -99,18 +101,18 @@ def save_animation(
     size: tuple[int, int] = (420, 520),
     **scene: Any,
 ) -> Path:
-    """Render an episode and write it as an animated GIF, in one piece: a film for a README or a slide.
+    """Render an episode and write it as an animated GIF, for a README or a slide.
 
     Parameters
     ----------
     path : str or Path
         Ends in .gif.
     episode : Episode
-        Its cloth is drawn, and its target by the centre line where there are no rods.
+        The cloth is drawn, and the target by its centre line where there are no rods.
     states : sequence of TopologicalState, optional
-        One a frame, as `topokit.track` gives: their killer triangles are drawn.
+        One a frame, as `topokit.track` returns them; their killer triangles are drawn.
     every : int
-        Every how many frames one is drawn.
+        Draw one frame of so many.
     size : (2,) int
         Width and height in pixels.
     **scene
@@ -129,7 +131,7 @@ def save_animation(
     if states:
         check_one_state_a_frame(episode, states)
     corners = np.concatenate([episode.points.reshape(-1, 3), episode.centre_line])
-    scene = {"focus": (corners.min(axis=0) + corners.max(axis=0)) / 2} | scene  # the camera stands still
+    scene.setdefault("focus", (corners.min(axis=0) + corners.max(axis=0)) / 2)  # the camera does not move
     scene |= {"true_loops": episode.loops, "centre_line": episode.centre_line, "rest": episode.points[0]}
     pictures = []
     for frame in range(0, len(episode), int(every)):
@@ -158,9 +160,9 @@ def _by_matplotlib(scene: Scene, size: tuple[int, int]) -> NDArray[np.uint8]:
 
 @functools.cache
 def _pyvista() -> Any:
-    """PyVista, imported on first use: it takes a second, and only `_by_pyvista` may assume that it can draw."""
+    """Import PyVista on first use; the import takes a second."""
     with warnings.catch_warnings():
-        # Notebooks without ipywidgets would show it, and no picture has a progress bar.
+        # Notebooks without ipywidgets would show this warning, and no picture has a progress bar.
         warnings.filterwarnings("ignore", "IProgress not found")
         import pyvista
     return pyvista
@@ -172,6 +174,8 @@ def _by_pyvista(scene: Scene, size: tuple[int, int]) -> NDArray[np.uint8]:
     plotter = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="none")
     plotter.set_background("#DCE3EA", top="#FFFFFF")
     extent = float(np.ptp(scene.points, axis=0).max(initial=0.0)) or 1.0
+
+    # cloth, target, true loops, killers
     _add_cloth(plotter, scene)
     for line, radius in scene.capsules:
         _add_tube(plotter, line, radius, _STEEL, **_GLOSS)
@@ -182,22 +186,27 @@ def _by_pyvista(scene: Scene, size: tuple[int, int]) -> NDArray[np.uint8]:
         _add_tube(plotter, cycle, 0.0035 * extent, INK)
     for loop in scene.loops:
         _add_loop(plotter, loop, extent, direction(*scene.view))
+
+    # lamps and camera
     for turn, lift, colour, strength in _LAMPS:
         place = 10 * direction(scene.view[0] + turn, scene.view[1] + lift)
         plotter.add_light(pyvista.Light(position=place, light_type="scene light", color=colour, intensity=strength))
-    _look(plotter, scene, size)
+    _place_camera(plotter, scene, size)
     plotter.enable_anti_aliasing("ssaa")
     image: NDArray[np.uint8] = plotter.screenshot(None, return_img=True)
     plotter.close()
     return np.ascontiguousarray(image[..., :3])
 
 
-def _look(plotter: Any, scene: Scene, size: tuple[int, int]) -> None:
-    """Put the eye so that everything just fits, in parallel projection: near and far are drawn to one scale."""
-    eye, right = direction(*scene.view), direction(scene.view[0] + 90, 0.0)
+def _place_camera(plotter: Any, scene: Scene, size: tuple[int, int]) -> None:
+    """Place the camera so that everything just fits, in parallel projection."""
+    eye = direction(*scene.view)
+    right = direction(scene.view[0] + 90, 0.0)
     axes = np.stack([right, np.cross(eye, right), eye])
     flat = scene.everything @ axes.T
-    middle = (flat.min(axis=0) + flat.max(axis=0)) / 2 @ axes if scene.focus is None else scene.focus
+    middle = scene.focus
+    if middle is None:
+        middle = (flat.min(axis=0) + flat.max(axis=0)) / 2 @ axes
     width, height, depth = np.ptp(flat, axis=0)
     plotter.camera_position = [middle + 2 * (depth + width + height) * eye, middle, axes[1]]
     plotter.enable_parallel_projection()
@@ -211,10 +220,12 @@ def _add_cloth(plotter: Any, scene: Scene) -> None:
         plotter.add_mesh(pyvista.PolyData(scene.points), color=ROD, point_size=7, render_points_as_spheres=True)
         return
     mesh = pyvista.PolyData.from_regular_faces(scene.points, scene.faces)
-    # Normals first, so that triangles and normals agree about the front: a face where they do not is drawn black.
-    mesh = mesh.compute_normals(split_vertices=True, feature_angle=70)  # smooth, but not across a sharp fold
+    # VTK draws a face black where its order of vertices and its normals disagree about the front, so both are computed
+    # anew. Normals are smooth, but not across a sharp fold.
+    mesh = mesh.compute_normals(split_vertices=True, feature_angle=70)
     inside = {"color": LINING, "ambient": 0.4}
     plotter.add_mesh(mesh, color=CLOTH, smooth_shading=True, ambient=0.46, backface_params=inside)
+    # check and seams lie a little nearer to the eye than their faces
     lift = 0.003 * float(np.ptp(scene.points, axis=0).max()) * direction(*scene.view)
     for face, ends, bright in scene.marks:
         lines = pyvista.line_segments_from_points((ends @ scene.points[scene.faces[face]] + lift).reshape(-1, 3))
@@ -230,8 +241,9 @@ def _add_tube(plotter: Any, line: Array, radius: float, colour: str, **look: flo
 
 
 def _add_loop(plotter: Any, loop: Loop, extent: float, eye: Array) -> None:
-    """The killer triangles as panes, raised a little towards the eye so that cloth they touch does not show through."""
-    colour, lift = loop_colour(loop.id), 0.004 * extent * eye
+    """Draw the killer triangles as panes, a little nearer to the eye so that cloth they touch does not show through."""
+    colour = loop_colour(loop.id)
+    lift = 0.004 * extent * eye
     for triangle in loop.killer_triangles:
         pane = _pyvista().PolyData.from_regular_faces(triangle + lift, [[0, 1, 2]])
         plotter.add_mesh(pane, color=colour, opacity=0.5, lighting=False)
