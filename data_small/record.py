@@ -1,45 +1,28 @@
-"""Record the episodes of this folder again and write manifest.json: python data_small/record.py"""
+"""Record the three episodes of this folder again: python data_small/record.py
 
-from __future__ import annotations
+What lies here was made by these commands, with the version of topokit that each file names in its provenance; a later version
+may move a vertex by some tenths of a millimetre. `dataset` and `motion` are some of the episodes of larger datasets, with their
+labels. Their folders were made by copying `dataset.json` and `labels.json`, with the list `numbers` of the episodes added to the
+first, and the files of these numbers:
 
-import hashlib
-import json
+    topokit generate --config data_small/dataset.json --episodes 2000 --seed 0 --out runs/dataset
+    topokit generate --config book/datasets/motion.json --episodes 4000 --seed 20 --out runs/motion
+    topokit label runs/dataset
+    topokit label runs/motion
+"""
+
 import subprocess
 import sys
 from pathlib import Path
 
-from topokit.io import load_episode
-
 HERE = Path(__file__).parent
-EPISODES = {
-    f"apron_hook_{seed}.npz": f"topokit simulate --seed {seed} --out data_small/apron_hook_{seed}.npz"
-    for seed in range(3)
-}
-UNITS = {"points": "m", "observed": "m", "actions": "m", "grippers": "m", "centre_line": "m", "dt": "s"}
-
-
-def describe(name: str, command: str) -> dict[str, object]:
-    """One entry of the manifest."""
-    episode = load_episode(HERE / name)
-    return {
-        "file": name,
-        "sha256": hashlib.sha256((HERE / name).read_bytes()).hexdigest(),
-        "command": command,
-        "seed": episode.seed,
-        "shape": {"points": episode.points.shape, "observed": episode.observed.shape},
-        "dt": episode.dt,
-        "units": UNITS,
-        "packing": "16-bit integers, one step an array; load with topokit.io.load_episode",
-        "made_with": episode.provenance,
-    }
 
 
 def main() -> None:
-    """Record every episode in a process of its own, then describe what is there."""
-    for command in EPISODES.values():  # one process an episode: only then are the bytes the same every time
-        subprocess.run([sys.executable, "-m", *command.split()], cwd=HERE.parent, check=True)
-    files = [describe(name, command) for name, command in EPISODES.items()]
-    (HERE / "manifest.json").write_text(json.dumps({"files": files}, indent=2) + "\n")
+    """Record every episode."""
+    for seed in range(3):
+        command = ["topokit", "simulate", "--seed", str(seed), "--out", str(HERE / f"apron_hook_{seed}.npz")]
+        subprocess.run([sys.executable, "-m", *command], check=True)
 
 
 if __name__ == "__main__":

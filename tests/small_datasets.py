@@ -1,21 +1,21 @@
-"""Datasets that are made in seconds: coarse cloth, few frames; and faults for the processes that make them."""
+"""Datasets that are made in seconds: coarse cloth, few frames; parts of datasets; and commands to be disturbed."""
 
 from __future__ import annotations
 
-import errno
+import json
 import os
-import signal
+import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from topokit.data import DatasetConfig, _generate, generate_dataset, label_dataset
+from topokit.data import Dataset, DatasetConfig, _jobs, generate_dataset, label_dataset
 from topokit.sim import Garment, SimulationConfig
 
 from conftest import hear_ctrl_c
@@ -40,59 +40,39 @@ def write_cloth(path: Path, *, stretched: float = 1.0) -> list[int]:
 
 
 @contextmanager
-def without_dask() -> Iterator[None]:
-    """Do the jobs one after another in this process: they are the same, and Dask takes seconds to start."""
+def in_this_process() -> Iterator[None]:
+    """Do the jobs one after another in this process, which has the compiled kernels loaded already."""
 
-    def jobs(job: Any, items: Any, _: Any) -> Iterator[Any]:
+    def jobs(job: Any, items: Any, **_: Any) -> Iterator[Any]:
         for item in items:
             yield item, job(item)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_generate, "run_jobs", jobs)
-        patch.setattr(_generate, "_forge", None)
+        patch.setattr(_jobs, "in_fresh_processes", jobs)
         yield
-        if _generate._forge is not None:
-            _generate._forge.close()
 
 
 def labelled(folder: Path, episodes: int, *, observed: bool = True) -> Path:
     """Make a dataset with labels of all vertices, and of 40 observed ones."""
-    with without_dask():
-        generate_dataset(TINY, folder, episodes, SEED, progress=False)
+    generate_dataset(TINY, folder, episodes, SEED, progress=False)
+    with in_this_process():
         label_dataset(folder, options=OPTIONS, progress=False)
         if observed:
             label_dataset(folder, "observed", n_points=40, options=OPTIONS, progress=False)
     return folder
 
 
-def crash(job: dict[str, object]) -> str:
-    """What PyBullet can do."""
-    os.kill(os.getpid(), signal.SIGSEGV)
-    return "never"
-
-
-def crash_twice(job: dict[str, object]) -> str:
-    """Crash, but not on the third try."""
-    from topokit.data._generate import simulate_and_commit
-
-    return crash(job) if job["attempt"] != 3 else simulate_and_commit(job)
-
-
-def hang(job: dict[str, object]) -> str:
-    """What PyBullet can do, too."""
-    while True:
-        pass
-
-
-def sleep(job: dict[str, object]) -> str:
-    """Take long, and little of the processor."""
-    time.sleep(1.5)
-    return "ok"
-
-
-def fill_the_disk(job: dict[str, object]) -> str:
-    """Find no room."""
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+def part_of(dataset: Dataset, numbers: Iterable[int], out: Path) -> Dataset:
+    """Copy some episodes of a dataset, with their labels."""
+    numbers = sorted(int(number) for number in numbers)
+    for folder in (dataset.folder, *(dataset.labels(name).folder for name in dataset.label_names)):
+        target = out / folder.relative_to(dataset.folder)
+        target.mkdir(parents=True)
+        for path in [*folder.glob("[a-z]*.json"), *(folder / f"{number:08d}.npz" for number in numbers)]:
+            shutil.copy(path, target)
+    about = json.loads((out / "dataset.json").read_text())
+    (out / "dataset.json").write_text(json.dumps({**about, "numbers": numbers}))
+    return Dataset(out)
 
 
 def command(*arguments: str | Path, site: Path | None = None) -> subprocess.Popen[str]:
@@ -109,10 +89,12 @@ def command(*arguments: str | Path, site: Path | None = None) -> subprocess.Pope
     )
 
 
-def wait_until(condition: Callable[[], bool], process: subprocess.Popen[str], seconds: float = 120.0) -> None:
+def wait_until(
+    condition: Callable[[], bool], process: subprocess.Popen[str] | None = None, seconds: float = 120.0
+) -> None:
     """Wait for something that a process brings about."""
     end = time.monotonic() + seconds
     while not condition():
-        assert process.poll() is None, process.communicate()
+        assert process is None or process.poll() is None, process and process.communicate()
         assert time.monotonic() < end, "it takes too long"
         time.sleep(0.02)

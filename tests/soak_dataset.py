@@ -29,10 +29,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import psutil
+from topokit.data._group import versions_of
 
 from topokit.data import Dataset, check_dataset
 from topokit.data._generate import PACKAGES
-from topokit.data._group import versions_of
 
 from small_datasets import TINY, command
 

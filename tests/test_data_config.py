@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from topokit.data._layout import pack, unpack, vertex_ids
 
 from topokit._config import load
 from topokit.data import DatasetConfig, MeshFile
-from topokit.data._layout import pack, unpack, vertex_ids
 from topokit.data._recipe import _physics, _scene, pinned, room
 from topokit.sim import TASKS, Cloth, Hook, Randomisation, SimulationConfig, task_for
 

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 import zarr
 from distributed import KilledWorker
+from topokit.data._layout import arrays_of, states_of
+from topokit.data._records import index_bytes
 
 from topokit import track
 from topokit._archive import FormatError
@@ -28,8 +30,6 @@ from topokit.data import (
     label_dataset,
     make_episode,
 )
-from topokit.data._layout import arrays_of, states_of
-from topokit.data._records import index_bytes
 from topokit.rips import rips_persistence
 
 from small_datasets import OPTIONS, SEED, TINY, labelled, without_dask

@@ -12,6 +12,8 @@ import signal
 
 import psutil
 import pytest
+from topokit.data._layout import encode, episode_arrays, episode_fields
+from topokit.data._records import index_bytes, read_index
 
 from topokit import _archive
 from topokit.cli import main
@@ -26,9 +28,7 @@ from topokit.data import (
     label_dataset,
     make_episode,
 )
-from topokit.data._layout import encode, episode_arrays, episode_fields
 from topokit.data._recipe import room
-from topokit.data._records import index_bytes, read_index
 from topokit.sim import _process
 
 from small_datasets import OPTIONS, SEED, TINY, command, wait_until, without_dask, write_cloth

@@ -19,15 +19,15 @@ import pytest
 import zarr
 from flip_bytes import answer_of, notice
 from numcodecs import Blosc
+from topokit.data._group import Group, decode
+from topokit.data._layout import encode, label_fields, skeleton
+from topokit.data._records import index_bytes, parse, record_path
 
 from topokit import _archive
 from topokit._archive import FormatError, load_archive, save_archive
 from topokit._config import load
 from topokit.cli import main
 from topokit.data import Dataset, DatasetConfig, WindowDataset, check_dataset, generate_dataset, label_dataset
-from topokit.data._group import Group, decode
-from topokit.data._layout import encode, label_fields, skeleton
-from topokit.data._records import index_bytes, parse, record_path
 
 from conftest import DATA, memory
 from small_datasets import OPTIONS, SEED, TINY, command, labelled, wait_until, without_dask

@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from topokit.data._layout import observed
 
 from topokit import track
 from topokit.data import Dataset, WindowDataset, _windows
-from topokit.data._layout import observed
 from topokit.data._windows import _by_identity, _Episode, _Memory, _Tracked
 from topokit.sampling import farthest_point_sample
 

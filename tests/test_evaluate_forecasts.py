@@ -37,6 +37,7 @@ from topokit.io import load_episode
 from topokit.models import Predictor, Shape, TrainConfig, build, train
 
 from conftest import DATA
+from small_datasets import part_of
 
 SMALL = DATA / "data" if not (DATA / "dataset").is_dir() else DATA / "dataset"
 SHARES = {"train": 0.4, "validation": 0.2, "test": 0.4}
@@ -236,7 +237,7 @@ def test_plans_on_and_off_the_script_are_told_apart(tmp_path):
     found = [prepare_condition(config, condition, tmp_path).clean.episodes.tolist() for condition in config.conditions]
     assert sorted(found[1] + found[2]) == found[0]
     assert found[1]
-    assert all(("path" in dataset.document(number)["physics"]) for number in found[2])
+    assert all(("path" in dataset.record(number).physics) for number in found[2])
 
 
 # -- going on ---------------------------------------------------------------------------------------------------------------
@@ -303,7 +304,7 @@ def test_no_order_of_the_shares_hides_a_leak(tmp_path):
 
 def test_it_is_wary_of_another_dataset(checkpoints, dataset, tmp_path):
     parts = dataset.split(**SPLIT)
-    cut = dataset.cut([*parts["train"][:2], *parts["test"][:2]], tmp_path / "cut")
+    cut = part_of(dataset, [*parts["train"][:2], *parts["test"][:2]], tmp_path / "cut")
     models = {"mlp": checkpoints["mlp"][:1]}
     bare = {"name": "x", "dataset": str(tmp_path / "cut"), "windows": 1}
     with pytest.raises(ValueError, match=r"checksum.*shares_no_episode"):
@@ -361,7 +362,7 @@ def test_it_refuses_conditions_without_windows(tmp_path, dataset):
     refused(ValueError, "condition 'x': split .*'seeds'", split={"seeds": 1})
     refused(ValueError, "condition 'x': split .*by must be", split={"by": "hand"})
     numbers = dataset.episodes[:2]
-    cut = dataset.cut(numbers, tmp_path / "cut")
+    cut = part_of(dataset, numbers, tmp_path / "cut")
     shutil.rmtree(tmp_path / "cut" / "labels")
     assert len(cut) == 2
     refused(FileNotFoundError, "topokit label makes them", dataset="cut", part="all")
@@ -441,11 +442,11 @@ def test_the_readme_says_what_the_results_say():
 def test_windows_are_spread_over_episodes(dataset):
     windows = WindowDataset(dataset)
     rows = spread_windows(windows, 12)
-    record = dataset.group.records
-    for garment in {record[int(i)].garment for i in windows.index[:, 0]}:
-        own = [i for i in rows if record[int(windows.index[i, 0])].garment == garment]
+    record = dataset.record
+    for garment in {record(i).garment for i in windows.index[:, 0]}:
+        own = [i for i in rows if record(windows.index[i, 0]).garment == garment]
         episodes = {int(windows.index[i, 0]) for i in own}
-        there = {int(i) for i in windows.episodes if record[int(i)].garment == garment}
+        there = {int(i) for i in windows.episodes if record(i).garment == garment}
         assert len(own) == len(set(own)) == 12
         assert episodes == there or len(there) > 12
     assert len(spread_windows(windows, 10**6)) == len(windows)

@@ -43,7 +43,7 @@ def batch():
 @pytest.fixture(scope="module")
 def episode():
     dataset = Dataset(FILMS)
-    return dataset[next(int(i) for i in dataset.episodes if dataset.group.records[int(i)].garment == "apron")]
+    return dataset[next(int(i) for i in dataset.episodes if dataset.record(i).garment == "apron")]
 
 
 def observed(predictor, episode, last=20, points=None):

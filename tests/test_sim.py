@@ -12,7 +12,7 @@ pytest.importorskip("pybullet")
 
 from topokit import rips_persistence
 from topokit.io import load_episode
-from topokit.sim import Camera, Garment, Hook, SimulationConfig, SimulationError, _process, simulate
+from topokit.sim import Camera, Garment, Hook, SimulationConfig, SimulationError, simulate
 
 from conftest import polygon
 
@@ -124,13 +124,6 @@ def test_pictures_and_rings_of_cameras_have_a_largest_size():
         Camera(width=10**9)
     with pytest.raises(ValueError, match="0 to 100 cameras, not 1000000000"):
         Camera.around(n=10**9)
-
-
-def test_a_simulation_without_memory_says_so(monkeypatch):
-    short = "import numpy\ndef default_rng(seed): raise MemoryError\nnumpy.random.default_rng = default_rng\n"
-    monkeypatch.setattr(_process, "_MAIN", short + _process._MAIN)
-    with pytest.raises(SimulationError, match=r"loading the garment: MemoryError \("):
-        simulate(Garment.apron(**COARSE), n_observed=50)
 
 
 def test_episode_is_whole_and_repeats_bit_by_bit_in_fresh_processes(tmp_path):

@@ -1,14 +1,16 @@
-"""Archives: the one way in which topokit writes arrays with a JSON document beside them.
+"""Archives: the one way in which topokit writes arrays with a JSON header beside them.
 
-An archive is an `.npz` without pickle, checksummed, of fixed time stamps (same content, same bytes), replaced in one piece.
+An archive is a zip file of NumPy arrays (an `.npz`) with one more entry, `header.json`. It holds no pickle. Its time stamps are
+fixed, so that the same content gives the same bytes, and it replaces an older file in one piece. A reader trusts the CRC-32
+that a zip file holds of every entry, and compares every size that the file declares with what is there before it takes memory.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import io
 import json
+import math
 import os
 import tempfile
 import zipfile
@@ -19,107 +21,157 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-_VERSION = 2  # of the checksum: the first covered the arrays alone, and still reads
-FREE, RATIO = 2**28, 100  # what a file may unpack to: so many bytes, and so many times its own
+HEADER = "header.json"
+# An archive may unpack to so many bytes, plus so many times its own size.
+FREE, RATIO = 2**28, 100
+_MOST_ROWS = 2**20  # of an array without elements: a list of its empty rows would fill the memory
+_LOCAL_HEADER = b"PK\x03\x04"
 
 
 class FormatError(ValueError):
-    """A file that is not a whole one of the kind and schema asked for. The message says which and what is wrong."""
+    """A file that is not a whole one of the kind and schema asked for. The message names the file and the fault."""
 
 
 def existing(path: str | Path) -> Path:
+    """Return the path of a regular file; a FileNotFoundError says what is there instead."""
     path = Path(path)
-    if not path.is_file():
-        there = "a folder, not a file" if path.is_dir() else "a device or a pipe, not a file"
-        raise FileNotFoundError(f"{path}: {there if path.exists() else 'there is no such file'}")
-    return path
+    if path.is_file():
+        return path
+    if path.is_dir():
+        raise FileNotFoundError(f"{path}: a folder, not a file")
+    if path.exists():
+        raise FileNotFoundError(f"{path}: a device or a pipe, not a file")
+    raise FileNotFoundError(f"{path}: there is no such file")
 
 
 def read_json(content: bytes | str) -> Any:
-    """What JSON of any origin holds; a ValueError also when it is nested so deeply that Python gives up."""
+    """Return what a JSON document holds; raise ValueError also when it is nested too deeply for Python."""
     try:
         return json.loads(content)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
 
 
-def save_archive(path: str | Path, kind: str, text: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Path:
-    """Write arrays and a JSON document to one `.npz`, both checksummed; same input, same bytes."""
+def save_archive(path: str | Path, kind: str, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Path:
+    """Write a header and arrays to one `.npz`; the same input gives the same bytes."""
     path = Path(path)
     if path.suffix != ".npz":
         raise ValueError(f"{path}: the name of an archive ends in .npz")
-    document = {**text, "kind": kind, "archive": _VERSION}
-    document["sha256"] = _digest(arrays, document)
-    parts = {**arrays, "json": np.frombuffer(json.dumps(document, sort_keys=True).encode(), dtype=np.uint8)}
+    document = json.dumps({**header, "kind": kind}, sort_keys=True, ensure_ascii=False)
+    entries = {HEADER: document.encode()}
+    for name in sorted(arrays):
+        buffer = io.BytesIO()
+        np.lib.format.write_array(buffer, np.ascontiguousarray(arrays[name]), allow_pickle=False)
+        entries[f"{name}.npy"] = buffer.getvalue()
+    size = sum(map(len, entries.values()))
     with atomic_file(path) as handle:
-        _write(handle, parts, zipfile.ZIP_DEFLATED)
-        if 2 * sum(part.nbytes for part in parts.values()) > FREE + RATIO * handle.tell():
+        _write(handle, entries, zipfile.ZIP_DEFLATED)
+        if size > FREE + RATIO * handle.tell():
+            # A reader would refuse to unpack so much from so little: store it unpacked.
             handle.seek(0)
             handle.truncate()
-            _write(handle, parts, zipfile.ZIP_STORED)  # so dense, it would not be read
+            _write(handle, entries, zipfile.ZIP_STORED)
     return path
 
 
-def _write(handle: IO[bytes], parts: dict[str, NDArray[Any]], method: int) -> None:
+def _write(handle: IO[bytes], entries: dict[str, bytes], method: int) -> None:
     with zipfile.ZipFile(handle, "w") as archive:
-        for name in sorted(parts):
-            buffer = io.BytesIO()
-            np.lib.format.write_array(buffer, np.ascontiguousarray(parts[name]), allow_pickle=False)
-            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))  # np.savez stamps the time of day
+        for name, content in entries.items():
+            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))  # np.savez stamps the time of day
             entry.compress_type = method
-            archive.writestr(entry, buffer.getvalue())
+            archive.writestr(entry, content)
 
 
 def load_archive(path: str | Path, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read what `save_archive` wrote: the JSON document (without kind and checksum) and the arrays."""
+    """Read what `save_archive` wrote: the header and the arrays by their names."""
+    with _opened(path, kind) as (archive, header):
+        arrays = {}
+        for entry in archive.infolist():
+            if entry.filename != HEADER:
+                arrays[entry.filename.removesuffix(".npy")] = _array(archive, entry)
+        return header, arrays
+
+
+def load_header(path: str | Path, kind: str) -> dict[str, Any]:
+    """Read the header of an archive alone."""
+    with _opened(path, kind) as (_, header):
+        return header
+
+
+def is_archive(path: str | Path) -> bool:
+    """Return whether a file is an archive that topokit wrote, of whatever kind."""
+    if not zipfile.is_zipfile(path):
+        return False
+    with zipfile.ZipFile(path) as archive:
+        return HEADER in archive.namelist()
+
+
+@contextlib.contextmanager
+def _opened(path: str | Path, kind: str) -> Iterator[tuple[zipfile.ZipFile, dict[str, Any]]]:
+    """Open an archive of a kind and read its header; whatever goes wrong is a FormatError."""
     path = existing(path)
     size = path.stat().st_size
     if size == 0:
         raise FormatError(f"{path}: the file is empty (0 bytes)")
     with path.open("rb") as handle:
-        if handle.read(4) != b"PK\x03\x04":
-            raise FormatError(f"{path}: not a {_words(kind)}: the file is no .npz archive")
-        handle.seek(0)
+        if handle.read(4) != _LOCAL_HEADER:
+            raise FormatError(f"{path}: not a {_in_words(kind)}: the file is no .npz archive")
         try:
-            with np.load(handle, allow_pickle=False) as archive:
-                check_size(archive.zip.infolist(), size)
-                document, digest = _document(archive, path, kind)
-                arrays = {name: archive[name] for name in archive.files if name != "json"}
+            with zipfile.ZipFile(handle) as archive:
+                check_size(archive.infolist(), size)
+                yield archive, _header(archive, path, kind)
         except FormatError:
             raise
-        except Exception as error:  # damage shows in a dozen ways: bad zip, bad deflate, unknown compression
-            raise FormatError(f"{path}: the file is truncated or damaged ({error}); copy or record it again") from error
-    for name, part in arrays.items():
-        if part.size == 0 and max(part.shape) > FREE // 256:  # lists made of its nothings would fill the memory
-            raise FormatError(f"{path}: {name} is empty and claims the shape {part.shape}")
-    if _digest(arrays, document if "archive" in document else None) != digest:
-        raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy or record it again")
-    return {name: value for name, value in document.items() if name not in ("kind", "archive")}, arrays
+        except Exception as error:  # damage shows in a dozen ways: bad zip, bad deflate, bad array header
+            raise FormatError(f"{path}: the file is truncated or damaged ({error}); copy or make it again") from error
 
 
 def check_size(entries: list[zipfile.ZipInfo], size: int) -> None:
-    """Whether an archive of so many bytes may hold these entries."""
-    whole = sum(entry.file_size for entry in entries)
-    if whole > FREE + RATIO * size:
-        raise ValueError(f"its {size} bytes claim to hold {whole}")
+    """Raise ValueError unless an archive of `size` bytes may hold these entries."""
+    unpacked = sum(entry.file_size for entry in entries)
+    if unpacked > FREE + RATIO * size:
+        raise ValueError(f"its {size} bytes claim to hold {unpacked}")
     for entry in entries:
-        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # the others unpack without bound
+        # The other methods unpack without bound.
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError(f"{entry.filename} is packed by another method than deflate")
 
 
-def _document(archive: Any, path: Path, kind: str) -> tuple[dict[str, Any], Any]:
-    """The JSON document of an archive of that kind, and the checksum that it held."""
-    try:
-        document = read_json(archive["json"].tobytes())
-        found, digest = document["kind"], document.pop("sha256")
-    except (KeyError, ValueError, AttributeError, TypeError) as error:
-        raise FormatError(f"{path}: not a {_words(kind)}: an .npz archive that topokit did not write") from error
+def _header(archive: zipfile.ZipFile, path: Path, kind: str) -> dict[str, Any]:
+    """Return the header of an archive, without its kind."""
+    if HEADER not in archive.namelist():
+        raise FormatError(f"{path}: not a {_in_words(kind)}: an .npz archive that topokit did not write")
+    header = read_json(archive.read(HEADER))
+    if not isinstance(header, dict):
+        raise ValueError(f"{HEADER} is no JSON object")
+    found = header.pop("kind", None)
     if found != kind:
-        raise FormatError(f"{path}: holds a {_words(found)}, not a {_words(kind)}")
-    return document, digest
+        raise FormatError(f"{path}: holds a {_in_words(found)}, not a {_in_words(kind)}")
+    return header
 
 
-def _words(kind: object) -> str:
+def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
+    """Read an array whose header declares the very size that its entry has."""
+    with archive.open(entry) as stream:
+        version = np.lib.format.read_magic(stream)
+        read_header = np.lib.format.read_array_header_1_0
+        if version != (1, 0):
+            read_header = np.lib.format.read_array_header_2_0
+        shape, column_major, dtype = read_header(stream)
+        if dtype.hasobject:
+            raise ValueError(f"{entry.filename} holds pickled objects")
+        declared = stream.tell() + dtype.itemsize * math.prod(shape)
+        if min(shape, default=0) < 0 or declared != entry.file_size:
+            raise ValueError(f"{entry.filename} declares {declared} bytes and has {entry.file_size}")
+        if math.prod(shape) == 0 and max(shape) > _MOST_ROWS:
+            raise ValueError(f"{entry.filename} is empty and claims the shape {shape}")
+        content = bytearray(stream.read())
+    if column_major:
+        return np.frombuffer(content, dtype).reshape(shape[::-1]).T
+    return np.frombuffer(content, dtype).reshape(shape)
+
+
+def _in_words(kind: object) -> str:
     return str(kind).replace("topokit-", "topokit ")
 
 
@@ -140,19 +192,7 @@ def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
         os.replace(temporary, path)
     except BaseException as error:
         if isinstance(error, OSError) and error.errno and error.filename is None:
-            error.filename = str(path)  # of a disk that is full, Python does not say which file was to be written
+            error.filename = str(path)  # Python does not name the file when a disk is full
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
         raise
-
-
-def _digest(arrays: dict[str, NDArray[Any]], document: dict[str, Any] | None) -> str:
-    """SHA-256 over names, types, shapes and values, in the order of the names, and over the document, if any."""
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name}|{array.dtype.str}|{array.shape}|".encode())
-        digest.update(array.tobytes())
-    if document is not None:
-        digest.update(json.dumps(document, sort_keys=True).encode())
-    return digest.hexdigest()

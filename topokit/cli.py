@@ -304,15 +304,14 @@ def track(
 
 
 def _is_archive_of_ours(path: Path) -> bool:
-    """Return whether a file is an archive that topokit wrote; a missing .npz counts as one."""
+    """Return whether a file is an archive that topokit wrote; one that is missing or damaged counts as one."""
     import zipfile
+
+    from ._archive import is_archive
 
     if path.suffix != ".npz":
         return False
-    if not zipfile.is_zipfile(path):
-        return True
-    with zipfile.ZipFile(path) as archive:
-        return "json.npy" in archive.namelist()
+    return not zipfile.is_zipfile(path) or is_archive(path)
 
 
 def _tracks_file(episode: Path, out: Path | None) -> Path:
@@ -775,7 +774,7 @@ def generate(
     config
         A DatasetConfig (.json); what it does not name has its default.
     time_limit
-        Seconds of processor time of an episode (default: 600).
+        Seconds after which the simulation of an episode is stopped and tried again (default: 600).
     retry_failed
         Try failed episodes again.
     """
@@ -855,21 +854,19 @@ def _make(work: Callable[[], Any], as_json: bool) -> int:
         made = work()
     finally:
         signal.signal(signal.SIGTERM, before)
-    from collections import Counter
-
-    counts = Counter(record.status for record in made.records.values())
+    counts = made.counts
     checksum = made.checksum()
     if as_json:
-        print(json.dumps({"out": made.url, "episodes": sum(counts.values()), **counts, "checksum": checksum}))
+        print(json.dumps({"out": str(made.folder), "episodes": sum(counts.values()), **counts, "checksum": checksum}))
         return 0
-    print(f"{made.url}: " + ", ".join(f"{count} {status}" for status, count in sorted(counts.items())))
+    print(f"{made.folder}: " + ", ".join(f"{count} {status}" for status, count in sorted(counts.items())))
     print(f"checksum: {checksum}")
     return 0
 
 
 @app.command
 def check(dataset: str, /, *, quiet: Quiet = False, as_json: Json = False) -> int:
-    """Verify a dataset: its checksums, shapes, units and identities; the exit code is 1 when there is a problem.
+    """Verify a dataset: its files, shapes, draws and identities; the exit code is 1 when there is a problem.
 
     Parameters
     ----------

@@ -1,9 +1,10 @@
-"""Episodes and tracked states on disk: one compressed `.npz` each, without pickle, checksummed, replaced in one piece.
+"""Episodes and tracked states on disk: one compressed `.npz` each, with a JSON header and without pickle.
 
-Coordinates are packed to 16 bits with one scale an array (2 m of room costs an error of 0.015 mm; a float16 would cost
-0.5 mm at one metre), everything else is stored as it is. The text parts are one JSON document beside the arrays.
+Positions of an episode are stored as whole ticks of 0.1 mm, so reading costs at most 0.05 mm. Along time they are stored as
+differences, which are small and compress well: ``np.cumsum(archive["points"], axis=0) / 10_000`` are the vertices in metres.
+States are stored to the last bit. Every text and number that is no array is in the header.
 
-Source: the paper's section 6 says what an episode holds; the format is ours. Taught in chapter 0.
+Source: the paper's section 6 says what an episode holds; the format is ours. Taught in chapters 0 and 9.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,13 @@ from .seqph import Loop, TopologicalState
 __all__ = ["FEWEST_FRAMES", "HISTORY", "HORIZON", "LOOP_NAMES", "SCHEMA", "Episode", "FormatError", "load_episode"]
 __all__ += ["load_states", "read_clouds", "save_episode", "save_states"]
 
-SCHEMA = 1
-HISTORY, HORIZON = 16, 60  # frames that a forecast looks back on, and ahead to (Antonova et al. 2021, section 5)
+SCHEMA = 2
+# Frames that a forecast looks back on, and frames that it looks ahead to (Antonova et al. 2021, section 5).
+HISTORY = 16
+HORIZON = 60
 FEWEST_FRAMES = HISTORY + HORIZON
-#: What the loops of the wardrobe's garments are called, of which episodes need not tell.
+TICKS = 10_000  # units of a stored coordinate in a metre
+#: Names of the loops of the wardrobe's garments, which files of episodes leave out.
 LOOP_NAMES = {
     "apron": ("neck",),
     "apron2": ("neck", "waist"),
@@ -44,15 +47,24 @@ LOOP_NAMES = {
     "belt": ("loop",),
     "trousers": ("loop", "waist", "leg 1", "leg 2"),
 }
-_KIND = "topokit-episode"
-_STATES_KIND, _STATES_SCHEMA = "topokit-states", 2
-_MAX_PACKING_ERROR = 1e-4  # metres
-_PACKED = ("points", "observed", "actions", "grippers", "centre_line")
+EPISODE_KIND = "topokit-episode"
+_STATES_KIND = "topokit-states"
+_STATES_SCHEMA = 3
+_FILMS = ("points", "observed", "actions", "grippers")  # positions, a row a frame
+_POSITIONS = (*_FILMS, "centre_line")
 _TEXT: dict[str, type] = {
     **dict.fromkeys(("garment", "target", "task"), str),
     **{"success": bool, "seed": int, "schema": int, "dt": float},
     **dict.fromkeys(("observation", "physics", "provenance"), dict),
 }
+# Arrays in a file of an episode: kind of number, then sizes; one letter is one size throughout.
+_EPISODE_LAYOUT = {
+    **{"points": "i T N 3", "actions": "i T 2 3", "grippers": "i T 2 3", "centre_line": "i K 3"},
+    **{"held": "b T", "faces": "i F 3"},
+}
+# An observation is stored as positions, or, when its points are vertices, as their ids.
+_OBSERVED_LAYOUT = {"observed": "i T M 3"}
+_OBSERVED_IDS_LAYOUT = {"observed_ids": "u T M"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,15 +104,18 @@ class Episode:
 
     @property
     def named_loops(self) -> dict[str, NDArray[np.int32]]:
-        """The true loops by their names; by their numbers ("loop 1") in a file that knows none."""
+        """The true loops by their names, or by their numbers ("loop 1") in a file without names."""
         names = self.physics.get("loops") or wardrobe_names(self.garment, self.physics.get("garment"))
-        names = names or [f"loop {i + 1}" for i in range(len(self.loops))]
+        if not names:
+            names = [f"loop {i + 1}" for i in range(len(self.loops))]
         return dict(zip(names, self.loops, strict=True))
 
 
 def wardrobe_names(garment: str, sizes: object) -> tuple[str, ...]:
-    """What the loops of a garment of these sizes are called if it is one of the wardrobe's; a mesh has no spacing."""
-    return LOOP_NAMES.get(garment, ()) if isinstance(sizes, dict) and "spacing" in sizes else ()
+    """Return the names of a garment's loops if it is one of the wardrobe; a mesh of one's own has no spacing."""
+    if isinstance(sizes, dict) and "spacing" in sizes:
+        return LOOP_NAMES.get(garment, ())
+    return ()
 
 
 def save_episode(path: str | Path, episode: Episode) -> Path:
@@ -111,19 +126,30 @@ def save_episode(path: str | Path, episode: Episode) -> Path:
     path : path
         It ends in .npz.
     episode : Episode
-        What `check_episode` finds whole, with no coordinate so far outside that 16 bits would cost more than 0.1 mm.
+        Its parts must fit each other. The same episode gives the same bytes.
+
+    Raises
+    ------
+    ValueError
+        When a part is of another shape or kind than it should be; the message names it.
     """
     check_episode(episode)
-    arrays: dict[str, NDArray[Any]] = {}
-    for name in _PACKED:
-        arrays[name], arrays[f"{name}_scale"] = packed(getattr(episode, name), name, _MAX_PACKING_ERROR)
-    arrays["held"] = np.asarray(episode.held, dtype=np.bool_)
-    arrays["faces"] = np.asarray(episode.faces, dtype=np.int32)
-    loops = [np.asarray(loop, dtype=np.int32) for loop in episode.loops]
-    arrays["loop_vertices"] = np.concatenate(loops) if loops else np.empty(0, np.int32)
-    arrays["loop_lengths"] = np.array([len(loop) for loop in loops], dtype=np.int32)
-    text = {name: getattr(episode, name) for name in _TEXT}
-    return save_archive(path, _KIND, text, arrays)
+    arrays: dict[str, NDArray[Any]] = {
+        "held": np.asarray(episode.held, dtype=np.bool_),
+        "faces": np.asarray(episode.faces, dtype=np.int32),
+        "centre_line": as_ticks(episode.centre_line, "centre_line"),
+    }
+    for name in ("points", "actions", "grippers"):
+        arrays[name] = _differences(as_ticks(getattr(episode, name), name))
+    ids = _vertex_ids(episode.points, episode.observed)
+    if ids is None:
+        arrays["observed"] = _differences(as_ticks(episode.observed, "observed"))
+    else:
+        arrays["observed_ids"] = ids
+    header: dict[str, Any] = {name: getattr(episode, name) for name in _TEXT}
+    header["frames"] = len(episode)
+    header["loops"] = [np.asarray(loop).tolist() for loop in episode.loops]
+    return save_archive(path, EPISODE_KIND, header, arrays)
 
 
 def load_episode(path: str | Path) -> Episode:
@@ -131,21 +157,29 @@ def load_episode(path: str | Path) -> Episode:
 
     Raises
     ------
-    FileNotFoundError, FormatError
-        When there is no such file, or it is empty, damaged, of another format or of a newer schema; the message says which.
+    FileNotFoundError
+        When there is no such file.
+    FormatError
+        When the file is empty, damaged, of another format or of another schema; the message says which.
     """
-    text, arrays = _load(path, _KIND, (SCHEMA,), "record it again")
+    header, arrays = load_archive(path, EPISODE_KIND)
+    _check_schema(path, header, SCHEMA, "record it again")
     try:
-        check_layout(arrays, _EPISODE_LAYOUT)
-        vertices, lengths = arrays.pop("loop_vertices"), arrays.pop("loop_lengths")
-        loops = tuple(_split(vertices, lengths, "loop_vertices")) if len(vertices) else ()
-        for name in _PACKED:
-            step, *low = scale = arrays.pop(f"{name}_scale")
-            if not (0 < step <= 1 and np.abs(scale).max() < 1e30):
-                raise ValueError(f"{name} cannot be unpacked: its step and its lowest values are {scale.tolist()}")
-            arrays[name] = np.asarray(arrays[name] * step + low, dtype=np.float32)
-        parts: dict[str, Any] = {**arrays, **text}
-        episode = Episode(loops=loops, **parts)
+        of_vertices = "observed_ids" in arrays
+        check_layout(arrays, _EPISODE_LAYOUT | (_OBSERVED_IDS_LAYOUT if of_vertices else _OBSERVED_LAYOUT))
+        parts: dict[str, Any] = {"held": arrays["held"], "faces": arrays["faces"]}
+        parts["centre_line"] = as_metres(arrays["centre_line"])
+        for name in ("points", "actions", "grippers"):
+            parts[name] = as_metres(_sums(arrays[name]))
+        if of_vertices:
+            ids = as_ids(arrays["observed_ids"], "observed_ids", arrays["points"].shape[1])
+            parts["observed"] = parts["points"][np.arange(len(ids))[:, None], ids]
+        else:
+            parts["observed"] = as_metres(_sums(arrays["observed"]))
+        loops = tuple(_loop_of(ids) for ids in header.pop("loops"))
+        if header.pop("frames") != len(arrays["held"]):
+            raise ValueError("the header counts other frames than there are")
+        episode = Episode(loops=loops, **parts, **header)
         check_episode(episode)
     except (KeyError, TypeError) as error:
         raise FormatError(f"{path}: an episode with a missing or an unknown part: {error}; record it again") from error
@@ -156,35 +190,50 @@ def load_episode(path: str | Path) -> Episode:
 
 def check_episode(episode: Episode) -> None:
     """Raise ValueError unless the parts of an episode fit each other; the message says which do not, and where."""
-    for name in (*_PACKED, "held", "faces"):
+    for name in (*_POSITIONS, "held", "faces"):
         if not isinstance(as_reals(getattr(episode, name), name), type(getattr(episode, name))):
             raise WrongKindError(f"{name} must be an array, not {type(getattr(episode, name)).__name__}")
-    frames, vertices = episode.points.shape[:2] if episode.points.ndim == 3 else (0, 0)
-    if episode.points.ndim == 3 and frames == 0:
-        raise ValueError("points holds no frame")
-    for name, rows in (("points", None), ("observed", None), ("actions", 2), ("grippers", 2)):
-        shape = getattr(episode, name).shape
-        if len(shape) != 3 or shape != (frames, rows or shape[1], 3):
-            raise ValueError(f"{name} has shape {shape}; expected ({frames or 'T'}, {rows or 'N'}, 3), a row a frame")
-    if episode.held.shape != (frames,):
-        raise ValueError(f"held has shape {episode.held.shape}; expected ({frames},)")
-    for name in ("centre_line", "faces"):
-        if np.shape(getattr(episode, name))[1:] != (3,):
-            raise ValueError(f"{name} has shape {np.shape(getattr(episode, name))}; expected rows of three")
-    for name in _PACKED:
-        finite = np.isfinite(getattr(episode, name)).reshape(len(getattr(episode, name)), -1).all(axis=1)
+    _check_shapes(episode)
+    for name in _POSITIONS:
+        positions = getattr(episode, name)
+        finite = np.isfinite(positions).reshape(len(positions), -1).all(axis=1)
         if not finite.all():
-            where = f"{'row' if name == 'centre_line' else 'frame'} {np.flatnonzero(~finite)[0]}"
-            raise ValueError(f"{name} has a NaN or infinite coordinate in {where}")
+            unit = "row" if name == "centre_line" else "frame"
+            raise ValueError(f"{name} has a NaN or infinite coordinate in {unit} {np.flatnonzero(~finite)[0]}")
     for name, kind in _TEXT.items():
         value = getattr(episode, name)
         if type(value) is not kind and not (kind is float and type(value) is int):
             raise WrongKindError(f"{name} must be a {kind.__name__}, not {value!r:.80}")
     if not np.isfinite(episode.dt) or episode.dt <= 0:
         raise ValueError(f"dt must be the seconds between two frames, not {episode.dt}")
-    for name, ids in (("faces", episode.faces), *((f"loops[{i}]", loop) for i, loop in enumerate(episode.loops))):
-        if as_ids(ids, name, vertices).ndim != 1 + (name == "faces"):
-            raise ValueError(f"{name} has shape {np.shape(ids)}; a loop is a list of vertex ids")
+    _check_loop_names(episode)
+
+
+def _check_shapes(episode: Episode) -> None:
+    """Raise ValueError unless the arrays of an episode have one row a frame, and ids are ids of vertices."""
+    if episode.points.ndim == 3 and len(episode.points) == 0:
+        raise ValueError("points holds no frame")
+    frames = len(episode.points)
+    for name in _FILMS:
+        shape = getattr(episode, name).shape
+        rows = "2" if name in ("actions", "grippers") else "N"
+        fits = len(shape) == 3 and shape[0] == frames and shape[2] == 3
+        if not fits or (rows == "2" and shape[1] != 2):
+            raise ValueError(f"{name} has shape {shape}; expected ({frames}, {rows}, 3), a row a frame")
+    if episode.held.shape != (frames,):
+        raise ValueError(f"held has shape {episode.held.shape}; expected ({frames},)")
+    for name in ("centre_line", "faces"):
+        if np.shape(getattr(episode, name))[1:] != (3,):
+            raise ValueError(f"{name} has shape {np.shape(getattr(episode, name))}; expected rows of three")
+    vertices = episode.points.shape[1]
+    as_ids(episode.faces, "faces", vertices)
+    for i, loop in enumerate(episode.loops):
+        if as_ids(loop, f"loops[{i}]", vertices).ndim != 1:
+            raise ValueError(f"loops[{i}] has shape {np.shape(loop)}; a loop is a list of vertex ids")
+
+
+def _check_loop_names(episode: Episode) -> None:
+    """Raise ValueError unless loops that are named have different names, one a loop."""
     names = episode.physics.get("loops", [])
     if not isinstance(names, list) or {type(name) for name in names} - {str}:
         raise WrongKindError(f"physics['loops'] must be a list of names, not {names!r:.80}")
@@ -193,54 +242,78 @@ def check_episode(episode: Episode) -> None:
         raise ValueError(f"physics['loops'] must be {wanted}, not {names!r:.80}")
 
 
-def packed(
-    values: NDArray[Any], name: str = "", most: float = np.inf
-) -> tuple[NDArray[np.uint16], NDArray[np.float64]]:
-    """Return 16-bit integers and (step, low x, low y, low z) so that values = low + step * integers, to within step / 2."""
-    values = np.asarray(values, dtype=np.float64)
-    low = values.reshape(-1, 3).min(axis=0) if values.size else np.zeros(3)
-    span = max(float((values - low).max(initial=0.0)), 1e-9)
-    step = span / 65535
-    if step / 2 > most:
-        cost = f"16 bits would cost {1e3 * step / 2:.2f} mm, more than {1e3 * most:g} mm"
-        raise ValueError(f"{name} spans {span:.1f} m: {cost}")
-    return np.round((values - low) / step).astype(np.uint16), np.array([step, *low])
+def as_ticks(positions: NDArray[Any], name: str = "positions") -> NDArray[np.signedinteger[Any]]:
+    """Return positions in metres as whole ticks of 0.1 mm: 16-bit integers where they fit, else 32-bit ones."""
+    ticks = np.rint(np.asarray(positions, dtype=np.float64) * TICKS)
+    farthest = np.abs(ticks).max(initial=0)
+    if farthest <= np.iinfo(np.int16).max:
+        return ticks.astype(np.int16)
+    if farthest <= np.iinfo(np.int32).max:
+        return ticks.astype(np.int32)
+    raise ValueError(f"{name} reaches {farthest / TICKS:.0f} m from the origin; a file holds coordinates up to 214 km")
 
 
-def _load(
-    path: str | Path, kind: str, schemas: tuple[int, ...], remedy: str
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read an archive of a kind, of a schema that is known."""
-    text, arrays = load_archive(path, kind)
-    if text.get("schema") not in schemas:
-        raise FormatError(f"{path}: of schema {text.get('schema')}, not {schemas[-1]}: update topokit or {remedy}")
-    return text, arrays
+def as_metres(ticks: NDArray[Any]) -> NDArray[np.float32]:
+    """Return positions in metres from ticks."""
+    return np.asarray(ticks / TICKS, dtype=np.float32)
+
+
+def _differences(ticks: NDArray[Any]) -> NDArray[Any]:
+    """Return the first frame and the differences from frame to frame; integers wrap around, and `_sums` wraps them back."""
+    return np.diff(ticks, axis=0, prepend=np.zeros_like(ticks[:1]))
+
+
+def _sums(differences: NDArray[Any]) -> NDArray[Any]:
+    return np.cumsum(differences, axis=0, dtype=differences.dtype)
+
+
+def _vertex_ids(points: NDArray[Any], observed: NDArray[Any]) -> NDArray[np.uint16] | None:
+    """Return which vertices the observed points are, (T, M), or None when one of them is no vertex of its frame."""
+    if points.dtype != observed.dtype or points.shape[1] > np.iinfo(np.uint16).max:
+        return None
+    ids = np.empty(observed.shape[:2], dtype=np.uint16)
+    for frame, (cloud, seen) in enumerate(zip(points, observed, strict=True)):
+        id_of = {position.tobytes(): i for i, position in enumerate(cloud)}
+        try:
+            ids[frame] = [id_of[position.tobytes()] for position in seen]
+        except KeyError:
+            return None
+    return ids
+
+
+def _loop_of(ids: object) -> NDArray[np.int32]:
+    """Return a loop of a header as an array."""
+    if not isinstance(ids, list) or {type(i) for i in ids} - {int}:
+        raise WrongKindError(f"a loop must be a list of vertex ids, not {ids!r:.80}")
+    return np.array(ids, dtype=np.int32)
+
+
+def _check_schema(path: str | Path, header: dict[str, Any], schema: int, remedy: str) -> None:
+    """Raise FormatError unless a header is of the schema that this topokit reads."""
+    if header.get("schema") != schema:
+        raise FormatError(f"{path}: of schema {header.get('schema')}, not {schema}: update topokit or {remedy}")
 
 
 def check_layout(arrays: dict[str, NDArray[Any]], layout: dict[str, str]) -> None:
-    """Raise ValueError unless all arrays of a layout are of its kind of number and its shape; a letter is one size throughout."""
+    """Raise unless these are the arrays of a layout, each of its kind of number and shape; a letter is one size throughout."""
+    unknown = sorted(arrays.keys() - layout.keys())
+    if unknown:
+        raise KeyError(unknown[0])
     sizes: dict[str, int] = {}
-    for name, told in layout.items():
-        (kind, *letters), array = told.split(), arrays[name]
-        known = zip(letters, array.shape, strict=False)
-        shape = tuple(int(one) if one.isdigit() else sizes.setdefault(one, size) for one, size in known)
-        if array.shape != (0,) and (array.dtype.kind != kind or array.shape != shape or len(letters) != array.ndim):
+    for name, described in layout.items():
+        kind, *letters = described.split()
+        array = arrays[name]
+        expected = []
+        for letter, size in zip(letters, array.shape, strict=False):
+            expected.append(int(letter) if letter.isdigit() else sizes.setdefault(letter, size))
+        fits = array.dtype.kind == kind and array.shape == tuple(expected) and len(letters) == array.ndim
+        if array.shape != (0,) and not fits:
             raise ValueError(f"{name} is of type {array.dtype} and shape {array.shape}, and does not fit")
 
 
-def _split(rows: NDArray[Any], counts: NDArray[Any], name: str) -> list[NDArray[Any]]:
-    """Rows that belong to one thing after another, so many to each."""
-    if (counts < 0).any() or counts.sum() != len(rows):
-        raise ValueError(f"{name} has {len(rows)} rows, and they are counted otherwise")
-    return np.split(rows, np.cumsum(counts)[:-1])
-
-
-_EPISODE_LAYOUT = {
-    **{"points": "u T N 3", "observed": "u T M 3", "actions": "u T 2 3", "grippers": "u T 2 3", "centre_line": "u K 3"},
-    **{f"{name}_scale": "f 4" for name in _PACKED},
-    **{"held": "b T", "faces": "i F 3", "loop_vertices": "i V", "loop_lengths": "i L"},
-}
-# What the loops of states hold: numbers, arrays of one shape, and arrays whose length varies.
+# Arrays in a file of states. Those of the loops stand one after another: numbers, arrays of one shape, and arrays whose
+# length varies from loop to loop and is counted in an array of its own.
+_FRAMES = {"n_loops": "i t", "frame": "i t", "time": "f t"}
 _LOOP_NUMBERS = {"id": "i n", "birth": "f n", "death": "f n", "killer_shift": "f n"}
 _LOOP_ARRAYS = {
     "birth_edge": "i n 2",
@@ -250,10 +323,12 @@ _LOOP_ARRAYS = {
     "killer_triangles": "f n 2 3 d",
     "killer_values": "f n 2",
 }
-_FRAMES = {"n_loops": "i t", "frame": "i t", "time": "f t"}
 _NEIGHBOURS = {"n_neighbours": "i n", "neighbour_ids": "i m 3", "neighbours": "f m 3 d", "neighbour_values": "f m"}
 _CYCLES = {"n_cycle": "i n", "cycle": "i c", "cycle_points": "f c d"}
-_LOOP_LISTS = {count: names for count, *names in (_NEIGHBOURS, _CYCLES)}
+_LOOP_LISTS = {
+    "n_neighbours": ("neighbour_ids", "neighbours", "neighbour_values"),
+    "n_cycle": ("cycle", "cycle_points"),
+}
 
 
 def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
@@ -275,8 +350,8 @@ def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
     arrays["n_loops"] = np.array([len(state) for state in states], dtype=np.int64)
     arrays["frame"] = np.array([state.frame for state in states], dtype=np.int64)
     arrays["time"] = np.array([state.time for state in states], dtype=np.float64)
-    text = {"schema": _STATES_SCHEMA, "parameters": [state.parameters for state in states]}
-    return save_archive(path, _STATES_KIND, text, arrays)
+    header = {"schema": _STATES_SCHEMA, "parameters": [state.parameters for state in states]}
+    return save_archive(path, _STATES_KIND, header, arrays)
 
 
 def load_states(path: str | Path) -> list[TopologicalState]:
@@ -284,33 +359,47 @@ def load_states(path: str | Path) -> list[TopologicalState]:
 
     Raises
     ------
-    FileNotFoundError, FormatError
-        As `load_episode`.
+    FileNotFoundError
+        When there is no such file.
+    FormatError
+        When the file is empty, damaged, of another format or of another schema; the message says which.
     """
-    text, arrays = _load(path, _STATES_KIND, (1, _STATES_SCHEMA), "track them again")
+    header, arrays = load_archive(path, _STATES_KIND)
+    _check_schema(path, header, _STATES_SCHEMA, "track them again")
     try:
-        loops = _loops(arrays, with_cycles=text["schema"] != 1)
-        if not all(isinstance(parameters, dict) for parameters in text["parameters"]):
-            raise TypeError("parameters that have no names")
-        ends = np.cumsum([0, *arrays["n_loops"]]).tolist()
-        _split(arrays["id"], arrays["n_loops"], "id")
-        parts = [tuple(loops[start:end]) for start, end in pairwise(ends)]
-        rows = zip(arrays["frame"].tolist(), arrays["time"].tolist(), parts, text["parameters"], strict=True)
-        return [TopologicalState(*row) for row in rows]
+        check_layout(arrays, _FRAMES | _LOOP_NUMBERS | _LOOP_ARRAYS | _NEIGHBOURS | _CYCLES)
+        loops = _loops(arrays)
+        parameters = header["parameters"]
+        if not all(isinstance(one, dict) for one in parameters):
+            raise TypeError("parameters without names")
+        frames = _split(np.arange(len(loops)), arrays["n_loops"], "n_loops")
+        rows = zip(arrays["frame"].tolist(), arrays["time"].tolist(), frames, parameters, strict=True)
+        return [
+            TopologicalState(frame, time, tuple(loops[i] for i in numbers.tolist()), options)
+            for frame, time, numbers, options in rows
+        ]
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise FormatError(f"{path}: states with a missing or an unknown part: {error}; track them again") from error
 
 
-def _loops(arrays: dict[str, NDArray[Any]], with_cycles: bool) -> list[Loop]:
-    """All loops of all frames; those of the first schema know no cycle."""
-    check_layout(arrays, _LOOP_NUMBERS | _LOOP_ARRAYS | _NEIGHBOURS | (_CYCLES if with_cycles else {}) | _FRAMES)
-    columns = {name: arrays[name].tolist() for name in _LOOP_NUMBERS} | {name: arrays[name] for name in _LOOP_ARRAYS}
+def _loops(arrays: dict[str, NDArray[Any]]) -> list[Loop]:
+    """Return all loops of all frames."""
+    columns: dict[str, Any] = {name: arrays[name].tolist() for name in _LOOP_NUMBERS}
+    columns |= {name: arrays[name] for name in _LOOP_ARRAYS}
     for count, names in _LOOP_LISTS.items():
-        if count != "n_cycle" or with_cycles:
-            columns |= {name: _split(arrays[name], arrays[count], name) for name in names}
-    number = len(arrays["id"])
-    curves: list[Any] = [None] * number
-    if with_cycles:
-        pairs = zip(columns.pop("cycle"), columns.pop("cycle_points"), strict=True)
-        curves = [partial(tuple, pair) for _, pair in zip(range(number), pairs, strict=False)]
-    return [Loop(**{name: column[i] for name, column in columns.items()}, _curve=curves[i]) for i in range(number)]
+        columns |= {name: _split(arrays[name], arrays[count], name) for name in names}
+    cycles = zip(columns.pop("cycle"), columns.pop("cycle_points"), strict=True)
+    loops = []
+    for i, cycle in zip(range(len(arrays["id"])), cycles, strict=False):
+        values = {name: column[i] for name, column in columns.items()}
+        loops.append(Loop(**values, _curve=partial(tuple, cycle)))
+    return loops
+
+
+def _split(rows: NDArray[Any], counts: NDArray[Any], name: str) -> list[NDArray[Any]]:
+    """Return the rows of one thing after another, `counts` to each."""
+    if (counts < 0).any() or counts.sum() != len(rows):
+        raise ValueError(f"{name} has {len(rows)} rows, and they are counted otherwise")
+    if not len(counts):
+        return []
+    return np.split(rows, np.cumsum(counts)[:-1])

@@ -29,10 +29,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from topokit.data._records import Record, index_bytes
 
 from topokit.data import Dataset, DatasetConfig, generate_dataset
 from topokit.data._generate import Cluster, run_jobs
-from topokit.data._records import Record, index_bytes
 
 WANTED = 23_000
 

@@ -27,8 +27,8 @@ from torch.utils.data import default_collate
 from tqdm import tqdm
 
 from topokit.control import Carried
-from topokit.data import Dataset, WindowDataset
-from topokit.data._recipe import DatasetConfig, make_episode
+from topokit.control import Carried
+from topokit.data import Dataset, WindowDataset, make_episode
 from topokit.evaluate._accuracy import measure_forecasts
 from topokit.evaluate._conditions import kinds_of, spread_windows, true_curves
 from topokit.evaluate._forecasters import of_stream, of_windows
@@ -49,14 +49,12 @@ class Caught(Exception):
 
 def run_of(dataset: Dataset, number: int) -> Run:
     """What the simulator was told when it made that film."""
-    manifest = dataset.group.manifest
-
     def catch(run: Run, *_: object) -> None:
         raise Caught(run)
 
     with patch("topokit.sim._episode.record_afresh", catch):
         try:
-            make_episode(DatasetConfig.from_json(manifest["config"]), manifest["seed"], number)
+            make_episode(dataset.config, dataset.seed, number)
         except Caught as caught:
             run: Run = caught.args[0]
     return run

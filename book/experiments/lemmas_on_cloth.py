@@ -46,7 +46,7 @@ def find_episodes(places: list[Path]) -> list[Path]:
 def of_dataset(folder: Path, each: int) -> Iterator[tuple[str, Episode]]:
     """The first `each` tested episodes of every garment, by the names of their tasks and their numbers."""
     dataset = Dataset(folder)
-    tested = [dataset.group.records[int(i)] for i in dataset.split()["test"]]
+    tested = [dataset.record(i) for i in dataset.split()["test"]]
     for garment in dataset.garments:
         for record in [record for record in tested if record.garment == garment][:each]:
             yield f"{record.task} {record.episode}", dataset[record.episode]

@@ -123,8 +123,8 @@ def recorded(folder: Path) -> list[dict[str, Any]]:
             "seconds": seconds.get(record.episode, math.nan),
         }
         if record.status == "ok":
-            row |= {"success": record.success, "vertices": record.vertices}
-            row |= dataset.document(record.episode)["physics"]["stretch"]
+            row |= {"success": record.success, "vertices": dataset[record.episode].points.shape[1]}
+            row |= record.physics["stretch"]
         else:
             row["rejected"] = record.reason
         rows.append(row)

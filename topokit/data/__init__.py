@@ -1,4 +1,4 @@
-"""Datasets of many episodes: made in parallel, stored in Zarr, labelled, checked, and read as windows for training.
+"""Datasets of many episodes: made in parallel, one file an episode, labelled, checked, and read as windows for training.
 
 Source: Antonova et al. 2021, section 6 (23,000 trajectories). Taught in chapter 9.
 """

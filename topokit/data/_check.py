@@ -1,27 +1,21 @@
-"""Check a dataset: every checksum, shape, unit and identity. Taught in chapter 9."""
+"""Check a dataset: every file, its shapes, its numbers and its identities. Taught in chapter 9."""
 
 from __future__ import annotations
 
-import hashlib
-import json
+import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from topokit._archive import FormatError, read_json
-from topokit.io import check_episode
+from topokit._archive import FormatError
 
-from ._group import Group, decode, open_episodes, tracked_cloud
-from ._layout import Field, episode_of, skeleton, states_of
-from ._recipe import DatasetConfig, room
-from ._records import Record, parse, read_index, record_path
-
-Records = dict[int, Record]
-Content = Callable[[dict[str, Any]], str | None]  # what is wrong with an episode whose objects are whole
+from ._dataset import ABOUT, Dataset
+from ._folder import NumberedFiles, archive_path, failure_path
+from ._labels import ABOUT as ABOUT_LABELS
+from ._labels import Labels
 
 
 @dataclass(frozen=True)
@@ -35,151 +29,99 @@ class Problem:
         return f"{self.where}: {self.what}"
 
 
-def check_dataset(url: str | Path, *, progress: bool = False) -> list[Problem]:
+def check_dataset(folder: str | Path, *, progress: bool = False) -> list[Problem]:
     """Return all that is wrong with a dataset; nothing when it is whole. Episodes that are still to be made are named too.
 
-    Arrays are compared with the configuration and with each other, records with what was drawn, objects with their SHA-256,
-    the index with the records, and labels with the episodes they are of.
+    Every file is read whole, against the CRC-32 of each of its parts. Episodes are compared with what was drawn for them,
+    and labels with the episodes they are of.
 
     Parameters
     ----------
-    url : str or path
+    folder : path
     progress : bool
         Show a bar on stderr.
     """
-    group, records = open_episodes(url), Records()
-    problems = [*_episode_problems(group, records, progress)]
-    for name in group.names("labels"):
-        problems += _label_problems(group, f"labels/{name}", records, progress)
+    dataset = Dataset(folder)
+    problems = [*_strangers(dataset, {ABOUT, "labels"}, dataset.wanted, "")]
+    problems += _missing(dataset, dataset.wanted, "")
+    problems += _episode_problems(dataset, progress)
+    for name in dataset.label_names:
+        problems += _label_problems(dataset, name, progress)
     return problems
 
 
-def _episode_problems(group: Group, records: Records, progress: bool) -> Iterator[Problem]:
-    manifest = group.manifest
-    config = DatasetConfig.from_json(manifest["config"])
-    needed = room(config)
-    if manifest["room"] != needed:
-        yield Problem("zarr.json", f"room {manifest['room']} is not what the configuration needs, {needed}")
-
-    def content(document: dict[str, Any]) -> str | None:
-        drawn = config.draw(manifest["seed"], document["episode"])
-        if (document["task"], document["seed"]) != drawn:
-            return f"has task {document['task']} and seed {document['seed']}, must have {drawn.task} and {drawn.seed}"
-        if document["status"] != "ok":
-            return None
-        episode = episode_of(decode(group, document), document, manifest)
-        check_episode(episode)
-        sizes = {"frames": len(episode), "vertices": episode.points.shape[1], "observed": episode.observed.shape[1]}
-        wrong = {name: document[name] for name, size in sizes.items() if document[name] != size}
-        return f"has by its record {wrong}, and by its arrays {sizes}" if wrong else None
-
-    yield from _group_problems(group, group.numbers, content, records, progress)
+def _strangers(files: NumberedFiles, known: set[str], wanted: Iterable[int], prefix: str) -> Iterator[Problem]:
+    """Yield the files that do not belong to a folder."""
+    for number in wanted:
+        known |= {archive_path(files.folder, number).name, failure_path(files.folder, number).name}
+    for name in sorted(set(os.listdir(files.folder)) - known):
+        what = "does not belong here"
+        if name.endswith(".part"):
+            what = "left by a command that was stopped; the same command removes it and goes on"
+        yield Problem(prefix + name, what)
 
 
-def _label_problems(group: Group, prefix: str, episodes: Records, progress: bool) -> Iterator[Problem]:
+def _missing(files: NumberedFiles, wanted: Sequence[int], prefix: str) -> Iterator[Problem]:
+    """Yield one problem that counts the episodes that are not there."""
+    tried = {*files.episodes.tolist(), *files.refused}
+    missing = [number for number in wanted if number not in tried]
+    if missing:
+        yield Problem(
+            f"{prefix}{missing[0]:08d}.npz", f"not there yet, the first of {len(missing)}; the same command goes on"
+        )
+
+
+def _episode_problems(dataset: Dataset, progress: bool) -> Iterator[Problem]:
+    for number in _with_bar(sorted([*dataset.episodes.tolist(), *dataset.refused]), progress):
+        whole = archive_path(dataset.folder, number)
+        path = whole if whole.is_file() else failure_path(dataset.folder, number)
+        try:
+            record = dataset.record(number)
+            if record.status == "ok":
+                dataset[number]
+        except FormatError as error:
+            yield Problem(path.name, str(error).removeprefix(f"{path}: "))
+            continue
+        drawn = dataset.config.draw(dataset.seed, number)
+        if (record.task, record.seed) != drawn:
+            found = f"task {record.task} and seed {record.seed}"
+            yield Problem(path.name, f"has {found}, must have {drawn.task} and {drawn.seed}")
+
+
+def _label_problems(dataset: Dataset, name: str, progress: bool) -> Iterator[Problem]:
+    prefix = f"labels/{name}/"
     try:
-        labels = Group(group.url, prefix, group)
-    except (FileNotFoundError, FormatError) as error:
-        yield Problem(prefix, str(error))
+        labels = dataset.labels(name)
+    except FormatError as error:
+        yield Problem(prefix + ABOUT_LABELS, str(error))
         return
-    manifest = labels.manifest
-
-    def content(document: dict[str, Any]) -> str | None:
-        index = document["episode"]
-        if index not in episodes or document.get("of") != episodes[index].sha256:
-            return "is of another episode than the one that is there now: remove the record, and label again"
-        if document["status"] != "ok":
-            return None
-        cloud = tracked_cloud(group, group.now(index)[1], manifest)
-        states = states_of(decode(labels, document), cloud, 1.0)  # an error when a frame or a point is not there
-        fine = all(-np.inf < loop.birth < loop.death for state in states for loop in state.loops)
-        return None if fine else "has a loop that dies before it is born"
-
-    wanted = sorted(i for i, record in episodes.items() if record.status == "ok" and i in labels.numbers)
-    for problem in _group_problems(labels, wanted, content, {}, progress):
-        yield Problem(f"{prefix}/{problem.where}", problem.what)
+    yield from _strangers(labels, {ABOUT_LABELS}, dataset.wanted, prefix)
+    yield from _missing(labels, dataset.episodes.tolist(), prefix)
+    for number in _with_bar(np.intersect1d(dataset.episodes, labels.episodes).tolist(), progress):
+        path = archive_path(labels.folder, number)
+        try:
+            if wrong := _wrong_labels(dataset, labels, number):
+                yield Problem(prefix + path.name, wrong)
+        except FormatError as error:
+            if str(error).startswith(str(path)):  # else it is the episode's, which is a problem already
+                yield Problem(prefix + path.name, str(error).removeprefix(f"{path}: "))
 
 
-def _group_problems(
-    group: Group, wanted: Sequence[int], content: Content, records: Records, show: bool
-) -> Iterator[Problem]:
-    """What is wrong with a group; its records go into `records`."""
+def _wrong_labels(dataset: Dataset, labels: Labels, number: int) -> str | None:
+    """Return what is wrong with the labels of an episode, whose file reads well."""
+    of, labelled = dataset.record(number), labels.record(number)
+    if (labelled.task, labelled.seed) != (of.task, of.seed):
+        return f"labels of another episode, {labelled.task} of seed {labelled.seed}; remove the file, and label again"
+    arrays = labels.arrays(number)
+    labels.check_fit(number, arrays, *labels.cloud(dataset[number]).shape[:2])
+    births, deaths = np.moveaxis(arrays["values"][arrays["id"] >= 0][:, :2], 1, 0)
+    if not (births < deaths).all():
+        return "has a loop that dies before it is born"
+    return None
+
+
+def _with_bar(numbers: Sequence[int], progress: bool) -> Iterable[int]:
     from tqdm import tqdm
 
-    fields = group.fields
-    yield from _skeleton_problems(group, fields)
-    owned: set[str] = set()
-    for name in tqdm(group.names("records"), unit="record", disable=not show, file=sys.stderr):
-        path = f"records/{name}"
-        try:
-            record, document = parse(group.read(path) or b"", path)
-        except FormatError as error:
-            yield Problem(path, str(error).removeprefix(f"{path}: "))
-            continue
-        if path != record_path(record.episode) or record.episode not in wanted:
-            yield Problem(path, f"episode {record.episode} does not belong here")
-        records[record.episode] = record
-        owned.update(document["objects"])
-        if damage := [*_object_problems(group, fields, document)]:
-            yield from damage
-        elif wrong := _wrong_content(content, document):
-            yield Problem(path, f"episode {record.episode} {wrong}")
-    paths = {f"{f.name}/{name}" for f in fields for name in group.names(f.name) if name != "zarr.json"}
-    for path in sorted(paths - owned):
-        yield Problem(path, "belongs to no record: left by a command that was stopped, and the same command goes on")
-    first = next((i for i in wanted if i not in records), None)
-    if first is not None:
-        missing = len(wanted) - sum(i in wanted for i in records)
-        yield Problem("records", f"{missing} episodes are not there yet, the first is {first}")
-    yield from _index_problems(group, records)
-
-
-def _skeleton_problems(group: Group, fields: tuple[Field, ...]) -> Iterator[Problem]:
-    for path, content in skeleton(fields, group.manifest).items():
-        found = group.read(path)
-        if found is None:
-            yield Problem(path, "is missing")
-        elif wrong := _difference(found, json.loads(content)):
-            yield Problem(path, wrong)
-
-
-def _difference(found: bytes, wanted: dict[str, Any]) -> str:
-    """How a file differs from what is wanted."""
-    try:
-        there = dict(read_json(found))
-    except (ValueError, TypeError) as error:
-        return f"is damaged: {error}"
-    keys = sorted(key for key in {*there, *wanted} if there.get(key) != wanted.get(key))
-    return "; ".join(f"{key} is {there.get(key)!r:.200}, must be {wanted.get(key)!r}" for key in keys)
-
-
-def _object_problems(group: Group, fields: tuple[Field, ...], document: Mapping[str, Any]) -> Iterator[Problem]:
-    index, expected = document["episode"], set()
-    if document["status"] == "ok":
-        expected = {f.path(index) for f in fields}
-    for path, checksum in sorted(document["objects"].items()):
-        content = group.read(path) if path in expected else b""
-        if path not in expected:
-            yield Problem(path, f"is named by the record of episode {index} and is not its own")
-        elif content is None:
-            yield Problem(path, f"is missing, of episode {index}")
-        elif hashlib.sha256(content).hexdigest() != checksum:
-            yield Problem(path, f"is damaged: its checksum is not that in the record of episode {index}")
-
-
-def _wrong_content(content: Content, document: dict[str, Any]) -> str | None:
-    try:
-        return content(document)
-    except Exception as error:  # damage shows in a dozen ways
-        return f"cannot be read: {type(error).__name__}: {error}"
-
-
-def _index_problems(group: Group, records: Records) -> Iterator[Problem]:
-    content = group.read("index.json")
-    try:
-        known = {} if content is None else read_index(content, "index.json")
-    except FormatError as error:
-        yield Problem("index.json", str(error))
-        return
-    for index in sorted(index for index, record in known.items() if records.get(index) != record):
-        yield Problem("index.json", f"episode {index} is not what its record says: remove the index, it is made again")
+    bar: Iterable[int] = tqdm(numbers, unit="episode", disable=not progress, file=sys.stderr)
+    return bar

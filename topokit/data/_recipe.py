@@ -9,7 +9,6 @@ import dataclasses
 import functools
 import hashlib
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import field
 from pathlib import Path
@@ -20,7 +19,7 @@ from pydantic import BeforeValidator, Field
 
 from topokit._archive import existing
 from topokit._config import Count, Positive, as_tuple, checked, from_mapping
-from topokit.io import FEWEST_FRAMES, HISTORY, Episode
+from topokit.io import Episode
 from topokit.sim import (
     TASKS,
     WARDROBE,
@@ -28,7 +27,6 @@ from topokit.sim import (
     Cloth,
     DepthNoise,
     Garment,
-    GripperPath,
     Hanger,
     Hook,
     Mannequin,
@@ -42,7 +40,7 @@ from topokit.sim import (
     task_for,
 )
 
-from ._sizes import MOST, varied_garment, varied_target
+from ._sizes import varied_garment, varied_target
 
 _LATER = ("scarf", "belt", "net", "trousers")  # than version 1, whose default tasks stay what they were
 _OF_TWO = ("off_script", "places", "vary", "meshes")
@@ -80,8 +78,6 @@ class MeshFile:
     size: Positive | None = None  #: largest extent, metres
     scale: Positive | None = None  #: metres in one unit of the file, instead of a size
     up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None  #: the axis that points up; found when not given
-    #: What `generate_dataset` found: vertices, faces, loops, vertices of the longest loop, and seconds of the longest path.
-    takes: tuple[Count, Count, Count, Count, Positive] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.loops, str):  # sorted: a JSON object has no order
@@ -218,7 +214,7 @@ def _own(name: str, mesh: MeshFile) -> Garment:
 
 
 def pinned(config: DatasetConfig) -> DatasetConfig:
-    """The configuration with paths, checksums and room of its meshes, which are read here."""
+    """Return the configuration with paths and checksums of its meshes, which are read here."""
     meshes = {}
     for name, mesh in config.meshes.items():
         path, checksum = checked_file(mesh)
@@ -228,21 +224,13 @@ def pinned(config: DatasetConfig) -> DatasetConfig:
             if not task.loops:
                 has = ", ".join(garment.loop_names) or "none"
                 raise ValueError(f"{task.name}: {path} has no loop to hang it by, its loops: {has}; mark or name them")
-        takes = tuple(map(max, zip(*(_takes(task, garment) for task in tasks), strict=True)))
-        meshes[name] = dataclasses.replace(mesh, file=str(path), sha256=checksum, takes=takes)
+        meshes[name] = dataclasses.replace(mesh, file=str(path), sha256=checksum)
     return dataclasses.replace(config, meshes=meshes)
 
 
 def _task(config: DatasetConfig, name: str, garment: Garment) -> Task:
     mesh, _, target = name.rpartition("-")
     return task_for(garment, _TARGETS[target]()) if mesh in config.meshes else TASKS[name]
-
-
-def _takes(task: Task, garment: Garment) -> tuple[int, int, int, int, float]:
-    """What an episode takes: vertices, faces, loops, vertices of the longest loop, seconds."""
-    seconds = task.plan(garment, task.target, Randomisation.generator(0, "path")).end
-    longest = max([1, *map(len, garment.loops)])
-    return len(garment.vertices), len(garment.faces), max(1, len(garment.loops)), longest, seconds
 
 
 def _physics(config: DatasetConfig, garment: Garment) -> tuple[SimulationConfig, Randomisation | None]:
@@ -318,27 +306,3 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
         n_observed=config.n_observed if cameras else min(config.n_observed, len(garment.vertices)),
         time_limit=time_limit,
     )
-
-
-def room(config: DatasetConfig) -> dict[str, int]:
-    """Return how many frames, vertices and so on the largest episode of a `pinned` configuration has: its tasks decide."""
-    meshes = {task: config.meshes.get(task.rpartition("-")[0]) for task in config.tasks}
-    if any(mesh and mesh.takes is None for mesh in meshes.values()):
-        raise ValueError("meshes: `takes` is missing, which generate_dataset notes; read them by that")
-    all_take = [mesh.takes if mesh else _takes(TASKS[task], config.garment(task)) for task, mesh in meshes.items()]
-    vertices, faces, loops, loop, longest = map(max, zip(*all_take, strict=True))
-    frames, more = config.simulation.frames, MOST if config.vary else 1.0
-    if frames is None:
-        seconds = max(GripperPath.LONGEST if config.off_script else 0.0, longest)
-        frames = max(FEWEST_FRAMES, math.ceil(min(seconds / config.simulation.frame_time, 2**62)))
-    vertices = int(more * vertices)
-    return {
-        "frames": -(-frames // HISTORY) * HISTORY,
-        "vertices": vertices,
-        "observed": min(config.n_observed, vertices),
-        "seen": config.n_observed if config.cameras else 0,
-        "faces": int(more * faces),
-        "loops": loops,
-        "loop": int(more * loop),
-        "line": max(len(_TARGETS[task.rpartition("-")[2]]().centre_line) for task in config.tasks),
-    }

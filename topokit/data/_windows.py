@@ -16,16 +16,16 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from topokit.io import HISTORY, HORIZON
+from topokit.io import HISTORY, HORIZON, TICKS, Episode, as_metres, as_ticks
 from topokit.sampling import farthest_point_sample
 from topokit.seqph import track
 
 from ._dataset import Dataset
-from ._group import damage_in, decode
-from ._layout import ABSENT, METRE, SIMPLICES, arrays_of, cloud_of, observed, pack, unpack
+from ._labels import ABSENT, SIMPLICES, arrays_of, cloud_of
 
 Array = NDArray[np.float32]
-_UNIT = np.float32(1 / METRE)
+Ticks = NDArray[np.signedinteger[Any]]
+_TICK = np.float32(1 / TICKS)  # metres
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +33,12 @@ class _Tracked:
     """Labels of an episode: integers, in units of 0.1 mm, beside values in metres."""
 
     ids: NDArray[np.int32]  # (T, S'), -1 where there is no loop
-    triangles: NDArray[np.int16]  # (T, S', 6, 3, 3)
+    triangles: Ticks  # (T, S', 6, 3, 3)
     values: Array  # (T, S', 6)
     numbers: Array  # (T, S', 3): birth, death, killer_shift
 
     @classmethod
-    def of(cls, found: Mapping[str, NDArray[Any]], cloud: NDArray[np.int16]) -> _Tracked:
+    def of(cls, found: Mapping[str, NDArray[Any]], cloud: Ticks) -> _Tracked:
         """From stored arrays, and the cloud that was tracked: the killer triangles first, then the neighbours."""
         simplices, numbers = found["simplices"], found["values"]
         frames, slots = simplices.shape[:2]
@@ -55,9 +55,9 @@ class _Tracked:
 class _Episode:
     """An episode as windows are cut from it: integers, in units of 0.1 mm."""
 
-    clouds: NDArray[np.int16]  # (T, P, 3)
-    grippers: NDArray[np.int16]  # (T, 2, 3)
-    actions: NDArray[np.int16]
+    clouds: Ticks  # (T, P, 3)
+    grippers: Ticks  # (T, 2, 3)
+    actions: Ticks
     held: NDArray[np.bool_]  # (T,)
     tracked: _Tracked
 
@@ -168,7 +168,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         if len(missing):
             lack = f"{len(missing)} episodes have no labels {labels!r}, the first is {missing[0]}"
             raise ValueError(f"{lack}: topokit label makes them")
-        lengths = [self.dataset.group.records[int(i)].frames for i in self.episodes]
+        lengths = [self.dataset.record(i).frames for i in self.episodes]
         spans = [range(history - 1, length - horizon, stride) for length in lengths]
         counts = [len(span) for span in spans]
         if not any(counts):
@@ -192,16 +192,16 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         future = slice(frame + 1, frame + self.horizon + 1)
         order = self._identities(episode.tracked, past, future)
         parts: dict[str, Any] = {
-            "clouds": episode.clouds[past] * _UNIT,
-            "grippers": episode.grippers[past] * _UNIT,
+            "clouds": _metres(episode.clouds[past]),
+            "grippers": _metres(episode.grippers[past]),
             "held": episode.held[past].copy(),
-            "actions": episode.actions[future] * _UNIT,
+            "actions": _metres(episode.actions[future]),
             "actions_held": episode.held[future].copy(),
             **_by_identity(episode.tracked, order, future),
             **{f"past_{name}": part for name, part in _by_identity(episode.tracked, order, past).items()},
             "episode": np.int64(number),
             "frame": np.int64(frame),
-            "garment": np.int64(self.dataset.garments.index(self.dataset.group.records[number].garment)),
+            "garment": np.int64(self.dataset.garments.index(self.dataset.record(number).garment)),
         }
         return {name: torch.as_tensor(part) for name, part in parts.items()}
 
@@ -213,9 +213,9 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
 
     def seen(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the clouds of an episode that its states were tracked on, (T, P, 3), and its target's centre line, (L, 3)."""
-        stored = decode(self.dataset.group, self.dataset.document(number), ("points", "observed", "centre_line"))
-        clouds, line = (unpack(part) for part in (self._tracked_clouds(stored, number), stored["centre_line"]))
-        return clouds.astype(np.float64), line.astype(np.float64)
+        episode = self.dataset[number]
+        clouds = as_metres(self._tracked_clouds(episode, number))
+        return clouds.astype(np.float64), episode.centre_line.astype(np.float64)
 
     def load(self) -> WindowDataset:
         """Decode the episodes now, as many as `memory` lets; processes forked later share them."""
@@ -244,35 +244,42 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         return np.concatenate([*order, np.full(self.slots, -2)])[: self.slots]
 
     def _decode(self, number: int) -> _Episode:
-        group = self.dataset.group
-        stored = decode(group, group.document(number), ("points", "observed", "actions", "grippers", "held"))
-        with damage_in(group, number):
-            seen = observed(stored)
+        episode = self.dataset[number]
+        tracked_clouds = self._tracked_clouds(episode, number)
         if self.observe is None:
-            clouds, labels = self._sampled(seen), self.dataset.labels(self.labels)
-            with damage_in(labels, number):
-                found = decode(labels, labels.document(number), ("id", "simplices", "values"))
-                tracked = _Tracked.of(found, self._tracked_clouds(stored, number))
+            labels = self.dataset.labels(self.labels)
+            clouds = self._sampled(episode)
+            arrays = labels.arrays(number)
+            labels.check_fit(number, arrays, *tracked_clouds.shape[:2])
         else:
-            clouds = self._tracked_clouds(stored, number)
-            slots = self.dataset.labels(self.labels).manifest["slots"]
-            states = track(unpack(clouds), n_jobs=1)
-            tracked = _Tracked.of(arrays_of(states, slots), clouds)
-        clouds = clouds[:, np.arange(self.n_points) % clouds.shape[1]]
-        return _Episode(clouds, stored["grippers"], stored["actions"], stored["held"].astype(bool), tracked)
+            clouds = tracked_clouds
+            arrays = arrays_of(track(as_metres(clouds), n_jobs=1))
+        return _Episode(
+            clouds[:, np.arange(self.n_points) % clouds.shape[1]],
+            as_ticks(episode.grippers),
+            as_ticks(episode.actions),
+            episode.held,
+            _Tracked.of(arrays, tracked_clouds),
+        )
 
-    def _tracked_clouds(self, stored: Mapping[str, NDArray[Any]], number: int) -> NDArray[np.int16]:
+    def _tracked_clouds(self, episode: Episode, number: int) -> Ticks:
+        """(T, n, 3) the clouds that the states of an episode are of."""
         if self.observe is None:
-            return cloud_of(stored, self.dataset.labels(self.labels).manifest)
-        clouds = unpack(self._sampled(observed(stored))).astype(np.float64)
-        return pack("clouds", self.observe(number, clouds))
+            return as_ticks(cloud_of(episode, self.dataset.labels(self.labels).settings))
+        clouds = as_metres(self._sampled(episode)).astype(np.float64)
+        return as_ticks(self.observe(number, clouds), "clouds")
 
-    def _sampled(self, clouds: NDArray[np.int16]) -> NDArray[np.int16]:
-        """(T, P', 3), P' <= P."""
+    def _sampled(self, episode: Episode) -> Ticks:
+        """(T, P', 3) points of the observation, P' <= P."""
+        clouds = as_ticks(episode.observed)
         few = min(self.n_points, clouds.shape[1])
         if not self.resampled:
             return clouds[:, :few]
         return np.array([cloud[farthest_point_sample(cloud, few, None)[0]] for cloud in clouds])
+
+
+def _metres(ticks: Ticks) -> Array:
+    return ticks.astype(np.float32) * _TICK
 
 
 def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> dict[str, NDArray[Any]]:
@@ -283,7 +290,7 @@ def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> di
     row = np.arange(len(ids))[:, None]
     numbers = np.where(present[..., None], tracked.numbers[span][row, place], 0)
     return {
-        "triangles": tracked.triangles[span][row, place] * (_UNIT * present[..., None, None, None]),
+        "triangles": _metres(tracked.triangles[span][row, place]) * present[..., None, None, None],
         "values": np.where(present[..., None], tracked.values[span][row, place], 0),
         "present": present,
         **{name: numbers[..., i] for i, name in enumerate(("birth", "death", "killer_shift"))},

@@ -115,8 +115,7 @@ class PreparedCondition:
 
 def kinds_of(windows: WindowDataset, name: Literal["garment", "target"]) -> NDArray[np.str_]:
     """(n,) the garment or the target of each window."""
-    records = windows.dataset.group.records
-    return np.array([getattr(records[number], name) for number in windows.index[:, 0].tolist()])
+    return np.array([getattr(windows.dataset.record(number), name) for number in windows.index[:, 0].tolist()])
 
 
 def prepare_condition(config: EvaluationConfig, condition: Condition, folder: Path) -> PreparedCondition:
@@ -157,7 +156,7 @@ def _entries(
     counts = zip(*np.unique(kinds_of(windows, "garment"), return_counts=True), strict=True)
     entries = {
         "dataset": {"sha256": dataset.checksum(), "seed": dataset.seed, "episodes": len(dataset)},
-        "labels": {"name": windows.labels, "observation": labels.manifest["observation"], "sha256": labels.checksum()},
+        "labels": {"name": windows.labels, "observation": labels.settings.observation, "sha256": labels.checksum()},
         "condition": {key: value for key, value in asdict(condition).items() if key not in ("models", "dataset")},
         "states_of_seqph_hold_carry_ridge": "tracked on the spoilt clouds" if condition.clouds else "the labels",
         "windows": len(windows),
@@ -182,11 +181,10 @@ def _tested(condition: Condition, dataset: Dataset, labels: str) -> NDArray[np.i
     unknown = sorted(set(garments) - set(dataset.garments))
     if unknown:
         raise ValueError(f"{where}: no garment {unknown[0]!r} in the dataset; it has {', '.join(dataset.garments)}")
-    records = dataset.group.records
-    chosen = [number for number in parts[condition.part].tolist() if records[number].garment in garments]
+    chosen = [number for number in parts[condition.part].tolist() if dataset.record(number).garment in garments]
     if condition.plans != "all":
         off = condition.plans == "off script"
-        chosen = [number for number in chosen if ("path" in dataset.document(number)["physics"]) == off]
+        chosen = [number for number in chosen if ("path" in dataset.record(number).physics) == off]
     known = np.intersect1d(chosen, labelled)
     if not len(known):
         raise ValueError(f"{where}: no episode of {condition.part!r} is of these garments and has labels {labels!r}")
@@ -220,7 +218,7 @@ def true_curves(windows: WindowDataset, rows: Sequence[int], steps: Sequence[int
     """The true loops of windows at some steps: which are there, and where."""
     found = []
     for number, frame in windows.index[np.asarray(rows)].tolist():
-        whole, at = _true_curves(windows.dataset.group.url, number), frame + np.array(steps)
+        whole, at = _true_curves(windows.dataset.folder, number), frame + np.array(steps)
         curves, closing, present = (tuple(p[at] for p in part) for part in (whole.curves, whole.closing, whole.present))
         tight = tuple([loop[step] for step in at] for loop in whole.tight)
         found.append(TrueCurves(curves, closing, present, tight))
@@ -228,8 +226,8 @@ def true_curves(windows: WindowDataset, rows: Sequence[int], steps: Sequence[int
 
 
 @cache  # conditions share their episodes; a few hundred, half a second and a megabyte each
-def _true_curves(url: str, number: int) -> TrueCurves:
-    episode = Dataset(url)[number]
+def _true_curves(folder: Path, number: int) -> TrueCurves:
+    episode = Dataset(folder)[number]
     points, loops = episode.points.astype(np.float64), episode.loops
     frames, row = true_loops(points, loops), np.arange(len(points))[:, None]
     killers = np.array([frame.killers for frame in frames])  # (T, loops, 2)

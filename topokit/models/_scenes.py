@@ -38,7 +38,7 @@ class Scenes(torch.utils.data.Dataset[dict[str, Tensor]]):
 
     def __init__(self, dataset: Dataset, episodes: Iterable[int], *, n_points: int = 160, stride: int = 1) -> None:
         self.dataset, self.episodes, self.n_points = dataset, np.unique([*map(int, episodes)]), n_points
-        lengths = [dataset.group.records[int(i)].frames for i in self.episodes]
+        lengths = [dataset.record(i).frames for i in self.episodes]
         frames = [np.arange(FIRST, length - AHEAD, stride) for length in lengths]
         self.index = np.column_stack([np.repeat(self.episodes, [*map(len, frames)]), np.concatenate(frames)])
         self._known: dict[int, dict[str, Array]] = {}

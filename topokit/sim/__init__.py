@@ -15,12 +15,11 @@ if TYPE_CHECKING:
     from ._episode import simulate
     from ._garments import WARDROBE, Garment
     from ._path import GripperPath, Via, off_script
-    from ._process import SimulationError
     from ._randomisation import Randomisation
     from ._starts import HangingStarts
     from ._targets import Hanger, Hook, Mannequin, Placed, Target
     from ._tasks import TASKS, Task, task_for
-    from ._world import SimulationConfig, World
+    from ._world import SimulationConfig, SimulationError, World
 
 # So that gymnasium.make knows the environments once this package is imported.
 if importlib.util.find_spec("gymnasium") and importlib.util.find_spec("pydantic"):

@@ -31,11 +31,10 @@ from ._cloth import usual_config
 from ._episode import AT_REST, Run, as_episode, rods_of
 from ._garments import Garment
 from ._path import from_elsewhere
-from ._process import SimulationError
 from ._surface import Array, simple_cycles
 from ._targets import Moving, Placed, Target, Travelling
 from ._tasks import PathScript, Task, check_loops, planned, resolved
-from ._world import SimulationConfig, World, check_stretch
+from ._world import SimulationConfig, SimulationError, World, check_stretch
 
 Observation = dict[str, Any]
 REWARDS = ("sparse", "dense", "topological", "topological-observed")

@@ -7,23 +7,20 @@ Source: Antonova et al. 2021, section 6 (stiffness and paths are randomised). Ta
 
 from __future__ import annotations
 
-import base64
-import contextlib
 import dataclasses
 import functools
-import io
 import math
 import platform
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from topokit._config import from_mapping
+from topokit._processes import ProcessError, in_fresh_processes
 from topokit._validate import WrongKindError, positive
 from topokit.io import FEWEST_FRAMES, Episode, wardrobe_names
 from topokit.sampling import farthest_point_sample
@@ -31,12 +28,11 @@ from topokit.sampling import farthest_point_sample
 from ._camera import Camera
 from ._cloth import usual_config
 from ._garments import Garment
-from ._process import Forge, SimulationError
 from ._randomisation import Randomisation
 from ._surface import Array
 from ._targets import Rod, Target
 from ._tasks import Task, check_loops, planned, resolved, warn_of_floor
-from ._world import SimulationConfig, World, check_stretch
+from ._world import SimulationConfig, SimulationError, World, check_stretch
 
 Report = Callable[[int], None]
 # points (T, N, 3), grippers (T, 2, 3), observed (T, M, 3) by cameras, stretch (T, 2)
@@ -44,9 +40,6 @@ Recording = dict[str, NDArray[Any]]
 AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
 _CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
 _MOST_STEPS, _MOST_PLACES = 10_000_000, 100_000_000
-_JOB = "topokit.sim._episode:record_job"
-# What a fresh process refuses to do, or has not the means for: the same error here.
-_REFUSALS = {"SimulationError": SimulationError, "ValueError": ValueError, "ImportError": ImportError}
 
 
 def simulate(
@@ -250,22 +243,13 @@ def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> 
         if report is not None:
             report(frame)
 
-    with contextlib.closing(Forge(_JOB, once=True)) as forge:
-        result = forge.run(_as_job(run), math.inf, silence=time_limit, report=note)
-    if "answer" not in result:
-        raise SimulationError(f"{stage}: {result['message']}")
-    if "error" in result["answer"]:
-        raise _REFUSALS[result["answer"]["error"]](result["answer"]["message"])
-    return _unpacked(result["answer"]["recording"])
-
-
-def record_job(job: dict[str, Any], report: Report) -> dict[str, str]:
-    """What the fresh process does: simulate, and answer with the recording or the error."""
-    try:
-        return {"recording": _packed(record(_as_run(job), report))}
-    except tuple(_REFUSALS.values()) as error:
-        name = next(name for name, kind in _REFUSALS.items() if isinstance(error, kind))
-        return {"error": name, "message": str(error)}
+    answers = in_fresh_processes(record, [run], time_limit=time_limit, report=note, preload=[__name__])
+    ((_, recording),) = answers
+    if isinstance(recording, ProcessError):
+        raise SimulationError(f"{stage}: {recording}")
+    if isinstance(recording, Exception):
+        raise recording
+    return dict(recording)
 
 
 def rods_of(target: Target, times: NDArray[np.floating]) -> tuple[list[Rod], Array]:
@@ -275,34 +259,3 @@ def rods_of(target: Target, times: NDArray[np.floating]) -> tuple[list[Rod], Arr
         return first, np.zeros((0, len(first), 3))
     starts = np.array([[start for start, _, _ in target.at(time).rods] for time in times])
     return first, starts - starts[0]
-
-
-def _as_job(run: Run) -> dict[str, Any]:
-    """A run as JSON, all its arrays as one `.npz`; not its garment's names of sizes, which the physics does not ask for."""
-    garment, (starts, ends, radii) = run.garment, zip(*run.rods, strict=True)
-    cloth = {name: getattr(garment, name) for name in ("vertices", "faces", "grips")}
-    arrays = _packed({**cloth, "starts": starts, "ends": ends, "radii": radii, "goals": run.goals, "moves": run.moves})
-    text = {name: getattr(run, name) for name in ("release", "n_observed", "noise")}
-    cameras = [dataclasses.asdict(camera) for camera in run.cameras]
-    return {"arrays": arrays, "config": dataclasses.asdict(run.config), "cameras": cameras, **text}
-
-
-def _as_run(job: dict[str, Any]) -> Run:
-    arrays = _unpacked(job.pop("arrays"))
-    garment = Garment("", arrays["vertices"], arrays["faces"], (), arrays["grips"])
-    rods = tuple(zip(arrays["starts"], arrays["ends"], arrays["radii"].tolist(), strict=True))
-    config = from_mapping(SimulationConfig, job.pop("config"), "config")
-    cameras = tuple(from_mapping(Camera, camera, "cameras") for camera in job.pop("cameras"))
-    return Run(garment, rods, arrays["moves"], arrays["goals"], config=config, cameras=cameras, **job)
-
-
-def _packed(arrays: Mapping[str, ArrayLike]) -> str:
-    """An `.npz` as text."""
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]
-    return base64.b64encode(buffer.getvalue()).decode()
-
-
-def _unpacked(text: str) -> Recording:
-    with np.load(io.BytesIO(base64.b64decode(text)), allow_pickle=False) as archive:
-        return dict(archive)

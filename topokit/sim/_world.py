@@ -22,10 +22,13 @@ from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
 from ._garments import Garment
-from ._process import SimulationError
 from ._surface import Array, edge_lengths
 
 Stretch = Annotated[float, Field(gt=1)]
+
+
+class SimulationError(RuntimeError):
+    """A run that failed: cloth that exploded or was stretched too far, a simulator that crashed or does not get on."""
 
 
 @checked

@@ -1,0 +1,228 @@
+"""A folder of numbered files, one an episode: a dataset, and beside its episodes a set of labels.
+
+    dataset.json         what the dataset is: configuration, seed, number of episodes, versions
+    00000007.npz         episode 7
+    00000008.json        why there is no episode 8
+    labels/NAME/         a folder of labels.json and of files of the same numbers
+
+Every file is written aside and moved into place. So a file that is there is whole, and a command that was stopped goes on by
+making what is not there yet.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import re
+import zlib
+from collections.abc import Mapping
+from dataclasses import field, fields
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from topokit import __version__
+from topokit._archive import FormatError, atomic_file, load_header, read_json
+from topokit._config import checked, from_mapping
+
+MOST_EPISODES = 100_000_000  # a file's name has eight digits
+_NUMBERED = re.compile(r"([0-9]{8})\.(npz|json)")
+NotNegative = Annotated[int, Field(ge=0)]
+
+
+@checked
+class Record:
+    """An episode in short."""
+
+    episode: Annotated[int, Field(ge=0, lt=MOST_EPISODES)]
+    #: ok: there is a file of it; rejected: it was not physical; failed: it could not be made.
+    status: Literal["ok", "rejected", "failed"]
+    reason: str = ""  #: why it is not ok
+    task: str = ""
+    garment: str = ""
+    target: str = ""
+    seed: NotNegative = 0  #: of the episode
+    success: bool = False
+    frames: NotNegative = 0
+    physics: Mapping[str, Any] = field(default_factory=dict)
+
+
+class NumberedFiles:
+    """The files of a folder, each of one episode.
+
+    Parameters
+    ----------
+    folder : path
+    kind : str
+        Of its archives.
+    about : str
+        Name of the file that says what the folder is.
+    """
+
+    def __init__(self, folder: str | Path, kind: str, about: str) -> None:
+        self.folder = Path(folder)  #: where the files are
+        self._kind = kind
+        self._about = about
+        self._known: dict[int, Record] = {}
+        found: dict[str, set[int]] = {"npz": set(), "json": set()}
+        for name in os.listdir(self.folder):
+            if match := _NUMBERED.fullmatch(name):
+                found[match[2]].add(int(match[1]))
+        self.episodes: NDArray[np.int64] = np.array(
+            sorted(found["npz"]), dtype=np.int64
+        )  #: (n,) numbers of the whole ones
+        self.refused: list[int] = sorted(found["json"] - found["npz"])  #: numbers of the rejected and failed ones
+
+    @cached_property
+    def records(self) -> tuple[Record, ...]:
+        """One for every episode that was tried, in order."""
+        return tuple(self.record(number) for number in sorted([*self.episodes.tolist(), *self.refused]))
+
+    @property
+    def failures(self) -> tuple[Record, ...]:
+        """Those that were rejected or failed, each with its `reason`."""
+        return tuple(self.record(number) for number in self.refused)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many episodes are "ok", "rejected" and "failed", as far as there are any."""
+        statuses = ["ok"] * len(self.episodes) + [record.status for record in self.failures]
+        return {status: statuses.count(status) for status in sorted(set(statuses))}
+
+    def record(self, episode: int) -> Record:
+        """Return an episode in short, read from the header of its file.
+
+        Raises
+        ------
+        KeyError
+            When the episode was not tried.
+        FormatError
+            When its file is damaged.
+        """
+        number = int(episode)
+        if number not in self._known:
+            self._known[number] = self._read_record(number)
+        return self._known[number]
+
+    def _read_record(self, number: int) -> Record:
+        path = archive_path(self.folder, number)
+        if path.is_file():
+            document = {**load_header(path, self._kind), "status": "ok"}
+        else:
+            path = failure_path(self.folder, number)
+            if not path.is_file():
+                raise KeyError(f"{self.folder} has no episode {number}")
+            try:
+                document = dict(read_json(path.read_bytes()))
+            except (ValueError, TypeError) as error:
+                raise FormatError(f"{path}: damaged ({error}); remove it, and the same command goes on") from error
+        known = {f.name: document[f.name] for f in fields(Record) if f.name in document}
+        try:
+            return Record(**{**known, "episode": number})
+        except ValueError as error:
+            raise FormatError(f"{path}: {error}") from error
+
+    def is_done(self, episode: int) -> bool:
+        """Return whether an episode was tried and its file reads well, as far as its header."""
+        try:
+            self.record(episode)
+        except (KeyError, FormatError):
+            return False
+        return True
+
+    def path_of(self, episode: int) -> Path:
+        """Return the file of a whole episode; a KeyError says why there is none."""
+        path = archive_path(self.folder, int(episode))
+        if not path.is_file():
+            record = self.record(episode)
+            raise KeyError(f"episode {episode} was {record.status}: {record.reason}")
+        return path
+
+    def checksum(self) -> str:
+        """Return one SHA-256 of what the folder is and of all its episodes: the same however it was made."""
+        digest = hashlib.sha256((self.folder / self._about).read_bytes())
+        paths = [archive_path(self.folder, number) for number in self.episodes.tolist()]
+        paths += [failure_path(self.folder, number) for number in self.refused]
+        for path in sorted(paths):
+            digest.update(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
+        return digest.hexdigest()
+
+
+def archive_path(folder: Path, number: int) -> Path:
+    """Return where the file of a whole episode is."""
+    return folder / f"{number:08d}.npz"
+
+
+def failure_path(folder: Path, number: int) -> Path:
+    """Return where it is said why there is no such episode."""
+    return folder / f"{number:08d}.json"
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a JSON document in one piece; one that is there already is left alone."""
+    content = (json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode()
+    if not path.is_file() or path.read_bytes() != content:
+        with atomic_file(path) as handle:
+            handle.write(content)
+
+
+def read_settings(kind: type[Any], path: Path) -> Any:
+    """Return what a folder is, a checked dataclass, from its JSON file."""
+    try:
+        return from_mapping(kind, read_json(path.read_bytes()), "it")
+    except ValueError as error:
+        raise FormatError(f"{path}: not what topokit writes there: {error}") from error
+
+
+def begin(folder: Path, about: str, settings: Mapping[str, Any]) -> None:
+    """Make a folder, or open one to go on; nothing is written unless all is well.
+
+    Raises
+    ------
+    ValueError
+        When the folder was begun with other settings, or holds other files.
+    """
+    path = folder / about
+    if path.is_file():
+        old = read_json(path.read_bytes())
+        _refuse_other(old, dict(settings), str(folder))
+        if settings.get("episodes", 0) < old.get("episodes", 0):
+            raise ValueError(f"{folder} has {old['episodes']} episodes; it cannot shrink to {settings['episodes']}")
+    elif folder.exists() and any(not name.endswith(".part") for name in os.listdir(folder)):
+        raise ValueError(f"{folder} holds other files and no {about}: name a new folder, or an empty one")
+    write_json(path, settings)
+    for left in folder.glob(".*.part"):  # what commands that were killed had begun to write
+        left.unlink(missing_ok=True)
+
+
+def _refuse_other(old: Any, new: Any, folder: str, name: str = "") -> None:
+    """Raise ValueError when two settings differ in anything but the number of episodes; name the first difference."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted({*old, *new}):
+            if name or key != "episodes":
+                _refuse_other(old.get(key), new.get(key), folder, f"{name}.{key}" if name else key)
+    elif old != new:
+        cure = "give the same"
+        if name.startswith("versions"):
+            cure = "bytes might differ: use the same versions"
+        raise ValueError(f"{folder} was begun with {name} = {old!r}, this is {name} = {new!r}; {cure}, or a new folder")
+
+
+def versions_of(*packages: str) -> dict[str, str]:
+    """Return the versions on which bytes may depend."""
+    ours = {"machine": platform.machine(), "topokit": __version__, "zlib": zlib.ZLIB_RUNTIME_VERSION}
+    return ours | {package: version(package) for package in packages}
+
+
+def refuse_other_versions(folder: Path, versions: Mapping[str, str]) -> None:
+    """Raise ValueError when this process has other versions than a folder was begun with."""
+    _refuse_other(
+        dict(versions), versions_of(*versions.keys() - {"machine", "topokit", "zlib"}), str(folder), "versions"
+    )
