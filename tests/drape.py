@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from topokit.sim import CLOTHS, Cloth, Garment, World
+from topokit.sim import Cloth, Garment, World
 
 SIDE, RADIUS, LIFT = 0.30, 0.02, 1.0
 
@@ -39,5 +39,5 @@ def drape(cloth: Cloth, spacing: float = 0.03, seconds: float = 1.8) -> float:
 
 if __name__ == "__main__":
     print("kind     kg/m^2  drape")
-    for name, cloth in CLOTHS.items():
+    for name, cloth in Cloth.KINDS.items():
         print(f"{name:8} {cloth.density:6.2f} {drape(cloth):6.2f}")

@@ -12,14 +12,14 @@ pytest.importorskip("pybullet")
 
 import itertools
 
-from topokit.sim import CLOTHS, Cloth, Garment, SimulationConfig, World
+from topokit.sim import Cloth, Garment, SimulationConfig, World
 
 
 def test_kinds_of_cloth_drape_in_their_order():
     """On a coarse square and for a moment only; `python tests/drape.py` gives the figures of the finer one."""
     stiff_first = ["canvas", "cotton", "jersey", "silk"]
-    assert list(CLOTHS) == stiff_first
-    measured = [drape(CLOTHS[name], spacing=0.05, seconds=1.0) for name in stiff_first]
+    assert list(Cloth.KINDS) == stiff_first
+    measured = [drape(Cloth.KINDS[name], spacing=0.05, seconds=1.0) for name in stiff_first]
     assert all(a + 0.005 < b for a, b in itertools.pairwise(measured)), measured
     assert measured[0] > 0
     assert measured[-1] < 1

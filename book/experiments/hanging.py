@@ -10,6 +10,7 @@ robot has.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import time
 from collections import Counter
@@ -28,7 +29,7 @@ from topokit.control import Carried, Controller, Hanging, Planner, ThrowControll
 from topokit.io import Episode, save_episode
 from topokit.linking import close_far, linking_number
 from topokit.sim import TASKS as KNOWN
-from topokit.sim import Camera, HangEnv, HangingStarts, SimulationConfig, Task
+from topokit.sim import Camera, HangEnv, SimulationConfig, Task
 
 GARMENTS = ("apron", "apron2", "tote", "tote2", "backpack", "mask", "sheet")
 TASKS = [*(f"{garment}-{target}" for target in ("hook", "hanger") for garment in GARMENTS)]
@@ -118,12 +119,23 @@ class Learned(Controller):
         return self._agent.predict(dict(observation), deterministic=True)[0]
 
 
+class Starts(gymnasium.Wrapper):
+    """Starts for learners: the seeds from 0 to 999 in a row, and again."""
+
+    def __init__(self, env: Any) -> None:
+        super().__init__(env)
+        self._seeds = itertools.cycle(range(1000))
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        return self.env.reset(seed=next(self._seeds), options=options)
+
+
 @cache
 def agent(task: str, steps: int) -> Any:
     from stable_baselines3 import PPO  # pip install '.[rl]'
 
     name = "".join(part.capitalize() for part in task.split("-"))
-    env = HangingStarts(gymnasium.make(f"topokit/Hang{name}-v1", reward="topological"), seeds=range(1000))
+    env = Starts(gymnasium.make(f"topokit/Hang{name}-v1", reward="topological"))
     try:
         return PPO("MultiInputPolicy", env, n_steps=1024, batch_size=256, seed=0, device="cpu").learn(steps)
     finally:

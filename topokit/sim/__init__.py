@@ -10,13 +10,12 @@ from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._camera import Camera, DepthNoise
-    from ._cloth import CLOTHS, Cloth
+    from ._cloth import Cloth
     from ._env import HangEnv
     from ._episode import simulate
     from ._garments import WARDROBE, Garment
     from ._path import GripperPath, Via, off_script
     from ._randomisation import Randomisation
-    from ._starts import HangingStarts
     from ._targets import Hanger, Hook, Mannequin, Placed, Target
     from ._tasks import TASKS, Task, task_for
     from ._world import SimulationConfig, SimulationError, World

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -36,6 +36,8 @@ class Cloth:
     bending: NotNegative = 0.0003  #: stiffness as a share of the elastic one at 750 steps a second
     damping: NotNegative = 350.0  #: of the springs, 1/s: per mass of a vertex
     friction: NotNegative = 1.0  #: coefficient
+
+    KINDS: ClassVar[Mapping[str, Cloth]] = {}  #: canvas, cotton, jersey and silk by their names
 
     def config(self, garment: Garment, **options: Any) -> SimulationConfig:
         """Return the physics of a garment of this cloth: mass is area times density, and the clock as fast as the edges need.
@@ -65,14 +67,13 @@ class Cloth:
         return SimulationConfig(**{**physics, **options})
 
 
-# Area densities (as ISO 3801 measures them) are typical of such fabrics; how far each drapes is measured by tests/drape.py.
-CLOTHS: Mapping[str, Cloth] = {
+# Area densities (as ISO 3801 measures them) are typical of such fabrics; tests/drape.py measures how far each drapes.
+Cloth.KINDS = {
     "canvas": Cloth(density=0.34, stiffness=0.6, bending=0.4, damping=60.0),
     "cotton": Cloth(density=0.15, stiffness=0.6, bending=0.1, damping=60.0, friction=0.8),
     "jersey": Cloth(density=0.18, stiffness=0.6, bending=0.03, damping=60.0),
     "silk": Cloth(density=0.06, stiffness=0.8, bending=0.0003, damping=60.0, friction=0.5),
 }
-"""Kinds of cloth by their names."""
 
 
 def usual_config(garment: Garment) -> SimulationConfig:

@@ -91,32 +91,40 @@ def simulate(
         no camera sees any cloth in some frame.
     """
     if garment is not None and not isinstance(garment, Garment):
-        how = f"Garment.from_mesh({garment!r}) makes one of a mesh" if isinstance(garment, str | Path) else "make one"
+        how = "make one"
+        if isinstance(garment, str | Path):
+            how = f"Garment.from_mesh({garment!r}) makes one of a mesh"
         raise WrongKindError(f"garment must be a Garment, not {type(garment).__name__}: {how}")
     task, garment, target = resolved(task, garment, target)
     config = config or usual_config(garment)
     check_loops(task, garment)
+    # Draw physics, size and cameras.
     drawn: dict[str, Any] = {"randomisation": None}
     if randomisation is not None:
         config, garment, cameras, numbers = randomisation.draw(seed, config, garment, cameras)
         drawn = {"randomisation": {**randomisation.describe(), "drawn": numbers}}
+    # How many points are observed.
     if n_observed is None:
         n_observed = 500 if cameras else min(500, len(garment.vertices))
     most = sum(camera.width * camera.height for camera in cameras) or len(garment.vertices)
     if not 1 <= n_observed <= most:
         what = "pixels of the cameras" if cameras else "vertices of the garment"
         raise ValueError(f"n_observed must be 1 to {most}, the {what}, not {n_observed}")
+    # Plan the path, and turn the garment to its start.
     warn_of_floor(garment, target)
     path = planned(task, garment, target, Randomisation.generator(seed, "path"))
     garment = garment.turned(path.vias[0].yaw)
-    drawn |= {"path": dict(path.drawn)} if path.drawn else {}
+    if path.drawn:
+        drawn["path"] = dict(path.drawn)
+    # How long it takes; what does not fit into the memory is refused.
     frames = config.frames or max(FEWEST_FRAMES, math.ceil(min(path.end / config.frame_time, _MOST_STEPS)))
     config = dataclasses.replace(config, frames=frames)
-    steps, places = frames * config.steps_per_frame, frames * (len(garment.vertices) + n_observed)
+    steps = frames * config.steps_per_frame
+    places = frames * (len(garment.vertices) + n_observed)
     if steps > _MOST_STEPS or places > _MOST_PLACES:
         bounds = f"at most {_MOST_STEPS:,} steps and {_MOST_PLACES:,} places of points fit into the memory"
         raise ValueError(f"{frames:,} frames of {steps:,} steps and {places:,} places of points: {bounds}")
-    goals = path.at(np.arange(frames * config.steps_per_frame) * config.dt)
+    goals = path.at(np.arange(steps) * config.dt)
     noise = int(Randomisation.generator(seed, "noise").integers(2**63))
     rods, moves = rods_of(target, np.arange(frames + 1) * config.frame_time)
     run = Run(garment, rods, moves, goals, round(path.release / config.dt), config, tuple(cameras), n_observed, noise)
@@ -137,25 +145,33 @@ def as_episode(
     drawn: dict[str, Any],
     first: int | None = None,  # vertex of the samples: a world that is controlled shows the first one of the mesh
 ) -> Episode:
-    garment, config, points = run.garment, run.config, recording["points"]
-    names = garment.loop_names
+    """Return the episode of a run and of what was recorded; `drawn` is noted in its physics."""
+    garment = run.garment
+    config = run.config
+    points = recording["points"]
+    # At rest: a loop that flies past the arm links it, too.
     held = np.arange(len(points)) * config.steps_per_frame < run.release
     speed = float(np.linalg.norm(points[-1] - points[-2:][0], axis=1).mean()) / config.frame_time
-    rests = len(points) > 1 and not held[-1] and speed < AT_REST  # a loop that flies past the arm links it, too
+    rests = len(points) > 1 and not held[-1] and speed < AT_REST
     physics = {
         "config": dataclasses.asdict(config),
         "elastic_stiffness": config.elastic_stiffness(len(garment.vertices)),
         "garment": dict(garment.parameters),
         "target": target.describe(),
         **drawn,
-        **({} if names == wardrobe_names(garment.name, garment.parameters) else {"loops": list(names)}),
-        "stretch": dict(zip(("p99", "worst"), recording["stretch"].max(axis=0).tolist(), strict=True)),
     }
-    views = [dataclasses.asdict(camera) for camera in run.cameras]
-    samples = [frame[farthest_point_sample(frame, run.n_observed, first)[0]] for frame in points if not views]
+    if garment.loop_names != wardrobe_names(garment.name, garment.parameters):
+        physics["loops"] = list(garment.loop_names)
+    physics["stretch"] = dict(zip(("p99", "worst"), recording["stretch"].max(axis=0).tolist(), strict=True))
+    # Without cameras all sides are observed.
+    if run.cameras:
+        observed = recording["observed"]
+    else:
+        observed = np.array([frame[farthest_point_sample(frame, run.n_observed, first)[0]] for frame in points])
+    versions = {name: _version(name) for name in ("topokit", "pybullet")}
     return Episode(
         points=points,
-        observed=recording["observed"] if views else np.array(samples),
+        observed=observed,
         actions=run.goals[:: config.steps_per_frame].astype(np.float32),
         grippers=recording["grippers"],
         held=held,
@@ -168,13 +184,17 @@ def as_episode(
         success=bool(rests and task.hangs(points[-1], garment.named_loops, target)),
         seed=seed,
         dt=config.frame_time,
-        observation={"kind": "cameras" if views else "vertices", "cameras": views},
+        observation={
+            "kind": "cameras" if run.cameras else "vertices",
+            "cameras": [dataclasses.asdict(camera) for camera in run.cameras],
+        },
         physics=physics,
-        provenance={**{name: _version(name) for name in ("topokit", "pybullet")}, "machine": platform.machine()},
+        provenance={**versions, "machine": platform.machine()},
     )
 
 
 def _version(package: str) -> str:
+    """Return the version of a package that is installed."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:  # run from a source tree that is not installed
@@ -182,13 +202,14 @@ def _version(package: str) -> str:
 
 
 def _show(frames: int, frame: int) -> None:
+    """Write to stderr which frame of how many is done."""
     end = "\n" if frame + 1 == frames else ""
     print(f"\rsimulating: frame {frame + 1} of {frames}", end=end, file=sys.stderr, flush=True)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Run:
-    """All that a process needs to know in order to simulate."""
+    """The whole input of a simulation, which may run in another process."""
 
     garment: Garment
     rods: Sequence[Rod]  # the target, as it stands at first
@@ -203,18 +224,25 @@ class Run:
 
 def record(run: Run, report: Report | None = None) -> Recording:
     """Simulate in this process; `report` is called with -1 now and then while the cloth settles, and with every frame."""
-    garment, config = run.garment, run.config
-    report = report or (lambda _: None)
+    garment = run.garment
+    config = run.config
+    if report is None:
+        report = _silence
     offset = run.goals[0].mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
     noise = np.random.default_rng(run.noise)
-    points, grippers, observed, stretch = [], [], [], []
+    points = []
+    grippers = []
+    observed = []
+    stretch = []
     with World(garment, offset, config) as world:
         world.add_rods(run.rods)
+        # The garment settles between the grippers.
         for step in range(round(config.settle / config.dt)):
             if step % _CHECK_WHILE_SETTLING == 0 and step:
                 check_stretch(garment, config, world.vertices(), "settling")
                 report(-1)
             world.step(run.goals[0])
+        # It is carried to the target, let go, and recorded.
         for step, goal in enumerate(run.goals):
             if step == run.release:
                 world.release()
@@ -229,8 +257,16 @@ def record(run: Run, report: Report | None = None) -> Recording:
                 frame, share = divmod(step / config.steps_per_frame, 1)
                 world.move_rods((1 - share) * run.moves[int(frame)] + share * run.moves[int(frame) + 1])
             world.step(goal)
-    places = {"points": points, "grippers": grippers, "observed": observed}
-    return {name: np.array(frames, np.float32) for name, frames in places.items()} | {"stretch": np.array(stretch)}
+    return {
+        "points": np.array(points, np.float32),
+        "grippers": np.array(grippers, np.float32),
+        "observed": np.array(observed, np.float32),
+        "stretch": np.array(stretch),
+    }
+
+
+def _silence(_: int) -> None:
+    """Report nothing."""
 
 
 def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> Recording:
@@ -253,7 +289,7 @@ def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> 
 
 
 def rods_of(target: Target, times: NDArray[np.floating]) -> tuple[list[Rod], Array]:
-    """The rods of a target as it stands at the first of some times, and how far each has gone by then; of none when it stands."""
+    """Return the rods of a target at the first of some times, and how far each has moved by each time; (0, R, 3) if it stands."""
     first = target.at(times[0]).rods
     if target.at(times[-1]) == target.at(times[0]):
         return first, np.zeros((0, len(first), 3))
