@@ -38,21 +38,9 @@ PARTS = {
     ),
     "rips": (
         (
-            "rips/__init__.py",
             *(
                 f"rips/{name}.py"
-                for name in (
-                    "_cloud",
-                    "_creators",
-                    "_cycles",
-                    "_diagram",
-                    "_edges",
-                    "_lunes",
-                    "_stack",
-                    "_tree",
-                    "kernel",
-                    "reduction",
-                )
+                for name in ("_cloud", "_cycles", "_diagram", "_pairs", "_persistence", "kernel", "reduction")
             ),
         ),
         ("rips", "rips_kernels", "rips_properties", "reduction", "cycles"),

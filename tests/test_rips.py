@@ -195,7 +195,6 @@ def test_bad_distance_matrix(matrix, says):
         ({"min_lifetime": np.nan}, ValueError),
         ({"max_radius": "x"}, TypeError),
         ({"metric": "l1"}, ValueError),
-        ({"time_limit": np.nan}, ValueError),
     ],
 )
 def test_bad_options(option, error):

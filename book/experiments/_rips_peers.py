@@ -155,7 +155,7 @@ def ripser_told() -> Bars:
 def ours(data: Array, is_matrix: bool, **options: float) -> tk.rips.Diagram:
     """topokit's own answer."""
     metric = "precomputed" if is_matrix else "euclidean"
-    return tk.rips_persistence(data, metric=metric, **{"time_limit": np.inf, **options})
+    return tk.rips_persistence(data, metric=metric, **options)
 
 
 def last_death(data: Array, is_matrix: bool = False) -> float:

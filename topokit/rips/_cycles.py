@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._cloud import Cloud
-from ._edges import edge_length, precedes
-from ._jit import njit
+from .kernel import edge_length, first_triangle, neighbours, shortest_paths
 
 SEARCH_LIMIT = 20_000  # pairs (vertex, class) looked at before a search gives up
 Edge = tuple[int, int]
@@ -70,7 +69,7 @@ class Homology:
                 waiting.pop()
             elif edge in self._creator:
                 self._edges[edge] = 1 << self._creator[edge]
-            elif (z := lune_vertex(self._data, self._axes, *edge)) < 0:
+            elif (z := first_triangle(self._data, self._axes, *edge)) < 0:
                 self._edges[edge] = 0  # a tree edge
             else:
                 one, other = ((min(v, z), max(v, z)) for v in edge)
@@ -246,65 +245,3 @@ def _spliced(walk: list[int], bridge: list[int], other: list[int]) -> list[int]:
     i, j = walk.index(bridge[0]), other.index(bridge[-1])
     detour = [*bridge[:-1], *other[j:], *other[: j + 1], *bridge[-2::-1]]
     return [*walk[:i], *detour, *walk[i + 1 :]]
-
-
-@njit()
-def lune_vertex(data: _Array, axes: _Axes, x: int, y: int) -> int:
-    """The vertex z that completes the earliest triangle before the edge {x, y}, x < y; -1 when its lune is empty."""
-    length = edge_length(data, x, y, axes)
-    best, least = -1, np.inf
-    for z in range(len(data)):
-        if z in (x, y):
-            continue
-        to_x, to_y = edge_length(data, x, z, axes), edge_length(data, y, z, axes)
-        later = max(to_x, to_y)
-        if later < least and precedes(to_x, x, z, length, x, y) and precedes(to_y, y, z, length, x, y):
-            best, least = z, later
-    return best
-
-
-@njit()
-def neighbours(data: _Array, axes: _Axes, v: int, time: Time) -> tuple[NDArray[np.int64], _Array]:
-    """The vertices joined to v before a time, and the lengths of the edges to them."""
-    found, lengths, size = np.empty(len(data), np.int64), np.empty(len(data)), 0
-    for w in range(len(data)):
-        key = edge_length(data, v, w, axes)
-        if w != v and precedes(key, v, w, time[0], time[1], time[2]):
-            found[size], lengths[size] = w, key if len(axes) == 0 else np.sqrt(key)
-            size += 1
-    return found[:size], lengths[:size]
-
-
-@njit()
-def shortest_paths(
-    data: _Array, axes: _Axes, time: Time, targets: NDArray[np.int64], stop: int
-) -> tuple[_Array, NDArray[np.int64]]:
-    """Lengths of the shortest paths before a time to the nearest target, by Dijkstra's method, and the next vertices on them.
-
-    A length is infinite where there is no path or it is longer than that from `stop` (-1: nowhere); -1 comes after a target.
-    Among equal lengths the path with fewer steps is taken.
-    """
-    n = len(data)
-    length, after = np.full(n, np.inf), np.full(n, -1)
-    steps, done = np.zeros(n, np.int64), np.zeros(n, np.bool_)
-    length[targets] = 0.0
-    while True:
-        v = -1
-        for w in range(n):
-            if not done[w] and length[w] < np.inf and (v < 0 or (length[w], steps[w]) < (length[v], steps[v])):
-                v = w
-        if v < 0 or v == stop:
-            break
-        done[v] = True
-        for w in range(n):
-            if done[w]:
-                continue
-            key = edge_length(data, v, w, axes)
-            if precedes(key, v, w, time[0], time[1], time[2]):
-                way = length[v] + (key if len(axes) == 0 else np.sqrt(key))
-                if way < length[w] or (way == length[w] and steps[v] + 1 < steps[w]):
-                    length[w], after[w], steps[w] = way, v, steps[v] + 1
-    for w in range(n):
-        if not done[w] and w != stop:
-            length[w] = np.inf
-    return length, after

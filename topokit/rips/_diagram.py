@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._validate import Ids, as_ids, positive
-from ._cloud import Cloud, pairs
+from .._validate import Array, Ids, as_ids, positive
+from ._cloud import Cloud
 
 if TYPE_CHECKING:
     from ._cycles import Homology
@@ -152,10 +152,8 @@ class Diagram:
         >>> rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]]).to_gudhi()[1]
         [array([[3, 2, 2, 0]])]
         """
-        from ._merges import elders, merges  # numba takes a while to import
-
-        edges, radii = merges(self._cloud, self.max_radius)
-        dying, staying = elders(edges, self.n_points)
+        edges, radii = _component_merges(self._cloud, self.max_radius)
+        dying, staying = _elders(edges, self.n_points)
         merged, stays = np.column_stack([dying, edges[:, ::-1]])[radii > 0], np.isinf(self.death)
         birth_edge, killer_edge = self.birth_edge[:, ::-1], self.killer_edge[:, ::-1]
         ended, staying_loops = np.hstack([birth_edge, killer_edge])[~stays], birth_edge[stays]
@@ -212,6 +210,7 @@ def tighten(
     array([0, 1, 2, 3])
     """
     from ._cycles import Homology, sides  # numba takes a while to import
+    from ._pairs import pairs
 
     diagram = points if isinstance(points, Diagram) else None
     cloud = diagram._cloud if diagram is not None else Cloud.of(points, metric)  # type: ignore[arg-type]
@@ -241,3 +240,29 @@ def _as_walk(cycle: ArrayLike, n_points: int) -> list[int]:
     if ids.ndim != 1 or len(ids) == 0:
         raise TypeError(f"cycle must be a sequence of vertex ids, not of shape {ids.shape}")
     return ids[np.append(ids[1:] != ids[:-1], ids[-1] != ids[0]) | (len(ids) == 1)].tolist() or ids[:1].tolist()
+
+
+def _component_merges(cloud: Cloud, max_radius: float) -> tuple[Ids, Array]:
+    """Return the (m, 2) edges with which components merge, smaller vertex first, in the total order; and half their lengths."""
+    from .kernel import spanning_tree  # numba takes a while to import
+
+    edges = np.sort(spanning_tree(cloud.data, cloud.axes))
+    order = np.lexsort((edges[:, 1], edges[:, 0], cloud.keys(edges[:, 0], edges[:, 1])))
+    edges = edges[order]
+    radii = cloud.radii(edges[:, 0], edges[:, 1]) / cloud.scale
+    inside = radii <= max_radius
+    return edges[inside], radii[inside]
+
+
+def _elders(edges: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The vertex that dies with each merge, the one with the larger number of two first vertices; and those that never die."""
+    first, dying = list(range(n)), list[int]()
+    for edge in edges.tolist():
+        roots = []
+        for v in edge:
+            while first[v] != v:
+                first[v] = v = first[first[v]]
+            roots.append(v)
+        first[max(roots)] = min(roots)
+        dying.append(max(roots))
+    return np.array(dying, np.int64), np.array([v for v in range(n) if first[v] == v], np.int64)

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import Array, as_sequence, positive, whole
 from topokit.linking import curve_centroid
-from topokit.rips import Diagram, next_persistence, rips_persistence_many
+from topokit.rips import Diagram, Film, rips_persistence_many
 from topokit.sampling import as_tree, hausdorff, hausdorff_table
 
 from ._evidence import MISSED, WEAKEST, believe
@@ -117,7 +117,7 @@ class SeqPH:
         self._time: float | None = None
         self._before: Frame | None = None
         self._known: list[Known] = []
-        self._film: list[Any] = []
+        self._film = Film()
 
     @classmethod
     def paper(cls, **options: Any) -> SeqPH:
@@ -152,7 +152,7 @@ class SeqPH:
         frame = self._frame(tree)
         check_follows(self._number, (self._before, self._time), (frame, time))
         if diagram is None:
-            diagram = next_persistence(tree.data[frame.ids], self._film)
+            diagram = self._film.next_diagram(tree.data[frame.ids])
         else:
             check_diagram(self._number, diagram, tree.n)
             frame = replace(frame, ids=np.arange(tree.n))

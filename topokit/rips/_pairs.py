@@ -1,0 +1,185 @@
+"""From a cloud to the pairs of edges that create and kill its loops: how the compiled kernel is run.
+
+The kernel runs without Python's lock, in threads that share the clouds. A long run has a thread of its own, so that the thread
+that waits for it hears Ctrl-C; it then ends the run through the array `stop`, which the kernel reads at every edge.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from concurrent import futures
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._validate import Array, Ids
+from . import _cloud, kernel
+from ._cloud import Cloud, too_large
+
+LONG = 2000  # points that can take a second, as a quarter can of a matrix
+_PATIENCE = 3.0  # seconds of compiling before it is announced
+_ready: set[bool] = set()  # whether the kernel for points (True) and the kernel for matrices (False) are compiled
+_compiling = threading.Lock()
+_thread = threading.local()  # each thread keeps its buffer for edges from one cloud to the next
+
+
+class Pairs(NamedTuple):
+    """Loops by birth, short ones too. Radii are in the scaled unit of the cloud."""
+
+    created: Ids  # (c, 2) edges that create loops, the smaller vertex first
+    killed: Ids  # (c, 4) killer edges, the smaller vertex first, with their two apexes; -1 for none
+    birth: Array  # (c,)
+    death: Array  # (c,)
+
+
+class CloudBefore:
+    """What the kernel knows of the cloud before: its tree, its list of edges, how long they are, and the last length read."""
+
+    def __init__(self) -> None:
+        nothing = np.zeros((1, 3))
+        zero = np.zeros(1, np.int64)
+        self.tree: tuple[Any, ...] = (nothing, zero, zero, zero, nothing, nothing, 0, (0, 0, 0))
+        self.keys: Ids = np.empty(0, np.int64)
+        self.reach = 0.0
+        self.end = 0.0
+
+
+def new_stop() -> NDArray[np.int64]:
+    """Return a flag that ends runs of the kernel when it is passed to `stop_run`."""
+    return np.zeros(1, np.int64)
+
+
+def stop_run(stop: NDArray[np.int64]) -> None:
+    """Let a run of the kernel in another thread end."""
+    stop[0] = kernel.STOPPED
+
+
+def pairs(cloud: Cloud, max_radius: float, stop: NDArray[np.int64] | None = None) -> Pairs:
+    """Pair the edges of a cloud up to a scaled radius.
+
+    With `stop` the caller is a thread that another one can end; without, long runs get a thread of their own.
+    """
+    if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # on a line
+        return Pairs(np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0))
+    if cloud.axes:
+        _compile(points=True)
+        return _pairs_of_points([cloud], [max_radius], CloudBefore(), stop)[0]
+    _compile(points=False)
+    arguments = (cloud.data, cloud.key_of(max_radius))
+    created, killed = _run(kernel.pair_matrix, arguments, len(cloud), LONG // 4, stop)
+    found, _ = _cut(cloud, created, killed, max_radius)
+    return found
+
+
+def pairs_of_many(
+    clouds: Sequence[Cloud], max_radius: float, before: CloudBefore, stop: NDArray[np.int64] | None = None
+) -> list[Pairs]:
+    """Pair the edges of each cloud up to a radius in the unit of the points, short clouds in one compiled call."""
+    bounds = [max_radius * cloud.scale for cloud in clouds]
+    longest = max(map(len, clouds))
+    if not clouds[0].axes or not 4 <= longest < LONG:
+        return [pairs(cloud, bound, stop) for cloud, bound in zip(clouds, bounds, strict=True)]
+    _compile(points=True)
+    return _pairs_of_points(clouds, bounds, before, stop)
+
+
+def _pairs_of_points(
+    clouds: Sequence[Cloud], bounds: Sequence[float], before: CloudBefore, stop: NDArray[np.int64] | None
+) -> list[Pairs]:
+    stack = Cloud(np.concatenate([cloud.data for cloud in clouds]), clouds[0].axes, 1.0)
+    starts = np.cumsum([0, *map(len, clouds)])
+    lengths = np.array([stack.key_of(bound) for bound in bounds])
+    arguments = (stack.data, stack.axes, starts, lengths, before.tree, before.keys, before.reach, before.end)
+    known, created, killed, counts = _run(kernel.pair_clouds, arguments, max(map(len, clouds)), LONG, stop)
+    tree, before.keys, before.reach, before.end = known
+    before.tree = tuple(tree)
+
+    # All clouds at once, and then the rows of each.
+    number = np.repeat(np.arange(len(clouds)), np.maximum(counts, 0))
+    table, inside = _cut(stack, created, killed, np.array(bounds)[number], starts[number, None])
+    ends = np.searchsorted(number[inside], np.arange(len(clouds) + 1)).tolist()
+    found = [Pairs._make(column[a:b] for column in table) for a, b in pairwise(ends)]
+    for c in np.flatnonzero(counts < 0).tolist():
+        found[c] = _pairs_without_repeats(clouds[c], bounds[c], stop)
+    return found
+
+
+def _pairs_without_repeats(cloud: Cloud, bound: float, stop: NDArray[np.int64] | None) -> Pairs:
+    """Pair the edges between first copies of points.
+
+    Edges of a second copy have cones over the first for lunes, and the edge between the copies closes nothing.
+    """
+    first = np.sort(np.unique(cloud.data + 0.0, axis=0, return_index=True)[1])
+    created, killed, birth, death = pairs(Cloud(cloud.data[first], cloud.axes, cloud.scale), bound, stop)
+    number = np.append(first, -1)
+    return Pairs(number[created], number[killed], birth, death)
+
+
+def _cut(cloud: Cloud, created: Ids, killed: Ids, bound: Any, offset: Any = 0) -> tuple[Pairs, NDArray[np.bool_]]:
+    """Return the pairs born by a bound and killed by then or never, and which those are; `offset` is added to vertex ids."""
+    created.sort()
+    killed[:, :2].sort()
+    ends = np.stack([created, killed[:, :2]]) + offset
+    birth, death = cloud.radii(ends[..., 0], ends[..., 1])
+    death[(killed[:, 0] < 0) | (death > bound)] = np.inf
+    killed[np.isinf(death)] = -1
+    inside = birth <= bound
+    return Pairs(created[inside], killed[inside], birth[inside], death[inside]), inside
+
+
+def _run(
+    pair: Callable[..., Any], arguments: tuple[Any, ...], n: int, long: int, stop: NDArray[np.int64] | None
+) -> Any:
+    """Run a compiled function on clouds of up to n points; from `long` points on in a thread of its own."""
+    bits = n * ((n + 63) // 64) * 8
+    spare = _cloud.MEMORY - bits
+    if spare < 0:
+        raise too_large(n, f"{(bits + kernel.EDGE_BYTES * kernel.WINDOW) / 1e9:.1f} GB")
+    buffer = getattr(_thread, "buffer", None)
+    if buffer is None or kernel.EDGE_BYTES * len(buffer[0]) > spare // 2:
+        buffer = tuple(kernel.new_buffer(min(1 << 16, spare // (2 * kernel.EDGE_BYTES))))
+    arguments = (*arguments, buffer, spare)
+
+    if stop is not None or n < long:
+        stop = new_stop() if stop is None else stop
+        buffer, *found = pair(*arguments, stop)
+    else:
+        stop = new_stop()
+        with futures.ThreadPoolExecutor(1) as pool:
+            try:
+                buffer, *found = pool.submit(pair, *arguments, stop).result()
+            except BaseException:  # Ctrl-C, for example
+                stop_run(stop)
+                raise
+
+    if stop[0] == kernel.STOPPED:
+        raise futures.CancelledError
+    if stop[0] == kernel.TOO_MANY_EDGES:
+        raise too_large(n, "more: there are very many edges of the same length")
+    if stop[0] == kernel.TOO_MANY_LOOPS:
+        raise too_large(n, "more: there are very many loops, however short")
+    _thread.buffer = tuple(buffer) if len(buffer[0]) <= kernel.WINDOW else None
+    return found
+
+
+def _compile(points: bool) -> None:
+    """Compile a kernel on a tiny cloud, or load it, once a process; announce it when it takes long."""
+    with _compiling:
+        if points in _ready:
+            return
+        what = "points in space" if points else "matrices of distances"
+        message = f"topokit: compiling the persistence kernel for {what} (once; kept for the next time)"
+        notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
+        notice.start()
+        try:
+            if points:
+                _pairs_of_points([Cloud(np.eye(4, 3), (0, 0, 0), 1.0)], [1.0], CloudBefore(), None)
+            else:
+                _run(kernel.pair_matrix, (np.eye(4), 1.0), 4, LONG, None)
+        finally:
+            notice.cancel()
+        _ready.add(points)
