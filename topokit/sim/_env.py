@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -42,14 +42,14 @@ _ROOM = 4.0  # metres: nothing that is observed is farther from the origin along
 _SPEED = 1.2  # m/s of the grippers' goals along each axis, at most
 _LEASH = 0.2  # metres by which a goal may lead its gripper along an axis: taut cloth holds a gripper back
 _REST_AFTER = 0.5  # s after the release: cloth that is not held by the target is fast by then
-
-
 _AWAY = (0.4, 0.4, 0.1, 180.0)  # metres along x, y and z, and degrees: as far at most is "anywhere"
 _SOON = (0.3, 1.5)  # seconds after the first frame between which a target sets off and a push begins
-_MOVING, _PUSHING = 0.6, 0.1  # seconds that they take
+_MOVING = 0.6  # seconds that the move takes
+_PUSHING = 0.1  # seconds that the push takes
 
 
 def _somewhere(value: Any, check: ValidatorFunctionWrapHandler) -> Any:
+    """Return a checked place; the error says in a sentence what a place is."""
     try:
         return check(as_tuple(value))
     except ValidationError as error:
@@ -58,7 +58,7 @@ def _somewhere(value: Any, check: ValidatorFunctionWrapHandler) -> Any:
 
 @checked
 class Options:
-    """What `HangEnv` takes as keywords for all its episodes, and `reset` as options for one."""
+    """The options of `HangEnv`: keywords for all its episodes, or options of `reset` for one."""
 
     place: Annotated[tuple[float, float, float, float] | Literal["anywhere"] | None, WrapValidator(_somewhere)] = None
     start: Literal["anywhere"] | None = None
@@ -75,29 +75,33 @@ class Options:
     n_grippers: Annotated[int, Field(ge=1, le=2)] = 2
     cloud_interval: Annotated[int, Field(ge=1)] = 1
 
-    def scene(self, target: Target, frame_time: float, rng: np.random.Generator) -> tuple[Target, range, Array, Array]:
-        """The target, the frames and the acceleration (x, y) of the push, and that of the swing, which takes as many frames.
-
-        All is drawn, whether or not it is asked for.
-        """
-        place, way = rng.uniform(-1, 1, 4) * _AWAY, rng.normal(size=3)
-        way *= self.target_shift * np.cbrt(rng.random()) / np.linalg.norm(way)  # anywhere in a ball
+    def scene(self, target: Target, frame_time: float, rng: np.random.Generator) -> _Scene:
+        """Draw a scene. Every number is drawn whether or not it is used, so that one option does not change the others."""
+        place = rng.uniform(-1, 1, 4) * _AWAY
+        shift = rng.normal(size=3)
+        shift *= self.target_shift * np.cbrt(rng.random()) / np.linalg.norm(shift)  # anywhere in a ball
         sets_off, begins = rng.uniform(*_SOON, 2).tolist()
         pushed, swung, gone = (np.array([np.cos(a), np.sin(a)]) for a in rng.uniform(-np.pi, np.pi, 3))
-        if self.target_shift:  # to where it stands otherwise: what is planned stays as it is
-            x, y, z = way.tolist()
+        # A target that moves arrives where it stands otherwise, so that the plan stays as it is.
+        if self.target_shift:
+            x, y, z = shift.tolist()
             target = Moving(Placed(target, -x, -y, -z), x, y, z, start=sets_off, seconds=_MOVING)
         if self.target_speed:
             vx, vy = (self.target_speed * gone).tolist()
             target = Travelling(target, vx=vx, vy=vy)
-        if self.place is not None:
-            target = Placed(target, *(place.tolist() if self.place == "anywhere" else self.place))
-        first, frames = round(begins / frame_time), max(1, round(_PUSHING / frame_time))
-        push, swing = self.shove * pushed, self.swing * swung
-        return target, range(first, first + frames), push / (frames * frame_time), swing / (frames * frame_time)
+        if self.place == "anywhere":
+            target = Placed(target, *place.tolist())
+        elif self.place is not None:
+            target = Placed(target, *self.place)
+        # Pushes are accelerations that give free cloth these speeds.
+        first = round(begins / frame_time)
+        frames = max(1, round(_PUSHING / frame_time))
+        push = self.shove * pushed / (frames * frame_time)
+        swing = self.swing * swung / (frames * frame_time)
+        return _Scene(target, range(first, first + frames), push, swing)
 
     def before_fence(self, goal: Array, before: Array, target: Target) -> Array:
-        """A goal (2, 3) of the grippers, or the nearest one before the fence; who was behind it already may not go on."""
+        """Return a goal (2, 3) of the grippers, or the nearest one before the fence; a gripper behind it may only go back."""
         if not self.fence:
             return goal
         tip = target.centre_line[-1]
@@ -105,12 +109,25 @@ class Options:
         far = float(np.linalg.norm(out))
         if far < 1e-6:
             raise ValueError("fence: it stands before an arm, and this target has none that runs sideways")
-        here, there = ((hands - tip) @ out / far for hands in (before, goal))
-        return np.asarray(goal + np.maximum(np.minimum(here, self.fence) - there, 0)[:, None] * out / far)
+        # Metres before the tip, now and at the goal.
+        distance_now = (before - tip) @ out / far
+        distance = (goal - tip) @ out / far
+        return np.asarray(goal + np.maximum(np.minimum(distance_now, self.fence) - distance, 0)[:, None] * out / far)
 
     def plan(self, plan: PathScript, rng: np.random.Generator) -> PathScript:
-        """A task's plan, from the start that is asked for."""
-        return plan if self.start is None else lambda g, t, own: from_elsewhere(plan(g, t, own), g, t, rng)
+        """Return a task's script, from the start that is asked for."""
+        if self.start is None:
+            return plan
+        return lambda garment, target, own: from_elsewhere(plan(garment, target, own), garment, target, rng)
+
+
+class _Scene(NamedTuple):
+    """The scene of an episode."""
+
+    target: Target
+    frames: range  # in which the cloth is pushed; a swing takes as many frames
+    push: Array  # (2,) m/s^2 along x and y
+    swing: Array  # (2,) m/s^2, before the first observation
 
 
 class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -126,8 +143,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     - `grippers` (2, 3): where the grippers are;
     - `target` (K, 3): the target's centre line;
     - `rods` (R, 7): its shape and that of all that stands about it, capsules: start, end, radius;
-    - `wanted` (L, 3): the middles of the loops that the task asks for, before the first step: somebody points at them;
-    - `needed`: how many of these must hang: all of them, or one, whichever it is;
+    - `wanted` (L, 3): the middles of the loops that the task asks for, before the first step, as if pointed at;
+    - `needed`: how many of these must hang: all of them, or any one;
     - `held`: 1 until the release, then 0.
 
     **Action**, seven numbers from -1 to 1: the displacements of the first and of the second gripper's goal (x, y, z each) as
@@ -144,9 +161,9 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     loops are on the target (else it was dropped), and when it is torn: stretched too far. It is **truncated** after
     `max_steps`. `info` holds `success`, `dropped`, `torn`, and the `linked` share and the `distance` of the potential.
 
-    **Options** are keywords here, for all episodes, and entries of `reset(options={...})` for one. What they leave open is
-    drawn by the seed, for each apart from the others. Moves and shoves begin 0.3 to 1.5 s after the first step. The last five
-    spoil `points` alone: success is judged on the vertices.
+    **Options** are keywords here, for all episodes, and entries of `reset(options={...})` for one. The seed draws what they leave
+    open. Shifts and shoves begin 0.3 to 1.5 s after the first step. The last five spoil `points` alone: success is judged on the
+    vertices.
 
     ================ ========== ========================================================================================
     option           usual      what it does
@@ -168,7 +185,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     `outliers`       0.0        share of points that are anywhere in the cloud's box, grown by 10 cm on each side
     ================ ========== ========================================================================================
 
-    `vertices` (V, 3), `goal` (2, 3) of the grippers, and `standing`, the target where it is now, are for who records, not agents.
+    `vertices` (V, 3), `goal` (2, 3) of the grippers, and `standing`, the target where it is now, are not meant for agents.
 
     Parameters
     ----------
@@ -218,10 +235,13 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.config = config or replace(usual_config(self.garment), self_collision=False)
         n_vertices = len(self.garment.vertices)
         self.n_points = min(256, n_vertices) if n_points is None else whole(n_points, "n_points", 1, n_vertices)
-        self.reward, self.cameras, self.render_mode = reward, tuple(cameras), render_mode
+        self.reward = reward
+        self.cameras = tuple(cameras)
+        self.render_mode = render_mode
         self.max_step = _SPEED * self.config.frame_time
         self.max_steps = whole(max_steps, "max_steps", 1)
         self._world: World | None = None
+        # What comes in and what goes out.
         self.action_space = spaces.Box(-1.0, 1.0, (7,), np.float32)
         self._asked = list(self.task.wanted(self.garment.named_loops).values())
         n = len(self._asked)
@@ -240,36 +260,45 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         Parameters
         ----------
         seed : int, optional
-            That the path is drawn with; the generator goes on when not given.
+            Of the path; the generator goes on when not given.
         options : dict, optional
-            For this episode, in place of the environment's own; a ValueError tells what is not known or cannot be.
+            For this episode, in place of the environment's own; a ValueError names an option that is not known or cannot be.
         """
         now = Options(**{**asdict(self._usual), **(options or {})})
-        now.before_fence(np.zeros((2, 3)), np.zeros((2, 3)), self._described)  # or it has no arm
+        now.before_fence(np.zeros((2, 3)), np.zeros((2, 3)), self._described)  # raises for a target without an arm
         super().reset(seed=seed)
         self.close()
+        # Draw the scene and the path.
         drawn, start, self._sensor = self.np_random.spawn(3)
-        self.target, self._frames, self._push, swing = now.scene(self._described, self.config.frame_time, drawn)
+        self._options = now
+        self._scene = now.scene(self._described, self.config.frame_time, drawn)
+        self.target = self._scene.target
         task = replace(self.task, plan=now.plan(self.task.plan, start))
         self._path = planned(task, self.garment, self.target, self.np_random)
         self.goal = self._path.at(0.0)
         garment = self.garment.turned(self._path.vias[0].yaw)
+        # Hang the garment between the grippers, at the start of the path.
         offset = self.goal.mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
         self._world = World(garment, offset, self.config)
-        self._rods, self.standing = self.target.at(0.0).rods, self.target.at(0.0)
+        self.standing = self.target.at(0.0)
+        self._rods = self.standing.rods
         self._world.add_rods(self._rods)
+        # It settles, held by two grippers and then perhaps by one, and may be pushed.
         for n_grippers in range(2, now.n_grippers - 1, -1):
             self._world.release(keep=n_grippers)
             for _ in range(round(self.config.settle / self.config.dt)):
                 self._world.step(self.goal)
-        if swing.any():
-            self._world.push(swing)
-            for _ in range(len(self._frames) * self.config.steps_per_frame):
+        if self._scene.swing.any():
+            self._world.push(self._scene.swing)
+            for _ in range(len(self._scene.frames) * self.config.steps_per_frame):
                 self._world.step(self.goal)
-            self._world.push(0 * swing)
-        self._steps, self._released = 0, -1
-        self.vertices, self._options = self._world.vertices(), now
-        self._cloud, self._clouds = self._world.grippers(), deque[Array](maxlen=now.cloud_delay + 1)
+            self._world.push(np.zeros(2))
+        # Nothing has happened yet.
+        self._steps = 0
+        self._released = -1
+        self.vertices = self._world.vertices()
+        self._cloud = self._world.grippers()
+        self._clouds = deque[Array](maxlen=now.cloud_delay + 1)
         self._wanted = np.array([self.vertices[loop].mean(axis=0) for loop in self._asked]).reshape(-1, 3)
         observation = self._observe()
         self._seed = -1 if seed is None else seed
@@ -277,7 +306,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return observation, self._info()
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Move the goals of the grippers, and let go if told to; simulate one frame.
+        """Move the goals of the grippers, let go if the action says so, and simulate one frame.
 
         Raises
         ------
@@ -288,40 +317,51 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         move = as_reals(action, "action").astype(np.float64)
         if move.shape != (7,) or not np.isfinite(move).all():
             raise ValueError(f"an action is seven finite numbers, not {action!r}")
-        points, linked, distance, there = self.vertices, self._linked, self._distance, self.standing
+        before = self.vertices
+        linked_before = self._linked
+        distance_before = self._distance
+        standing_before = self.standing
         self._advance(self.max_step * np.clip(move[:6], -1, 1).reshape(2, 3), release=move[6] > 0.5)
         torn = False
         try:
             check_stretch(self.garment, self.config, self.vertices, f"step {self._steps}")
         except SimulationError:
-            torn, self.vertices = True, points  # the last that made sense
+            torn = True
+            self.vertices = before  # the last that made sense
         observation = self._observe()
         self._film.append((self.vertices, observation["grippers"], self.goal, self._released < 0))
-        gone = self.standing.seat - there.seat if self._options.target_speed else np.zeros(3)
-        speed = np.linalg.norm(self.vertices - points - gone, axis=1).mean() / self.config.frame_time
+        # At rest: free for long enough, and slow relative to a target that travels.
+        gone = np.zeros(3)
+        if self._options.target_speed:
+            gone = self.standing.seat - standing_before.seat
+        speed = np.linalg.norm(self.vertices - before - gone, axis=1).mean() / self.config.frame_time
         free = self._released >= 0 and (self._steps - self._released) * self.config.frame_time >= _REST_AFTER
         rests = not torn and free and speed < AT_REST
         hangs = rests and self.task.hangs(self.vertices, self.garment.named_loops, self.standing)
         reward = float(hangs)
         if self.reward != "sparse":
-            reward += distance - self._distance
+            reward += distance_before - self._distance
         if self.reward.startswith("topological"):
-            reward += self._linked - linked
+            reward += self._linked - linked_before
         ends = rests or torn
         info = self._info(success=hangs, dropped=rests and not hangs, torn=torn)
         return observation, reward, ends, not ends and self._steps >= self.max_steps, info
 
     def _advance(self, move: Array, release: bool) -> None:
-        world, limit = self._running(), self._options.release_after
+        """Simulate one frame."""
+        world = self._running()
+        limit = self._options.release_after
         if self._released < 0 and (release or 0 < limit <= self._steps * self.config.frame_time):
             world.release()
             self._released = self._steps
-        if self._push.any():
-            world.push(self._push * (self._steps in self._frames))
-        before, here = self.goal, world.grippers()
-        self.goal = self._options.before_fence(
-            np.clip(before + move, here - _LEASH, here + _LEASH), before, self.standing
-        )
+        if self._scene.push.any():
+            world.push(self._scene.push * (self._steps in self._scene.frames))
+        # The goals of the grippers: on a leash, and before the fence.
+        before = self.goal
+        grippers = world.grippers()
+        goal = np.clip(before + move, grippers - _LEASH, grippers + _LEASH)
+        self.goal = self._options.before_fence(goal, before, self.standing)
+        # Goals and target move evenly within the frame.
         _, moves = rods_of(self.target, (self._steps + np.arange(2)) * self.config.frame_time)
         self.standing = self.target.at((self._steps + 1) * self.config.frame_time)
         gone = np.array([start for start, *_ in self.standing.rods]) - [start for start, *_ in self._rods]
@@ -350,6 +390,7 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         self._running()
         points, grippers, goals, held = (np.array(column) for column in zip(*self._film, strict=True))
+        # Goals are noted once a frame, and recorded for every step of physics.
         config = replace(self.config, frames=len(points))
         goals = np.repeat(goals, config.steps_per_frame, axis=0)
         release = int(held.sum()) * config.steps_per_frame
@@ -374,22 +415,29 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._world = None
 
     def _running(self) -> World:
+        """Return the world, or raise ResetNeeded."""
         if self._world is None:
             raise gymnasium.error.ResetNeeded("reset the environment first: it has not begun, or was closed")
         return self._world
 
     def _observe(self) -> Observation:
-        """Look at the scene, and take note of how far the task has come."""
-        world, there = self._running(), self.standing
+        """Return what is observed, and note how far the task has come."""
+        world = self._running()
+        standing = self.standing
         points = self._look(world)
         self._linked, self._distance = self._progress(points)
-        places = {"points": points, "grippers": world.grippers(), "target": there.centre_line, "wanted": self._wanted}
-        places["rods"] = np.array([[*start, *end, radius] for start, end, radius in there.rods])
+        places = {
+            "points": points,
+            "grippers": world.grippers(),
+            "target": standing.centre_line,
+            "wanted": self._wanted,
+        }
+        places["rods"] = np.array([[*start, *end, radius] for start, end, radius in standing.rods])
         clipped = {name: np.clip(place, -_ROOM, _ROOM).astype(np.float32) for name, place in places.items()}
         return {**clipped, "needed": self._needed, "held": int(self._released < 0)}
 
     def _look(self, world: World) -> Array:
-        """The points that are observed now."""
+        """Return the points that are observed now."""
         if self._steps % self._options.cloud_interval:
             self._clouds.append(self._clouds[-1])
             return self._clouds[0]
@@ -398,13 +446,15 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._cloud = cloud if len(cloud) else np.resize(self._cloud, (self.n_points, 3))
         else:
             self._cloud = self.vertices[farthest_point_sample(self.vertices, self.n_points)[0]]
-        how, keep = self._options, 1 - self._options.dropout
-        cloud = spoil(self._cloud, self._sensor, noise=how.noise, outliers=how.outliers, keep=keep)
+        options = self._options
+        errors = {"noise": options.noise, "outliers": options.outliers, "keep": 1 - options.dropout}
+        cloud = spoil(self._cloud, self._sensor, **errors)
         self._clouds.append(cloud)
         return self._clouds[0]
 
     def _progress(self, observed: Array) -> tuple[float, float]:
-        """Share of the task's loops that are around the target, and their distance from its seat."""
+        """Return the share of the task's loops that are around the target, and their distance from its seat."""
+        # The curves: true loops, or loops of the observed points, each as its simple cycles.
         if self.reward == "topological-observed":
             cloud = np.unique(observed, axis=0)  # cameras that see little repeat points
             diagram = rips_persistence(cloud)
@@ -421,12 +471,18 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return float(any(on)), min(gaps)
 
     def _info(self, success: bool = False, dropped: bool = False, torn: bool = False) -> dict[str, Any]:
-        progress = {"linked": self._linked, "distance": self._distance}
-        return {"success": success, "dropped": dropped, "torn": torn, **progress}
+        """Return how the episode goes."""
+        return {
+            "success": success,
+            "dropped": dropped,
+            "torn": torn,
+            "linked": self._linked,
+            "distance": self._distance,
+        }
 
 
 def _shaded(world: World, camera: Camera) -> NDArray[np.uint8]:
-    """A picture from the depth image: surfaces are lighter the more they face the camera; the cloth is blue."""
+    """Return a picture from the depth image: surfaces are lighter the more they face the camera; the cloth is blue."""
     depth, cloth = world.image(camera)
     seen = np.isfinite(depth)
     places = np.full((*depth.shape, 3), np.nan)
