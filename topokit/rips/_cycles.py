@@ -1,7 +1,8 @@
 """Closed walks around loops: one that is short at birth and dies when its loop does, and shorter ones in the same class.
 
 Idea: a cycle, written in creators as in `kernel`, is a short set. The relations that kill loops, reduced, turn that set into
-the cycle's *class*: nothing is left of it exactly when the cycle is a boundary. Both are worked out only when asked for.
+the cycle's *class*: nothing is left of it exactly when the cycle is a boundary. The kernel needs the relations of one edge at a
+time; here edges are asked for again and again, so what is worked out is kept, and it is worked out only when asked for.
 
 The shortest way around a birth edge {x, y} is the shortest path from x to y before it arrives. It may go around an older
 loop as well and then outlives the bar. So the search runs in pairs (vertex, class of the path so far), as in a covering
@@ -16,77 +17,89 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Iterable, Sequence
-from functools import reduce
-from itertools import pairwise, starmap
-from operator import xor
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .._validate import Ids
 from ._cloud import Cloud
 from .kernel import edge_length, first_triangle, neighbours, shortest_paths
 
 SEARCH_LIMIT = 20_000  # pairs (vertex, class) looked at before a search gives up
 Edge = tuple[int, int]
-Time = tuple[float, int, int]  # what `edge_length` says of an edge, and its ends
+Time = tuple[float, int, int]  # when an edge arrives: its length as `edge_length` has it, and its ends
 NEVER: Time = (math.inf, 0, 0)
-_Array = NDArray[np.float64]
-_Axes = tuple[int, ...]
 
 
 class Homology:
     """Degree-1 classes in the Rips filtration of a cloud, as sets of creators: an int, bit c for the c-th loop born."""
 
-    def __init__(self, cloud: Cloud, created: NDArray[np.int64], killed: NDArray[np.int64]) -> None:
-        self._data, self._axes = cloud.data, cloud.axes
-        self._creator: dict[Edge, int] = {(a, b): c for c, (a, b) in enumerate(created.tolist())}
+    def __init__(self, cloud: Cloud, created: Ids, killed: Ids) -> None:
+        self._data = cloud.data
+        self._axes = cloud.axes
+        self._creator: dict[Edge, int] = {(a, b): loop for loop, (a, b) in enumerate(created.tolist())}
         self._killers: list[list[int]] = killed.tolist()
         self._killed_at = [self.time(x, y) if x >= 0 else NEVER for x, y, _, _ in self._killers]
-        self._edges: dict[Edge, int] = {}  # edges written in creators
+        self._in_creators: dict[Edge, int] = {}  # edges written in creators
         self._columns: dict[int, int] = {}  # reduced relations, by youngest creator
-        self._classes: dict[Edge, int] = {}  # of edges, at the time that was asked for last
+        self._classes: dict[Edge, int] = {}  # classes of edges, at the time that was asked for last
         self._classes_at: Time | None = None
 
     def time(self, i: int, j: int) -> Time:
-        """When the edge {i, j} arrives."""
+        """Return when the edge {i, j} arrives."""
         return edge_length(self._data, i, j, self._axes), min(i, j), max(i, j)
 
+    def side(self, a: int, b: int) -> float:
+        """Return the length of an edge."""
+        length = edge_length(self._data, a, b, self._axes)
+        return math.sqrt(length) if self._axes else length
+
     def length(self, walk: Sequence[int]) -> float:
-        """Length of a closed walk."""
+        """Return the length of a closed walk."""
         return math.fsum(self.side(a, b) for a, b in sides(walk))
 
-    def side(self, a: int, b: int) -> float:
-        """Length of an edge."""
-        key = self.time(a, b)[0]
-        return math.sqrt(key) if self._axes else key
+    def _path_length(self, path: Sequence[int]) -> float:
+        return sum(self.side(a, b) for a, b in pairwise(path))
+
+    # Classes ----------------------------------------------------------------------------------------------------------
 
     def in_creators(self, a: int, b: int) -> int:
-        """The edge {a, b} written in creators."""
+        """Return the edge {a, b} written in creators."""
         waiting = [(min(a, b), max(a, b))]
         while waiting:
             edge = waiting[-1]
-            if edge in self._edges:
+            if edge in self._in_creators:
                 waiting.pop()
-            elif edge in self._creator:
-                self._edges[edge] = 1 << self._creator[edge]
-            elif (z := first_triangle(self._data, self._axes, *edge)) < 0:
-                self._edges[edge] = 0  # a tree edge
-            else:
-                one, other = ((min(v, z), max(v, z)) for v in edge)
-                if one in self._edges and other in self._edges:
-                    self._edges[edge] = self._edges[one] ^ self._edges[other]
-                else:
-                    waiting += [one, other]
-        return self._edges[edge]
+                continue
+            if edge in self._creator:
+                self._in_creators[edge] = 1 << self._creator[edge]
+                continue
+            x, y = edge
+            z = first_triangle(self._data, self._axes, x, y)
+            if z < 0:  # an edge of the tree
+                self._in_creators[edge] = 0
+                continue
 
-    def _around(self, walk: Sequence[int]) -> int:
-        """A closed walk written in creators."""
-        return reduce(xor, starmap(self.in_creators, sides(walk)))
+            # The two other edges of its first triangle stand for it, once both are written.
+            first = (min(x, z), max(x, z))
+            second = (min(y, z), max(y, z))
+            if first in self._in_creators and second in self._in_creators:
+                self._in_creators[edge] = self._in_creators[first] ^ self._in_creators[second]
+            else:
+                waiting += [first, second]
+        return self._in_creators[min(a, b), max(a, b)]
+
+    def _walk_in_creators(self, walk: Sequence[int]) -> int:
+        total = 0
+        for a, b in sides(walk):
+            total ^= self.in_creators(a, b)
+        return total
 
     def class_of(self, edges: Iterable[Edge], time: Time) -> int:
-        """The class of a chain in the complex just before a time, linear in the chain; 0 for a boundary."""
+        """Return the class of a chain in the complex just before a time, linear in the chain; 0 for a boundary."""
         if time != self._classes_at:
-            self._classes_at, self._classes = time, {}
+            self._classes_at = time
+            self._classes = {}
         total = 0
         for a, b in edges:
             edge = (a, b) if a < b else (b, a)
@@ -96,8 +109,12 @@ class Homology:
         return total
 
     def _reduced(self, column: int, time: Time) -> tuple[int, set[int]]:
-        """What relations before a time leave of a set of creators; creators that are left or are such a relation's youngest."""
-        left, used = 0, set[int]()
+        """Return what the relations before a time leave of a set of creators.
+
+        Also return the creators that are left or are the youngest of a relation that was used.
+        """
+        left = 0
+        used = set[int]()
         while column:
             youngest = column.bit_length() - 1
             used.add(youngest)
@@ -108,85 +125,108 @@ class Homology:
                 column ^= 1 << youngest
         return left, used
 
+    def _relation_of(self, loop: int) -> int:
+        """Return the relation that kills a loop, reduced by those before it until the loop is its youngest creator."""
+        waiting = [loop]
+        unfinished = dict[int, int]()
+        while waiting:
+            current = waiting[-1]
+            if current not in unfinished:
+                x, y, first, further = self._killers[current]
+                unfinished[current] = self._walk_in_creators([x, first, y, further])
+            while True:
+                youngest = unfinished[current].bit_length() - 1
+                if youngest == current or youngest not in self._columns:
+                    break
+                unfinished[current] ^= self._columns[youngest]
+            if youngest == current:
+                self._columns[current] = unfinished[current]
+                waiting.pop()
+            else:  # the relation of that loop is needed first
+                waiting.append(youngest)
+        return self._columns[loop]
+
     def killers_of(self, walks: Iterable[Sequence[int]]) -> list[Edge | None]:
-        """For closed walks in order: the edge with which each becomes a boundary or homologous to a sum of earlier ones."""
-        edges, settled = list[Edge | None](), dict[int, set[int]]()
+        """Return for closed walks the edges with which they die by the elder rule, None for those that never do.
+
+        With that edge a walk becomes a boundary or homologous to a sum of earlier ones.
+        """
+        edges = list[Edge | None]()
+        settled = dict[int, set[int]]()  # by the loop that dies last: the relations that fill an earlier walk
         for walk in walks:
             last = max(self.time(a, b) for a, b in sides(walk))
-            (_, used), latest = self._reduced(self._around(walk), NEVER), -1
-            while used and (latest := max(used, key=self._killed_at.__getitem__)) in settled:
+            _, used = self._reduced(self._walk_in_creators(walk), NEVER)
+            while used:
+                latest = max(used, key=self._killed_at.__getitem__)
+                if latest not in settled:
+                    settled[latest] = used
+                    last = max(last, self._killed_at[latest])
+                    break
                 used = used ^ settled[latest]
-            if used:
-                settled[latest] = used
-                last = max(last, self._killed_at[latest])
             edges.append(None if last[0] == math.inf else last[1:])
         return edges
 
-    def _relation_of(self, creator: int) -> int:
-        """The relation that kills a loop, reduced by those before it until the loop is its youngest."""
-        waiting, unfinished = [creator], dict[int, int]()
-        while waiting:
-            c = waiting[-1]
-            if c not in unfinished:
-                x, y, first, further = self._killers[c]
-                unfinished[c] = self._around([x, first, y, further])
-            while (youngest := unfinished[c].bit_length() - 1) != c and youngest in self._columns:
-                unfinished[c] ^= self._columns[youngest]
-            if youngest == c:
-                self._columns[c] = unfinished[c]
-                waiting.pop()
-            else:
-                waiting.append(youngest)
-        return self._columns[creator]
+    # Walks ------------------------------------------------------------------------------------------------------------
 
     def representative(self, birth_edge: Edge, killer_edge: Edge | None) -> list[int]:
-        """A short closed walk that is born with an edge and, if there is a killer edge, becomes a boundary with that."""
+        """Return a short closed walk that is born with an edge and, if there is a killer edge, becomes a boundary with that."""
         x, y = birth_edge
         born = self.time(x, y)
         walk = self.path([x], [y], born)
         if killer_edge is None:
             return walk
-        key, low, high = self.time(*killer_edge)
-        death = (key, low, high + 1)  # just after the killer edge
+        length, low, high = self.time(*killer_edge)
+        death = (length, low, high + 1)  # just after the killer edge
         if self.class_of(sides(walk), death) == 0:
             return walk
         around = self.path_in_class(x, y, born, death, self.class_of([birth_edge], death))
         return around or self._corrected(walk, born, death)
 
     def path(self, sources: Sequence[int], targets: Sequence[int], time: Time) -> list[int]:
-        """The shortest path from one of the sources to one of the targets before a time; [] when there is none."""
+        """Return the shortest path from one of the sources to one of the targets before a time; [] when there is none."""
         stop = sources[0] if len(sources) == 1 else -1
-        length, after = shortest_paths(self._data, self._axes, time, np.asarray(targets), stop)
-        path = [min(sources, key=lambda v: length[v])]
-        while after[path[-1]] >= 0:
-            path.append(int(after[path[-1]]))
-        return path if length[path[0]] < math.inf else []
+        length, following = shortest_paths(self._data, self._axes, time, np.asarray(targets), stop)
+        path = [min(sources, key=lambda vertex: length[vertex])]
+        if length[path[0]] == math.inf:
+            return []
+        while following[path[-1]] >= 0:
+            path.append(int(following[path[-1]]))
+        return path
 
     def path_in_class(
         self, source: int, target: int, time: Time, death: Time, wanted: int, bound: float = math.inf
     ) -> list[int]:
-        """The shortest path before a time whose class before `death` is the one wanted; [] if none is found below the bound."""
+        """Return the shortest path before a time whose class before `death` is the one wanted.
+
+        It is [] if none is found that is shorter than the bound. The search is A*: the lengths of shortest paths of any class
+        bound what remains from below.
+        """
         remaining = shortest_paths(self._data, self._axes, time, np.array([target]), -1)[0].tolist()
-        start, goal = (source, 0), (target, wanted)
-        best, before = {start: (0.0, 0)}, {start: start}
+        start = (source, 0)
+        goal = (target, wanted)
+        best = {start: (0.0, 0)}  # length and steps of the best path to a vertex in a class
+        before = {start: start}
         queue = [(remaining[source], 0, start)]
         done: set[tuple[int, int]] = set()
         while queue and len(done) < SEARCH_LIMIT:
-            *_, state = heapq.heappop(queue)
+            _, _, state = heapq.heappop(queue)
             if state == goal:
-                return _back(before, goal)
+                return _path_back(before, goal)
             if state in done:
                 continue
             done.add(state)
-            v, so_far = state
+            vertex, path_class = state
             length, steps = best[state]
-            for w, step in zip(*map(np.ndarray.tolist, neighbours(self._data, self._axes, v, time)), strict=True):
-                if length + step + remaining[w] >= bound:
+            joined, side_lengths = neighbours(self._data, self._axes, vertex, time)
+            for other, side_length in zip(joined.tolist(), side_lengths.tolist(), strict=True):
+                if length + side_length + remaining[other] >= bound:
                     continue
-                onward, way = (w, so_far ^ self.class_of([(v, w)], death)), (length + step, steps + 1)
-                if onward not in done and way < best.get(onward, (math.inf, 0)):
-                    best[onward], before[onward] = way, state
-                    heapq.heappush(queue, (way[0] + remaining[w], way[1], onward))
+                next_state = (other, path_class ^ self.class_of([(vertex, other)], death))
+                next_path = (length + side_length, steps + 1)
+                if next_state not in done and next_path < best.get(next_state, (math.inf, 0)):
+                    best[next_state] = next_path
+                    before[next_state] = state
+                    heapq.heappush(queue, (next_path[0] + remaining[other], next_path[1], next_state))
         return []
 
     def _corrected(self, walk: list[int], born: Time, death: Time) -> list[int]:
@@ -195,7 +235,7 @@ class Homology:
         while left := self.class_of(sides(walk), death):
             x, y = edges[left.bit_length() - 1]
             other = self.path([x], [y], self.time(x, y))
-            bridge = next(path for t in (born, death) if (path := self.path(walk, other, t)))
+            bridge = self.path(walk, other, born) or self.path(walk, other, death)
             walk = _spliced(walk, bridge, other)
         return walk
 
@@ -204,35 +244,44 @@ class Homology:
         if self.class_of(sides(walk), time) == 0:
             return walk[:1]
         settled: set[tuple[int, ...]] = set()
-        turns = 0
+        turns = 0  # vertices since the last change
         while turns < len(walk):
+            # The first third of the walk, by length.
             reach = np.cumsum([self.side(a, b) for a, b in sides(walk)])
             end = max(int(np.searchsorted(reach, reach[-1] / 3)), 2) + 1
-            arc, rest = walk[:end], walk[end:]
-            path = [] if tuple(arc) in settled else self._shorter(arc, time)
-            settled.add(tuple(path or arc))
-            walk, turns = (path or arc) + rest, 0 if path else turns + 1
+            arc = walk[:end]
+            shorter = [] if tuple(arc) in settled else self._shorter(arc, time)
+            if shorter:
+                turns = 0
+                arc = shorter
+            else:
+                turns += 1
+            settled.add(tuple(arc))
+
+            # Go on from the next vertex.
+            walk = arc + walk[end:]
             walk = [*walk[1:], walk[0]]
         return walk
 
     def _shorter(self, arc: list[int], time: Time) -> list[int]:
-        """A path with the ends and the class of an arc, and shorter; [] when there is none or none is found."""
-        bound = (1 - 1e-12) * sum(map(self.side, arc, arc[1:]))
+        """Return a path with the ends and the class of an arc, and shorter; [] when there is none or none is found."""
+        bound = (1 - 1e-12) * self._path_length(arc)
         wanted = self.class_of(pairwise(arc), time)
         path = self.path([arc[0]], [arc[-1]], time)
-        if sum(map(self.side, path, path[1:])) >= bound:
+        if self._path_length(path) >= bound:
             return []
         if self.class_of(pairwise(path), time) != wanted:
             path = self.path_in_class(arc[0], arc[-1], time, time, wanted, bound)
-        return path if sum(map(self.side, path, path[1:])) < bound else []
+        return path if self._path_length(path) < bound else []
 
 
 def sides(walk: Sequence[int]) -> list[Edge]:
-    """The edges of a closed walk, the one that closes it last."""
+    """Return the edges of a closed walk, the one that closes it last."""
     return list(zip(walk, (*walk[1:], walk[0]), strict=True))
 
 
-def _back(before: dict[tuple[int, int], tuple[int, int]], state: tuple[int, int]) -> list[int]:
+def _path_back(before: dict[tuple[int, int], tuple[int, int]], state: tuple[int, int]) -> list[int]:
+    """Return the vertices of the path that ends in a state."""
     path = [state[0]]
     while before[state] != state:
         state = before[state]
@@ -241,7 +290,8 @@ def _back(before: dict[tuple[int, int], tuple[int, int]], state: tuple[int, int]
 
 
 def _spliced(walk: list[int], bridge: list[int], other: list[int]) -> list[int]:
-    """A closed walk that leaves `walk` over a bridge, goes around `other`, and comes back."""
-    i, j = walk.index(bridge[0]), other.index(bridge[-1])
+    """Return a closed walk that leaves `walk` over a bridge, goes around `other`, and comes back."""
+    i = walk.index(bridge[0])
+    j = other.index(bridge[-1])
     detour = [*bridge[:-1], *other[j:], *other[: j + 1], *bridge[-2::-1]]
     return [*walk[:i], *detour, *walk[i + 1 :]]

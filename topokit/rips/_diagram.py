@@ -55,7 +55,7 @@ class Diagram:
         return self.death - self.birth
 
     def neighbours(self, i: int) -> NDArray[np.int64]:
-        """Triangles next to the killer triangles of loop `i`: on each of their four outer edges the one that comes first.
+        """Return the triangles next to the killer triangles of loop `i`: on each of four outer edges the one that comes first.
 
         Returns
         -------
@@ -65,16 +65,22 @@ class Diagram:
         self._check_index(i)
         if np.isinf(self.death[i]):
             return np.empty((0, 3), dtype=np.int64)
-        vertices = self.killer_triangles[i].ravel()[[0, 1, 2, 5]]
-        to = self._cloud.radii(vertices[:, None], slice(None)).reshape(4, -1)
-        (a, b, _), each, triangles = _OUTER.T, np.arange(4), vertices[_OUTER]
-        enters = np.maximum(np.maximum(to[a], to[b]), to[a, triangles[:, 1], None])
-        enters[each[:, None], triangles] = np.inf
+        vertices = self.killer_triangles[i].ravel()[[0, 1, 2, 5]]  # both ends of the killer edge, and the two apexes
+        radii = self._cloud.radii(vertices[:, None], slice(None)).reshape(4, -1)
+        death = radii[0, vertices[1]]
+
+        # When a triangle on an outer edge {a, b} enters, for each third vertex but those of the killer triangle itself.
+        a, b, _ = _OUTER.T
+        triangles = vertices[_OUTER]
+        enters = np.maximum(np.maximum(radii[a], radii[b]), radii[a, triangles[:, 1], None])
+        rows = np.arange(4)
+        enters[rows[:, None], triangles] = np.inf
+
         triangles[:, 2] = enters.argmin(axis=1)
-        return triangles[enters[each, triangles[:, 2]] <= to[0, vertices[1]]]
+        return triangles[enters[rows, triangles[:, 2]] <= death]
 
     def cycle(self, i: int) -> NDArray[np.int64]:
-        """A closed walk around loop `i`, tight at its birth: the birth edge and the shortest path around it.
+        """Return a closed walk around loop `i`, tight at its birth: the birth edge and the shortest path around it.
 
         It becomes a boundary with the killer edge, not before. The path is the shortest, along edges that precede the birth
         edge, for which this is so: the shortest of all may go around an older loop as well, and would outlive the bar.
@@ -95,9 +101,9 @@ class Diagram:
         array([1, 0, 3, 4, 2])
         """
         self._check_index(i)
-        birth_edge, killer_edge = (tuple(edge[i].tolist()) for edge in (self.birth_edge, self.killer_edge))
-        walk = self._homology.representative(birth_edge, None if np.isinf(self.death[i]) else killer_edge)
-        return np.array(walk, dtype=np.int64)
+        birth_edge = tuple(self.birth_edge[i].tolist())
+        killer_edge = None if np.isinf(self.death[i]) else tuple(self.killer_edge[i].tolist())
+        return np.array(self._homology.representative(birth_edge, killer_edge), dtype=np.int64)
 
     def killers_of(self, walks: Sequence[ArrayLike]) -> NDArray[np.int64]:
         """Return for closed walks the edges with which they die by the elder rule.
@@ -154,10 +160,13 @@ class Diagram:
         """
         edges, radii = _component_merges(self._cloud, self.max_radius)
         dying, staying = _elders(edges, self.n_points)
-        merged, stays = np.column_stack([dying, edges[:, ::-1]])[radii > 0], np.isinf(self.death)
-        birth_edge, killer_edge = self.birth_edge[:, ::-1], self.killer_edge[:, ::-1]
-        ended, staying_loops = np.hstack([birth_edge, killer_edge])[~stays], birth_edge[stays]
-        return merged, [ended][: len(ended)], staying, [staying_loops][: len(staying_loops)]
+        merges = np.column_stack([dying, edges[:, ::-1]])[radii > 0]
+        birth_edge = self.birth_edge[:, ::-1]
+        killer_edge = self.killer_edge[:, ::-1]
+        stays = np.isinf(self.death)
+        ended = np.hstack([birth_edge, killer_edge])[~stays]
+        staying_loops = birth_edge[stays]
+        return merges, [ended] if len(ended) else [], staying, [staying_loops] if len(staying_loops) else []
 
     @cached_property
     def _homology(self) -> Homology:
@@ -185,9 +194,10 @@ def tighten(
     cycle : (length,) array_like of int
         Vertex ids; the last joins the first.
     radius : float, optional
-        The complex is VR_radius; that at the walk's own birth, of all edges up to the walk's latest, when not given or smaller.
+        The complex is VR_radius. When it is not given or smaller, the complex is that of the walk's own birth, with all edges
+        up to the walk's latest.
     metric : {"euclidean", "precomputed"}
-        Of `points`; ignored for a diagram.
+        What `points` are; ignored for a diagram.
 
     Returns
     -------
@@ -196,8 +206,8 @@ def tighten(
 
     Raises
     ------
-    ValueError
-        When the walk has edges longer than the radius allows.
+    TypeError, ValueError
+        When `cycle` is no sequence of vertex ids.
 
     Examples
     --------
@@ -212,34 +222,47 @@ def tighten(
     from ._cycles import Homology, sides  # numba takes a while to import
     from ._pairs import pairs
 
-    diagram = points if isinstance(points, Diagram) else None
-    cloud = diagram._cloud if diagram is not None else Cloud.of(points, metric)  # type: ignore[arg-type]
+    if isinstance(points, Diagram):
+        diagram = points
+        cloud = diagram._cloud
+    else:
+        diagram = None
+        cloud = Cloud.of(points, metric)
     walk = _as_walk(cycle, len(cloud))
+
+    # The complex just after the walk's latest edge, or at the radius.
     a, b = np.sort(sides(walk)).T
     key, low, high = max(zip(cloud.keys(a, b).tolist(), a.tolist(), b.tolist(), strict=True))
-    time = (key, low, high + 1)  # just after its latest edge
-    bound = own = float(cloud.radii(low, np.array(high)))
+    time = (key, low, high + 1)
+    bound = float(cloud.radii(low, np.array(high)))
     if radius is not None:
         given = positive(radius, "radius", infinite=True) * cloud.scale
-        bound, time = max(own, given), max(time, (cloud.key_of(given), len(cloud), len(cloud)))
+        bound = max(bound, given)
+        time = max(time, (cloud.key_of(given), len(cloud), len(cloud)))
     bound *= 1 + 1e-12
+
+    # Its classes are known if the diagram reaches so far.
     if diagram is not None and bound <= diagram.max_radius * cloud.scale:
         classes = diagram._homology
     else:
-        classes = Homology(cloud, *pairs(cloud, bound)[:2])
+        found = pairs(cloud, bound)
+        classes = Homology(cloud, found.created, found.killed)
     tight = classes.tightened(walk, time)
     if classes.length(tight) > classes.length(walk):  # by rounding
         tight = walk
-    first = next((tight.index(v) for v in walk if v in tight), 0)
+
+    # Begin at the first old vertex that is still there.
+    first = next((tight.index(vertex) for vertex in walk if vertex in tight), 0)
     return np.array([*tight[first:], *tight[:first]], dtype=np.int64)
 
 
 def _as_walk(cycle: ArrayLike, n_points: int) -> list[int]:
-    """Vertex ids of a closed walk, repeated ones next to each other left out."""
+    """Return the vertex ids of a closed walk, repeated ones next to each other left out."""
     ids = as_ids(cycle, "cycle", n_points)
     if ids.ndim != 1 or len(ids) == 0:
         raise TypeError(f"cycle must be a sequence of vertex ids, not of shape {ids.shape}")
-    return ids[np.append(ids[1:] != ids[:-1], ids[-1] != ids[0]) | (len(ids) == 1)].tolist() or ids[:1].tolist()
+    changes = ids != np.roll(ids, -1)
+    return ids[changes].tolist() if changes.any() else [int(ids[0])]
 
 
 def _component_merges(cloud: Cloud, max_radius: float) -> tuple[Ids, Array]:
@@ -254,15 +277,20 @@ def _component_merges(cloud: Cloud, max_radius: float) -> tuple[Ids, Array]:
     return edges[inside], radii[inside]
 
 
-def _elders(edges: NDArray[np.int64], n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The vertex that dies with each merge, the one with the larger number of two first vertices; and those that never die."""
-    first, dying = list(range(n)), list[int]()
-    for edge in edges.tolist():
-        roots = []
-        for v in edge:
-            while first[v] != v:
-                first[v] = v = first[first[v]]
-            roots.append(v)
-        first[max(roots)] = min(roots)
-        dying.append(max(roots))
-    return np.array(dying, np.int64), np.array([v for v in range(n) if first[v] == v], np.int64)
+def _elders(edges: Ids, n: int) -> tuple[Ids, Ids]:
+    """Return the vertex that dies with each merge, the one with the larger number of two first vertices, and those that stay."""
+    first = list(range(n))  # on the way to the first vertex of the component
+
+    def first_of(vertex: int) -> int:
+        while first[vertex] != vertex:
+            first[vertex] = first[first[vertex]]
+            vertex = first[vertex]
+        return vertex
+
+    dying = []
+    for a, b in edges.tolist():
+        elder, younger = sorted((first_of(a), first_of(b)))
+        first[younger] = elder
+        dying.append(younger)
+    staying = [vertex for vertex in range(n) if first[vertex] == vertex]
+    return np.array(dying, np.int64), np.array(staying, np.int64)

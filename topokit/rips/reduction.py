@@ -2,8 +2,8 @@
 
 Idea: the boundary of each simplex, in the order in which they arrive, is a column over Z/2: the set of its facets. From left
 to right, while a column's youngest facet (its *pivot*) is already the pivot of a column to its left, add that column. Where
-nothing is left, the simplex closed a cycle, and something is born. Else what is left is a cycle that it filled, and what the
-pivot bore dies. `topokit.rips_persistence` finds the same pairs in degree 1 without listing triangles.
+nothing is left, the simplex closed a cycle, and something is born. Otherwise what is left is a cycle that it filled, and what
+the pivot created dies. `topokit.rips_persistence` finds the same pairs in degree 1 without listing triangles.
 
 Source: Edelsbrunner, Letscher, Zomorodian 2002; Cohen-Steiner, Edelsbrunner, Morozov 2006 (R = D V). Taught in chapter 2.
 """
@@ -23,7 +23,7 @@ from ._cloud import Cloud
 
 __all__ = ["MAX_SIMPLICES", "Pair", "Reduction", "Simplex", "filtration", "persistence", "reduce"]
 
-MAX_SIMPLICES = 100_000  # seconds; 84 points in degree 1, 39 in degree 2
+MAX_SIMPLICES = 100_000  # a few seconds; 84 points in degree 1, 39 in degree 2
 Vertices = tuple[int, ...]
 
 
@@ -51,7 +51,7 @@ class Pair:
 
     @property
     def lifetime(self) -> float:
-        """death - birth."""
+        """Return death - birth."""
         return self.death - self.birth
 
 
@@ -62,25 +62,26 @@ class Reduction:
     simplices: list[Simplex]  #: the filtration; its positions number columns and rows
     columns: list[set[int]]  #: reduced; no two that are not empty have the same largest entry
     chains: list[set[int]]  #: columns of V: whose boundaries add up to `columns[j]`; a cycle where that is empty
-    killer: dict[int, int]  #: from the simplex that bears something to the one that kills it
+    killer: dict[int, int]  #: from the simplex with which something is born to the one that kills it
 
     def pairs(self, degree: int) -> Iterator[Pair]:
         """Yield what is born in a degree, in order of birth, bars of length zero among it."""
         for j, simplex in enumerate(self.simplices):
-            if len(simplex.vertices) == degree + 1 and not self.columns[j]:
-                killer = self.killer.get(j)
-                last = None if killer is None else self.simplices[killer]
-                cycle = self.chains[j] if killer is None else self.columns[killer]
-                yield Pair(
-                    degree=degree,
-                    birth=simplex.value,
-                    death=last.value if last else math.inf,
-                    birth_simplex=simplex.vertices,
-                    death_simplex=last.vertices if last else None,
-                    birth_edge=simplex.latest_edge,
-                    killer_edge=last.latest_edge if last else None,
-                    cycle=tuple(self.simplices[i].vertices for i in sorted(cycle)),
-                )
+            if len(simplex.vertices) != degree + 1 or self.columns[j]:
+                continue
+            # What is never killed has the cycle that V holds; otherwise the killer's column is one that bounds at death.
+            last = self.simplices[self.killer[j]] if j in self.killer else None
+            cycle = self.columns[self.killer[j]] if j in self.killer else self.chains[j]
+            yield Pair(
+                degree=degree,
+                birth=simplex.value,
+                death=last.value if last else math.inf,
+                birth_simplex=simplex.vertices,
+                death_simplex=last.vertices if last else None,
+                birth_edge=simplex.latest_edge,
+                killer_edge=last.latest_edge if last else None,
+                cycle=tuple(self.simplices[i].vertices for i in sorted(cycle)),
+            )
 
 
 def persistence(
@@ -135,7 +136,7 @@ def filtration(
     points : (n, d) array_like
         As in `persistence`.
     dimension : int
-        Of the largest simplices.
+        The dimension of the largest simplices.
     max_radius : float
     metric : {"euclidean", "precomputed"}
 
@@ -146,19 +147,28 @@ def filtration(
     """
     _check_degree(dimension, "dimension")
     cloud = Cloud.of(points, metric)
-    edges, n = _edges(cloud, positive(max_radius, "max_radius", infinite=True)), len(cloud)
+    n = len(cloud)
+    edges = _edges(cloud, positive(max_radius, "max_radius", infinite=True))
     simplices = [Simplex((i,), 0.0, None) for i in range(n)]
-    near: list[set[int]] = [set() for _ in range(n)]
-    for radius, i, j in edges if dimension > 0 else []:
-        lune = sorted(near[i] & near[j])
+    if dimension == 0:
+        return simplices
+    joined: list[set[int]] = [set() for _ in range(n)]
+    for radius, i, j in edges:
+        lune = sorted(joined[i] & joined[j])
         cliques: list[Vertices] = [()]
         for _ in range(dimension):
+            # The edge with each clique of its lune; then the cliques grow by a vertex with a larger number.
             arriving = sorted(tuple(sorted((i, j, *clique))) for clique in cliques)
             simplices += [Simplex(vertices, radius, (i, j)) for vertices in arriving]
             _check_size(len(simplices), n, dimension)
-            cliques = [(*c, z) for c in cliques for z in lune if z > max(c, default=-1) and near[z].issuperset(c)]
-        near[i].add(j)
-        near[j].add(i)
+            cliques = [
+                (*clique, z)
+                for clique in cliques
+                for z in lune
+                if z > max(clique, default=-1) and joined[z].issuperset(clique)
+            ]
+        joined[i].add(j)
+        joined[j].add(i)
     return simplices
 
 
@@ -185,11 +195,17 @@ def reduce(simplices: Sequence[Simplex]) -> Reduction:
     chains: list[set[int]] = []
     killer: dict[int, int] = {}
     for j, simplex in enumerate(simplices):
-        facets = combinations(simplex.vertices, len(simplex.vertices) - 1) if simplex.latest_edge else ()
-        column, chain = {position[facet] for facet in facets}, {j}
-        while column and (pivot := max(column)) in killer:
-            column ^= columns[killer[pivot]]
-            chain ^= chains[killer[pivot]]
+        # The boundary of the simplex, none for a vertex.
+        column = set[int]()
+        if simplex.latest_edge:
+            facets = combinations(simplex.vertices, len(simplex.vertices) - 1)
+            column = {position[facet] for facet in facets}
+        chain = {j}
+        # While the pivot is that of a column to the left, add that column.
+        while column and max(column) in killer:
+            left = killer[max(column)]
+            column ^= columns[left]
+            chain ^= chains[left]
         if column:
             killer[max(column)] = j
         columns.append(column)
@@ -198,11 +214,12 @@ def reduce(simplices: Sequence[Simplex]) -> Reduction:
 
 
 def _edges(cloud: Cloud, max_radius: float) -> list[tuple[float, int, int]]:
-    """The edges up to a radius as (half length, i, j), i < j, in the total order."""
+    """Return the edges up to a radius as (half length, i, j), i < j, in the total order."""
     n = len(cloud)
     edges: list[tuple[float, int, int, float]] = []
     for i in range(n):
-        keys, radii = cloud.keys(i, slice(None)).tolist(), (cloud.radii(i, slice(None)) / cloud.scale).tolist()
+        keys = cloud.keys(i, slice(None)).tolist()
+        radii = (cloud.radii(i, slice(None)) / cloud.scale).tolist()
         edges += [(keys[j], i, j, radii[j]) for j in range(i + 1, n) if radii[j] <= max_radius]
         _check_size(n + len(edges), n, 1)
     return [(radius, i, j) for _, i, j, radius in sorted(edges)]
@@ -210,9 +227,10 @@ def _edges(cloud: Cloud, max_radius: float) -> list[tuple[float, int, int]]:
 
 def _check_size(count: int, n: int, dimension: int) -> None:
     if count > MAX_SIMPLICES:
-        what = f"the Rips complex of these {n} points has more than {MAX_SIMPLICES} simplices"
-        cure = "take a subset (topokit.farthest_point_sample), or use topokit.rips_persistence"
-        raise ValueError(f"{what} up to dimension {dimension}: lower max_radius or the degree, {cure}")
+        raise ValueError(
+            f"the Rips complex of these {n} points has more than {MAX_SIMPLICES} simplices up to dimension {dimension}: lower "
+            "max_radius or the degree, take a subset (topokit.farthest_point_sample), or use topokit.rips_persistence"
+        )
 
 
 def _check_degree(value: int, name: str) -> None:
