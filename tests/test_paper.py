@@ -50,26 +50,15 @@ def test_every_item_of_the_paper_has_an_entry():
         assert [int(k) for k in re.findall(rf"^{item} (\d)", MAP, re.M)] == list(range(1, count + 1)), item
 
 
-def test_every_entry_names_a_chapter_a_function_and_a_test():
-    entries = re.findall(r"^(.+)\n: (.+)\n: (.+) · (.+) · (.+)$", MAP, re.M)
+def test_every_entry_names_a_chapter():
+    entries = re.findall(r"^(.+)\n: (.+)\n: (.+)$", MAP, re.M)
     assert len(entries) == MAP.count("\n: The paper: ") > 25
-    for item, _, chapter, function, test in entries:
-        assert "../notebooks/" in chapter, item
-        assert "`topokit." in function, item
-        assert "`test_" in test, item
+    assert all("../notebooks/" in places for _, _, places in entries)
 
 
 @pytest.mark.parametrize("name", sorted(set(re.findall(r"`(topokit[\w.]+)`", MAP))))
 def test_every_function_of_the_map_exists(name):
     assert resolve(name) is not None
-
-
-def test_every_test_of_the_map_exists():
-    named = re.findall(r"`(test_\w+\.py)(?:::(\w+))?`", MAP)
-    assert len(named) > 30
-    for file, name in named:
-        text = (ROOT / "tests" / file).read_text()
-        assert not name or re.search(rf"^def {name}\(", text, re.M), f"{file}::{name}"
 
 
 def test_every_link_to_a_chapter_leads_there():

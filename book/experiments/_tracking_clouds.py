@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 import topokit as tk
-from topokit.data import spoil
 from topokit.io import Episode
+from topokit.sampling import spoil
 from topokit.sim import Camera
 
 CAMERA = Camera(eye=(-0.8, -2.3, 1.6), target=(0.0, 0.0, 1.2), fov=60.0, width=192, height=192)

@@ -6,7 +6,7 @@ A window of a film has its present at a frame at which the grippers hold. The fi
 the same plan: once the hands make a detour of 2 mm just before (*nudged*), once the cloth has other physics, drawn anew
 from the ranges of the dataset (*other physics*), which no cloud shows. How far the vertices go on in such a twin, added to where
 they are, is its forecast. Loops are read off it as off any other (`topokit.models.MotionPredictor`) and measured as in
-`topokit evaluate`. Beside it: the motion that came (*known*), a trained model, and carry.
+motion.py. Beside it: the motion that came (*known*), a trained model, and carry.
 """
 
 from __future__ import annotations
@@ -22,16 +22,14 @@ from unittest.mock import patch
 
 import numpy as np
 import torch
+from forecasts import kinds_of, of_stream, of_windows, spread_windows, true_curves
 from numpy.typing import NDArray
 from torch.utils.data import default_collate
 from tqdm import tqdm
 
 from topokit.control import Carried
-from topokit.control import Carried
 from topokit.data import Dataset, WindowDataset, make_episode
-from topokit.evaluate._accuracy import measure_forecasts
-from topokit.evaluate._conditions import kinds_of, spread_windows, true_curves
-from topokit.evaluate._forecasters import of_stream, of_windows
+from topokit.evaluate import measure_forecasts
 from topokit.models import MotionPredictor, Normalisation, Predictor, Shape, StateTensors, build
 from topokit.sim import Randomisation, SimulationError
 from topokit.sim._episode import Run, record_afresh
@@ -39,7 +37,7 @@ from topokit.sim._episode import Run, record_afresh
 ROOT = Path(__file__).parents[2]
 STEPS = (1, 15, 30, 60)
 NUDGE, FRAMES = 0.002, 6  # metres that both hands are beside their way, and for how many frames
-TOLERANCE = 0.01  # metres, that of book/motion.json
+TOLERANCE = 0.01  # metres, that of motion.json
 Array = NDArray[Any]
 
 
@@ -174,13 +172,13 @@ def main() -> None:
     for name, asked_for in futures.items():
         told = Told(model.model)
         told.futures = iter(asked_for)
-        forecasters[name] = of_stream(told, windows)
+        forecasters[name] = of_stream(told, windows, STEPS)
     forecasters["carry"] = of_windows(carry)
     hits = {}
     for name, forecaster in forecasters.items():
         with torch.inference_mode():
             columns = measure_forecasts(forecaster(batch), target, past, truth, STEPS, (), np.random.default_rng(0))
-        away = columns["outside"]
+        away = columns["hull_distance"]
         hits[name] = np.where(np.isnan(away), np.nan, away <= TOLERANCE)
 
     garments = kinds_of(windows, "garment").tolist()

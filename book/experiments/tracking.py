@@ -8,13 +8,10 @@ percentiles over bootstrap samples of episodes. With --clips a few frames around
 from __future__ import annotations
 
 import argparse
-import ast
+import contextlib
 import dataclasses
-import hashlib
-import inspect
 import json
 import platform
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -22,31 +19,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from tables import draw_episodes, write_results
 
 import topokit as tk
-from topokit.evaluate import (
-    Overlap,
-    TrackingScore,
-    TrueLoops,
-    by_diagram,
-    by_killer,
-    by_midpoint,
-    compare,
-    distance_to_hull,
-    events,
-    library_digest,
-    score,
-    track_vines,
-    true_loops,
-)
+from topokit.evaluate import Overlap, TrackingScore, TrueLoops, compare, distance_to_hull, events, score, true_loops
 from topokit.io import Episode, load_episode, save_episode, save_states
 from topokit.sensors import CloudMemory
 from topokit.seqph import PAPER as PAPERS
 from topokit.sim import TASKS, Randomisation, SimulationError, simulate
 
-sys.path.append(str(Path(__file__).parent))
-import _tracking_clouds
 from _tracking_clouds import CAMERA, SEEN, Clouds, conditions
+
+sys.path.append(str(Path(__file__).parents[2] / "notebooks"))
+from chapter_tools.trackers import by_diagram, by_killer, by_midpoint, track_vines
 
 MEMORY = 8  # frames, of the paper's tracker with a memory and of yesterday's
 MEASURES = ("mota", "idf1", "hota", "deta", "assa")
@@ -242,8 +228,7 @@ def pooled(rows: list[dict[str, Any]], samples: int = 1000) -> dict[str, Any]:
 
     All are given the same samples, so that a gain is that on the same episodes.
     """
-    drawn = np.random.default_rng(0).integers(len(rows), size=(samples, len(rows)))
-    weights = np.array([np.bincount(draw, minlength=len(rows)) for draw in drawn])
+    weights = draw_episodes(pd.Series("any garment", index=range(len(rows))), samples).to_numpy()[1:]
     table: dict[str, Any] = {}
     for condition in (*rows[0]["scores"], SOME, TOGETHER):
         table[condition], first = {}, None
@@ -373,30 +358,17 @@ def garment_of(row: dict[str, Any]) -> str:
     return row["episode"].split("-")[0]
 
 
-def code() -> str:
-    """A name for the state of the code that makes the rows; words about it do not count."""
-    makers = [ast.parse(inspect.getsource(maker)).body[0] for maker in (row_of, failures, places, jumps)]
-    lines = [ast.dump(line) for maker in makers for line in maker.body[1:]]
-    lines.append(inspect.getsource(_tracking_clouds))
-    text = [library_digest(), *lines, repr(list(TRACKERS)), repr(THRESHOLDS), str(MEMORY)]
-    return hashlib.sha256("".join(text).encode()).hexdigest()[:12]
-
-
 def scored(paths: list[Path], results: Path) -> list[dict[str, Any]]:
-    """A row an episode; those that are in the file already are not made again."""
-    lines = results.read_text().splitlines() if results.exists() else []
-    made_by, known = code(), {}
-    for line in lines:
-        try:
+    """Return a row for each episode. Rows that are in the file already are kept: delete it after a change of the code."""
+    known: dict[str, dict[str, Any]] = {}
+    for line in results.read_text().splitlines() if results.exists() else []:
+        with contextlib.suppress(json.JSONDecodeError):  # the last line of a run that was killed while writing it
             row = json.loads(line)
-        except json.JSONDecodeError:  # the last line of a run that was killed while writing it
-            continue
-        if row["code"] == made_by:
             known[row["episode"]] = row
     for done, path in enumerate(paths):
         if path.stem not in known:
             tell(f"tracking {path.stem}, {done + 1} of {len(paths)}")
-            known[path.stem] = row_of(path) | {"code": made_by}
+            known[path.stem] = row_of(path)
             with results.open("a") as file:
                 file.write(json.dumps(known[path.stem]) + "\n")
     return [known[path.stem] for path in paths]
@@ -455,12 +427,6 @@ def version() -> str:
     return done.stdout.strip() or "unknown"
 
 
-def as_json(answer: dict[str, Any]) -> str:
-    """JSON with a line for every list of numbers and for every failure."""
-    text = json.dumps(answer, indent=1)
-    return re.sub(r"\[[^][{}]*\]", lambda match: re.sub(r"\s+", " ", match[0]), text) + "\n"
-
-
 def print_table(answer: dict[str, Any]) -> None:
     """The scores as text."""
     for condition, trackers in answer["scores"].items():
@@ -494,15 +460,14 @@ def main() -> None:
     )
     answer = {
         "command": command,
-        "made_with": {"topokit": version(), "code": code(), "machine": platform.machine()},
+        "made_with": {"topokit": version(), "machine": platform.machine()},
         "memory": MEMORY,
         "recommended": RECOMMENDED,
         **summary(rows),
     }
     print_table(answer)
     if options.out:
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        options.out.write_text(as_json(answer))
+        write_results(options.out, answer)
     if options.clips:
         options.clips.mkdir(parents=True, exist_ok=True)
         for number, failure in enumerate(telling([failure for row in rows for failure in row["failures"]])):

@@ -1,16 +1,12 @@
-"""Measure every model trained without a family of garments, on that family: book/results/unseen.json.
+"""Measure models that were trained without a family of garments on that family: book/results/unseen.json.
 
     python book/experiments/unseen.py
 
 The conditions and checkpoints are in unseen.json beside this file, and so are the commands that make films and checkpoints.
-Takes some hours on two cores.
+Takes some hours on two cores. `--only CONDITION` measures one condition and keeps the others of the record.
 """
 
-from topokit.evaluate import evaluate_forecasts, load_evaluation
-
-NAME = "unseen"
+from forecasts import run
 
 if __name__ == "__main__":
-    config, folder = load_evaluation(f"book/experiments/{NAME}.json")
-    out = f"book/results/{NAME}.json"
-    evaluate_forecasts(config, folder, out, progress=True, command=f"python book/experiments/{NAME}.py")
+    run("unseen", __doc__)

@@ -1,32 +1,16 @@
 """How good tracked and forecast loops are, against the true ones.
 
-Scores of trackers need the core alone. Forecasts need `pip install topokit[learn,data]`, and a report `topokit[view]`;
-nothing here imports them before they are used.
+Scores of trackers need the core alone. `measure_forecasts` needs `pip install topokit[learn]`, and nothing here imports torch
+before it is used.
 """
 
 from typing import TYPE_CHECKING
 
 from topokit._lazy import attach
 
-from ._scores import Event, Overlap, TrackingScore, events, score
-from ._tracking import (
-    TrackSummary,
-    TrueLoops,
-    by_diagram,
-    by_killer,
-    by_midpoint,
-    by_place,
-    compare,
-    distance_to_hull,
-    summarise_tracks,
-    track_vines,
-    true_loops,
-)
-
 if TYPE_CHECKING:
-    from ._conditions import Clouds, Condition, EvaluationConfig, load_evaluation
-    from ._forecasts import evaluate_forecasts
-    from ._results import library_digest, read_results, write_report
-    from ._summary import Bootstrap, Estimate
+    from ._accuracy import TrueCurves, measure_forecasts
+    from ._scores import Event, Overlap, TrackingScore, events, score
+    from ._tracking import TrueLoops, compare, distance_to_hull, summarise_tracks, true_loops
 
-__getattr__, __all__ = attach(__name__, __file__, "learn,data")
+__getattr__, __all__ = attach(__name__, __file__, "learn")

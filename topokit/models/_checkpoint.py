@@ -116,7 +116,9 @@ def load_tensors(path: str | Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         description = dict(json.loads(metadata["topokit"]))
         checksum = description.pop("crc32")
     except (KeyError, ValueError, TypeError, RecursionError) as error:
-        raise FormatError(f"{path}: topokit did not write this safetensors file: its metadata describes no model") from error
+        raise FormatError(
+            f"{path}: topokit did not write this safetensors file: its metadata describes no model"
+        ) from error
     if checksum != _crc32(tensors, description):
         raise FormatError(f"{path}: the checksum does not match: changed or damaged; copy it again")
     return description, tensors

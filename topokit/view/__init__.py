@@ -14,6 +14,5 @@ from ._figure import HtmlFigure
 from ._player import plans, player, wardrobe
 from ._plots import Scene, appearances, loop_colour, plot_cloth, plot_diagram, plot_tracks, track_figure
 from ._render import pyvista_works, render_cloth, save_animation
-from ._report import model_label, plot_accuracy, plot_by_horizon, plot_conditions, plot_treatments
 
 __all__ = sorted(shown(__file__))

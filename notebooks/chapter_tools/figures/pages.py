@@ -19,7 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from topokit import linking_number, rips_persistence
 from topokit.linking import close_far
 from topokit.rips import Diagram
-from topokit.view import HtmlFigure, loop_colour, model_label
+from topokit.view import HtmlFigure, loop_colour
+
+from ..records import model_label
 
 HERE = Path(__file__).parent
 MOST_POINTS = 60  # the scripts compute the loops of so many while a point is dragged

@@ -1,0 +1,190 @@
+"""The scripts of book/experiments: their intervals against formulas, and that each runs on a little data."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from pathlib import Path
+
+import forecasts
+import numpy as np
+import pandas as pd
+import pytest
+from forecasts import Clouds, Condition, EvaluationConfig, evaluate_forecasts, load_evaluation
+from scipy.stats import mannwhitneyu
+from tables import bootstrap, draw_episodes, interval
+
+from conftest import DATA
+
+ROOT = Path(__file__).parent.parent
+EXPERIMENTS = ROOT / "book" / "experiments"
+SCRIPTS = sorted(path.stem for path in EXPERIMENTS.glob("[!_]*.py"))
+
+
+# -- intervals ---------------------------------------------------------------------------------------------------------------
+
+
+def samples(hits: np.ndarray, episode: np.ndarray, garment: object = "one kind", model: str = "ours") -> pd.DataFrame:
+    """Hits of shape (seeds, n) as a table with a row for each."""
+    parts = []
+    for seed, row in enumerate(hits):
+        part = pd.DataFrame({"hits": row, "episode": episode, "garment": garment, "model": model, "seed": seed})
+        parts.append(part.assign(n=1.0, step=1))
+    return pd.concat(parts)
+
+
+def share(table: pd.DataFrame) -> pd.DataFrame:
+    """The share of hits of each model in all draws."""
+    totals = bootstrap(table, ["hits", "n"])
+    return totals.xs("hits", axis=1, level=2) / totals.xs("n", axis=1, level=2)
+
+
+def width(table: pd.DataFrame) -> float:
+    (cell,) = interval(share(table)).itertuples()
+    return cell.high - cell.low
+
+
+def test_interval_of_independent_samples_is_the_binomial_one():
+    hits = (np.arange(1000) % 10 < 3).astype(float)[None]
+    (cell,) = interval(share(samples(hits, np.arange(1000)))).itertuples()
+    assert cell.mean == pytest.approx(0.3)
+    assert cell.low < 0.3 < cell.high
+    assert cell.high - cell.low == pytest.approx(2 * 1.96 * np.sqrt(0.3 * 0.7 / 1000), rel=0.1)
+
+
+def test_windows_of_an_episode_are_no_independent_samples():
+    hits = np.repeat(np.arange(20) % 2, 50).astype(float)[None]  # 20 episodes, each all right or all wrong
+    honest = width(samples(hits, np.repeat(np.arange(20), 50)))
+    assert honest > 5 * width(samples(hits, np.arange(1000)))
+    assert honest == pytest.approx(2 * 1.96 * np.sqrt(0.25 / 20), rel=0.15)
+
+
+def test_the_mixture_of_garments_is_not_drawn():
+    episode = np.repeat(np.arange(20), 5)
+    easy = (episode < 10).astype(float)[None]  # ten episodes of a garment that all pass, ten of one that none does
+    assert width(samples(easy, episode)) > 0.3
+    assert width(samples(easy, episode, np.where(episode < 10, "apron", "tote"))) == 0
+
+
+def test_seeds_widen_an_interval():
+    rng = np.random.default_rng(0)
+    hits = (rng.random((3, 400)) < np.array([[0.3], [0.5], [0.7]])).astype(float)
+    assert width(samples(hits, np.arange(400))) > 2 * width(samples(hits.mean(axis=0)[None], np.arange(400)))
+
+
+def test_a_difference_is_on_the_same_episodes():
+    rng = np.random.default_rng(0)
+    episode = np.repeat(np.arange(15), 10)
+    hard = np.repeat(rng.random(15), 10)[None]  # episodes differ far more than models do
+    both = [samples((hard < limit).astype(float), episode, model=str(limit)) for limit in (0.5, 0.55)]
+    drawn = share(pd.concat(both))
+    gain = drawn["0.55"] - drawn["0.5"]
+    assert np.ptp(gain.to_numpy()) < np.ptp(drawn["0.5"].to_numpy()) / 2
+    assert draw_episodes(pd.Series("a", index=range(4)), 5).sum(axis=1).tolist() == [4] * 6
+
+
+def test_expected_variance_ranks_the_lost_as_the_rank_test_does():
+    rng = np.random.default_rng(0)
+    table = samples(np.zeros((2, 120)), np.arange(120) // 4).assign(step=60)
+    table["hull_distance"] = rng.choice([0.0, 0.1], len(table))  # metres
+    table["expected_variance"] = 0.1 + table["hull_distance"] / 4 + rng.normal(0, 0.02, len(table))
+    config = EvaluationConfig(dataset="", models={}, conditions=[], samples=200)
+    cell = forecasts.lost(table, config, [60])["ours"]["60"]
+    far = table["hull_distance"] > 0
+    variance = table["expected_variance"]
+    expected = mannwhitneyu(variance[far], variance[~far]).statistic / (far.sum() * (~far).sum())
+    assert cell["mean"] == pytest.approx(expected, abs=1e-4)
+    assert cell["low"] < cell["mean"] < cell["high"]
+    assert cell["n"] == 120
+
+
+# -- forecasts ---------------------------------------------------------------------------------------------------------------
+
+
+def masks(**options: object) -> Condition:
+    return Condition("masks", part="all", garments=["mask"], windows=2, **options)
+
+
+def test_an_evaluation_of_a_few_windows(tmp_path):
+    models = {"motion": [str(DATA / "checkpoints" / "motion.safetensors")]}
+    clean = masks(shares_no_episode=True)
+    noisy = Condition(
+        "noisy", part="all", garments=["mask"], windows=1, clouds=Clouds(noise=0.005, keep=0.5), models={}
+    )
+    config = EvaluationConfig(
+        dataset=str(DATA / "motion"),
+        models=models,
+        conditions=[clean, noisy],
+        samples=50,
+        shape=forecasts.Shape(points=160),
+    )
+    made = evaluate_forecasts(config, out=tmp_path / "r.json", clips=tmp_path)
+    assert json.loads((tmp_path / "r.json").read_text()) == made
+    assert made["complete"]
+    table = made["conditions"]["masks"]
+    assert list(table["hull_accuracy"]) == ["seqph", "hold", "carry", "ours"]
+    for model, cells in table["hull_accuracy"].items():
+        assert list(cells) == ["1", "15", "30", "60", "mean"]
+        assert table["hull_treatments"]["within 2 cm"][model] == cells
+        assert all(0 <= cell["low"] <= cell["mean"] <= cell["high"] <= 1 for cell in cells.values())
+    gain = table["gain_of_ours"]["carry"]["60"]["mean"]
+    shares = table["hull_accuracy"]
+    assert gain == pytest.approx(shares["ours"]["60"]["mean"] - shares["carry"]["60"]["mean"], abs=2e-4)
+    assert table["presence"]["seqph"]["mean"]["mean"] == 1  # the labels against themselves
+    noise = made["conditions"]["noisy"]["presence"]["seqph"]["mean"]["mean"]
+    assert noise < 1
+
+
+def test_a_model_is_not_tested_on_what_it_was_trained_on():
+    """The checkpoints of data_small were trained on its films and on many more; no statement to the contrary is made."""
+    models = {"mlp": [str(DATA / "checkpoints" / "mlp.safetensors")]}
+    config = EvaluationConfig(dataset=str(DATA / "dataset"), models=models, conditions=[masks()], ours="mlp")
+    with pytest.raises(ValueError, match="mlp"):
+        evaluate_forecasts(config)
+
+
+# -- scripts -----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_every_script_tells_its_command(name, monkeypatch, capsys):
+    try:
+        script = importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name.startswith("topokit"):
+            raise
+        pytest.skip(f"{error.name} is not installed")
+    assert f"book/experiments/{name}.py" in script.__doc__ or not hasattr(script, "main")
+
+
+@pytest.mark.parametrize("name", ["motion", "unseen"])
+def test_configurations_are_good(name):
+    config = load_evaluation(EXPERIMENTS / f"{name}.json")
+    record = json.loads((ROOT / "book" / "results" / f"{name}.json").read_text())
+    assert [condition.name for condition in config.conditions] == list(record["conditions"])
+    shipped = [path for path in config.models.get("motion", []) if "data_small" in path]
+    assert all((EXPERIMENTS / path).is_file() for path in shipped)
+
+
+def test_learning_rates_of_the_rivals_are_those_that_validation_chose():
+    folder = EXPERIMENTS / "same_films"
+    for model, losses in json.loads((folder / "rates.json").read_text()).items():
+        config = json.loads((folder / f"{model}.json").read_text())
+        assert config["learning_rate"] == float(min(losses, key=losses.get))
+
+
+RUNS = {
+    "report": ["book/results/motion.json", "--out", "{folder}"],
+    "lemmas_on_cloth": ["data_small/apron_hook_0.npz", "--stride", "40", "--out", "{folder}/r.json"],
+    "lemma_search": ["--random", "2", "--optimised", "0", "--json"],
+    "realtime": ["--points", "60", "--frames", "3", "--repeat", "1"],
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_scripts_run_on_a_little(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    arguments = [argument.format(folder=tmp_path) for argument in RUNS[name]]
+    monkeypatch.setattr(sys, "argv", [f"book/experiments/{name}.py", *arguments])
+    assert not importlib.import_module(name).main()
