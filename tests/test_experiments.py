@@ -175,6 +175,7 @@ def test_learning_rates_of_the_rivals_are_those_that_validation_chose():
 
 
 RUNS = {
+    "dataset": ["--only", "store", "opening", "--records", "30"],
     "report": ["book/results/motion.json", "--out", "{folder}"],
     "lemmas_on_cloth": ["data_small/apron_hook_0.npz", "--stride", "40", "--out", "{folder}/r.json"],
     "lemma_search": ["--random", "2", "--optimised", "0", "--json"],

@@ -47,6 +47,7 @@ class Caught(Exception):
 
 def run_of(dataset: Dataset, number: int) -> Run:
     """What the simulator was told when it made that film."""
+
     def catch(run: Run, *_: object) -> None:
         raise Caught(run)
 
