@@ -1,6 +1,6 @@
-"""Run the chapters side by side, before Sphinx reads them one after another: it finds their outputs in the cache.
+"""Run the chapters side by side, so that Sphinx finds their outputs in the cache when it reads them one after another.
 
-A chapter that fails here has no output there, so Sphinx runs it again and says where it fails.
+A chapter that fails here leaves no output in the cache, so Sphinx runs it again and reports the error.
 """
 
 import sys
@@ -13,21 +13,22 @@ from jupyter_cache import get_cache
 from jupyter_cache.executors import load_executor
 
 sys.path.insert(0, str(Path(__file__).parent))
-import conf  # names the cache, and says how kernels are configured
+import conf  # it names the cache and configures the kernels
 
 import topokit
 
 
 def run(chapter: Path) -> tuple[str, float]:
-    """Run a chapter whose output is not there, and keep it."""
-    began, cache = time.perf_counter(), get_cache(conf.nb_execution_cache_path)
+    """Run a chapter whose output is not in the cache, and return its name and the seconds it took."""
+    began = time.perf_counter()
+    cache = get_cache(conf.nb_execution_cache_path)
     record = cache.add_nb_to_project(str(chapter))
     load_executor("local-serial", cache).run_and_cache(filter_pks=[record.pk], timeout=conf.nb_execution_timeout)
     return chapter.stem, time.perf_counter() - began
 
 
 def compile_once() -> None:
-    """Compile what is compiled once on a machine, so that no chapter says so on its page."""
+    """Compile what is compiled once on a machine, so that no chapter prints about it on its page."""
     for tiny in (np.eye(4, 3), np.eye(4, 2)):
         topokit.rips_persistence(tiny)
     topokit.rips_persistence_many(np.eye(4, 3)[None])
@@ -38,5 +39,6 @@ if __name__ == "__main__":
     chapters = sorted((conf.ROOT / "notebooks").glob("*.ipynb"), key=lambda path: -path.stat().st_size)
     print(f"topokit: running the {len(chapters)} chapters (some minutes; again only when something changed)")
     with ProcessPoolExecutor() as pool:
-        for done in as_completed(pool.submit(run, chapter) for chapter in chapters):
-            print("  {}: {:.0f} s".format(*done.result()), flush=True)
+        for finished in as_completed(pool.submit(run, chapter) for chapter in chapters):
+            name, seconds = finished.result()
+            print(f"  {name}: {seconds:.0f} s", flush=True)

@@ -1,7 +1,7 @@
-"""What a chapter takes: its card on the first page, and the line at its top. Numbers are counted or measured, not typed.
+"""Cards of the chapters on the first page, and the line with the time to read and to run below a chapter's title.
 
-Time to read comes from words and from code that is shown, time to run from the last run of the notebook, what a chapter builds on
-from its own first sentence.
+The time to read is computed from the words and the visible code, the time to run is measured in the last run of the notebook, and
+the chapters that a chapter builds on are read from its own first sentence.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ from sphinx import addnodes
 ROOT = Path(__file__).resolve().parent.parent
 CHAPTER = re.compile(r"notebooks/0*(\d+)_")
 TOPICS = re.compile(r"^\| \d+ \[[^]]*\]\((notebooks/\w+)\.ipynb\) \| (.*) \|$", re.MULTILINE)
-WORDS, CELL = 200, 0.5  # words that are read in a minute; minutes for a cell of code that is shown
-
+WORDS_A_MINUTE = 200
+MINUTES_A_CELL = 0.5  # for a cell of visible code
+HIDDEN = {"hide-input", "hide-cell", "remove-input"}  # tags of cells whose code is folded
 BEFORE = re.compile(r"^\*\*Before:\*\* .*", re.MULTILINE)
 
 
 class chapter_cards(nodes.General, nodes.Element):
-    """Where the cards of all chapters go."""
+    """The place of the cards of all chapters."""
 
 
 class Chapters(Directive):
-    """The chapters as cards, part by part, from the tables of contents of this page."""
+    """Show the chapters as cards, part by part, from the tables of contents of this page."""
 
     def run(self) -> list[nodes.Node]:
         return [chapter_cards()]
@@ -44,68 +45,78 @@ def setup(app: Any) -> dict[str, bool]:
 
 
 def chapters(app: Any) -> dict[int, str]:
-    """The pages of all chapters by their numbers."""
-    return {int(found[1]): name for name in sorted(app.env.found_docs) if (found := CHAPTER.match(name))}
+    """Return the pages of all chapters by their numbers."""
+    pages = filter(CHAPTER.match, sorted(app.env.found_docs))
+    return {int(CHAPTER.match(page)[1]): page for page in pages}
 
 
 def read(chapter: str) -> dict[str, Any]:
-    """A chapter's notebook."""
+    """Return a chapter's notebook."""
     return json.loads((ROOT / f"{chapter}.ipynb").read_text(encoding="utf-8"))
 
 
 def builds_on(notebook: dict[str, Any]) -> list[int]:
-    """The chapters that a chapter asks for where it says "**Before:** ..."; "[...] to [...]" are all between, too."""
-    said = BEFORE.search("".join(notebook["cells"][0]["source"]))[0]
-    said = re.sub(r"; [^;]* at least", "", said)  # that is for who skips these
-    numbers = [int(number) for number in re.findall(r"\]\((\d+)_\w+\.ipynb\)", said)]
-    return list(range(numbers[0], numbers[-1] + 1)) if ") to [" in said else numbers
+    """Return the chapters that a chapter asks for in its line "**Before:** ..."; "[3] to [5]" are three chapters."""
+    line = BEFORE.search("".join(notebook["cells"][0]["source"]))[0]
+    line = re.sub(r"; [^;]* at least", "", line)  # the minimum for readers who skip the others
+    numbers = [int(number) for number in re.findall(r"\]\((\d+)_\w+\.ipynb\)", line)]
+    if ") to [" in line:
+        return list(range(numbers[0], numbers[-1] + 1))
+    return numbers
 
 
 def minutes_to_read(notebook: dict[str, Any]) -> int:
-    """From the words and the code that is not folded, to five minutes."""
-    words = code = 0
+    """Return the time to read the words and the visible code, rounded to five minutes."""
+    minutes = 0.0
     for cell in notebook["cells"]:
         if cell["cell_type"] == "markdown":
-            words += len("".join(cell["source"]).split())
-        else:
-            code += not {"hide-input", "hide-cell", "remove-input"} & set(cell["metadata"].get("tags", ()))
-    return max(5, 5 * round((words / WORDS + CELL * code) / 5))
+            minutes += len("".join(cell["source"]).split()) / WORDS_A_MINUTE
+        elif not HIDDEN & set(cell["metadata"].get("tags", ())):
+            minutes += MINUTES_A_CELL
+    return max(5, 5 * round(minutes / 5))
 
 
 def time_to_run(seconds: float | None) -> str:
-    """In words; what is not known is left out."""
+    """Return the time to run in words, or nothing when it is not known."""
     if seconds is None:
         return ""
-    return f"{5 * max(1, round(seconds / 5))} s" if seconds < 90 else f"{round(seconds / 60)} min"
+    if seconds < 90:
+        return f"{5 * max(1, round(seconds / 5))} s"
+    return f"{round(seconds / 60)} min"
 
 
 def takes(app: Any, chapter: str) -> str:
-    """How long a chapter takes."""
-    ran = app.env.nb_metadata.get(chapter, {}).get("exec_data", {}).get("runtime")
-    run = time_to_run(ran)
-    return f"{minutes_to_read(read(chapter))} min to read" + (f", {run} to run" if run else "")
+    """Return how long a chapter takes to read and to run."""
+    seconds = app.env.nb_metadata.get(chapter, {}).get("exec_data", {}).get("runtime")
+    text = f"{minutes_to_read(read(chapter))} min to read"
+    if seconds is not None:
+        text += f", {time_to_run(seconds)} to run"
+    return text
 
 
 def links_to(app: Any, page: str, numbers: list[int]) -> str:
-    """Links from a page to chapters, called by their numbers."""
+    """Return links from a page to chapters, called by their numbers."""
     pages = chapters(app)
-    titles = {k: app.env.titles[pages[k]].astext().partition(". ")[2] for k in numbers}
-    at = {k: app.builder.get_relative_uri(page, pages[k]) for k in numbers}
-    links = [f'<a href="{at[k]}" title="{html.escape(titles[k], quote=True)}">{k}</a>' for k in numbers]
+    links = []
+    for number in numbers:
+        title = html.escape(app.env.titles[pages[number]].astext().partition(". ")[2], quote=True)
+        address = app.builder.get_relative_uri(page, pages[number])
+        links.append(f'<a href="{address}" title="{title}">{number}</a>')
+    if len(links) == 1:
+        return f"chapter {links[0]}"
     if len(links) > 2 and numbers == list(range(numbers[0], numbers[-1] + 1)):
         return f"chapters {links[0]} to {links[-1]}"
-    return ("chapters " if len(links) > 1 else "chapter ") + " and ".join(", ".join(links).rsplit(", ", 1))
+    return f"chapters {', '.join(links[:-1])} and {links[-1]}"
 
 
 def _about(app: Any, page: str, chapter: str) -> str:
     before = builds_on(read(chapter))
-    return f"{takes(app, chapter)}; " + (
-        f"builds on {links_to(app, page, before)}" if before else "needs no other chapter"
-    )
+    needs = f"builds on {links_to(app, page, before)}" if before else "needs no other chapter"
+    return f"{takes(app, chapter)}; {needs}"
 
 
 def elsewhere(repository: str, chapter: str) -> str:
-    """Links to a chapter on machines that copy the public repository, "https://github.com/OWNER/NAME"; none if it is empty."""
+    """Return links to a chapter on Binder and Colab, which copy the public repository; nothing without a repository."""
     if not repository:
         return ""
     name = repository.removeprefix("https://github.com/")
@@ -118,7 +129,7 @@ def elsewhere(repository: str, chapter: str) -> str:
 
 
 def _line(app: Any, doctree: nodes.document, docname: str) -> None:
-    """Say below a chapter's title how long it takes; its first sentence says what it builds on."""
+    """Add a line below a chapter's title: how long it takes, and where else it can be read."""
     title = next(doctree.findall(nodes.title), None)
     if CHAPTER.match(docname) and title is not None and app.builder.format == "html":
         notebook = docname.rpartition("/")[2] + ".ipynb"
@@ -155,12 +166,13 @@ def _card(app: Any, chapter: str, about: dict[str, str]) -> str:
 
 
 def thumbnail(app: Any, chapter: str) -> Path:
-    """Of the pictures that a chapter draws a photograph-like one, else the richest drawing that is not heavy."""
+    """Return a chapter's picture for its card: a photograph-like one if there is one, else the largest light drawing."""
     images = {Path(app.srcdir) / image["uri"] for image in app.env.get_doctree(chapter).findall(nodes.image)}
-    drawn = [
-        path
-        for path in images
-        if "jupyter_execute" in path.parts and (path.suffix == ".png" or path.stat().st_size < 250_000)
-    ]
-    nothing = ROOT / "book" / "_static" / "apron.png"  # of a chapter that has not run
-    return max(drawn, key=lambda path: (path.suffix == ".png", path.stat().st_size, path.name), default=nothing)
+    candidates = []
+    for path in images:
+        drawn_by_chapter = "jupyter_execute" in path.parts
+        if drawn_by_chapter and (path.suffix == ".png" or path.stat().st_size < 250_000):
+            candidates.append((path.suffix == ".png", path.stat().st_size, path.name, path))
+    if not candidates:  # the chapter has not run
+        return ROOT / "book" / "_static" / "apron.png"
+    return max(candidates)[-1]

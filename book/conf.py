@@ -1,9 +1,9 @@
-"""How the book is built: the source directory is the repository, so that chapters and prose refer to each other.
+"""Configure Sphinx: the source directory is the repository, so that chapters and prose can refer to each other.
 
     python -m sphinx -n -W --keep-going -b html -c book -d _build/doctrees . _build/html
 
-One process reads all pages (no `-j`): sphinx-proof cannot merge what several have read.
-Nothing is fetched: KaTeX lies in `_static`, and the moving figures bring their own script.
+One process reads all pages (no `-j`), since sphinx-proof cannot merge the pages of several.
+Nothing is fetched: KaTeX is in `_static`, and the interactive figures contain their scripts.
 """
 
 from __future__ import annotations
@@ -74,10 +74,10 @@ chapters_repository = "https://github.com/topokit/topokit"
 
 
 def _digest() -> str:
-    """Name everything that a chapter's outputs depend on: its text, the library, the data and the environment.
+    """Return a digest of all that a chapter's outputs depend on: its text, the library, the data and the environment.
 
-    myst-nb's cache looks at a notebook alone; with the cache in a folder of this name, a change of anything else makes
-    a new cache, so no output on a page can be older than what made it.
+    myst-nb's cache compares the notebook alone. The cache is in a folder with this name, so any other change makes a new
+    cache, and no output on a page can be older than its cause.
     """
     hashed = hashlib.sha256()
     files = [ROOT / "requirements.txt", ROOT / "book" / "kernel.py"]
@@ -99,7 +99,7 @@ def _digest() -> str:
 
 
 def _kernels() -> None:
-    """Give the kernels that run the chapters the configuration in kernel.py, and no other of this machine."""
+    """Configure the kernels that run the chapters by kernel.py and by nothing else on this machine."""
     profile = ROOT / "_build" / "ipython" / "profile_default"
     profile.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(ROOT / "book" / "kernel.py", profile / "ipython_kernel_config.py")
@@ -107,13 +107,14 @@ def _kernels() -> None:
 
 
 def _fresh_cache() -> str:
-    """Return the folder of the cache for the present digest; older ones are removed."""
-    caches, digest = ROOT / "_build" / "jupyter_cache", _digest()
+    """Remove caches of other digests, and return the folder of the cache for the present one."""
+    caches = ROOT / "_build" / "jupyter_cache"
+    digest = _digest()
     for old in caches.glob("*"):
         if old.is_dir() and old.name != digest:
             shutil.rmtree(old)
     cache = get_cache(caches / digest)
-    cache.list_cache_records()  # makes the database now: processes that read pages side by side would all try to
+    cache.list_cache_records()  # make the database now, before processes that run side by side all try to
     return str(caches / digest)
 
 
@@ -162,15 +163,14 @@ def _property(app: Any, what: str, name: str, thing: Any, options: Any, lines: l
 
 
 def _hover(app: Any, doctree: Any, docname: str) -> None:
-    """Give every term the first paragraph of its glossary entry as a title, which browsers show under the pointer."""
+    """Give each term the first paragraph of its glossary entry as a title, which browsers show under the pointer."""
     entries = app.env.get_doctree("book/glossary").findall(nodes.definition_list_item)
     meanings = {name: entry[-1][0].astext() for entry in entries for term in entry[:-1] for name in term["ids"]}
     for reference in doctree.findall(nodes.reference):
-        if any(
-            "std-term" in child.get("classes", ()) for child in reference.children if isinstance(child, nodes.Element)
-        ):
-            where = reference.get("refid") or reference["refuri"].rpartition("#")[2]
-            reference["reftitle"] = meanings[where]
+        children = [child for child in reference.children if isinstance(child, nodes.Element)]
+        if any("std-term" in child.get("classes", ()) for child in children):
+            term = reference.get("refid") or reference["refuri"].rpartition("#")[2]
+            reference["reftitle"] = meanings[term]
 
 
 def setup(app: Any) -> dict[str, bool]:

@@ -10,9 +10,9 @@ c.InlineBackend.figure_formats = {"svg"}
 c.InlineBackend.print_figure_kwargs = {
     "bbox_inches": "tight",
     "dpi": 144,
-}  # of the parts that stay pixels, such as cloth
+}  # for the parts that become pixels, such as cloth
 c.InlineBackend.rc = {"svg.fonttype": "none", "svg.hashsalt": "topokit", "font.size": 11, "figure.facecolor": "white"}
-# Marks and pieces of lines that are many stay pixels too: thousands of shapes weigh megabytes and scroll badly.
+# Marks and lines with thousands of points become pixels: as shapes they weigh megabytes and scroll badly.
 c.InteractiveShellApp.exec_lines = [
     """
 def _pixels():
@@ -20,16 +20,18 @@ def _pixels():
     if "matplotlib.pyplot" in sys.modules:
         from matplotlib import collections, lines, pyplot
         for figure in map(pyplot.figure, pyplot.get_fignums()):
-            able = lambda artist: getattr(artist.draw, "_supports_rasterization", False)  # marks in space are not
-            for artist in filter(able, figure.findobj(collections.Collection)):
-                if "3D" in type(artist).__name__ or max(len(artist.get_offsets()), len(artist.get_paths())) > 1000:
+            for artist in figure.findobj(collections.Collection):
+                shapes = max(len(artist.get_offsets()), len(artist.get_paths()))
+                many = "3D" in type(artist).__name__ or shapes > 1000
+                if many and getattr(artist.draw, "_supports_rasterization", False):  # marks in space do not
                     artist.set_rasterized(True)
-            for artist in figure.findobj(lines.Line2D):
-                if len(artist.get_xdata()) > (1000 if artist.get_linestyle() == "None" else 3000):
-                    artist.set_rasterized(True)
+            for line in figure.findobj(lines.Line2D):
+                most = 1000 if line.get_linestyle() == "None" else 3000
+                if len(line.get_xdata()) > most:
+                    line.set_rasterized(True)
 get_ipython().events.register("post_execute", _pixels)
 del _pixels
 """
 ]
 c.HistoryManager.enabled = False
-c.IPKernelApp.log_level = logging.ERROR  # else every kernel says that it speaks over TCP, with this machine alone
+c.IPKernelApp.log_level = logging.ERROR  # hide the warning that the kernel listens on TCP

@@ -1,7 +1,7 @@
-"""What leads from page to page: chapters that the prose calls by their numbers become links, and terms stand in the index.
+"""Links from page to page: chapters called by their numbers become links, and terms enter the index.
 
-What is a link already, code and headings are left alone. The index has what the chapters define and prove, by its title, and for
-every term of the glossary the first place in each chapter that uses it.
+Links, code and headings are left alone. The index lists definitions and theorems of the chapters by their titles, and for each
+term of the glossary the first place in each chapter that uses it.
 """
 
 from __future__ import annotations
@@ -27,12 +27,15 @@ def setup(app: Any) -> dict[str, bool]:
 
 
 def pieces(text: str) -> list[tuple[str, int | None]]:
-    """A text in pieces, each with the chapter that it shall lead to: a single one with its word, several by number."""
-    found, at = [], 0
+    """Split a text into pieces, each with the chapter it links to or None; a single chapter is linked with its word."""
+    found = []
+    at = 0
     for called in CALLED.finditer(text):
         numbers = list(re.finditer(r"\d+", called[0]))
         for number in numbers:
-            start = called.start() + (0 if len(numbers) == 1 else number.start())
+            start = called.start()
+            if len(numbers) > 1:
+                start += number.start()
             end = called.start() + number.end()
             found += [(text[at:start], None), (text[start:end], int(number[0]))]
             at = end
@@ -42,7 +45,8 @@ def pieces(text: str) -> list[tuple[str, int | None]]:
 def _link(app: Any, doctree: nodes.document, docname: str) -> None:
     if app.builder.format != "html":
         return
-    pages, own = chapters(app), CHAPTER.match(docname)
+    pages = chapters(app)
+    own = CHAPTER.match(docname)
     for text in list(doctree.findall(nodes.Text)):
         if CALLED.search(text) and not _within(text, KEPT):
             text.parent.replace(text, [_piece(app, docname, own, pages, *piece) for piece in pieces(str(text))])
@@ -56,16 +60,18 @@ def _piece(app: Any, docname: str, own: Any, pages: dict[int, str], text: str, c
 
 
 def _within(node: nodes.Node, kinds: tuple[type, ...]) -> bool:
-    while (node := node.parent) is not None:
-        if isinstance(node, kinds):
+    ancestor = node.parent
+    while ancestor is not None:
+        if isinstance(ancestor, kinds):
             return True
+        ancestor = ancestor.parent
     return False
 
 
 class Index(SphinxTransform):
-    """Give definitions, theorems and first uses of terms an entry in the index each."""
+    """Enter definitions, theorems and first uses of terms into the index."""
 
-    default_priority = 800  # before the domains collect what is in a page, at 850
+    default_priority = 800  # before the domains collect a page's entries, at 850
 
     def apply(self, **kwargs: Any) -> None:
         if not CHAPTER.match(self.env.docname) and self.env.docname != "book/modules":
@@ -84,12 +90,14 @@ class Index(SphinxTransform):
 
 
 def names(kind: str, title: str) -> list[str]:
-    """What a title names: the definition "(Bar, killer edge, diagram)" three things, a theorem itself."""
+    """Return the names in a title: the definition "(Bar, killer edge, diagram)" has three, a theorem one."""
     title = title.strip(" ()")
+    if not title:
+        return []
     if kind != "definition":
-        return [title] if title else []
-    parts = [part.strip().removeprefix("and ") for part in title.split(",")]
-    return [part[0].lower() + part[1:] for part in parts if part]
+        return [title]
+    terms = [term.strip().removeprefix("and ") for term in title.split(",")]
+    return [term[0].lower() + term[1:] for term in terms if term]
 
 
 def _enter(node: nodes.Node, name: str, place: str, kind: str) -> None:

@@ -1,9 +1,10 @@
-"""The book as one page, `_build/paper.html`, and that page printed by the Chromium of the machine, `_build/topokit.pdf`.
+"""Make the book one page, `_build/paper.html`, and print it with the machine's Chromium, `_build/topokit.pdf`.
 
     make pdf
 
-The articles of the built pages stand one after another; links between them stay inside. Moving figures are printed as they stand,
-hints are open, code that is folded stays so. The reference of functions and the tables of results are for the screen.
+The page holds the articles of all built pages in order, and links between them stay inside. Interactive figures are printed as
+they are first shown, hints are open, and folded code stays folded. The reference of functions and the tables of results are left
+out.
 """
 
 from __future__ import annotations
@@ -32,19 +33,21 @@ h1, h2, h3 { break-after: avoid; }
 
 
 def order(html: Path) -> list[str]:
-    """The pages for paper, in the order of the table of contents."""
+    """Return the pages for paper, in the order of the table of contents."""
     text = (html / FIRST).read_text(encoding="utf-8")
     pages = [posixpath.normpath(posixpath.join("book", href)) for href in CHILD.findall(text)]
     return [page for page in dict.fromkeys([FIRST, *pages]) if not page.startswith(("book/api", "book/report"))]
 
 
 def article(html: Path, pages: list[str], page: str) -> str:
-    """What a page says, its names made its own, its links led to the other pages' names."""
+    """Return the article of a page with unique ids and with links into the one page."""
     text = ARTICLE.search((html / page).read_text(encoding="utf-8"))[1]
     own = pages.index(page)
 
-    def lead(link: re.Match[str]) -> str:
-        kind, path, anchor = link[1], link[2], link[3] or ""
+    def redirect(link: re.Match[str]) -> str:
+        kind = link[1]
+        path = link[2]
+        anchor = link[3] or ""
         if not path:
             return f'{kind}="#p{own}-{anchor[1:]}"'
         target = posixpath.normpath(posixpath.join(posixpath.dirname(page), path))
@@ -52,13 +55,13 @@ def article(html: Path, pages: list[str], page: str) -> str:
             return f'{kind}="#p{pages.index(target)}-{anchor[1:]}"'
         return f'{kind}="html/{target}{anchor}"'
 
-    text = re.sub(r'\bid="', f'id="p{own}-', LINK.sub(lead, text)).replace("url(#", f"url(#p{own}-")
+    text = re.sub(r'\bid="', f'id="p{own}-', LINK.sub(redirect, text)).replace("url(#", f"url(#p{own}-")
     text = text.replace('loading="lazy"', 'loading="eager"').replace("<details>", "<details open>")
     return f'<article class="bd-article" id="p{own}-">{text}</article>'
 
 
 def whole(html: Path) -> str:
-    """The one page, for a file beside the folder of the built book, which it takes its looks from."""
+    """Return the one page, for a file beside the folder of the built book, whose style sheets it uses."""
     pages = order(html)
     chapter = next(page for page in pages if 'class="math' in (html / page).read_text(encoding="utf-8"))
     head = re.search(r"<head>(.*?)</head>", (html / chapter).read_text(encoding="utf-8"), re.DOTALL)[1]
@@ -71,17 +74,19 @@ def whole(html: Path) -> str:
 
 
 def print_page(page: Path, pdf: Path) -> None:
-    """Print a page of a disk, without a network; the time is the page's own, so that all figures are drawn."""
+    """Print a local page; Chromium's virtual time lets all figures be drawn first."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         raise SystemExit(f"no Chromium on this machine (apt-get install chromium); the page is {page.as_uri()}")
     options = ["--headless", "--no-pdf-header-footer", "--virtual-time-budget=60000", "--use-angle=swiftshader"]
-    options += ["--no-sandbox"] if hasattr(os, "geteuid") and os.geteuid() == 0 else []
+    if hasattr(os, "geteuid") and os.geteuid() == 0:
+        options.append("--no-sandbox")
     subprocess.run([browser, *options, f"--print-to-pdf={pdf}", page.as_uri()], check=True, stderr=subprocess.DEVNULL)
 
 
 if __name__ == "__main__":
-    page, pdf = BUILD / "paper.html", BUILD / "topokit.pdf"
+    page = BUILD / "paper.html"
+    pdf = BUILD / "topokit.pdf"
     page.write_text(whole(BUILD / "html"), encoding="utf-8")
     print_page(page, pdf)
     print(f"The book on paper: {pdf.as_uri()} ({pdf.stat().st_size / 1e6:.0f} MB); as one page: {page.as_uri()}")

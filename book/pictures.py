@@ -1,4 +1,4 @@
-"""Draw the pictures of the README: python book/pictures.py"""
+"""Draw the pictures of README and of the first page: python book/pictures.py"""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FRAMES = (0, 40, 62, 95)
 
 
 def main() -> None:
-    """An apron in four frames and as a film, every task as a picture and as a film, and the wardrobe."""
+    """Draw an apron in four frames and as a film, all tasks as a picture and as a film, and the wardrobe."""
     every_task(HERE.parent / "data_small" / "dataset")
     episode = load_episode(HERE.parent / "data_small" / "apron_hook_0.npz")
     states = tk.track(episode.points, times=episode.times)
@@ -55,16 +55,17 @@ def main() -> None:
 
 
 def every_task(folder: Path, moments: int = 20) -> None:
-    """Every task of the wardrobe: how it begins and ends, with what the tracker finds, and all of them as one film."""
+    """Draw the film of all tasks with the tracked loops, and its last frame as a picture."""
     dataset = Dataset(folder)
     first = {record.task: record.episode for record in reversed(dataset.records) if record.status == "ok"}
     numbers = {task: first[task] for task in TASKS if task in first}
     columns = []
     for task in numbers:
-        episode, (x, y, z) = dataset[numbers[task]], TASKS[task].target.seat
+        episode = dataset[numbers[task]]
+        x, y, z = TASKS[task].target.seat
         states = dataset.states(numbers[task], "full")
         frames = np.linspace(10, len(episode) - 1, moments).astype(int)
-        rods = [rod for rod in TASKS[task].target.rods if min(rod[0][2], rod[1][2]) > 0]  # not what stands on the floor
+        rods = [rod for rod in TASKS[task].target.rods if min(rod[0][2], rod[1][2]) > 0]  # without feet on the floor
         columns.append(
             [
                 view.render_cloth(

@@ -1,7 +1,7 @@
-"""What the book adds to Sphinx: numbers, pictures in the colours of the page, the first page, a search that works from a folder.
+"""An extension of Sphinx: chapter numbers, drawings in the colours of the page, results on the first page, an offline search.
 
-An extension that `conf.py` names. Nothing here is typed twice: numbers come from the names of files, what a chapter is about from
-the table in README.md, figures of the first page from book/results.
+Chapter numbers come from the names of files, the topics of the chapters from the table in README.md, and the results on the first
+page from book/results.
 """
 
 from __future__ import annotations
@@ -40,18 +40,19 @@ def setup(app: Any) -> dict[str, bool]:
 
 
 def _number(app: Any, doctree: nodes.document) -> None:
-    """Put a chapter's number, which is that of its file, before its title: on the page, in the sidebar, in the tab."""
-    found, title = CHAPTER.match(app.env.docname), next(doctree.findall(nodes.title), None)
-    if found and title is not None:
-        title.insert(0, nodes.Text(f"{found[1]}. "))
+    """Put the number of a chapter's file before its title: on the page, in the sidebar, in the tab."""
+    chapter = CHAPTER.match(app.env.docname)
+    title = next(doctree.findall(nodes.title), None)
+    if chapter and title is not None:
+        title.insert(0, nodes.Text(f"{chapter[1]}. "))
 
 
-_NOTHING = re.compile(r"\[?<(Axes|matplotlib|Figure)[^>]*>")  # what a plotting call returns
+_NOTHING = re.compile(r"\[?<(Axes|matplotlib|Figure)[^>]*>")  # the text of a plotting call's return value
 _COLUMNS = re.compile(r"\S {2,}\S.*\S {2,}\S")  # of a line of a printed table
 
 
 def _tidy(app: Any, doctree: nodes.document) -> None:
-    """Leave out what says nothing, know printed tables, name the corners of others, fold what is long on the page of results."""
+    """Remove outputs without content, mark printed tables, and fold the long tables on the page of results."""
     for block in list(doctree.findall(nodes.literal_block)):
         if "text_plain" in block["classes"] and _NOTHING.match(block.astext()):
             block.parent.remove(block)
@@ -91,24 +92,32 @@ def _drawings(app: Any, doctree: nodes.document, docname: str) -> None:
             image.replace_self(nodes.raw("", drawing, format="html"))
 
 
-def _in_page(svg: str, told: str) -> str:
-    """An SVG of Matplotlib as part of a page: names of its own, its size as it is, no ground, greys between ink and ground."""
+def _in_page(svg: str, description: str) -> str:
+    """Return an SVG of Matplotlib for a page: unique ids, its own size, no background, greys between ink and ground."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    # The ground of figure and axes is the first shape of each.
+
+    # The background of figure and axes is the first shape of each.
     svg = re.sub(r'(<g id="patch_1">\s*<path [^>]*style="fill: )#[0-9a-f]{6}', r"\1none", svg)
     svg = re.sub(r'(<g id="axes_\d+">\s*<g id="patch_\d+">\s*<path [^>]*style="fill: )#ffffff', r"\1none", svg)
+
+    # Several drawings share a page, so each gets ids of its own.
     own = uuid.uuid5(uuid.NAMESPACE_OID, svg).hex[:8]
     svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{own}-", svg)
+
+    # Lines without a colour of their own, and text, are black.
     svg = svg.replace(_INK, "var(--ink)")
     svg = _GREY.sub(lambda m: _between(int(m[1], 16)), svg)
-    # Lines without a colour of their own, and text, are black.
+
+    # Fewer bytes: coordinates in hundredths, pixels with a table of colours.
     width = float(re.search(r'width="([\d.]+)pt"', svg)[1]) * 4 / 3
     svg = re.sub(
         r'<svg [^>]*?viewBox="([^"]*)"[^>]*>', rf'<svg viewBox="\1" width="{width:.0f}" role="img">', svg, count=1
     )
-    svg = _PLACES.sub(lambda m: _NUMBER.sub(_hundredths, " ".join(m[0].split())), _PIXELS.sub(_lighter, svg))
-    label = html.escape(told or _labels(svg) or "Drawing", quote=True)
+    svg = _PIXELS.sub(_lighter, svg)
+    svg = _PLACES.sub(lambda m: _NUMBER.sub(_hundredths, " ".join(m[0].split())), svg)
+
+    label = html.escape(description or _labels(svg) or "Drawing", quote=True)
     svg = svg.replace('role="img"', f'role="img" aria-label="{label}"', 1)
     least = min(round(width), 560)
     return f'<div class="topokit-plot" tabindex="0" role="group" aria-label="figure" style="--least: {least}px">{svg}</div>'
@@ -120,13 +129,14 @@ _NUMBER = re.compile(r"-?\d+\.\d+")
 
 
 def _hundredths(number: re.Match[str]) -> str:
-    """A coordinate to a hundredth of a point, which nobody sees; Matplotlib writes millionths."""
+    """Return a coordinate to a hundredth of a point, which is invisible; Matplotlib writes millionths."""
     return f"{float(number[0]):.2f}".rstrip("0").rstrip(".")
 
 
 def _lighter(image: re.Match[str]) -> str:
-    """The pixels in a drawing with a table of 256 colours where that is smaller: a half of the weight of a page."""
-    raw, out = base64.b64decode(image[0]), io.BytesIO()
+    """Return the pixels in a drawing with a table of 256 colours where that is smaller; this halves the size of a page."""
+    raw = base64.b64decode(image[0])
+    out = io.BytesIO()
     with Image.open(io.BytesIO(raw)) as whole:
         table = whole.convert("RGBA").quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     table.save(out, "PNG", optimize=True)
@@ -134,24 +144,28 @@ def _lighter(image: re.Match[str]) -> str:
 
 
 def _between(level: int) -> str:
-    """The grey of a level, from the page's ink at 0 to its ground at 255."""
-    if level in (0, 255):
-        return "var(--ground)" if level else "var(--ink)"
+    """Return the grey of a level, from the page's ink at 0 to its ground at 255."""
+    if level == 0:
+        return "var(--ink)"
+    if level == 255:
+        return "var(--ground)"
     return f"color-mix(in srgb, var(--ink), var(--ground) {round(level / 2.55)}%)"
 
 
 def _labels(svg: str) -> str:
-    """What is written in a drawing, numbers left out: the words for it until its author gives better ones."""
+    """Return the words in a drawing as its description, for a drawing whose author gave none."""
     texts = [html.unescape(re.sub(r"<[^>]*>", "", text)).strip() for text in _LABEL.findall(svg)]
     words = dict.fromkeys(text for text in texts if re.search(r"[^\W\d_]{2}", text))
-    return "Plot: " + "; ".join(words)[:300] if words else ""
+    if not words:
+        return ""
+    return "Plot: " + "; ".join(words)[:300]
 
 
 # ---- the first page ----------------------------------------------------------------------------------------------
 
 
 class Film(Directive):
-    """A recorded hanging that plays and turns under the hand."""
+    """Show a recorded hanging that plays and can be turned."""
 
     required_arguments = 1
 
@@ -168,20 +182,24 @@ class Film(Directive):
 
 
 def _figures_of_the_first_page(app: Any, docname: str, source: list[str]) -> None:
-    """Put results into the first page: `{{ file: path/of/a/number }}`, and with ` | %` or ` | ms` in that unit."""
+    """Put results into the first page: `{{ file: path/of/a/number }}`, with ` | %` or ` | ms` for a unit."""
     if docname != app.config.root_doc:
         return
 
     def number(match: re.Match[str]) -> str:
         whole = json.loads((ROOT / "book" / "results" / f"{match[1]}.json").read_text(encoding="utf-8"))
         value = _at(whole, match[2].split("/"))
-        return {"%": f"{100 * value:.0f}\u00a0%", "ms": f"{value:.1f}\u00a0ms", None: f"{value:,}"}[match[3]]
+        if match[3] == "%":
+            return f"{100 * value:.0f}\u00a0%"
+        if match[3] == "ms":
+            return f"{value:.1f}\u00a0ms"
+        return f"{value:,}"
 
     source[0] = re.sub(r"\{\{ (\w+): (\S+)(?: \| (\S+))? \}\}", number, source[0])
 
 
 def _at(value: Any, path: list[str]) -> Any:
-    """What stands at a path in a file of results; a star is the sum over a list."""
+    """Return the value at a path in a file of results; a star is the sum over a list."""
     for k, key in enumerate(path):
         if key == "*":
             return sum(_at(item, path[k + 1 :]) for item in value)
@@ -189,12 +207,12 @@ def _at(value: Any, path: list[str]) -> Any:
     return value
 
 
-# ---- what every page has, and what is laid beside the pages --------------------------------------------------------
+# ---- the head of each page, and files beside the pages --------------------------------------------------------------
 
 
 def _head(app: Any, pagename: str, templatename: str, context: dict[str, Any], doctree: Any) -> None:
     about = dict(TOPICS.findall((ROOT / "README.md").read_text(encoding="utf-8"))).get(pagename, DESCRIPTION)
-    # A list of ARIA's has items of ARIA's, which these are not.
+    # An ARIA list must have ARIA items, which docutils does not write here.
     context["body"] = context.get("body", "").replace('role="list" class="citation-list"', 'class="citation-list"')
     context["metatags"] = context.get("metatags", "") + f'<meta name="description" content="{html.escape(about)}">\n'
     if pagename == app.config.root_doc:
@@ -231,7 +249,7 @@ _ICON = re.compile(
 
 
 def _fewer_icons(out: Path) -> None:
-    """Of Font Awesome's two thousand icons leave those that the pages show: 1.5 MB less to load."""
+    """Keep only the icons of Font Awesome that the pages show: 1.5 MB less to load."""
     script = out / "_static" / "scripts" / "fontawesome.js"
     pages = [path.read_text(encoding="utf-8") for path in out.rglob("*.html")]
     code = [path.read_text(encoding="utf-8") for path in (out / "_static").rglob("*.js") if path != script]
@@ -242,7 +260,7 @@ def _fewer_icons(out: Path) -> None:
 
 
 def _texts_to_search(app: Any, out: Path) -> None:
-    """The words of all pages in one file for the search page: a page in a folder may not read the pages beside it."""
+    """Write the words of all pages into one script for the search page: a local page may not read files beside it."""
     texts = {}
     for docname in app.env.found_docs:
         doctree = app.env.get_doctree(docname)

@@ -1,4 +1,4 @@
-"""Questions: answered on the page, and with answers and remarks for teachers; and notebooks to take away, beside their pages."""
+"""Questions with answers on the page and for teachers, links to the slides, and the notebooks beside their pages."""
 
 from __future__ import annotations
 
@@ -30,18 +30,19 @@ def setup(app: Any) -> dict[str, bool]:
 
 
 def _answered_here(app: Any, doctree: nodes.document, docname: str) -> None:
-    """Put a field for the guess where a notebook asks to write it into the cell; book.js says what `ask` replies."""
+    """Put a form for the guess where a notebook asks to write it into the cell; book.js gives the replies of `ask`."""
     if app.builder.format != "html":
         return
     for cell in doctree.findall(lambda node: "cell" in getattr(node, "attributes", {}).get("classes", ())):
-        if asked := ASKED.search(cell.astext()):
+        asked = ASKED.search(cell.astext())
+        paragraphs = list(cell.findall(nodes.paragraph))  # none when the chapters were not run
+        if asked and paragraphs:
             question = quiz.questions()[asked[1]]
-            kept = ("answer", "tolerance", "wrong", "why", "smaller", "larger")
-            told = html.escape(json.dumps({name: getattr(question, name) for name in kept}))
-            form = f'<form class="topokit-question" data-question="{told}"><label>Your guess {_field(question)}</label>'
+            names = ("answer", "tolerance", "wrong", "why", "smaller", "larger")
+            data = html.escape(json.dumps({name: getattr(question, name) for name in names}))
+            form = f'<form class="topokit-question" data-question="{data}"><label>Your guess {_field(question)}</label>'
             form += "<button>check</button><output></output></form>"
-            for last in list(cell.findall(nodes.paragraph))[-1:]:  # none where no chapter was run
-                last.replace_self(nodes.raw("", form, format="html"))
+            paragraphs[-1].replace_self(nodes.raw("", form, format="html"))
 
 
 def _field(question: quiz.Question) -> str:
@@ -52,8 +53,8 @@ def _field(question: quiz.Question) -> str:
     return f'<input name="guess" required autocomplete="off" type="{kind}">'
 
 
-def told(name: str, question: quiz.Question) -> str:
-    """A question as Markdown, its answer folded."""
+def for_teachers(name: str, question: quiz.Question) -> str:
+    """Return a question as Markdown with its answer folded."""
     choices = "".join(f"- **{key}** {text}\n" for key, text in (question.choices or {}).items())
     within = f", within {question.tolerance:g}" if question.tolerance else ""
     remarks = [f"- *{each['guess']}*: {each['remark']}\n" for each in question.wrong]
@@ -61,21 +62,21 @@ def told(name: str, question: quiz.Question) -> str:
         remarks += [f"- *too small*: {question.smaller}\n", f"- *too large*: {question.larger}\n"]
     return (
         f"**{name}** ({LEVELS[question.level]}). {question.question}\n\n{choices}\n"
-        f"<details><summary>Answer to {name}, and what wrong guesses hear</summary>\n\n"
+        f"<details><summary>Answer to {name}, and the replies to wrong guesses</summary>\n\n"
         f"**{question.answer}**{within}. {question.why}\n\n{''.join(remarks)}\n"
         f"Computed by `{question.by}` after the cells {', '.join(f'`{cell}`' for cell in question.cells)}.\n\n</details>\n\n"
     )
 
 
 class Questions(SphinxDirective):
-    """All questions of the book, chapter by chapter, as a teacher wants them."""
+    """Show all questions of the book with their answers, chapter by chapter."""
 
     def run(self) -> list[nodes.Node]:
         asked = quiz.questions()
         text = ""
         for chapter in sorted({question.chapter for question in asked.values()}):
             text += f"*Chapter {chapter}*\n\n"  # links.py makes it a link
-            text += "".join(told(name, each) for name, each in asked.items() if each.chapter == chapter)
+            text += "".join(for_teachers(name, each) for name, each in asked.items() if each.chapter == chapter)
             self.env.note_dependency(str(TOOLS / "questions" / f"{chapter:02}.json"))
         self.env.note_dependency(str(TOOLS / "quiz.py"))
         place = nodes.Element()
@@ -84,7 +85,7 @@ class Questions(SphinxDirective):
 
 
 class Slides(Directive):
-    """Links to the slides of every chapter."""
+    """Show links to the slides of each chapter."""
 
     def run(self) -> list[nodes.Node]:
         pages = sorted(path.stem for path in (ROOT / "notebooks").glob("*.ipynb"))
