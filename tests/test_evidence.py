@@ -1,11 +1,11 @@
-"""Which bars are loops, when alpha is not given: what a stray point, repeated points, units and noise may not change."""
+"""Which bars are loops, when alpha is not given: what stray points, repeated points, units and noise may not change."""
 
 import numpy as np
 import pytest
 
 from topokit import SeqPH, rips_persistence, track
-from topokit.sampling import inliers
-from topokit.seqph._evidence import Gaps, evidence, significance
+from topokit.sampling import as_tree
+from topokit.seqph import Frame, belief_after
 
 
 def ring(rng: np.random.Generator, shift: float = 0.0) -> np.ndarray:
@@ -24,38 +24,32 @@ def ids(clouds: list[np.ndarray], **options) -> list[list[int]]:
     return [[loop.id for loop in state.loops] for state in track(clouds, **options)]
 
 
-def spoilt(rng: np.random.Generator, cloud: np.ndarray) -> dict[str, np.ndarray]:
-    """The same belt, as it may come."""
-    return {
-        "a stray point": np.vstack([[30.0, 2.0, 1.0], cloud]),
-        "stray points": np.vstack([rng.uniform(-2, 2, (15, 3)), cloud]),
-        "every point twice": np.vstack([cloud, cloud]),
-        "pixels without depth": np.vstack([cloud, np.zeros((200, 3)) - [0, 0, 5]]),
-        "millimetres": 1000 * cloud,
-        "another order": rng.permutation(cloud),
-    }
+SPOIL = {
+    "a stray point": lambda rng, cloud: np.vstack([[30.0, 2.0, 1.0], cloud]),
+    "stray points": lambda rng, cloud: np.vstack([rng.uniform(-2, 2, (15, 3)), cloud]),
+    "every point twice": lambda rng, cloud: np.vstack([cloud, cloud]),
+    "pixels without depth": lambda rng, cloud: np.vstack([cloud, np.zeros((200, 3)) - [0, 0, 5]]),
+    "millimetres": lambda rng, cloud: 1000 * cloud,
+    "another order": lambda rng, cloud: rng.permutation(cloud),
+}
 
 
-@pytest.mark.parametrize("how", spoilt(np.random.default_rng(0), np.zeros((4, 3))))
+@pytest.mark.parametrize("how", SPOIL)
 def test_what_is_no_part_of_the_scene_changes_no_loop(how):
     rng = np.random.default_rng(1)
-    clouds = [spoilt(rng, cloud)[how] for cloud in film()]
+    clouds = [SPOIL[how](rng, cloud) for cloud in film()]
     assert ids(clouds) == [[0]] * 6 == ids(film())
     for cloud, state in zip(clouds, track(clouds), strict=True):
-        loop = state.loops[0]
-        np.testing.assert_array_equal(
-            cloud[loop.killer_edge], loop.killer_edge_points
-        )  # ids are those of the cloud given
+        loop = state.loops[0]  # its ids are those of the cloud given
+        np.testing.assert_array_equal(cloud[loop.killer_edge], loop.killer_edge_points)
         np.testing.assert_array_equal(cloud[loop.killer_triangle_ids], loop.killer_triangles)
         np.testing.assert_array_equal(cloud[loop.cycle], loop.cycle_points)
 
 
-def test_the_papers_rule_is_spoilt_by_one_stray_point():
-    clouds = film()
-    stray = [np.vstack([cloud, [30.0, 0, 0]]) for cloud in clouds]
-    paper = SeqPH.paper()
-    assert [[loop.id for loop in state.loops] for state in map(paper.update, clouds)] == [[0]] * 6
-    assert not any(len(state) for state in map(SeqPH.paper().update, stray))
+def test_one_stray_point_spoils_the_rule_of_the_paper():
+    stray = [np.vstack([cloud, [30.0, 0, 0]]) for cloud in film()]
+    assert [len(state) for state in SeqPH.paper().stream(film())] == [1] * 6
+    assert [len(state) for state in SeqPH.paper().stream(stray)] == [0] * 6
 
 
 @pytest.mark.parametrize("n", [128, 250, 500, 1000])
@@ -75,48 +69,47 @@ def test_a_loop_seen_well_is_kept_when_it_is_hardly_seen_and_a_chance_bar_is_not
         points = rng.uniform(-1, 1, (900, 2))
         return points[np.linalg.norm(points, axis=1) > radius]
 
-    weak = next(r for r in np.arange(0.3, 0.05, -0.01) if _most(belt(r)) < 1)
+    weak = next(r for r in np.arange(0.3, 0.05, -0.01) if significance(belt(r)).max() < 1)
     assert ids([belt(weak)] * 4) == [[]] * 4
     assert ids([belt(0.5), belt(0.4), belt(0.3), *[belt(weak + 0.03)] * 2])[3:] == [[0], [0]]
 
 
-def _most(cloud: np.ndarray) -> float:
+def significance(cloud: np.ndarray) -> np.ndarray:
+    frame = Frame.without_outliers(as_tree(cloud))
     diagram = rips_persistence(cloud)
-    return float(significance(diagram.birth, diagram.death, _gaps(cloud), len(cloud)).max())
+    return frame.significance(diagram.birth, diagram.death)
 
 
-def _gaps(cloud: np.ndarray) -> Gaps:
-    return Gaps.of(np.sort(np.linalg.norm(cloud[:, None] - cloud, axis=2), axis=1)[:, 1:6])
-
-
-def test_evidence_is_of_no_unit_and_bounded():
-    cloud = film()[0]
-    diagram, large = rips_persistence(cloud), rips_persistence(1e6 * cloud)
-    said = evidence(diagram.birth, diagram.death, _gaps(cloud), len(cloud))
-    np.testing.assert_allclose(said, evidence(large.birth, large.death, _gaps(1e6 * cloud), len(cloud)), atol=1e-6)
-    assert said.max() == 2
-    assert said.min() == -3
-    assert (significance(diagram.birth, diagram.death, _gaps(cloud), len(cloud)) > 1).sum() == 1
-
-
-def test_unevenness_tells_random_points_from_grids_and_curves():
+def test_significance_is_that_of_the_formula():
+    """Chapter 7: z = 1.1 LT / spacing * ln(death / birth)^0.3 * (1000 / n)^p; p and spacing depend on unevenness."""
     rng = np.random.default_rng(5)
-    angle = np.linspace(0, 6, 100)
+    birth, death = np.array([0.01, 0.02]), np.array([0.1, 0.03])
     grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0)), axis=-1).reshape(-1, 2)
-    assert _gaps(np.column_stack([np.cos(angle), np.sin(angle)])).unevenness < 2
-    assert _gaps(grid).unevenness < 2
-    assert _gaps(rng.uniform(0, 1, (1000, 2))).unevenness > 2.4
-    assert _gaps(np.repeat(grid, 2, axis=0)[:, [0, 0]]).unevenness < 2
+    for cloud, power in ((grid, 0.75), (rng.uniform(0, 1, (1000, 2)), 0.3), (grid[:50], 0.75)):
+        nearest = np.sort(np.linalg.norm(cloud[:, None] - cloud, axis=2), axis=1)[:, 1:6]
+        first, fifth = np.median(nearest, axis=0)[[0, 4]]
+        uneven = min(fifth / first, 1.4 * np.quantile(nearest[:, 0], 0.9) / first)
+        spacing = fifth * max(uneven / 2, 1)
+        ratio = np.log(death / birth) ** 0.3 * (1000 / max(len(cloud), 128)) ** power
+        frame = Frame.without_outliers(as_tree(cloud))
+        np.testing.assert_allclose(frame.significance(birth, death), 1.1 * (death - birth) / spacing * ratio)
 
 
-def test_inliers_are_those_with_neighbours():
+def test_evidence_is_bounded_and_has_no_unit():
     cloud = film()[0]
-    far = np.array([[5.0, 0, 0], [5, 0.1, 0], [-9, 0, 0]])  # a pair is no scene
-    np.testing.assert_array_equal(inliers(np.vstack([far, cloud])), np.arange(3, 303))
-    np.testing.assert_array_equal(inliers(np.vstack([far, cloud, far])), np.arange(3, 303))
-    np.testing.assert_array_equal(inliers(np.repeat(cloud, 2, axis=0)), np.arange(600))
-    assert len(inliers(np.zeros((3, 2)))) == 3
-    with pytest.raises(ValueError, match="factor"):
-        inliers(cloud, factor=0)
-    with pytest.raises(ValueError, match="neighbours"):
-        inliers(cloud, neighbours=0)
+    assert (significance(cloud) > 1).sum() == 1
+    np.testing.assert_allclose(significance(1e6 * cloud), significance(cloud), rtol=1e-6)
+    diagram = rips_persistence(cloud)
+    evidence = Frame.without_outliers(as_tree(cloud)).loop_evidence(diagram.birth, diagram.death)
+    inner = (evidence > -3) & (evidence < 2)
+    np.testing.assert_allclose(evidence[inner], 5 * np.log(significance(cloud)[inner]))
+    assert (evidence.min(), evidence.max()) == (-3, 2)
+    alone = Frame.without_outliers(as_tree(np.ones((9, 2))))
+    assert alone.significance(np.array([1.0]), np.array([2.0])).tolist() == [0]
+
+
+def test_belief_fades():
+    beliefs = [2.0]
+    for _ in range(400):
+        beliefs.append(0.8 * beliefs[-1] + 2.0)  # a loop seen well for long
+    np.testing.assert_allclose(belief_after(np.array([0.0, 1.0, 3.0])), beliefs[-1] * np.array([1, 0.8, 0.8**3]))

@@ -1,4 +1,4 @@
-"""The processes of this machine: how many cores they may run on, and that they import nothing that merely lies around."""
+"""The processes of this machine: how many cores they may run on, and where they may import from."""
 
 import contextlib
 import os
@@ -6,16 +6,16 @@ from collections.abc import Iterator
 
 
 def n_cores() -> int:
-    """Cores that this process may run on; those of the machine where the system does not tell."""
+    """Return the number of cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1  # macOS and Windows
+    return os.cpu_count() or 1  # macOS and Windows tell only those of the machine
 
 
 @contextlib.contextmanager
 def safe_path() -> Iterator[None]:
-    """Processes that Dask, PyTorch and multiprocessing start meanwhile import nothing from the working directory."""
-    before = os.environ.get("PYTHONSAFEPATH")  # Python 3.10 does not know it
+    """Keep processes that are started meanwhile from importing modules of the working directory."""
+    before = os.environ.get("PYTHONSAFEPATH")  # Python 3.10 ignores it
     os.environ["PYTHONSAFEPATH"] = "1"
     try:
         yield

@@ -1,4 +1,8 @@
-"""Packages that import their parts when they are used: PyTorch, Zarr, Dask and PyBullet are not needed for everything."""
+"""Packages that import their parts when they are used: PyTorch, Dask and PyBullet are not needed for everything.
+
+Idea: the face of a package writes its imports under ``if TYPE_CHECKING:``, where type checkers and readers see them. The same
+lines are read here at run time, and each name is imported at its first use.
+"""
 
 import ast
 import sys
@@ -9,33 +13,38 @@ from typing import Any
 
 
 def shown(path: str) -> dict[str, str]:
-    """What a package shows, and in which of its modules it is: all that the file `path` imports from its own modules."""
+    """Return the public names of the package with the face `path`, and the module that each comes from."""
     tree = ast.parse(Path(path).read_text(encoding="utf-8"))
     imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.level == 1]
     return {alias.name: node.module or "" for node in imports for alias in node.names}
 
 
 def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], Any], list[str]]:
-    """`__getattr__` and `__all__` of a package: what it imports under ``if TYPE_CHECKING:`` is imported when used.
+    """Return the `__getattr__` and the `__all__` of the package with the face `path`.
 
-    When something is missing that it needs, the error tells to ``pip install 'topokit[extra]'``; an extra "*" is one of the
-    name of what is missing.
+    When a dependency is missing, the error tells to ``pip install 'topokit[extra]'``; an extra "*" is the name of what is
+    missing.
     """
-    where, wanted = shown(path), f"topokit[{extra}]" if extra else "topokit"
+    module_of = shown(path)
+    requirement = f"topokit[{extra}]" if extra else "topokit"
 
     def __getattr__(name: str) -> Any:
-        if name in where.values():
+        # A name may be that of a module of the package.
+        if name in module_of.values():
             return import_module(f".{name}", package)
-        if name not in where:
+        if name not in module_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
+
         try:
-            value = getattr(import_module(f".{where[name]}", package), name)
+            value = getattr(import_module(f".{module_of[name]}", package), name)
         except ModuleNotFoundError as error:
             if (error.name or "").startswith("topokit"):
                 raise
-            need = str(error.name).partition(".")[0]
-            raise ImportError(f"{package}.{name} needs {need}: pip install '{wanted.replace('*', need)}'") from error
+            missing = str(error.name).partition(".")[0]
+            command = f"pip install '{requirement.replace('*', missing)}'"
+            raise ImportError(f"{package}.{name} needs {missing}: {command}") from error
+
         setattr(sys.modules[package], name, value)  # the next time Python finds it without asking here
         return value
 
-    return __getattr__, sorted(where)
+    return __getattr__, sorted(module_of)

@@ -16,14 +16,16 @@ class WrongKindError(TypeError, ValueError):
 
 
 def as_reals(values: Any, name: str, ragged: str = "its rows differ in length") -> NDArray[Any]:
-    """An array of real numbers, none of them masked: NumPy would hand on what lies under the mask as if it were meant."""
-    for part in values if isinstance(values, (list, tuple)) else [values]:
+    """Return an array of real numbers; a masked entry is an error, because NumPy would use the number under the mask."""
+    parts = values if isinstance(values, (list, tuple)) else [values]
+    for part in parts:
         if np.ma.is_masked(part):
             count = np.ma.getmaskarray(part).sum()
             raise ValueError(f"{name} has {count} masked entries: leave them out, or give {name}.filled(value)")
+
     try:
         array = np.asarray(values)
-    except ValueError as error:  # ragged nested lists
+    except ValueError as error:  # nested lists of unequal length
         raise ValueError(f"{name} must be an array of numbers; {ragged}") from error
     if array.dtype.kind not in "biuf":
         raise WrongKindError(f"{name} must hold real numbers, not {array.dtype}")
@@ -33,30 +35,35 @@ def as_reals(values: Any, name: str, ragged: str = "its rows differ in length") 
 def as_points(
     points: ArrayLike, name: str = "points", *, copy: bool = False, refuse_transposed: bool = False
 ) -> NDArray[np.float64]:
-    """A C-contiguous (n, d) float64 array of finite numbers, no memory shared when it is a `copy`, or why it is none."""
+    """Return points as a C-contiguous (n, d) float64 array of finite numbers; a `copy` shares no memory with them."""
     array = as_reals(points, name)
     if array.ndim != 2 or array.shape[1] == 0:
-        more = "; for a sequence of clouds use topokit.track" if array.ndim == 3 else ""
-        raise ValueError(f"{name} must be an (n, d) array, one row a point, not of shape {array.shape}{more}")
+        hint = "; for a sequence of clouds use topokit.track" if array.ndim == 3 else ""
+        raise ValueError(f"{name} must be an (n, d) array, one row a point, not of shape {array.shape}{hint}")
+
+    # Three points have no loop. Where loops are looked for, three long rows are most likely a transposed cloud.
     n, d = array.shape
-    if refuse_transposed and 0 < n < 4 and d > 32:  # where loops are looked for, which no three points have
-        what = f"{name} has {n} rows and {d} columns: are they {d} points in {n} dimensions? Then give {name}.T"
-        raise ValueError(f"{what}, one row a point; if not, repeat one to be told that there is no loop")
-    with np.errstate(over="ignore"):  # of longer floating point: infinite here, and said so
+    if refuse_transposed and 0 < n < 4 and d > 32:
+        question = f"{name} has {n} rows and {d} columns: are they {d} points in {n} dimensions? Then give {name}.T"
+        raise ValueError(f"{question}, one row a point; if not, repeat one to be told that there is no loop")
+
+    # A number of longer floating point may overflow here. It becomes infinite, and the next check names it.
+    with np.errstate(over="ignore"):
         array = np.array(array, dtype=np.float64, order="C", copy=copy or None)
     finite = np.isfinite(array)
     if not finite.all():
-        bad, them = np.flatnonzero(~finite.all(axis=1)), "points" if " " in name else name
-        what = f"{len(bad)} of {len(array)} points with a NaN or infinite coordinate, the first at row {bad[0]}"
-        cure = f"drop them first, for example {them}[np.isfinite({them}).all(axis=1)]"
-        raise ValueError(f"{name} has {what}: {array[bad[0]].tolist()}; {cure}")
+        bad = np.flatnonzero(~finite.all(axis=1))
+        variable = "points" if " " in name else name
+        problem = f"{len(bad)} of {len(array)} points with a NaN or infinite coordinate, the first at row {bad[0]}"
+        cure = f"drop them first, for example {variable}[np.isfinite({variable}).all(axis=1)]"
+        raise ValueError(f"{name} has {problem}: {array[bad[0]].tolist()}; {cure}")
     return array
 
 
 def as_sequence(
     sequence: ArrayLike | Sequence[ArrayLike], name: str = "sequence", *, copy: bool = False
 ) -> list[NDArray[np.float64]]:
-    """A list of (n_t, d) float64 arrays: a camera sees as many points as it sees, but always in as many dimensions."""
+    """Return clouds as a list of (n_t, d) float64 arrays: the number of points may vary, the dimension may not."""
     if isinstance(sequence, np.ndarray) and sequence.ndim != 3:
         raise ValueError(f"{name} must be a (T, n, d) array or a list of (n, d) arrays, not of shape {sequence.shape}")
     clouds: list[NDArray[np.float64]] = []
@@ -69,21 +76,37 @@ def as_sequence(
     return clouds
 
 
+def _is_number(value: object) -> bool:
+    """Return True for Python's and NumPy's real numbers; a truth value is none."""
+    if isinstance(value, (bool, np.bool_)):
+        return False
+    return isinstance(value, (int, float, np.integer, np.floating))
+
+
 def positive(value: float, name: str, *, zero: bool = True, infinite: bool = False) -> float:
-    """Return `value` as a float, or say that it must be a (finite) number that is not negative."""
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+    """Return `value` as a float, or raise an error unless it is a (finite) number that is not negative."""
+    if not _is_number(value):
         raise WrongKindError(f"{name} must be a number, not {value!r}")
+
+    # A whole number or a long double beyond the range of float64 counts as infinite.
     exact = value.item() if isinstance(value, np.generic) else value
-    number = float(exact if not abs(exact) > sys.float_info.max else "inf" if exact > 0 else "-inf")
-    if np.isnan(number) or number < 0 or (number == 0 and not zero) or (np.isinf(number) and not infinite):
+    number = float("inf") if exact > 0 else float("-inf")
+    if not abs(exact) > sys.float_info.max:
+        number = float(exact)
+
+    too_small = number < 0 or (number == 0 and not zero)
+    too_large = np.isinf(number) and not infinite
+    if np.isnan(number) or too_small or too_large:
         bound = "zero or more" if zero else "more than zero"
-        raise ValueError(f"{name} must be {bound}{'' if infinite else ' and finite'}, not {value!r}")
+        if not infinite:
+            bound += " and finite"
+        raise ValueError(f"{name} must be {bound}, not {value!r}")
     return number
 
 
-def whole(value: object, name: str, low: int = 0, high: float = float("inf")) -> int:
-    """Return `value` as an int, or say that it must be a whole number of a range."""
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+def whole(value: Any, name: str, low: int = 0, high: float = float("inf")) -> int:
+    """Return `value` as an int, or raise an error unless it is a whole number from `low` to `high`."""
+    if not _is_number(value):
         raise WrongKindError(f"{name} must be a whole number, not {value!r}")
     if not low <= value <= high or value % 1 != 0:
         bound = f"{low} or more" if high == float("inf") else f"{low} to {high}"
@@ -92,7 +115,7 @@ def whole(value: object, name: str, low: int = 0, high: float = float("inf")) ->
 
 
 def as_ids(values: object, name: str, n_vertices: int) -> NDArray[np.int64]:
-    """Vertex ids as int64; a TypeError or ValueError names one that is none."""
+    """Return vertex ids as int64, or raise an error that names an id that is no vertex."""
     ids = as_reals(values, name)
     if not np.issubdtype(ids.dtype, np.integer):
         raise WrongKindError(f"{name} must hold whole numbers (vertex ids), not {ids.dtype}")
@@ -103,7 +126,7 @@ def as_ids(values: object, name: str, n_vertices: int) -> NDArray[np.int64]:
 
 
 def own_arrays(record: object) -> None:
-    """Replace the arrays of a frozen dataclass by copies that nobody can write to, so that it shares none with its maker."""
+    """Replace the arrays of a frozen dataclass by read-only copies, so that it shares no memory with its maker."""
     for name, value in vars(record).items():
         if isinstance(value, np.ndarray):
             own = value.copy()

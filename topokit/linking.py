@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import Array, as_points, as_reals, positive
 
-__all__ = ["close_far", "linking_number", "linking_numbers"]
+__all__ = ["close_far", "curve_centroid", "linking_number", "linking_numbers", "side_lengths", "to_segment"]
 
 _PAIRS_AT_ONCE = 2**17  # pairs of segments in memory at a time: some 30 MB
 _TOUCH = 1e-12  # curves nearer than this share of their size touch; far from the origin, where digits are lost, sooner
@@ -22,12 +22,22 @@ _NOT_AN_INTEGER = 1e-3  # a Gauss integral that misses its integer by more has l
 
 
 def side_lengths(curve: Array) -> Array:
-    """Lengths of the sides of closed curves, (..., n) of (..., n, d); the last side joins the last corner to the first."""
+    """Return the lengths (..., n) of the sides of closed curves; the last side joins the last corner to the first.
+
+    Parameters
+    ----------
+    curve : (..., n, d) float64
+    """
     return np.asarray(np.linalg.norm(np.roll(curve, -1, axis=-2) - curve, axis=-1))
 
 
 def curve_centroid(curve: Array) -> Array:
-    """(d,) centroid of a closed curve (n, d) by length: its corners may crowd on one side."""
+    """Return the centroid (d,) of a closed curve by length: its corners may crowd on one side.
+
+    Parameters
+    ----------
+    curve : (n, d) float64
+    """
     middles = (curve + np.roll(curve, -1, axis=0)) / 2
     return np.asarray(np.average(middles, axis=0, weights=side_lengths(curve)))
 
@@ -62,7 +72,9 @@ def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     for curve, name in ((curve_a, "curve_a"), (curve_b, "curve_b")):
         if isinstance(curve, np.ndarray) and curve.ndim == 3:
             raise ValueError(f"{name} is a batch of curves, of shape {curve.shape}: call linking.linking_numbers")
-    numbers, _ = _link(as_points(curve_a, "curve_a")[None], as_points(curve_b, "curve_b")[None], "curve_a", "curve_b")
+    a = as_points(curve_a, "curve_a")
+    b = as_points(curve_b, "curve_b")
+    numbers, _ = _link(a[None], b[None], "curve_a", "curve_b")
     return int(numbers[0])
 
 
@@ -90,7 +102,8 @@ def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[n
     >>> numbers.tolist(), bool(abs(errors).max() < 1e-12)
     ([1, 0], True)
     """
-    a, b = _batch(curves_a, "curves_a"), _batch(curves_b, "curves_b")
+    a = _batch(curves_a, "curves_a")
+    b = _batch(curves_b, "curves_b")
     if len(a) != len(b) and 1 not in (len(a), len(b)):
         raise ValueError(f"curves_a and curves_b must be as many, or one of them one; they are {len(a)} and {len(b)}")
     return _link(a, b, "curves_a[{}]", "curves_b[{}]")
@@ -101,10 +114,10 @@ def close_far(
 ) -> Array:
     """Return an open curve, such as the centre line of a hook or a pole, closed far away and always in the same way.
 
-    Of four more corners the first continues the curve along `end` and the last its start along `start`, by `far` times its
-    size; from there both go as far again along start x end (any direction orthogonal to the two when they are parallel),
-    where they are joined. All that is added, but for the two straight leads, keeps that distance from the curve. So what
-    the curve is linked with decides, if it is small against `far`, and the side on which it is closed does not.
+    Four corners are added. The first continues the curve along `end`, the last continues its start along `start`, both by
+    `far` times the size of the curve. From there both go as far again along start x end (any direction orthogonal to the two
+    when they are parallel), and are joined. Apart from the two straight leads, the addition keeps that distance from the
+    curve. So the linking number with a loop that is small against `far` does not depend on the side of the closing.
 
     Parameters
     ----------
@@ -133,17 +146,23 @@ def close_far(
     reach = positive(far, "far", zero=False) * float(np.ptp(points, axis=0).max())
     if reach == 0:
         raise ValueError("curve has no extent: all its corners are one point")
-    down, up = _direction(start, "start"), _direction(end, "end")
+
+    down = _direction(start, "start")
+    up = _direction(end, "end")
     aside = np.cross(down, up)
     if np.linalg.norm(aside) < 1e-6:
+        # The two are parallel: take the axis that is least along them, made orthogonal to them.
         aside = np.eye(3)[np.argmin(np.abs(up))]
         aside = aside - (aside @ up) * up
     aside = reach * aside / np.linalg.norm(aside)
-    foot, tip = points[0] + reach * down, points[-1] + reach * up
+
+    foot = points[0] + reach * down
+    tip = points[-1] + reach * up
     return np.vstack([points, tip, tip + aside, foot + aside, foot])
 
 
 def _direction(vector: ArrayLike, name: str) -> Array:
+    """Return a direction (3,) of length 1."""
     value = as_reals(vector, name).astype(np.float64)
     length = float(np.linalg.norm(value))
     if value.shape != (3,) or not np.isfinite(length) or length == 0:
@@ -152,7 +171,7 @@ def _direction(vector: ArrayLike, name: str) -> Array:
 
 
 def _batch(curves: ArrayLike, name: str) -> Array:
-    """(B, n, 3): a single curve is a batch of one."""
+    """Return curves as (B, n, 3): a single curve is a batch of one."""
     array = as_reals(curves, name, f"the curves of {name} must have equally many corners; link others alone")
     if array.ndim == 2:
         return as_points(array, name)[None]
@@ -162,7 +181,7 @@ def _batch(curves: ArrayLike, name: str) -> Array:
 
 
 def _link(a: Array, b: Array, name_a: str, name_b: str) -> tuple[NDArray[np.int64], Array]:
-    """Linking numbers and rounding errors of the pairs of (B, n, 3) and (B, m, 3), either B possibly 1."""
+    """Return linking numbers and rounding errors of the pairs of (B, n, 3) and (B, m, 3), either B possibly 1."""
     for curves, name in ((a, name_a), (b, name_b)):
         for i, curve in enumerate(curves):
             _check_curve(curve, name.format(i))
@@ -173,17 +192,21 @@ def _link(a: Array, b: Array, name_a: str, name_b: str) -> tuple[NDArray[np.int6
 
 
 def _gauss_integral(a: Array, b: Array, name_a: str, name_b: str) -> float:
-    """The integral over two closed curves, by runs of segments of the first that fit into memory; near enough an integer."""
+    """Return the Gauss integral over two closed curves, or raise an error when they touch or it is no integer."""
     first, second, touch = _scaled(a, b)
-    rows, total = max(1, _PAIRS_AT_ONCE // len(second)), 0.0
-    first, closed = np.vstack([first, first[:1]]), np.vstack([second, second[:1]])
+    first_closed = np.vstack([first, first[:1]])
+    second_closed = np.vstack([second, second[:1]])
+
+    # Sum over runs of segments of the first curve that fit into memory with all segments of the second.
+    rows = max(1, _PAIRS_AT_ONCE // len(second))
+    total = 0.0
     for row in range(0, len(a), rows):
-        block = first[row : row + rows + 1]
+        block = first_closed[row : row + rows + 1]
         pair = _touching_pair(block, second, touch)
         if pair is not None:
             where = f"segment {row + pair[0]} of {name_a} meets segment {pair[1]} of {name_b}"
             raise ValueError(f"the curves touch: {where}; no linking number exists")
-        total += _half_solid_angles(block, closed) / (2 * np.pi)
+        total += _half_solid_angles(block, second_closed) / (2 * np.pi)
     if abs(total - np.rint(total)) > _NOT_AN_INTEGER:
         close = f"{name_a} and {name_b} come too close: their Gauss integral is {total:.6f}, no integer"
         raise ValueError(f"{close}; move them apart or subdivide long segments")
@@ -191,73 +214,112 @@ def _gauss_integral(a: Array, b: Array, name_a: str, name_b: str) -> float:
 
 
 def _check_curve(curve: Array, name: str) -> None:
+    """Raise ValueError unless this is a closed curve in space that passes through no corner twice."""
     if curve.shape[1] != 3 or len(curve) < 3:
         wrong = f"{name} must be an (n, 3) array of at least 3 corners, not of shape {curve.shape}"
         raise ValueError(f"{wrong}; close an open curve first, for example by topokit.linking.close_far")
+
+    # In lexicographic order equal corners are neighbours.
     order = np.lexsort(curve.T)
     same = np.flatnonzero((curve[order[1:]] == curve[order[:-1]]).all(axis=1))
     if len(same):
         i, j = sorted(order[same[0] : same[0] + 2].tolist())
         both = f"corners {i} and {j} are both {curve[i].tolist()}"
-        closes = " (the last joins the first by itself: leave it out)" if (i, j) == (0, len(curve) - 1) else ""
-        raise ValueError(f"{name} passes through a corner twice: {both}{closes}")
+        if (i, j) == (0, len(curve) - 1):
+            both += " (the last joins the first by itself: leave it out)"
+        raise ValueError(f"{name} passes through a corner twice: {both}")
 
 
 def _scaled(a: Array, b: Array) -> tuple[Array, Array, float]:
-    """Both curves about one origin, in a unit in which no product overflows or vanishes, and how near they touch in it."""
+    """Return both curves in a unit in which no product overflows or vanishes, and the distance at which they touch in it."""
+    # Scaling by a power of two is exact. The largest coordinate is now 1/2 to 1.
     exponent = np.frexp(max(np.abs(a).max(), np.abs(b).max()))[1]
-    a, b = np.ldexp(a, -exponent), np.ldexp(b, -exponent)  # exact; the largest coordinate is now 1/2 to 1
+    a = np.ldexp(a, -exponent)
+    b = np.ldexp(b, -exponent)
+
+    # Far from the origin coordinates have fewer digits to spare, and curves touch sooner.
     middle = a[0]
     size = max(float(np.abs(a - middle).max()), float(np.abs(b - middle).max()))
-    return (a - middle) / size, (b - middle) / size, _TOUCH + 4 * float(np.finfo(float).eps) / size
+    touch = _TOUCH + 4 * float(np.finfo(float).eps) / size
+    return (a - middle) / size, (b - middle) / size, touch
 
 
 def _half_solid_angles(a: Array, b: Array) -> float:
-    """Half the solid angle of all parallelograms of differences of the open polylines (n + 1, 3) and (m + 1, 3)."""
+    """Return half the solid angle of all parallelograms of differences of the open polylines (n + 1, 3) and (m + 1, 3)."""
+    # Directions of b - a for every pair of corners. Each pair of segments has four of them: u, v, w, x around its
+    # parallelogram, which its diagonal from u to w cuts into two triangles.
     unit = b[None] - a[:, None]
     unit /= np.linalg.norm(unit, axis=-1, keepdims=True)
-    u, v, w, x = unit[:-1, :-1], unit[1:, :-1], unit[1:, 1:], unit[:-1, 1:]
-    normal, diagonal = np.cross(w, u), _dot(u, w)
+    u = unit[:-1, :-1]
+    v = unit[1:, :-1]
+    w = unit[1:, 1:]
+    x = unit[:-1, 1:]
+
+    # Van Oosterom and Strackee: tan(angle / 2) of a triangle is its triple product by 1 + its three scalar products.
+    normal = np.cross(w, u)
+    diagonal = _dot(u, w)
     first = np.arctan2(_dot(v, normal), 1 + _dot(u, v) + _dot(v, w) + diagonal)
     second = np.arctan2(-_dot(x, normal), 1 + _dot(w, x) + _dot(x, u) + diagonal)
     return float((first + second).sum())
 
 
 def _dot(u: Array, v: Array) -> Array:
+    """Return scalar products along the last axis."""
     return np.einsum("...i,...i", u, v)
 
 
 def _touching_pair(a: Array, b: Array, touch: float) -> tuple[int, int] | None:
-    """A segment of the polyline `a` and one of the closed curve `b` that are nearer than `touch`, if there are such."""
-    starts, ends, heads, tails = a[:-1], a[1:], b, np.roll(b, -1, axis=0)
+    """Return a segment of the polyline `a` and one of the closed curve `b` that are nearer than `touch`, or None."""
+    a_start = a[:-1]
+    a_end = a[1:]
+    b_start = b
+    b_end = np.roll(b, -1, axis=0)
+
     # Where the middles are farther apart than half the lengths together, nothing needs to be measured: nearly everywhere.
-    gap = np.linalg.norm((starts + ends)[:, None] - (heads + tails)[None], axis=-1)
-    reach = np.linalg.norm(ends - starts, axis=-1)[:, None] + np.linalg.norm(tails - heads, axis=-1)
+    gap = np.linalg.norm((a_start + a_end)[:, None] - (b_start + b_end)[None], axis=-1)
+    reach = np.linalg.norm(a_end - a_start, axis=-1)[:, None] + np.linalg.norm(b_end - b_start, axis=-1)
     i, j = np.nonzero(gap <= reach + 4 * touch)
     if not len(i):
         return None
-    distance = _segment_distances(starts[i], ends[i], heads[j], tails[j])
-    k = int(np.argmin(distance))
-    return (int(i[k]), int(j[k])) if distance[k] <= touch else None
+    distances = _segment_distances(a_start[i], a_end[i], b_start[j], b_end[j])
+    nearest = int(np.argmin(distances))
+    if distances[nearest] > touch:
+        return None
+    return int(i[nearest]), int(j[nearest])
 
 
 def _segment_distances(a: Array, a_end: Array, b: Array, b_end: Array) -> Array:
-    """(k,) distances between segments, each (k, 3): from an end of one, or inside both along a line orthogonal to them."""
-    ends = [to_segment(point, b, b_end) for point in (a, a_end)]
-    ends += [to_segment(point, a, a_end) for point in (b, b_end)]
-    u, v, w = a_end - a, b_end - b, b - a
-    uu, vv, uv, uw, vw = _dot(u, u), _dot(v, v), _dot(u, v), _dot(u, w), _dot(v, w)
+    """Return the distances (k,) between segments from `a` to `a_end` and from `b` to `b_end`, all (k, 3)."""
+    # Either an end of one of them is a nearest point ...
+    from_ends = [to_segment(point, b, b_end) for point in (a, a_end)]
+    from_ends += [to_segment(point, a, a_end) for point in (b, b_end)]
+
+    # ... or both nearest points lie inside, a + s u and b + t v, along a line that is orthogonal to both.
+    u = a_end - a
+    v = b_end - b
+    w = b - a
+    uu = _dot(u, u)
+    vv = _dot(v, v)
+    uv = _dot(u, v)
+    uw = _dot(u, w)
+    vw = _dot(v, w)
     determinant = uu * vv - uv**2
     skew = determinant > 1e-14 * uu * vv  # for parallel segments an end is always a nearest point
     divisor = np.where(skew, determinant, 1.0)
-    s, t = (uw * vv - vw * uv) / divisor, (uw * uv - vw * uu) / divisor
+    s = (uw * vv - vw * uv) / divisor
+    t = (uw * uv - vw * uu) / divisor
     inside = skew & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
     gap = np.linalg.norm(w + t[..., None] * v - s[..., None] * u, axis=-1)
-    return np.minimum.reduce([*ends, np.where(inside, gap, np.inf)])
+    return np.minimum.reduce([*from_ends, np.where(inside, gap, np.inf)])
 
 
 def to_segment(point: Array, start: Array, end: Array) -> Array:
-    """Distances from points to segments, broadcast over the leading axes."""
+    """Return the distances from points to segments, broadcast over the leading axes.
+
+    Parameters
+    ----------
+    point, start, end : (..., d) float64
+    """
     along = end - start
     t = np.clip(_dot(point - start, along) / np.maximum(_dot(along, along), np.finfo(float).tiny), 0, 1)
     return np.linalg.norm(point - start - t[..., None] * along, axis=-1)

@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._validate import Array, as_points, as_reals, own_arrays, positive, whole
 
-__all__ = ["InverseWishart", "LoopMixture", "loop_mixture"]
+__all__ = ["InverseWishart", "LoopMixture", "loop_mixture", "moments"]
 
 
 class Triangles(Protocol):
-    """What a mixture needs of a loop, seen (`Loop`) or predicted (`PredictedLoop`)."""
+    """The part of a loop that a mixture needs; the loop is tracked (`Loop`) or predicted (`PredictedLoop`)."""
 
     @property
     def killer_triangles(self) -> NDArray[np.floating]: ...  # (2, 3, d)
@@ -47,7 +47,11 @@ class InverseWishart:
     dof: float | None = None
 
     def posterior_mean(self, scatter: Array) -> Array:
-        """(..., d, d) mean covariance given the scatter (..., d, d) of three vertices.
+        """Return the mean covariance (..., d, d), given the scatter (..., d, d) of three vertices.
+
+        Parameters
+        ----------
+        scatter : (..., d, d) float64
 
         Raises
         ------
@@ -55,11 +59,14 @@ class InverseWishart:
             When `dof` is not above d - 1, or `scale` is not a positive definite (d, d) matrix.
         """
         d = scatter.shape[-1]
-        dof = d + 2.0 if self.dof is None else positive(self.dof, "dof")
+        dof = d + 2.0
+        if self.dof is not None:
+            dof = positive(self.dof, "dof")
         if not dof > d - 1:
             raise ValueError(f"dof must be above {d - 1} in {d} dimensions, not {dof:g}")
         scale = as_reals(self.scale, "scale").astype(np.float64)
-        scale = np.diag(np.full(d, scale)) if scale.ndim == 0 else scale
+        if scale.ndim == 0:
+            scale = np.diag(np.full(d, scale))
         symmetric = scale.shape == (d, d) and np.isfinite(scale).all() and np.allclose(scale, scale.T)
         if not symmetric or np.linalg.eigvalsh(scale)[0] <= 0:
             raise ValueError(f"scale must be positive, or a positive definite ({d}, {d}) matrix, not {self.scale!r}")
@@ -79,18 +86,18 @@ class LoopMixture:
 
     @property
     def mean(self) -> Array:
-        """(d,) where the loop is on average."""
+        """Return the place (d,) where the loop is on average."""
         return np.asarray(self.weights @ self.means)
 
     @property
     def covariance(self) -> Array:
-        """(d, d) of the whole mixture: within the components, and between their means."""
-        away = self.means - self.mean
-        between = away[:, :, None] * away[:, None, :]
+        """Return the covariance (d, d) of the whole mixture: within the components, and between their means."""
+        offsets = self.means - self.mean
+        between = offsets[:, :, None] * offsets[:, None, :]
         return np.asarray(np.einsum("m,mij->ij", self.weights, self.covariances + between))
 
     def sample(self, n: int, rng: np.random.Generator | int | None = None) -> Array:
-        """Draw `n` points, (n, d).
+        """Draw `n` points and return them, (n, d).
 
         Parameters
         ----------
@@ -105,12 +112,19 @@ class LoopMixture:
         """
         n = whole(n, "n")
         generator = np.random.default_rng(rng)
+
+        # Draw a component for each point, then a standard normal vector that the component's Cholesky factor shapes.
         component = generator.choice(len(self.weights), size=n, p=self.weights)
         white = generator.standard_normal((n, self.means.shape[1], 1))
-        return np.asarray(self.means[component] + (np.linalg.cholesky(self.covariances)[component] @ white)[..., 0])
+        factor = np.linalg.cholesky(self.covariances)
+        return np.asarray(self.means[component] + (factor[component] @ white)[..., 0])
 
     def log_prob(self, x: ArrayLike) -> Array:
-        """(n,) natural logarithm of the density at the points `x` (n, d), or a number for one point (d,).
+        """Return the natural logarithm (n,) of the density at the points `x`, or a number for one point.
+
+        Parameters
+        ----------
+        x : (n, d) or (d,) array_like
 
         Raises
         ------
@@ -121,20 +135,26 @@ class LoopMixture:
         d = self.means.shape[1]
         if points.ndim not in (1, 2) or points.shape[-1] != d:
             raise ValueError(f"x must be a ({d},) point or (n, {d}) points, not an array of shape {points.shape}")
+
+        # The squared Mahalanobis distance is that of the whitened offset: Cholesky factor times it gives the offset.
         factor = np.linalg.cholesky(self.covariances)  # (m, d, d)
-        away = np.atleast_2d(points)[:, None] - self.means  # (n, m, d)
-        white = np.linalg.solve(factor, away.transpose(1, 2, 0))  # (m, d, n)
+        offsets = np.atleast_2d(points)[:, None] - self.means  # (n, m, d)
+        white = np.linalg.solve(factor, offsets.transpose(1, 2, 0))  # (m, d, n)
         log_norm = np.log(np.einsum("mii->mi", factor)).sum(axis=1) + d / 2 * np.log(2 * np.pi)  # (m,)
         with np.errstate(divide="ignore"):  # a component of weight 0 has logarithm -inf, and counts for nothing
             terms = np.log(self.weights) - log_norm - (white**2).sum(axis=1).T / 2  # (n, m)
-        top = terms.max(axis=1, keepdims=True)
-        answer = top[:, 0] + np.log(np.exp(terms - top).sum(axis=1))
-        return np.asarray(answer if points.ndim == 2 else answer[0])
+
+        # Sum over the components in logarithms, the largest term taken out so that nothing underflows.
+        largest = terms.max(axis=1, keepdims=True)
+        log_density = largest[:, 0] + np.log(np.exp(terms - largest).sum(axis=1))
+        if points.ndim == 1:
+            return np.asarray(log_density[0])
+        return np.asarray(log_density)
 
     def density(self, n: int = 48, *, extent: float = 3.0) -> tuple[tuple[Array, ...], Array]:
-        """Evaluate on a grid: return coordinates along each of the d axes, (n,), and the density at them, (n,) * d.
+        """Evaluate the density on a grid: return coordinates along each of the d axes, (n,), and the values, (n,) * d.
 
-        Its order is that of ``numpy.meshgrid(*axes, indexing="ij")``.
+        The order of the values is that of ``numpy.meshgrid(*axes, indexing="ij")``.
 
         Parameters
         ----------
@@ -145,16 +165,18 @@ class LoopMixture:
         """
         n = whole(n, "n", 1)
         reach = positive(extent, "extent") * np.sqrt(np.einsum("mii->mi", self.covariances))
-        low, high = (self.means - reach).min(axis=0), (self.means + reach).max(axis=0)
+        low = (self.means - reach).min(axis=0)
+        high = (self.means + reach).max(axis=0)
         axes = tuple(np.linspace(a, b, n) for a, b in zip(low, high, strict=True))
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        return axes, np.exp(self.log_prob(grid.reshape(-1, len(axes)))).reshape(grid.shape[:-1])
+        values = np.exp(self.log_prob(grid.reshape(-1, len(axes))))
+        return axes, values.reshape(grid.shape[:-1])
 
     def credibility(self, x: ArrayLike, *, n: int = 4096, rng: np.random.Generator | int | None = 0) -> Array:
-        """Mass of the smallest region that reaches each point of `x`, (n,): 0 at the mode, 1 far away.
+        """Return the mass (n,) of the smallest region that reaches each point of `x`: 0 at the mode, 1 far away.
 
-        The share of samples whose density is above that of the point. If mixtures are calibrated, the credibilities of what
-        came true are uniform: q of them lie below q.
+        It is estimated as the share of samples whose density is above that of the point. If mixtures are calibrated, the
+        credibilities of true places are uniform: a share q of them lies below q.
 
         Parameters
         ----------
@@ -164,8 +186,10 @@ class LoopMixture:
         rng : numpy.random.Generator or int, optional
             As in `sample`.
         """
-        samples = np.sort(self.log_prob(self.sample(whole(n, "n", 1), rng)))
-        return np.asarray(1 - np.searchsorted(samples, self.log_prob(x), side="right") / n)
+        samples = self.sample(whole(n, "n", 1), rng)
+        ranked = np.sort(self.log_prob(samples))
+        not_above = np.searchsorted(ranked, self.log_prob(x), side="right")
+        return np.asarray(1 - not_above / n)
 
 
 def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | None = None) -> LoopMixture:
@@ -193,6 +217,7 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
     >>> mixture.mean.round(6).tolist(), len(mixture.weights)
     ([1.0, 1.0], 6)
     """
+    # Check what the loop holds: it may come from elsewhere than the tracker.
     for name in ("killer_triangles", "neighbours", "killer_values", "neighbour_values"):
         as_reals(getattr(loop, name), name)
     triangles = np.concatenate([loop.killer_triangles, loop.neighbours]).astype(np.float64)
@@ -202,6 +227,8 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
     as_points(triangles.reshape(len(triangles), -1), "triangles")
     if not (np.isfinite(values).all() and (values >= 0).all() and values.sum() > 0):
         raise ValueError(f"filtration values must be finite and not negative, one of them positive: {values.tolist()}")
+
+    # Equation 1: a component for each triangle. Three vertices leave two degrees of freedom about their mean.
     means, scatter = moments(triangles)
     if prior is None:
         covariances = scatter / 2 + positive(noise, "noise", zero=False) * np.eye(triangles.shape[2])
@@ -211,7 +238,13 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
 
 
 def moments(triangles: Any) -> tuple[Any, Any]:
-    """Barycentres (..., d) of triangles (..., 3, d) and the scatter of their vertices (..., d, d); NumPy's or PyTorch's."""
+    """Return barycentres (..., d) and the scatter of the vertices (..., d, d) of triangles.
+
+    Parameters
+    ----------
+    triangles : (..., 3, d) array or tensor
+        Of NumPy or of PyTorch; so are the results.
+    """
     means = triangles.mean(axis=-2)
-    away = triangles - means[..., None, :]
-    return means, away.swapaxes(-1, -2) @ away
+    offsets = triangles - means[..., None, :]
+    return means, offsets.swapaxes(-1, -2) @ offsets

@@ -1,26 +1,37 @@
-"""Farthest-point subsamples, covering radii and Hausdorff distances.
+"""Farthest-point subsamples, covering radii, Hausdorff distances and outliers.
 
 Source: Gonzalez 1985 (farthest-point traversal); Antonova et al. 2021, Assumption 1 (the covering radius alpha).
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._validate import as_points, positive, whole
+from ._validate import Array, Ids, as_points, positive, whole
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = ["covering_radius", "farthest_point_sample", "hausdorff", "inliers", "spacing", "spoil"]
+__all__ = [
+    "as_tree",
+    "covering_radius",
+    "farthest_point_sample",
+    "hausdorff",
+    "hausdorff_table",
+    "inliers",
+    "spacing",
+    "spoil",
+]
 
 _MARGIN = 0.1  # metres around a cloud's box in which outliers of `spoil` lie
+_AT_ONCE = 100  # points that compiled code chooses before Python can hear Ctrl-C
 
 
-def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> tuple[NDArray[np.int64], float]:
+def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> tuple[Ids, float]:
     """Choose `n` points, each the farthest from those chosen before it.
 
     Parameters
@@ -29,7 +40,7 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> t
     n : int
         How many to choose, 1 to m.
     start : int, optional
-        The first one. For None it is the point farthest from the mean of all, so that their order has no say.
+        The first one. For None it is the point farthest from the mean of all, so that the order of the points does not matter.
 
     Returns
     -------
@@ -49,18 +60,54 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> t
     >>> farthest_point_sample([[0.0], [1.0], [2.0], [4.0]], 2)
     (array([0, 3]), 2.0)
     """
-    from ._traversal import traverse
-
     array = _measurable(points, "points")
     n = whole(n, "n", 1, len(array))
     if start is None:
-        start = int(np.square(array - array.mean(axis=0)).sum(axis=1).argmax())
-    start = whole(start, "start", -len(array), len(array) - 1)
+        from_mean = array - array.mean(axis=0)
+        start = int(np.square(from_mean).sum(axis=1).argmax())
+    following = whole(start, "start", -len(array), len(array) - 1) % len(array)
+
+    # The compiled code reads coordinates axis by axis, in threes: axes of zeros are added until there are 3, 6, ...
     axes = np.pad(array, ((0, 0), (0, -array.shape[1] % 3))).T.copy()
-    nearest, idx = np.full(len(array), np.inf), np.empty(n, dtype=np.int64)
-    for some in np.array_split(idx, 1 + n // 100):  # in between Ctrl-C is heard
-        start = traverse(axes, nearest, some, start % len(array))
-    return idx, float(np.sqrt(nearest.max()))
+    squared = np.full(len(array), np.inf)
+    idx = np.empty(n, dtype=np.int64)
+    traverse = _traversal()
+    for part in np.array_split(idx, 1 + n // _AT_ONCE):
+        following = traverse(axes, squared, part, following)
+    return idx, float(np.sqrt(squared.max()))
+
+
+@cache
+def _traversal() -> Any:
+    """Return the compiled traversal; numba is imported when it is first needed, because importing topokit must be quick."""
+    from numba import njit
+
+    @njit(cache=True)
+    def traverse(axes: Any, squared: Any, ids: Any, following: Any) -> Any:
+        """Fill `ids` from the point `following` on, and return the next point.
+
+        `squared` (m,) holds the squared distance of each point from the nearest of those chosen so far.
+        """
+        new = np.empty(len(squared))
+        for k in range(len(ids)):
+            ids[k] = following
+
+            # Squared distances from the point just chosen. Three axes at a time become vector instructions.
+            new[:] = 0
+            for a in range(0, len(axes), 3):
+                x = axes[a, following]
+                y = axes[a + 1, following]
+                z = axes[a + 2, following]
+                for i in range(len(new)):
+                    new[i] = new[i] + (axes[a, i] - x) ** 2 + (axes[a + 1, i] - y) ** 2 + (axes[a + 2, i] - z) ** 2
+
+            # The farthest point from all that are chosen comes next.
+            for i in range(len(new)):
+                squared[i] = min(squared[i], new[i])
+            following = np.argmax(squared)
+        return following
+
+    return traverse
 
 
 def covering_radius(dense: ArrayLike, sample: ArrayLike | cKDTree) -> float:
@@ -83,12 +130,13 @@ def covering_radius(dense: ArrayLike, sample: ArrayLike | cKDTree) -> float:
     >>> covering_radius([[0.0], [1.0], [3.0]], [[0.0]])
     3.0
     """
-    everything, some = _measurable(dense, "dense"), as_tree(sample, "sample")
-    if len(everything) == 0 or some.n == 0:
+    points = _measurable(dense, "dense")
+    tree = as_tree(sample, "sample")
+    if len(points) == 0 or tree.n == 0:
         raise ValueError("dense and sample need at least one point each")
-    if everything.shape[1] != some.m:
-        raise ValueError(f"dense has {everything.shape[1]} dimensions, sample {some.m}")
-    return float(some.query(everything)[0].max())
+    if points.shape[1] != tree.m:
+        raise ValueError(f"dense has {points.shape[1]} dimensions, sample {tree.m}")
+    return float(tree.query(points)[0].max())
 
 
 def hausdorff(a: ArrayLike | cKDTree, b: ArrayLike | cKDTree) -> float:
@@ -106,27 +154,30 @@ def hausdorff(a: ArrayLike | cKDTree, b: ArrayLike | cKDTree) -> float:
     >>> hausdorff([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.0], [1.0, 2.0]])
     2.0
     """
-    one, other = as_tree(a, "a"), as_tree(b, "b")
-    return max(covering_radius(one.data, other), covering_radius(other.data, one))
+    tree_a = as_tree(a, "a")
+    tree_b = as_tree(b, "b")
+    return max(covering_radius(tree_a.data, tree_b), covering_radius(tree_b.data, tree_a))
 
 
-def hausdorff_table(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def hausdorff_table(a: Array, b: Array) -> Array:
     """Return the (m, k) Hausdorff distances between small sets of points, each of `a` and each of `b`.
 
     Parameters
     ----------
     a, b : (m, p, d), (k, q, d) float64
     """
-    apart = np.linalg.norm(a[:, None, :, None] - b[None, :, None], axis=-1)  # (m, k, p, q)
-    return np.asarray(np.maximum(apart.min(axis=3).max(axis=2), apart.min(axis=2).max(axis=2)))
+    distances = np.linalg.norm(a[:, None, :, None] - b[None, :, None], axis=-1)  # (m, k, p, q)
+    a_to_b = distances.min(axis=3).max(axis=2)
+    b_to_a = distances.min(axis=2).max(axis=2)
+    return np.asarray(np.maximum(a_to_b, b_to_a))
 
 
-def inliers(points: ArrayLike | cKDTree, *, neighbours: int = 5, factor: float = 2.5) -> NDArray[np.int64]:
+def inliers(points: ArrayLike | cKDTree, *, neighbours: int = 5, factor: float = 2.5) -> Ids:
     """Return the ids of the points that are not alone: statistical outlier removal.
 
-    A point is left out when its `neighbours`-th nearest other place is farther than `factor` times what that is in the median;
-    twice, since outliers raise the median. Repeated points count as one place. On cloth, however it was sampled, no point is
-    farther than 2.1 times; of points strewn about it few are nearer.
+    A point is left out when its `neighbours`-th nearest other place is farther than `factor` times the median of these
+    distances. This is done twice, since outliers raise the median. Repeated points count as one place. On cloth, however it was
+    sampled, the ratio was never above 2.1; of points strewn about it few are below the default.
 
     Parameters
     ----------
@@ -154,27 +205,56 @@ def inliers(points: ArrayLike | cKDTree, *, neighbours: int = 5, factor: float =
     >>> inliers([[x] for x in (0, 1, 2, 3, 4, 5, 6, 100)])
     array([0, 1, 2, 3, 4, 5, 6])
     """
-    neighbours, factor = whole(neighbours, "neighbours", 1), positive(factor, "factor", zero=False)
+    neighbours = whole(neighbours, "neighbours", 1)
+    factor = positive(factor, "factor", zero=False)
     return inliers_and_tree(as_tree(points), neighbours, factor)[0]
 
 
-def inliers_and_tree(
-    tree: cKDTree, neighbours: int = 5, factor: float = 2.5
-) -> tuple[NDArray[np.int64], cKDTree, NDArray[np.float64]]:
-    """Ids of the points that are not alone, a tree of their places, and (p, k) how far each is from its nearest other ones."""
-    ids, copies = np.arange(tree.n), None
+def inliers_and_tree(tree: cKDTree, neighbours: int = 5, factor: float = 2.5) -> tuple[Ids, cKDTree, Array]:
+    """Return what a tracker needs of the points that are not alone.
+
+    Parameters
+    ----------
+    tree : cKDTree
+        Of the points.
+    neighbours : int
+    factor : float
+
+    Returns
+    -------
+    ids : (k,) int64
+        Numbers of these points in the cloud.
+    tree : cKDTree
+        Of their p places; points that coincide are one place.
+    nearest : (p, neighbours) float64
+        Distance of each place from its nearest other ones.
+    """
+    ids = np.arange(tree.n)
+    copies = None
     if _repeats(tree):
         places, copies = np.unique(tree.data + 0.0, axis=0, return_inverse=True)  # -0.0 and 0.0 are one place
-        tree, ids = as_tree(places), np.arange(len(places))
+        tree = as_tree(places)
+        ids = np.arange(len(places))
+
+    # Each place is its own nearest one, so one more is asked for.
     nearest, who = tree.query(tree.data, k=min(neighbours + 1, max(tree.n, 2)))
     for _ in range(2):
-        near = nearest[:, -1] <= factor * np.median(nearest[:, -1]) if tree.n > neighbours else np.ones(tree.n, bool)
+        if tree.n <= neighbours:
+            break
+        near = nearest[:, -1] <= factor * np.median(nearest[:, -1])
         if near.all():
             break
-        tree, ids, k = as_tree(tree.data[near]), ids[near], min(neighbours + 1, max(near.sum(), 2))
-        lost = ~near[who[near]].all(axis=1) | (k <= neighbours)  # the others have the neighbours that they had
-        nearest, who = nearest[near, :k], (np.cumsum(near) - 1)[who[near, :k]]
+
+        # Leave out what is alone. Only places that lose a neighbour by it have to be asked for their neighbours again.
+        tree = as_tree(tree.data[near])
+        ids = ids[near]
+        k = min(neighbours + 1, max(near.sum(), 2))
+        lost = ~near[who[near]].all(axis=1) | (k <= neighbours)
+        renumbered = np.cumsum(near) - 1
+        nearest = nearest[near, :k]
+        who = renumbered[who[near, :k]]
         nearest[lost], who[lost] = tree.query(tree.data[lost], k=k)
+
     if copies is not None:
         ids = np.flatnonzero(np.isin(copies.ravel(), ids))
     return ids, tree, nearest[:, 1:]
@@ -183,7 +263,7 @@ def inliers_and_tree(
 def spacing(points: ArrayLike | cKDTree) -> float:
     """Return half the largest distance from a point to its nearest other one; repeated points count once.
 
-    No smaller covering radius is possible if every connected piece of the scene holds two of them. A tree will do.
+    No smaller covering radius is possible if every connected piece of the scene holds two of them. A tree is accepted too.
 
     Raises
     ------
@@ -200,10 +280,10 @@ def spacing(points: ArrayLike | cKDTree) -> float:
         tree = as_tree(np.unique(tree.data + 0.0, axis=0))  # -0.0 and 0.0 are one place
     if tree.n < 2:
         return 0.0
-    apart = float(tree.query(tree.data, k=[2])[0].max())
-    if apart == 0:
+    widest = float(tree.query(tree.data, k=[2])[0].max())
+    if widest == 0:
         raise ValueError("points differ so little beside their size that squares of their distances are 0: round them")
-    return apart / 2
+    return widest / 2
 
 
 def spoil(
@@ -213,7 +293,7 @@ def spoil(
     noise: ArrayLike = 0.0,
     outliers: ArrayLike = 0.0,
     keep: ArrayLike = 1.0,
-) -> NDArray[np.float64]:
+) -> Array:
     """Return clouds with points missing, noise and outliers, every cloud for itself.
 
     Parameters
@@ -226,37 +306,61 @@ def spoil(
         Share of the points that are anywhere in the cloud's box, which is grown by 10 cm on each side.
     keep : float or such an array
         Share of the points that are kept, at least one. They come first, in the order in which they were; repeats of them, in
-        their order, stand for the others.
+        their order, replace the others.
     """
     clouds = np.asarray(clouds, dtype=np.float64)
+    n_points = clouds.shape[-2]
     noise, outliers, keep = [np.broadcast_to(one, clouds.shape[:-2])[..., None] for one in (noise, outliers, keep)]
-    places = np.broadcast_to(np.arange(clouds.shape[-2]), clouds.shape[:-1])
-    left = np.maximum(np.round(keep * clouds.shape[-2]), 1).astype(np.int64)
-    order = np.argsort(rng.permuted(places, axis=-1) >= left, axis=-1, kind="stable")  # kept ones first, as they were
-    kept = np.take_along_axis(order, places % left, axis=-1)
+    places = np.broadcast_to(np.arange(n_points), clouds.shape[:-1])
+
+    # Points that are kept come first, in their order; then they are repeated.
+    n_kept = np.maximum(np.round(keep * n_points), 1).astype(np.int64)
+    is_lost = rng.permuted(places, axis=-1) >= n_kept
+    order = np.argsort(is_lost, axis=-1, kind="stable")
+    kept = np.take_along_axis(order, places % n_kept, axis=-1)
     spoilt = np.take_along_axis(clouds, kept[..., None], axis=-2) + noise[..., None] * rng.standard_normal(clouds.shape)
-    low, high = clouds.min(axis=-2, keepdims=True) - _MARGIN, clouds.max(axis=-2, keepdims=True) + _MARGIN
-    wild = rng.permuted(places, axis=-1) < np.round(outliers * clouds.shape[-2])
-    return np.where(wild[..., None], rng.uniform(low, high, clouds.shape), spoilt)
+
+    # Outliers lie anywhere in the box around the cloud.
+    low = clouds.min(axis=-2, keepdims=True) - _MARGIN
+    high = clouds.max(axis=-2, keepdims=True) + _MARGIN
+    is_outlier = rng.permuted(places, axis=-1) < np.round(outliers * n_points)
+    return np.where(is_outlier[..., None], rng.uniform(low, high, clouds.shape), spoilt)
 
 
 def _repeats(tree: cKDTree) -> bool:
-    """Whether some points may be repeated. Plain sums of coordinates in whole millimetres would often be the same."""
-    return len(np.unique(sum(np.sqrt(k + 2) * axis for k, axis in enumerate(tree.data.T)))) < tree.n
+    """Return whether some points may be repeated.
+
+    One number a point, a sum of its coordinates, is compared. Irrational weights keep different points apart: plain sums of
+    coordinates in whole millimetres would often be equal.
+    """
+    keys = sum(np.sqrt(k + 2) * axis for k, axis in enumerate(tree.data.T))
+    return len(np.unique(keys)) < tree.n
 
 
 def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = False) -> cKDTree:
-    """A tree of checked points, or the one that is given: built once, it answers for several distances."""
+    """Return a tree of checked points: built once, it serves several distances. A tree is returned as it is.
+
+    Parameters
+    ----------
+    points : (n, d) array_like
+        Or a tree of them.
+    name : str
+        What errors call them.
+    copy : bool
+        Whether the tree keeps a copy of the points.
+    """
     from scipy.spatial import cKDTree  # here, because importing topokit must be quick
 
-    return points if isinstance(points, cKDTree) else cKDTree(_measurable(points, name), copy_data=copy)
+    if isinstance(points, cKDTree):
+        return points
+    return cKDTree(_measurable(points, name), copy_data=copy)
 
 
-def _measurable(points: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Checked points whose distances have squares that neither overflow nor vanish."""
+def _measurable(points: ArrayLike, name: str) -> Array:
+    """Return checked points whose distances have squares that neither overflow nor vanish."""
     array = as_points(points, name)
     largest = np.abs(array).max(initial=0.0)
     if largest > 1e150 or 0 < largest < 1e-150:
-        why = "floating point cannot hold the squares of distances between them; convert them to another unit"
-        raise ValueError(f"{name} has coordinates of up to {largest:.3g}: {why}")
+        reason = "floating point cannot hold the squares of distances between them; convert them to another unit"
+        raise ValueError(f"{name} has coordinates of up to {largest:.3g}: {reason}")
     return array

@@ -1,8 +1,8 @@
 """The loops of a cloud whose points have moved: the same classes, at other places.
 
-Idea: a tracked loop is more than its killer. Its cycle names vertices, and the class of that cycle can be asked for in any cloud
-of the same points: the edge that ends it there lies across what closes last. So whoever knows how points move, or guesses
-it, knows how loops do, and no two frames are matched.
+Idea: a tracked loop is more than its killer. Its cycle names vertices, and the class of that cycle can be looked up in any
+cloud of the same points: the edge that ends it there lies across the opening. So where the motion of the points is known or
+predicted, the motion of the loops is known too, and no two frames are matched.
 
 Source: the elder rule for given cycles is that of `Diagram.killers_of`. Taught in chapter 12.
 """
@@ -19,8 +19,7 @@ from topokit._validate import as_points
 from topokit.rips import rips_persistence
 
 from ._frames import Frame
-from ._state import Loop
-from ._tracker import loop_at
+from ._state import Loop, loop_at
 
 
 def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
@@ -32,7 +31,7 @@ def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
     Parameters
     ----------
     loops : sequence of Loop
-        Tracked, so that they know their cycles.
+        Tracked, so that they have cycles.
     cloud : (n, d) array_like
         The points of the cloud that the loops were found in, in their order, moved.
 
@@ -41,7 +40,7 @@ def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
     ValueError
         When the cloud lacks a point of a loop's cycle.
     LookupError
-        When a loop does not know its cycle.
+        When a loop has no cycle.
 
     Examples
     --------
@@ -70,22 +69,33 @@ def follow_all(loops: Sequence[Loop], cloud: ArrayLike, frame: Frame | None = No
     ValueError, LookupError
         As `follow` does.
     """
-    points, cycles = as_points(cloud), [loop.cycle for loop in loops]
-    most = max((int(cycle.max()) for cycle in cycles), default=-1)
-    if most >= len(points):
-        raise ValueError(f"a loop goes through point {most}, and the cloud has {len(points)}: give all, in their order")
+    points = as_points(cloud)
+    cycles = [loop.cycle for loop in loops]
+    last = max((int(cycle.max()) for cycle in cycles), default=-1)
+    if last >= len(points):
+        raise ValueError(f"a loop goes through point {last}, and the cloud has {len(points)}: give all, in their order")
+
+    # The bar of a loop is the bar whose killer edge ends the class of the loop's cycle.
     ids = np.arange(len(points)) if frame is None else frame.ids
-    diagram, found, born = rips_persistence(points[ids]), [], []
-    bars = {(a, b): i for i, (a, b) in enumerate(diagram.killer_edge.tolist())}
-    among = [np.searchsorted(ids, cycle) for cycle in cycles]
-    ends = [bars.get((a, b)) for a, b in diagram.killers_of(among).tolist()]
-    for loop, bar in zip(loops, ends, strict=True):
+    diagram = rips_persistence(points[ids])
+    bar_of_edge = {(a, b): bar for bar, (a, b) in enumerate(diagram.killer_edge.tolist())}
+    cycles_in_diagram = [np.searchsorted(ids, cycle) for cycle in cycles]
+    bars = [bar_of_edge.get((a, b)) for a, b in diagram.killers_of(cycles_in_diagram).tolist()]
+
+    followed = []
+    for loop, bar in zip(loops, bars, strict=True):
         if bar is not None and diagram.death[bar] > loop.birth:
             moved = loop_at(diagram, bar, points, ids, loop.id, loop.killer_edge_points)
-            found.append(replace(moved, birth=loop.birth))
+            followed.append(replace(moved, birth=loop.birth))
+    followed.sort(key=lambda loop: -loop.lifetime)
+
+    # A loop is born where the frame has evidence for a bar that ends none of the classes.
+    born: list[Loop] = []
     if frame is not None:
         evidence = frame.loop_evidence(diagram.birth, diagram.death)
-        first = max((loop.id for loop in loops), default=-1) + 1
-        new = [bar for bar in np.argsort(-diagram.lifetime).tolist() if evidence[bar] > 0 and bar not in ends]
-        born = [loop_at(diagram, bar, points, ids, first + i, None) for i, bar in enumerate(new)]
-    return sorted(found, key=lambda loop: -loop.lifetime), born
+        identity = max((loop.id for loop in loops), default=-1)
+        for bar in np.argsort(-diagram.lifetime).tolist():
+            if evidence[bar] > 0 and bar not in bars:
+                identity += 1
+                born.append(loop_at(diagram, bar, points, ids, identity, None))
+    return followed, born

@@ -1,4 +1,4 @@
-"""What a tracker takes from a cloud, and what may follow what in a sequence of them."""
+"""What a tracker takes from a cloud, and which frames may follow each other in a sequence."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from topokit._validate import Array, Ids
 from topokit.rips import Diagram
 from topokit.sampling import inliers_and_tree, spacing
 
@@ -16,10 +16,9 @@ from ._evidence import Gaps, evidence, significance
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-Array = NDArray[np.float64]
-_SCENE = 0.95  # share of the points that have a neighbour within 2 alpha, estimated from what is not alone
-_MOVED = 0.9  # share of the points that move no farther than epsilon, estimated likewise
-_FITS = 0.25  # share of the points that tell whether the scene has moved; the others may have come in
+_SCENE = 0.95  # share of the points that have a neighbour within 2 alpha, for an estimate of alpha
+_MOVED = 0.9  # share of the points that move no farther than epsilon, for an estimate of epsilon
+_FITS = 0.25  # share of the points that decide whether the scene has moved; the others may have come in
 _NO_GAPS = Gaps(0.0, 1.0)  # of a single place, and where alpha decides which bars are loops
 _OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
 
@@ -29,7 +28,7 @@ class Frame:
     """A cloud, the points of it that count, and how far apart they are."""
 
     tree: cKDTree  #: of the points that count
-    ids: NDArray[np.int64]  #: (n,) their numbers in the cloud
+    ids: Ids  #: (n,) their numbers in the cloud
     alpha: float  #: how far the scene may be from the nearest of them
     gaps: Gaps = _NO_GAPS  #: how wide the gaps between them are
 
@@ -44,7 +43,9 @@ class Frame:
         alpha : float, optional
             Half the largest distance of a point from its nearest other one, when not given.
         """
-        return cls(tree, np.arange(tree.n), spacing(tree) if alpha is None else alpha)
+        if alpha is None:
+            alpha = spacing(tree)
+        return cls(tree, np.arange(tree.n), alpha)
 
     @classmethod
     def without_outliers(cls, tree: cKDTree) -> Frame:
@@ -60,7 +61,8 @@ class Frame:
         ids, places, nearest = inliers_and_tree(tree)
         if places.n == 1:
             return cls(places, ids, 0.0)
-        return cls(places, ids, float(np.quantile(nearest[:, 0], _SCENE)) / 2, Gaps.of(nearest))
+        alpha = float(np.quantile(nearest[:, 0], _SCENE)) / 2
+        return cls(places, ids, alpha, Gaps.of(nearest))
 
     def significance(self, birth: Array, death: Array) -> Array:
         """Return how much bars stand out from the sampling of this frame: a loop has more than 1.
@@ -80,63 +82,86 @@ class Frame:
         birth, death : (m,) float64
             Of bars of these points.
         """
-        return evidence(birth, death, self.gaps, self.tree.n)
+        return evidence(self.significance(birth, death))
 
     def motion_since(self, before: Frame) -> tuple[Array, float]:
-        """(d,) how far the scene has moved as a whole since, and how far its points beside that: a partial Hausdorff distance.
+        """Return how far the scene has moved since another frame, and how far its points have moved beside that.
 
-        The middle of a still scene moves when a part of it is hidden or another comes in. So its motion counts when the nearest
-        quarter of the points fits better to where the scene was with it than without. One way only, since what is hidden now
-        has not moved.
+        The first is a vector (d,); the second is a partial Hausdorff distance. It is measured one way only, since a point that
+        is hidden now has not moved.
+
+        Parameters
+        ----------
+        before : Frame
         """
+        # The middle of a still scene moves when a part of it is hidden or another comes in. So the motion of the middle
+        # counts only when the nearest quarter of the points fits the scene before better with it than without.
         shift = self.tree.data.mean(axis=0) - before.tree.data.mean(axis=0)
-        still, moved = (before.tree.query(self.tree.data - by)[0] for by in (0.0, shift))
-        if np.quantile(still, _FITS) <= np.quantile(moved, _FITS):
-            shift, moved = np.zeros_like(shift), still
-        return shift, float(np.quantile(moved, _MOVED))
+        distance = before.tree.query(self.tree.data)[0]
+        shifted_distance = before.tree.query(self.tree.data - shift)[0]
+        if np.quantile(distance, _FITS) <= np.quantile(shifted_distance, _FITS):
+            return np.zeros_like(shift), float(np.quantile(distance, _MOVED))
+        return shift, float(np.quantile(shifted_distance, _MOVED))
 
 
-def check_follows(frame: int, before: tuple[Frame | None, float | None], after: tuple[Frame, float | None]) -> None:
+def check_follows(
+    number: int, frame: Frame, time: float | None, before: Frame | None, time_before: float | None
+) -> None:
     """Raise ValueError unless a frame and its time can follow those before."""
-    (frame_before, time_before), (tree, time) = before, (after[0].tree, after[1])
-    if tree.n == 0:
-        raise ValueError(f"frame {frame} has no points: nothing seen is not the same as no loops; skip the frame")
+    if frame.tree.n == 0:
+        raise ValueError(f"frame {number} has no points: nothing seen is not the same as no loops; skip the frame")
     seconds = time.item() if isinstance(time, np.generic) else time
     if time is not None and not (isinstance(seconds, (int, float)) and abs(seconds) < 1e300):
-        raise ValueError(f"frame {frame} has time {time}; it must be a finite number of seconds")
-    if frame_before is None:
+        raise ValueError(f"frame {number} has time {time}; it must be a finite number of seconds")
+    if before is None:
         return
-    tree_before = frame_before.tree
-    _check_time(frame, time_before, time)
-    if tree.m != tree_before.m:
-        raise ValueError(f"frame {frame} has {tree.m} dimensions, the frames before it {tree_before.m}")
-    size, size_before = (float((one.maxes - one.mins).max()) for one in (tree, tree_before))
-    if _differ_in_units(size, size_before) and _differ_in_units(spacing(tree), spacing(tree_before)):
-        what = f"frame {frame} is {size:.4g} across, the frame before it {size_before:.4g}"
-        why = "its points are as much farther apart or nearer: is it in other units?"
-        raise ValueError(f"{what}, and {why} Convert it, or start a new tracker")
+
+    _check_time(number, time_before, time)
+    if frame.tree.m != before.tree.m:
+        raise ValueError(f"frame {number} has {frame.tree.m} dimensions, the frames before it {before.tree.m}")
+
+    # A scene may grow, and a cloud may become coarser. Both at once by the same large factor is a change of units.
+    size = _extent(frame.tree)
+    size_before = _extent(before.tree)
+    if _differ_in_units(size, size_before) and _differ_in_units(spacing(frame.tree), spacing(before.tree)):
+        sizes = f"frame {number} is {size:.4g} across, the frame before it {size_before:.4g}"
+        reason = "its points are as much farther apart or nearer: is it in other units?"
+        raise ValueError(f"{sizes}, and {reason} Convert it, or start a new tracker")
 
 
-def _check_time(frame: int, before: float | None, time: float | None) -> None:
-    if (before is None) != (time is None):
-        has = ("no time", "one") if time is None else (f"time {time} s", "none")
-        raise ValueError(f"frame {frame} has {has[0]}, the frame before it {has[1]}: give all frames a time, or none")
-    if before is not None and time is not None and time <= before:
-        what = "is repeated" if time == before else "is out of order"
-        why = f"its time {time} s is not later than {before} s, that of the frame before"
-        raise ValueError(f"frame {frame} {what}: {why}; sort the frames by time and drop repeated ones")
+def _check_time(number: int, before: float | None, time: float | None) -> None:
+    """Raise ValueError unless all frames have a time or none has, and times increase."""
+    if before is None and time is None:
+        return
+    advice = "give all frames a time, or none"
+    if time is None:
+        raise ValueError(f"frame {number} has no time, the frame before it one: {advice}")
+    if before is None:
+        raise ValueError(f"frame {number} has time {time} s, the frame before it none: {advice}")
+    if time <= before:
+        problem = "is repeated" if time == before else "is out of order"
+        reason = f"its time {time} s is not later than {before} s, that of the frame before"
+        raise ValueError(f"frame {number} {problem}: {reason}; sort the frames by time and drop repeated ones")
 
 
-def check_diagram(frame: int, diagram: Diagram, n_points: int) -> None:
+def check_diagram(number: int, diagram: Diagram, n_points: int) -> None:
+    """Raise ValueError unless a diagram is of so many points and all its loops die."""
     if diagram.n_points != n_points:
-        raise ValueError(f"frame {frame} has {n_points} points, its diagram is of {diagram.n_points}")
+        raise ValueError(f"frame {number} has {n_points} points, its diagram is of {diagram.n_points}")
     still_open = int(np.isinf(diagram.death).sum())
     if still_open:
-        what = f"{still_open} loops of its diagram do not die below max_radius = {diagram.max_radius:g}"
-        why = "a tracked loop needs its killer: compute the diagram without max_radius"
-        raise ValueError(f"frame {frame}: {what}, and {why}")
+        problem = f"{still_open} loops of its diagram do not die below max_radius = {diagram.max_radius:g}"
+        reason = "a tracked loop needs its killer: compute the diagram without max_radius"
+        raise ValueError(f"frame {number}: {problem}, and {reason}")
+
+
+def _extent(tree: cKDTree) -> float:
+    """Return the longest extent of a cloud along an axis."""
+    return float((tree.maxes - tree.mins).max())
 
 
 def _differ_in_units(size: float, before: float) -> bool:
-    """Whether a length and the same one before differ as metres and inches do (39), or centimetres, or millimetres."""
-    return min(size, before) > 0 and max(size, before) > _OTHER_UNITS * min(size, before)
+    """Return whether two lengths differ as much as metres and inches (39), centimetres or millimetres."""
+    smaller = min(size, before)
+    larger = max(size, before)
+    return smaller > 0 and larger > _OTHER_UNITS * smaller

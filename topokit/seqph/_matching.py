@@ -9,15 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from topokit.rips import Diagram
+from topokit._validate import Array
 from topokit.sampling import hausdorff_table
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What a matching sees: the n loops found in a frame and the m known from before."""
+    """The input of a match rule: the n loops found in a frame and the m known from before."""
 
     birth: Array  #: (n,)
     death: Array  #: (n,)
@@ -30,47 +28,35 @@ class Candidates:
     beta: float | Array  #: of this step, or (n, m) of each pair
 
     def changes(self) -> tuple[Array, Array]:
-        """(n, m) changes of birth and of death between every found loop and every known one."""
+        """Return the changes of birth and of death, each (n, m), between every found loop and every known one."""
         birth = np.abs(self.birth[:, None] - self.known_birth)
-        return birth, np.abs(self.death[:, None] - self.known_death)
+        death = np.abs(self.death[:, None] - self.known_death)
+        return birth, death
 
-    def part(self, found: list[int], known: list[int]) -> Candidates:
-        """Return what a matching of these found loops and these known ones sees.
+    def subset(self, found: list[int], known: list[int]) -> Candidates:
+        """Return the input of a rule that matches only these found and these known loops.
 
         Parameters
         ----------
         found, known : lists of int
         """
-        beta = self.beta if np.ndim(self.beta) == 0 else np.asarray(self.beta)[np.ix_(found, known)]
-        here = (self.birth[found], self.death[found], self.places[found])
-        there = (self.known_birth[known], self.known_death[known], self.known_places[known], self.motion[known])
-        return Candidates(*here, *there, self.alpha, beta)
+        beta = self.beta
+        if np.ndim(beta) == 2:
+            beta = np.asarray(beta)[np.ix_(found, known)]
+        return Candidates(
+            birth=self.birth[found],
+            death=self.death[found],
+            places=self.places[found],
+            known_birth=self.known_birth[known],
+            known_death=self.known_death[known],
+            known_places=self.known_places[known],
+            motion=self.motion[known],
+            alpha=self.alpha,
+            beta=beta,
+        )
 
 
-@dataclass(frozen=True, eq=False)
-class Known:
-    """What may be found again: where it was, how far the scene has moved since, for how many frames; a loop once believed in."""
-
-    birth: float
-    death: float
-    place: Array  #: (p, d) for the tracker's identity
-    killer_edge: Array  #: (2, d)
-    belief: float
-    id: int | None  #: None as long as it is not believed to be a loop
-    motion: float = 0.0
-    missed: int = 0
-
-
-def candidates_of(
-    diagram: Diagram, found: list[int], places: list[Array], known: list[Known], sizes: tuple[float, Array | float]
-) -> Candidates:
-    """What a matching sees of loops of a diagram and of known ones; `sizes` are alpha and beta."""
-    parts = ("birth", "death", "place", "motion")
-    births, deaths, there, motion = (np.array([getattr(one, part) for one in known]) for part in parts)
-    here = (diagram.birth[found], diagram.death[found], np.array(places))
-    return Candidates(*here, births, deaths, there, motion, *sizes)
-
-
+#: A function that returns the pairs (i, j) of a found loop i that is the known loop j, each once at most.
 MatchRule = Callable[[Candidates], Iterable[tuple[int, int]]]
 
 
@@ -86,8 +72,8 @@ def assign(cost: Array, allowed: NDArray[np.bool_] | None = None) -> list[tuple[
 
     Notes
     -----
-    A forbidden pair costs more than all allowed ones together, so the Hungarian algorithm takes one only where it has no
-    choice, and those are dropped: unlike infinite entries this cannot make the problem infeasible.
+    A forbidden pair costs more than all allowed ones together. So the Hungarian algorithm takes one only where it has no
+    choice, and those are dropped. Infinite entries instead could make the problem infeasible.
     """
     from scipy.optimize import linear_sum_assignment  # here, because importing topokit must be quick
 
@@ -99,27 +85,37 @@ def assign(cost: Array, allowed: NDArray[np.bool_] | None = None) -> list[tuple[
 
 
 def within_gates(gates: str, loops: Candidates) -> list[tuple[int, int]]:
-    """Least total distance of places, births, deaths and places within their gates; the paper's distance is Hausdorff's."""
+    """Return the matching of least total distance of places, with births, deaths and places within their gates."""
     births, deaths = loops.changes()
-    alpha, beta, epsilon = loops.alpha, loops.beta, loops.motion
-    gate, bound = {
-        "paper": (2 * alpha + epsilon, 2 * alpha + beta + epsilon),
-        "proved": (alpha + epsilon, 2 * beta + epsilon),
-        "near": (alpha + epsilon + np.maximum(loops.death[:, None], loops.known_death) / 4, beta + epsilon),
-    }[gates]
     distance = hausdorff_table(loops.places, loops.known_places)
-    cost = distance + deaths if gates == "near" else distance
+    alpha = loops.alpha
+    beta = loops.beta
+    epsilon = loops.motion
+    cost = distance
+
+    if gates == "paper":  # Algorithm 1 and Corollary 1
+        gate = 2 * alpha + epsilon
+        bound = 2 * alpha + beta + epsilon
+    elif gates == "proved":  # what chapter 6 proves
+        gate = alpha + epsilon
+        bound = 2 * beta + epsilon
+    else:  # "near": killers of cloth jump, so death may change by more, and counts in the cost
+        gate = alpha + epsilon + np.maximum(loops.death[:, None], loops.known_death) / 4
+        bound = beta + epsilon
+        cost = distance + deaths
     return assign(cost, (births < gate) & (deaths < gate) & (distance < bound))
 
 
-def check_pairs(pairs: object, found: int, known: int) -> list[tuple[int, int]]:
-    """What a matching gave, or a ValueError when it is no matching."""
+def check_pairs(pairs: object, n_found: int, n_known: int) -> list[tuple[int, int]]:
+    """Return the pairs that a match rule gave, or raise ValueError when they are no matching."""
     try:
         checked = [(operator.index(i), operator.index(j)) for i, j in pairs]  # type: ignore[attr-defined]
+        in_range = all(0 <= i < n_found and 0 <= j < n_known for i, j in checked)
         once = all(len(set(side)) == len(side) for side in zip(*checked, strict=True))
+        is_matching = in_range and once
     except TypeError:
-        once = False
-    if not (once and all(0 <= i < found and 0 <= j < known for i, j in checked)):
-        wanted = f"pairs of one of {found} found and one of {known} known loops, each once"
-        raise ValueError(f"match must give {wanted}, not {pairs!r}")
+        is_matching = False
+    if not is_matching:
+        expected = f"pairs of one of {n_found} found and one of {n_known} known loops, each once"
+        raise ValueError(f"match must give {expected}, not {pairs!r}")
     return checked

@@ -1,7 +1,7 @@
 """The topological state of a scene: what the paper calls X_t.
 
-A state is a list of loops; a loop is what `topokit.rips` found (birth, death, killer edge, killer triangles, neighbours)
-together with the coordinates of those simplices and the identity that `topokit.seqph` gave it.
+A state is a list of loops. A loop is what `topokit.rips` finds (birth, death, killer edge, killer triangles, neighbours)
+together with the coordinates of those simplices and the identity that the tracker gives it.
 
 Source: Antonova et al. 2021, section 4 (the zeta_l of Algorithm 1). Taught in chapter 0.
 """
@@ -14,12 +14,13 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from topokit._validate import own_arrays
+from topokit._validate import Array, Ids, own_arrays
+from topokit.rips import Diagram
+from topokit.sampling import hausdorff_table
 
-OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # of identities
-ClosedCurve = tuple[NDArray[np.int64], NDArray[np.float64]]  # vertex ids of a closed walk, and their places
+_OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # colours that everybody can tell apart
+ClosedCurve = tuple[Ids, Array]  # vertex ids of a closed walk, and their places
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +30,15 @@ class Loop:
     id: int  #: identity through time: the same loop keeps it from frame to frame; never reused
     birth: float  #: filtration value (half the length) of the edge that creates the loop
     death: float  #: filtration value of the edge that ends it
-    birth_edge: NDArray[np.int64]  #: (2,) vertex ids in the frame's cloud
-    killer_edge: NDArray[np.int64]  #: (2,) vertex ids
-    killer_triangle_ids: NDArray[np.int64]  #: (2, 3) vertex ids; the thick triangle comes first
-    neighbour_ids: NDArray[np.int64]  #: (m, 3) vertex ids, m <= 4
-    killer_edge_points: NDArray[np.float64]  #: (2, d) places of `killer_edge`
-    killer_triangles: NDArray[np.float64]  #: (2, 3, d) places of `killer_triangle_ids`
-    neighbours: NDArray[np.float64]  #: (m, 3, d) places of `neighbour_ids`
-    killer_values: NDArray[np.float64]  #: (2,) filtration values of the killer triangles: both enter at `death`
-    neighbour_values: NDArray[np.float64]  #: (m,) filtration values of the neighbours
+    birth_edge: Ids  #: (2,) vertex ids in the frame's cloud
+    killer_edge: Ids  #: (2,) vertex ids
+    killer_triangle_ids: Ids  #: (2, 3) vertex ids; the thick triangle comes first
+    neighbour_ids: Ids  #: (m, 3) vertex ids, m <= 4
+    killer_edge_points: Array  #: (2, d) places of `killer_edge`
+    killer_triangles: Array  #: (2, 3, d) places of `killer_triangle_ids`
+    neighbours: Array  #: (m, 3, d) places of `neighbour_ids`
+    killer_values: Array  #: (2,) filtration values of the killer triangles: both enter at `death`
+    neighbour_values: Array  #: (m,) filtration values of the neighbours
     #: Hausdorff distance between this loop's killer edge and that of its previous appearance; nan when the loop is new
     killer_shift: float = float("nan")
     _curve: Callable[[], ClosedCurve] | None = field(default=None, repr=False)
@@ -47,52 +48,49 @@ class Loop:
 
     @property
     def lifetime(self) -> float:
-        """How long the loop lasts in the filtration: death - birth."""
+        """Return how long the loop lasts in the filtration: death - birth."""
         return self.death - self.birth
 
     @property
-    def centre(self) -> NDArray[np.float64]:
-        """(d,) where the loop is, midway between the barycentres of its two killer triangles."""
+    def centre(self) -> Array:
+        """Return where the loop is (d,), midway between the barycentres of its two killer triangles."""
         return np.asarray(self.killer_triangles.mean(axis=(0, 1)))
 
     @property
-    def cycle(self) -> NDArray[np.int64]:
-        """(length,) vertex ids of a closed walk, tight around the loop at its birth: `Diagram.cycle`, found when asked for.
+    def cycle(self) -> Ids:
+        """Return the vertex ids (length,) of a closed walk, tight around the loop at its birth; found when asked for.
 
-        A LookupError when it was read from a file of states of 0.1.0, or put together by hand: it knows no cloud.
+        It is that of `Diagram.cycle`. A loop that was put together by hand has no cloud to find it in: LookupError.
         """
         return self._closed_curve[0]
 
     @property
-    def cycle_points(self) -> NDArray[np.float64]:
-        """(length, d) the places of `cycle`: the curve to draw, or to link with a target."""
+    def cycle_points(self) -> Array:
+        """Return the places (length, d) of `cycle`: the curve to draw, or to link with a target."""
         return self._closed_curve[1]
 
     @cached_property
     def _closed_curve(self) -> ClosedCurve:
+        """Return the ids and the places of the cycle."""
         if self._curve is None:
             raise LookupError(f"loop {self.id} knows no cloud to find its cycle in: track the cloud (topokit.track)")
         return self._curve()
 
     @property
-    def quadrilateral(self) -> NDArray[np.float64]:
-        """(4, d) the closed curve x, z1, y, z2 around the two killer triangles: the killer edge's ends and the apexes.
+    def quadrilateral(self) -> Array:
+        """Return the closed curve x, z1, y, z2 (4, d) around the killer triangles: the killer edge's ends and the apexes.
 
-        Just before the loop dies this curve is in its class among the points, which know nothing of a hook: edges as long as
-        the killer may pass through a thin one. Around a target that fills the opening it links as the loop does; around a
-        hook link `cycle_points`, which is tight.
+        Just before the loop dies this curve is in its class among the points. The class takes no account of a hook: edges as
+        long as the killer may pass through a thin one. Around a target that fills the opening the curve links as the loop does;
+        around a hook link `cycle_points`, which is tight.
         """
-        apex = ~np.isin(self.killer_triangle_ids, self.killer_edge)
-        (x, y), (z1, z2) = self.killer_edge_points, self.killer_triangles[apex]
+        is_apex = ~np.isin(self.killer_triangle_ids, self.killer_edge)
+        x, y = self.killer_edge_points
+        z1, z2 = self.killer_triangles[is_apex]
         return np.array([x, z1, y, z2])
 
 
-def loop_colour(loop_id: int) -> str:
-    """Return the colour of an identity as `#RRGGBB`; identities six apart share one."""
-    return OKABE_ITO[int(loop_id) % len(OKABE_ITO)]
-
-
-def loop_of(cloud: NDArray[np.float64], cycle: Callable[[], NDArray[np.int64]], **fields: Any) -> Loop:
+def loop_of(cloud: Array, cycle: Callable[[], Ids], **fields: Any) -> Loop:
     """Return a loop of a cloud.
 
     Parameters
@@ -109,13 +107,44 @@ def loop_of(cloud: NDArray[np.float64], cycle: Callable[[], NDArray[np.int64]], 
         killer_triangles=cloud[fields["killer_triangle_ids"]],
         neighbours=cloud[fields["neighbour_ids"]],
         killer_values=np.full(2, fields["death"]),  # their longest edge is the killer edge
-        _curve=partial(_curve_of, cloud, cycle),
+        _curve=partial(_closed_curve, cloud, cycle),
     )
 
 
-def _curve_of(cloud: NDArray[np.float64], cycle: Callable[[], NDArray[np.int64]]) -> ClosedCurve:
+def loop_at(diagram: Diagram, bar: int, cloud: Array, ids: Ids, identity: int, edge_before: Array | None) -> Loop:
+    """Return the loop of a bar of the diagram of the points `ids` of a cloud.
+
+    `edge_before` (2, d) is where its killer edge was at its previous appearance, None for a new loop.
+    """
+    killer_edge = ids[diagram.killer_edge[bar]]
+    neighbours = ids[diagram.neighbours(bar)]
+    sides = np.linalg.norm(cloud[neighbours] - cloud[neighbours[:, [2, 0, 1]]], axis=2)
+    killer_shift = float("nan")
+    if edge_before is not None:
+        killer_shift = float(hausdorff_table(cloud[killer_edge][None], edge_before[None])[0, 0])
+    return loop_of(
+        cloud,
+        partial(_cycle_in_cloud, diagram, bar, ids),
+        id=identity,
+        birth=float(diagram.birth[bar]),
+        death=float(diagram.death[bar]),
+        birth_edge=ids[diagram.birth_edge[bar]],
+        killer_edge=killer_edge,
+        killer_triangle_ids=ids[diagram.killer_triangles[bar]],
+        neighbour_ids=neighbours,
+        neighbour_values=sides.max(axis=1, initial=0.0) / 2,
+        killer_shift=killer_shift,
+    )
+
+
+# These two are functions of the module, not closures, so that loops can be pickled.
+def _closed_curve(cloud: Array, cycle: Callable[[], Ids]) -> ClosedCurve:
     ids = cycle()
     return ids, cloud[ids]
+
+
+def _cycle_in_cloud(diagram: Diagram, bar: int, ids: Ids) -> Ids:
+    return ids[diagram.cycle(bar)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,21 +160,22 @@ class TopologicalState:
     def __len__(self) -> int:
         return len(self.loops)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists, for JSON: frame, time, parameters, and of every loop its id, place and values."""
-        numbers, arrays = ("id", "birth", "death", "lifetime"), ("centre", "killer_edge", "killer_triangles")
-        loops = [
-            {name: getattr(loop, name) for name in numbers} | {name: getattr(loop, name).tolist() for name in arrays}
-            for loop in self.loops
-        ]
-        return {"frame": self.frame, "time": self.time, "parameters": dict(self.parameters), "loops": loops}
-
     def __getitem__(self, loop_id: int) -> Loop:
         """Return the loop of that identity; KeyError when this frame has none."""
         for loop in self.loops:
             if loop.id == loop_id:
                 return loop
         raise KeyError(f"frame {self.frame} has no loop {loop_id}; it has {[loop.id for loop in self.loops]}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain numbers and lists, for JSON: frame, time, parameters, and of every loop its id, place and values."""
+        loops = []
+        for loop in self.loops:
+            row: dict[str, Any] = {name: getattr(loop, name) for name in ("id", "birth", "death", "lifetime")}
+            for name in ("centre", "killer_edge", "killer_triangles"):
+                row[name] = getattr(loop, name).tolist()
+            loops.append(row)
+        return {"frame": self.frame, "time": self.time, "parameters": dict(self.parameters), "loops": loops}
 
 
 def as_table(states: Iterable[TopologicalState]) -> Any:
@@ -156,10 +186,18 @@ def as_table(states: Iterable[TopologicalState]) -> Any:
     """
     import pandas as pd
 
-    numbers, axes, rows = ("id", "birth", "death", "lifetime", "killer_shift"), ["x", "y", "z"], []
+    numbers = ("id", "birth", "death", "lifetime", "killer_shift")
+    axes = ["x", "y", "z"]
+    rows = []
     for state in states:
         for loop in state.loops:
-            axes = axes if len(loop.centre) == 3 else [f"x{i}" for i in range(len(loop.centre))]
+            if len(loop.centre) != 3:
+                axes = [f"x{i}" for i in range(len(loop.centre))]
             values = [getattr(loop, name) for name in numbers]
             rows.append([state.frame, state.time, *values, *loop.centre.tolist(), *loop.killer_edge.tolist()])
     return pd.DataFrame(rows, columns=["frame", "time", *numbers, *axes, "killer_a", "killer_b"])
+
+
+def loop_colour(loop_id: int) -> str:
+    """Return the colour of an identity as `#RRGGBB`; identities six apart share one."""
+    return _OKABE_ITO[int(loop_id) % len(_OKABE_ITO)]

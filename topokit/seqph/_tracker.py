@@ -1,44 +1,64 @@
-"""seqPH: follow loops through a sequence of point clouds.
+"""The tracker of seqPH: loops through a sequence of point clouds.
 
-Idea: every frame's loops come from Rips persistence; a loop is the same as one of the frame before when its birth, its
-death and the place of its killer edge have moved no more than the sampling (alpha), the motion (epsilon) and the jitter of
-killers (beta) allow. The assignment that moves killers least in total hands the identities on. Which bars are loops is told by
-the diagram and by the film before it (`topokit.seqph._evidence`), or, as in the paper, by alpha alone.
+Idea: every frame's loops come from Rips persistence. A loop is the same as one of the frame before when its birth, its death and
+the place of its killer edge have moved no more than the sampling (alpha), the motion (epsilon) and the jitter of killers (beta)
+allow. The assignment that moves killers least in total hands the identities on. Which bars are loops is decided by the diagram
+and the film before it (`_evidence`), or, as in the paper, by alpha alone.
 
-Source: Antonova et al. 2021, Algorithm 1 and Corollary 1. In the paper's listing the matching stands inside the loop over
-l; it needs the whole distance matrix, so it follows both loops here. Taught in chapters 0 and 7.
+Source: Antonova et al. 2021, Algorithm 1 and Corollary 1. In the paper's listing the matching is inside the loop over l; it needs
+the whole distance matrix, so it follows both loops here. Taught in chapters 0 and 7.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from topokit._validate import Array, as_sequence, positive, whole
 from topokit.linking import curve_centroid
 from topokit.rips import Diagram, Film, rips_persistence_many
-from topokit.sampling import as_tree, hausdorff, hausdorff_table
+from topokit.sampling import as_tree, hausdorff
 
 from ._evidence import MISSED, WEAKEST, believe
 from ._frames import Frame, check_diagram, check_follows
-from ._matching import Candidates, Known, MatchRule, candidates_of, check_pairs, within_gates
-from ._state import Loop, TopologicalState, loop_of
+from ._matching import Candidates, MatchRule, check_pairs, within_gates
+from ._state import TopologicalState, loop_at
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-_PAPER = {"loops": "alpha", "gates": "paper", "identity": "killer-edge", "memory": 0}
-PAPER: Mapping[str, Any] = MappingProxyType(_PAPER)
+PAPER: Mapping[str, Any] = MappingProxyType(
+    {"loops": "alpha", "gates": "paper", "identity": "killer-edge", "memory": 0}
+)
 """The options of `SeqPH` that make it the paper's tracker, rule for rule: ``SeqPH.paper()``, ``track(clouds, **PAPER)``."""
+
 _LOOPS = ("evidence", "alpha")
 _GATES = ("paper", "proved", "near")
 _IDENTITIES = ("killer-edge", "killer-triangles", "cycle")
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A bar of an earlier frame that may be found again. It is a loop once there is enough belief in it."""
+
+    birth: float
+    death: float
+    place: Array  #: (p, d) for the tracker's identity
+    killer_edge: Array  #: (2, d)
+    belief: float  #: log-odds of being a loop
+    id: int | None  #: None as long as there is too little belief in it
+    motion: float = 0.0  #: how far the scene has moved since it was seen
+    missed: int = 0  #: for how many frames it has not been found
+
+    def carried(self, shift: Array | float, epsilon: float) -> Known:
+        """Return it one frame later, moved with the scene."""
+        return replace(self, place=self.place + shift, motion=self.motion + epsilon, missed=self.missed + 1)
 
 
 class SeqPH:
@@ -105,19 +125,28 @@ class SeqPH:
         self.alpha = None if alpha is None else positive(alpha, "alpha")
         self.beta = None if beta is None else positive(beta, "beta")
         self.epsilon = None if epsilon is None else positive(epsilon, "epsilon")
-        self.loops = ("evidence" if alpha is None else "alpha") if loops is None else loops
-        self.gates, self.identity, self.memory = gates, identity, whole(memory, "memory")
-        for name, known in (("loops", _LOOPS), ("gates", _GATES), ("identity", _IDENTITIES)):
-            if getattr(self, name) not in known:
-                raise ValueError(f"{name} must be one of {known}, not {getattr(self, name)!r}")
-        if match is not None and not callable(match):
+        if loops is None:
+            loops = "evidence" if alpha is None else "alpha"
+        self.loops = loops
+        self.gates = gates
+        self.identity = identity
+        self.memory = whole(memory, "memory")
+        for name, choices in (("loops", _LOOPS), ("gates", _GATES), ("identity", _IDENTITIES)):
+            if getattr(self, name) not in choices:
+                raise ValueError(f"{name} must be one of {choices}, not {getattr(self, name)!r}")
+        if match is None:
+            match = partial(within_gates, gates)
+        if not callable(match):
             raise TypeError(f"match must be a function of `Candidates`, not {match!r}")
-        self._match = partial(within_gates, gates) if match is None else match
-        self._number, self._next_id = 0, 0
-        self._time: float | None = None
+        self._match = match
+
+        # What is kept from frame to frame.
+        self._number = 0  # of the next frame
+        self._next_id = 0
         self._before: Frame | None = None
+        self._time_before: float | None = None
         self._known: list[Known] = []
-        self._film = Film()
+        self._film = Film()  # what persistence keeps of the frames before
 
     @classmethod
     def paper(cls, **options: Any) -> SeqPH:
@@ -150,7 +179,7 @@ class SeqPH:
         """
         tree = as_tree(points, f"frame {self._number}", copy=True)
         frame = self._frame(tree)
-        check_follows(self._number, (self._before, self._time), (frame, time))
+        check_follows(self._number, frame, time, self._before, self._time_before)
         if diagram is None:
             diagram = self._film.next_diagram(tree.data[frame.ids])
         else:
@@ -171,74 +200,115 @@ class SeqPH:
             yield self.update(points)
 
     def _frame(self, tree: cKDTree) -> Frame:
-        """What this tracker takes from a cloud."""
+        """Return what this tracker takes from a cloud."""
         if self.loops == "alpha":
             return Frame.of_all_points(tree, self.alpha)
         frame = Frame.without_outliers(tree)
-        return frame if self.alpha is None else replace(frame, alpha=self.alpha)
+        if self.alpha is not None:
+            frame = replace(frame, alpha=self.alpha)
+        return frame
 
     def _advance(self, cloud: Array, frame: Frame, diagram: Diagram, time: float | None) -> TopologicalState:
-        """Take a checked frame whose persistence is known."""
+        """Return the state of a checked frame whose persistence is known: one turn of Algorithm 1.
+
+        The tracker changes only at the end, so that an error of a match rule leaves it as it was.
+        """
+        # The bars of this frame that may be loops, and where they are. In the paper: those that live alpha or longer.
         evidence = self._loop_evidence(frame, diagram)
-        found = np.flatnonzero(evidence > WEAKEST).tolist()
-        shift, epsilon = self._motion(frame)
-        known = [replace(k, place=k.place + shift, motion=k.motion + epsilon, missed=k.missed + 1) for k in self._known]
-        deaths = (diagram.death[found], np.array([k.death for k in known]))
-        beta = self._beta(*deaths)
-        parameters = {"alpha": frame.alpha, "beta": float(np.max(beta, initial=0.0)), "epsilon": epsilon}
+        bars = np.flatnonzero(evidence > WEAKEST).tolist()
         points = cloud[frame.ids]
-        places = [place(diagram, i, points, self.identity) for i in found]
-        matched = self._pairs(candidates_of(diagram, found, places, known, (frame.alpha, beta)), known)
-        loops, kept, next_id = [], [], self._next_id
-        for k, i in enumerate(found):
-            before = known[matched[k]] if k in matched else None
-            belief = believe(before.belief if before else 0.0, evidence[i])
-            identity = before.id if before else None
+        places = [place(diagram, bar, points, self.identity) for bar in bars]
+
+        # The loops known from before, carried along with the scene.
+        shift, epsilon = self._motion(frame)
+        known = [one.carried(shift, epsilon) for one in self._known]
+
+        # Which bar is which known loop: distances and gates of all pairs, then the cheapest matching of them.
+        beta = self._beta(diagram.death[bars], np.array([one.death for one in known]))
+        candidates = Candidates(
+            birth=diagram.birth[bars],
+            death=diagram.death[bars],
+            places=np.array(places),
+            known_birth=np.array([one.birth for one in known]),
+            known_death=np.array([one.death for one in known]),
+            known_places=np.array([one.place for one in known]),
+            motion=np.array([one.motion for one in known]),
+            alpha=frame.alpha,
+            beta=beta,
+        )
+        matched = self._pairs(candidates, known)
+
+        # A matched bar takes over belief and identity. A bar that is believed in for the first time gets a new identity.
+        loops = []
+        found = []
+        next_id = self._next_id
+        for i, bar in enumerate(bars):
+            belief = 0.0
+            identity = None
+            edge_before = None
+            if i in matched:
+                before = known[matched[i]]
+                belief = before.belief
+                identity = before.id
+                if identity is not None:
+                    edge_before = before.killer_edge
+            belief = believe(belief, evidence[bar])
             if belief > 0:
                 if identity is None:
-                    identity, next_id, before = next_id, next_id + 1, None
-                was = None if before is None else before.killer_edge
-                loops.append(loop_at(diagram, i, cloud, frame.ids, identity, was))
-            edge = points[diagram.killer_edge[i]]
-            kept.append(Known(diagram.birth[i], diagram.death[i], places[k], edge, belief, identity))
+                    identity = next_id
+                    next_id += 1
+                loops.append(loop_at(diagram, bar, cloud, frame.ids, identity, edge_before))
+            killer_edge = points[diagram.killer_edge[bar]]
+            found.append(Known(diagram.birth[bar], diagram.death[bar], places[i], killer_edge, belief, identity))
+
+        # Known loops that were not found are remembered for some frames, with less belief. The paper forgets them.
         taken = set(matched.values())
-        left = [k for j, k in enumerate(known) if j not in taken and k.missed <= self.memory]
-        self._known = kept + [replace(k, belief=believe(k.belief, MISSED)) for k in left]
-        state = TopologicalState(self._number, float(self._number if time is None else time), tuple(loops), parameters)
-        self._before, self._next_id, self._number, self._time = frame, next_id, self._number + 1, time
+        missed = [one for j, one in enumerate(known) if j not in taken and one.missed <= self.memory]
+        remembered = [replace(one, belief=believe(one.belief, MISSED)) for one in missed]
+
+        # The state X_t, and what the next frame needs.
+        parameters = {"alpha": frame.alpha, "beta": float(np.max(beta, initial=0.0)), "epsilon": epsilon}
+        seconds = float(self._number if time is None else time)
+        state = TopologicalState(self._number, seconds, tuple(loops), parameters)
+        self._known = found + remembered
+        self._next_id = next_id
+        self._before = frame
+        self._time_before = time
+        self._number += 1
         return state
 
     def _loop_evidence(self, frame: Frame, diagram: Diagram) -> Array:
-        """(m,) evidence that each bar is a loop; by alpha alone there is no doubt."""
+        """Return the evidence (m,) that each bar is a loop; by alpha alone it is infinite, for or against."""
         if self.loops == "alpha":
             return np.where(diagram.lifetime >= frame.alpha, np.inf, -np.inf)
         return frame.loop_evidence(diagram.birth, diagram.death)
 
     def _motion(self, frame: Frame) -> tuple[Array | float, float]:
-        """How far the scene as a whole has moved, and epsilon, given or estimated."""
+        """Return how far the scene as a whole has moved, and epsilon, given or estimated."""
         if self._before is None or self.epsilon is not None:
             return 0.0, self.epsilon or 0.0
         if self.loops == "alpha":
             return 0.0, hausdorff(frame.tree, self._before.tree)
         return frame.motion_since(self._before)
 
-    def _beta(self, found: Array, known: Array) -> Array | float:
-        """Given, or from the deaths of what is found and known: for all, or (n, m) for each pair when gates are near."""
+    def _beta(self, death: Array, known_death: Array) -> Array | float:
+        """Return beta, given or estimated as the length of the longer killer edge: of all, or (n, m) of each near pair."""
         if self.beta is not None:
             return self.beta
         if self.gates == "near":
-            return 2 * np.maximum(found[:, None], known)
-        return 2 * max([*found, *known], default=0.0)
+            return 2 * np.maximum(death[:, None], known_death)
+        return 2 * max([*death, *known_death], default=0.0)
 
-    def _pairs(self, loops: Candidates, known: list[Known]) -> dict[int, int]:
-        """Which of what is found is which of what is known: loops that are believed in come first."""
+    def _pairs(self, candidates: Candidates, known: list[Known]) -> dict[int, int]:
+        """Return the known loop of each found one that has one. Loops that are believed in are matched first."""
         pairs: dict[int, int] = {}
-        for turn in (True, False):
-            rows = [i for i in range(len(loops.birth)) if i not in pairs]
-            columns = [j for j, one in enumerate(known) if (one.belief > 0) == turn]
+        for believed in (True, False):
+            rows = [i for i in range(len(candidates.birth)) if i not in pairs]
+            columns = [j for j, one in enumerate(known) if (one.belief > 0) == believed]
             if rows and columns:
-                matched = check_pairs(self._match(loops.part(rows, columns)), len(rows), len(columns))
-                pairs.update((rows[i], columns[j]) for i, j in matched)
+                rule_pairs = self._match(candidates.subset(rows, columns))
+                for i, j in check_pairs(rule_pairs, len(rows), len(columns)):
+                    pairs[rows[i]] = columns[j]
         return pairs
 
 
@@ -273,15 +343,26 @@ def track(
     stamps: list[float | None] = [None] * len(clouds) if times is None else list(times)
     if len(stamps) != len(clouds):
         raise ValueError(f"times has {len(stamps)} values for {len(clouds)} frames")
+
+    # Check all frames before anything is computed.
     tracker = SeqPH(**options)
-    trees = (as_tree(cloud, f"frame {t}") for t, cloud in enumerate(clouds))
-    frames = [(tracker._frame(tree), stamp) for tree, stamp in zip(trees, stamps, strict=True)]
-    for number, frame in enumerate(frames):
-        check_follows(number, frames[number - 1] if number else (None, None), frame)
-    seen = [cloud[frame.ids] for cloud, (frame, _) in zip(clouds, frames, strict=True)]
-    diagrams = rips_persistence_many(seen, n_jobs, progress=progress)
-    known = zip(clouds, frames, diagrams, strict=True)
-    return [tracker._advance(cloud, frame, diagram, time) for cloud, (frame, time), diagram in known]
+    frames: list[Frame] = []
+    before = None
+    time_before = None
+    for number, (cloud, time) in enumerate(zip(clouds, stamps, strict=True)):
+        frame = tracker._frame(as_tree(cloud, f"frame {number}"))
+        check_follows(number, frame, time, before, time_before)
+        frames.append(frame)
+        before = frame
+        time_before = time
+
+    # Persistence of all frames at once, then the matching frame by frame.
+    counting = [cloud[frame.ids] for cloud, frame in zip(clouds, frames, strict=True)]
+    diagrams = rips_persistence_many(counting, n_jobs, progress=progress)
+    states = []
+    for cloud, frame, diagram, time in zip(clouds, frames, diagrams, stamps, strict=True):
+        states.append(tracker._advance(cloud, frame, diagram, time))
+    return states
 
 
 def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
@@ -300,30 +381,3 @@ def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
     if identity == "killer-triangles":
         return cloud[diagram.killer_triangles[i, 0]].mean(axis=0, keepdims=True)
     return curve_centroid(cloud[diagram.cycle(i)])[None]
-
-
-def _cycle(diagram: Diagram, i: int, ids: NDArray[np.int64]) -> NDArray[np.int64]:
-    return ids[diagram.cycle(i)]
-
-
-def loop_at(
-    diagram: Diagram, i: int, cloud: Array, ids: NDArray[np.int64], identity: int, before: Array | None
-) -> Loop:
-    """Gather what the state keeps of loop `i` of a diagram of the points `ids` of a cloud, after a killer edge (2, d)."""
-    edge, neighbours, killer_shift = ids[diagram.killer_edge[i]], ids[diagram.neighbours(i)], float("nan")
-    if before is not None:
-        killer_shift = float(hausdorff_table(cloud[edge][None], before[None])[0, 0])
-    sides = np.linalg.norm(cloud[neighbours] - cloud[neighbours[:, [2, 0, 1]]], axis=2)
-    return loop_of(
-        cloud,
-        partial(_cycle, diagram, i, ids),
-        id=identity,
-        birth=float(diagram.birth[i]),
-        death=float(diagram.death[i]),
-        killer_shift=killer_shift,
-        birth_edge=ids[diagram.birth_edge[i]],
-        killer_edge=edge,
-        killer_triangle_ids=ids[diagram.killer_triangles[i]],
-        neighbour_ids=neighbours,
-        neighbour_values=sides.max(axis=1, initial=0.0) / 2,
-    )
