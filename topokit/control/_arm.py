@@ -1,7 +1,7 @@
-"""What the servo measures: the arm of a target, the opening of a loop.
+"""The measures of a servo: the arm of a target, and the opening of a loop.
 
-Idea: a loop is hung by passing its *rim*, the place that will lie on the arm, over the tip. All that this takes of a loop is
-where its rim is, which way its opening looks, and how large it is; of a target, the last part that runs sideways.
+Idea: a loop is hung by passing its *rim*, the place that will lie on the arm, over the tip. Three measures of a loop suffice:
+where its rim is, which way its opening faces, and how large it is. Of a target the last part that runs sideways suffices.
 """
 
 from __future__ import annotations
@@ -24,23 +24,24 @@ _FLAT = 0.7  # share of a loop's area that looks up or down, at least, when it l
 
 
 def angle(start: Array, end: Array) -> float:
-    """Degrees, -180 to 180, from one level direction to another, from x towards y."""
+    """Return the degrees, -180 to 180, from one level direction to another, from x towards y."""
     return float(np.degrees(np.arctan2(start[0] * end[1] - start[1] * end[0], start[:2] @ end[:2])))
 
 
 def lies_flat(curve: Array) -> bool:
-    """Whether a closed curve lies flat, as the tube of a shirt does: that goes around a body, and not over an arm."""
+    """Return whether a closed curve lies flat, as the tube of a shirt does, which goes around a body and not over an arm."""
     area = _area(curve)
     return bool(abs(area[2]) > _FLAT * np.linalg.norm(area))
 
 
 def _area(curve: Array) -> Array:
-    ways = curve - curve[0]
-    return np.asarray(np.cross(ways, np.roll(ways, -1, axis=0)).sum(axis=0))
+    """Return twice the vector area (3,) of a closed curve."""
+    corners = curve - curve[0]
+    return np.asarray(np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0))
 
 
 def drawn(cycle: Array, last: Array, cloth: cKDTree) -> Array:
-    """A closed curve that is not seen, drawn to the cloth nearest to it, evenly, and a little to where it was seen last."""
+    """Return a curve that is not seen, drawn to the cloth nearest to it, evenly, and a little to where it was seen last."""
     distance, nearest = cloth.query(cycle)
     pull = np.where((distance < _NEAR)[:, None], cloth.data[nearest] - cycle, 0)
     pull = uniform_filter1d(pull, max(3, len(cycle) // 3), axis=0, mode="wrap")
@@ -48,24 +49,24 @@ def drawn(cycle: Array, last: Array, cloth: cKDTree) -> Array:
 
 
 class Arm(NamedTuple):
-    """What a loop is put over: the last part of a centre line that runs sideways, and the tip that rises from its end.
+    """The part of a target that a loop is put over: it runs sideways, and a tip rises from its end.
 
-    A head is one, too: it rises from the neck, and a loop that is drawn over it from before lies behind it in the end.
+    A head is an arm, too: it rises from the neck, and a loop that is drawn over it from the front lies behind it in the end.
     """
 
     start: Array  # (3,)
     end: Array  # (3,)
     tip: Array  # (3,)
-    out: Array  # (3,) unit, level: where it points
+    out: Array  # (3,) unit, level: the direction in which it points
     reach: float  # metres along `out`
     closed: Array  # the whole centre line, closed far away
     depth: float = 0.5  # share of the reach at which the rim goes down
-    under: float = np.inf  # metres: a loop whose middle is above that does not hang yet
+    under: float = np.inf  # metres: a loop whose middle is higher does not hang yet
     wide: float = 0.0  # metres between the grippers that a loop needs to go over it
 
     @classmethod
     def of(cls, line: Array) -> Arm | None:
-        """Of a centre line (K, 3) from the floor to the tip; None when no part of it runs sideways."""
+        """Return the arm of a centre line (K, 3) from the floor to the tip; None when no part of it runs sideways."""
         steps = np.diff(line, axis=0)
         level = np.linalg.norm(steps[:, :2], axis=1)
         sideways = np.flatnonzero(level > np.abs(steps[:, 2]))
@@ -76,38 +77,50 @@ class Arm(NamedTuple):
 
     @classmethod
     def of_head(cls, line: Array, rods: Array, place: Array) -> Arm | None:
-        """Of a mannequin's upright line and its rods (R, 7), for what comes from a place; None when it has no shoulders."""
-        head, across = rods[rods[:, 5].argmax()], rods[:, 3:5] - rods[:, :2]
+        """Return the head of a mannequin's line and rods (R, 7), approached from a place; None when it has no shoulders."""
+        # The head is the highest rod, a shoulder the one that reaches farthest sideways.
+        head = rods[rods[:, 5].argmax()]
+        radius = float(head[6])
+        across = rods[:, 3:5] - rods[:, :2]
         shoulder = across[np.linalg.norm(across, axis=1).argmax()]
-        width, radius = float(np.linalg.norm(shoulder)), float(head[6])
+        width = float(np.linalg.norm(shoulder))
         if width < radius / 2:
             return None
+        # It points level, across the shoulders, towards that place.
         out = np.array([-shoulder[1], shoulder[0], 0]) / width
-        out *= 1 if out @ (place - line[-1]) > 0 else -1
-        front, nape = line[-1] + radius * out, line[-2] - (radius + _BEHIND) * out + [0, 0, _BEHIND - radius]
+        if out @ (place - line[-1]) <= 0:
+            out = -out
+        # A strap goes over the front of the head, and lies at the nape in the end.
+        front = line[-1] + radius * out
+        nape = line[-2] - (radius + _BEHIND) * out + [0, 0, _BEHIND - radius]
         end = np.array([*front[:2], nape[2]])
         middle = float(head[[2, 5]].mean())
         reach = 2 * radius + _BEHIND
         return cls(nape, end, front, out, reach, close_far(line), 1.0, middle, 2 * radius + 0.06)
 
     def drawn_back(self, drift: Array) -> Arm:
-        """The same, when it goes by that in a frame; cloth lags behind an arm that retreats, and slips off but near the post."""
-        return self._replace(depth=max(self.depth, 0.85)) if drift @ self.out < -_RETREATS else self
+        """Return the arm for a target that moves by `drift` in a frame.
+
+        Cloth lags behind an arm that retreats and slips over its tip, so its rim goes down near the post.
+        """
+        if drift @ self.out < -_RETREATS:
+            return self._replace(depth=max(self.depth, 0.85))
+        return self
 
     @property
     def seat(self) -> Array:
-        """(3,) on the centre line, or behind the neck: where the rim goes down."""
+        """The place (3,) where the rim goes down: on the centre line, or behind the neck."""
         return np.asarray(self.end + self.depth * (self.start - self.end))
 
     def holds(self, cycle: Array) -> bool:
-        """Whether a closed curve winds around the target; one that touches its centre line does not, yet."""
+        """Return whether a closed curve winds around the target; a curve that touches the centre line does not yet."""
         try:
             return linking_number(cycle, self.closed) != 0 and cycle[:, 2].mean() < self.under
         except ValueError:
             return False
 
     def before(self, place: Array, far: float) -> Array:
-        """A place so far before the tip; for what is beside or behind the target, one on the way around it."""
+        """Return a place so far before the tip; from beside or behind the target, one on the way around it."""
         aside = angle(self.out, place - self.start)
         if abs(aside) < 60:
             return np.asarray(self.tip + far * self.out)
@@ -115,7 +128,7 @@ class Arm(NamedTuple):
 
 
 class Opening(NamedTuple):
-    """What is to be known of a loop in order to hang it."""
+    """The measures of a loop that is to hang."""
 
     rim: Array  # (3,) the highest place of the curve above its centroid
     normal: Array  # (3,) unit, level: the direction that the arm shall have, from its pole to its tip
@@ -123,12 +136,13 @@ class Opening(NamedTuple):
 
     @classmethod
     def of(cls, cycle: Array) -> Opening | None:
-        """Of a closed curve (L, 3), its normal either of two; None when it lies flat, or in one line."""
+        """Return the opening of a closed curve (L, 3), its normal either of two; None when it lies flat, or in one line."""
         after = np.roll(cycle, -1, axis=0)
         area = _area(cycle) * [1, 1, 0]
         if len(cycle) < 3 or np.linalg.norm(area) < 1e-6:
             return None
         normal = area / np.linalg.norm(area)
+        # Where the curve crosses the upright line through its centroid; the rim is the highest such place.
         across = (cycle - curve_centroid(cycle)) @ np.cross([0, 0, 1], normal)
         step = np.roll(across, -1) - across
         crossed = np.flatnonzero((across < 0) != (across + step < 0))
@@ -137,21 +151,23 @@ class Opening(NamedTuple):
         return cls(places[places[:, 2].argmax()], normal, np.array([np.ptp(places[:, 2]), np.ptp(across)]))
 
     def along(self, direction: Array) -> Opening:
-        """The same, its normal the one of two that is nearer to a direction."""
+        """Return the opening with the one of its two normals that is nearer to a direction."""
         return self if self.normal @ direction > 0 else self._replace(normal=-self.normal)
 
     def blended(self, new: Opening, weight: float) -> Opening:
-        """The mean of this and of a later look, which counts by its weight; the normal keeps its side."""
+        """Return the mean of this and of a later opening, which counts by its weight; the normal keeps its side."""
         mixed = Opening(*((1 - weight) * a + weight * b for a, b in zip(self, new.along(self.normal), strict=True)))
         return mixed._replace(normal=mixed.normal / np.linalg.norm(mixed.normal))
 
     def gap(self, other: Opening) -> float:
-        """How far two openings are from being one, metres."""
+        """Return how different two openings are, metres."""
         return float(np.linalg.norm(self.rim - other.rim) + abs(self.size[0] - other.size[0]) / 2)
 
     def blocked(self, cloud: Array, depth: float) -> int:
-        """How many points (n, 3) lie before the opening, where the arm comes from, or within that depth behind it."""
-        there = cloud - self.rim
-        across, behind = there @ np.cross([0, 0, 1], self.normal), there @ self.normal
-        framed = (np.abs(across) < 0.3 * self.size[1]) & (np.abs(there[:, 2] / self.size[0] + 0.5) < 0.3)
+        """Return how many points (n, 3) lie before the opening, where the arm comes from, or within a depth behind it."""
+        from_rim = cloud - self.rim
+        across = from_rim @ np.cross([0, 0, 1], self.normal)
+        behind = from_rim @ self.normal
+        # Framed by the opening: seen along the normal, within its middle.
+        framed = (np.abs(across) < 0.3 * self.size[1]) & (np.abs(from_rim[:, 2] / self.size[0] + 0.5) < 0.3)
         return int((framed & (np.abs(behind) > 0.03) & (behind < depth)).sum())

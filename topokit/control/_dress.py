@@ -1,10 +1,9 @@
-"""Put on a mannequin what is worn: over its head from above, or by two straps over its shoulders.
+"""Put a garment on a mannequin: over its head from above, or by two straps over its shoulders.
 
-Idea: what is held by two grippers moves with them, so a fixed row of stops does, as long as it is told in the frame of the body
-and of what the cloth is seen to be. A shirt hangs open below the grippers as a tube does: its flat loops say where the middle of
-the tube is, its lowest point how high it must be lifted. Straps go past the ends of the shoulders, one on either side, and are
-drawn together behind them. The loops decide about the end: the grippers let go when they were seen around the neck, or around
-both shoulders, where they now are; else they go back and try again.
+Idea: cloth that two grippers hold moves with them. So a fixed row of stops suffices, in the frame of the body and with sizes of
+the cloth as it is seen. A shirt hangs open below the grippers as a tube does: its flat loops show where the middle of the tube
+is, and its lowest point how high it must be lifted. Straps go past the ends of the shoulders, one on either side, and are drawn
+together behind them. The grippers let go when the loops are seen around the neck, or around both shoulders; else they try again.
 """
 
 from __future__ import annotations
@@ -27,8 +26,11 @@ _CLEAR = 0.06  # metres from the head to the lowest cloth above it
 _ON = 0.03  # metres above the shoulders at which a shirt is let go
 _ASIDE = 0.11  # metres that grippers pass above and beside the ends of the shoulders
 _STRETCH = 1.1  # of what is held, at most
-_NEAR, _FACING, _APART = 0.025, 7.0, 0.03  # metres and degrees that are near enough to a stop, and metres to an opening
-_GAIN, _WIDEN = 0.15, 0.012  # share of what is missing made up for in a frame; metres, at most
+_NEAR = 0.025  # metres that are near enough to a stop
+_FACING = 7.0  # degrees that are near enough
+_APART = 0.03  # metres between the grippers that are near enough
+_GAIN = 0.15  # share of what is missing that is made up for in a frame
+_WIDEN = 0.012  # metres by which grippers go apart in a frame, at most
 _SEEN = 2  # looks in which a strap was around its shoulder
 _TRIES = 4
 
@@ -38,28 +40,36 @@ class _Body(NamedTuple):
 
     arm: Arm
     line: Array  # (4, 3) from the floor to the top of the head
-    ends: Array  # (2, 3) of the shoulders, that to the right of one who comes first
+    ends: Array  # (2, 3) of the shoulders, first the one on the right as seen from there
     shoulders: tuple[Array, ...]  # lines from the floor up and out through them
 
     @classmethod
     def of(cls, line: Array, rods: Array, place: Array) -> _Body | None:
-        """Of its centre line and its rods (R, 7), for what comes from a place; None when it has no head on shoulders."""
+        """Return the body of a centre line and rods (R, 7), approached from a place; None without a head on shoulders."""
         arm = Arm.of_head(line, rods, place)
-        if arm is None or Arm.of(line):  # what has an arm is a hook
+        if arm is None or Arm.of(line):  # a target with an arm is a hook
             return None
+        # The shoulders are the two rods that reach farthest sideways.
         across = rods[:, 3:6] - rods[:, :3]
         wide = np.linalg.norm(across[:, :2], axis=1)
         ends = rods[np.argsort(-wide, kind="stable")[:2], 3:6]
         right = np.cross(arm.out, [0, 0, -1.0])
         ends = ends[np.argsort(ends @ right)[::-1]]
-        lines = (close_far(np.array([line[0], [*line[-1, :2], x[2]], x]), end=x - [*line[-1, :2], x[2]]) for x in ends)
+        # A line goes up the axis and out through each shoulder, closed far away.
+        lines = []
+        for end in ends:
+            axis = np.array([*line[-1, :2], end[2]])
+            lines.append(close_far(np.array([line[0], axis, end]), end=end - axis))
         return cls(arm, line, ends, tuple(lines))
 
 
 class _Wearing(Servo):
-    """Goes along stops in the frame of a body, and lets go when the loops are on."""
+    """A controller that goes along stops in the frame of a body, and lets go when the loops are on."""
 
     _SPEEDS: ClassVar[dict[str, float]]  # the stops, and the shares of the largest step on the way to them
+
+    def __init__(self, *, max_step: float = 0.0432, cloud_delay: int = 0) -> None:
+        super().__init__(max_step=max_step, cloud_delay=cloud_delay)
 
     def reset(self, observation: Mapping[str, Any]) -> None:
         """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
@@ -69,78 +79,90 @@ class _Wearing(Servo):
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """Return the next action; nothing moves once there is a `reason` to give up."""
-        points, grippers, line, rods = (
-            np.asarray(observation[key], np.float64) for key in ("points", "grippers", "target", "rods")
-        )
-        body = _Body.of(line, rods, self._front)
-        if body is None or self.reason or not observation["held"]:
-            self.reason = self.reason or ("" if body else "the target has no head on shoulders")
-            return np.zeros(7, np.float32)
-        self._frame, self._wide = self._frame + 1, 0.0
-        self._follow(points, grippers, line)
+        nothing = np.zeros(7, np.float32)
+        if self.reason:
+            return nothing
+        grippers = np.asarray(observation["grippers"], np.float64)
+        line = np.asarray(observation["target"], np.float64)
+        body = _Body.of(line, np.asarray(observation["rods"], np.float64), self._front)
+        if body is None:
+            self.reason = "the target has no head on shoulders"
+        if body is None or not observation["held"]:
+            return nothing
+        self._frame += 1
+        self._wide = 0.0
+        self._follow(np.asarray(observation["points"], np.float64), grippers, line)
         self.reason = self._unfit(body)
-        return np.zeros(7, np.float32) if self.reason else self._onward(body, grippers)
+        return nothing if self.reason else self._onward(body, grippers)
 
     def _look(self, points: Array) -> None:
         """Take in the loops that are seen now."""
-        found = self._tracker.update(np.unique(points, axis=0)).loops
-        self._loops = [self._inside(loop.cycle_points) for loop in found]
+        loops = self._tracker.update(np.unique(points, axis=0)).loops
+        self._loops = [self._inside(loop.cycle_points) for loop in loops]
         self._measure(self._inside(points))
 
     def _onward(self, body: _Body, grippers: Array) -> NDArray[np.float32]:
-        """Bring the grippers nearer to the stop; then comes the next stop, or they let go."""
-        stop, here = list(self._SPEEDS)[self._stop], self._here()
+        """Return the action that brings the grippers nearer to the stop; then comes the next stop, or they let go."""
+        # What is missing to the stop: a move, a turn, and a distance between the grippers.
+        stop = list(self._SPEEDS)[self._stop]
+        here = self._here()
         goal, gap = self._goal_of(stop, here, body)
-        way, facing = goal - here, self._facing(stop, body, grippers)
+        move = goal - here
+        facing = self._facing(stop, body, grippers)
         apart = gap - float(np.linalg.norm(self._goals[1] - self._goals[0]))
-        there = np.linalg.norm(way) < _NEAR and abs(facing) < _FACING and abs(apart) < _APART
+        arrived = np.linalg.norm(move) < _NEAR and abs(facing) < _FACING and abs(apart) < _APART
+        # Let go, go on to the next stop, or try again from the first one.
         self._waited += 1
-        if self._worn(stop, body) and stop == "down" and (there or self._waited > PATIENCE):
+        if self._worn(stop, body) and stop == "down" and (arrived or self._waited > PATIENCE):
             return np.eye(7, dtype=np.float32)[6]
-        if (there and stop != "down") or self._waited > 2 * PATIENCE:
-            self._stop, self._waited = self._stop + 1, 0
+        if (arrived and stop != "down") or self._waited > 2 * PATIENCE:
+            self._stop += 1
+            self._waited = 0
         if self._stop == len(self._SPEEDS):
-            self._stop, self._tries = 0, self._tries + 1
-            self.reason = "" if self._tries < _TRIES else f"in {_TRIES} tries it was not seen to be worn"
-        way = _GAIN * way
-        way *= min(1.0, self._SPEEDS[stop] * self.max_step / max(float(np.linalg.norm(way)), 1e-9))
-        goals = here + turned(self._goals - here, np.clip(_GAIN * facing, -TURN, TURN)) + way + self._drift
+            self._stop = 0
+            self._tries += 1
+            if self._tries == _TRIES:
+                self.reason = f"in {_TRIES} tries it was not seen to be worn"
+        # Make up for a share of what is missing, no faster than the stop allows.
+        move = _GAIN * move
+        move *= min(1.0, self._SPEEDS[stop] * self.max_step / max(float(np.linalg.norm(move)), 1e-9))
+        goals = here + turned(self._goals - here, np.clip(_GAIN * facing, -TURN, TURN)) + move + self._drift
         across = (goals[1] - goals[0]) / np.linalg.norm(goals[1] - goals[0])
         goals = goals + np.array([[-0.5], [0.5]]) * across * np.clip(apart, -_WIDEN, _WIDEN)
         return self._step(goals, grippers)
 
     def _unfit(self, body: _Body) -> str:
-        """Why the garment cannot be put on this body; nothing when it can."""
+        """Return why the garment cannot be put on this body; "" when it can."""
         return ""
 
     def _here(self) -> Array:
-        """What is brought to the stops: midway between the grippers."""
+        """Return the place that is brought to the stops: midway between the grippers."""
         return self._middle
 
     @abstractmethod
     def _measure(self, cloth: Array) -> None:
-        """Take in the cloth (n, 3) and the loops, in the frame of the grippers."""
+        """Measure the cloth (n, 3) and the loops, in the frame of the grippers."""
 
     @abstractmethod
     def _goal_of(self, stop: str, here: Array, body: _Body) -> tuple[Array, float]:
-        """Where that should be at a stop, and how far apart the grippers."""
+        """Return where that place should be at a stop, and how far apart the grippers."""
 
     @abstractmethod
     def _facing(self, stop: str, body: _Body, grippers: Array) -> float:
-        """Degrees by which the garment has to turn."""
+        """Return the degrees by which the garment has to turn."""
 
     @abstractmethod
     def _worn(self, stop: str, body: _Body) -> bool:
-        """Whether the loops were seen to be on."""
+        """Return whether the loops were seen to be on."""
 
 
 class PullOverController(_Wearing):
-    """Put a shirt on a mannequin from above: a `Controller` that sees as `Servo` does, and needs no forecast.
+    """Put a shirt on a mannequin from above: a `Controller` with the observations of `Servo`.
 
     Parameters
     ----------
-    goal, radius, max_step, cloud_delay
-        As in `Servo`; whatever the goal, it is one garment that is put on.
+    max_step, cloud_delay
+        As in `Servo`.
     """
 
     _SPEEDS: ClassVar[dict[str, float]] = {"up": 0.5, "above": 0.45, "down": 0.35, "lift": 0.4}
@@ -148,7 +170,9 @@ class PullOverController(_Wearing):
     def reset(self, observation: Mapping[str, Any]) -> None:
         """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
         super().reset(observation)
-        self._centre, self._length, self._around = np.zeros(3), 0.0, 0
+        self._centre = np.zeros(3)  # of the tube, in the frame of the grippers
+        self._length = 0.0
+        self._around = 0  # frames in a row in which a loop was around the neck
 
     def _measure(self, cloth: Array) -> None:
         self._length = -float(cloth[:, 2].min())
@@ -160,16 +184,23 @@ class PullOverController(_Wearing):
         return self._outside(self._centre[None])[0]
 
     def _goal_of(self, stop: str, here: Array, body: _Body) -> tuple[Array, float]:
-        top, shoulders = body.line[-1], body.line[-2]
+        top = body.line[-1]
+        shoulders = body.line[-2]
         above = top[2] + _CLEAR + self._length
-        if stop in ("up", "lift"):
-            return np.array([*here[:2], max(above, here[2]) if stop == "up" else above]), self._natural
-        return np.array([*top[:2], above if stop == "above" else shoulders[2] + _ON]), self._natural
+        places = {
+            "up": [*here[:2], max(above, here[2])],
+            "above": [*top[:2], above],
+            "down": [*top[:2], shoulders[2] + _ON],
+            "lift": [*here[:2], above],
+        }
+        return np.array(places[stop]), self._natural
 
     def _facing(self, stop: str, body: _Body, grippers: Array) -> float:
-        """To the line of the shoulders, either way round; not before the garment is up."""
+        """Return the degrees to the line of the shoulders, either way round; 0 before the garment is up."""
+        if stop == "up":
+            return 0.0
         aside = angle(grippers[1] - grippers[0], body.ends[1] - body.ends[0])
-        return 0.0 if stop == "up" else (aside + 90) % 180 - 90
+        return (aside + 90) % 180 - 90
 
     def _worn(self, stop: str, body: _Body) -> bool:
         on = any(body.arm.holds(self._outside(loop)) for loop in self._loops)
@@ -178,12 +209,12 @@ class PullOverController(_Wearing):
 
 
 class StrapController(_Wearing):
-    """Put two straps over the shoulders of a mannequin: a `Controller` that sees as `Servo` does, and needs no forecast.
+    """Put two straps over the shoulders of a mannequin: a `Controller` with the observations of `Servo`.
 
     Parameters
     ----------
-    goal, radius, max_step, cloud_delay
-        As in `Servo`; whatever the goal, it is both straps that are put on.
+    max_step, cloud_delay
+        As in `Servo`.
     """
 
     _SPEEDS: ClassVar[dict[str, float]] = {"far": 0.4, "before": 0.25}
@@ -193,12 +224,13 @@ class StrapController(_Wearing):
         """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
         super().reset(observation)
         self._ahead = 0.0  # metres from the cloth's middle to the straps, left of the way from gripper to gripper
-        self._seen = np.zeros(2, np.int64)
+        self._seen = np.zeros(2, np.int64)  # frames in which a strap was around each shoulder
 
     def _unfit(self, body: _Body) -> str:
         needed = 2 * (_half(body) + _ASIDE)
-        narrow = _STRETCH * self._natural < needed
-        return f"straps held {self._natural:.2f} m apart do not pass shoulders that take {needed:.2f} m" * narrow
+        if _STRETCH * self._natural >= needed:
+            return ""
+        return f"straps held {self._natural:.2f} m apart do not pass shoulders that take {needed:.2f} m"
 
     def _measure(self, cloth: Array) -> None:
         self._ahead = (1 - _NEW) * self._ahead - _NEW * float(cloth[:, 1].mean())
@@ -206,6 +238,7 @@ class StrapController(_Wearing):
     def _goal_of(self, stop: str, here: Array, body: _Body) -> tuple[Array, float]:
         end = body.ends.mean(axis=0)
         x = _half(body)
+        # For each stop: metres before the shoulders, metres above them, half the distance between the grippers.
         away, up, half = {
             "far": (0.45, _ASIDE, self._natural / 2),
             "before": (0.1, _ASIDE, x + _ASIDE),
@@ -219,7 +252,7 @@ class StrapController(_Wearing):
         return end + away * body.arm.out + [0, 0, up], 2 * half
 
     def _facing(self, stop: str, body: _Body, grippers: Array) -> float:
-        """The straps ahead, to the body."""
+        """Return the degrees by which the straps, which are ahead, have to turn to the body."""
         ahead = turned(np.array([0, np.sign(self._ahead), 0]), self._yaw)
         return angle(ahead, -body.arm.out)
 
@@ -231,11 +264,13 @@ class StrapController(_Wearing):
 
 
 def _half(body: _Body) -> float:
+    """Return half the width of the shoulders, metres."""
     return float(np.linalg.norm(body.ends[1] - body.ends[0])) / 2
 
 
 def _around(curve: Array, line: Array) -> bool:
+    """Return whether a curve links a closed line; curves that touch do not."""
     try:
         return linking_number(curve, line) != 0
-    except ValueError:  # they touch
+    except ValueError:
         return False

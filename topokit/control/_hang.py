@@ -1,4 +1,4 @@
-"""Hang a garment in a closed loop: a controller looks, acts, looks again; what happened is an episode like any other."""
+"""Hang a garment in a closed loop: a controller observes, acts, and observes again; the result is an episode like any other."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from ._thrower import ThrowController
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Hanging:
-    """How it went."""
+    """The outcome of `hang`."""
 
-    success: bool  #: whether the task's loops are on the target, and the garment, let go of, is at rest there
+    success: bool  #: the task's loops are on the target, and the garment, let go of, is at rest there
     linked: tuple[str, ...]  #: the garment's true loops that are around the target at the end, by their names
     reason: str  #: how it ended, in words
     steps: int  #: frames until then
@@ -47,7 +47,7 @@ def hang(
     progress: bool = False,
     **options: Any,
 ) -> Hanging:
-    """Hang a garment on a target by what is seen of it, and say how it went.
+    """Hang a garment on a target by what is seen of it, and return the outcome.
 
     Parameters
     ----------
@@ -58,18 +58,17 @@ def hang(
     garment, target : optional
         Those of the task when not given.
     model : optional
-        Which forecast plans are made by (`Planner`, or with a `fence` `ThrowController`): "carry", the checkpoint of a
-        `topokit.models.Motion`, or one of one's own.
-        None is for the servo, which needs none; so do `PullOverController` and `StrapController`, which put on a mannequin
-        what is worn.
+        The forecaster that plans are made by (`Planner`, or with a `fence` `ThrowController`): "carry", the checkpoint of a
+        `topokit.models.Motion`, or a `MotionForecaster` of one's own. With None the `Servo` acts, which needs none. What is worn
+        is put on a mannequin by `PullOverController` or `StrapController`, which need none either.
     goal : optional
-        As of `Servo`; when not given and the task asks for several loops, so many at once.
+        As of `Servo`; when not given, as many loops at once as the task asks for.
     controller : Controller, optional
-        One of one's own, in place of those.
+        Acts in place of those.
     pace : float
         As of `Planner`, for those that plan.
     max_steps : int
-        Frames after which it is over.
+        Frames after which the episode ends.
     progress : bool
         Write the frames done to stderr.
     **options
@@ -100,19 +99,18 @@ def _usual(
     seed: int,
     options: dict[str, Any],
 ) -> Servo:
-    """Return the controller for a task: what is worn is put on; the rest is served, planned or thrown."""
-    if goal is None:
-        goal = env.task.needed(env.garment.named_loops) or None
-    how = {
-        "radius": env.target.rods[0][2],
-        "max_step": env.max_step,
-        "cloud_delay": options.get("cloud_delay", 0),
-    }
+    """Return the usual controller of a task."""
+    how = {"max_step": env.max_step, "cloud_delay": options.get("cloud_delay", 0)}
+    # What is worn is put on a mannequin, whatever the goal and the model.
     if env.task.all_loops and env.target.name == Mannequin.name:
         if {"neck", "hem"} <= {*env.task.loops}:
-            return PullOverController(goal, **how)
+            return PullOverController(**how)
         if all(loop.startswith("strap") for loop in env.task.loops):
-            return StrapController(goal, **how)
+            return StrapController(**how)
+    # Everything else is hung: by the servo, by plans, or by a throw over a fence.
+    if goal is None:
+        goal = env.task.needed(env.garment.named_loops) or None
+    how["radius"] = env.target.rods[0][2]
     if forecast is None:
         return Servo(goal, **how)
     if options.get("fence"):
@@ -122,7 +120,7 @@ def _usual(
 
 
 def _forecast(model: Any) -> MotionForecaster | None:
-    """The forecast that was asked for."""
+    """Return the forecaster for a model, given as `hang` takes it."""
     if model == "carry":
         return Carried()
     if isinstance(model, str | Path):
@@ -136,6 +134,7 @@ def _forecast(model: Any) -> MotionForecaster | None:
 
 
 def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Hanging:
+    """Return what becomes of a garment under a controller."""
     observation, info = env.reset(seed=seed)
     controller.reset(observation)
     seconds: list[float] = []
@@ -151,6 +150,7 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
         if progress:
             words = f"\rhanging: frame {len(seconds)} of at most {env.max_steps}"
             print(words, end="\n" * ends, file=sys.stderr, flush=True)
+    # What came of it.
     episode = env.episode(type(controller).__name__)
     loops = env.garment.named_loops
     linked = tuple(name for name, loop in loops.items() if env.standing.holds(env.vertices[loop]))

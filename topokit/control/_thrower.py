@@ -1,8 +1,8 @@
-"""A throw: what hangs beyond the reach of the hands is let go on the way to it, and flies there.
+"""A throw: a garment is let go in front of an arm beyond the reach of the grippers, and flies there.
 
-Idea: as long as hands hold the cloth, a forecast says how it moves; once they have let go, it flies, and falls as all things do.
-Runs up to a fence are drawn with the speeds at their ends and the height there, and the middle of those whose loops come
-nearest to hanging, while they fly, is taken. There is one try.
+Idea: as long as the grippers hold the cloth, a forecast predicts how it moves; after that it flies as a thrown body does. Runs up
+to a fence are drawn, each with its velocity and its height at the end. The best are those whose loops come nearest to hanging
+while they fly; their mean is taken. There is one try.
 
 Source: the cross-entropy method, as in `Planner`.
 """
@@ -22,21 +22,23 @@ from ._arm import Arm, Array
 from ._planner import FRAMES, MotionForecaster, Planner
 from ._servo import Servo
 
-_RUN, _LOW = 0.3, 0.1  # metres before the fence, and below where the rim shall pass the tip, from where it is thrown
+_RUN = 0.3  # metres before the fence at which a run begins
+_LOW = 0.1  # metres below the height at which the rim should pass the tip, at which a run begins
 _FLIES = np.array([4, 6, 8, 10])  # frames after the release at which the guide is asked
-# Speed at the release, level and up, as shares of the largest; and metres by which the rim is then above where it shall pass.
-_LEAST, _MOST = np.array([0.35, 0.0, -0.05]), np.array([1.0, 1.0, 0.08])
-_BEST = 8
+# Speed at the release, level and up, as shares of the largest; and metres by which the rim is then above where it should pass.
+_LEAST = np.array([0.35, 0.0, -0.05])
+_MOST = np.array([1.0, 1.0, 0.08])
+_BEST = 8  # throws whose mean is taken
 
 
 class ThrowController(Planner):
-    """Hang a garment on an arm that the hands cannot reach: a `Controller` that sees as `Servo` does, and throws once.
+    """Hang a garment on an arm that the hands cannot reach: a `Controller` that throws once.
 
     Parameters
     ----------
     forecast : MotionForecaster
     goal : optional
-        As in `Planner`; the forecast tells of the cloth while it is held.
+        As in `Planner`; the forecast predicts the cloth while it is held.
     fence : float
         Metres before the arm's tip that the grippers cannot pass.
     frame_time : float
@@ -59,14 +61,15 @@ class ThrowController(Planner):
         **options: Any,
     ) -> None:
         super().__init__(forecast, goal, plans=plans, rounds=rounds, **options)
-        self._fence, self._time = positive(fence, "fence"), positive(frame_time, "frame_time", zero=False)
+        self._fence = positive(fence, "fence")
+        self._time = positive(frame_time, "frame_time", zero=False)
 
     def _goal(self, stop: str, arm: Arm, rim: Array) -> Array:
-        """Where the run begins: a throw has no other stop."""
+        """Return where the run begins: a throw has no other stop."""
         return np.array([*arm.before(rim, self._fence + _RUN)[:2], self._passes(arm) - _LOW])
 
     def _along(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
-        """Go to where the run begins; choose one; run, and let go."""
+        """Return the next action: go to where a run begins, choose a run, follow it, and let go."""
         if self._stop == 0:
             return Servo._along(self, arm, grippers)
         if not len(self._path):
@@ -77,14 +80,17 @@ class ThrowController(Planner):
         return self._step(self._path[self._followed - 1], grippers)
 
     def _aimed(self, arm: Arm, grippers: Array) -> Array:
-        """The run (F, 2, 3) that is taken."""
+        """Return the run (F, 2, 3) that is taken."""
         throws = self._random.uniform(_LEAST, _MOST, (self._plans, 3))
         cycles, rims = self._curves()
         for _ in range(self._rounds):
+            # Forecast the held cloth along each run, and let it fly.
             runs = [self._run(throw, arm, grippers) for throw in throws]
-            goals, frames = (np.array(part) for part in zip(*runs, strict=True))
+            goals = np.array([run for run, _ in runs])
+            frames = np.array([count for _, count in runs])
             held = self._moved(goals, np.concatenate([rims, *cycles]))
             flying = self._flown(held, frames + self._age)
+            # Draw again about the best.
             best = throws[np.argsort(self._missing(flying, cycles, len(rims), arm, False))[:_BEST]]
             spread = (best.std(axis=0) + 0.02) * self._random.normal(size=throws.shape)
             throws = np.clip(best.mean(axis=0) + spread, _LEAST, _MOST)
@@ -92,25 +98,31 @@ class ThrowController(Planner):
         return goals[:last]
 
     def _run(self, throw: Array, arm: Arm, grippers: Array) -> tuple[Array, int]:
-        """Goals (60, 2, 3), evenly faster up to the fence, and on as if there were none; and frames up to the fence."""
+        """Return goals (60, 2, 3), ever faster up to the fence and on beyond it, and the frames up to the fence."""
         speed, up, above = throw.tolist()
         far = max(float(((self._goals - arm.tip) @ arm.out).min()) - self._fence, 0.02)
         frames = min(int(np.ceil(2 * far / (speed * self.max_step))), FRAMES)
         rise = self._passes(arm) + above - self._rim(arm, grippers)[2]
+        # From rest here to the fence, with the velocity of the throw there; straight on after it.
         ends = [np.zeros(3), np.array([0, 0, rise]) - far * arm.out]
         slopes = [np.zeros(3), self.max_step * (np.array([0, 0, up]) - speed * arm.out)]
-        way, time = CubicHermiteSpline([0, frames], ends, slopes), np.arange(1, FRAMES + 1)
+        run = CubicHermiteSpline([0, frames], ends, slopes)
+        time = np.arange(1, FRAMES + 1)
         beyond = np.maximum(time - frames, 0)[:, None] * slopes[1]
-        return self._goals + (way(np.minimum(time, frames)) + beyond)[:, None], frames
+        return self._goals + (run(np.minimum(time, frames)) + beyond)[:, None], frames
 
     def _flown(self, held: Array, lasts: NDArray[np.int64]) -> Array:
-        """(C, F, n, 3) places of points in flight, from where (C, 60, n, 3) they would be, held: let go after so many frames."""
+        """Return (C, F, n, 3) places of points in flight that are let go after so many frames, from (C, 60, n, 3) places held."""
         ends = np.minimum(lasts, FRAMES) - 1
-        places, before = (held[np.arange(len(held)), ends - back][:, None] for back in (0, 1))
+        numbers = np.arange(len(held))
+        places = held[numbers, ends][:, None]
+        before = held[numbers, ends - 1][:, None]
+        # Each point keeps its last velocity, and falls.
         frames = _FLIES[:, None, None]
         return np.asarray(
             places + frames * (places - before) - [0, 0, SimulationConfig.GRAVITY / 2] * (frames * self._time) ** 2
         )
 
     def _passes(self, arm: Arm) -> float:
+        """Return the height at which the rim should pass the tip, metres."""
         return float(arm.tip[2] + self._clear(arm))
