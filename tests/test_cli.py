@@ -396,7 +396,7 @@ def test_a_mistake_in_the_code_shows_where(episode, monkeypatch):
         ("pydantic", "from topokit.sim import SimulationConfig"),
         ("gymnasium", "from topokit.sim import HangEnv"),
         ("torch", "from topokit.models import Predictor"),
-        ("matplotlib", "import topokit.view"),
+        ("matplotlib", "from topokit.view import plot_cloth"),
         ("dask", "sys.argv[1:] = ['generate', '--out', 'x', '--episodes', '1']; run()"),
     ],
 )

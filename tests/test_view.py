@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -446,13 +444,3 @@ def test_the_script_of_plans_shows_the_forecasts_and_links_as_topokit_does(film,
         assert number == linking_number(shown[film.loops[0]], close_far(film.centre_line))
         numbers.add(abs(number))
     assert numbers == {0, 1}
-
-
-# ---- imports
-
-
-def test_importing_without_matplotlib_names_the_extra():
-    code = "import sys; sys.modules['matplotlib'] = None; import topokit.view"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode
-    assert "pip install 'topokit[view]'" in done.stderr

@@ -1,18 +1,17 @@
 """Pictures: diagrams, tracks, cloths, and interactive figures that need no kernel.
 
-Everything here needs Matplotlib. `render_cloth` draws better with PyVista, which is imported only there.
+Everything here needs Matplotlib (`pip install topokit[view]`). `render_cloth` draws better with PyVista, which is imported only
+there.
 """
 
-from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
-if find_spec("matplotlib") is None:
-    raise ImportError("topokit.view needs matplotlib: pip install 'topokit[view]'")
+from topokit._lazy import attach
 
-from topokit._lazy import shown
+if TYPE_CHECKING:
+    from ._figure import HtmlFigure
+    from ._player import plans, player, wardrobe
+    from ._plots import Scene, appearances, loop_colour, plot_cloth, plot_diagram, plot_tracks, track_figure
+    from ._render import pyvista_works, render_cloth, save_animation
 
-from ._figure import HtmlFigure
-from ._player import plans, player, wardrobe
-from ._plots import Scene, appearances, loop_colour, plot_cloth, plot_diagram, plot_tracks, track_figure
-from ._render import pyvista_works, render_cloth, save_animation
-
-__all__ = sorted(shown(__file__))
+__getattr__, __all__ = attach(__name__, __file__, "view")
