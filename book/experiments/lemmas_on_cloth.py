@@ -17,19 +17,113 @@ import json
 import math
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from topokit import farthest_point_sample, lemmas
+from topokit import farthest_point_sample, hausdorff, lemmas, rips_persistence
 from topokit.data import Dataset
 from topokit.io import Episode, load_episode
-from topokit.lemmas import StepCheck
+from topokit.lemmas import Check
+from topokit.linking import curve_centroid
 
 MEASURES = ("alpha", "epsilon", "distortion", "lifetime", "death", "beta_all", "beta_critical", "beta_intrinsic")
 PLACES = ("edge", "triangle", "barycentre", "cycle")
 QUANTILES = (0, 5, 25, 50, 75, 95, 100)
+
+
+@dataclass(frozen=True)
+class StepCheck:
+    """One step of an episode: the constants, and what became of every statement. A beta is nan where no loop lives so long."""
+
+    frame: int  #: of S_t; S_t+1 is the next frame that is looked at
+    alpha: float  #: the larger of both frames', in the unit of the points
+    epsilon: float  #: in the unit of the points
+    distortion: float  #: in the unit of the points
+    lifetime: float  #: of the longest-lived loop of S_t; 0.0 when there is none
+    death: float  #: of the same loop
+    beta_all: float  #: the largest beta over all edges, of loops with a lifetime above the frame's alpha
+    beta_critical: float  #: over (alpha, epsilon)-critical edges, of loops with a lifetime above alpha + 2 epsilon
+    beta_intrinsic: float  #: the same as `beta_critical` with the distortion in place of epsilon
+    checks: dict[str, Check]  #: by statement, in the order of `STATEMENTS`
+
+
+@dataclass(frozen=True)
+class Jump:
+    """How far the places of one loop are apart in two clouds, in the unit of the points."""
+
+    loop: int  #: index in the first diagram
+    length: float  #: of the killer edge in the first, twice the death: what the distances are large or small against
+    edge: float  #: Hausdorff distance of the killer edges' end points
+    triangle: float  #: Hausdorff distance of the thick killer triangles' vertices
+    barycentre: float  #: distance of the thick killer triangles' barycentres
+    cycle: float  #: distance of the centroids of tight cycles at birth
+
+
+def verify_episode(points: np.ndarray, observed: np.ndarray, stride: int = 1) -> list[StepCheck]:
+    """Check all statements on every step of a sequence, one fewer than the frames looked at: every stride-th.
+
+    `points` (T, n, d) are the states; `observed` the ids of what is observed, (m,) in every frame or (T, m), or (T, m, d)
+    coordinates of vertices.
+    """
+    steps = []
+    for frame, later in pairwise(range(0, len(points), stride)):
+        checks = lemmas.verify_step(
+            points[frame], per_frame(observed, frame), points[later], per_frame(observed, later)
+        )
+        steps.append(step_check(frame, points[frame], checks))
+    return steps
+
+
+def step_check(frame: int, points: np.ndarray, checks: dict[str, Check]) -> StepCheck:
+    """Gather the constants of one step."""
+    diagram = rips_persistence(points)
+    check = checks["corollary"]
+    return StepCheck(
+        frame,
+        check.alpha,
+        check.epsilon,
+        check.distortion,
+        float(diagram.lifetime[0]) if len(diagram) else 0.0,
+        float(diagram.death[0]) if len(diagram) else 0.0,
+        largest_bound(checks["recovering killers"], "paper"),
+        (largest_bound(check, "corrected") - check.epsilon) / 2,
+        (largest_bound(check, "intrinsic") - check.epsilon) / 2,
+        checks,
+    )
+
+
+def largest_bound(check: Check, version: str) -> float:
+    """Return the largest bound of a version, nan where it speaks about no loop."""
+    return max((row.bounds[version] for row in check.loops if version in row.bounds), default=float("nan"))
+
+
+def killer_jumps(before: np.ndarray, after: np.ndarray) -> list[Jump]:
+    """Measure how stable the places of the loops are that an optimal matching of two clouds pairs, longest lifetime first."""
+    first = rips_persistence(before)
+    second = rips_persistence(after)
+    jumps = []
+    for i, j in enumerate(lemmas.match_diagrams(first, second).partner.tolist()):
+        if j < 0:
+            continue
+        thick = before[first.killer_triangles[i, 0]]
+        thick_after = after[second.killer_triangles[j, 0]]
+        centroid = curve_centroid(before[first.cycle(i)])
+        centroid_after = curve_centroid(after[second.cycle(j)])
+        jumps.append(
+            Jump(
+                loop=i,
+                length=2 * float(first.death[i]),
+                edge=hausdorff(before[first.killer_edge[i]], after[second.killer_edge[j]]),
+                triangle=hausdorff(thick, thick_after),
+                barycentre=float(np.linalg.norm(thick.mean(axis=0) - thick_after.mean(axis=0))),
+                cycle=float(np.linalg.norm(centroid - centroid_after)),
+            )
+        )
+    return jumps
 
 
 def find_episodes(places: list[Path]) -> list[Path]:
@@ -67,7 +161,7 @@ def per_frame(seen: np.ndarray, t: int) -> np.ndarray:
 
 def jumps(name: str, before: np.ndarray, after: np.ndarray) -> dict[str, float]:
     """How far the places of the longest-lived loop jump, as shares of its killer's length; empty when it is not matched."""
-    found = [jump for jump in lemmas.killer_jumps(before, after) if jump.loop == 0]
+    found = [jump for jump in killer_jumps(before, after) if jump.loop == 0]
     return {f"jump_{what}_{name}": getattr(j, what) / j.length for j in found for what in PLACES}
 
 
@@ -149,7 +243,7 @@ def main() -> int:
     for name, episode in of_dataset(options.dataset, options.each) if options.dataset else films:
         seen, how = observe(episode, options.observed)
         print(f"{name}: {episode.garment}, {len(episode)} frames, {how}", file=sys.stderr)
-        steps = lemmas.verify_episode(episode.points, seen, stride=options.stride)
+        steps = verify_episode(episode.points, seen, options.stride)
         by_garment.setdefault(episode.garment, []).extend(steps)
         looked_at = range(0, len(episode), options.stride)
         for step, later in zip(steps, looked_at[1:], strict=True):

@@ -7,13 +7,16 @@ Throughout, corresponding loops are those that an optimal bottleneck matching pa
 Source: Antonova et al. 2021, section 4. Taught in chapters 3 to 6.
 """
 
-from topokit._lazy import shown
+from typing import TYPE_CHECKING
 
-from ._diagrams import feature_approximation, gates, observability, temporal_persistence
-from ._killers import converse, corollary, recovering_killers, regularity_of_killers
-from ._matching import killer_jumps, match_diagrams
-from ._measures import beta_all, beta_critical, feature_separation
-from ._step import Check, LoopCheck, Verdict, Witness, distortion, max_displacement, vertex_ids
-from ._verify import COUNTEREXAMPLES, STATEMENTS, Counterexample, StepCheck, verify_episode, verify_step
+from topokit._lazy import attach
 
-__all__ = sorted(shown(__file__))
+if TYPE_CHECKING:
+    from ._counterexamples import COUNTEREXAMPLES, STATEMENTS, verify_step
+    from ._diagrams import feature_approximation, gates, observability, temporal_persistence
+    from ._killers import converse, corollary, recovering_killers, regularity_of_killers
+    from ._matching import match_diagrams
+    from ._measures import beta_all, beta_critical, feature_separation
+    from ._step import Check, Verdict, distortion, max_displacement, vertex_ids
+
+__getattr__, __all__ = attach(__name__, __file__)

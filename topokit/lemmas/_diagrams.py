@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._validate import Array
 from ..rips import Diagram
-from ._matching import Matching, longest_unmatched, match_diagrams
-from ._step import Check, Step, Verdict, compared, observed_state, observed_step
+from ._matching import DiagramMatching, longest_unmatched, match_diagrams
+from ._step import Check, Step, Verdict, as_step, compare
 
 
-def feature_approximation(state: ArrayLike, observed: ArrayLike) -> Check:
+def feature_approximation(state: ArrayLike | Step, observed: ArrayLike | None = None) -> Check:
     """Check that every loop of the state has an image in what is observed (Lemma 1).
 
     The paper: for every feature f of S at filtration value r there is a feature of O at r + alpha that is homologous to f in
@@ -30,21 +30,22 @@ def feature_approximation(state: ArrayLike, observed: ArrayLike) -> Check:
 
     Parameters
     ----------
-    state, observed : array_like
-        S_t, (n, d), and O_t: (m,) ids of its points or their (m, d) coordinates.
+    state : (n, d) array_like, or Step
+        S_t; or a step that holds all, as in the other statements.
+    observed : array_like, optional
+        O_t: (m,) ids of points of S_t or their (m, d) coordinates; all of them when not given.
     """
-    return check_feature_approximation(observed_state(state, observed))
-
-
-def check_feature_approximation(step: Step) -> Check:
+    step = as_step(state, observed)
     alpha = step.before.alpha
-    versions = {"paper": _some_loop_of_o(step, alpha), "corrected": _rank_inequality(step, alpha)}
+    versions = {"paper": _some_loop_of_o(step, alpha), "corrected": rank_inequality(step, alpha)}
     return Check("feature approximation", versions, alpha)
 
 
 def _some_loop_of_o(step: Step, alpha: float) -> Verdict:
-    """Where S has a loop at r, O has one at r + alpha: checked at the values of r where that may begin to be false."""
-    s, o, tolerance = step.diagram("S_t"), step.diagram("O_t"), step.tolerance
+    """Check that O has a loop at r + alpha where S has one at r, at the values of r where that may begin to be false."""
+    s = step.diagram("S_t")
+    o = step.diagram("O_t")
+    tolerance = step.tolerance
     if len(s) == 0:
         return Verdict(0.0, 0.0, True)
     radii = np.concatenate([s.birth, o.death - alpha])
@@ -55,22 +56,29 @@ def _some_loop_of_o(step: Step, alpha: float) -> Verdict:
     worst = int(np.argmin(loops_of_o))
     what = f"at r = {radii[worst]:.6g} S has a loop, O at r + alpha has {loops_of_o[worst]}"
     witness = step.witness("S_t", int(np.argmax(alive[:, worst])), what)
-    return compared(1.0, float(loops_of_o[worst]), 0.0, len(s), witness)
+    return compare(1.0, float(loops_of_o[worst]), 0.0, len(s), witness)
 
 
-def _rank_inequality(step: Step, alpha: float) -> Verdict:
-    """The least c with: at most as many bars of S contain [r, r + c] as bars of O are alive at r + c, for all r.
+def rank_inequality(step: Step, alpha: float) -> Verdict:
+    """Compare with alpha the least c such that at most as many bars of S contain [r, r + c] as bars of O are alive at r + c.
 
     At the value v = r + c, where O has m loops, c must be at least the age of the (m + 1)-th oldest loop of S. Between two
     values where something is born or dies only the ages change: they are largest at the end.
     """
-    s, o, tolerance = step.diagram("S_t"), step.diagram("O_t"), step.tolerance
+    s = step.diagram("S_t")
+    o = step.diagram("O_t")
+    tolerance = step.tolerance
+
+    # The intervals between events, how many loops O has in each, and when the loops of S that are alive were born.
     events = np.unique(np.concatenate([s.birth, s.death, o.birth, o.death]))
     long = np.diff(events) > tolerance  # equal up to rounding is equal
-    start, end = events[:-1][long], events[1:][long]
+    start = events[:-1][long]
+    end = events[1:][long]
     in_o = _alive(o, start, end).sum(axis=0)
     born = np.sort(np.where(_alive(s, start, end), s.birth[:, None], np.inf), axis=0)
     born = np.vstack([born, np.full(len(start), np.inf)])
+
+    # The age that the (m + 1)-th oldest loop of S reaches; the oldest of these decides.
     age = end - born[np.minimum(in_o, len(s)), np.arange(len(start))]
     if not len(age) or age.max() <= 0:
         return Verdict(0.0, alpha, True, True, len(s))
@@ -78,15 +86,15 @@ def _rank_inequality(step: Step, alpha: float) -> Verdict:
     statistic = float(age[worst])
     loop = int(np.argmin(np.abs(s.birth - (end[worst] - statistic)) + 1e9 * (s.death < end[worst])))
     what = f"just before {end[worst]:.6g} O has {in_o[worst]} loops, S has more that are older than alpha"
-    return compared(statistic, alpha, tolerance, len(s), step.witness("S_t", loop, what))
+    return compare(statistic, alpha, tolerance, len(s), step.witness("S_t", loop, what))
 
 
 def _alive(diagram: Diagram, start: Array, end: Array) -> NDArray[np.bool_]:
-    """(n, k) which bars contain which of k intervals."""
+    """Return (n, k) which bars contain which of k intervals."""
     return np.asarray((diagram.birth[:, None] <= start) & (diagram.death[:, None] >= end))
 
 
-def observability(state: ArrayLike, observed: ArrayLike) -> Check:
+def observability(state: ArrayLike | Step, observed: ArrayLike | None = None) -> Check:
     """Check that loops of the state with a lifetime above alpha are seen, and when (Lemma 2).
 
     The paper: every such loop has a counterpart in O with 0 <= birth_O - birth_S <= alpha, and the same for deaths. True, and
@@ -99,13 +107,12 @@ def observability(state: ArrayLike, observed: ArrayLike) -> Check:
 
     Parameters
     ----------
-    state, observed : array_like
-        S_t, (n, d), and O_t: (m,) ids of its points or their (m, d) coordinates.
+    state : (n, d) array_like, or Step
+        S_t; or a step that holds all, as in the other statements.
+    observed : array_like, optional
+        O_t: (m,) ids of points of S_t or their (m, d) coordinates; all of them when not given.
     """
-    return check_observability(observed_state(state, observed))
-
-
-def check_observability(step: Step) -> Check:
+    step = as_step(state, observed)
     alpha = step.before.alpha
     versions = {
         "paper": _unmatched(step, "O_t", alpha, "no counterpart within [0, alpha]"),
@@ -114,7 +121,7 @@ def check_observability(step: Step) -> Check:
     return Check("observability", versions, alpha)
 
 
-def temporal_persistence(before: ArrayLike, after: ArrayLike) -> Check:
+def temporal_persistence(before: ArrayLike | Step, after: ArrayLike | None = None) -> Check:
     """Check that loops outlive a small motion (Lemma 3).
 
     The paper: every loop of S_t with a lifetime above epsilon has a counterpart in S_t+1 with birth and death changed by at
@@ -127,21 +134,24 @@ def temporal_persistence(before: ArrayLike, after: ArrayLike) -> Check:
 
     Parameters
     ----------
-    before, after : array_like
-        S_t and S_t+1, both (n, d): row i of both is the same point.
+    before, after : (n, d) array_like
+        S_t and S_t+1: row i of both is the same point. Or a Step in the place of `before`.
     """
-    return check_temporal_persistence(observed_step(before, None, after, None))
-
-
-def check_temporal_persistence(step: Step) -> Check:
-    epsilon, delta = step.epsilon, step.distortion
+    step = as_step(before, after=after)
+    epsilon = step.epsilon
+    delta = step.distortion
     versions = {"paper": _unmatched(step, "S_t+1", epsilon, "no counterpart within epsilon")}
     for version, bound in (("corrected", epsilon), ("intrinsic", delta)):
         versions[version] = _bottleneck(step, "S_t", "S_t+1", step.matching, bound, 2 * bound)
     return Check("temporal persistence", versions, epsilon=epsilon, distortion=delta)
 
 
-def gates(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, observed_after: ArrayLike) -> Check:
+def gates(
+    before: ArrayLike | Step,
+    observed_before: ArrayLike | None = None,
+    after: ArrayLike | None = None,
+    observed_after: ArrayLike | None = None,
+) -> Check:
     """Check how far births and deaths move between observations: the gates of Algorithm 1.
 
     The paper lets loops correspond when both values change by less than 2 alpha + epsilon: valid, and loose. Corrected:
@@ -153,13 +163,13 @@ def gates(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, obser
     Parameters
     ----------
     before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates.
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. Or a Step in the place of
+        `before`.
     """
-    return check_gates(observed_step(before, observed_before, after, observed_after))
-
-
-def check_gates(step: Step) -> Check:
-    alpha, epsilon, delta = step.alpha, step.epsilon, step.distortion
+    step = as_step(before, observed_before, after, observed_after)
+    alpha = step.alpha
+    epsilon = step.epsilon
+    delta = step.distortion
     match = match_diagrams(step.diagram("O_t"), step.diagram("O_t+1"))
     bounds = {"paper": 2 * alpha + epsilon, "corrected": alpha + epsilon, "intrinsic": alpha + delta}
     versions = {name: _bottleneck(step, "O_t", "O_t+1", match, bound, 2 * bound) for name, bound in bounds.items()}
@@ -167,16 +177,21 @@ def check_gates(step: Step) -> Check:
 
 
 def _unmatched(step: Step, place: str, bound: float, what: str) -> Verdict:
-    """The longest loop of S_t that must go without a counterpart in a place whose values differ by at most the bound."""
-    s, tolerance = step.diagram("S_t"), step.tolerance
+    """Compare with a bound the longest loop of S_t without a counterpart in a place whose values differ by at most that bound."""
+    s = step.diagram("S_t")
+    tolerance = step.tolerance
     one_sided = place == "O_t"
     alone, loop = longest_unmatched(s, step.diagram(place), bound + tolerance, one_sided=one_sided, tolerance=tolerance)
     long = int((s.lifetime > bound + tolerance).sum())
-    return compared(alone, bound, tolerance, long, step.witness("S_t", loop, what))
+    return compare(alone, bound, tolerance, long, step.witness("S_t", loop, what))
 
 
-def _bottleneck(step: Step, first: str, second: str, match: Matching, bound: float, shortest: float) -> Verdict:
-    """The cost of an optimal matching of two places against a bound, which speaks about bars longer than `shortest`."""
+def _bottleneck(step: Step, first: str, second: str, match: DiagramMatching, bound: float, shortest: float) -> Verdict:
+    """Compare the cost of an optimal matching of two places with a bound, for bars longer than `shortest`."""
     long = sum(int((step.diagram(place).lifetime > shortest).sum()) for place in (first, second))
-    place, loop = (first, match.worst[0]) if match.worst[0] >= 0 else (second, match.worst[1])
-    return compared(match.cost, bound, step.tolerance, long, step.witness(place, loop, f"costs {match.cost:.6g}"))
+    place = first
+    loop = match.worst[0]
+    if loop < 0:
+        place = second
+        loop = match.worst[1]
+    return compare(match.cost, bound, step.tolerance, long, step.witness(place, loop, f"costs {match.cost:.6g}"))

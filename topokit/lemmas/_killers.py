@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 
 from .._validate import positive
 from ._measures import Beta
-from ._step import Check, LoopCheck, Step, Verdict, compared, observed_state, observed_step
+from ._step import Check, LoopCheck, Step, Verdict, as_step, compare
 
 MORE_THAN_TWICE = 2.001  # alpha must exceed 2 epsilon in Assumption 2; a larger alpha than measured is still one
 
 
-def recovering_killers(state: ArrayLike, observed: ArrayLike) -> Check:
+def recovering_killers(state: ArrayLike | Step, observed: ArrayLike | None = None) -> Check:
     """Check that the killer edge seen in the observation is near the true one (Lemma 4).
 
     The paper: the killer of f in S and that of its counterpart in O are within beta. True for lifetimes above alpha, which the
@@ -34,14 +34,14 @@ def recovering_killers(state: ArrayLike, observed: ArrayLike) -> Check:
 
     Parameters
     ----------
-    state, observed : array_like
-        S_t, (n, d), and O_t: (m,) ids of its points or their (m, d) coordinates.
+    state : (n, d) array_like, or Step
+        S_t; or a step that holds all, as in the other statements.
+    observed : array_like, optional
+        O_t: (m,) ids of points of S_t or their (m, d) coordinates; all of them when not given.
     """
-    return check_recovering_killers(observed_state(state, observed))
-
-
-def check_recovering_killers(step: Step) -> Check:
-    s, alpha = step.before, step.before.alpha
+    step = as_step(state, observed)
+    s = step.before
+    alpha = s.alpha
     everywhere = s.beta_all(alpha, alpha, alpha)
     betas = {"paper": everywhere, "corrected": s.beta_critical(alpha, alpha, 0.0)}
     rows = _loop_checks(step, ("S_t", "O_t"), [_bounds(f, betas) for f in range(len(everywhere.value))])
@@ -49,7 +49,7 @@ def check_recovering_killers(step: Step) -> Check:
     return Check("recovering killers", _verdicts(step, rows, betas, separated), alpha, loops=tuple(rows))
 
 
-def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.0) -> Check:
+def regularity_of_killers(before: ArrayLike | Step, after: ArrayLike | None = None, alpha: float = 0.0) -> Check:
     """Check that killer edges move little in a small motion (Lemma 5).
 
     The paper: the killer of f and that of its image are within beta + epsilon. True; the proof uses Assumption 3 on edges of
@@ -61,17 +61,16 @@ def regularity_of_killers(before: ArrayLike, after: ArrayLike, alpha: float = 0.
 
     Parameters
     ----------
-    before, after : array_like
-        S_t and S_t+1, both (n, d): row i of both is the same point.
+    before, after : (n, d) array_like
+        S_t and S_t+1: row i of both is the same point. Or a Step in the place of `before`.
     alpha : float
         Of the observations; 2.001 epsilon when smaller, since the paper's Assumption 2 wants it above 2 epsilon.
     """
-    return check_regularity(observed_step(before, None, after, None), positive(alpha, "alpha"))
-
-
-def check_regularity(step: Step, alpha: float = 0.0) -> Check:
-    s, epsilon, delta = step.before, step.epsilon, step.distortion
-    alpha = max(alpha, step.alpha, MORE_THAN_TWICE * epsilon)
+    step = as_step(before, after=after)
+    s = step.before
+    epsilon = step.epsilon
+    delta = step.distortion
+    alpha = max(positive(alpha, "alpha"), step.alpha, MORE_THAN_TWICE * epsilon)
     betas = {
         "paper": s.beta_all(alpha, alpha, alpha),
         "corrected": s.beta_critical(2 * epsilon, 0.0, epsilon),
@@ -84,7 +83,12 @@ def check_regularity(step: Step, alpha: float = 0.0) -> Check:
     return Check("regularity of killers", verdicts, alpha, epsilon, delta, tuple(rows))
 
 
-def corollary(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, observed_after: ArrayLike) -> Check:
+def corollary(
+    before: ArrayLike | Step,
+    observed_before: ArrayLike | None = None,
+    after: ArrayLike | None = None,
+    observed_after: ArrayLike | None = None,
+) -> Check:
     """Check how far killers may lie apart in two observations of one loop (Corollary 1).
 
     The paper: at most 2 alpha + beta + epsilon. False: its proof puts alpha for the two outer legs, where Lemma 4 gives beta.
@@ -98,13 +102,14 @@ def corollary(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, o
     Parameters
     ----------
     before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates.
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. Or a Step in the place of
+        `before`.
     """
-    return check_corollary(observed_step(before, observed_before, after, observed_after))
-
-
-def check_corollary(step: Step) -> Check:
-    s, alpha, epsilon, delta = step.before, step.alpha, step.epsilon, step.distortion
+    step = as_step(before, observed_before, after, observed_after)
+    s = step.before
+    alpha = step.alpha
+    epsilon = step.epsilon
+    delta = step.distortion
     larger = max(alpha, MORE_THAN_TWICE * epsilon)
     beta = max(state.beta_all(larger, larger, larger).max for state in (s, step.after))
     betas = {
@@ -113,12 +118,16 @@ def check_corollary(step: Step) -> Check:
         "2 beta + epsilon, all edges": s.beta_all(alpha + 2 * epsilon, 2 * epsilon, alpha + 2 * epsilon),
     }
     of_the_paper = {"paper": 2 * larger + beta + epsilon, "3 beta + epsilon, all edges": 3 * beta + epsilon}
-    lifetimes, images = s.diagram.lifetime, np.append(step.after.diagram.lifetime, 0.0)[step.matching.partner]
+
+    # The paper's versions speak about loops that live long enough at both times.
+    lifetimes = s.diagram.lifetime
+    images = np.append(step.after.diagram.lifetime, 0.0)[step.matching.partner]
     bounds = [_bounds(f, betas, times=2, plus=epsilon) for f in range(int((lifetimes > alpha).sum()))]
     for f in np.flatnonzero(np.minimum(lifetimes, images) > larger):
         bounds[f] |= of_the_paper
     rows = _loop_checks(step, ("O_t", "S_t", "S_t+1", "O_t+1"), bounds)
-    # A loop that is not seen at t + 1, and is too short-lived to have to be, says nothing.
+
+    # A loop that is not seen at t + 1, and is too short-lived to have to be, is left out.
     rows = [row for row in rows if np.isfinite(row.legs[-1]) or {"corrected", "intrinsic"} & set(row.bounds)]
     separated = s.separation(larger) > 2 * larger + beta + epsilon
     names = ("paper", "corrected", "intrinsic", "3 beta + epsilon, all edges", "2 beta + epsilon, all edges")
@@ -126,12 +135,12 @@ def check_corollary(step: Step) -> Check:
 
 
 def _bounds(f: int, betas: dict[str, Beta], *, times: int = 1, plus: float = 0.0) -> dict[str, float]:
-    """times * beta + plus of every version that speaks about loop f."""
-    return {name: times * float(b.value[f]) + plus for name, b in betas.items() if f < len(b.value)}
+    """Return times * beta + plus for every version that speaks about loop f."""
+    return {name: times * float(beta.value[f]) + plus for name, beta in betas.items() if f < len(beta.value)}
 
 
 def _loop_checks(step: Step, places: Sequence[str], bounds: Sequence[dict[str, float]]) -> list[LoopCheck]:
-    """How far the killers of the longest-lived loops of S_t lie apart from place to place, and in the first and the last."""
+    """Measure how far the killers of the longest-lived loops of S_t are apart from place to place, and in the first and last."""
     n = len(bounds)
     legs = np.array([np.diagonal(step.apart(*pair, n)) for pair in pairwise(places)]).T.tolist()
     ends = np.diagonal(step.apart(places[0], places[-1], n)).tolist()
@@ -140,20 +149,26 @@ def _loop_checks(step: Step, places: Sequence[str], bounds: Sequence[dict[str, f
 
 
 def _verdicts(step: Step, rows: Sequence[LoopCheck], versions: Iterable[str], separated: bool) -> dict[str, Verdict]:
-    """Every version at the loop where it is tightest; that loops are separated is a hypothesis of the paper's alone."""
+    """Return every version at the loop where it is tightest; only the paper's assumes that loops are separated."""
     return {version: _verdict(step, rows, version, separated or version != "paper") for version in versions}
 
 
 def _verdict(step: Step, rows: Sequence[LoopCheck], version: str, hypotheses: bool) -> Verdict:
-    spoken = [row for row in rows if version in row.bounds]
-    if not spoken:
+    """Return a version at the loop where it is tightest."""
+    concerned = [row for row in rows if version in row.bounds]
+    if not concerned:
         return Verdict(0.0, 0.0, True, hypotheses)
-    worst = max(spoken, key=lambda row: row.statistic - row.bounds[version])
+    worst = max(concerned, key=lambda row: row.statistic - row.bounds[version])
     witness = step.witness("S_t", worst.loop, "killers this far apart")
-    return compared(worst.statistic, worst.bounds[version], step.tolerance, len(spoken), witness, hypotheses)
+    return compare(worst.statistic, worst.bounds[version], step.tolerance, len(concerned), witness, hypotheses)
 
 
-def converse(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, observed_after: ArrayLike) -> Check:
+def converse(
+    before: ArrayLike | Step,
+    observed_before: ArrayLike | None = None,
+    after: ArrayLike | None = None,
+    observed_after: ArrayLike | None = None,
+) -> Check:
     """Check that observed killers which are close belong to the same loop: what tracking needs, the corollary's converse.
 
     The paper concludes it from killers in S_t that are more than 2 alpha + beta + epsilon apart, which its Assumption 3 rules
@@ -171,13 +186,13 @@ def converse(before: ArrayLike, observed_before: ArrayLike, after: ArrayLike, ob
     Parameters
     ----------
     before, observed_before, after, observed_after : array_like
-        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates.
+        S_t and S_t+1, both (n, d); O_t and O_t+1: (m,) ids of their points or (m, d) coordinates. Or a Step in the place of
+        `before`.
     """
-    return check_converse(observed_step(before, observed_before, after, observed_after))
-
-
-def check_converse(step: Step) -> Check:
-    alpha, epsilon, delta = step.alpha, step.epsilon, step.distortion
+    step = as_step(before, observed_before, after, observed_after)
+    alpha = step.alpha
+    epsilon = step.epsilon
+    delta = step.distortion
     versions = {
         "paper": _by_loop(step, max(alpha, MORE_THAN_TWICE * epsilon)),
         "corrected": _by_nearest_killer(step, alpha, epsilon),
@@ -187,7 +202,7 @@ def check_converse(step: Step) -> Check:
 
 
 def _by_loop(step: Step, alpha: float) -> Verdict:
-    """The paper's: killers of different loops are farther apart than the corollary's bound."""
+    """Check the paper's version: killers of different loops are farther apart than the corollary's bound."""
     s = step.before
     n_loops = int((s.diagram.lifetime > alpha).sum())
     if n_loops < 2:
@@ -196,14 +211,16 @@ def _by_loop(step: Step, alpha: float) -> Verdict:
     reach = 2 * alpha + beta + step.epsilon
     distance = step.apart("O_t", "O_t+1", n_loops)
     np.fill_diagonal(distance, np.inf)
-    least, loop = float(distance.min()), int(distance.min(axis=1).argmin())
+    least = float(distance.min())
+    loop = int(distance.min(axis=1).argmin())
     witness = step.witness("S_t", loop, "the killer of another loop is as near")
     return Verdict(reach, least, least > reach - step.tolerance, s.separation(alpha) > reach, n_loops, witness)
 
 
 def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
-    """Observed killers with the same nearest killer in S_t are within reach, those with different ones are not."""
-    s, min_lifetime = step.before, alpha + 2 * change
+    """Check that observed killers with the same nearest killer in S_t are within reach, and those with different ones are not."""
+    s = step.before
+    min_lifetime = alpha + 2 * change
     n_loops = int((s.diagram.lifetime > min_lifetime).sum())
     if n_loops < 2:
         return Verdict(0.0, np.inf, True)
@@ -211,10 +228,14 @@ def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
     edges = [step.killers(place, n_loops) for place in ("O_t", "O_t+1")]
     if np.min(edges) < 0:  # against the theorem
         return Verdict(reach, 0.0, False, True, n_loops, step.witness("S_t", 0, "a loop is not seen"))
+
+    # The killer in S_t that is nearest to each observed killer, at both times.
     killers = s.diagram.killer_edge[:n_loops]
-    same = np.equal.outer(*(np.argmin([s.edge_distances(seen, k) for k in killers], axis=0) for seen in edges))
+    nearest = [np.argmin([s.edge_distances(seen, killer) for killer in killers], axis=0) for seen in edges]
+    same = np.equal.outer(*nearest)
     distance = step.apart("O_t", "O_t+1", n_loops)
-    least, most = float(distance[~same].min(initial=np.inf)), float(distance[same].max(initial=0.0))
+    least = float(distance[~same].min(initial=np.inf))
+    most = float(distance[same].max(initial=0.0))
     holds = least > reach - step.tolerance and most <= reach + step.tolerance
     loop = int(np.where(same, np.inf, distance).min(axis=1).argmin())
     what = f"killers of one place up to {most:.6g} apart, of different ones down to {least:.6g}"

@@ -1,4 +1,4 @@
-"""Optimal bottleneck matchings of persistence diagrams, two-sided and one-sided, and how far matched loops jump.
+"""Optimal bottleneck matchings of persistence diagrams, two-sided and one-sided, and bars that no matching reaches.
 
 Idea: a threshold c is enough when every bar too long to stay alone at c can be matched at a cost of at most c. By the theorem
 of Mendelsohn and Dulmage it suffices that the long bars of one diagram can all be matched, and those of the other can, each
@@ -14,19 +14,17 @@ from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from .._validate import Array, as_points
-from ..linking import curve_centroid
-from ..rips import Diagram, rips_persistence
-from ..sampling import hausdorff
+from .._validate import Array
+from ..rips import Diagram
 from ..seqph import assign
 
 
 @dataclass(frozen=True, eq=False)
-class Matching:
+class DiagramMatching:
     """Which bars of two diagrams correspond."""
 
     partner: NDArray[np.int64]  #: (n,) for every bar of the first diagram its bar in the second, -1 when it has none
@@ -34,7 +32,9 @@ class Matching:
     worst: tuple[int, int]  #: the two bars that reach it, -1 in the place of none
 
 
-def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, tolerance: float = 0.0) -> Matching:
+def match_diagrams(
+    first: Diagram, second: Diagram, *, one_sided: bool = False, tolerance: float = 0.0
+) -> DiagramMatching:
     """Match two diagrams optimally; of the optimal matchings the one of least total cost. Every bar must die.
 
     Two-sided, the cost of a pair is the larger shift of its births and of its deaths, of a bar left alone half its lifetime;
@@ -45,9 +45,9 @@ def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, 
     Parameters
     ----------
     first, second : Diagram
-        Of S and of O when `one_sided`.
+        The diagrams of S and of O when `one_sided`.
     one_sided : bool
-        Whether `second` is of a subset.
+        Whether `second` is the diagram of a subset.
     tolerance : float
         How far below zero rounding may push a shift that is zero.
     """
@@ -59,24 +59,28 @@ def match_diagrams(first: Diagram, second: Diagram, *, one_sided: bool = False, 
 
     cost = float(limits[bisect_left(limits, True, key=is_enough)])
     partner = _cheapest(pair, alone, others_alone, cost)
-    return Matching(partner, cost, _worst(pair, alone, others_alone, partner))
+    return DiagramMatching(partner, cost, _worst(pair, alone, others_alone, partner))
 
 
 def longest_unmatched(
     first: Diagram, second: Diagram, shift: float, *, one_sided: bool = False, tolerance: float = 0.0
 ) -> tuple[float, int]:
-    """Lifetime and index of the longest bar of `first` that cannot be matched along with all longer ones; (0.0, -1) for none.
+    """Return lifetime and index of the longest bar of `first` that no matching reaches together with all longer ones.
+
+    They are (0.0, -1) when there is none.
 
     No matching does better: the sets of bars that can be matched together are those of a matroid.
     """
     pair, _, _ = _costs(first, second, one_sided, tolerance)
     longest = range(1, len(first) + 1)
     matched = bisect_left(longest, True, key=lambda count: not _saturates(pair[:count] <= shift))
-    return (0.0, -1) if matched == len(first) else (float(first.lifetime[matched]), matched)
+    if matched == len(first):
+        return (0.0, -1)
+    return (float(first.lifetime[matched]), matched)
 
 
 def _costs(first: Diagram, second: Diagram, one_sided: bool, tolerance: float) -> tuple[Array, Array, Array]:
-    """(n, m) costs of pairs (inf where forbidden), (n,) and (m,) costs of bars left alone."""
+    """Return (n, m) costs of pairs (inf where forbidden), (n,) and (m,) costs of bars left alone."""
     for name, diagram in (("first", first), ("second", second)):
         if not np.isfinite(diagram.death).all():
             raise ValueError(f"the {name} diagram has a loop that does not die; compute it without max_radius")
@@ -90,14 +94,16 @@ def _costs(first: Diagram, second: Diagram, one_sided: bool, tolerance: float) -
 
 
 def _saturates(allowed: NDArray[np.bool_]) -> bool:
-    """Whether all rows can be matched."""
-    if len(allowed) == 0 or not allowed.any(axis=1).all():
-        return len(allowed) == 0
+    """Return whether all rows can be matched."""
+    if len(allowed) == 0:
+        return True
+    if not allowed.any(axis=1).all():
+        return False
     return bool((maximum_bipartite_matching(csr_matrix(allowed), perm_type="column") >= 0).all())
 
 
 def _cheapest(pair: Array, alone: Array, others_alone: Array, c: float) -> NDArray[np.int64]:
-    """The matching of least total cost among those that match every bar too long to stay alone at `c`.
+    """Return the matching of least total cost among those that match every bar too long to stay alone at `c`.
 
     What a pair saves against two bars left alone is what counts, and matching a long bar saves more than all else together.
     """
@@ -112,50 +118,14 @@ def _cheapest(pair: Array, alone: Array, others_alone: Array, c: float) -> NDArr
 
 
 def _worst(pair: Array, alone: Array, others_alone: Array, partner: NDArray[np.int64]) -> tuple[int, int]:
-    """The most costly pair or bar left alone; (-1, -1) when both diagrams are empty."""
+    """Return the most costly pair or bar left alone; (-1, -1) when both diagrams are empty."""
     matched = np.flatnonzero(partner >= 0)
     costs = np.concatenate([alone, others_alone])
-    costs[matched], costs[len(alone) + partner[matched]] = pair[matched, partner[matched]], 0.0
+    costs[matched] = pair[matched, partner[matched]]
+    costs[len(alone) + partner[matched]] = 0.0
     if costs.max(initial=0.0) == 0.0:
         return (-1, -1)
     i = int(np.argmax(costs))
-    return (i, int(partner[i])) if i < len(alone) else (-1, i - len(alone))
-
-
-@dataclass(frozen=True)
-class Jump:
-    """How far the places of one loop lie apart in two clouds, in the unit of the points."""
-
-    loop: int  #: index in the first diagram
-    length: float  #: of the killer edge in the first, twice the death: what the distances are large or small against
-    edge: float  #: Hausdorff distance of the killer edges' end points
-    triangle: float  #: Hausdorff distance of the thick killer triangles' vertices
-    barycentre: float  #: distance of the thick killer triangles' barycentres
-    cycle: float  #: distance of the centroids of tight cycles at birth
-
-
-def killer_jumps(before: ArrayLike, after: ArrayLike) -> list[Jump]:
-    """Measure how stable the places of the loops are that an optimal matching of two clouds pairs, longest lifetime first.
-
-    Parameters
-    ----------
-    before, after : (n, d) and (m, d) array_like
-        Two clouds of one object: a moment later, or sampled again. They need not have the same points.
-    """
-    clouds = as_points(before, "before"), as_points(after, "after")
-    first, second = (rips_persistence(cloud) for cloud in clouds)
-    partner = match_diagrams(first, second).partner
-    return [_jump(*clouds, first, second, i, j) for i, j in enumerate(partner.tolist()) if j >= 0]
-
-
-def _jump(a: Array, b: Array, first: Diagram, second: Diagram, i: int, j: int) -> Jump:
-    thick, later = a[first.killer_triangles[i, 0]], b[second.killer_triangles[j, 0]]
-    centroids = curve_centroid(a[first.cycle(i)]), curve_centroid(b[second.cycle(j)])
-    return Jump(
-        loop=i,
-        length=2 * float(first.death[i]),
-        edge=hausdorff(a[first.killer_edge[i]], b[second.killer_edge[j]]),
-        triangle=hausdorff(thick, later),
-        barycentre=float(np.linalg.norm(thick.mean(axis=0) - later.mean(axis=0))),
-        cycle=float(np.linalg.norm(centroids[0] - centroids[1])),
-    )
+    if i < len(alone):
+        return (i, int(partner[i]))
+    return (-1, i - len(alone))

@@ -20,7 +20,7 @@ from scipy.spatial.distance import cdist
 from .._validate import Array, Ids, as_points, positive
 from ..rips import Diagram, rips_persistence
 from ..sampling import covering_radius
-from ._matching import Matching, match_diagrams
+from ._matching import DiagramMatching, match_diagrams
 
 ROUNDING = 1e-12  # relative; rounding may only add rivals and make more edges critical
 
@@ -34,7 +34,7 @@ class Beta:
 
     @property
     def max(self) -> float:
-        """The paper's beta, one number for all loops: 0.0 when there are none."""
+        """Return the paper's beta, one number for all loops: 0.0 when there are none."""
         return float(self.value.max(initial=0.0))
 
 
@@ -48,7 +48,9 @@ class State:
 
     @cached_property
     def diagram(self) -> Diagram:
-        return rips_persistence(self.points) if self.known_diagram is None else self.known_diagram
+        if self.known_diagram is not None:
+            return self.known_diagram
+        return rips_persistence(self.points)
 
     @cached_property
     def observed_diagram(self) -> Diagram:
@@ -59,13 +61,13 @@ class State:
         return covering_radius(self.points, self.points[self.ids])
 
     @cached_property
-    def matching(self) -> Matching:
-        """Of the loops of S to those of O, one-sided."""
+    def matching(self) -> DiagramMatching:
+        """Match the loops of S with those of O, one-sided."""
         return match_diagrams(self.diagram, self.observed_diagram, one_sided=True, tolerance=self.tolerance)
 
     @cached_property
     def tolerance(self) -> float:
-        """What rounding may do to a comparison: 1e-9 of the size of the cloud."""
+        """Return what rounding may change in a comparison: 1e-9 of the size of the cloud."""
         return 1e-9 * float(np.ptp(self.points, axis=0).max(initial=0.0))
 
     @cached_property
@@ -73,26 +75,30 @@ class State:
         return np.asarray(cdist(self.points, self.points))
 
     def separation(self, min_lifetime: float) -> float:
+        """Return the least distance between the killers of two loops with a lifetime above `min_lifetime`."""
         killers = self.diagram.killer_edge[self.diagram.lifetime > min_lifetime]
         pairs = (self.edge_distances(killers[:i], killers[i]).min() for i in range(1, len(killers)))
         return float(min(pairs, default=np.inf))
 
     def edge_distances(self, edges: Ids, edge: Ids) -> Array:
-        """(m,) Hausdorff distances from each of (m, 2) edges to one."""
-        d = self.distances[edges[:, :, None], edge]  # (m, 2, 2)
-        return np.asarray(np.maximum(d.min(axis=2).max(axis=1), d.min(axis=1).max(axis=1)))
+        """Return (m,) Hausdorff distances from each of (m, 2) edges to one."""
+        between_ends = self.distances[edges[:, :, None], edge]  # (m, 2, 2)
+        there = between_ends.min(axis=2).max(axis=1)
+        back = between_ends.min(axis=1).max(axis=1)
+        return np.asarray(np.maximum(there, back))
 
     def beta_critical(self, min_lifetime: float, alpha: float, epsilon: float, *, nearest: bool = False) -> Beta:
-        """Rivals among critical edges, as `beta_critical`."""
+        """Measure the distances to rivals among critical edges, as `beta_critical` does."""
         return self.beta_all(min_lifetime, 2 * epsilon, alpha + 2 * epsilon, (alpha, epsilon), nearest)
 
     def beta_all(
         self, min_lifetime: float, below: float, above: float, critical: Sequence[float] = (), nearest: bool = False
     ) -> Beta:
-        """Rivals among the edges, all or the critical ones, of half length in [death - below, death + above]."""
+        """Measure the distances to rivals: edges, all or the critical ones, of half length in [death - below, death + above]."""
         n_loops = int((self.diagram.lifetime > min_lifetime).sum())
         killers = self.diagram.killer_edge[:n_loops]
-        value, edge = np.zeros(n_loops), killers.copy()
+        value = np.zeros(n_loops)
+        edge = killers.copy()
         if n_loops == 0:
             return Beta(value, edge)
         rounding = ROUNDING * float(self.distances.max())
@@ -106,29 +112,38 @@ class State:
                 x, y = rivals[j].tolist()
                 # The killer is a rival of itself, but a lune may hold together by rounding alone.
                 if not critical or is_critical(self.distances, x, y, *critical):
-                    value[i], edge[i] = away[j], rivals[j]
+                    value[i] = away[j]
+                    edge[i] = rivals[j]
                     break
         return Beta(value, edge)
 
 
 @njit(cache=True)
 def is_critical(distances: Array, x: int, y: int, alpha: float, epsilon: float) -> bool:
-    """Whether the edge {x, y} is (alpha, epsilon)-critical; `beta_critical` says what that means."""
+    """Return whether the edge {x, y} is (alpha, epsilon)-critical, as `beta_critical` defines it."""
     length = distances[x, y]
     inner = (length - alpha - 4 * epsilon) * (1 - ROUNDING)  # of points that carry paths, and of a path's end steps
     step = (length - 2 * alpha - 4 * epsilon) * (1 - ROUNDING)
     outer = (length + 4 * epsilon) * (1 + ROUNDING)
     apart = (length - 4 * epsilon) * (1 - ROUNDING)
+
+    # Points of the lens, of which two may be the ends of a path, and points that may carry one.
     farther = np.maximum(distances[x], distances[y])
     in_lens = farther <= outer
-    in_lens[x] = in_lens[y] = False
-    lens, carriers = np.flatnonzero(in_lens), np.flatnonzero(farther < inner)
+    in_lens[x] = False
+    in_lens[y] = False
+    lens = np.flatnonzero(in_lens)
+    carriers = np.flatnonzero(farther < inner)
+
+    # The components of carriers that each point of the lens reaches by an end step.
     component, n_components = _components(distances, carriers, step)
     reached = np.zeros((len(lens), n_components), dtype=np.bool_)
     for i in range(len(lens)):
         for j in range(len(carriers)):
             if distances[lens[i], carriers[j]] < inner:
                 reached[i, component[j]] = True
+
+    # Are there two points far apart that reach no component together?
     for i in range(len(lens)):
         for j in range(i):
             if distances[lens[i], lens[j]] >= apart and not (reached[i] & reached[j]).any():
@@ -138,20 +153,24 @@ def is_critical(distances: Array, x: int, y: int, alpha: float, epsilon: float) 
 
 @njit(cache=True)
 def _components(distances: Array, vertices: Ids, step: float) -> tuple[Ids, int]:
-    """Number of each vertex's component under steps shorter than `step`, and how many components there are."""
+    """Return the number of each vertex's component under steps shorter than `step`, and how many components there are."""
     m = len(vertices)
-    component, waiting = np.full(m, -1, np.int64), np.empty(m, np.int64)
+    component = np.full(m, -1, np.int64)
+    waiting = np.empty(m, np.int64)
     n_components = 0
     for start in range(m):
         if component[start] >= 0:
             continue
-        component[start], waiting[0], top = n_components, start, 1
+        component[start] = n_components
+        waiting[0] = start
+        top = 1
         while top > 0:
             top -= 1
             near = distances[vertices[waiting[top]]]
             for w in range(m):
                 if component[w] < 0 and near[vertices[w]] < step:
-                    component[w], waiting[top] = n_components, w
+                    component[w] = n_components
+                    waiting[top] = w
                     top += 1
         n_components += 1
     return component, n_components
@@ -214,7 +233,8 @@ def beta_critical(
     diagram : Diagram, optional
         Of `points`, when it is known.
     """
-    alpha, epsilon = positive(alpha, "alpha"), positive(epsilon, "epsilon")
+    alpha = positive(alpha, "alpha")
+    epsilon = positive(epsilon, "epsilon")
     shortest = alpha + 2 * epsilon if min_lifetime is None else positive(min_lifetime, "min_lifetime")
     return _dense(points, diagram).beta_critical(shortest, alpha, epsilon, nearest=nearest)
 
@@ -233,5 +253,6 @@ def feature_separation(points: ArrayLike, min_lifetime: float = 0.0) -> float:
 
 
 def _dense(points: ArrayLike, diagram: Diagram | None) -> State:
+    """Return a state of which all is observed."""
     array = as_points(points)
     return State(array, np.arange(len(array)), diagram)

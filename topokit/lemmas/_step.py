@@ -17,7 +17,7 @@ from scipy.spatial.distance import cdist
 from .._validate import Array, Ids, as_ids, as_points, as_reals
 from ..rips import Diagram
 from ..sampling import hausdorff_table
-from ._matching import Matching, match_diagrams
+from ._matching import DiagramMatching, match_diagrams
 from ._measures import State
 
 STORED = 1e-4  # how far a coordinate may be from its vertex: episodes are stored with 16 bits
@@ -32,7 +32,7 @@ class Witness:
     birth: float  #: its birth
     death: float  #: its death
     edge: tuple[int, int]  #: vertex ids, in the state, of the edge that decides: the killer
-    what: str  #: what is the matter with it, in words
+    what: str  #: a description in words
 
 
 @dataclass(frozen=True)
@@ -49,26 +49,28 @@ class Verdict:
 
     @property
     def applies(self) -> bool:
-        """The hypotheses hold and there is a loop to speak about."""
+        """Return whether the hypotheses hold and there is a loop to speak about."""
         return self.hypotheses and self.loops > 0
 
     @property
     def violated(self) -> bool:
-        """The statement is refuted: what it assumes is so, and it does not hold."""
+        """Return whether the statement is refuted: its hypotheses hold, and it does not."""
         return self.hypotheses and not self.holds
 
     @property
     def word(self) -> str:
-        """What became of it, for a reader."""
+        """Return the verdict in words."""
         if not self.loops:
             return "empty"
-        return "holds" if self.holds else "FAILS" if self.hypotheses else "fails (so do its hypotheses)"
+        if self.holds:
+            return "holds"
+        return "FAILS" if self.hypotheses else "fails (so do its hypotheses)"
 
 
-def compared(
+def compare(
     statistic: float, bound: float, tolerance: float, loops: int, witness: Witness | None, hypotheses: bool = True
 ) -> Verdict:
-    """Whether ``statistic <= bound``, up to rounding."""
+    """Return whether ``statistic <= bound``, up to rounding."""
     return Verdict(statistic, bound, statistic <= bound + tolerance, hypotheses, loops, witness)
 
 
@@ -97,26 +99,28 @@ class Check:
 
     @property
     def paper(self) -> Verdict:
-        """As the paper has it."""
+        """Return the verdict on the statement as the paper has it."""
         return self.versions["paper"]
 
     @property
     def corrected(self) -> Verdict:
-        """As it is true."""
+        """Return the verdict on the statement as it is true."""
         return self.versions["corrected"]
 
     @property
     def intrinsic(self) -> Verdict | None:
-        """The distortion of the motion in place of epsilon, where something moves: sharper, and still true."""
+        """Return the verdict with the distortion in place of epsilon, where something moves: sharper, and still true."""
         return self.versions.get("intrinsic")
 
     def __str__(self) -> str:
         constants = f"alpha {self.alpha:.4g}, epsilon {self.epsilon:.4g}, distortion {self.distortion:.4g}"
         lines = [f"{self.statement}: {constants}"]
-        for name, v in self.versions.items():
-            lines.append(f"  {name}: {v.statistic:.4g} <= {v.bound:.4g} {v.word}, {v.loops} loops")
-            if v.witness and not v.holds:
-                lines.append(f"    {v.witness.what}: loop {v.witness.loop} of {v.witness.of}, edge {v.witness.edge}")
+        for name, verdict in self.versions.items():
+            numbers = f"{verdict.statistic:.4g} <= {verdict.bound:.4g}"
+            lines.append(f"  {name}: {numbers} {verdict.word}, {verdict.loops} loops")
+            witness = verdict.witness
+            if witness and not verdict.holds:
+                lines.append(f"    {witness.what}: loop {witness.loop} of {witness.of}, edge {witness.edge}")
         return "\n".join(lines)
 
 
@@ -136,7 +140,7 @@ class Step:
         return distortion(self.before.points, self.after.points)
 
     @cached_property
-    def matching(self) -> Matching:
+    def matching(self) -> DiagramMatching:
         return match_diagrams(self.before.diagram, self.after.diagram)
 
     @property
@@ -154,12 +158,12 @@ class Step:
         return self.state(place).diagram if place.startswith("S") else self.state(place).observed_diagram
 
     def killer_edges(self, place: str) -> Ids:
-        """(k, 2) vertex ids, in the state, of the killer edges of this place."""
+        """Return (k, 2) vertex ids, in the state, of the killer edges of this place."""
         edges = self.diagram(place).killer_edge
         return edges if place.startswith("S") else self.state(place).ids[edges]
 
     def killers(self, place: str, n_loops: int) -> Ids:
-        """(n, 2) vertex ids of the killer edges that the longest-lived loops of S_t have in a place, -1 for none."""
+        """Return (n, 2) vertex ids of the killer edges that the longest-lived loops of S_t have in a place, -1 for none."""
         loops = np.arange(n_loops)
         if place.endswith("+1"):
             loops = np.append(self.matching.partner, -1)[loops]
@@ -168,35 +172,51 @@ class Step:
         return np.vstack([self.killer_edges(place), [[-1, -1]]])[loops]
 
     def apart(self, place: str, other: str, n_loops: int) -> Array:
-        """(n, n) Hausdorff distances of the killers that the longest-lived loops of S_t have in two places; inf for none."""
-        points = (np.pad(self.state(end).points, ((0, 1), (0, 0)), constant_values=np.nan) for end in (place, other))
-        ends = (p[self.killers(end, n_loops)] for end, p in zip((place, other), points, strict=True))
+        """Return (n, n) Hausdorff distances of the killers that the longest-lived loops of S_t have in two places.
+
+        A distance is inf where a loop has no killer.
+        """
+        ends = []
+        for name in (place, other):
+            points = np.pad(self.state(name).points, ((0, 1), (0, 0)), constant_values=np.nan)
+            ends.append(points[self.killers(name, n_loops)])
         return np.nan_to_num(hausdorff_table(*ends), nan=np.inf)
 
     def witness(self, place: str, loop: int, what: str) -> Witness | None:
-        """A loop of a place as a witness, None for the loop -1."""
+        """Return a loop of a place as a witness, None for the loop -1."""
         if loop < 0:
             return None
-        diagram, (a, b) = self.diagram(place), self.killer_edges(place)[loop].tolist()
+        diagram = self.diagram(place)
+        a, b = self.killer_edges(place)[loop].tolist()
         return Witness(place, loop, float(diagram.birth[loop]), float(diagram.death[loop]), (a, b), what)
 
 
-def observed_state(state: ArrayLike, observed: ArrayLike) -> Step:
-    """A state with what is observed of it, checked, as a step in which nothing moves."""
-    points = as_points(state, "state")
-    still = State(points, vertex_ids(points, observed))
-    return Step(still, still)
-
-
-def observed_step(
-    before: ArrayLike, observed_before: ArrayLike | None, after: ArrayLike, observed_after: ArrayLike | None
+def as_step(
+    before: ArrayLike | Step,
+    observed_before: ArrayLike | None = None,
+    after: ArrayLike | None = None,
+    observed_after: ArrayLike | None = None,
 ) -> Step:
-    """Two states with what is observed of them, checked; all vertices are where that is None."""
-    a, b = _same_points(before, after)
-    everything = np.arange(len(a))
-    ids = everything if observed_before is None else vertex_ids(a, observed_before, "observed_before")
-    ids_after = everything if observed_after is None else vertex_ids(b, observed_after, "observed_after")
-    return Step(State(a, ids), State(b, ids_after))
+    """Return two states with what is observed of them, checked.
+
+    Without `after` nothing moves; all vertices are observed where that is not given; a step is returned as it is.
+    """
+    if isinstance(before, Step):
+        return before
+    points = as_points(before, "state" if after is None else "before")
+    if after is None:
+        state = _observed(points, observed_before, "observed")
+        return Step(state, state)
+    points, points_after = _same_points(points, after)
+    return Step(
+        _observed(points, observed_before, "observed_before"),
+        _observed(points_after, observed_after, "observed_after"),
+    )
+
+
+def _observed(points: Array, observed: ArrayLike | None, name: str) -> State:
+    ids = np.arange(len(points)) if observed is None else vertex_ids(points, observed, name)
+    return State(points, ids)
 
 
 def max_displacement(before: ArrayLike, after: ArrayLike) -> float:
@@ -228,8 +248,9 @@ def distortion(before: ArrayLike, after: ArrayLike) -> float:
 
 
 def _same_points(before: ArrayLike, after: ArrayLike) -> tuple[Array, Array]:
-    """Both clouds, or ValueError when row i of both cannot be the same point."""
-    a, b = as_points(before, "before"), as_points(after, "after")
+    """Return both clouds, or raise ValueError when row i of both cannot be the same point."""
+    a = as_points(before, "before")
+    b = as_points(after, "after")
     if a.shape != b.shape:
         raise ValueError(f"before has shape {a.shape}, after {b.shape}; row i of both must be the same point")
     return a, b
@@ -245,14 +266,15 @@ def vertex_ids(points: ArrayLike, observed: ArrayLike, name: str = "observed") -
     observed : (m,) array_like of int, or (m, d) array_like
         Vertex ids, or coordinates of vertices.
     name : str
-        What messages call it.
+        The name for it in error messages.
 
     Raises
     ------
     TypeError, ValueError
         When nothing is observed, an id is out of range, or an observed point is no vertex of the state.
     """
-    state, ids = as_points(points), as_reals(observed, name)
+    state = as_points(points)
+    ids = as_reals(observed, name)
     if ids.size == 0:
         raise ValueError(f"{name} is empty; a state without a single observed point has no covering radius")
     if ids.ndim != 1:
@@ -261,6 +283,7 @@ def vertex_ids(points: ArrayLike, observed: ArrayLike, name: str = "observed") -
 
 
 def _nearest_vertices(state: Array, cloud: Array, name: str) -> Ids:
+    """Return the vertices at which the points of a cloud are."""
     if cloud.shape[1] != state.shape[1]:
         raise ValueError(f"{name} has {cloud.shape[1]} dimensions, the state {state.shape[1]}")
     distance, nearest = cKDTree(state).query(cloud)
