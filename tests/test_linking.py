@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from topokit import linking_number, rips_persistence, track
 from topokit.io import load_episode
-from topokit.linking import _segment_distances, close_far, linking_numbers
+from topokit.linking import close_far, curve_centroid, linking_numbers, side_lengths, to_segment
 
 from conftest import DATA, polygon
 
@@ -117,23 +117,6 @@ def test_whitehead_is_clasped_although_its_number_is_zero():
     assert sorted(over) == sorted(under) == [-1, 1]
 
 
-def test_another_library_agrees():
-    """Topoly's Gauss linking integral; its chains are open: each ends just before its start, and it is right to 0.002."""
-    topoly = pytest.importorskip("topoly", reason="pip install topoly")
-    rng = np.random.default_rng(1)
-
-    def chain(curve):
-        return np.vstack([curve, curve[:1] + 1e-6 * (curve[-1:] - curve[:1])])
-
-    pairs = [(a, b) for a, b, _ in LINKS.values()] + [
-        (rng.normal(size=(15, 3)), rng.normal(size=(20, 3))) for _ in range(20)
-    ]
-    ours = [linking_number(a, b) for a, b in pairs]
-    theirs = [topoly.gln(chain(a).tolist(), chain(b).tolist(), precision_output=6) for a, b in pairs]
-    np.testing.assert_allclose(ours, theirs, atol=5e-3)
-    assert len(set(ours)) > 4
-
-
 corner = st.tuples(*[st.integers(-6, 6)] * 3)
 curves = st.lists(corner, min_size=3, max_size=9, unique=True).map(lambda c: np.array(c, dtype=float))
 
@@ -228,37 +211,6 @@ def test_touching_curves(other, where, offset):
         linking_number(SQUARE + offset, np.asarray(other, dtype=float) + offset)
 
 
-@pytest.mark.parametrize(
-    ("curve", "says"),
-    [
-        (SQUARE[:2], r"curve_b must be an \(n, 3\) array of at least 3 corners, not of shape \(2, 3\); .*close_far"),
-        (SQUARE[:, :2], r"curve_b must be an \(n, 3\) array"),
-        (np.vstack([SQUARE, SQUARE[:1]]), r"curve_b passes through a corner twice: corners 0 and 4 .*leave it out"),
-        (SQUARE[[0, 1, 1, 2, 3]], r"corners 1 and 2 are both \[1.0, 0.0, 0.0\]$"),
-        (SQUARE[[0, 1, 2, 1]], "corners 1 and 3"),
-        (SQUARE * [np.nan, 1, 1], "NaN"),
-        (np.stack([SQUARE, SQUARE + 1]), "linking_numbers"),
-    ],
-)
-def test_bad_curves(curve, says):
-    with pytest.raises(ValueError, match=says):
-        linking_number(SQUARE + [0, 0, 9], curve)
-
-
-def test_bad_batches():
-    many = np.stack([SQUARE + [0, 0, k] for k in range(3)])
-    with pytest.raises(ValueError, match=r"curves_a\[2\] .* curves_b\[0\]; no linking"):
-        linking_numbers(many, SQUARE + [0.5, 0, 2])
-    with pytest.raises(ValueError, match="they are 3 and 2"):
-        linking_numbers(many, many[:2] + 9)
-    with pytest.raises(ValueError, match=r"curves_a\[1\] passes through a corner twice"):
-        linking_numbers([SQUARE, SQUARE[[0, 0, 1, 2]]], SQUARE + 9)
-    with pytest.raises(ValueError, match="equally many corners"):
-        linking_numbers([SQUARE.tolist(), SQUARE[:3].tolist()], SQUARE)
-    with pytest.raises(ValueError, match=r"not of shape \(0, 4, 3\)"):
-        linking_numbers(many[:0], SQUARE)
-
-
 def test_a_pole_is_closed_far_away():
     pole = close_far([[0, 0, 0], [0, 0, 1]])
     ring = circle(radius=0.2)
@@ -283,20 +235,6 @@ def test_the_side_on_which_a_curve_is_closed_does_not_matter(start):
     other, _ = linking_numbers(rings, close_far(line, start=start))
     assert usual.any()
     np.testing.assert_array_equal(usual, other)
-
-
-@pytest.mark.parametrize(
-    ("curve", "options", "says"),
-    [
-        ([[0, 0, 0]], {}, "at least 2 corners"),
-        ([[0, 0, 0], [0, 0, 0]], {}, "no extent"),
-        ([[0, 0, 0], [0, 0, 1]], {"end": (0, 0, 0)}, "end must be a direction"),
-        ([[0, 0, 0], [0, 0, 1]], {"far": 0}, "far"),
-    ],
-)
-def test_bad_open_curves(curve, options, says):
-    with pytest.raises(ValueError, match=says):
-        close_far(curve, **options)
 
 
 def test_quadrilateral_goes_around_its_loop():
@@ -368,9 +306,6 @@ def test_the_quadrilateral_of_a_neck_hole_knows_the_neck():
         assert abs(linking_number(outline, close_far([[x, y, -0.5], [x, y, 0.5]]))) == 1
 
 
-# -- the parts, with literal answers ---------------------------------------------------------------------------------------------
-
-
 def test_far_away_is_where_it_is_said_to_be():
     """Extents of 1, 4 and 2: the leads are 100 times 4 long, whatever the length of the directions."""
     curve = np.array([[0.0, 0, 0], [1, 4, 0], [1, 4, 1], [1, 4, 2]])
@@ -395,54 +330,77 @@ def test_nearly_parallel_leads_are_joined_aside_as_far_as_others():
     assert np.linalg.norm(closed[3] - closed[2]) == pytest.approx(100)
 
 
+def test_distances_from_segments_are_those_of_bounded_least_squares():
+    rng = np.random.default_rng(4)
+    points, starts, ends = rng.normal(size=(3, 60, 3)) * rng.choice([1e-3, 1.0, 1e3], size=(1, 60, 1))
+    ends[:5] = starts[:5]  # segments that are points
+    expected = []
+    for point, start, end in zip(points, starts, ends, strict=True):
+        best = lsq_linear((end - start)[:, None], point - start, bounds=(0, 1), tol=1e-14)
+        expected.append(np.linalg.norm((end - start) * best.x - (point - start)))
+    np.testing.assert_allclose(to_segment(points, starts, ends), expected, rtol=1e-5)
+
+
+def test_sides_and_the_centroid_of_a_curve_whose_corners_crowd_on_one_side():
+    square = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2], [0, 0.5], [0, 0.25]])
+    assert side_lengths(square).tolist() == [2, 2, 2, 1.5, 0.25, 0.25]
+    np.testing.assert_allclose(curve_centroid(square), [1, 1])
+
+
+# -- refusals ----------------------------------------------------------------------------------------------------------
+
+
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("curve", "names"),
     [
-        ({"curve": [[0, 0, 0], [0, 0, np.nan]]}, "curve has 1 of 2 points with a NaN"),
-        ({"far": 0.0}, "far must be more than zero"),
-        ({"start": (0, 0, 0)}, "start must be a direction of three numbers"),
-        ({"end": (0, 0)}, "end must be a direction of three numbers"),
-        ({"end": (0, 0, np.inf)}, "end must be a direction of three numbers"),
+        (SQUARE[:2], r"curve_b .*\(2, 3\).*close_far"),
+        (SQUARE[:, :2], r"curve_b .*\(4, 2\)"),
+        (np.vstack([SQUARE, SQUARE[:1]]), "curve_b .* corners 0 and 4"),
+        (SQUARE[[0, 1, 1, 2, 3]], r"corners 1 and 2 .*\[1.0, 0.0, 0.0\]"),
+        (SQUARE[[0, 1, 2, 1]], "corners 1 and 3"),
+        (SQUARE * [np.nan, 1, 1], "curve_b"),
+        (np.stack([SQUARE, SQUARE + 1]), "curve_b .*linking_numbers"),
     ],
 )
-def test_what_cannot_be_closed_is_named(arguments, says):
-    with pytest.raises(ValueError, match=says):
+def test_a_curve_that_is_none_is_named(curve, names):
+    with pytest.raises(ValueError, match=names):
+        linking_number(SQUARE + [0, 0, 9], curve)
+
+
+MANY = np.stack([SQUARE + [0, 0, k] for k in range(3)])
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "names"),
+    [
+        (MANY, SQUARE + [0.5, 0, 2], r"curves_a\[2\] .* curves_b\[0\]"),
+        (MANY, MANY[:2] + 9, "3 and 2"),
+        (MANY[:0], SQUARE, r"curves_a .*\(0, 4, 3\)"),
+        (SQUARE[0], SQUARE, "curves_a"),
+        ([SQUARE, SQUARE[[0, 0, 1, 2]]], SQUARE + 9, r"curves_a\[1\] .*corner"),
+        ([SQUARE.tolist(), SQUARE[:3].tolist()], SQUARE, "curves_a"),
+        (SQUARE + 9, SQUARE * [np.nan, 1, 1], "curves_b"),
+        (np.stack([SQUARE, SQUARE * np.nan]), SQUARE, r"curves_a\[1\]"),
+    ],
+)
+def test_a_batch_that_is_none_is_named(a, b, names):
+    with pytest.raises(ValueError, match=names):
+        linking_numbers(a, b)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "names"),
+    [
+        ({"curve": [[0, 0, 0]]}, r"curve .*\(1, 3\)"),
+        ({"curve": [[0, 0, 0], [0, 0, 0]]}, "extent"),
+        ({"curve": [[0, 0, 0], [0, 0, np.nan]]}, "curve"),
+        ({"curve": [[0, 0, 0], [0, 0, 1e200]]}, "1e150"),
+        ({"far": 0.0}, "far"),
+        ({"start": (0, 0, 0)}, "start"),
+        ({"end": (0, 0)}, "end"),
+        ({"end": (0, 0, np.inf)}, "end"),
+    ],
+)
+def test_a_curve_that_cannot_be_closed_is_named(arguments, names):
+    with pytest.raises(ValueError, match=names):
         close_far(**{"curve": [[0, 0, 0], [0, 0, 1]], **arguments})
-
-
-def test_wrong_curves_are_named():
-    circle = ring(5)
-    for pair, says in (((circle[None], circle), "curve_a is a batch"), ((circle, circle[None]), "curve_b is a batch")):
-        with pytest.raises(ValueError, match=says):
-            linking_number(*pair)
-    wrong = np.where(np.arange(15).reshape(5, 3) == 4, np.nan, circle)
-    for pair, says in (
-        ((wrong, circle), "curves_a has 1 of 5 points with a NaN"),
-        ((circle, wrong), "curves_b has 1 of 5 points with a NaN"),
-        ((np.stack([circle, wrong]), circle), r"curves_a\[1\] has 1 of 5 points with a NaN"),
-        ((circle[0], circle), r"curves_a must be a \(B, n, 3\) array"),
-        (([circle, circle[:4]], circle), "the curves of curves_a must have equally many corners"),
-        ((np.stack([circle] * 2), np.stack([circle] * 3)), "they are 2 and 3"),
-    ):
-        with pytest.raises(ValueError, match=says):
-            linking_numbers(*pair)
-
-
-def ring(n: int) -> np.ndarray:
-    angle = 2 * np.pi * np.arange(n) / n
-    return np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-
-
-def test_distances_of_segments_are_those_of_bounded_least_squares():
-    rng = np.random.default_rng(4)
-    ends = rng.normal(size=(4, 60, 3))
-    ends[3, :10] = ends[2, :10] + (ends[1] - ends[0])[:10]  # parallel
-    ends[1, 10:15] = ends[0, 10:15]  # a segment that is a point
-    ends *= rng.choice([1e-3, 1.0, 1e3], size=(1, 60, 1))
-    a, a_end, b, b_end = ends
-    expected = []
-    for i in range(60):
-        system = np.column_stack([b_end[i] - b[i], a[i] - a_end[i]])
-        best = lsq_linear(system, a[i] - b[i], bounds=(0, 1), tol=1e-14)
-        expected.append(np.linalg.norm(system @ best.x - (a[i] - b[i])))
-    np.testing.assert_allclose(_segment_distances(a, a_end, b, b_end), expected, rtol=1e-5)

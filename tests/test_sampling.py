@@ -1,4 +1,4 @@
-"""Samples and distances: small clouds with literal answers."""
+"""Samples and distances: small clouds with literal answers, and the definitions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from topokit import SeqPH, covering_radius, farthest_point_sample, hausdorff
-from topokit.sampling import inliers, spacing
+from topokit.sampling import as_tree, hausdorff_table, inliers, spacing
 
 LINE = np.array([[3.0], [4.0], [5.0], [9.0], [4.5]])
 
@@ -22,6 +22,7 @@ LINE = np.array([[3.0], [4.0], [5.0], [9.0], [4.5]])
         (2, -2, [3, 0], 2.0),
         (2, -5, [0, 3], 2.0),
         (2, 4, [4, 3], 1.5),
+        (2, None, [3, 0], 2.0),
     ],
 )
 def test_the_farthest_comes_next_and_ties_go_to_the_first(n, start, idx, radius):
@@ -32,42 +33,32 @@ def test_the_farthest_comes_next_and_ties_go_to_the_first(n, start, idx, radius)
         assert farthest_point_sample(LINE, n)[0].tolist() == idx
 
 
-def slowly(points, n, start):
-    """Farthest points by their definition."""
-    idx = [start]
-    nearest = ((points - points[start]) ** 2).sum(axis=1)
-    while len(idx) < n:
-        idx.append(int(np.argmax(nearest)))
-        nearest = np.minimum(nearest, ((points - points[idx[-1]]) ** 2).sum(axis=1))
-    return idx, np.sqrt(nearest.max())
-
-
 @pytest.mark.parametrize("dimension", [1, 2, 3, 4, 7, 9])
 def test_farthest_points_are_those_of_the_definition(dimension):
     """Of points strewn about, and of a grid, where most choices are ties and places are taken several times."""
     rng = np.random.default_rng(dimension)
     for points in (rng.random((250, dimension)), rng.integers(0, 3, (250, dimension)).astype(float)):
         found, covered = farthest_point_sample(points, 220, 7)
-        expected, radius = slowly(points, 220, 7)
+        expected = [7]
+        nearest = ((points - points[7]) ** 2).sum(axis=1)
+        while len(expected) < 220:
+            expected.append(int(np.argmax(nearest)))
+            nearest = np.minimum(nearest, ((points - points[expected[-1]]) ** 2).sum(axis=1))
         assert found.tolist() == expected
-        assert covered == pytest.approx(radius, rel=1e-12)
+        assert covered == pytest.approx(np.sqrt(nearest.max()), rel=1e-12)
 
 
-def test_without_a_start_the_order_of_points_has_no_say():
+def test_without_a_start_the_order_of_points_does_not_matter():
     points = np.random.default_rng(0).normal(size=(200, 3))
     first, covered = farthest_point_sample(points, 40, None)
-    assert first[0] == np.linalg.norm(points - points.mean(axis=0), axis=1).argmax()
-    for seed in range(5):
-        order = np.random.default_rng(seed).permutation(200)
-        again, radius = farthest_point_sample(points[order], 40, start=None)
-        assert (points[order][again] == points[first]).all()
-        assert radius == covered
-    with pytest.raises(ValueError, match="1 to 0"):
-        farthest_point_sample(np.zeros((0, 3)), 1, None)
+    order = np.random.default_rng(1).permutation(200)
+    again, radius = farthest_point_sample(points[order], 40, start=None)
+    assert (points[order][again] == points[first]).all()
+    assert radius == covered
 
 
 def test_the_inliers_of_a_cloud_are_those_of_the_definition():
-    """Outliers are left out twice; what lost none of its neighbours is not asked again."""
+    """Outliers are left out twice; places that coincide are one."""
     rng = np.random.default_rng(0)
     for n, few in [(300, 20), (40, 9), (7, 3), (6, 2), (5, 2)]:
         points = np.concatenate([rng.random((n, 2)), rng.uniform(-9, 9, (few, 2))])
@@ -76,38 +67,15 @@ def test_the_inliers_of_a_cloud_are_those_of_the_definition():
             if len(ids) > 5:
                 fifth = np.sort(cdist(points[ids], points[ids]), axis=1)[:, 5]
                 ids = ids[fifth <= 2.5 * np.median(fifth)]
-        assert inliers(points).tolist() == ids.tolist()
+        assert inliers(points).tolist() == inliers(as_tree(points)).tolist() == ids.tolist()
+        twice = np.concatenate([points, points])
+        assert inliers(twice).tolist() == [*ids, *(ids + len(points))]
         assert len(ids) < len(points) or n < 10
-
-
-@pytest.mark.parametrize(
-    ("n", "start", "says"),
-    [(0, 0, "n must be 1 to 5"), (6, 0, "n must be 1 to 5, .* not 6"), (1, 5, "start must"), (1, -6, "start must")],
-)
-def test_numbers_out_of_range_are_named(n, start, says):
-    with pytest.raises(ValueError, match=says):
-        farthest_point_sample(LINE, n, start)
-
-
-def test_the_covering_radius_has_a_direction_and_hausdorff_has_none():
-    assert covering_radius([[0.0], [7.0]], [[1.0]]) == 6.0
-    assert covering_radius([[1.0]], [[0.0], [7.0]]) == 1.0
-    assert hausdorff([[0.0], [7.0]], [[1.0]]) == hausdorff([[1.0]], [[0.0], [7.0]]) == 6.0
-
-
-@pytest.mark.parametrize(
-    ("dense", "sample", "says"),
-    [
-        (np.empty((0, 2)), [[0, 0]], "at least one point each"),
-        ([[0, 0]], np.empty((0, 2)), "at least one point each"),
-        ([[0, 0]], [[0, 0, 0]], "dense has 2 dimensions, sample 3"),
-        ([[np.nan, 0]], [[0, 0]], "dense has 1 of 1 points with a NaN"),
-        ([[0, 0]], [[0, np.nan]], "sample has 1 of 1 points with a NaN"),
-    ],
-)
-def test_clouds_that_cannot_be_compared_are_named(dense, sample, says):
-    with pytest.raises(ValueError, match=says):
-        covering_radius(dense, sample)
+    assert inliers(np.zeros((3, 2))).tolist() == [0, 1, 2]
+    assert inliers(points, factor=100.0).tolist() == list(range(len(points)))
+    for option in ("factor", "neighbours"):
+        with pytest.raises(ValueError, match=option):
+            inliers(points, **{option: 0})
 
 
 @pytest.mark.parametrize(
@@ -115,11 +83,9 @@ def test_clouds_that_cannot_be_compared_are_named(dense, sample, says):
     [
         ([[5.0]], 0.0),
         ([[5.0], [5.0]], 0.0),
-        ([[5.0], [8.0]], 1.5),
         ([[5.0], [8.0], [5.0]], 1.5),
         ([[0.0], [-0.0], [0.0]], 0.0),
         ([[0.0], [-0.0], [3.0]], 1.5),
-        ([[0.0], [1.0], [3.0], [9.0]], 3.0),
         ([[0.0], [0.0], [1.0], [3.0], [3.0], [9.0], [9.0]], 3.0),
         ([[1e-17], [0.0], [4.0], [4.0]], 2.0),
     ],
@@ -128,29 +94,53 @@ def test_spacing_is_half_the_widest_gap_between_different_points(cloud, half):
     assert spacing(np.array(cloud)) == half
 
 
-@pytest.mark.parametrize("d", [1, 2, 3, 5, 9])
-@pytest.mark.parametrize("motion", [0.0, 0.01, 1.0])
-def test_distances_that_search_for_few_points_are_those_of_all(d, motion):
-    rng = np.random.default_rng(0)
-    for n, power in ((2, 1), (7, 1), (300, 3), (300, 1), (1000, 0)):
-        before = rng.normal(size=(n, d)) ** power + np.arange(n)[:, None] * (power == 0)  # evenly on a line, when 0
-        after = before + motion * rng.random((n, d))
-        for a, b in ((before, after), (before, rng.permutation(after)), (before, after[: n // 2])):
-            apart = cdist(a, b)
-            expected = max(apart.min(axis=0).max(), apart.min(axis=1).max())
-            assert hausdorff(a, b) == pytest.approx(expected, rel=1e-14)
-        own = cdist(after, after) + np.diag(np.full(n, np.inf))
-        for cloud in (after, np.concatenate([after, after[: n // 2]])):
+@pytest.mark.parametrize("d", [1, 2, 3, 9])
+def test_distances_are_those_of_the_definitions(d):
+    rng = np.random.default_rng(d)
+    for n, power in ((2, 1), (7, 1), (300, 3), (1000, 0)):
+        a = rng.normal(size=(n, d)) ** power + np.arange(n)[:, None] * (power == 0)  # evenly on a line, when 0
+        for b in (a + 0.01 * rng.random((n, d)), rng.permutation(a), a[: n // 2] + 1.0):
+            table = cdist(a, b)
+            assert covering_radius(a, b) == pytest.approx(table.min(axis=1).max(), rel=1e-14)
+            assert covering_radius(b, a) == pytest.approx(table.min(axis=0).max(), rel=1e-14)
+            assert hausdorff(a, b) == max(covering_radius(a, b), covering_radius(b, a))
+            assert hausdorff(as_tree(a), b) == hausdorff(a, b)
+        own = cdist(a, a) + np.diag(np.full(n, np.inf))
+        for cloud in (a, np.concatenate([a, a[: n // 2]])):
             assert spacing(cloud) == pytest.approx(own.min(axis=1).max() / 2, rel=1e-14)
+    sets = rng.normal(size=(2, 5, 2, d))
+    assert hausdorff_table(*sets) == pytest.approx(np.array([[hausdorff(a, b) for b in sets[1]] for a in sets[0]]))
+
+
+@pytest.mark.parametrize(
+    ("n", "start", "names"),
+    [(0, 0, "n must be 1 to 5"), (6, 0, "n must be 1 to 5"), (1, 5, "start"), (1, -6, "start")],
+)
+def test_numbers_out_of_range_are_named(n, start, names):
+    with pytest.raises(ValueError, match=names):
+        farthest_point_sample(LINE, n, start)
+
+
+@pytest.mark.parametrize(
+    ("dense", "sample", "names"),
+    [
+        (np.empty((0, 2)), [[0, 0]], "dense"),
+        ([[0, 0]], np.empty((0, 2)), "sample"),
+        ([[0, 0]], [[0, 0, 0]], "dense has 2 dimensions, sample 3"),
+        ([[np.nan, 0]], [[0, 0]], "dense"),
+        ([[0, 0]], [[0, np.nan]], "sample"),
+    ],
+)
+def test_clouds_that_cannot_be_compared_are_named(dense, sample, names):
+    with pytest.raises(ValueError, match=names):
+        covering_radius(dense, sample)
 
 
 @pytest.mark.parametrize("size", [1e-320, 1e-170, 1e160, 1e300])
 def test_no_distance_becomes_zero_or_infinite(size):
     cloud = np.random.default_rng(0).random((20, 3)) * size
     for call in (spacing, lambda c: farthest_point_sample(c, 5), lambda c: hausdorff(c, c[:5]), SeqPH().update):
-        with pytest.raises(ValueError, match=r"coordinates of up to .* another unit"):
+        with pytest.raises(ValueError, match="another unit"):
             call(cloud)
-    with pytest.raises(ValueError, match="coordinates of up to"):
-        covering_radius(cloud, np.zeros((1, 3)))
-    with pytest.raises(ValueError, match="differ so little"):
+    with pytest.raises(ValueError, match="round"):
         spacing([[1, 0], [1, 1e-170], [2, 0], [2, 1e-170]])

@@ -16,7 +16,7 @@ CALLS = {"torch.load", "torch.save", "os.system", "os.popen", "numpy.fromregex",
 
 
 def offences(source: str) -> list[str]:
-    """What a module does that it may not."""
+    """Return what a module does that it may not."""
     found = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, (ast.Import, ast.ImportFrom)):

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import subprocess
 import sys
-import tracemalloc
-import weakref
 
 import numpy as np
 import pytest
@@ -247,52 +244,3 @@ def test_vines_follow_a_motion_that_a_matching_loses():
     assert states[1].loops[0].death == track([large])[0].loops[0].death
     with pytest.raises(ValueError, match="same vertices"):
         track_vines([small, large[:9]])
-
-
-def test_a_diagram_that_is_known_is_not_computed_again():
-    from topokit import rips_persistence
-
-    frames = [ring(24, 1.0), ring(24, 1.1)]
-    tracker = SeqPH()
-    states = [tracker.update(cloud, diagram=rips_persistence(cloud)) for cloud in frames]
-    assert [state.loops[0].death for state in states] == [state.loops[0].death for state in track(frames)]
-    with pytest.raises(ValueError, match="frame 2 has 24 points, its diagram is of 9"):
-        tracker.update(frames[0], diagram=rips_persistence(frames[0][:9]))
-    assert tracker.update(frames[1]).frame == 2
-
-
-@pytest.mark.parametrize("identity", ["killer-edge", "killer-triangles", "cycle"])
-def test_an_endless_stream_keeps_nothing(identity):
-    """Every cloud but the last is let go, and so is every loop that is forgotten."""
-    clouds: list[weakref.ref] = []
-    loops: list[weakref.ref] = []
-
-    def frames(n: int):
-        for t in range(n):
-            cloud = np.vstack([ring(24, 1.0), ring(24, 0.8, (9 + 40 * (t % 2), 0, 0))])  # the second comes and goes
-            clouds.append(weakref.ref(cloud))
-            yield cloud
-
-    tracker = SeqPH(identity=identity, memory=3)
-    for state in tracker.stream(frames(60)):
-        loops.extend(weakref.ref(loop) for loop in state.loops)
-    del state
-    gc.collect()
-    assert sum(cloud() is not None for cloud in clouds) <= 1
-    assert sum(loop() is not None for loop in loops) <= 2 + 2 * 3  # those of the last frame and those remembered
-
-
-def test_memory_does_not_grow_along_a_stream():
-    rng = np.random.default_rng(0)
-    base = np.vstack([ring(24, 1.0), ring(24, 0.8, (9, 0, 0))])
-    tracker = SeqPH(identity="killer-triangles", memory=3)
-    sizes = []
-    tracemalloc.start()
-    try:
-        for state in tracker.stream(base + 0.01 * rng.normal(size=base.shape) for _ in range(700)):
-            if state.frame in (400, 699):  # numba's own tables are full by then
-                gc.collect()
-                sizes.append(tracemalloc.get_traced_memory()[0])
-    finally:
-        tracemalloc.stop()
-    assert sizes[1] - sizes[0] < 20_000  # 300 clouds are 350 kB
