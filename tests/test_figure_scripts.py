@@ -483,19 +483,6 @@ def test_curves_are_linked_as_by_topokit_and_their_distance_is_measured():
     assert numbers >= {-3, -2, -1, 0, 1, 2, 3}
 
 
-def test_crossings_lie_where_they_are_seen_from_above():
-    square = [[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]
-    upright = [[0, 0.25, -1], [2, 0.5, -1], [2, 0.5, 1], [0, 0.25, 1]]  # stands through the square's right side
-    [answer] = by_script(["link.js"], LINK, [[square, upright]])
-    assert sorted(answer["crossings"]) == [[1, 0.375, -1, 0], [1, 0.375, -1, 1]]
-
-
-def test_the_smooth_curve_runs_through_its_handles():
-    [curve] = answers(["link.js"], "(handles) => smooth(handles, 6)", [RING])
-    np.testing.assert_allclose(curve[::6], RING)
-    np.testing.assert_allclose(np.linalg.norm(curve, axis=1), 1, atol=0.01)  # nearly the circle
-
-
 # ---- shares
 
 

@@ -161,13 +161,6 @@ def test_a_cloth_that_cannot_be_drawn_is_refused(points, faces, message):
         view.plot_cloth(points, faces)
 
 
-def test_flat_axes_and_another_cloth_at_rest_are_refused(episode):
-    with pytest.raises(ValueError, match="3D"):
-        view.plot_cloth(episode.points[0], ax=Figure().add_subplot())
-    with pytest.raises(ValueError, match="rest has 71 points"):
-        view.Scene(episode.points[0], rest=episode.points[0][1:])
-
-
 def test_nothing_is_drawn_from_uninitialised_memory(episode, states, monkeypatch):
     def arbitrary_memory(shape, dtype=float, **options):
         return np.full(shape, 1.7e308 if np.issubdtype(dtype, np.floating) else 0, dtype, **options)
@@ -334,15 +327,6 @@ def test_the_player_holds_the_loops_of_each_frame(episode, states):
         for corners, loop in zip(arrays["killer"][rows], state.loops, strict=True):
             np.testing.assert_allclose(corners[:2], loop.killer_edge_points, atol=1e-5)
             np.testing.assert_allclose(corners[2:].reshape(2, 3, 3), loop.killer_triangles, atol=1e-5)
-
-
-def test_the_player_is_one_page_that_text_cannot_end(episode, states, tmp_path):
-    figure = view.player(episode, states, height=400)
-    assert figure._repr_html_().count('"') == 8  # srcdoc, title, loading, style
-    assert figure.page.count("</script>") == 2  # the garment's name contains a third
-    page = figure.save(tmp_path / "player.html").read_text(encoding="utf-8")
-    assert page == figure.page
-    assert page.startswith("<!doctype html>")
 
 
 def test_the_player_starts_at_the_longest_life_or_at_a_given_frame(episode, states):
