@@ -123,11 +123,11 @@ def test_cycles_are_born_with_their_bars_and_bound_at_death_and_not_before():
     assert count > 60
 
 
-FILM = """({ film, told: rows }) => {
+FILM = """({ film, loops: rows }) => {
   const all = unpack(film), n = all.length / 3 / rows.length;
   return rows.map((row, t) => {
     const points = Array.from({ length: n }, (_, v) => [...all.subarray(3 * (n * t + v), 3 * (n * t + v + 1))]);
-    const read = told(points, unpack(row)), own = rips(points);
+    const read = loopsFromRows(points, unpack(row)), own = rips(points);
     return { points, loops: [read, own].map(({ loops }) => loops.map((loop) => ({ ...loop, cycle: loop.cycle }))) };
   });
 }"""

@@ -1,9 +1,9 @@
-"""The built book in a real browser, with the network cut off: every page, both themes, two widths, every control.
+"""Test the built book in a real browser without a network: every page, both themes, two widths, every control.
 
     make check-book
 
-It drives the system's own Chromium through Playwright, which is asked to download nothing. Accessibility is judged by axe-core,
-which comes with axe-playwright-python. Without Chromium, Playwright or a built book the tests are skipped and say what to do.
+Playwright drives the system's own Chromium and downloads nothing. axe-core, from axe-playwright-python, checks accessibility.
+Without Chromium, Playwright or a built book the tests are skipped with the command that is missing.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ REPEATED = {
     ]
 }
 SETTLED = "async () => { for (let i = 0; i < 2; i++) await new Promise(requestAnimationFrame); }"
-# What a figure shows: its canvases, what it says, and where its controls stand.
+# The state of a figure: its canvases, its status line, and whether its keys are explained.
 SHOWN = """() => [...document.querySelectorAll("canvas")].map((c) => c.toDataURL()).join()
   + document.querySelector("#status")?.textContent + document.querySelector("#keys")?.hidden"""
 
@@ -68,11 +68,12 @@ def chromium() -> Iterator[Any]:
 
 
 class Visit:
-    """A page that was opened without a network, and what went wrong on it."""
+    """A page opened without a network, and the errors on it."""
 
     def __init__(self, chromium: Any, page: str, width: int = 1280, asking: str = "", **options: Any) -> None:
         self.context = chromium.new_context(viewport={"width": width, "height": 900}, offline=True, **options)
-        self.page, self.trouble = self.context.new_page(), list[str]()
+        self.page = self.context.new_page()
+        self.trouble: list[str] = []
         self.page.on("console", lambda m: m.type in ("error", "warning") and self.trouble.append(f"console: {m.text}"))
         self.page.on("pageerror", lambda error: self.trouble.append(f"error: {error}"))
         self.page.on("requestfailed", lambda request: self.trouble.append(f"failed: {request.url}"))
@@ -90,7 +91,7 @@ class Visit:
         self.ask(THEME, name)
 
     def figures(self) -> list[Any]:
-        """The frames of the moving figures, each scrolled to, so that it has been loaded and drawn."""
+        """Return the frames of the interactive figures, each scrolled to, so that it has been loaded and drawn."""
         frames = []
         for element in self.page.query_selector_all("iframe[srcdoc]"):
             if element.is_visible():  # not those in a folded solution
@@ -102,7 +103,7 @@ class Visit:
         return frames
 
     def violations(self, *rules: str) -> list[str]:
-        """What axe-core calls serious or critical, on the page and in its figures."""
+        """Return what axe-core rates serious or critical, on the page and in its figures."""
         axe = resources.files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8")
         options: dict[str, Any] = {"resultTypes": ["violations"], "preload": False}
         if rules:
@@ -124,7 +125,7 @@ class Visit:
         self.context.close()
 
 
-# Colours change over some time; what is judged is where they arrive.
+# Colours fade into those of the theme; wait until they have.
 THEME = """async (name) => {
   document.documentElement.dataset.theme = document.documentElement.dataset.mode = name;
   await Promise.all(document.getAnimations().map((change) => change.finished));
@@ -144,14 +145,14 @@ MATHS = """() => [...document.querySelectorAll(".math")]
 CUT = """() => [...document.querySelectorAll("div.math")].filter((m) => m.checkVisibility()
     && m.querySelector(".katex-html").getBoundingClientRect().left < m.getBoundingClientRect().left - 1)
   .map((m) => m.textContent.slice(0, 80))"""
-# A picture is told by its alt text, a drawing in the page by its label; neither by the name of a file.
+# A picture needs an alt text, a drawing in the page a label; neither may be the name of a file.
 TOLD = """() => [...document.querySelectorAll(".bd-article img, .bd-article svg[role=img]")].filter((e) => {
   const text = e.alt ?? e.getAttribute("aria-label") ?? "";
   const heard = !e.closest("[aria-hidden=true]") && (e.alt !== "" || !e.closest("a"));
   return heard && (text.trim().length < 12 || /\\.(png|svg|gif)$/.test(text));
 }).map((e) => e.outerHTML.slice(0, 80))"""
 
-# What a chapter says on stderr is noise to who reads it, and so is a table that is none.
+# Output on stderr and tables that were not rendered do not belong on a page.
 WARNED = """() => [...document.querySelectorAll(".output.stderr, .cell_output p")]
   .filter((e) => e.matches(".stderr") || e.textContent.startsWith("| ")).map((e) => e.textContent.slice(0, 200))"""
 
@@ -287,7 +288,7 @@ def test_a_lit_part_of_the_complex_is_drawn(chromium: Any) -> None:
         assert visit.trouble == []
 
 
-# Not to an end, where other controls may have nothing to show.
+# Move a slider, but not to an end, where other controls may have nothing to show.
 MOVE = """e => {
   const at = (share) => +e.min + share * (e.max - e.min);
   e.value = at(+e.value > at(0.5) ? 0.3 : 0.7);
@@ -296,7 +297,7 @@ MOVE = """e => {
 
 
 def _use(frame: Any, control: Any) -> None:
-    """Move a control as a hand does."""
+    """Use a control as a reader does."""
     kind = control.evaluate("e => e.type || e.tagName.toLowerCase()")
     if kind == "range":
         control.evaluate(MOVE)

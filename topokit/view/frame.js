@@ -151,7 +151,7 @@ function fullScreen() { // where the browser and the page around allow it
   button.setAttribute("aria-pressed", false);
   $("status").before(button);
 }
-function explain() { // a button that shows what a screen reader is told: the keys, and what can be dragged
+function explain() { // a button that shows what a screen reader reads: the keys, and what can be dragged
   const button = Object.assign(document.createElement("button"), { type: "button", textContent: "?", title: "keys", id: "help" });
   const show = (on) => {
     button.setAttribute("aria-expanded", on);

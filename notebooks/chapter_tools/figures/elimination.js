@@ -9,7 +9,7 @@
   const columnOf = (k) => (now() && k === now().k ? now() : last().find((s) => s.k === k)) || { column: all.columns[k].boundary };
 
   // ---- words -------------------------------------------------------------------------------------------------
-  function told() {
+  function explanation() {
     if (!now()) return "no triangle";
     const { k, column, chain, next } = now(), sum = [k, ...bits(chain).filter((t) => t !== k)].map((t) => name(all.columns[t].ids)).join(" + ");
     if (!column) return `${sum}: nothing is left, the triangles close a surface`;
@@ -73,7 +73,7 @@
     drawScene();
     drawMatrix();
     drawDiagram();
-    const text = `step ${step + 1} of ${all.steps.length} \u00b7 ${told()}`;
+    const text = `step ${step + 1} of ${all.steps.length} \u00b7 ${explanation()}`;
     $("status").textContent = text;
     [$("step").max, $("step").value] = [Math.max(0, all.steps.length - 1), step];
     $("step").setAttribute("aria-valuetext", text);

@@ -3,10 +3,10 @@
 // of every frame are handed over. A new radius only draws.
 (() => {
   const [scene, diagram, strip] = [$("scene"), $("diagram"), $("strip")];
-  const film = data.film && unpack(data.film), frames = data.told?.length, later = lazily(draw);
+  const film = data.film && unpack(data.film), frames = data.loops?.length, later = lazily(draw);
   const eye = film && orbit(scene, data.view, later, { " ": () => play() });
   const n = film?.length / 3 / frames, cloud = (t) => Array.from({ length: n }, (_, v) => [...film.subarray(3 * (n * t + v), 3 * (n * t + v + 1))]);
-  const home = film ? data.told.flatMap((_, t) => cloud(t).map(onto(cloud(t)))) : data.points;
+  const home = film ? data.loops.flatMap((_, t) => cloud(t).map(onto(cloud(t)))) : data.points;
   const widths = [0, 1].map((k) => Math.max(...home.map((p) => p[k])) - Math.min(...home.map((p) => p[k])));
   const frame = framing(home, 0.06 * (Math.max(...widths) || 1));
   let points, complex, end, radius, time = 0, chosen = -1;
@@ -20,7 +20,7 @@
   function compute() {
     const old = complex ? [...complex.loops] : [], free = (k) => !complex.loops.some((l) => l.colour === k);
     const same = (a, b) => a.killerEdge.join() === b.killerEdge.join() || a.birthEdge.join() === b.birthEdge.join();
-    complex = film ? told(points, unpack(data.told[time])) : rips(points);
+    complex = film ? loopsFromRows(points, unpack(data.loops[time])) : rips(points);
     for (const loop of complex.loops) {
       const k = old.findIndex((l) => same(l, loop));
       if (k >= 0) loop.colour = old.splice(k, 1)[0].colour;

@@ -61,7 +61,8 @@ def plot_lune(points: ArrayLike, edge: Sequence[int], ax: Axes | None = None) ->
             axes.fill(*triangle.T, facecolor=EDGE, alpha=0.22, zorder=1)
 
     titles = {0: "empty", 1: "connected"}
-    return _finish(axes, cloud[[x, y]], titles.get(len(components), f"{len(components)} components"))
+    title = titles.get(len(components), f"{len(components)} components")
+    return _finish(axes, cloud[[x, y]], title)
 
 
 def plot_lens(
@@ -161,11 +162,13 @@ def lens_witness(distances: Array, x: int, y: int, alpha: float, epsilon: float)
         reached = np.array([touches[:, component].any(axis=1) for component in components], dtype=int)
         blocked = asked & (reached.T @ reached == 0)
 
-    candidates = blocked if blocked.any() else asked
+    critical = bool(blocked.any())
+    candidates = blocked if critical else asked
     farthest = int(np.argmax(np.where(candidates, apart, -1)))
     pair = lens[[*divmod(farthest, len(lens))]]
-    path = nothing if blocked.any() else _shortest_path(distances, pair, inner, end_step, step)
-    return pair, path, inner
+    if critical:
+        return pair, nothing, inner
+    return pair, _shortest_path(distances, pair, inner, end_step, step), inner
 
 
 def _shortest_path(distances: Array, pair: Ids, inner: Ids, end_step: float, step: float) -> Ids:
@@ -191,7 +194,9 @@ def _shortest_path(distances: Array, pair: Ids, inner: Ids, end_step: float, ste
 
 
 def _axes(ax: Axes | None) -> Axes:
-    return plt.figure(layout="constrained").add_subplot() if ax is None else ax
+    if ax is not None:
+        return ax
+    return plt.figure(layout="constrained").add_subplot()
 
 
 def _draw_dots(axes: Axes, places: Array, colour: str, size: float, zorder: float) -> None:

@@ -9,7 +9,7 @@
   // ---- what the edge does --------------------------------------------------------------------------------------
   const ink = { kills: 0, begins: 5, joins: 4, void: 3 };
   const loop = (e) => complex.loops.find((l) => [l.birthEdge, l.killerEdge].some(([i, j]) => i === e.i && j === e.j));
-  function told(e) {
+  function explanation(e) {
     const found = loop(e), act = complex.does(rank), c = e.parts.length, inside = e.parts.flat().length;
     const words = { joins: "joins two components", nothing: "kills nothing", void: "kills nothing: the dashed walk was filled before, so a void begins",
       begins: found ? `begins a loop, which dies at ${found.death.toFixed(3)}` : "begins a loop, which dies at once",
@@ -82,7 +82,7 @@
     drawScene();
     drawUpright();
     drawStrip();
-    const text = told(edge());
+    const text = explanation(edge());
     $("status").textContent = text;
     [$("edge").max, $("edge").value] = [complex.edges.length - 1, rank];
     $("edge").setAttribute("aria-valuetext", text);

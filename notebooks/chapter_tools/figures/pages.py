@@ -122,7 +122,7 @@ def pack_film(film: ArrayLike, max_radius: float | None = None) -> dict[str, Any
     last_death = max(float(diagram.death.max(initial=0.0)) for diagram in diagrams)
     return {
         "film": clouds,
-        "told": [_loop_rows(diagram) for diagram in diagrams],
+        "loops": [_loop_rows(diagram) for diagram in diagrams],
         "view": [-60, 15],
         "frame": frames // 2,
         "longest": longest,

@@ -100,7 +100,7 @@ function rips(points) {
   };
   return { edges, merges, loops, cone, does, joined };
 }
-function told(points, rows) { // the same from rows that topokit wrote: birth edge, killer edge, two apexes, length of a cycle, cycle
+function loopsFromRows(points, rows) { // the same from rows that topokit wrote: birth edge, killer edge, two apexes, length of a cycle, cycle
   const edges = edgesOf(points), joins = forest(points.length), loops = [], value = (a, b) => edges.find((e) => e.i === a && e.j === b).value;
   for (let k = 0; k < rows.length; k += 7 + rows[k + 6]) {
     const [a, b, i, j, y, z, many] = rows.subarray(k, k + 7), cycle = [...rows.subarray(k + 7, k + 7 + many)];
