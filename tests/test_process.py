@@ -1,4 +1,4 @@
-"""Jobs in fresh processes: what they may not run; that they can be stopped and leave nothing behind."""
+"""Jobs in fresh processes: they can crash, hang and be stopped, and leave nothing behind."""
 
 from __future__ import annotations
 
@@ -7,195 +7,112 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
-import numpy as np
 import psutil
 import pytest
 
 pytest.importorskip("pybullet")
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
 
-from topokit.sim import Garment, SimulationConfig, SimulationError, _process, simulate
+from topokit._processes import ProcessError, in_fresh_processes
+from topokit.sim import Garment, SimulationConfig, SimulationError, simulate
 
-APRON = Garment.apron(spacing=0.05, strap_width=0.05)
-SHORT = SimulationConfig(frames=2, steps_per_frame=1, settle=0)
+from fresh_jobs import count_up, crash_until_third, divide, do, wait
+from small_datasets import wait_until
+
 SIMULATE = """
 from topokit.sim import Garment, SimulationConfig, simulate
 
 apron = Garment.apron(spacing=0.05, strap_width=0.05)
 print(simulate(apron, config=SimulationConfig(frames=2, steps_per_frame=1, settle=0), n_observed=50).points.sum())
 """
-WITHOUT_FORK = """
-import os, sys
-
-del os.fork
-sys.modules["resource"] = None
-from topokit.data._generate import Forge
-
-try:
-    Forge("json:dumps")
-except OSError as error:
-    print(error)
+OWNER = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from topokit._processes import in_fresh_processes
+from fresh_jobs import wait
+print(list(in_fresh_processes(wait, [sys.argv[2]])))
 """
-OWNER = "import sys; from topokit.sim._process import Forge; Forge('test_process:wait').run({'pids': sys.argv[1]}, 60)"
-
-
-def leave(job: dict[str, str]) -> None:
-    """A job that ends its process."""
-    raise SystemExit("no room on the disk")
-
-
-def wait(job: dict[str, str]) -> None:
-    """A job that tells who does it and whose fork that is, and does not end."""
-    path = Path(job["pids"])
-    path.with_suffix(".new").write_text(f"{os.getppid()} {os.getpid()}")
-    path.with_suffix(".new").rename(path)
-    time.sleep(60)
-
-
-def until(condition, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it takes too long"
-        time.sleep(0.02)
 
 
 def is_gone(pid: str) -> bool:
     return not psutil.pid_exists(int(pid)) or psutil.Process(int(pid)).status() == psutil.STATUS_ZOMBIE
 
 
-def assert_nothing_is_left(pids: Path) -> None:
-    until(lambda: all(map(is_gone, pids.read_text().split())), seconds=10)
-
-
-def test_a_module_in_the_working_directory_is_not_run(tmp_path):
-    script, here = tmp_path / "script.py", tmp_path / "here"
-    script.write_text(SIMULATE)
-    here.mkdir()
-    (here / "dataclasses.py").write_text("raise SystemExit('what lies around was run')\n")
-    done = subprocess.run([sys.executable, str(script)], cwd=here, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 cannot leave it out")
-def test_a_module_in_the_working_directory_is_not_run_by_a_worker(tmp_path, monkeypatch):
-    """Dask starts its own with `python -c`."""
-    pytest.importorskip("distributed")
-    from topokit.data._generate import Cluster, run_jobs
-
-    (tmp_path / "multiprocessing.py").write_text("raise SystemExit('what lies around was run')\n")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
-    assert list(run_jobs(abs, [-3], Cluster(None, 1, None))) == [(-3, 3)]
-    assert "PYTHONSAFEPATH" not in os.environ
-
-
-def test_a_system_without_forks_is_told_so():
-    done = subprocess.run([sys.executable, "-c", WITHOUT_FORK], capture_output=True, text=True)
-    assert "processes can fork" in done.stdout, done.stderr
-
-
-def test_one_simulation_needs_no_fork(monkeypatch):
-    forked = simulate(APRON, config=SHORT, n_observed=50)
-    monkeypatch.setattr(_process, "_MAIN", "import os; del os.fork\n" + _process._MAIN)
-    np.testing.assert_array_equal(simulate(APRON, config=SHORT, n_observed=50).points, forked.points)
+def test_each_item_has_a_process_of_its_own_and_an_error_is_an_outcome():
+    outcomes = dict(in_fresh_processes(divide, [1, 2, 3, 0], n_workers=2))
+    assert isinstance(outcomes.pop(0), ZeroDivisionError)
+    assert {item: value for item, (value, _) in outcomes.items()} == {1: 6.0, 2: 3.0, 3: 2.0}
+    assert len({pid for _, pid in outcomes.values()} | {os.getpid()}) == 4
 
 
 @pytest.mark.parametrize(
-    ("child", "says"),
-    [
-        ("import time; time.sleep(60)", "loading the garment: stopped: no sign of life for 1 s"),
-        (
-            """print('ready\\n{"report": 7}', flush=True); import time; time.sleep(60)""",
-            "after frame 7: stopped: no sign of life for 1 s",
-        ),
-        ("""print('ready\\n{"report": -1}', flush=True); import os; os.abort()""", "settling: SIGABRT"),
-        ("raise SystemExit('no room on the disk')", "does not start: exit code 1: no room on the disk"),
-    ],
+    ("what", "says"), [("crash", "SIGSEGV"), ("kill", "SIGKILL"), ("leave", "exit code 3"), ("hang", "no sign of life")]
 )
-def test_a_process_that_fails_is_a_simulation_error(child, says, monkeypatch):
-    monkeypatch.setattr(_process, "_MAIN", child)
-    with pytest.raises(SimulationError, match=says):
-        simulate(APRON, config=SHORT, n_observed=50, time_limit=1)
+def test_what_fails_costs_one_item(what, says):
+    outcomes = dict(in_fresh_processes(do, ["a", what, "b"], n_workers=2, time_limit=5))
+    assert isinstance(outcomes[what], ProcessError)
+    assert says in str(outcomes.pop(what))
+    assert outcomes == {"a": "a", "b": "b"}
 
 
-def test_a_fork_that_fails_says_why():
-    forge = _process.Forge("test_process:leave")
-    try:
-        for _ in range(2):  # the forge itself goes on
-            assert forge.run({}, 60) == {"error": "crash", "message": "exit code 1: no room on the disk"}
-    finally:
-        forge.close()
+def test_a_crash_that_passes_is_tried_again(tmp_path):
+    path = str(tmp_path / "log")
+    ((_, failed),) = in_fresh_processes(crash_until_third, [path], tries=2)
+    assert isinstance(failed, ProcessError)
+    (tmp_path / "log").unlink()
+    assert list(in_fresh_processes(crash_until_third, [path], tries=3)) == [(path, "done")]
 
 
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_control_c_stops_the_processes(tmp_path):
+def test_reports_are_signs_of_life_and_temporary_files_go():
+    seen: list[int] = []
+    ((_, folder),) = in_fresh_processes(count_up, [8], time_limit=2.0, report=seen.append)
+    assert seen == [*range(8)]
+    assert "topokit-" in folder
+    assert not os.path.exists(folder)
+
+
+def test_a_script_is_not_run_again_nor_a_module_of_the_working_directory(tmp_path):
+    script, here = tmp_path / "script.py", tmp_path / "here"
+    script.write_text(SIMULATE)
+    here.mkdir()
+    for name in ("dataclasses", "multiprocessing", "signal", "scipy", "pybullet"):
+        (here / f"{name}.py").write_text("raise SystemExit('what lies around was run')\n")
+    done = subprocess.run([sys.executable, str(script)], cwd=here, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) == 1  # the script ran once, and PyBullet printed nothing
+
+
+def test_a_simulation_that_hangs_says_where(monkeypatch):
+    apron = Garment.apron(spacing=0.05, strap_width=0.05)
+    config = SimulationConfig(frames=2, steps_per_frame=300_000, settle=0)
+    with pytest.raises(SimulationError, match="after frame 0: stopped: no sign of life for 3 s"):
+        simulate(apron, config=config, n_observed=50, time_limit=3)
+
+
+def test_ctrl_c_stops_the_processes(tmp_path, ctrl_c):
     pids = tmp_path / "pids"
 
-    def interrupt():
-        until(pids.exists)
+    def interrupt() -> None:
+        wait_until(pids.exists)
         os.kill(os.getpid(), signal.SIGINT)
 
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
-    try:
-        threading.Thread(target=interrupt, daemon=True).start()
-        with pytest.raises(KeyboardInterrupt):
-            _process.Forge("test_process:wait").run({"pids": str(pids)}, 60)
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert_nothing_is_left(pids)
+    environment = dict(os.environ)
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        list(in_fresh_processes(wait, [str(pids)]))
+    wait_until(lambda: is_gone(pids.read_text().split()[1]), seconds=10)
+    assert dict(os.environ) == environment
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_a_process_starts_leaves_nothing(number, monkeypatch, tmp_path):
-    """It comes when the process is there, and nobody knows it yet."""
-    started, ended = [], []
-
-    class Started(subprocess.Popen):
-        def __init__(self, *arguments, **options):
-            super().__init__(*arguments, **options)
-            started.append(self)
-            signal.raise_signal(number)
-
-    def end(number, frame):
-        ended.append(number)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(_process.subprocess, "Popen", Started)
-    monkeypatch.setattr(_process.tempfile, "tempdir", str(tmp_path))
-    before = signal.signal(number, end)
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            _process.Forge("json:dumps").run({}, 60)
-        assert signal.getsignal(number) is end
-    finally:
-        signal.signal(number, before)
-        left = [process for process in started if process.poll() is None]
-        for process in left:
-            process.kill()
-    assert (ended, left, [*tmp_path.iterdir()]) == ([number], [], [])
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_nothing_is_left_of_an_owner_that_is_killed(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_nothing_is_left_of_an_owner_that_is_killed(tmp_path, number):
     pids = tmp_path / "pids"
-    path = os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])
-    owner = subprocess.Popen([sys.executable, "-c", OWNER, str(pids)], env={**os.environ, "PYTHONPATH": path})
-    until(pids.exists)
+    owner = subprocess.Popen([sys.executable, "-c", OWNER, str(Path(__file__).parent), str(pids)])
+    wait_until(pids.exists, owner)
     assert not any(map(is_gone, pids.read_text().split()))
-    owner.kill()
+    owner.send_signal(number)
     owner.wait()
-    assert_nothing_is_left(pids)
-
-
-def test_a_job_that_is_sent_before_the_last_fork_has_ended_is_done(monkeypatch):
-    """The answer is there, and the fork takes its time to end: the next job must neither end it nor get its fate."""
-    slow = "import os, time; end = os._exit; os._exit = lambda code: (time.sleep(0.3), end(code))\n"
-    monkeypatch.setattr(_process, "_MAIN", slow + _process._MAIN)
-    forge = _process.Forge("json:dumps")
-    try:
-        assert [forge.run({"a": i}, 5.0) for i in range(3)] == [{"answer": f'{{"a": {i}}}'} for i in range(3)]
-    finally:
-        forge.close()
+    wait_until(lambda: all(map(is_gone, pids.read_text().split())), seconds=10)

@@ -23,7 +23,9 @@ from numpy.typing import NDArray
 
 HEADER = "header.json"
 # An archive may unpack to so many bytes, plus so many times its own size.
-FREE, RATIO = 2**28, 100
+FREE = 2**28
+RATIO = 100
+_MOST_HEADER = 2**26  # bytes
 _MOST_ROWS = 2**20  # of an array without elements: a list of its empty rows would fill the memory
 _LOCAL_HEADER = b"PK\x03\x04"
 
@@ -141,6 +143,8 @@ def _header(archive: zipfile.ZipFile, path: Path, kind: str) -> dict[str, Any]:
     """Return the header of an archive, without its kind."""
     if HEADER not in archive.namelist():
         raise FormatError(f"{path}: not a {_in_words(kind)}: an .npz archive that topokit did not write")
+    if archive.getinfo(HEADER).file_size > _MOST_HEADER:
+        raise ValueError(f"{HEADER} has more than {_MOST_HEADER} bytes")
     header = read_json(archive.read(HEADER))
     if not isinstance(header, dict):
         raise ValueError(f"{HEADER} is no JSON object")
