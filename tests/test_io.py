@@ -196,7 +196,7 @@ def test_other_files(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file"):
         load_episode(tmp_path / "nowhere.npz")
     for path in (tmp_path, Path("/dev/null")):
-        with pytest.raises(FileNotFoundError, match="a folder|a device"):
+        with pytest.raises(FileNotFoundError, match=r"a folder|a device"):
             load_episode(path)
 
 
