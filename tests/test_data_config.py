@@ -11,11 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from topokit.data._layout import pack, unpack, vertex_ids
 
 from topokit._config import load
 from topokit.data import DatasetConfig, MeshFile
-from topokit.data._recipe import _physics, _scene, pinned, room
+from topokit.data._recipe import _physics, _scene, pinned
 from topokit.sim import TASKS, Cloth, Hook, Randomisation, SimulationConfig, task_for
 
 from small_datasets import TINY, write_cloth
@@ -49,16 +48,16 @@ def test_json_gives_the_configuration_back(config):
     [
         ({"tasks": {}}, "tasks: "),
         ({"tasks": {"apron-moon": 1}}, "no 'apron-moon'"),
-        ({"tasks": {"apron-hook": 0}}, "tasks.apron-hook: Input should be greater than 0"),
+        ({"tasks": {"apron-hook": 0}}, "tasks.apron-hook"),
         ({"sizes": {"kilt": {}}}, "no task has a garment 'kilt'"),
-        ({"n_observed": 0}, "n_observed: Input should be greater than or equal to 1"),
+        ({"n_observed": 0}, "n_observed"),
         ({"depth_noise": True}, "cameras is 0"),
         ({"colour": 1}, "the configuration: there is no 'colour'"),
         ({"simulation": {"gravity": 1}}, "the configuration: there is no 'simulation.gravity'"),
-        ({"simulation": {"dt": -1}}, "simulation.dt: Input should be greater than 0"),
+        ({"simulation": {"dt": -1}}, "simulation.dt"),
         ({"randomisation": {"luck": 1}}, "there is no 'randomisation.luck'"),
         ({"randomisation": {"version": 0}}, "another version"),
-        ({"version": 3}, "version: Input should be 1 or 2, not 3"),
+        ({"version": 3}, "version"),
         ({"vary": 0.3}, "vary is of version 2 of the configuration, and version is 1"),
         ({"meshes": {"bag": {"file": "b.obj"}}, "tasks": {"bag-hook": 1}}, "meshes is of version 2"),
         (BAG | {"tasks": {"sack-hook": 1}}, "no 'sack-hook'; there are apron-hook"),
@@ -70,8 +69,8 @@ def test_json_gives_the_configuration_back(config):
         ),
         (BAG | {"sizes": {"bag": {"spacing": 0.1}}}, "sizes are of the wardrobe's garments: give meshes['bag'] a size"),
         (BAG | {"meshes": {"bag": {"file": "b.obj", "loops": "all"}}}, "meshes.bag.loops"),
-        (BAG | {"meshes": {"bag": {"file": "b.obj", "sha256": "12"}}}, "meshes.bag.sha256: String should match"),
-        ({"version": 2, "off_script": 2}, "off_script: Input should be less than or equal to 1"),
+        (BAG | {"meshes": {"bag": {"file": "b.obj", "sha256": "12"}}}, "meshes.bag.sha256"),
+        ({"version": 2, "off_script": 2}, "off_script"),
     ],
 )
 def test_a_wrong_configuration_is_refused(values, says):
@@ -106,29 +105,6 @@ def test_every_task_of_version_one_is_drawn_by_default():
     assert {config.draw(0, i).task for i in range(400)} == {task for task in TASKS if task.split("-")[0] not in later}
 
 
-def test_room_for_the_largest():
-    size = room(TINY)
-    garments = [TINY.garment(task) for task in TINY.tasks]
-    assert size["vertices"] == max(len(garment.vertices) for garment in garments)
-    assert size["frames"] == 32  # 20, in whole chunks of 16
-
-
-def test_packing_costs_half_a_tenth_of_a_millimetre():
-    metres = np.random.default_rng(0).uniform(-3.2, 3.2, (50, 3)).astype(np.float32)
-    assert np.abs(unpack(pack("points", metres)) - metres).max() < 0.5001e-4
-    assert (
-        pack("points", unpack(pack("points", metres))) == pack("points", metres)
-    ).all()  # packed twice is packed once
-    with pytest.raises(ValueError, match=r"actions reaches 3\.40 m"):
-        pack("actions", np.array([[0.0, 0.0, -3.4]]))
-
-
-def test_observations_of_vertices_are_stored_as_ids():
-    points = np.random.default_rng(0).normal(size=(3, 20, 3)).astype(np.float32)
-    ids = np.array([[3, 1, 7], [0, 2, 4], [19, 5, 6]])
-    assert (vertex_ids(points, points[np.arange(3)[:, None], ids]) == ids).all()
-
-
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
     path = tmp_path_factory.mktemp("meshes") / "bag.obj"
@@ -140,23 +116,15 @@ def own(mesh, **values):
     return DatasetConfig(version=2, tasks={"bag-hook": 1}, meshes={"bag": mesh}, **values)
 
 
-def test_a_mesh_is_pinned_and_has_room(bag):
-    with pytest.raises(ValueError, match="takes"):
-        room(own(bag))
+def test_a_mesh_is_pinned(bag):
     config = pinned(own(bag, simulation=SimulationConfig(frames=20)))
     garment, mesh = config.garment("bag-hook"), config.meshes["bag"]
     assert (garment.name, garment.loop_names) == ("bag", ("hole",))
     assert mesh.sha256 == hashlib.sha256(Path(bag.file).read_bytes()).hexdigest()
-    size = room(config)
-    assert (size["vertices"], size["faces"]) == (len(garment.vertices), len(garment.faces))
-    assert (size["loops"], size["loop"]) == (1, len(garment.loops[0]))
-    assert (size["frames"], size["line"]) == (32, len(Hook().centre_line))
-    path = task_for(garment, Hook()).plan(garment, Hook(), np.random.default_rng(0))
-    assert room(pinned(own(bag)))["frames"] * SimulationConfig().frame_time >= path.end
     assert pinned(config) == config
     # A dataset opens and is checked where there is no such file.
     away = own(dataclasses.replace(mesh, file="/nowhere/bag.obj"), simulation=config.simulation)
-    assert room(DatasetConfig.from_json(away.to_json())) == size
+    assert DatasetConfig.from_json(away.to_json()) == away
 
 
 def test_a_mesh_that_cannot_be_meant_is_refused(bag, tmp_path):
@@ -203,3 +171,23 @@ def test_a_mesh_varies_as_a_whole(bag):
     assert 1 / 1.5 <= min(factors) < 0.9 < 1.1 < max(factors) <= 1.5
     long = own(dataclasses.replace(bag, size=2.4), vary=0.5)  # already too long for a hook: it gets no longer
     assert max(_scene(long, "bag-hook", seed)[1].parameters["varied"] for seed in range(20)) <= 1
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[" * 100_000, "not JSON"),
+        ('{"n_observed": NaN}', "n_observed"),
+        ('{"n_observed": 1e999}', "n_observed"),
+        ("\x00", "not JSON"),
+        ("[" + "1," * 10**6 + "1]", "named entries"),
+        ('{"n_observed": "1979-05-27"}', "n_observed"),
+        ('{"n_observed": ' + "9" * 5000 + "}", "not JSON"),
+    ],
+)
+def test_a_configuration_of_any_kind_names_the_file(tmp_path, text, says):
+    path = tmp_path / "c.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=rf"c\.json.*{says}") as caught:
+        load(DatasetConfig, path)
+    assert len(str(caught.value)) < 1000

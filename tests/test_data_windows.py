@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import pickle
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
-from topokit.data._layout import observed
 
 from topokit import track
-from topokit.data import Dataset, WindowDataset, _windows
+from topokit.data import Dataset, WindowDataset
 from topokit.data._windows import _by_identity, _Episode, _Memory, _Tracked
+from topokit.io import load_episode, save_episode
 from topokit.sampling import farthest_point_sample
 
 from conftest import polygon
-from small_datasets import labelled
+from small_datasets import labelled, part_of
 
 H, K = 4, 6
 SIZES = ("history", "horizon", "n_points", "slots", "stride")
@@ -68,19 +69,23 @@ def resampled(clouds, n):
     return np.array([c[farthest_point_sample(w, n, None)[0]] for c, w in zip(clouds, whole, strict=True)])
 
 
-def test_the_order_of_the_mesh_says_nothing(dataset, monkeypatch):
+def seen_anew(dataset, out, change):
+    """A part of a dataset, episode 1 alone, with another observation."""
+    part = part_of(dataset, [1], out)
+    path = part.path_of(1)
+    episode = load_episode(path)
+    save_episode(path, dataclasses.replace(episode, observed=change(episode.observed)))
+    return part
+
+
+def test_the_order_of_the_mesh_says_nothing(dataset, tmp_path):
     """Whichever vertex is the first: the same points in the same order; and `resampled=False` shows that it matters else."""
-    options = {"history": H, "horizon": K, "n_points": 30}
-    plain, stored = WindowDataset(dataset, **options)[5], WindowDataset(dataset, resampled=False, **options)[5]
     rng = np.random.default_rng(0)
-
-    def mixed(parts):
-        clouds = observed(parts)
-        return clouds[:, rng.permutation(clouds.shape[1])]
-
-    monkeypatch.setattr(_windows, "observed", mixed)
-    assert WindowDataset(dataset, **options)[5]["clouds"].equal(plain["clouds"])
-    assert not WindowDataset(dataset, resampled=False, **options)[5]["clouds"].equal(stored["clouds"])
+    mixed = seen_anew(dataset, tmp_path / "mixed", lambda clouds: clouds[:, rng.permutation(clouds.shape[1])])
+    options = {"episodes": [1], "history": H, "horizon": K, "n_points": 30}
+    for resampled in (True, False):
+        one, other = (WindowDataset(d, resampled=resampled, **options)[5]["clouds"] for d in (dataset, mixed))
+        assert one.equal(other) == resampled
 
 
 @pytest.mark.parametrize("name", ["full", "observed-40"])
@@ -275,19 +280,13 @@ def test_what_is_done_to_a_window_does_not_reach_the_next(windows):
 
 
 @pytest.mark.parametrize("name", ["full", "observed-40"])
-def test_what_a_camera_saw_is_stored_as_places(dataset, name, monkeypatch):
+def test_it_is_the_same_whether_an_observation_is_stored_as_ids_or_as_positions(dataset, tmp_path, name):
+    """Vertices in another type are no vertices to `save_episode`: it stores positions, as of what cameras saw."""
+    positions = seen_anew(dataset, tmp_path / "part", lambda clouds: clouds.astype(np.float64))
+    with np.load(positions.path_of(1)) as one, np.load(dataset.path_of(1)) as other:
+        assert ("observed" in one, "observed" in other) == (True, False)
     options = {"labels": name, "history": H, "horizon": K, "n_points": 60, "slots": 3}
-    expected = WindowDataset(dataset, [1], **options)[3]
-    real = _windows.decode
-
-    def seen_by_a_camera(*arguments):
-        stored = real(*arguments)
-        if "observed" in stored:
-            stored["observed"] = stored["points"][np.arange(20)[:, None], stored["observed"]]
-        return stored
-
-    monkeypatch.setattr(_windows, "decode", seen_by_a_camera)
-    found = WindowDataset(dataset, [1], **options)[3]
+    expected, found = (WindowDataset(d, [1], **options)[3] for d in (dataset, positions))
     assert all(torch.equal(part, expected[key]) for key, part in found.items())
 
 
@@ -379,10 +378,9 @@ def test_sizes_are_those_of_the_paper_when_none_are_given(dataset):
 
 
 def test_episodes_without_these_labels_are_refused(dataset, tmp_path):
-    few = dataset.cut([0, 1], tmp_path / "few")
-    (tmp_path / "few" / "labels" / "observed-40" / "records" / "00000001.json").unlink()
-    (tmp_path / "few" / "labels" / "observed-40" / "index.json").unlink()
-    assert few.episodes.tolist() == [0, 1]
-    with pytest.raises(ValueError, match="1 episodes have no labels 'observed-40', the first is 1"):
-        WindowDataset(tmp_path / "few", [0, 1], history=H, horizon=K, labels="observed-40")
-    assert WindowDataset(tmp_path / "few", history=H, horizon=K, labels="observed-40").episodes.tolist() == [0]
+    few = part_of(dataset, [0, 1], tmp_path / "few")
+    (few.folder / "labels/observed-40/00000001.npz").unlink()
+    options = {"history": H, "horizon": K, "labels": "observed-40"}
+    with pytest.raises(ValueError, match="'observed-40', the first is 1"):
+        WindowDataset(few.folder, [0, 1], **options)
+    assert WindowDataset(few.folder, **options).episodes.tolist() == [0]
