@@ -15,7 +15,7 @@ import pytest
 from topokit._config import load
 from topokit.data import DatasetConfig, MeshFile
 from topokit.data._recipe import _physics, _scene, pinned
-from topokit.sim import TASKS, Cloth, Hook, Randomisation, SimulationConfig, task_for
+from topokit.sim import TASKS, Cloth, Randomisation, SimulationConfig
 
 from small_datasets import TINY, write_cloth
 

@@ -88,7 +88,13 @@ def test_labels_are_the_states_of_the_stored_clouds(made):
             for one, other in zip(found, states, strict=True):
                 assert one.time == other.time
                 for a, b in zip(one.loops, other.loops, strict=False):
-                    for part in ("killer_triangles", "neighbours", "killer_triangle_ids", "neighbour_ids", "birth_edge"):
+                    for part in (
+                        "killer_triangles",
+                        "neighbours",
+                        "killer_triangle_ids",
+                        "neighbour_ids",
+                        "birth_edge",
+                    ):
                         assert (getattr(a, part) == getattr(b, part)).all(), part
                     lengths = [[loop.birth, loop.death, loop.killer_shift] for loop in (a, b)]
                     np.testing.assert_allclose(*lengths, rtol=1e-6)

@@ -70,9 +70,9 @@ def resampled(clouds, n):
 
 
 def seen_anew(dataset, out, change):
-    """A part of a dataset, episode 1 alone, with another observation."""
-    part = part_of(dataset, [1], out)
-    path = part.path_of(1)
+    """A part of a dataset, episode 0 alone, with another observation."""
+    part = part_of(dataset, [0], out)
+    path = part.path_of(0)
     episode = load_episode(path)
     save_episode(path, dataclasses.replace(episode, observed=change(episode.observed)))
     return part
@@ -82,7 +82,7 @@ def test_the_order_of_the_mesh_says_nothing(dataset, tmp_path):
     """Whichever vertex is the first: the same points in the same order; and `resampled=False` shows that it matters else."""
     rng = np.random.default_rng(0)
     mixed = seen_anew(dataset, tmp_path / "mixed", lambda clouds: clouds[:, rng.permutation(clouds.shape[1])])
-    options = {"episodes": [1], "history": H, "horizon": K, "n_points": 30}
+    options = {"episodes": [0], "history": H, "horizon": K, "n_points": 30}
     for resampled in (True, False):
         one, other = (WindowDataset(d, resampled=resampled, **options)[5]["clouds"] for d in (dataset, mixed))
         assert one.equal(other) == resampled
@@ -283,10 +283,10 @@ def test_what_is_done_to_a_window_does_not_reach_the_next(windows):
 def test_it_is_the_same_whether_an_observation_is_stored_as_ids_or_as_positions(dataset, tmp_path, name):
     """Vertices in another type are no vertices to `save_episode`: it stores positions, as of what cameras saw."""
     positions = seen_anew(dataset, tmp_path / "part", lambda clouds: clouds.astype(np.float64))
-    with np.load(positions.path_of(1)) as one, np.load(dataset.path_of(1)) as other:
+    with np.load(positions.path_of(0)) as one, np.load(dataset.path_of(0)) as other:
         assert ("observed" in one, "observed" in other) == (True, False)
     options = {"labels": name, "history": H, "horizon": K, "n_points": 60, "slots": 3}
-    expected, found = (WindowDataset(d, [1], **options)[3] for d in (dataset, positions))
+    expected, found = (WindowDataset(d, [0], **options)[3] for d in (dataset, positions))
     assert all(torch.equal(part, expected[key]) for key, part in found.items())
 
 
