@@ -9,7 +9,8 @@ import torch
 from topokit.evaluate import TrueCurves, measure_forecasts
 from topokit.models import Forecast, StateTensors
 
-HORIZON, SLOTS = 4, 3
+HORIZON = 4
+SLOTS = 3
 STEPS = (1, 2, 4)
 PANE = 0.01 * np.array([[1, 0, 0], [-1, 0, 0], [0, 2, 0], [0, -2, 0], [1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
 
@@ -69,7 +70,8 @@ def test_the_longest_lived_loop_counts_and_no_other():
 
 
 def test_two_loops_ask_for_two_means_in_two_hulls():
-    here, there = circle((-0.3, 0, 0)), circle((0.3, 0, 0))
+    here = circle((-0.3, 0, 0))
+    there = circle((0.3, 0, 0))
     for places in ([(-0.3, 0, 0), (0.3, 0, 0)], [(0.3, 0, 0), (-0.3, 0, 0)]):  # the order is free
         assert (score(said(places, [0.05, 0.04]), here, there)["hull_distance"] < 1e-6).all()
     twice = score(said([(-0.3, 0, 0), (-0.3, 0.01, 0)], [0.05, 0.04]), here, there)
@@ -84,9 +86,11 @@ def test_of_three_loops_any_two_do():
 
 def test_the_edge_that_ends_a_loop_widens_its_hull():
     """A tie before a skirt: its curve was marked straight across the skirt, and it is narrowest below."""
-    curve, below = circle(), (0.0, 0.0, -0.1)
+    curve = circle()
+    below = (0.0, 0.0, -0.1)
     edge = np.repeat(np.array([[[-0.05, 0, -0.1], [0.05, 0, -0.1]]]), len(STEPS), axis=0)
-    states, rng = said([below], [0.05]), np.random.default_rng(0)
+    states = said([below], [0.05])
+    rng = np.random.default_rng(0)
     for closing, expected in (((edge,), 0.0), ((), 0.1)):
         found = measure_forecasts(states, states, states[:, :1], [TrueCurves((curve,), closing)], STEPS, (), rng)
         assert np.allclose(found["hull_distance"], expected, atol=1e-5)
@@ -94,9 +98,11 @@ def test_the_edge_that_ends_a_loop_widens_its_hull():
 
 
 def test_a_true_loop_that_is_not_there_is_not_asked_for():
-    here, there = circle((-0.3, 0, 0)), circle((0.3, 0, 0))
+    here = circle((-0.3, 0, 0))
+    there = circle((0.3, 0, 0))
     present = (np.array([True, True, False]), np.array([True, False, False]))
-    states, rng = said([(-0.3, 0, 0)], [0.05]), np.random.default_rng(0)
+    states = said([(-0.3, 0, 0)], [0.05])
+    rng = np.random.default_rng(0)
     found = measure_forecasts(
         states, states, states[:, :1], [TrueCurves((here, there), (), present)], STEPS, (1, 4), rng
     )
@@ -148,7 +154,8 @@ def test_likelihood_is_that_of_the_mixture():
 
 
 def test_coverage_of_a_boaster_and_of_a_timid_one():
-    tiny, wide = circle(radius=0.002), circle(radius=0.5)
+    tiny = circle(radius=0.002)
+    wide = circle(radius=0.5)
     assert (
         score(said([(0, 0, 0)], [0.05]), tiny)["cover50"][0] == 1
     )  # the opening is a dot in the middle of the mixture
@@ -163,7 +170,8 @@ def test_centres_are_by_length_not_by_vertices():
 
 
 def test_identity_is_kept_by_the_same_slot():
-    here, there = circle((-0.3, 0, 0)), circle((0.3, 0, 0))
+    here = circle((-0.3, 0, 0))
+    there = circle((0.3, 0, 0))
     states = said([(-0.3, 0, 0), (0.3, 0, 0)], [0.05, 0.04])
     assert score(states, here, there)["same_slot"].tolist() == [1, 1, 1]
     corners = states.corners.clone()

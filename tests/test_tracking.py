@@ -40,8 +40,10 @@ def film(seed: int) -> list[Overlap]:
                 own[k] = free.pop()
             if rng.random() < 0.05:
                 other = int(rng.integers(4))
-                own[k], own[other] = own[other], own[k]
-        objects, shown = np.flatnonzero(rng.random(4) < 0.85), np.flatnonzero(rng.random(4) < 0.85)
+                own[k] = own[other]
+                own[other] = own[k]
+        objects = np.flatnonzero(rng.random(4) < 0.85)
+        shown = np.flatnonzero(rng.random(4) < 0.85)
         right, wrong = rng.uniform(0.3, 1, (2, len(objects), len(shown))) * [[[1.0]], [[0.6]]]
         table = np.where(objects[:, None] == shown[None], right, wrong)
         frames.append(Overlap(objects, np.array([own[k] for k in shown], dtype=np.int64), table))
@@ -101,7 +103,8 @@ def test_scores_are_those_of_trackeval_that_is_installed(seed):
     }
     options = {"THRESHOLD": 0.5, "PRINT_CONFIG": False}
     hota = metrics.HOTA().eval_sequence(data)
-    clear, identity = metrics.CLEAR(options).eval_sequence(data), metrics.Identity(options).eval_sequence(data)
+    clear = metrics.CLEAR(options).eval_sequence(data)
+    identity = metrics.Identity(options).eval_sequence(data)
     expected = [clear["MOTA"], identity["IDF1"], *(hota[name].mean() for name in ("HOTA", "DetA", "AssA"))]
     expected += [clear[name] for name in ("IDSW", "Frag", "CLR_FN", "CLR_FP")]
     result = score(frames)
@@ -110,9 +113,11 @@ def test_scores_are_those_of_trackeval_that_is_installed(seed):
 
 def test_scores_add_up():
     """Two films in one, the names of the second moved out of the way, are the sum of both."""
-    first, second = film(1), film(2)
+    first = film(1)
+    second = film(2)
     moved = [Overlap(o.objects + 10, o.ids + 100, o.similarity) for o in second]
-    together, added = score([*first, *moved]), score(first) + score(second)
+    together = score([*first, *moved])
+    added = score(first) + score(second)
     for name in ("objects", "detections", "matches", "switches", "fragments", "id_matches"):
         assert getattr(together, name) == getattr(added, name)
     assert together.hota == pytest.approx(added.hota)
@@ -224,7 +229,8 @@ def test_baselines_on_what_they_cannot_see():
         where[match] = [next(loop.id for loop in state.loops if loop.centre[0] < 3) for state in states]
     assert len(set(where[None])) == len(set(where[by_midpoint])) == 1
     assert len(set(where[by_diagram])) == 2  # it follows the size, not the ring
-    small, large = ring(24, 0.5), ring(24, 1.5)
+    small = ring(24, 0.5)
+    large = ring(24, 1.5)
     for match, ids in ((by_midpoint, [0, 0]), (None, [0, 1])):
         tracker = SeqPH(epsilon=0.1, match=match)
         assert [tracker.update(cloud).loops[0].id for cloud in (small, large)] == ids
@@ -237,7 +243,8 @@ def test_a_diagram_matching_prefers_the_diagonal_where_that_is_nearer():
 
 
 def test_vines_follow_a_motion_that_a_matching_loses():
-    small, large = ring(24, 0.2), ring(24, 1.5)
+    small = ring(24, 0.2)
+    large = ring(24, 1.5)
     assert [state.loops[0].id for state in map(SeqPH(match=by_diagram).update, [small, large])] == [0, 1]
     states = track_vines([small, large], steps=12)
     assert [(state.frame, state.loops[0].id) for state in states] == [(0, 0), (1, 0)]

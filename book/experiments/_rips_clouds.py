@@ -16,7 +16,7 @@ EPISODE = Path(__file__).parents[2] / "data_small" / "apron_hook_0.npz"
 
 
 def apron(n: int, rng: np.random.Generator) -> Cloud:
-    """Farthest-point samples of a waving sheet with the outline of the recorded apron (above 4,096: random points of it)."""
+    """Return farthest-point samples of a waving sheet with the outline of the recorded apron (above 4,096: random points)."""
     episode = load_episode(EPISODE)
     corners = episode.points[60][episode.faces].astype(float)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -28,24 +28,24 @@ def apron(n: int, rng: np.random.Generator) -> Cloud:
 
 
 def torus(n: int, rng: np.random.Generator) -> Cloud:
-    """Random angles: denser inside."""
+    """Draw points of a torus by random angles: denser inside."""
     a, b = 2 * np.pi * rng.random((2, n))
     return np.column_stack([(1 + 0.35 * np.cos(b)) * np.cos(a), (1 + 0.35 * np.cos(b)) * np.sin(a), 0.35 * np.sin(b)])
 
 
 def sphere(n: int, rng: np.random.Generator) -> Cloud:
-    """Uniform on the unit sphere."""
+    """Draw points uniformly on the unit sphere."""
     points = rng.normal(size=(n, 3))
     return points / np.linalg.norm(points, axis=1, keepdims=True)
 
 
 def cube(n: int, rng: np.random.Generator) -> Cloud:
-    """Uniform in the unit cube."""
+    """Draw points uniformly in the unit cube."""
     return rng.random((n, 3))
 
 
 def sheet(n: int, rng: np.random.Generator) -> Cloud:
-    """Uniform on a waving square without a hole: what is no apron of ours."""
+    """Draw points uniformly on a waving square without a hole."""
     x, y = rng.random((2, n))
     return np.column_stack([x, y, 0.1 * np.sin(7 * x) * np.cos(5 * y)])
 
@@ -54,18 +54,18 @@ SHAPES = {"apron": apron, "torus": torus, "sphere": sphere, "cube": cube, "sheet
 
 
 def cloud(shape: str, n: int, seed: int = 0) -> Cloud:
-    """`n` points of a shape."""
+    """Return `n` points of a shape."""
     return SHAPES[shape](n, np.random.default_rng(seed))
 
 
 def small_clouds(count: int, n: int = 128) -> list[Cloud]:
-    """Small clouds of all shapes in turn, no two alike."""
+    """Return small clouds of all shapes in turn, no two alike."""
     shapes = list(SHAPES)
     return [cloud(shapes[k % len(shapes)], n, seed=k) for k in range(count)]
 
 
 def plans(count: int, n: int = 500) -> list[Cloud]:
-    """One scene under as many plans: the apron, each time bent a little by a slow wave, 2 mm at most."""
+    """Return one scene under many plans: the apron, each time bent by a slow wave, 2 mm at most."""
     rng = np.random.default_rng(0)
     points = apron(n, rng)
     ways = rng.normal(size=(count, 3, 3)) * 5  # radians a metre
@@ -74,12 +74,12 @@ def plans(count: int, n: int = 500) -> list[Cloud]:
 
 
 def rotations(n: int = 1024) -> Cloud:
-    """Random rotations of space, as points in nine dimensions."""
+    """Draw random rotations of space, as points in nine dimensions."""
     return Rotation.random(n, random_state=0).as_matrix().reshape(n, 9)
 
 
 def projective_plane(n: int = 600) -> Cloud:
-    """A matrix of distances: angles between random lines in space."""
+    """Return a matrix of distances: angles between random lines in space."""
     lines = sphere(n, np.random.default_rng(0))
     angles = np.arccos(np.clip(np.abs(lines @ lines.T), 0, 1))
     angles = (angles + angles.T) / 2
@@ -88,7 +88,7 @@ def projective_plane(n: int = 600) -> Cloud:
 
 
 def in_dimension(axes: int, n: int = 500) -> Cloud:
-    """A torus of four circles at most, turned into a space of more dimensions, with a little noise."""
+    """Return a torus of four circles at most, turned into a space of more dimensions, with a little noise."""
     rng = np.random.default_rng(0)
     angles = 2 * np.pi * rng.random((n, min(2, axes // 2)))
     flat = np.hstack([np.cos(angles), np.sin(angles)])
@@ -97,9 +97,10 @@ def in_dimension(axes: int, n: int = 500) -> Cloud:
 
 
 def ugly(n: int = 3000) -> dict[str, tuple[Cloud, Cloud]]:
-    """Clouds with what makes persistence slow, each with one of as many points without it."""
+    """Return clouds with what makes persistence slow, each with a cloud of as many points without it."""
     rng = np.random.default_rng(0)
-    ring, half = cloud("torus", n), cloud("torus", n // 2)
+    ring = cloud("torus", n)
+    half = cloud("torus", n // 2)
     twice = half[rng.integers(0, len(half), n)]
     some = len(ring) * 3 // 4
     square = _grid(2, n)

@@ -38,13 +38,13 @@ NAMES = tuple(PACKAGES)
 
 
 def installed() -> dict[str, Bars]:
-    """Peers by name, the fastest first."""
+    """Return the peers by name, the fastest first."""
     makers = (redzed, rust_tda, holos, giotto, gudhi_collapsed, ripser_dense, ripser_sparse, ripser_told)
     return {name: make() for (name, module), make in zip(PACKAGES.items(), makers, strict=True) if find_spec(module)}
 
 
 def versions() -> dict[str, str]:
-    """Of topokit, what it needs, and the peers that are installed."""
+    """Return the versions of topokit, of what it needs, and of the peers that are installed."""
     names = ["topokit", "numpy", "scipy", "numba", *(("giotto-ph" if m == "gph" else m) for m in PACKAGES.values())]
     return {
         name: tk.__version__ if name == "topokit" else version(name)
@@ -54,12 +54,12 @@ def versions() -> dict[str, str]:
 
 
 def distances(data: Array, is_matrix: bool) -> Array:
-    """The square matrix."""
+    """Return the square matrix of distances."""
     return data if is_matrix else squareform(pdist(data))
 
 
 def enclosing_radius(matrix: Array) -> float:
-    """From where on one point is joined to all others: no loop is alive any more."""
+    """Return the length at which one point is joined to all others: no loop lives longer."""
     return float(matrix.max(axis=1).min())
 
 
@@ -121,7 +121,7 @@ def ripser_dense() -> Bars:
 
 
 def _sparse_bars(matrix: Array, longest: float) -> Array:
-    """By Ripser, which clears, on a sparse matrix of the edges that are short enough."""
+    """Compute bars by Ripser on a sparse matrix of the edges that are short enough."""
     import ripser
 
     i, j = np.nonzero(np.triu(matrix <= longest, 1))
@@ -130,7 +130,7 @@ def _sparse_bars(matrix: Array, longest: float) -> Array:
 
 
 def ripser_sparse() -> Bars:
-    """Up to the enclosing radius."""
+    """Compute bars by Ripser up to the enclosing radius."""
 
     def bars(data: Array, is_matrix: bool) -> Array:
         matrix = distances(data, is_matrix)
@@ -140,7 +140,7 @@ def ripser_sparse() -> Bars:
 
 
 def ripser_told() -> Bars:
-    """Up to the last death, which nobody knows beforehand: asked of topokit once for each cloud, outside of the time."""
+    """Compute bars by Ripser up to the last death, which topokit computes once for each cloud, outside of the time."""
     known: dict[bytes, float] = {}
 
     def bars(data: Array, is_matrix: bool) -> Array:
@@ -153,13 +153,13 @@ def ripser_told() -> Bars:
 
 
 def ours(data: Array, is_matrix: bool, **options: float) -> tk.rips.Diagram:
-    """topokit's own answer."""
+    """Compute bars by topokit."""
     metric = "precomputed" if is_matrix else "euclidean"
     return tk.rips_persistence(data, metric=metric, **options)
 
 
 def last_death(data: Array, is_matrix: bool = False) -> float:
-    """The length of the edge that kills the last loop."""
+    """Return the length of the edge that kills the last loop."""
     return float(2 * ours(data, is_matrix).death.max(initial=0.0))
 
 
@@ -175,7 +175,8 @@ def _read_matrix(matrix: Array, longest: float) -> int:
 @numba.njit
 def _read_points(columns: Array, ends: Any, longest: float) -> int:
     """`columns` (d, n), in the order of the first; the points that can be near enough to the i-th end before `ends[i]`."""
-    count, square = 0, longest * longest
+    count = 0
+    square = longest * longest
     if len(columns) == 3:
         x, y, z = columns
         for i in range(len(x)):

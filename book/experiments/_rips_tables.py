@@ -18,7 +18,7 @@ Entry = dict[str, Any]
 
 
 def growth(entries: Sequence[Entry]) -> Iterator[tuple[str, str, float]]:
-    """Shape, library and exponent: time grows as that power of the number of points."""
+    """Yield shape, library and exponent: time grows as that power of the number of points."""
     for shape in dict.fromkeys(entry["what"] for entry in entries):
         mine = [entry for entry in entries if entry["what"] == shape]
         for name in ("topokit", *mine[0]["peers"]):
@@ -29,7 +29,7 @@ def growth(entries: Sequence[Entry]) -> Iterator[tuple[str, str, float]]:
 
 
 def line(entry: Entry) -> str:
-    """An entry as a line of the table."""
+    """Return an entry as a line of the table."""
     sizes = " x ".join(f"{entry[k]:,}" for k in ("clouds", "points") if k in entry)
     told = {
         "floor_ms": "{:.2f} ms the floor",
@@ -48,7 +48,7 @@ def line(entry: Entry) -> str:
 
 
 def processor() -> str:
-    """The processor's name, as far as the system tells it."""
+    """Return the processor's name, as far as the system knows it."""
     info = Path("/proc/cpuinfo")
     models = (
         [row.split(":")[1].strip() for row in info.read_text().splitlines() if "model name" in row]
@@ -59,7 +59,7 @@ def processor() -> str:
 
 
 def machine() -> Entry:
-    """Where the figures are from."""
+    """Return the machine that the figures are from."""
     return {
         "processor": processor(),
         "cores": os.cpu_count(),
@@ -84,15 +84,16 @@ def store(path: Path, name: str, entries: list[Entry], command: str) -> None:
 
 
 def rounded(value: Any) -> Any:
-    """Four digits are more than a run repeats."""
+    """Round to four digits, which are more than a run repeats."""
     if isinstance(value, dict):
         return {key: rounded(part) for key, part in value.items()}
     return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
 def readme(results: Entry) -> str:
-    """README's section about time: the table of single clouds against peers, and one with a line of each other row."""
-    where, rows = results["machine"], results["rows"]
+    """Return README's section about time: single clouds against peers, and a line of each other row."""
+    where = results["machine"]
+    rows = results["rows"]
     versions = where["versions"]
     shown = [e for e in rows["single"]["entries"] if e["points"] <= 1000]
     names = [name for name in _rips_peers.NAMES if any(name in e["peers"] for e in shown)]
@@ -115,14 +116,14 @@ def readme(results: Entry) -> str:
 
 
 def in_page(page: str, results: Entry) -> str:
-    """A page with the tables between its two marks made anew."""
+    """Return a page with the tables between its two marks made anew."""
     before, rest = page.split(MARKS[0])
     _, after = rest.split(MARKS[1])
     return f"{before}{MARKS[0]}\n{readme(results)}\n{MARKS[1]}{after}"
 
 
 def other_work(e: Entry) -> str:
-    """A line of README's second table."""
+    """Return a line of README's second table."""
     sizes = [f"{e[k]:,} {k}" for k in ("clouds", "points") if k in e]
     beside = [f"{name} {ratio:.3g} times" for name, ratio in ratios(e, FEW)]
     beside += [text.format(duration(e[key])) for key, text in BESIDE.items() if key in e]
@@ -131,12 +132,12 @@ def other_work(e: Entry) -> str:
 
 
 def ratios(e: Entry, names: Sequence[str]) -> list[tuple[str, float]]:
-    """How many times as long as topokit those peers took."""
+    """Return how many times as long as topokit those peers took."""
     return [(name, e["peers"][name] / e["ms"]) for name in names if name in e.get("peers", {})]
 
 
 def duration(ms: float) -> str:
-    """Milliseconds, or seconds where that is shorter."""
+    """Return milliseconds as words, or seconds where that is shorter."""
     return f"{ms:.3g} ms" if ms < 999.5 else f"{ms / 1e3:.3g} s"
 
 

@@ -1,4 +1,4 @@
-"""What trackers are shown of an episode: samples, noise, outliers, holes, and what depth cameras see."""
+"""Clouds that trackers are shown of an episode: samples, noise, outliers, holes, and what depth cameras see."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ Clouds = list[np.ndarray]
 
 
 def conditions(episode: Episode) -> Iterator[tuple[str, Clouds, int]]:
-    """Name, clouds, and how many frames of the film make one of its own."""
-    points, rng = episode.points.astype(float), np.random.default_rng(episode.seed)
+    """Yield name, clouds, and the number of frames of the film from one cloud to the next."""
+    points = episode.points.astype(float)
+    rng = np.random.default_rng(episode.seed)
     yield "all vertices", list(points), 1
     yield "every 4th frame", list(points[::4]), 4
     for n in (1000, 500):
@@ -46,7 +47,7 @@ def conditions(episode: Episode) -> Iterator[tuple[str, Clouds, int]]:
 
 
 def strewn(frame: np.ndarray, faces: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
-    """(n, 3) points of the cloth at random, by area."""
+    """Draw (n, 3) points of the cloth at random, by area."""
     a, b, c = frame[faces].transpose(1, 0, 2)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     of = rng.choice(len(faces), n, p=area / area.sum())
@@ -55,19 +56,19 @@ def strewn(frame: np.ndarray, faces: np.ndarray, n: int, rng: np.random.Generato
 
 
 def sampled(frame: np.ndarray, faces: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
-    """(n, 3) points of the cloth that keep their distance from each other."""
+    """Return (n, 3) points of the cloth that keep their distance from each other."""
     many = strewn(frame, faces, 4 * n, rng)
     return many[tk.farthest_point_sample(many, n)[0]]
 
 
 def torn(frame: np.ndarray, radius: float, holes: int, rng: np.random.Generator) -> np.ndarray:
-    """The frame without what is near some of its points, others in every frame: what a sensor drops."""
+    """Return the frame without what is near some of its points, others in every frame: what a sensor drops."""
     away = np.linalg.norm(frame[:, None] - frame[rng.integers(len(frame), size=holes)], axis=2)
     return frame[away.min(axis=1) > radius]
 
 
 def hidden_by_a_hand(points: np.ndarray, loop: np.ndarray, radius: float = 0.06) -> Clouds:
-    """Without what is near a line of sight that crosses the cloth once, from one side to the other, at a loop's height."""
+    """Remove what is near a line of sight that crosses the cloth once, from one side to the other, at a loop's height."""
     places = points[:, loop].mean(axis=1)
     half = np.abs(points[..., 0] - places[:, None, 0]).max(axis=1)
     places[:, 0] += np.linspace(-1.5, 1.5, len(points)) * half
@@ -80,8 +81,9 @@ Flaw = Callable[[Camera, Depth, np.ndarray], Depth]
 
 
 def seen(frame: np.ndarray, faces: np.ndarray, cameras: tuple[Camera, ...], flaw: Flaw | None = None) -> np.ndarray:
-    """(n, 3) a farthest-point sample of the pixels that cameras have of the cloth."""
-    surface, parts = filled(frame, faces), []
+    """Return (n, 3) a farthest-point sample of the pixels that cameras have of the cloth."""
+    surface = filled(frame, faces)
+    parts = []
     for camera in cameras:
         depth = depth_image(surface, camera)
         if flaw is not None:
@@ -92,7 +94,7 @@ def seen(frame: np.ndarray, faces: np.ndarray, cameras: tuple[Camera, ...], flaw
 
 
 def filled(frame: np.ndarray, faces: np.ndarray, steps: int = 6) -> np.ndarray:
-    """Points so dense on every triangle that no pixel between them sees through."""
+    """Return points so dense on every triangle that no pixel between them sees through."""
     i, j = np.meshgrid(np.arange(steps + 1), np.arange(steps + 1))
     inside = i + j <= steps
     weights = np.stack([i, j, steps - i - j], axis=-1)[inside] / steps
@@ -100,7 +102,7 @@ def filled(frame: np.ndarray, faces: np.ndarray, steps: int = 6) -> np.ndarray:
 
 
 def projected(points: np.ndarray, camera: Camera, eye: np.ndarray) -> tuple[np.ndarray, ...]:
-    """(n,) rows and columns of a camera's picture, were it at another place, and depths; of what is in the picture."""
+    """Return (n,) rows and columns in the picture of a camera at another place, and depths."""
     right, up, forward = ((points - eye) @ camera.axes.T).T
     half = np.tan(np.radians(camera.fov) / 2)
     columns = np.rint((right / forward / half * camera.height / camera.width + 1) * camera.width / 2).astype(int)
@@ -109,7 +111,7 @@ def projected(points: np.ndarray, camera: Camera, eye: np.ndarray) -> tuple[np.n
 
 
 def depth_image(surface: np.ndarray, camera: Camera, eye: np.ndarray | None = None) -> Depth:
-    """(h, w) metres along the view to the nearest point of a dense surface, inf where there is none."""
+    """Return (h, w) metres along the view to the nearest point of a dense surface, inf where there is none."""
     rows, columns, forward = projected(surface, camera, np.array(camera.eye) if eye is None else eye)
     image = np.full((camera.height, camera.width), np.inf)
     np.minimum.at(image, (rows, columns), forward)
@@ -118,7 +120,7 @@ def depth_image(surface: np.ndarray, camera: Camera, eye: np.ndarray | None = No
 
 
 def flawed(camera: Camera, depth: Depth, surface: np.ndarray, rng: np.random.Generator) -> Depth:
-    """As a structured-light camera has it: a shadow beside what is near, flying pixels at edges, steps of depth.
+    """Add the flaws of a structured-light camera: a shadow beside what is near, flying pixels at edges, steps of depth.
 
     The step is that of the first Kinect, 2.73 z^2 + 0.74 z - 0.58 mm (Smisek, Jancosek and Pajdla 2011).
     """

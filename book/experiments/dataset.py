@@ -2,7 +2,7 @@
 
     python book/experiments/dataset.py --dataset runs/dataset --out book/results/dataset.json
 
-Needs a labelled dataset. Takes some ten minutes on two cores. `--only PART` leaves the other parts out:
+Needs a labelled dataset. Takes minutes on two cores. `--only PART` leaves the other parts out:
 
 scaling   the same episodes on one worker and on two, and what follows for 23,000 episodes on more cores by the law below
 store     bytes of an episode and of its labels, and seconds to read one
@@ -28,10 +28,9 @@ from typing import Any
 
 import numpy as np
 import torch
+from tables import write_results
 
 from topokit.data import Dataset, DatasetConfig, WindowDataset, generate_dataset
-
-from tables import write_results
 
 WANTED = 23_000
 PARTS = ("scaling", "store", "opening", "windows")

@@ -1,4 +1,8 @@
-"""What neighbours take, and topokit behind the same door, in one run. python book/experiments/doors.py
+"""Time neighbours, and topokit behind the same door: book/results/doors.json.
+
+    python book/experiments/doors.py
+
+Takes some minutes on one core.
 
 Writes book/results/doors.json and the table of book/coming_from.md; needs `pip install ripser` beside topokit[all]. One
 core, one thread. Each work is done by both in turn, `--repeat` times after a turn that is not counted; the least counts, of the
@@ -42,11 +46,12 @@ Work = tuple[str, Callable[[], Any], Callable[[], Any]]
 
 
 def works() -> dict[str, Work]:
-    """By the neighbour's name: what is done, there and here; both give the same numbers."""
+    """Return by the neighbour's name what is done, there and here; both give the same numbers."""
     import gudhi
     from ripser import ripser as theirs
 
-    apron, small = cloud("apron", 500), cloud("apron", 150)
+    apron = cloud("apron", 500)
+    small = cloud("apron", 150)
 
     def generators(points: np.ndarray) -> Any:
         tree = gudhi.RipsComplex(points=points).create_simplex_tree(max_dimension=2)
@@ -83,7 +88,7 @@ def works() -> dict[str, Work]:
 
 
 def alike(one: Any, other: Any) -> bool:
-    """Whether two arrays hold the same rows, whatever their order; Ripser's numbers are float32."""
+    """Return whether two arrays hold the same rows, whatever their order; Ripser's numbers are float32."""
     a, b = (np.asarray(part, float) for part in (one, other))
     return a.shape == b.shape and np.allclose(
         *(part[np.lexsort(part.T.round(4))] for part in (a, b)), rtol=1e-4, atol=1e-6
@@ -91,7 +96,7 @@ def alike(one: Any, other: Any) -> bool:
 
 
 class Lifetimes(TransformerMixin):
-    """What `LoopFeatures` gives, by ripser.py."""
+    """A transformer that gives what `LoopFeatures` gives, by ripser.py."""
 
     def fit(self, X: Any, y: Any = None) -> Lifetimes:
         return self
@@ -108,7 +113,7 @@ class Lifetimes(TransformerMixin):
 
 
 def garments(features: Any) -> dict[str, Any]:
-    """Garments told apart by the loops of what is observed, cross-validated by episode: seconds, and the share told right."""
+    """Classify garments by the loops of their clouds, cross-validated by episode; return seconds and accuracy."""
     folders = [Dataset(ROOT / "data_small" / name) for name in ("dataset", "motion")]
     films = [data[i] for data in folders for i in data.episodes]
     kinds = [film.garment for film in films]
@@ -124,7 +129,7 @@ def garments(features: Any) -> dict[str, Any]:
 
 
 def least(work: Callable[[], Any], times: int) -> float:
-    """Milliseconds of the quickest of some turns."""
+    """Return the milliseconds of the quickest of some turns."""
     found = []
     for _ in range(times):
         began = time.process_time()
@@ -156,8 +161,9 @@ def measured(repeat: int) -> dict[str, Any]:
 
 
 def table(found: dict[str, Any]) -> str:
-    """The part of the page that the results fill."""
-    one, other = found["garments"]["topokit"], found["garments"]["ripser.py"]
+    """Return the part of the page that the results fill."""
+    one = found["garments"]["topokit"]
+    other = found["garments"]["ripser.py"]
     versions = ", ".join(f"{name} {version}" for name, version in found["machine"]["versions"].items())
     lines = [f"({found['machine']['processor']}, one core, {found['date']}; {versions}.)", ""]
     lines += ["| neighbour | work | there | here |", "|---|---|---|---|"]
@@ -176,7 +182,7 @@ def table(found: dict[str, Any]) -> str:
 
 
 def paged(page: str, found: dict[str, Any]) -> str:
-    """A page with what stands between its two marks made anew."""
+    """Return a page with the part between its two marks made anew."""
     before, rest = page.split(MARKS[0])
     return f"{before}{MARKS[0]}\n{table(found)}\n{MARKS[1]}{rest.split(MARKS[1])[1]}"
 

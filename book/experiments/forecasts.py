@@ -70,7 +70,7 @@ CURVES |= {"marked curve alone, ": "hull_distance_marked_curve"}
 
 @dataclass(frozen=True)
 class Clouds:
-    """What is done to the clouds of a condition. The loops are then tracked anew on the clouds that result."""
+    """The changes that a condition makes to clouds. The loops are then tracked anew on the clouds that result."""
 
     noise: float = 0.0  #: standard deviation of each coordinate, metres
     outliers: float = 0.0  #: share of the points that are put anywhere in the cloud's box, grown by 10 cm on each side
@@ -97,7 +97,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class EvaluationConfig:
-    """What is evaluated. Paths are relative to the configuration's file."""
+    """One evaluation. Paths are relative to the configuration's file."""
 
     dataset: str
     models: dict[str, list[str]]  #: checkpoints of each model, one for each training seed
@@ -408,7 +408,8 @@ def measure_condition(config: EvaluationConfig, condition: Condition, folder: Pa
     checkpoints: dict[str, list[dict[str, Any]]] = {}
     for name, paths in (config.models if condition.models is None else condition.models).items():
         shown = "ours" if name == config.ours else name
-        forecasters[shown], checkpoints[shown] = [], []
+        forecasters[shown] = []
+        checkpoints[shown] = []
         for path in paths:
             predictor, about = load_checkpoint(folder / path, path, shape)
             check_unseen(about, clean, condition)
@@ -469,7 +470,8 @@ def measure(
                     rng = np.random.default_rng((seed, number))  # all are compared at the same points of the openings
                     columns = measure_forecasts(forecaster(window), target, past, truth, steps, horizons, rng)
                     part = described.loc[np.repeat(rows, len(steps))].reset_index(names="window")
-                    part["model"], part["seed"] = model, training
+                    part["model"] = model
+                    part["seed"] = training
                     part["step"] = np.tile(steps, len(rows))
                     parts.append(part.assign(**{name: values.ravel() for name, values in columns.items()}))
                     bar.update(len(rows))
@@ -591,7 +593,8 @@ def lost(samples: pd.DataFrame, config: EvaluationConfig, horizons: Sequence[int
     expected = expected[expected["step"].isin(horizons)]
     answer: dict[str, Any] = {}
     for model, rows in expected.groupby("model", sort=False):
-        chances, counts = {}, {}
+        chances = {}
+        counts = {}
         for step, part in rows.groupby("step"):
             far = (part["hull_distance"] > FAR).to_numpy()
             variance = part["expected_variance"].to_numpy()

@@ -1,6 +1,6 @@
-"""How far ahead cloth can be foreseen at all: the simulator as a forecaster of its own films.
+"""Measure how far ahead cloth can be foreseen: the simulator forecasts its own films; book/results/foreseeable.json.
 
-python book/experiments/foreseeable.py --dataset runs/motion_test --json book/results/foreseeable.json
+    python book/experiments/foreseeable.py --dataset runs/motion_test --json book/results/foreseeable.json
 
 A window of a film has its present at a frame at which the grippers hold. The film is simulated again twice, up to that frame with
 the same plan: once the hands make a detour of 2 mm just before (*nudged*), once the cloth has other physics, drawn anew
@@ -36,17 +36,18 @@ from topokit.sim._episode import Run, record_afresh
 
 ROOT = Path(__file__).parents[2]
 STEPS = (1, 15, 30, 60)
-NUDGE, FRAMES = 0.002, 6  # metres that both hands are beside their way, and for how many frames
+NUDGE = 0.002  # metres that both hands are beside their way
+FRAMES = 6  # for so many frames
 TOLERANCE = 0.01  # metres, that of motion.json
 Array = NDArray[Any]
 
 
 class Caught(Exception):
-    """Instead of a simulation: what would have been simulated."""
+    """Raised instead of a simulation, with what would have been simulated."""
 
 
 def run_of(dataset: Dataset, number: int) -> Run:
-    """What the simulator was told when it made that film."""
+    """Return the simulator's input when it made that film."""
 
     def catch(run: Run, *_: object) -> None:
         raise Caught(run)
@@ -60,16 +61,18 @@ def run_of(dataset: Dataset, number: int) -> Run:
 
 
 def nudged(run: Run, frame: int, rng: np.random.Generator) -> Run:
-    """The same, but that both hands go 2 mm out of their way and back just before a frame."""
-    way, steps = rng.normal(size=3), FRAMES * run.config.steps_per_frame
+    """Return the same run with both hands going 2 mm out of their way and back just before a frame."""
+    way = rng.normal(size=3)
+    steps = FRAMES * run.config.steps_per_frame
     bump = NUDGE * np.sin(np.pi * np.arange(steps) / steps)[:, None, None] ** 2 * way / np.linalg.norm(way)
-    goals, end = run.goals.copy(), frame * run.config.steps_per_frame
+    goals = run.goals.copy()
+    end = frame * run.config.steps_per_frame
     goals[end - steps : end] += bump
     return dataclasses.replace(run, goals=goals)
 
 
 def other_physics(run: Run, _: int, rng: np.random.Generator) -> Run:
-    """The same in cloth of another stiffness, damping, friction and mass."""
+    """Return the same run in cloth of another stiffness, damping, friction and mass."""
     config, *_rest = Randomisation(scale=None).draw(int(rng.integers(2**31)), run.config, run.garment)
     return dataclasses.replace(run, config=config)
 
@@ -79,7 +82,7 @@ TOLD = ("known", *(name for twin in TWINS for name in (twin, f"{twin}, its place
 
 
 class Told(MotionPredictor):
-    """Forecasts the motion that it is told, window after window."""
+    """A predictor that returns given motions, window after window."""
 
     futures: Iterator[Array]  # (60, n, 3) each
 
@@ -89,7 +92,7 @@ class Told(MotionPredictor):
 
 
 def forecast(model: MotionPredictor, points: Array, film: Any, frame: int) -> Array:
-    """(60, n, 3) what a model forecasts of all vertices."""
+    """Return (60, n, 3) what a model forecasts of all vertices."""
     model.reset()
     for t in range(frame - 15, frame + 1):
         model.observe(points[t], film.grippers[t], bool(film.held[t]), film.centre_line)
@@ -98,7 +101,7 @@ def forecast(model: MotionPredictor, points: Array, film: Any, frame: int) -> Ar
 
 
 def carry_of(points: Array, film: Any, frame: int) -> Array:
-    """(4, n, 3) where all vertices are at the `STEPS` if the grippers carry them as long as they hold."""
+    """Return (4, n, 3) where all vertices are at the `STEPS` if the grippers carry them as long as they hold."""
     ahead = slice(frame + 1, frame + 61)
     start = film.grippers[frame]
     moves = np.diff(film.actions[ahead], axis=0, prepend=start[None]) * film.held[ahead][:, None, None]
@@ -109,7 +112,7 @@ def carry_of(points: Array, film: Any, frame: int) -> Array:
 
 
 def all_there(twins: Mapping[Any, Array | None], pair: list[int]) -> bool:
-    """Whether no twin of a window was refused."""
+    """Return whether no twin of a window was refused."""
     return all(twins[(*pair, name)] is not None for name in TWINS)
 
 
@@ -123,7 +126,8 @@ def main() -> None:
     options = parser.parse_args()
 
     windows = WindowDataset(options.dataset, labels="full")
-    dataset, rows = windows.dataset, spread_windows(windows, options.windows)
+    dataset = windows.dataset
+    rows = spread_windows(windows, options.windows)
     films = {int(number): dataset[int(number)] for number in np.unique(windows.index[rows, 0])}
     runs = {number: run_of(dataset, number) for number in films}
     windows = windows.select([row for row in rows if films[windows.index[row, 0]].held[windows.index[row, 1]]])
@@ -149,8 +153,10 @@ def main() -> None:
     futures: dict[str, list[Array]] = {name: [] for name in TOLD}
     gaps: dict[str, list[list[float]]] = {name: [] for name in (*TOLD, "carry")}
     for number, frame in windows.index.tolist():
-        film, points = films[number], films[number].points.astype(float)
-        ahead, now = slice(frame + 1, frame + 61), points[frame]
+        film = films[number]
+        points = films[number].points.astype(float)
+        ahead = slice(frame + 1, frame + 61)
+        now = points[frame]
         moved = {"known": points[ahead]}
         for name in TWINS:
             twin: Any = twins[number, frame, name]
@@ -167,7 +173,8 @@ def main() -> None:
 
     batch = default_collate([windows[i] for i in range(len(windows))])
     truth = true_curves(windows, range(len(windows)), STEPS)
-    target, past = StateTensors.from_labels(batch), StateTensors.from_past(batch)[:, -1:]
+    target = StateTensors.from_labels(batch)
+    past = StateTensors.from_past(batch)[:, -1:]
     batch["turn"] = torch.eye(3)
     forecasters = {}
     for name, asked_for in futures.items():

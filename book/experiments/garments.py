@@ -1,4 +1,8 @@
-"""Whether strangers' garments get from a file to a film that is right. python book/experiments/garments.py --help
+"""Hang strangers' garments, from a file to a film: book/results/garments.json.
+
+    python book/experiments/garments.py --folder runs/bag --meshes FOLDER
+
+Takes a film's simulation for each of 40 meshes.
 
 Writes a bag of 40 meshes as other tools would write them (OBJ, PLY, STL; metres, centimetres, millimetres, no unit; any axis up;
 turned, remeshed, decimated, in pieces with doubled vertices, with half an annotation or none), some of which no cloth can be made
@@ -40,7 +44,7 @@ class Case:
 
 
 def bag(meshes: Path | None) -> Iterator[Case]:
-    """Every case, in an order that never changes."""
+    """Return every case, in an order that never changes."""
     makes: list[tuple[str, Garment, str]] = [
         ("apron", Garment.apron(), "hook"),
         ("apron long", Garment.apron(body_height=0.6, strap_length=0.75, spacing=0.035), "hook"),
@@ -56,14 +60,18 @@ def bag(meshes: Path | None) -> Iterator[Case]:
         ("vest", Garment.vest(), "mannequin"),
     ]
     kinds = [".obj", ".ply", ".stl"]
-    units, ups, ways = list(UNITS), ["z", "y"], ["plain", "turned", "coarser", "finer", "seams", "shuffled"]
+    units = list(UNITS)
+    ups = ["z", "y"]
+    ways = ["plain", "turned", "coarser", "finer", "seams", "shuffled"]
     number = 0
     for turn in range(3):
         for name, garment, target in makes:
             if number == 33:
                 break
-            kind, unit = kinds[(number + turn) % 3], units[(number // 2 + turn) % 4]
-            way, up = ways[(number + turn) % 6], ups[(number // 3 + turn) % 2]
+            kind = kinds[(number + turn) % 3]
+            unit = units[(number // 2 + turn) % 4]
+            way = ways[(number + turn) % 6]
+            up = ups[(number // 3 + turn) % 2]
             words = f"{name}, {way}, {unit}, {up} up"
             write = _writer(f"{number:02d}{kind}", garment, way, UNITS[unit], up, number)
             yield Case(words, write, target)
@@ -86,24 +94,29 @@ def bag(meshes: Path | None) -> Iterator[Case]:
 def _writer(file: str, garment: Garment, way: str, unit: float, up: str, number: int) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
         rng = np.random.default_rng(number)
-        vertices, faces = garment.vertices.copy(), garment.faces.astype(np.int64)
+        vertices = garment.vertices.copy()
+        faces = garment.faces.astype(np.int64)
         if way == "turned":
             angle = rng.uniform(-0.4, 0.4)
-            c, s = np.cos(angle), np.sin(angle)
+            c = np.cos(angle)
+            s = np.sin(angle)
             vertices = vertices @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + rng.normal(0, 2, 3)
         if way == "coarser":
             cut = pv.make_tri_mesh(vertices, faces).decimate_pro(0.3, preserve_topology=True)
-            vertices, faces = np.asarray(cut.points, float), cut.regular_faces
+            vertices = np.asarray(cut.points, float)
+            faces = cut.regular_faces
         if way == "finer":
             long = np.linalg.norm(np.diff(vertices[faces[:, :2]], axis=1), axis=2).max()
             vertices, faces = trimesh.remesh.subdivide_to_size(vertices, faces, 1.2 * long)
         if way == "seams":  # pieces, each with vertices of its own
             piece = (vertices[faces].mean(axis=1)[:, 0] > 0).astype(int)
             pairs, ids = np.unique(np.column_stack([faces.ravel(), np.repeat(piece, 3)]), axis=0, return_inverse=True)
-            vertices, faces = vertices[pairs[:, 0]], ids.reshape(-1, 3)
+            vertices = vertices[pairs[:, 0]]
+            faces = ids.reshape(-1, 3)
         if way == "shuffled":
             order = rng.permutation(len(vertices))
-            vertices, faces = vertices[order], np.argsort(order)[faces]
+            vertices = vertices[order]
+            faces = np.argsort(order)[faces]
             faces = rng.permutation(faces)
         vertices = unit * (vertices[:, [0, 2, 1]] * [1, 1, -1] if up == "y" else vertices)
         return _export(trimesh.Trimesh(vertices, faces, process=False), folder / file)
@@ -122,8 +135,9 @@ def _text(path: Path, text: str) -> Path:
 
 
 def outcome(case: Case, folder: Path, seed: int) -> dict[str, Any]:
-    """Give a mesh to the command, and say what became of it."""
-    mesh, film = case.write(folder), folder / "episodes" / f"{case.name.replace(' ', '_').replace(',', '')}.npz"
+    """Run the command on a mesh and return the outcome."""
+    mesh = case.write(folder)
+    film = folder / "episodes" / f"{case.name.replace(' ', '_').replace(',', '')}.npz"
     film.parent.mkdir(exist_ok=True)
     asked = [
         "simulate",

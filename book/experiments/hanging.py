@@ -1,4 +1,8 @@
-"""How often garments are hung in a closed loop, and how soon. python book/experiments/hanging.py --help
+"""Measure how often garments are hung in a closed loop, and how soon: book/results/hanging.json.
+
+    python book/experiments/hanging.py
+
+Takes many hours on two cores; `--help` tells how to ask for less.
 
 Every controller gets the same starts: the target anywhere and at any yaw, the garment before it (`HangEnv`, place="anywhere").
 Each episode is appended to the results when it is done, and not done again. Success is that of the environment: the task's true
@@ -37,7 +41,8 @@ TASKS += [f"{garment}-mannequin" for garment in ("apron", "backpack", "shirt", "
 WHO = ("random", "straight", "servo", "hold", "rigid", "carry", "motion", "script", "ppo", "oracle")
 MOTION = Path(__file__).parents[2] / "data_small" / "checkpoints" / "motion.safetensors"
 CAMERA = Camera((-1.3, -1.6, 1.6), (0.0, 0.3, 1.1), width=160, height=120)
-FAST, TRIES = {"pace": 1.0}, 8
+FAST = {"pace": 1.0}
+TRIES = 8
 SCENES: dict[str, dict[str, Any]] = {
     "still": {},
     "all vertices": {"n_points": 10_000},
@@ -62,27 +67,28 @@ class Hold:
     """The forecast that the cloth stays where it is: `topokit.control.Planner` can be asked what that is worth."""
 
     def reset(self) -> None:
-        """There is nothing to forget."""
+        """Do nothing: there is nothing to forget."""
 
     def observe(self, *_: Any) -> None:
-        """There is nothing to take in."""
+        """Do nothing: there is nothing to take in."""
 
     def move(self, actions: Any, held: Any, points: Any) -> tuple[Any, None]:
         return np.broadcast_to(np.asarray(points), (*np.shape(actions)[:2], *np.shape(points))), None
 
 
 class Rigid(ThrowController):
-    """Throws as if nothing flew: what is let go stays where it was, which is the rigid guess without hands that move."""
+    """A planner that throws as if nothing flew: what is let go stays where it was."""
 
     def _flown(self, held: Any, lasts: Any) -> Any:
         return np.repeat(held[np.arange(len(held)), lasts - 1][:, None], 4, axis=1)
 
 
 class Random(Controller):
-    """Draws a way for every half second, and lets go at some time: chance."""
+    """A controller by chance: it draws a way for every half second, and lets go at some time."""
 
     def reset(self, observation: Mapping[str, Any]) -> None:
-        self.reason, self._frame = "", 0
+        self.reason = ""
+        self._frame = 0
         self._random = np.random.default_rng(np.frombuffer(observation["grippers"].tobytes(), np.uint32))
 
     def act(self, observation: Mapping[str, Any]) -> Any:
@@ -93,15 +99,17 @@ class Random(Controller):
 
 
 class Straight(Controller):
-    """Drives the middle of the cloud to the middle of the arm, and lets go there: it knows nothing of loops."""
+    """A controller without loops: it moves the middle of the cloud to the middle of the arm, and lets go there."""
 
     def reset(self, observation: Mapping[str, Any]) -> None:
-        self.reason, self._away = "", np.inf
+        self.reason = ""
+        self._away = np.inf
 
     def act(self, observation: Mapping[str, Any]) -> Any:
         line = np.asarray(observation["target"], np.float64)
         way = (line[-3] + line[-2]) / 2 - np.asarray(observation["points"], np.float64).mean(axis=0)
-        arrived, self._away = np.linalg.norm(way) < 0.03, float(np.linalg.norm(way))
+        arrived = np.linalg.norm(way) < 0.03
+        self._away = float(np.linalg.norm(way))
         move = np.clip(0.15 * way / 0.0432, -0.4, 0.4)
         return np.append(np.tile(move, 2), float(arrived)).astype(np.float32)
 
@@ -162,11 +170,12 @@ def run(task: str, who: str, scene: str, seed: int, steps: int = 0) -> Hanging:
 
 
 def foreseen(task: str, seed: int, options: dict[str, Any]) -> Hanging:
-    """The simulator as oracle: a start is played with other draws of plans until one hangs; the first that did is done.
+    """Simulate a start with other draws of plans until one hangs, and return that one: the simulator as oracle.
 
     PyBullet cannot save and restore cloth, so that an oracle cannot be asked under way.
     """
-    known, pace = KNOWN[task], options.pop("pace", 0.6)
+    known = KNOWN[task]
+    pace = options.pop("pace", 0.6)
     for draws in range(TRIES):
         how = {
             "radius": known.target.rods[0][2],
@@ -183,7 +192,7 @@ def foreseen(task: str, seed: int, options: dict[str, Any]) -> Hanging:
 
 
 def scripted(task: str, seed: int, options: dict[str, Any]) -> Hanging:
-    """The script that knows mesh, loop and target."""
+    """Run the script, which is given mesh, loop and target."""
     env = HangEnv(task, max_steps=300, **options)
 
     class Script(Controller):
@@ -203,8 +212,9 @@ def scripted(task: str, seed: int, options: dict[str, Any]) -> Hanging:
 
 
 def cause(task: Task, result: Hanging) -> str:
-    """Why a hanging failed, by which loops wound around the target's centre line when it ended or was let go."""
-    episode, last = result.episode, int(result.episode.held.sum()) - 1
+    """Return why a hanging failed, by which loops were around the target's centre line when it ended or was let go."""
+    episode = result.episode
+    last = int(result.episode.held.sum()) - 1
     wanted = {*task.wanted(episode.named_loops)}
     around = {name for name, loop in episode.named_loops.items() if holds(episode, last, loop)}
     enough = wanted <= around if task.all_loops else bool(wanted & around)
@@ -221,7 +231,7 @@ def cause(task: Task, result: Hanging) -> str:
 
 
 def holds(episode: Episode, frame: int, loop: Any) -> bool:
-    """Whether a loop is around the target in a frame; the target where it is at the end."""
+    """Return whether a loop is around the target in a frame; the target where it is at the end."""
     try:
         return linking_number(episode.points[frame][loop], close_far(episode.centre_line)) != 0
     except ValueError:
@@ -262,7 +272,7 @@ def main() -> None:
 
 
 def show(rows: list[dict[str, Any]]) -> None:
-    """A line for every task, scene and controller: successes with Wilson's 95 % interval, the median of frames when it hangs."""
+    """Print a line for every task, scene and controller: successes with Wilson's 95 % interval, median of frames."""
     for key in sorted({(row["scene"], row["task"], row["who"]) for row in rows}):
         mine = [row for row in rows if (row["scene"], row["task"], row["who"]) == key]
         hung = [row["frames"] for row in mine if row["success"]]

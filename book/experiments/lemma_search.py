@@ -78,7 +78,7 @@ PAPER_IS_TRUE = [
 
 
 def curve(rng: np.random.Generator, n: int, d: int) -> Array:
-    """n points, evenly or at random, on a closed curve with a few bumps."""
+    """Return n points, evenly or at random, on a closed curve with a few bumps."""
     angle = 2 * np.pi * (np.arange(n) / n if rng.random() < 0.5 else rng.random(n))
     radius = 1 + rng.uniform(0, 0.4) * np.cos(rng.integers(2, 5) * angle + rng.uniform(0, 6))
     points = np.column_stack([radius * np.cos(angle), rng.uniform(0.4, 1) * radius * np.sin(angle)])
@@ -86,7 +86,7 @@ def curve(rng: np.random.Generator, n: int, d: int) -> Array:
 
 
 def wedge(rng: np.random.Generator, n: int, d: int) -> Array:
-    """Two or three loops that touch, or lie apart."""
+    """Return two or three loops that touch, or lie apart."""
     k = int(rng.integers(2, 4))
     gap = rng.choice([1.8, 2.0, 3.0, 8.0, 15.0, 30.0])
     size = rng.uniform(0.5, 1.5, k) if rng.random() < 0.5 else np.ones(k)
@@ -94,7 +94,7 @@ def wedge(rng: np.random.Generator, n: int, d: int) -> Array:
 
 
 def theta(rng: np.random.Generator, n: int, d: int) -> Array:
-    """A circle with a chord."""
+    """Return a circle with a chord."""
     chord = np.zeros((max(n // 4, 2), d))
     chord[:, 0] = np.linspace(-0.9, 0.9, len(chord))
     chord[:, 1] = rng.uniform(-0.3, 0.3)
@@ -102,7 +102,7 @@ def theta(rng: np.random.Generator, n: int, d: int) -> Array:
 
 
 def sheet(rng: np.random.Generator, n: int, d: int) -> Array:
-    """A grid with one or two holes, sometimes exact (many ties), sometimes shaken, sometimes bent in space."""
+    """Return a grid with one or two holes, sometimes exact (many ties), sometimes shaken, sometimes bent in space."""
     side = int(np.ceil(np.sqrt(1.4 * n)))
     grid = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2) / (side - 1)
     for _ in range(int(rng.integers(1, 3))):
@@ -113,12 +113,12 @@ def sheet(rng: np.random.Generator, n: int, d: int) -> Array:
 
 
 def noise(rng: np.random.Generator, n: int, d: int) -> Array:
-    """No shape at all: many short loops."""
+    """Return points without a shape: many short loops."""
     return rng.normal(size=(n, d))
 
 
 def ring(rng: np.random.Generator, n: int, d: int) -> Array:
-    """Points evenly on a circle, almost, some with a double nearby: many edges are almost the killer."""
+    """Return points almost evenly on a circle, some with a double nearby: many edges are almost the killer."""
     angle = 2 * np.pi * np.arange(max(n // 2, 5)) / max(n // 2, 5)
     circle = np.pad(np.column_stack([np.cos(angle), np.sin(angle)]), ((0, 0), (0, d - 2)))
     circle = circle + rng.choice([0.003, 0.02]) * rng.normal(size=circle.shape)
@@ -127,7 +127,7 @@ def ring(rng: np.random.Generator, n: int, d: int) -> Array:
 
 
 def tied(rng: np.random.Generator, n: int, d: int) -> Array:
-    """Lattice points and points on circles, where distances tie."""
+    """Return lattice points and points on circles, where distances tie."""
     while True:
         cloud = random_cloud(rng, str(rng.choice(["grid", "polygon", "cocircular", "coplanar"])), max(n, 6))
         if len(cloud) >= 4 and cloud.shape[1] in (2, 3):
@@ -138,14 +138,14 @@ FAMILIES = (curve, wedge, theta, sheet, noise, ring, tied)
 
 
 def state(rng: np.random.Generator, n: int) -> Array:
-    """A cloud of about n points in the plane or in space, about one unit large."""
+    """Return a cloud of about n points in the plane or in space, about one unit large."""
     cloud = FAMILIES[int(rng.integers(len(FAMILIES)))](rng, n, int(rng.integers(2, 4)))
     cloud = cloud + rng.choice([0.0, 0.0, 0.01, 0.05]) * rng.normal(size=cloud.shape)
     return cloud / max(float(np.ptp(cloud, axis=0).max()), 1e-6)
 
 
 def motion(rng: np.random.Generator, points: Array) -> Array:
-    """Where the points go: nowhere, together, apart, or where it hurts; about as far as some loop lives."""
+    """Return where the points go: nowhere, together, apart, or towards a violation; about as far as some loop lives."""
     diagram = rips_persistence(points)
     scale = float(rng.choice(diagram.lifetime[:5])) if len(diagram) else 0.05
     size = scale * rng.choice([0.0, 0.05, 0.2, 0.45, 0.5, 0.7, 1.0])
@@ -169,7 +169,7 @@ def motion(rng: np.random.Generator, points: Array) -> Array:
 
 
 def observation(rng: np.random.Generator, points: Array) -> Array:
-    """Which vertices are seen: all, a farthest-point or a random sample, or all but those that a loop rests on."""
+    """Return which vertices are seen: all, a farthest-point or a random sample, or all but those of a loop."""
     n = len(points)
     kind = rng.choice(["all", "farthest", "random", "blind"])
     if kind == "all":
@@ -186,7 +186,7 @@ def observation(rng: np.random.Generator, points: Array) -> Array:
 
 
 def random_instance(rng: np.random.Generator, n: int) -> Instance:
-    """Any of the above, or one of those below."""
+    """Return any of the above, or one of those below."""
     if rng.random() < 0.1:
         return (rivals, two_rivals)[int(rng.integers(2))](rng, max(5, n // 3))
     before = state(rng, n)
@@ -196,7 +196,7 @@ def random_instance(rng: np.random.Generator, n: int) -> Instance:
 
 
 def rivals(rng: np.random.Generator, n: int) -> Instance:
-    """An uneven ring with one vertex doubled, of which now the one and then the other is seen: killers with near ties."""
+    """Return an uneven ring with one vertex doubled, of which now the one and then the other is seen: near ties."""
     angle = 2 * np.pi * np.arange(n) / n
     circle = np.column_stack([np.cos(angle), np.sin(angle)]) * (1 + 0.15 * rng.normal(size=(n, 1)))
     before = np.vstack([circle, circle[0] + rng.choice([0.01, 0.03, 0.06]) * rng.normal(size=2)])
@@ -205,8 +205,9 @@ def rivals(rng: np.random.Generator, n: int) -> Instance:
 
 
 def two_rivals(rng: np.random.Generator, n: int) -> Instance:
-    """Two of these rings, far apart for their size."""
-    a, b = rivals(rng, n), rivals(rng, n)
+    """Return two of these rings, far apart for their size."""
+    a = rivals(rng, n)
+    b = rivals(rng, n)
     apart = rng.uniform(8, 30) * np.eye(2)[0]
     moved = (np.vstack([getattr(a, x), getattr(b, x) + apart]) for x in ("before", "after"))
     ids = (np.concatenate([getattr(a, x), getattr(b, x) + n + 1]) for x in ("seen", "seen_after"))
@@ -214,21 +215,22 @@ def two_rivals(rng: np.random.Generator, n: int) -> Instance:
 
 
 def seven_points() -> Instance:
-    """The library's counterexample to the paper's corollary."""
+    """Return the library's counterexample to the paper's corollary."""
     case = lemmas.COUNTEREXAMPLES["killers two beta apart"]
     return Instance(case.before, case.after, case.observed_before, case.observed_after)
 
 
 def ratio(verdict: Verdict) -> float:
-    """statistic / bound: above 1 is a violation."""
+    """Return statistic / bound: above 1 is a violation."""
     if verdict.statistic <= 0:
         return 0.0
     return verdict.statistic / verdict.bound if verdict.bound > 0 else float("inf")
 
 
 def needed_factor(check: Check, version: str) -> tuple[float, float] | None:
-    """The factor before beta that would have done, and beta in killer lengths; None where beta is small or not in the bound."""
-    verdict, times = check.versions[version], FACTORS.get((check.statement, version))
+    """Return the factor before beta that is needed, and beta in killer lengths; None where beta is small or not in the bound."""
+    verdict = check.versions[version]
+    times = FACTORS.get((check.statement, version))
     if times is None or not verdict.loops or verdict.witness is None:
         return None
     beta = (verdict.bound - check.epsilon) / times
@@ -237,7 +239,7 @@ def needed_factor(check: Check, version: str) -> tuple[float, float] | None:
 
 
 def tightness(check: Check, version: str) -> float:
-    """How near to a violation, 1 being on the bound: by the factor before beta where there is one and beta is large."""
+    """Return how near to a violation, 1 being on the bound: by the factor before beta where beta is large."""
     verdict = check.versions[version]
     if verdict.violated or (check.statement, version) not in FACTORS:
         return ratio(verdict)
@@ -246,8 +248,9 @@ def tightness(check: Check, version: str) -> float:
 
 
 def mutate(rng: np.random.Generator, instance: Instance, size: float) -> Instance:
-    """Another instance nearby."""
-    before, step = instance.before.copy(), instance.after - instance.before
+    """Return another instance nearby."""
+    before = instance.before.copy()
+    step = instance.after - instance.before
     which = rng.random(len(before)) < rng.choice([0.15, 0.5])
     size *= 10 ** rng.uniform(-2, 0)
     if rng.random() < 0.6:
@@ -261,7 +264,7 @@ def mutate(rng: np.random.Generator, instance: Instance, size: float) -> Instanc
 
 
 def flip(rng: np.random.Generator, ids: Array, n: int) -> Array:
-    """Now and then see one vertex more or one fewer."""
+    """Return the seen vertices, now and then with one more or one fewer."""
     if rng.random() > 0.1:
         return ids
     changed = np.setxor1d(ids, [rng.integers(n)])
@@ -269,7 +272,7 @@ def flip(rng: np.random.Generator, ids: Array, n: int) -> Array:
 
 
 def score(check: Check, version: str) -> float:
-    """What to climb: the ratio, and for a chain of killers also how long its legs are in sum, lest one leg do it all."""
+    """Return what to climb: the ratio, and for a chain of killers also the length of its legs."""
     verdict = check.versions[version]
     if not (verdict.applies or verdict.violated):
         return -0.5
@@ -280,7 +283,7 @@ def score(check: Check, version: str) -> float:
 
 
 def optimised_instance(rng: np.random.Generator, statement: str, version: str, steps: int) -> tuple[Instance, Check]:
-    """Climb: keep a mutation that brings the score up, with a step size that adapts (1 + 1 evolution strategy)."""
+    """Keep mutations that bring the score up, with a step size that adapts (1 + 1 evolution strategy)."""
     kinds = {"recovering killers": rivals, "regularity of killers": rivals, "corollary": rivals, "converse": two_rivals}
     make = kinds.get(statement, random_instance)
     starts = [make(rng, int(rng.integers(5, 9))) for _ in range(30)]
@@ -288,14 +291,17 @@ def optimised_instance(rng: np.random.Generator, statement: str, version: str, s
         starts = [mutate(rng, seven_points(), 0.01) for _ in range(30)]
     instance, check = max(((i, CHECKS[statement](i)) for i in starts), key=lambda pair: score(pair[1], version))
     worst = instance, check  # the tightest
-    best, size = score(check, version), 0.1
+    best = score(check, version)
+    size = 0.1
     for _ in range(steps):
         other = mutate(rng, instance, size)
         found = CHECKS[statement](other)
         reached = score(found, version)
         if reached >= best:
             size = min(1.5 * size, 0.3) if reached > best else size
-            instance, check, best = other, found, reached
+            instance = other
+            check = found
+            best = reached
             if tightness(check, version) > tightness(worst[1], version):
                 worst = instance, check
         else:
@@ -305,7 +311,7 @@ def optimised_instance(rng: np.random.Generator, statement: str, version: str, s
 
 @dataclass
 class Count:
-    """What became of one version of one statement."""
+    """Counts of one version of one statement."""
 
     tried: int = 0
     applies: int = 0
@@ -333,7 +339,8 @@ class Search:
     """Counts, and the first instance that violates what should be true."""
 
     def __init__(self, seed: int, steps: int) -> None:
-        self.seed, self.steps = seed, steps
+        self.seed = seed
+        self.steps = steps
         self.random: dict[tuple[str, str], Count] = {}
         self.optimised: dict[tuple[str, str], Count] = {}
         self.done = [0, 0, 0]
@@ -390,7 +397,7 @@ class Search:
                 self.news.append({"instance": label, "statement": name, "version": version, "says": str(check)} | where)
 
     def table(self) -> list[dict[str, Any]]:
-        """One row for every version of every statement, random and optimised apart."""
+        """Return a row for every version of every statement, random and optimised apart."""
         rows = []
         for kind, counts in (("random", self.random), ("optimised", self.optimised)):
             for name in CHECKS:
@@ -407,7 +414,7 @@ class Search:
 
 
 def shrink(instance: Instance, statement: str, version: str) -> Instance:
-    """Leave vertices out for as long as the violation stays."""
+    """Remove vertices for as long as the violation stays."""
     i = 0
     while i < len(instance.before):
         keep = np.delete(np.arange(len(instance.before)), i)
@@ -417,7 +424,8 @@ def shrink(instance: Instance, statement: str, version: str) -> Instance:
             instance, before=instance.before[keep], after=instance.after[keep], seen=seen, seen_after=seen_after
         )
         if len(seen) and len(seen_after) and CHECKS[statement](fewer).versions[version].violated:
-            instance, i = fewer, 0
+            instance = fewer
+            i = 0
         else:
             i += 1
     return instance

@@ -1,4 +1,4 @@
-"""The constants and the statements of topokit.lemmas over recorded episodes: the tables of chapters 3, 4 and 6.
+"""Check the statements of topokit.lemmas on recorded episodes: book/results/lemmas_on_cloth.json and lemmas_on_test.json.
 
     python book/experiments/lemmas_on_cloth.py data_small [more folders or episodes] --out book/results/lemmas_on_cloth.json
     python book/experiments/lemmas_on_cloth.py --dataset runs/dataset --each 1 --out book/results/lemmas_on_test.json
@@ -127,7 +127,7 @@ def killer_jumps(before: np.ndarray, after: np.ndarray) -> list[Jump]:
 
 
 def find_episodes(places: list[Path]) -> list[Path]:
-    """All episodes among files and folders, sorted."""
+    """Return all episodes among files and folders, sorted."""
     found = [path for place in places for path in (sorted(place.glob("*.npz")) if place.is_dir() else [place])]
     episodes = [path for path in found if not path.name.endswith(".tracks.npz")]
     if not episodes:
@@ -138,7 +138,7 @@ def find_episodes(places: list[Path]) -> list[Path]:
 
 
 def of_dataset(folder: Path, each: int) -> Iterator[tuple[str, Episode]]:
-    """The first `each` tested episodes of every garment, by the names of their tasks and their numbers."""
+    """Return the first `each` tested episodes of every garment, by the names of their tasks and their numbers."""
     dataset = Dataset(folder)
     tested = [dataset.record(i) for i in dataset.split()["test"]]
     for garment in dataset.garments:
@@ -147,7 +147,7 @@ def of_dataset(folder: Path, each: int) -> Iterator[tuple[str, Episode]]:
 
 
 def observe(episode: Episode, n_observed: int | None) -> tuple[np.ndarray, str]:
-    """What is observed of every frame, and how it was chosen."""
+    """Return what is observed of every frame, and how it was chosen."""
     if n_observed is None and episode.observation.get("kind", "vertices") == "vertices":
         return episode.observed, "as recorded"
     n = min(n_observed or episode.observed.shape[1], episode.points.shape[1])
@@ -155,18 +155,18 @@ def observe(episode: Episode, n_observed: int | None) -> tuple[np.ndarray, str]:
 
 
 def per_frame(seen: np.ndarray, t: int) -> np.ndarray:
-    """What is observed at frame t."""
+    """Return what is observed at frame t."""
     return seen if seen.ndim == 1 else seen[t]
 
 
 def jumps(name: str, before: np.ndarray, after: np.ndarray) -> dict[str, float]:
-    """How far the places of the longest-lived loop jump, as shares of its killer's length; empty when it is not matched."""
+    """Return how far the longest-lived loop's places jump, as shares of its killer's length; empty when it is not matched."""
     found = [jump for jump in killer_jumps(before, after) if jump.loop == 0]
     return {f"jump_{what}_{name}": getattr(j, what) / j.length for j in found for what in PLACES}
 
 
 def jump_shares(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | int]]:
-    """In what share of steps the places jump by more than half the killer's length."""
+    """Return the share of steps in which the places jump by more than half the killer's length."""
     table: dict[str, dict[str, float | int]] = {}
     for what in (f"jump_{place}_{cloud}" for cloud in ("states", "observations") for place in PLACES):
         values = [r[what] for r in rows if what in r]
@@ -175,7 +175,7 @@ def jump_shares(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | int]]
 
 
 def row(garment: str, step: StepCheck) -> dict[str, Any]:
-    """One step: the constants, and for the corollary the distance of killers with its bounds."""
+    """Return the row of a step: the constants, and for the corollary the distance of killers with its bounds."""
     numbers = {name: getattr(step, name) for name in MEASURES}
     check = step.checks["corollary"]
     for loop in check.loops[:1]:
@@ -190,12 +190,12 @@ def row(garment: str, step: StepCheck) -> dict[str, Any]:
 
 
 def short(x: float) -> float | None:
-    """Four digits; None for what is not a number."""
+    """Round to four digits; None for what is not a number."""
     return float(f"{x:.4g}") if math.isfinite(x) else None
 
 
 def distributions(steps: list[StepCheck]) -> dict[str, dict[str, float | int | None]]:
-    """Quantiles of the constants over steps, and over how many steps each is defined."""
+    """Return quantiles of the constants over steps, and over how many steps each is defined."""
     table = {}
     for name in MEASURES:
         values = np.array([getattr(step, name) for step in steps])
@@ -206,7 +206,7 @@ def distributions(steps: list[StepCheck]) -> dict[str, dict[str, float | int | N
 
 
 def shares(steps: list[StepCheck]) -> list[dict[str, Any]]:
-    """For every version of every statement: in how many steps it speaks, its hypotheses hold, and its conclusion does."""
+    """Return for every version of every statement in how many steps it applies, its hypotheses hold, and its conclusion does."""
     rows = []
     for statement in lemmas.STATEMENTS:
         for version in steps[0].checks[statement].versions:
@@ -238,7 +238,8 @@ def main() -> int:
     parser.add_argument("--observed", type=int, metavar="N", help="observe N vertices instead of what was recorded")
     options = parser.parse_args()
     by_garment: dict[str, list[StepCheck]] = {}
-    rows, listed = [], []
+    rows = []
+    listed = []
     films = ((path.name, load_episode(path)) for path in find_episodes(options.places))
     for name, episode in of_dataset(options.dataset, options.each) if options.dataset else films:
         seen, how = observe(episode, options.observed)
@@ -274,7 +275,7 @@ def main() -> int:
 
 
 def print_table(answer: dict[str, Any]) -> None:
-    """What a reader wants to see at once."""
+    """Print the most important rows."""
     print(f"{'':16}" + "".join(f"{q:>4}%     " for q in QUANTILES))
     for name, quantiles in answer["distributions"]["all"].items():
         numbers = "".join(f"{quantiles[f'{q}%'] or 0:10.4f}" for q in QUANTILES)

@@ -3,7 +3,7 @@
     python book/experiments/motion.py
 
 The conditions and checkpoints are in motion.json beside this file, and so are the commands that make films and checkpoints.
-Takes some hours on two cores. `--only CONDITION` measures one condition and keeps the others of the record.
+Takes hours on two cores. `--only CONDITION` measures one condition and keeps the others of the record.
 """
 
 from forecasts import run

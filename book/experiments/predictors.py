@@ -1,6 +1,6 @@
-"""Predictors: milliseconds a forecast against running seqPH, and windows a second in training. One core, one run.
+"""Time predictors against running seqPH, and training: book/results/predictors.json. One core, one run.
 
-python book/experiments/predictors.py --help
+    python book/experiments/predictors.py --help
 
 Forecasts: 60 steps from the recorded apron, by freshly drawn weights (which cost what trained ones do) or by checkpoints.
 *observe* takes in the next frame; *one plan* is everything after that until the 60 states are there; *plans* the same for many
@@ -63,28 +63,29 @@ Times = dict[str, float]
 
 
 def configured(name: str) -> TrainConfig:
-    """The options and the loss that the trained checkpoint has, or the defaults of what has none."""
+    """Return the options and the loss of the trained checkpoint, or the defaults where there is none."""
     path = ROOT / "data_small" / "checkpoints" / f"{name}.json"
     return TrainConfig.load(path) if path.exists() else TrainConfig(name)
 
 
 def fresh(name: str) -> torch.nn.Module:
-    """A model with freshly drawn weights."""
+    """Return a model with freshly drawn weights."""
     how = configured(name)
     return build(name, how.shape, Normalisation(), how.options)
 
 
 def predictor_of(name: str) -> Predictor:
-    """Its predictor."""
+    """Return the predictor of a model."""
     model = fresh(name)
     return MotionPredictor(model) if isinstance(model, Motion) else Predictor(model)
 
 
 def timed(function: Callable[[], object], repeat: int) -> Times:
-    """Median milliseconds of the processor and of the clock."""
+    """Return the median milliseconds of the processor and of the clock."""
     spent = []
     for _ in range(repeat + 1):
-        clock, start = time.perf_counter(), time.process_time()
+        clock = time.perf_counter()
+        start = time.process_time()
         function()
         spent.append((1e3 * (time.process_time() - start), 1e3 * (time.perf_counter() - clock)))
     ms, clock_ms = (statistics.median(column) for column in zip(*spent[1:], strict=True))
@@ -92,14 +93,12 @@ def timed(function: Callable[[], object], repeat: int) -> Times:
 
 
 def forecasts(predictor: Predictor, plans: int, repeat: int) -> dict[str, Times]:
-    """Times of observing, of one plan, and of many."""
+    """Return the times of observing, of one plan, and of many."""
     episode = load_episode(EPISODE)
     for t in range(25, 41):
         predictor.observe(episode.observed[t], episode.grippers[t], target=episode.centre_line)
-    actions, rng = (
-        np.asarray(episode.actions[np.minimum(np.arange(41, 101), len(episode) - 1)]),
-        np.random.default_rng(0),
-    )
+    actions = np.asarray(episode.actions[np.minimum(np.arange(41, 101), len(episode) - 1)])
+    rng = np.random.default_rng(0)
     many = actions + rng.normal(0, 0.02, (plans, 60, 2, 3)).astype(np.float32)
 
     def first() -> None:
@@ -119,7 +118,7 @@ def forecasts(predictor: Predictor, plans: int, repeat: int) -> dict[str, Times]
 
 
 def forget(predictor: Predictor) -> None:
-    """As after a new frame."""
+    """Forget what was computed for this frame, as after a new one."""
     if isinstance(predictor, MotionPredictor):
         predictor._codes = {}
     else:
@@ -127,7 +126,7 @@ def forget(predictor: Predictor) -> None:
 
 
 def topology(repeat: int) -> dict[str, Times]:
-    """The same frame by seqPH and by the libraries that are installed."""
+    """Time the same frame by seqPH and by the libraries that are installed."""
     points = load_episode(EPISODE).observed[39:41].astype(float)
     tracker = tk.SeqPH()
     tracker.update(points[0])
@@ -150,7 +149,7 @@ def topology(repeat: int) -> dict[str, Times]:
 
 
 def batches(name: str, dataset: Path | None, batch: int, steps: int) -> Iterator[dict[str, torch.Tensor]]:
-    """Batches of windows as training of that model reads them."""
+    """Yield batches of windows as training of that model reads them."""
     points = Shape().points
     if name == "motion":
         data: Any = RingScenes(2 * batch) if dataset is None else Scenes(Dataset(dataset), Dataset(dataset).episodes)
@@ -170,8 +169,9 @@ def batches(name: str, dataset: Path | None, batch: int, steps: int) -> Iterator
 
 
 def training(name: str, dataset: Path | None, batch: int, steps: int, peak: float) -> dict[str, Any]:
-    """Windows a second, the parts of a step, and what binds."""
-    model, weights = fresh(name), configured(name).loss
+    """Return windows a second, the parts of a step, and what limits the speed."""
+    model = fresh(name)
+    weights = configured(name).loss
 
     def loss_of(window: dict[str, torch.Tensor]) -> torch.Tensor:
         if isinstance(model, Motion):
@@ -210,7 +210,7 @@ def training(name: str, dataset: Path | None, batch: int, steps: int, peak: floa
 
 
 def peak_gflops() -> float:
-    """What a large matrix product reaches."""
+    """Return what a large matrix product reaches."""
     a = torch.randn(1024, 1024)
     return 2 * 1024**3 / timed(lambda: a @ a, 10)["clock_ms"] / 1e6
 

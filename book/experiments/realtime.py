@@ -1,4 +1,8 @@
-"""Frames a second of the tracker, end to end, on one core. python book/experiments/realtime.py --help
+"""Measure frames a second of the tracker, end to end, on one core.
+
+    python book/experiments/realtime.py
+
+Takes a minute on one core.
 
 A film of the recorded apron with as many points as asked for: the same places on its triangles in every frame. Every setting is
 run `--repeat` times after a run that is not counted; the table gives the median frame, and what its parts take in the first
@@ -46,7 +50,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 
 def film(n: int, frames: int) -> list[np.ndarray]:
-    """Clouds of `n` points: a farthest-point sample of places on the first frame's triangles, carried along."""
+    """Return clouds of `n` points: a farthest-point sample of places on the first frame's triangles, carried along."""
     episode = load_episode(Path(__file__).parents[2] / "data_small" / "apron_hook_0.npz")
     corners = episode.points[:frames, episode.faces].astype(float)  # (T, F, 3, 3)
     rng = np.random.default_rng(0)
@@ -84,10 +88,12 @@ def timed(spent: dict[str, float]) -> Iterator[None]:
 
 
 def milliseconds(clouds: list[np.ndarray], options: dict[str, Any]) -> list[tuple[float, float]]:
-    """Of every frame: of the processor, and of the clock."""
-    tracker, spent = tk.SeqPH(**options), []
+    """Return the milliseconds of every frame: of the processor, and of the clock."""
+    tracker = tk.SeqPH(**options)
+    spent = []
     for cloud in clouds:
-        clock, start = time.perf_counter(), time.process_time()
+        clock = time.perf_counter()
+        start = time.process_time()
         tracker.update(cloud)
         spent.append((1000 * (time.process_time() - start), 1000 * (time.perf_counter() - clock)))
     return spent

@@ -1,4 +1,4 @@
-"""Degree-1 Rips persistence on one core: topokit, its peers in the same run, and the floor.
+"""Time degree-1 Rips persistence on one core: topokit, its peers in the same run, and the floor; book/results/rips.json.
 
 Peers that are not installed are left out and named: pip install 'topokit[bench]'. Times are of the processor, medians of
 `--repeat` runs after one that is not counted; what takes longer than 5 s is run once. Ratios are of times from the same run, and
@@ -45,29 +45,30 @@ Diagrams = Sequence[tk.rips.Diagram]
 
 
 def many(batch: Sequence[np.ndarray]) -> Diagrams:
-    """Diagrams of clouds that have nothing to do with each other."""
+    """Return diagrams of clouds that have nothing to do with each other."""
     return tk.rips_persistence_many(batch, n_jobs=1)
 
 
 def film(frames: Sequence[np.ndarray]) -> Diagrams:
-    """Diagrams of consecutive frames of the same points."""
+    """Return diagrams of consecutive frames of the same points."""
     return tk.rips_persistence_many(frames, n_jobs=1)
 
 
 def longest(points: np.ndarray, k: int) -> object:
-    """The `k` longest loops."""
+    """Return the lifetimes of the `k` longest loops."""
     return tk.rips_persistence(points).lifetime[:k]
 
 
 class Race:
-    """How times are taken, and against whom."""
+    """A way to take times, and the peers."""
 
     def __init__(self, repeat: int, patience: float, wanted: Sequence[str]) -> None:
-        self.repeat, self.patience = repeat, patience
+        self.repeat = repeat
+        self.patience = patience
         self.peers = {name: bars for name, bars in _rips_peers.installed().items() if name in wanted}
 
     def timed(self, function: Callable[[], Any]) -> tuple[float, Any]:
-        """Median milliseconds of the processor after a run that is not counted, half a second of runs at least; the answer."""
+        """Return the median milliseconds of the processor after a run that is not counted, and the answer."""
         times: list[float] = []
         while len(times) < self.repeat + 1 or (sum(times[1:]) < 500 and len(times) < 50):
             start = time.process_time()
@@ -78,11 +79,11 @@ class Race:
         return statistics.median(times[1:]), answer
 
     def ms(self, function: Callable[[], object]) -> float:
-        """The milliseconds alone."""
+        """Return the milliseconds alone."""
         return self.timed(function)[0]
 
     def against(self, data: np.ndarray, is_matrix: bool = False, only: Sequence[str] = _rips_peers.NAMES) -> Entry:
-        """One cloud: topokit, the floor and the peers, all of which must find the same last death."""
+        """Time one cloud: topokit, the floor and the peers, all of which must find the same last death."""
         _rips_peers.ours(data[:9, :9] if is_matrix else data[:9], is_matrix)  # compiled, before the first run is timed
         ms, diagram = self.timed(lambda: _rips_peers.ours(data, is_matrix))
         end = float(2 * diagram.death.max(initial=0.0))
@@ -107,14 +108,14 @@ class Race:
 
     @staticmethod
     def _expected(bars: _rips_peers.Bars, data: np.ndarray, is_matrix: bool) -> float:
-        """Seconds that a peer would take if time grew with the cube of the number of points, from a quarter of them."""
+        """Return the seconds that a peer would take if time grew with the cube of the points, from a quarter of them."""
         few = len(data) // 4
         start = time.process_time()
         bars(data[:few, :few].copy() if is_matrix else data[:few], is_matrix)
         return (time.process_time() - start) * (len(data) / few) ** 3
 
     def batch(self, batch: Sequence[np.ndarray], together: Callable[[Sequence[np.ndarray]], Diagrams]) -> Entry:
-        """Clouds together, one by one, and by the fastest peers one by one; milliseconds of all."""
+        """Time clouds together, one by one, and by the fastest peers one by one."""
         alone = [tk.rips_persistence(points) for points in batch]
         for one, other in zip(alone, together(batch), strict=True):
             if not all(
@@ -209,7 +210,7 @@ print(json.dumps(entry))
 
 
 def child(code: str, *arguments: object, patience: float | None = None, **environment: str) -> Entry:
-    """What a fresh process prints as its last line."""
+    """Return what a fresh process prints as its last line."""
     start = "import json, sys, time; sys.path.insert(0, sys.argv[1])\n"
     start += "import numpy as np, _rips_clouds, _rips_peers, topokit as tk\n"
     command = [sys.executable, "-c", start + code, str(Path(__file__).parent), *map(str, arguments)]

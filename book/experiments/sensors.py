@@ -1,4 +1,8 @@
-"""Milliseconds of each step from a camera's frame to tracked loops. python book/experiments/sensors.py --help
+"""Measure milliseconds of each step from a camera's frame to tracked loops.
+
+    python book/experiments/sensors.py
+
+Takes a minute on one core.
 
 A depth camera of 640 x 480 pixels, drawn from the recorded apron in front of a wall and over a table, in 16-bit millimetres, with
 lost pixels and noise: 307,200 raw points a frame. The film is stored as depth images, as organised clouds, or as a bag of
@@ -30,7 +34,9 @@ import topokit as tk
 from topokit.io import load_episode, read_clouds
 from topokit.sensors import Cleaner, Pipeline, _pipeline
 
-HEIGHT, WIDTH, FOCAL = 480, 640, 600.0
+HEIGHT = 480
+WIDTH = 640
+FOCAL = 600.0
 LENS = {"fx": FOCAL, "fy": FOCAL, "cx": WIDTH / 2, "cy": HEIGHT / 2}
 PIPELINE = Pipeline(crop=((-0.8, -0.9, 1.4), (0.8, 0.9, 2.45)), planes=1, thickness=0.015, voxel=0.015, outliers=2.5)
 EVERYTHING = Pipeline(planes=2, thickness=0.015, voxel=0.015, outliers=2.5)
@@ -43,7 +49,7 @@ STEPS = {
 
 
 def film(frames: int) -> np.ndarray:
-    """Depth (T, h, w) in millimetres of the apron 2 m in front of the camera, the wall at 2.6 m, the table below."""
+    """Return depth (T, h, w) in millimetres of the apron 2 m in front of the camera, the wall at 2.6 m, the table below."""
     episode = load_episode(Path(__file__).parents[2] / "data_small" / "apron_hook_0.npz")
     rng = np.random.default_rng(0)
     u, v = np.sort(rng.random((2, 400_000)), axis=0)
@@ -69,7 +75,7 @@ def film(frames: int) -> np.ndarray:
 
 
 def store(kind: str, images: np.ndarray, folder: Path) -> Path:
-    """The film as a robot would have written it."""
+    """Write the film as a robot would."""
     (folder / "intrinsics.json").write_text(json.dumps(LENS))
     if kind == "depth .npy":
         np.save(folder / "film.npy", images)
@@ -95,13 +101,15 @@ def store_bag(clouds: list[np.ndarray], path: Path) -> Path:
     from rosbags.typesys import Stores, get_typestore
 
     types = get_typestore(Stores.ROS2_HUMBLE)
-    field, kind = types.types["sensor_msgs/msg/PointField"], "sensor_msgs/msg/PointCloud2"
+    field = types.types["sensor_msgs/msg/PointField"]
+    kind = "sensor_msgs/msg/PointCloud2"
     fields = [field(axis, 4 * i, 7, 1) for i, axis in enumerate("xyz")]
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         connection = bag.add_connection("/camera/points", kind, typestore=types)
         for t, cloud in enumerate(clouds):
             stamp = types.types["builtin_interfaces/msg/Time"](t // 30 + 1, int(1e9 * (t % 30) / 30))
-            header, size = types.types["std_msgs/msg/Header"](stamp, "camera"), cloud[0].nbytes
+            header = types.types["std_msgs/msg/Header"](stamp, "camera")
+            size = cloud[0].nbytes
             data = np.frombuffer(cloud.tobytes(), np.uint8)
             message = types.types[kind](header, *cloud.shape[:2], fields, False, 12, size, data, False)
             bag.write(connection, int(1e9 * t / 30), types.serialize_cdr(message, kind))
@@ -129,13 +137,16 @@ class Watch:
 
 
 def run(path: Path, pipeline: Pipeline, skip: int) -> tuple[Watch, Cleaner, float]:
-    """A film from its file to its states."""
-    watch, clean, tracker = Watch(), Cleaner(pipeline), tk.SeqPH()
+    """Run a film from its file to its states."""
+    watch = Watch()
+    clean = Cleaner(pipeline)
+    tracker = tk.SeqPH()
     clean._off_planes = watch.wrapped("  planes", clean._off_planes)
     kept = {name: getattr(_pipeline, name) for name in STEPS}
     for name, what in STEPS.items():
         setattr(_pipeline, name, watch.wrapped(f"  {what}", kept[name]))
-    frames, loops = read_clouds(path), []
+    frames = read_clouds(path)
+    loops = []
     try:
         while True:
             with watch.of("end to end"):

@@ -1,4 +1,8 @@
-"""What simulation costs, and how often the scripted paths succeed. python book/experiments/simulation.py --help
+"""Measure what simulation costs, and how often scripted paths succeed: book/results/simulation.json.
+
+    python book/experiments/simulation.py --dataset runs/dataset --json
+
+Takes minutes on two cores with `--dataset`, and hours without.
 
 Three tables: our per-step overhead over bare PyBullet stepping the same scene, in alternate blocks of one run; seconds an episode
 by garment and resolution; success and rejection by task with Wilson's 95 % confidence intervals. Episodes are appended to a
@@ -27,30 +31,35 @@ SPACINGS = {"apron": (0.05, 0.04, 0.03, 0.022), "tote": (0.05, 0.04, 0.03, 0.02)
 
 
 def wilson(successes: int, trials: int, z: float = 1.96) -> tuple[float, float]:
-    """Wilson's score interval for a share."""
+    """Return Wilson's score interval for a share."""
     if trials == 0:
         return 0.0, 1.0
-    share, spread = successes / trials, z * z / trials
+    share = successes / trials
+    spread = z * z / trials
     middle = (share + spread / 2) / (1 + spread)
     half = z * math.sqrt(share * (1 - share) / trials + spread / (4 * trials)) / (1 + spread)
     return max(middle - half, 0.0), min(middle + half, 1.0)
 
 
 def overhead(name: str, spacing: float, blocks: int = 60, steps: int = 20) -> dict[str, Any]:
-    """Microseconds a step of `World.step` and of bare `stepSimulation` in the same scene, in alternate blocks.
+    """Return microseconds a step of `World.step` and of bare `stepSimulation` in the same scene, in alternate blocks.
 
     In a bare block nothing draws the grippers: they fall 2 mm, and are drawn back in the next one.
     """
-    task, garment = TASKS[f"{name}-hook"], WARDROBE[name](spacing=spacing)
-    path, config = task.plan(garment, task.target, np.random.default_rng(0)), SimulationConfig()
+    task = TASKS[f"{name}-hook"]
+    garment = WARDROBE[name](spacing=spacing)
+    path = task.plan(garment, task.target, np.random.default_rng(0))
+    config = SimulationConfig()
     goal = path.at(0.0)
     offset = goal.mean(axis=0) - garment.vertices[garment.grips].mean(axis=0)
-    ours, bare = [], []
+    ours = []
+    bare = []
     with World(garment, offset, config) as world:
         world.add_rods(task.target.rods)
         for _ in range(400):
             world.step(goal)
-        step, client = world._p.stepSimulation, world._client
+        step = world._p.stepSimulation
+        client = world._client
         for _ in range(blocks):
             for times, advance in ((ours, lambda: world.step(goal)), (bare, lambda: step(client))):
                 start = time.perf_counter()
@@ -63,7 +72,7 @@ def overhead(name: str, spacing: float, blocks: int = 60, steps: int = 20) -> di
 
 
 def cost(name: str, spacing: float) -> dict[str, Any]:
-    """Seconds of one episode, in a process of its own, and how much of it the process costs."""
+    """Return seconds of one episode, in a process of its own, and how much of it the process costs."""
     target = "mannequin" if name in ("shirt", "vest") else "hook"
     garment = WARDROBE[name](spacing=spacing)
     start = time.perf_counter()
@@ -78,7 +87,7 @@ def cost(name: str, spacing: float) -> dict[str, Any]:
 
 
 def attempt(name: str, seed: int, randomise: bool) -> dict[str, Any]:
-    """One episode of a task: whether it hung, why it was rejected, how far its cloth was stretched."""
+    """Simulate one episode of a task; return whether it hung, why it was rejected, how far its cloth was stretched."""
     row: dict[str, Any] = {"task": name, "seed": seed, "randomise": randomise}
     start = time.perf_counter()
     try:
@@ -93,7 +102,7 @@ def attempt(name: str, seed: int, randomise: bool) -> dict[str, Any]:
 
 
 def attempts(names: list[str], seeds: range, randomise: bool, results: Path) -> list[dict[str, Any]]:
-    """The rows of these tasks and seeds; those that are not in the file yet are simulated and appended."""
+    """Return the rows of these tasks and seeds; those that are not in the file yet are simulated and appended."""
     lines = results.read_text().splitlines() if results.exists() else []
     known = {(row["task"], row["seed"], row["randomise"]): row for row in map(json.loads, lines)}
     wanted = [(name, seed, randomise) for seed in seeds for name in names]
@@ -111,7 +120,7 @@ def attempts(names: list[str], seeds: range, randomise: bool, results: Path) -> 
 
 
 def recorded(folder: Path) -> list[dict[str, Any]]:
-    """The same rows, of the episodes of a dataset that `topokit generate` made."""
+    """Return the same rows, of the episodes of a dataset that `topokit generate` made."""
     dataset = Dataset(folder)
     lines = (folder / "timing.jsonl").read_text().splitlines()
     seconds = {row["episode"]: row["seconds"] for row in map(json.loads, lines)}
@@ -132,7 +141,7 @@ def recorded(folder: Path) -> list[dict[str, Any]]:
 
 
 def by_task(rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
-    """Success, rejection, cost and stretch of every task."""
+    """Yield success, rejection, cost and stretch of every task."""
     for name in dict.fromkeys(row["task"] for row in rows):
         mine = [row for row in rows if row["task"] == name]
         good = [row for row in mine if "rejected" not in row]

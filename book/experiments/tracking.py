@@ -1,4 +1,8 @@
-"""How well trackers keep the names of loops, on simulated episodes of every garment. python book/experiments/tracking.py --help
+"""Measure how well trackers keep the identities of loops: book/results/tracking.json.
+
+    python book/experiments/tracking.py --episodes DIR --seeds 3 --out book/results/tracking.json
+
+Takes hours on two cores, most of them simulation.
 
 Episodes that are missing are simulated into a folder (a minute each), every episode is tracked and scored once, and its row is
 appended to scores.jsonl beside it: an interrupted run goes on where it was. The table pools the episodes; its intervals are
@@ -39,12 +43,13 @@ MEASURES = ("mota", "idf1", "hota", "deta", "assa")
 COUNTS = ("objects", "detections", "misses", "false_positives", "switches", "fragments")
 THRESHOLDS = (0.3, 0.5, 0.7)  # of similarity: 1.4, 1 and 0.6 radii away
 FIELDS = tuple(field.name for field in dataclasses.fields(TrackingScore))
-TOGETHER, SOME = "all together", "compared, together"
+TOGETHER = "all together"
+SOME = "compared, together"
 Follow = Callable[[Clouds, list[tk.Diagram]], list[tk.TopologicalState]]
 
 
 def paper(**options: Any) -> Follow:
-    """The paper's tracker with some options of its own; it is given the persistence of the frames."""
+    """Return the paper's tracker with some options of its own; it is given the persistence of the frames."""
 
     def follow(clouds: Clouds, diagrams: list[tk.Diagram]) -> list[tk.TopologicalState]:
         tracker = tk.SeqPH.paper(**options)
@@ -64,7 +69,8 @@ TRACKERS: dict[str, Follow] = {
     "default": lambda clouds, _: tk.track(clouds, n_jobs=1),
 }
 """The paper's tracker, one thing changed in it; what was recommended before the default; other matchings; the default."""
-PAPER, RECOMMENDED = "paper", "default"
+PAPER = "paper"
+RECOMMENDED = "default"
 WITH_MEMORY = (
     "default, with a memory"  # of the cloud: what one camera sees now and saw before, and what it looks through
 )
@@ -77,12 +83,13 @@ WHOLE = ("all vertices", "every 4th frame")
 
 def remembered(clouds: Clouds) -> list[tk.TopologicalState]:
     """Track what a camera sees and what it remembers; only loops that it has looked through count."""
-    memory, tracker = CloudMemory(), tk.SeqPH()
+    memory = CloudMemory()
+    tracker = tk.SeqPH()
     return [memory.open_loops(tracker.update(memory(cloud, eye=CAMERA.eye))) for cloud in clouds]
 
 
 def simulated(folder: Path, seeds: int) -> list[Path]:
-    """The files of all episodes; those that are not there are recorded. A refused one leaves a note of the reason."""
+    """Return the files of all episodes; those that are missing are simulated. A refused one leaves a note of the reason."""
     wanted = [(task, seed) for seed in range(seeds) for task in TASKS]
     folder.mkdir(parents=True, exist_ok=True)
     for done, (task, seed) in enumerate(wanted):
@@ -106,12 +113,13 @@ def simulated(folder: Path, seeds: int) -> list[Path]:
 
 
 def row_of(path: Path) -> dict[str, Any]:
-    """All that is measured on an episode."""
+    """Return all that is measured on an episode."""
     episode = load_episode(path)
     truth = true_loops(episode.points, episode.loops)
     row: dict[str, Any] = {"episode": path.stem, "frames": len(episode), "scores": {}, "levels": {}, "failures": []}
     for name, clouds, stride in conditions(episode):
-        true, diagrams = truth[::stride], tk.rips_persistence_many(clouds)
+        true = truth[::stride]
+        diagrams = tk.rips_persistence_many(clouds)
         wanted = TRACKERS if name in COMPARED else MAIN
         films = {label: TRACKERS[label](clouds, diagrams) for label in wanted}
         if name == "one camera":
@@ -136,7 +144,7 @@ def row_of(path: Path) -> dict[str, Any]:
 
 
 def pack(result: TrackingScore) -> dict[str, Any]:
-    """A score as JSON."""
+    """Return a score as JSON."""
     values = {name: getattr(result, name) for name in FIELDS}
     return {
         name: value.round(6).tolist() if isinstance(value, np.ndarray) else int(value) for name, value in values.items()
@@ -144,17 +152,17 @@ def pack(result: TrackingScore) -> dict[str, Any]:
 
 
 def unpack(values: dict[str, Any]) -> TrackingScore:
-    """The score again."""
+    """Return the score of its JSON."""
     return TrackingScore(**{k: np.array(v) if isinstance(v, list) else v for k, v in values.items()})
 
 
 def counts(result: TrackingScore) -> list[float]:
-    """What has to be added up for MOTA and IDF1 at other thresholds."""
+    """Return what has to be added up for MOTA and IDF1 at other thresholds."""
     return [result.objects, result.detections, result.matches, result.switches, result.id_matches]
 
 
 def failures(episode: str, condition: str, tracker: str, overlaps: list[Overlap], stride: int) -> list[dict[str, Any]]:
-    """Every switch, and every run of frames in which a loop is missed or something else is found; frames are the film's."""
+    """Return every switch, and every run of frames in which a loop is missed or a false one found; frames are the film's."""
     found: list[dict[str, Any]] = []
     running: dict[tuple[str, int], dict[str, Any]] = {}
     for event in events(overlaps):
@@ -186,11 +194,14 @@ def places(
     episode: Episode,
     stride: int,
 ) -> dict[str, list[float]]:
-    """Of every match: the distance of centres in metres and in true radii, and how far outside the true hull it is."""
-    away, relative, outside = [], [], []
+    """Return of every match the distance of centres in metres and in true radii, and the distance to the true hull."""
+    away = []
+    relative = []
+    outside = []
     for event in events(overlaps):
         if event.kind in ("match", "switch"):
-            true, centre = truth[event.frame], states[event.frame][event.id].centre
+            true = truth[event.frame]
+            centre = states[event.frame][event.id].centre
             away.append(float(np.linalg.norm(true.centres[event.loop] - centre)))
             relative.append(away[-1] / float(true.radii[event.loop]))
             outside.append(distance_to_hull(centre, episode.points[event.frame * stride][episode.loops[event.loop]]))
@@ -202,7 +213,7 @@ def places(
 
 
 def jumps(clouds: Clouds, diagrams: list[tk.Diagram], truth: list[TrueLoops]) -> dict[str, list[int]]:
-    """Of each way to say where a loop is: steps, and steps in which it jumped by more than half the killer edge's length.
+    """Return for each place of a loop the steps, and the steps in which it jumped by more than half the killer edge's length.
 
     The loop is known by the edge that ends the true one, so that no tracker is involved, and its true motion is taken away.
     """
@@ -224,14 +235,15 @@ def jumps(clouds: Clouds, diagrams: list[tk.Diagram], truth: list[TrueLoops]) ->
 
 
 def pooled(rows: list[dict[str, Any]], samples: int = 1000) -> dict[str, Any]:
-    """Scores of all episodes together, with 95 % bootstrap intervals over episodes; what each tracker gains over the paper's.
+    """Return scores of all episodes together, with 95 % intervals; and what each tracker gains over the paper's.
 
     All are given the same samples, so that a gain is that on the same episodes.
     """
     weights = draw_episodes(pd.Series("any garment", index=range(len(rows))), samples).to_numpy()[1:]
     table: dict[str, Any] = {}
     for condition in (*rows[0]["scores"], SOME, TOGETHER):
-        table[condition], first = {}, None
+        table[condition] = {}
+        first = None
         for tracker in {TOGETHER: MAIN, SOME: TRACKERS}.get(condition) or rows[0]["scores"][condition]:
             scores = [score_of(row, condition, tracker) for row in rows]
             stacked = [np.array([getattr(one, name) for one in scores]) for name in FIELDS]
@@ -246,7 +258,7 @@ def pooled(rows: list[dict[str, Any]], samples: int = 1000) -> dict[str, Any]:
 
 
 def score_of(row: dict[str, Any], condition: str, tracker: str) -> TrackingScore:
-    """Of an episode, in one condition or in several together."""
+    """Return the score of an episode, in one condition or in several together."""
     if condition in row["scores"]:
         return unpack(row["scores"][condition][tracker])
     some = COMPARED if condition == SOME else row["scores"]
@@ -258,12 +270,12 @@ def interval(values: np.ndarray) -> list[float]:
 
 
 def total(scores: list[TrackingScore]) -> TrackingScore:
-    """Their sum, field by field."""
+    """Add scores, field by field."""
     return TrackingScore(*(np.sum([getattr(one, name) for one in scores], axis=0) for name in FIELDS))
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """All tables of the book."""
+    """Return all tables of the book."""
     garments = sorted({garment_of(row) for row in rows})
     return {
         "episodes": [row["episode"] for row in rows],
@@ -302,7 +314,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def listed(failures: list[dict[str, Any]]) -> dict[str, Any]:
-    """The failures as a table: switches of the paper's and of the recommended tracker, and runs of ten frames or more."""
+    """Return the failures as a table: switches of the paper's and of the recommended tracker, and runs of ten frames or more."""
     kept = [
         failure
         for failure in failures
@@ -313,7 +325,7 @@ def listed(failures: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def table_of(result: TrackingScore) -> dict[str, Any]:
-    """A line without intervals."""
+    """Return a line without intervals."""
     shares = {
         "precision": result.matches / max(result.detections, 1),
         "recall": result.matches / max(result.objects, 1),
@@ -324,7 +336,7 @@ def table_of(result: TrackingScore) -> dict[str, Any]:
 
 
 def thresholds(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """MOTA and IDF1 at other thresholds: does the order of the trackers hang on it?"""
+    """Return MOTA and IDF1 at other thresholds, to see whether the order of the trackers depends on it."""
     answer: dict[str, Any] = {"similarity": list(THRESHOLDS)}
     for condition, trackers in rows[0]["levels"].items():
         answer[condition] = {}
@@ -341,7 +353,7 @@ def thresholds(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def where(rows: list[dict[str, Any]], condition: str) -> dict[str, float]:
-    """Localisation of the matches in a condition."""
+    """Return where the matches of a condition are."""
     metres, radii, outside = (
         np.concatenate([row["places"][condition][name] for row in rows]) for name in ("metres", "radii", "outside")
     )
@@ -385,7 +397,7 @@ SHOWN = (
 
 
 def telling(failures: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Failures to show: of each kind in `SHOWN` the longest, rather of a garment that is not shown yet."""
+    """Return failures to show: of each kind in `SHOWN` the longest, rather of a garment that is not shown yet."""
     chosen: list[dict[str, Any]] = []
     for what in SHOWN:
         found = [one for one in failures if (one["kind"], one["condition"], one["tracker"]) == what]
@@ -402,7 +414,8 @@ def clip(folder: Path, failure: dict[str, Any], path: Path, around: int = 3) -> 
     episode = load_episode(folder / f"{failure['episode']}.npz")
     clouds, stride = next((clouds, k) for name, clouds, k in conditions(episode) if name == failure["condition"])
     middle = (failure["first"] + failure["last"]) // 2 // stride  # of a switch, the first frame under the new name
-    first, last = max(middle - around, 0), min(middle + around, len(clouds))
+    first = max(middle - around, 0)
+    last = min(middle + around, len(clouds))
     follow = TRACKERS[failure["tracker"]]
     states = follow(clouds[:last], tk.rips_persistence_many(clouds[:last]))[first:]
     most = max(len(cloud) for cloud in clouds[first:last])
@@ -415,12 +428,12 @@ def clip(folder: Path, failure: dict[str, Any], path: Path, around: int = 3) -> 
 
 
 def tell(message: str) -> None:
-    """Progress, on one line."""
+    """Print progress, on one line."""
     print(f"\r\033[K{message}", end="", file=sys.stderr, flush=True)
 
 
 def version() -> str:
-    """The commit that made the rows, when there is one."""
+    """Return the commit that made the rows, when there is one."""
     done = subprocess.run(
         ["git", "describe", "--always", "--dirty"], cwd=Path(__file__).parent, capture_output=True, text=True
     )
@@ -428,7 +441,7 @@ def version() -> str:
 
 
 def print_table(answer: dict[str, Any]) -> None:
-    """The scores as text."""
+    """Print the scores."""
     for condition, trackers in answer["scores"].items():
         print(
             f"\n{condition}\n{'':40}"

@@ -148,7 +148,8 @@ def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterato
     last: dict[int, int] = {}  # of each object: the identity of its last match
     current: dict[int, int] = {}  # the matches of the last frame with anything in it
     for frame, overlap in enumerate(overlaps):
-        objects, ids = overlap.objects.tolist(), overlap.ids.tolist()
+        objects = overlap.objects.tolist()
+        ids = overlap.ids.tolist()
         if not objects or not ids:
             yield from (Event(frame, "miss", loop, -1) for loop in objects)
             yield from (Event(frame, "false positive", -1, i) for i in ids)
@@ -171,7 +172,9 @@ def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterato
 
 def _higher_order(overlaps: Sequence[Overlap], shape: tuple[int, int]) -> tuple[Array, Array]:
     """Matches, and their summed association, at each of HOTA's levels."""
-    potential, seen, shown = np.zeros(shape), np.zeros((shape[0], 1)), np.zeros((1, shape[1]))
+    potential = np.zeros(shape)
+    seen = np.zeros((shape[0], 1))
+    shown = np.zeros((1, shape[1]))
     for overlap in overlaps:
         table = overlap.similarity
         union = table.sum(axis=0) + table.sum(axis=1, keepdims=True) - table
