@@ -136,6 +136,7 @@ def measure_forecasts(
     lifetimes = (chosen.death - chosen.birth).double().numpy()
     presence = chosen.presence.double().sigmoid().numpy()
 
+    # Places and identities, sample by sample; pairs are collected, and their mixtures measured together.
     columns = {name: np.full((len(truth), len(steps)), np.nan) for name in COLUMNS}
     pairs = []  # window, step, slot, true loop
     for i, curves in enumerate(truth):
@@ -193,6 +194,7 @@ class _Sample:
         chosen = self.ranked[: len(self.loops)]
         if len(chosen) < min(len(self.loops), MOST):
             return []
+        # Of all ways to pair them, the one whose distances of centres are least in sum.
         orders = itertools.permutations(self.loops, len(chosen))
         best = min(orders, key=lambda order: float(self.distances[chosen, list(order)].sum()))
         return list(zip(chosen, best, strict=True))

@@ -27,9 +27,9 @@ _SLACK = float(np.finfo(float).eps)
 
 @dataclass(frozen=True, eq=False)
 class Overlap:
-    """What there is to be matched in one frame."""
+    """The objects and identities of one frame, and how similar they are."""
 
-    objects: Ids  #: (m,) the objects that are there
+    objects: Ids  #: (m,) the objects that are present
     ids: Ids  #: (k,) the identities that the tracker gave
     similarity: Array  #: (m, k) from 0 to 1
 
@@ -38,8 +38,8 @@ class Overlap:
 class Event:
     """What became of an object or of a detection at a frame.
 
-    A "match" with another identity than the last one is a "switch"; beside it stands a "fragment" when the object had been lost
-    in between.
+    A "match" with another identity than the last one is a "switch". A "fragment" is added when the object had been lost in
+    between.
     """
 
     frame: int  #: position in the sequence
@@ -120,17 +120,23 @@ def score(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Tracking
     """
     overlaps, shape = _numbered(overlaps)
     kinds = [event.kind for event in events(overlaps, threshold)]
-    together = np.zeros(shape)
+
+    # IDF1 gives every object one identity for good: the pairs that have most frames in common.
+    frames_together = np.zeros(shape)
     for overlap in overlaps:
-        together[np.ix_(overlap.objects, overlap.ids)] += overlap.similarity >= threshold - _SLACK
+        frames_together[np.ix_(overlap.objects, overlap.ids)] += overlap.similarity >= threshold - _SLACK
+    id_matches = int(sum(frames_together[pair] for pair in _greatest(frames_together)))
+
+    level_matches, level_association = _higher_order(overlaps, shape)
     return TrackingScore(
-        sum(len(overlap.objects) for overlap in overlaps),
-        sum(len(overlap.ids) for overlap in overlaps),
-        kinds.count("match") + kinds.count("switch"),
-        kinds.count("switch"),
-        kinds.count("fragment"),
-        int(sum(together[pair] for pair in greatest(together))),
-        *_higher_order(overlaps, shape),
+        objects=sum(len(overlap.objects) for overlap in overlaps),
+        detections=sum(len(overlap.ids) for overlap in overlaps),
+        matches=kinds.count("match") + kinds.count("switch"),
+        switches=kinds.count("switch"),
+        fragments=kinds.count("fragment"),
+        id_matches=id_matches,
+        level_matches=level_matches,
+        level_association=level_association,
     )
 
 
@@ -152,60 +158,74 @@ def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterato
         ids = overlap.ids.tolist()
         if not objects or not ids:
             yield from (Event(frame, "miss", loop, -1) for loop in objects)
-            yield from (Event(frame, "false positive", -1, i) for i in ids)
+            yield from (Event(frame, "false positive", -1, identity) for identity in ids)
             continue
-        kept = np.array([[current.get(loop) == i for i in ids] for loop in objects])
+
+        # A kept match gains more than all similarities together.
+        kept = np.array([[current.get(loop) == identity for identity in ids] for loop in objects])
         gain = np.where(overlap.similarity >= threshold - _SLACK, overlap.similarity + 1000 * kept, 0)
-        matched = {objects[i]: ids[j] for i, j in greatest(gain)}
+        matched = {objects[row]: ids[column] for row, column in _greatest(gain)}
+
         for loop in objects:
             if loop not in matched:
                 yield Event(frame, "miss", loop, -1)
                 continue
-            kind: Kind = "match" if last.get(loop, matched[loop]) == matched[loop] else "switch"
+            kind: Kind = "match"
+            if last.get(loop, matched[loop]) != matched[loop]:
+                kind = "switch"
             yield Event(frame, kind, loop, matched[loop])
             if loop in last and loop not in current:
                 yield Event(frame, "fragment", loop, matched[loop])
-        yield from (Event(frame, "false positive", -1, i) for i in ids if i not in matched.values())
+        yield from (
+            Event(frame, "false positive", -1, identity) for identity in ids if identity not in matched.values()
+        )
         last |= matched
         current = matched
 
 
 def _higher_order(overlaps: Sequence[Overlap], shape: tuple[int, int]) -> tuple[Array, Array]:
-    """Matches, and their summed association, at each of HOTA's levels."""
+    """Return the matches, and their summed association, at each of HOTA's levels."""
+    # How well each object and identity fit over the whole sequence, whatever the level.
     potential = np.zeros(shape)
-    seen = np.zeros((shape[0], 1))
-    shown = np.zeros((1, shape[1]))
+    frames_of_object = np.zeros((shape[0], 1))
+    frames_of_id = np.zeros((1, shape[1]))
     for overlap in overlaps:
         table = overlap.similarity
         union = table.sum(axis=0) + table.sum(axis=1, keepdims=True) - table
         potential[np.ix_(overlap.objects, overlap.ids)] += table / np.where(union > 0, union, 1)
-        seen[overlap.objects] += 1
-        shown[0, overlap.ids] += 1
-    alignment = potential / (seen + shown - potential)
-    both = np.zeros((len(LEVELS), *shape))
+        frames_of_object[overlap.objects] += 1
+        frames_of_id[0, overlap.ids] += 1
+    alignment = potential / (frames_of_object + frames_of_id - potential)
+
+    # Match each frame by that, and count the matches that reach each level.
+    together = np.zeros((len(LEVELS), *shape))
     for overlap in overlaps:
-        for i, j in greatest(alignment[np.ix_(overlap.objects, overlap.ids)] * overlap.similarity):
-            both[overlap.similarity[i, j] >= LEVELS - _SLACK, overlap.objects[i], overlap.ids[j]] += 1
-    association = both / np.maximum(seen + shown - both, 1)
-    return both.sum(axis=(1, 2)), (both * association).sum(axis=(1, 2))
+        for row, column in _greatest(alignment[np.ix_(overlap.objects, overlap.ids)] * overlap.similarity):
+            reached = overlap.similarity[row, column] >= LEVELS - _SLACK
+            together[reached, overlap.objects[row], overlap.ids[column]] += 1
+    association = together / np.maximum(frames_of_object + frames_of_id - together, 1)
+    return together.sum(axis=(1, 2)), (together * association).sum(axis=(1, 2))
 
 
-def greatest(gain: Array) -> list[tuple[int, int]]:
-    """The assignment of greatest total gain, pairs without any left out."""
-    return [(i, j) for i, j in assign(-gain) if gain[i, j] > 0]
+def _greatest(gain: Array) -> list[tuple[int, int]]:
+    """Return the assignment of greatest total gain, without pairs that gain nothing."""
+    return [pair for pair in assign(-gain) if gain[pair] > 0]
 
 
 def _numbered(overlaps: Sequence[Overlap]) -> tuple[list[Overlap], tuple[int, int]]:
-    """The same with objects and identities numbered from 0, and how many there are of each."""
-    nobody = [np.empty(0, np.int64)]
-    objects = np.unique(np.concatenate(nobody + [o.objects for o in overlaps]))
-    ids = np.unique(np.concatenate(nobody + [o.ids for o in overlaps]))
-    numbered = [
-        Overlap(np.searchsorted(objects, o.objects), np.searchsorted(ids, o.ids), np.asarray(o.similarity, np.float64))
-        for o in overlaps
-    ]
+    """Return the same with objects and identities numbered from 0, and how many there are of each."""
+    nothing = [np.empty(0, np.int64)]
+    objects = np.unique(np.concatenate(nothing + [overlap.objects for overlap in overlaps]))
+    ids = np.unique(np.concatenate(nothing + [overlap.ids for overlap in overlaps]))
+    numbered = []
+    for overlap in overlaps:
+        rows = np.searchsorted(objects, overlap.objects)
+        columns = np.searchsorted(ids, overlap.ids)
+        numbered.append(Overlap(rows, columns, np.asarray(overlap.similarity, np.float64)))
     return numbered, (len(objects), len(ids))
 
 
 def _share(part: int, whole: int) -> float:
-    return part / whole if whole else float("nan")
+    if not whole:
+        return float("nan")
+    return part / whole

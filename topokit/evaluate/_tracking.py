@@ -217,6 +217,7 @@ def compare(
     for true, state in zip(truth, states, strict=True):
         table = similarity(true, state)
         objects = np.flatnonzero(true.present)
+        # Take out detections that fit a true loop which is not present.
         pairs = assign(1 - table, table >= THRESHOLD)
         aside = [column for row, column in pairs if not true.present[row]]
         kept = np.setdiff1d(np.arange(len(state.loops)), aside)
