@@ -145,9 +145,9 @@ def test_likelihood_is_that_of_the_mixture():
 
     square = np.array([[0, 0, 0], [0.05, 0, 0], [0.05, 0.05, 0], [0, 0.05, 0]])
     curves = TrueCurves((np.repeat(square[None], len(STEPS), axis=0),))
-    many = states[torch.zeros(400, dtype=torch.long)]
+    many = states[torch.zeros(150, dtype=torch.long)]
     rng = np.random.default_rng(0)
-    found = measure_forecasts(many, many, many[:, :1], [curves] * 400, STEPS, (1,), rng)
+    found = measure_forecasts(many, many, many[:, :1], [curves] * 150, STEPS, (1,), rng)
     across = (np.arange(50) + 0.5) / 1000
     grid = np.column_stack([*(axis.ravel() for axis in np.meshgrid(across, across)), np.zeros(2500)])
     assert found["nll"][:, 0].mean() == pytest.approx(-mixture.log_prob(grid).mean(), abs=0.05)

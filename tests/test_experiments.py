@@ -103,7 +103,7 @@ def test_expected_variance_ranks_the_lost_as_the_rank_test_does():
 
 
 def masks(**options: object) -> Condition:
-    return Condition("masks", part="all", garments=["mask"], windows=2, **options)
+    return Condition("masks", part="all", garments=["mask"], windows=1, **options)
 
 
 def test_an_evaluation_of_a_few_windows(tmp_path):
@@ -177,7 +177,7 @@ def test_learning_rates_of_the_rivals_are_those_that_validation_chose():
 RUNS = {
     "dataset": ["--only", "store", "opening", "--records", "30"],
     "report": ["book/results/motion.json", "--out", "{folder}"],
-    "lemmas_on_cloth": ["data_small/apron_hook_0.npz", "--stride", "40", "--out", "{folder}/r.json"],
+    "lemmas_on_cloth": ["data_small/apron_hook_0.npz", "--stride", "60", "--out", "{folder}/r.json"],
     "lemma_search": ["--random", "2", "--optimised", "0", "--json"],
     "realtime": ["--points", "60", "--frames", "3", "--repeat", "1"],
 }

@@ -40,8 +40,7 @@ def film(seed: int) -> list[Overlap]:
                 own[k] = free.pop()
             if rng.random() < 0.05:
                 other = int(rng.integers(4))
-                own[k] = own[other]
-                own[other] = own[k]
+                own[k], own[other] = own[other], own[k]
         objects = np.flatnonzero(rng.random(4) < 0.85)
         shown = np.flatnonzero(rng.random(4) < 0.85)
         right, wrong = rng.uniform(0.3, 1, (2, len(objects), len(shown))) * [[[1.0]], [[0.6]]]
