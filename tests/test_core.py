@@ -7,14 +7,16 @@ import sys
 
 import pytest
 
-COMPANIONS = """
+_PACKAGES = """
 bokeh dask distributed fsspec gymnasium lightning_fabric matplotlib pandas pybullet pydantic pypcd4 pyvista safetensors sklearn
 torch tqdm trimesh vtk yaml zarr gudhi networkx ripser
-""".split()
-FACE = """
+"""
+_NAMES = """
 Diagram Loop LoopMixture SeqPH TopologicalState covering_radius farthest_point_sample follow hausdorff linking_number
 loop_mixture rips_persistence rips_persistence_many track
-""".split()
+"""
+COMPANIONS = _PACKAGES.split()
+FACE = _NAMES.split()
 WITHOUT = f"import sys\nfor name in {COMPANIONS}: sys.modules[name] = None  # as where it is not installed\n"
 
 USE_ALL = """

@@ -428,6 +428,8 @@ def test_other_sequences_and_times_that_are_refused():
         tracker.update(polygon(20), time=1.0)
     with pytest.raises(ValueError, match="shape"):
         track(polygon(20))
+    with pytest.raises(ValueError, match="round"):  # squares of distances would be 0
+        SeqPH().update([[1, k * 1e-170] for k in range(20)])
     with pytest.raises(ValueError, match="1 values for 2 frames"):
         track([polygon(20)] * 2, times=[0.0])
     with warnings.catch_warnings():
