@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import hashlib
+import dataclasses
 import io
 import json
 import os
@@ -147,14 +147,16 @@ def change_words(choose: atheris.FuzzedDataProvider, words: Any) -> None:
 
 
 def episode() -> Callable[[bytes], object]:
-    text, arrays = load_archive(DATA / "apron_hook_0.npz", "topokit-episode")
+    """Return a reader of episodes, whose template has three frames of forty points."""
+    whole = episodes.load_episode(DATA / "apron_hook_0.npz")
+    arrays: dict[str, Any] = {name: getattr(whole, name)[:3] for name in ("actions", "grippers", "held")}
     for name in ("points", "observed"):
-        arrays[name] = arrays[name][:3, :40]
-    for name in ("actions", "grippers", "held"):
-        arrays[name] = arrays[name][:3]
-    arrays["faces"], text["provenance"] = arrays["faces"][(arrays["faces"] < 40).all(axis=1)], {}
-    arrays["loop_vertices"], arrays["loop_lengths"] = np.arange(9, dtype=np.int32), np.array([4, 5], np.int32)
-    return archive("topokit-episode", text, arrays, episodes.load_episode)
+        arrays[name] = getattr(whole, name)[:3, :40]
+    arrays["faces"] = whole.faces[(whole.faces < 40).all(axis=1)]
+    arrays["loops"] = (np.arange(4, dtype=np.int32), np.arange(4, 9, dtype=np.int32))
+    small = dataclasses.replace(whole, **arrays, observation={}, physics={}, provenance={})
+    path = episodes.save_episode(FOLDER / "template_episode.npz", small)
+    return archive("topokit-episode", *load_archive(path, "topokit-episode"), episodes.load_episode)
 
 
 def states() -> Callable[[bytes], object]:
@@ -205,25 +207,25 @@ def checkpoint() -> Callable[[bytes], object]:
 
 
 def dataset() -> Callable[[bytes], object]:
-    """A dataset of one episode with labels, of which one document was changed, byte by byte or as its author could."""
+    """Return a reader of a dataset of one episode with labels, one document of which was changed."""
     from topokit.data import Dataset, WindowDataset, check_dataset
 
     folder = FOLDER / "dataset"
-    Dataset(DATA / "dataset").cut([0], folder)
-    documents = ("zarr.json", "index.json", "records/00000000.json")
-    names = [f"{group}{name}" for group in ("", "labels/full/") for name in documents]
-    whole = {name: (folder / name).read_bytes() for name in names}
-    WindowDataset(folder)[0], check_dataset(folder)  # the first takes seconds
+    source = DATA / "dataset"
+    (folder / "labels" / "full").mkdir(parents=True)
+    documents = ("dataset.json", "labels/full/labels.json")
+    for name in (*documents, "00000000.npz", "labels/full/00000000.npz"):
+        (folder / name).write_bytes((source / name).read_bytes())
+    whole = {name: (folder / name).read_bytes() for name in documents}
+    check_dataset(folder)  # the first takes seconds
 
     def read(data: bytes) -> None:
         choose = atheris.FuzzedDataProvider(data)
-        name = choose.PickValueInList(names)
+        name = choose.PickValueInList(list(documents))
         if choose.ConsumeIntInRange(0, 3):
             document = json.loads(whole[name])
             change_words(choose, document)
-            content = sealed(name, document)
-            if "records" in name:
-                (folder / name).parent.with_name("index.json").unlink()  # it would know another
+            content = json.dumps(document).encode()
         else:
             content = choose.ConsumeBytes(LONGEST)
         (folder / name).write_bytes(content)
@@ -231,28 +233,13 @@ def dataset() -> Callable[[bytes], object]:
             opened = Dataset(folder)
             opened.checksum(), len(opened.records), repr(opened)
             with contextlib.suppress(KeyError):  # a mapping's own word for what is not there
-                opened[0], opened.states(0, "full"), WindowDataset(opened)[0]
+                opened[0], opened.states(0, "full"), WindowDataset(opened, [0])[0]
             if data[:1] == b"\7":  # it takes seconds
                 check_dataset(folder)
         finally:
-            for one in (name, name.replace("records/00000000", "index")):
-                (folder / one).write_bytes(whole[one])
+            (folder / name).write_bytes(whole[name])
 
     return read
-
-
-def sealed(name: str, document: Any) -> bytes:
-    """A document with the checksum that fits it, where it has one."""
-    from topokit.data._layout import canonical
-
-    with contextlib.suppress(KeyError, TypeError, ValueError):
-        if name.endswith("zarr.json"):
-            manifest = document["attributes"]["topokit"]
-            document["attributes"] |= {"sha256": hashlib.sha256(canonical(manifest)).hexdigest()}
-        elif name.endswith("index.json"):
-            del document["checksum"]
-            document["checksum"] = hashlib.sha256(canonical(document)).hexdigest()
-    return json.dumps(document).encode()
 
 
 READERS: dict[str, Callable[[], Callable[[bytes], object]]] = {
