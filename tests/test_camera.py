@@ -167,41 +167,39 @@ def test_places_may_be_arrays():
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("make", "options", "named"),
     [
-        ({"eye": (0, 0)}, "eye"),
-        ({"target": (0, 0, np.nan)}, "target.*finite"),
-        ({"eye": (0, 0, 2), "target": (0, 0, 1)}, "not along up"),
-        ({"eye": (0, 0, 1), "target": (0, 0, 1)}, "another place than itself"),
-        ({"fov": 180}, "fov"),
-        ({"fov": 0}, "fov"),
-        ({"width": 12.5}, "width.*integer"),
-        ({"near": 2, "far": 1}, "near"),
+        (Camera, {"eye": (0, 0)}, "eye"),
+        (Camera, {"target": (0, 0, np.nan)}, "target"),
+        (Camera, {"eye": (0, 0, 2), "target": (0, 0, 1)}, "up"),
+        (Camera, {"eye": (0, 0, 1), "target": (0, 0, 1)}, "itself"),
+        (Camera, {"fov": 180}, "fov"),
+        (Camera, {"fov": 0}, "fov"),
+        (Camera, {"width": 12.5}, "width"),
+        (Camera, {"width": 10**9}, "width"),
+        (Camera, {"near": 2, "far": 1}, "near"),
+        (Camera.around, {"n": 10**9}, "1000000000"),
+        (DepthNoise, {"axial": -1}, "axial"),
+        (DepthNoise, {"dropout": 1.0}, "dropout"),
+        (DepthNoise, {"lateral": np.nan}, "lateral"),
     ],
 )
-def test_bad_cameras(options, says):
-    with pytest.raises(ValueError, match=says):
-        Camera(**options)
-
-
-@pytest.mark.parametrize("option", [{"axial": -1}, {"dropout": 1.0}, {"lateral": np.nan}])
-def test_bad_noise(option):
-    with pytest.raises(ValueError, match=next(iter(option))):
-        DepthNoise(**option)
+def test_bad_cameras_and_noise_are_named(make, options, named):
+    with pytest.raises(ValueError, match=named):
+        make(**options)
 
 
 def test_bad_images_and_observations(world, rng):
     camera = Camera(width=4, height=3)
-    depth, mask = np.full((3, 4), np.inf), np.zeros((3, 4), dtype=bool)
+    depth = np.full((3, 4), np.inf)
+    mask = np.zeros((3, 4), dtype=bool)
     assert camera.unproject(depth, mask).shape == (0, 3)
-    with pytest.raises(ValueError, match=r"depth must be of shape \(3, 4\), not \(4, 3\)"):
+    with pytest.raises(ValueError, match=r"depth .*\(4, 3\)"):
         camera.unproject(depth.T, mask)
     mask[2, 1] = True
-    with pytest.raises(ValueError, match=r"pixel \(2, 1\) .* sees nothing"):
+    with pytest.raises(ValueError, match=r"pixel \(2, 1\)"):
         camera.unproject(depth, mask)
-    with pytest.raises(ValueError, match=r"no cloth is in view of the cameras at \(0.0, -2.0, 1.0\)"):
-        world.observe([Camera((0, -2, 1), (0, -3, 1))], 10, rng)
-    with pytest.raises(ValueError, match="one camera"):
-        world.observe([], 10, rng)
-    with pytest.raises(ValueError, match="n must be"):
-        world.observe([camera], 0, rng)
+    away = Camera((0, -2, 1), (0, -3, 1))
+    for cameras, n, named in (([away], 10, r"\(0.0, -2.0, 1.0\)"), ([], 10, "camera"), ([camera], 0, "n must be")):
+        with pytest.raises(ValueError, match=named):
+            world.observe(cameras, n, rng)

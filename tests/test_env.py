@@ -1,4 +1,4 @@
-"""HangEnv: Gymnasium's own checks, seeds, rewards, vectors of environments."""
+"""HangEnv: Gymnasium's own checks, seeds, rewards, options, vectors of environments."""
 
 from __future__ import annotations
 
@@ -19,19 +19,7 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from scipy.spatial.distance import cdist
 
 from topokit._geometry import turned
-from topokit.sim import (
-    TASKS,
-    WARDROBE,
-    Camera,
-    Garment,
-    HangEnv,
-    Hanger,
-    Hook,
-    Placed,
-    SimulationConfig,
-)
-from topokit.sim._env import REWARDS, Options
-from topokit.sim._surface import simple_cycles
+from topokit.sim import TASKS, WARDROBE, Camera, Garment, HangEnv, Hanger, Hook, Placed, SimulationConfig
 
 COARSE = Garment.apron(spacing=0.05, strap_width=0.05)
 QUICK = SimulationConfig(self_collision=False, settle=0.05)
@@ -44,12 +32,14 @@ def make(**options):
 
 
 def play(env, seed, policy=None):
-    """Returns and last info of an episode."""
+    """The return and the last info of an episode, and whether it terminated."""
     env.reset(seed=seed)
-    total, done = 0.0, False
+    total = 0.0
+    done = False
     while not done:
         _, reward, terminated, truncated, info = env.step(policy() if policy else env.scripted_action())
-        total, done = total + reward, terminated or truncated
+        total += reward
+        done = terminated or truncated
     return total, info, terminated
 
 
@@ -69,20 +59,22 @@ def test_gymnasiums_checker_finds_nothing(version, options):
     env.close()
 
 
-def test_the_scripted_path_succeeds_and_rewards_say_so():
-    returns = {}
-    for reward in REWARDS:
-        env = make(reward=reward, n_points=160, config=dataclasses.replace(QUICK, settle=0.4))
-        start = env.reset(seed=1)[1]
-        returns[reward], info, terminated = play(env, seed=1)
-        assert terminated
-        assert info["success"]
-        assert info["linked"] == 1
-        progress = start["distance"] - info["distance"]
-        assert progress > 0.2
-        expected = {"sparse": 1, "dense": 1 + progress}.get(reward, 2 + progress)
-        assert returns[reward] == pytest.approx(expected)
-        env.close()
+@pytest.mark.parametrize("reward", ["sparse", "dense", "topological", "topological-observed"])
+def test_the_scripted_path_succeeds_and_rewards_are_differences_of_a_potential(reward):
+    env = make(reward=reward, n_points=160, config=dataclasses.replace(QUICK, settle=0.4))
+    start = env.reset(seed=1)[1]
+    total, info, terminated = play(env, seed=1)
+    assert terminated
+    assert info["success"]
+    assert info["linked"] == 1
+    progress = start["distance"] - info["distance"]
+    assert progress > 0.2
+    assert total == pytest.approx({"sparse": 1, "dense": 1 + progress}.get(reward, 2 + progress))
+    episode = env.episode("script")
+    assert episode.success
+    assert (episode.seed, episode.physics["controller"]) == (1, "script")
+    np.testing.assert_array_equal(episode.points[-1], env.vertices.astype(np.float32))
+    env.close()
 
 
 @pytest.mark.parametrize("options", [{"cameras": Camera.around(n=2)}, DISTURBED])
@@ -93,9 +85,7 @@ def test_seeds_repeat_bit_by_bit(options):
         observation, _ = env.reset(seed=seed)
         env.action_space.seed(0)
         runs.append([observation, *(env.step([*env.action_space.sample()[:6], 0])[0] for _ in range(5))])
-    for one, again in zip(runs[0], runs[1], strict=True):
-        for name in one:
-            np.testing.assert_array_equal(one[name], again[name])
+    same(runs[0], runs[1])
     assert not np.array_equal(runs[0][0]["grippers"], runs[2][0]["grippers"])
     env.close()
 
@@ -104,14 +94,22 @@ def test_what_is_dropped_ends_the_episode_without_reward():
     env = make(reward="topological")
     total, info, terminated = play(env, 0, policy=lambda: [0, 0, 0, 0, 0, 0, 1])
     assert terminated
-    assert info["dropped"]
-    assert not info["success"]
+    assert (info["dropped"], info["success"], info["torn"]) == (True, False, False)
     assert total < 0  # it fell away from the hook
     assert env.step(np.zeros(7))[0]["held"] == 0  # the action that lets go need not be repeated
     env.close()
 
 
-def test_grippers_go_where_they_are_told_and_steps_are_limited():
+def test_torn_cloth_ends_the_episode():
+    env = make(config=dataclasses.replace(QUICK, stiffness=8.0))
+    total, info, terminated = play(env, 0)
+    assert terminated
+    assert info["torn"]
+    assert total == 0
+    env.close()
+
+
+def test_grippers_go_where_the_actions_say_until_taut_cloth_holds_them():
     env = make(max_steps=12)
     first, _ = env.reset(seed=0)
     truncations = []
@@ -122,11 +120,6 @@ def test_grippers_go_where_they_are_told_and_steps_are_limited():
     assert truncations == [False] * 11 + [True]
     moved = observation["grippers"] - first["grippers"]
     np.testing.assert_allclose(moved, np.tile([12 * 0.2 * env.max_step, 0, 0], (2, 1)), atol=0.01)
-    env.close()
-
-
-def test_taut_cloth_holds_the_grippers_back():
-    env = make()
     env.reset(seed=0)
     for _ in range(40):
         observation, *_ = env.step([1, 0, 0, -1, 0, 0, 0])
@@ -136,15 +129,6 @@ def test_taut_cloth_holds_the_grippers_back():
     for _ in range(10):  # at once, and not after 40 steps, they come back
         observation, *_ = env.step([-1, 0, 0, 1, 0, 0, 0])
     assert np.ptp(observation["grippers"][:, 0]) < apart - 0.1
-    env.close()
-
-
-def test_tearing_ends_the_episode():
-    env = make(config=dataclasses.replace(QUICK, stiffness=8.0))
-    total, info, terminated = play(env, 0)
-    assert terminated
-    assert info["torn"]
-    assert total == 0
     env.close()
 
 
@@ -171,8 +155,12 @@ def same(shots, others, *names):
             np.testing.assert_array_equal(shot[name], other[name], err_msg=name)
 
 
+def column(shots, name):
+    return np.array([shot[name] for shot in shots])
+
+
 def middles(shots):
-    return np.array([shot["points"].mean(axis=0) for shot in shots])
+    return column(shots, "points").mean(axis=1)
 
 
 ALL_BUT_POINTS = ("grippers", "target", "rods", "wanted", "needed", "held")
@@ -187,19 +175,26 @@ def test_what_spoils_points_spoils_nothing_else(name, usual):
     assert not np.array_equal(shots[-1]["points"], usual[0][4]["points"])
 
 
-def test_late_points_are_those_of_some_steps_before(usual):
-    shots, _ = film(cloud_delay=2)
+def test_clouds_are_late_and_stay_until_the_next_one(usual):
+    late = film(cloud_delay=2)[0]
+    seldom = film(cloud_interval=3, cloud_delay=1)[0]
     for t in range(5):
-        np.testing.assert_array_equal(shots[t]["points"], usual[0][max(t - 2, 0)]["points"])
+        np.testing.assert_array_equal(late[t]["points"], usual[0][max(t - 2, 0)]["points"])
+        np.testing.assert_array_equal(seldom[t]["points"], usual[0][max(t - 1, 0) // 3 * 3]["points"])
 
 
-def test_a_cloud_stays_until_the_next_comes(usual):
-    shots, _ = film(cloud_interval=3, cloud_delay=1)
-    for t in range(5):
-        np.testing.assert_array_equal(shots[t]["points"], usual[0][max(t - 1, 0) // 3 * 3]["points"])
+def test_noise_losses_and_outliers_are_as_many_as_asked_for(usual):
+    clean = usual[0][0]["points"]
+    noisy = film(0, noise=0.005)[0][0]["points"]
+    assert np.std(noisy - clean) == pytest.approx(0.005, rel=0.1)
+    left = {*map(tuple, film(0, dropout=0.2)[0][0]["points"].tolist())}
+    assert len(left) == round(0.8 * len(clean))
+    assert left < {*map(tuple, clean.tolist())}
+    stray = film(0, outliers=0.05)[0][0]["points"]
+    assert (stray != clean).any(axis=1).sum() == round(0.05 * len(clean))
 
 
-def test_what_swings_begins_so(usual):
+def test_a_swing_precedes_the_first_observation(usual):
     shots, _ = film(30, swing=1.0)
     aside = np.linalg.norm((middles(shots) - middles(usual[0][:31]))[:, :2], axis=1)
     assert 0.01 < aside[0] < 0.2
@@ -207,114 +202,95 @@ def test_what_swings_begins_so(usual):
     np.testing.assert_allclose(shots[0]["grippers"], usual[0][0]["grippers"], atol=0.02)
 
 
+def test_a_shove_moves_the_cloth_and_nothing_else(usual):
+    shots, _ = film(60, shove=1.0)
+    same(shots[:8], usual[0])  # it begins after 0.3 s
+    same(shots, usual[0], "target", "rods", "wanted", "needed", "held")
+    np.testing.assert_allclose(column(shots, "grippers"), column(usual[0], "grippers"), atol=0.02)
+    by = middles(shots) - middles(usual[0])
+    twice = middles(film(60, shove=2.0)[0]) - middles(usual[0])
+    aside = np.linalg.norm(by[:, :2], axis=1)
+    assert 0.03 < aside.max() < 0.2
+    assert aside[-1] < aside.max() / 2  # it swings back
+    peak = aside.argmax()
+    assert twice[peak, :2] @ by[peak, :2] / aside[peak] ** 2 == pytest.approx(2, abs=0.4)  # the same push, harder
+
+
 def test_one_gripper_holds_the_garment_alone(usual):
-    """At the height of its goal: it bears all the weight now; the other bears none, and rises no more than that."""
+    """At the height of its goal: it carries all the weight now, and the other one does not rise."""
     shots, _ = film(60, n_grippers=1)
-    both, one = usual[0][60], shots[-1]
-    here, gone = cdist(one["grippers"], one["points"]).min(axis=1)
+    both, alone = usual[0][60], shots[-1]
+    here, gone = cdist(alone["grippers"], alone["points"]).min(axis=1)
     assert here < 0.005 < 0.015 < gone
-    np.testing.assert_allclose(one["grippers"], both["grippers"], atol=0.003)
-    aside = np.linalg.norm((middles([both, one]) - one["grippers"][0])[:, :2], axis=1)
+    np.testing.assert_allclose(alone["grippers"], both["grippers"], atol=0.003)
+    aside = np.linalg.norm((middles([both, alone]) - alone["grippers"][0])[:, :2], axis=1)
     assert aside[1] < 0.02 < 0.04 < aside[0]
-    assert shots[-1]["held"]
+    assert alone["held"]
+
+
+def test_grippers_let_go_after_so_many_seconds():
+    held = [int(shot["held"]) for shot in film(20, release_after=0.4)[0]]
+    assert held == [1] * 13 + [0] * 8  # 0.4 s are over after the twelfth step
 
 
 @pytest.mark.parametrize("fence", [0.0, 0.2])
 def test_grippers_do_not_pass_a_fence(fence):
     env = make(fence=fence)
     start = env.reset(seed=2, options={"place": (0.1, 0.2, 0.0, 90.0)})[0]
-    tip, out = start["target"][-1], np.array([1, 0, 0])  # of the arm, which points along -y, turned by 90 degrees
-    before = ((start["grippers"] - tip) @ out).min()
+    tip = start["target"][-1]
+    out = np.array([1, 0, 0])  # the arm points along -y, turned by 90 degrees
+    assert ((start["grippers"] - tip) @ out).min() > 0.25
     for _ in range(60):
         shot = env.step(np.array([-1, 0, 0] * 2 + [0]))[0]
     after = (shot["grippers"] - tip) @ out
-    assert before > 0.25
     assert after == pytest.approx(0.2, abs=0.03) if fence else after.max() < 0
-    env.goal = env.goal - 0.3 * out  # who is behind the fence is not pushed, and may go back alone
-    for way, moved in ((-0.1, 0.0), (0.1, 0.1)):
-        goal = env.goal + way * out
-        found = env._options.before_fence(goal, env.goal, env.standing)
-        np.testing.assert_allclose(found, env.goal + (moved if fence else way) * out, atol=1e-9)
+    for _ in range(3):
+        shot = env.step(np.array([1, 0, 0] * 2 + [0]))[0]  # back again
+    assert ((shot["grippers"] - tip) @ out).min() > after.max() + 0.03
     env.close()
 
 
 def test_a_fence_stands_before_an_arm():
     env = HangEnv("vest-mannequin", config=QUICK)
     env.reset(seed=0)
-    with pytest.raises(ValueError, match="fence: it stands before an arm, and this target has none"):
+    with pytest.raises(ValueError, match="fence"):
         env.reset(options={"fence": 0.1})
     env.step(np.zeros(7))  # the episode goes on
     env.close()
 
 
-def test_a_target_travels_steadily_and_takes_along_what_counts(usual):
+def test_a_target_travels_steadily(usual):
     shots, _ = film(30, target_speed=0.3)
-    ways = np.array([one["target"] - other["target"] for one, other in zip(shots, usual[0], strict=False)])
-    steps = np.diff(ways[:, 0], axis=0)
+    same(shots[:1], usual[0])
+    gone = column(shots, "target") - column(usual[0][:31], "target")
+    steps = np.diff(gone[:, 0], axis=0)
     np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 0.3 * 0.036, rtol=1e-3)
     np.testing.assert_allclose(steps, np.repeat(steps[:1], 30, axis=0), atol=1e-6)
-    same(shots[:1], usual[0])
-    rods = np.array([one["rods"] - other["rods"] for one, other in zip(shots, usual[0], strict=False)])
-    np.testing.assert_allclose(rods[:, :, :3], np.repeat(ways[:, :1], rods.shape[1], axis=1), atol=1e-6)
-
-
-def test_at_the_limit_they_let_go():
-    shots, _ = film(20, release_after=0.4)
-    held = [int(shot["held"]) for shot in shots]
-    assert held.index(0) == 13  # 0.4 s are over after the twelfth step
-    assert not any(held[13:])
-
-
-def test_noise_losses_and_outliers_are_as_many_as_asked_for(usual):
-    clean, n = usual[0][0]["points"], len(COARSE.vertices)
-    noisy = film(0, noise=0.005)[0][0]["points"]
-    assert np.std(noisy - clean) == pytest.approx(0.005, rel=0.1)
-    left = {*map(tuple, film(0, dropout=0.2)[0][0]["points"].tolist())}
-    assert len(left) == round(0.8 * n)
-    assert left < {*map(tuple, clean.tolist())}
-    stray = film(0, outliers=0.05)[0][0]["points"]
-    assert (stray != clean).any(axis=1).sum() == round(0.05 * n)
-
-
-def test_a_shove_moves_the_cloth_and_nothing_else(usual):
-    shots, _ = film(60, shove=1.0)
-    same(shots[:8], usual[0])  # it begins after 0.3 s
-    same(shots, usual[0], "target", "rods", "wanted", "needed", "held")
-    still, by, twice = (middles(each) for each in (usual[0], shots, film(60, shove=2.0)[0]))
-    by, twice = by - still, twice - still
-    aside = np.linalg.norm(by[:, :2], axis=1)
-    assert 0.03 < aside.max() < 0.2
-    assert aside[-1] < aside.max() / 2  # it swings back
-    for one, other in zip(shots, usual[0], strict=True):
-        np.testing.assert_allclose(one["grippers"], other["grippers"], atol=0.02)
-    peak = aside.argmax()
-    assert twice[peak, :2] @ by[peak, :2] / aside[peak] ** 2 == pytest.approx(2, abs=0.4)  # the same push, harder
+    rods = column(shots, "rods") - column(usual[0][:31], "rods")
+    np.testing.assert_allclose(rods[:, :, :3], np.repeat(gone[:, :1], rods.shape[1], axis=1), atol=1e-6)
 
 
 def test_a_target_moves_to_its_place(usual):
     shots, _ = film(60, target_shift=0.15)
     for name in ("points", "grippers", "wanted"):  # as if nothing were: the script is that of the place where it ends
-        for one, other in zip(shots, usual[0], strict=True):
-            np.testing.assert_allclose(one[name], other[name], atol=1e-4)
-    ways = np.array([one["target"] - other["target"] for one, other in zip(shots, usual[0], strict=True)])
-    np.testing.assert_allclose(ways, np.repeat(ways[:, :1], 4, axis=1), atol=1e-6)
-    far = np.linalg.norm(ways[:, 0], axis=1)
+        np.testing.assert_allclose(column(shots, name), column(usual[0], name), atol=1e-4)
+    gone = column(shots, "target") - column(usual[0], "target")
+    np.testing.assert_allclose(gone, np.repeat(gone[:, :1], 4, axis=1), atol=1e-6)
+    far = np.linalg.norm(gone[:, 0], axis=1)
     assert 0.02 < far[0] <= 0.15
     assert (np.diff(far) < 1e-6).all()
     assert far[8] == pytest.approx(far[0])  # it sets off after 0.3 s
     assert far[-1] < 1e-6
-    rods = np.array([one["rods"] - other["rods"] for one, other in zip(shots, usual[0], strict=True)])
-    np.testing.assert_allclose(rods[:, :, :6], np.repeat(np.tile(ways[:, :1], 2), 3, axis=1), atol=1e-6)
+    rods = column(shots, "rods") - column(usual[0], "rods")
+    np.testing.assert_allclose(rods[:, :, :6], np.repeat(np.tile(gone[:, :1], 2), 3, axis=1), atol=1e-6)
     assert not rods[:, :, 6].any()
 
 
 def test_all_goes_along_to_another_place(usual):
     shot = film(0, place=(0.3, -0.2, 0.05, 130.0))[0][0]
-    for name in ("points", "grippers", "target", "wanted"):
+    for name in ("points", "grippers", "target", "wanted"):  # farthest points may come in another order
         gaps = cdist(shot[name], turned(usual[0][0][name], 130.0) + [0.3, -0.2, 0.05])
-        assert max(gaps.min(axis=0).max(), gaps.min(axis=1).max()) < 1e-3, (
-            name
-        )  # farthest points may come in another order
+        assert max(gaps.min(axis=0).max(), gaps.min(axis=1).max()) < 1e-3, name
 
 
 def test_anywhere_has_bounds():
@@ -331,7 +307,7 @@ def test_anywhere_has_bounds():
     assert (np.ptp(places, axis=0) > [0.4, 0.4, 0.1, 180]).all()
 
 
-def test_a_start_anywhere_turns_the_garment_with_the_grippers(usual):
+def test_a_start_anywhere_turns_the_garment_with_the_grippers():
     yaws = []
     for seed in range(4):
         here, there = (film(0, seed=seed, **options)[0][0] for options in ({}, {"start": "anywhere"}))
@@ -346,8 +322,9 @@ def test_a_start_anywhere_turns_the_garment_with_the_grippers(usual):
     assert np.ptp(yaws) > 60
 
 
-def test_the_script_knows_the_way_from_elsewhere():
-    env = make(place="anywhere", start="anywhere", target_shift=0.1, config=dataclasses.replace(QUICK, settle=0.4))
+def test_the_script_succeeds_from_elsewhere():
+    config = dataclasses.replace(QUICK, settle=0.4)
+    env = make(place="anywhere", start="anywhere", target_shift=0.1, config=config)
     assert play(env, seed=1)[1]["success"]
     env.close()
 
@@ -366,52 +343,41 @@ def test_cameras_that_see_nothing_show_what_was_seen(usual):
     np.testing.assert_array_equal(clouds[-1], clouds[-2])
 
 
-def test_rods_and_loops_of_a_task():
-    hanger = Hanger()
-    needed = {}
-    for name in ("tote2", "backpack", "sheet"):
-        garment = WARDROBE[name](spacing=0.04)
-        env = HangEnv(f"{name}-hanger", garment=garment, target=hanger, n_points=40, config=QUICK)
-        seen, _ = env.reset(seed=0)
-        assert seen in env.observation_space
-        ends = [[*start, *end, radius] for start, end, radius in hanger.rods]
-        np.testing.assert_allclose(seen["rods"], ends, atol=1e-6)
-        needed[name] = (len(seen["wanted"]), seen["needed"])
-        assert np.abs(seen["wanted"] - seen["grippers"].mean(axis=0)).max() < 0.6
-        env.close()
-    assert needed == {"tote2": (2, 2), "backpack": (2, 1), "sheet": (1, 1)}
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (
-            {"lat": 2},
-            "there is no 'lat'; there are place, start, target_shift",
-        ),
-        ({"place": "here"}, "place: must be 'anywhere', or x, y and z in metres and a yaw in degrees, not 'here'"),
-        ({"place": (0, 0, float("nan"), 0)}, "place: must be"),
-        ({"start": (0, 0, 1)}, "start: Input should be 'anywhere'"),
-        ({"target_shift": -0.1}, "target_shift: .* greater than or equal to 0"),
-        ({"cloud_delay": 1.5}, "cloud_delay: .* integer"),
-        ({"dropout": 1.0}, "dropout: .* less than 1"),
-        ({"n_grippers": 3}, "n_grippers: .* less than or equal to 2"),
-        ({"outliers": "few"}, "outliers: .* number"),
-    ],
-)
-def test_a_wrong_option_is_refused_with_words(options, words):
-    with pytest.raises(ValueError, match=words):
-        make(**options)
-    env = make()
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match=words):
-        env.reset(options=options)
-    env.step(np.zeros(7))  # the episode goes on
+@pytest.mark.parametrize(("name", "wanted", "needed"), [("tote2", 2, 2), ("backpack", 2, 1), ("sheet", 1, 1)])
+def test_rods_and_loops_of_a_task(name, wanted, needed):
+    env = HangEnv(garment=WARDROBE[name](spacing=0.04), target=Hanger(), n_points=40, config=QUICK)
+    seen, _ = env.reset(seed=0)
+    assert seen in env.observation_space
+    rods = [[*start, *end, radius] for start, end, radius in Hanger().rods]
+    np.testing.assert_allclose(seen["rods"], rods, atol=1e-6)
+    assert (len(seen["wanted"]), seen["needed"]) == (wanted, needed)
+    assert np.abs(seen["wanted"] - seen["grippers"].mean(axis=0)).max() < 0.6
     env.close()
 
 
-def test_every_option_is_told():
-    assert all(f"`{field.name}` " in HangEnv.__doc__ for field in dataclasses.fields(Options))
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"lat": 2}, "'lat'.* cloud_delay"),
+        ({"place": "here"}, "place"),
+        ({"place": (0, 0, float("nan"), 0)}, "place"),
+        ({"start": (0, 0, 1)}, "start"),
+        ({"target_shift": -0.1}, "target_shift"),
+        ({"cloud_delay": 1.5}, "cloud_delay"),
+        ({"dropout": 1.0}, "dropout"),
+        ({"n_grippers": 3}, "n_grippers"),
+        ({"outliers": "few"}, "outliers"),
+    ],
+)
+def test_a_wrong_option_is_refused_by_name(options, named):
+    with pytest.raises(ValueError, match=named):
+        make(**options)
+    env = make()
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=named):
+        env.reset(options=options)
+    env.step(np.zeros(7))  # the episode goes on
+    env.close()
 
 
 def test_every_task_has_an_id():
@@ -434,7 +400,7 @@ def test_vectors_of_environments(vector):
     observations, rewards, *_ = envs.step(np.zeros((2, 7), np.float32))
     assert rewards.shape == (2,)
     alone = make()
-    expected, _ = alone.reset(seed=5)
+    alone.reset(seed=5)
     expected, *_ = alone.step(np.zeros(7, np.float32))
     np.testing.assert_array_equal(observations["points"][0], expected["points"])
     envs.close()
@@ -445,48 +411,40 @@ def test_pictures():
     env = make(render_mode="rgb_array")
     env.reset(seed=0)
     picture = env.render()
-    assert picture.shape == (360, 480, 3)
-    assert picture.dtype == np.uint8
+    env.close()
+    assert (picture.shape, picture.dtype) == ((360, 480, 3), np.uint8)
     blue = (picture[..., 2] > picture[..., 0] + 20).mean()
     grey = ((picture.max(axis=-1) < 220) & (np.ptp(picture.astype(int), axis=-1) < 3)).mean()
     assert blue > 0.02
     assert grey > 0.001
-    env.close()
     assert make().render() is None
 
 
-def test_misuse_is_explained():
-    with pytest.raises(ValueError, match="there is no task 'tie-nail'; there are apron-hook"):
-        HangEnv("tie-nail")
-    with pytest.raises(ValueError, match="shirt-mannequin asks for the loops neck, hem; the apron has neck"):
-        HangEnv("shirt-mannequin", garment=COARSE)
-    with pytest.raises(ValueError, match="reward must be one of sparse"):
-        make(reward="gold")
-    with pytest.raises(ValueError, match="n_points must be 1 to"):
-        make(n_points=10**6)
-    with pytest.raises(ValueError, match="render_mode"):
-        make(render_mode="human")
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"task": "tie-nail"}, "tie-nail"),
+        ({"task": "shirt-mannequin", "garment": COARSE}, "neck, hem; the apron has neck"),
+        ({"reward": "gold"}, "reward"),
+        ({"n_points": 10**6}, "n_points"),
+        ({"render_mode": "human"}, "render_mode"),
+    ],
+)
+def test_misuse_is_explained(options, named):
+    with pytest.raises(ValueError, match=named):
+        HangEnv(**options)
+
+
+def test_no_step_without_a_reset_nor_by_a_bad_action():
     env = make()
-    with pytest.raises(gymnasium.error.ResetNeeded, match="reset the environment first"):
+    with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(np.zeros(7))
     env.reset(seed=0)
     for action in (np.zeros(6), [np.nan] * 7):
-        with pytest.raises(ValueError, match="seven finite numbers"):
+        with pytest.raises(ValueError, match="seven"):
             env.step(action)
     env.close()
     env.close()
-
-
-def test_a_task_of_ones_own():
-    task = dataclasses.replace(TASKS["apron-hook"], garment=lambda: COARSE)
-    env = HangEnv(task, n_points=50, config=QUICK)
-    assert env.reset(seed=0)[0] in env.observation_space
-    env.close()
-
-
-def test_walks_are_cut_where_they_return():
-    assert simple_cycles([1, 2, 3, 4]) == [[1, 2, 3, 4]]
-    assert simple_cycles([1, 2, 3, 9, 5, 6, 7, 5, 9]) == [[5, 6, 7], [1, 2, 3, 9]]
 
 
 def test_without_gymnasium_only_the_environment_is_missing():
@@ -500,4 +458,4 @@ except ImportError as error:
     print(error)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "pip install 'topokit[sim]'" in done.stdout
+    assert "topokit[sim]" in done.stdout
