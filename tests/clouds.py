@@ -12,6 +12,15 @@ FAMILIES = ("gaussian", "grid", "polygon", "duplicates", "collinear", "sphere", 
 compiled = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="takes long where numba does not compile")
 
 
+DIAGRAM = ("birth", "death", "birth_edge", "killer_edge", "killer_triangles")
+
+
+def same(one: object, other: object, names: tuple[str, ...] = DIAGRAM) -> None:
+    """Assert that two diagrams agree to the last bit."""
+    for name in names:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
 def fewer(count: int) -> int:
     """A count of clouds, or a fifth of it where numba does not compile (a mutation run, say)."""
     return count // 5 if config.DISABLE_JIT else count

@@ -37,13 +37,11 @@ PARTS = {
         ("seqph", "evidence", "sampling", "linking", "mixture", "data_windows", "data_spoil"),
     ),
     "rips": (
-        (
-            *(
-                f"rips/{name}.py"
-                for name in ("_cloud", "_cycles", "_diagram", "_pairs", "_persistence", "kernel", "reduction")
-            ),
+        tuple(
+            f"rips/{name}.py"
+            for name in ("_cloud", "_cycles", "_diagram", "_pairs", "_persistence", "kernel", "reduction")
         ),
-        ("rips", "rips_kernels", "rips_properties", "reduction", "cycles"),
+        ("rips", "rips_properties", "reduction", "cycles"),
     ),
 }
 CONFIGURATION = """
@@ -81,7 +79,7 @@ def prepare(work: Path, mutated: tuple[str, ...], tests: tuple[str, ...]) -> Non
         shutil.copytree(ROOT / name, work / name, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
     if "rips/kernel.py" in mutated:
         for path in (work / "topokit" / "rips").glob("*.py"):
-            path.write_text(re.sub(r"^@njit\b.*\n", "", path.read_text(), flags=re.MULTILINE))
+            path.write_text(re.sub(r"^@njit\(.*\n", "", path.read_text(), flags=re.MULTILINE))
     only = json.dumps([f"topokit/{name}" for name in mutated])
     files = json.dumps([f"tests/test_{name}.py" for name in tests])
     project = (ROOT / "pyproject.toml").read_text() + CONFIGURATION.format(only=only, tests=files)

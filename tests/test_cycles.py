@@ -21,11 +21,9 @@ MIXED = np.array([[1, 5], [3, 2], [4, 6], [5, 0], [6, 4], [7, 1]], float)
 class Ranks:
     """Degree-1 homology of the Rips complex at every step of the total order, by Gaussian elimination and nothing else."""
 
-    def __init__(self, data: np.ndarray, metric: str = "euclidean") -> None:
-        n = len(data)
-        key = data
-        if metric != "precomputed":
-            key = sum((data[:, None, k] - data[None, :, k]) ** 2 for k in range(data.shape[1]))
+    def __init__(self, cloud: np.ndarray) -> None:
+        n = len(cloud)
+        key = sum((cloud[:, None, k] - cloud[None, :, k]) ** 2 for k in range(cloud.shape[1]))
         order = sorted(combinations(range(n), 2), key=lambda e: (key[e], *e))
         self.edges = {edge: k for k, edge in enumerate(order)}
         self.triangles = [[self.edges[e] for e in combinations(t, 2)] for t in combinations(range(n), 3)]
@@ -85,9 +83,9 @@ def cycles(boundaries: list[int]) -> list[int]:
     return found
 
 
-def check_cycles(data: np.ndarray, metric: str = "euclidean") -> int:
+def check_cycles(cloud: np.ndarray) -> int:
     """Check every cycle of a cloud by ranks; return how many there are."""
-    diagram, ranks = rips_persistence(data, metric=metric), Ranks(data, metric)
+    diagram, ranks = rips_persistence(cloud), Ranks(cloud)
     for i in range(len(diagram)):
         walk = diagram.cycle(i)
         birth, death = ranks[diagram.birth_edge[i]], ranks[diagram.killer_edge[i]]
@@ -102,12 +100,8 @@ def check_cycles(data: np.ndarray, metric: str = "euclidean") -> int:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_cycle_is_born_and_dies_with_its_loop(family):
     rng = np.random.default_rng(500 + FAMILIES.index(family))
-    found = 0
-    for _ in range(150):
-        cloud = random_cloud(rng, family, 12)
-        found += check_cycles(cloud)
-        found += check_cycles(np.sqrt(((cloud[:, None] - cloud[None]) ** 2).sum(axis=2)), "precomputed")
-    assert (found == 0) == (family == "collinear")
+    clouds = [random_cloud(rng, family, 12) for _ in range(60)]
+    assert (sum(map(check_cycles, clouds)) == 0) == (family == "collinear")
 
 
 def ends_by_ranks(walks: list, ranks: Ranks) -> list[int]:
@@ -151,9 +145,9 @@ def test_loops_that_merge_end_one_by_one():
     assert diagram.killers_of([left, right, both]).tolist() == [[0, 2], [1, 5], [2, 5]]
     assert rips_persistence(points, max_radius=1.55).killers_of([both]).tolist() == [[-1, -1]]
     assert diagram.killers_of([]).shape == (0, 2)
-    with pytest.raises(ValueError, match="must have an edge"):
+    with pytest.raises(ValueError, match="edge"):
         diagram.killers_of([[3]])
-    with pytest.raises(ValueError, match="cycle names vertex 6; there are 6"):
+    with pytest.raises(ValueError, match="vertex 6"):
         diagram.killers_of([left, [0, 1, 6]])
 
 
@@ -175,10 +169,8 @@ def test_cycle_goes_around_the_polygon():
 def test_shortest_walk_that_outlives_the_bar_is_not_taken():
     diagram, ranks = rips_persistence(MIXED), Ranks(MIXED)
     assert diagram.birth_edge[1].tolist() == [1, 4]
-    classes = diagram._homology
-    shortest = classes.path([1], [4], classes.time(1, 4))
-    assert shortest == [1, 3, 5, 4]
-    death = ranks[diagram.killer_edge[1]]
+    shortest, death = [1, 3, 5, 4], ranks[diagram.killer_edge[1]]
+    assert length(MIXED, shortest) < length(MIXED, [1, 0, 2, 4])
     assert not ranks.bounds(ranks.chain(shortest), death)  # it outlives the bar
     assert diagram.cycle(1).tolist() == [1, 0, 2, 4]
     assert check_cycles(MIXED) == 2
@@ -245,11 +237,6 @@ def test_two_rings_of_a_pipe_die_together():
     assert length(cloud, tight) <= length(cloud, walk)
 
 
-def test_a_walk_goes_over_a_bridge_and_comes_back():
-    assert _cycles._spliced([0, 1, 2], [1, 5, 6, 7], [8, 7, 9]) == [0, 1, 5, 6, 7, 9, 8, 7, 6, 5, 1, 2]
-    assert _cycles._spliced([0, 1, 2], [1], [3, 1]) == [0, 1, 3, 1, 2]
-
-
 def test_search_that_gives_up_still_dies_with_its_loop(monkeypatch):
     monkeypatch.setattr(_cycles, "SEARCH_LIMIT", 0)
     rng = np.random.default_rng(78)
@@ -275,13 +262,6 @@ def test_loops_that_max_radius_keeps_open():
     assert at_birth.cycle(0).tolist() == whole.cycle(0).tolist()
 
 
-def test_min_lifetime_does_not_change_the_cycles():
-    cloud = np.random.default_rng(79).normal(size=(60, 2))
-    whole = rips_persistence(cloud)
-    few = rips_persistence(cloud, min_lifetime=float(whole.lifetime[4]))
-    assert [few.cycle(i).tolist() for i in range(5)] == [whole.cycle(i).tolist() for i in range(5)]
-
-
 def test_cycles_do_not_depend_on_the_order_of_points():
     rng = np.random.default_rng(80)
     cloud = rng.normal(size=(80, 3))
@@ -290,17 +270,6 @@ def test_cycles_do_not_depend_on_the_order_of_points():
     for i in range(len(one)):
         walk, same = one.cycle(i).tolist(), order[other.cycle(i)].tolist()
         assert same in (walk, walk[::-1])
-
-
-@pytest.mark.parametrize("size", [1e200, 1e-200])
-def test_sizes_whose_squares_overflow(size):
-    cloud = np.random.default_rng(81).normal(size=(40, 2))
-    one, other = rips_persistence(cloud), rips_persistence(cloud * size)
-    assert [one.cycle(i).tolist() for i in range(len(one))] == [other.cycle(i).tolist() for i in range(len(other))]
-    radius = float(one.birth[0] + one.death[0]) / 2
-    tight = tighten(one, one.cycle(0), radius=radius)
-    assert tight.tolist() == tighten(other, other.cycle(0), radius=radius * size).tolist()
-    assert one.neighbours(0).tolist() == other.neighbours(0).tolist()
 
 
 def test_duplicated_points_do_not_lengthen_a_walk():
@@ -320,7 +289,7 @@ def test_a_diagram_with_cycles_can_be_copied():
 @pytest.mark.parametrize("family", FAMILIES)
 def test_tightened_walk_is_homologous_and_not_longer(family):
     rng = np.random.default_rng(600 + FAMILIES.index(family))
-    for _ in range(150):
+    for _ in range(60):
         cloud = random_cloud(rng, family, 11)
         ranks = Ranks(cloud)
         walk = rng.integers(0, len(cloud), size=rng.integers(1, 9))
@@ -370,28 +339,19 @@ def test_tighten_takes_points_a_diagram_or_a_matrix():
         assert tighten(cut, walk, radius=radius).tolist() == expected
 
 
-def test_tighten_of_a_killer_quadrilateral_stays_around_the_loop():
-    ring = polygon(30)
-    diagram, ranks = rips_persistence(ring), Ranks(ring)
-    (x, y, thick), (_, _, thin) = diagram.killer_triangles[0].tolist()
-    outline = tighten(diagram, [x, thick, y, thin])
-    assert not ranks.bounds(ranks.chain(outline), ranks[diagram.killer_edge[0]] - 1)
-    assert ranks.bounds(ranks.chain(outline, diagram.cycle(0)), ranks[diagram.killer_edge[0]] - 1)
-
-
 @pytest.mark.parametrize(
-    ("cycle", "options", "error", "says"),
+    ("cycle", "options", "error", "names"),
     [
-        ([0, 1, 4], {}, ValueError, "cycle names vertex 4; there are 4, numbered from 0"),
-        ([0, -1], {}, ValueError, "cycle names vertex -1"),
-        ([0.0, 1.0], {}, TypeError, "cycle must hold whole numbers"),
-        (np.ma.array([0, 1, 2, 3], mask=[0, 0, 1, 0]), {}, ValueError, "cycle has 1 masked entries"),
-        ([[0, 1]], {}, TypeError, "sequence of vertex ids"),
-        (np.empty(0, int), {}, TypeError, "sequence of vertex ids"),
+        ([0, 1, 4], {}, ValueError, "vertex 4"),
+        ([0, -1], {}, ValueError, "vertex -1"),
+        ([0.0, 1.0], {}, TypeError, "cycle"),
+        (np.ma.array([0, 1, 2, 3], mask=[0, 0, 1, 0]), {}, ValueError, "1 masked"),
+        ([[0, 1]], {}, TypeError, "cycle"),
+        (np.empty(0, int), {}, TypeError, "cycle"),
         ([0, 1, 2, 3], {"radius": -1}, ValueError, "radius"),
         ([0, 1, 2, 3], {"metric": "l1"}, ValueError, "metric"),
     ],
 )
-def test_bad_walks_are_told(cycle, options, error, says):
-    with pytest.raises(error, match=says):
+def test_bad_walks_are_refused(cycle, options, error, names):
+    with pytest.raises(error, match=names):
         tighten([[0, 0], [2, 0], [2, 2], [0, 2]], cycle, **options)

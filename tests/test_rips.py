@@ -1,33 +1,54 @@
-"""Rips persistence: known shapes, GUDHI as an oracle where distances tie, and what the killers must satisfy."""
+"""Rips persistence: known shapes, every scale of coordinates, ties, bounds of memory, Ctrl-C, threads, films.
+
+`test_rips_properties` holds the same functions to GUDHI and to the textbook on random clouds.
+"""
 
 from __future__ import annotations
+
+import resource
+import signal
+import threading
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from topokit import rips_persistence
+from topokit import rips_persistence, rips_persistence_many
+from topokit.rips import Film, _cloud, _pairs, kernel, tighten
 
-from clouds import FAMILIES, fewer, gudhi_pairs, random_cloud, sorted_pairs
+from clouds import FAMILIES, compiled, fewer, gudhi_pairs, random_cloud, same, sorted_pairs
 from conftest import polygon
 
+SQUARE = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
 
-def pairs(diagram) -> np.ndarray:
-    return sorted_pairs(np.column_stack([diagram.birth, diagram.death]))
+
+def distances(cloud: np.ndarray) -> np.ndarray:
+    """Summed axis by axis, as the kernel does."""
+    return np.sqrt(sum((cloud[:, None, k] - cloud[None, :, k]) ** 2 for k in range(cloud.shape[1])))
+
+
+def torus(n: int) -> np.ndarray:
+    a, b = 2 * np.pi * np.random.default_rng(0).random((2, n))
+    return np.column_stack([(1 + 0.35 * np.cos(b)) * np.cos(a), (1 + 0.35 * np.cos(b)) * np.sin(a), 0.35 * np.sin(b)])
+
+
+# Known shapes
 
 
 def test_square_by_hand():
-    diagram = rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]])
+    diagram = rips_persistence(SQUARE)
     assert diagram.birth.tolist() == [1.0]
     assert diagram.death[0] == pytest.approx(np.sqrt(2))
     assert diagram.birth_edge.tolist() == [[2, 3]]  # the last side in the order (length, index, index)
     assert diagram.killer_edge.tolist() == [[0, 2]]  # the first diagonal
     assert sorted(map(sorted, diagram.killer_triangles[0].tolist())) == [[0, 1, 2], [0, 2, 3]]
-    # The second diagonal is as long as the first, so its two triangles are in the complex at death: each is next to two sides.
+    # The second diagonal is as long as the first, so its two triangles are in the complex at death.
     assert {tuple(sorted(t)) for t in diagram.neighbours(0).tolist()} == {(0, 1, 3), (1, 2, 3)}
     assert len(diagram.neighbours(0)) == 4
 
 
-@pytest.mark.parametrize("n", [5, 6, 7, 12, 24])
+@pytest.mark.parametrize("n", [5, 6, 7, 12, 24, 300])
 def test_regular_polygon(n):
     """A regular n-gon dies with its first chord that spans at least a third of the circle."""
     diagram = rips_persistence(polygon(n))
@@ -36,99 +57,50 @@ def test_regular_polygon(n):
     assert diagram.death[0] == pytest.approx(np.sin(np.pi * np.ceil(n / 3) / n))
 
 
-def test_round_loop_dies_at_0866_of_its_radius():
-    assert rips_persistence(polygon(300, 2.0)).death[0] == pytest.approx(np.sqrt(3) / 2 * 2.0, rel=1e-3)
+@pytest.mark.parametrize(
+    "points",
+    [np.empty((0, 3)), [[0.0, 0.0]], [[0, 0], [1, 0], [0, 1]], np.zeros((50, 3)), np.arange(9.0)[:, None]],
+    ids=["no points", "one", "three", "all equal", "on a line"],
+)
+def test_no_loops_is_an_answer(points):
+    diagram = rips_persistence(points)
+    assert len(diagram) == 0
+    assert diagram.killer_triangles.shape == (0, 2, 3)
+    assert "0 loops" in repr(diagram)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_equals_gudhi(family):
-    rng = np.random.default_rng(FAMILIES.index(family))
-    for _ in range(fewer(400)):
-        cloud = random_cloud(rng, family)
-        ours, theirs = pairs(rips_persistence(cloud)), gudhi_pairs(cloud)
-        assert ours.shape == theirs.shape, cloud.tolist()
-        np.testing.assert_allclose(ours, theirs, atol=1e-9, err_msg=str(cloud.tolist()))
+@compiled
+def test_ring_of_thousands_of_points():
+    rng = np.random.default_rng(0)
+    angle = 2 * np.pi * rng.random(5000)
+    ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(5000)]) * (1 + 0.05 * rng.random((5000, 1)))
+    diagram = rips_persistence(ring)
+    assert diagram.death[0] == pytest.approx(np.sqrt(3) / 2, rel=0.01)  # the inner rim has radius 1
+    assert (diagram.lifetime[1:] < 0.05).all()
 
 
-@pytest.mark.parametrize("family", FAMILIES)
-def test_killers_are_what_they_say(family):
-    """Half lengths give birth and death; the triangles share the killer edge, hold no longer one, and lie on two sides."""
-    rng = np.random.default_rng(100 + FAMILIES.index(family))
-    for _ in range(fewer(100)):
-        cloud = random_cloud(rng, family)
-        diagram = rips_persistence(cloud)
-        for i in range(len(diagram)):
-            (a, b), (x, y) = diagram.birth_edge[i], diagram.killer_edge[i]
-            assert np.linalg.norm(cloud[a] - cloud[b]) / 2 == pytest.approx(diagram.birth[i])
-            assert np.linalg.norm(cloud[x] - cloud[y]) / 2 == pytest.approx(diagram.death[i])
-            thick, thin = diagram.killer_triangles[i]
-            assert thick[:2].tolist() == thin[:2].tolist() == [x, y]
-            assert thick[2] != thin[2]
-            assert value(cloud, thick) == value(cloud, thin) == diagram.death[i]
-            reach = [
-                max(np.linalg.norm(cloud[t[2]] - cloud[x]), np.linalg.norm(cloud[t[2]] - cloud[y]))
-                for t in (thick, thin)
-            ]
-            assert reach[0] >= reach[1] - 1e-12
-            for triangle in diagram.neighbours(i):
-                assert len(set(triangle.tolist())) == 3
-                assert value(cloud, triangle) <= diagram.death[i]
+def test_clusters_far_apart_and_late_loops():
+    """Loops born by edges far longer than all deaths before them: the stopping rule must not miss them."""
+    far = np.vstack([polygon(6, 0.01) + 100 * corner for corner in polygon(5)])
+    diagram = rips_persistence(far)
+    assert diagram.death[0] == pytest.approx(100 * np.sin(2 * np.pi / 5), rel=1e-3)
+    ours = sorted_pairs(np.column_stack([diagram.birth, diagram.death]))
+    np.testing.assert_allclose(ours, gudhi_pairs(far), rtol=1e-9, atol=1e-9)
 
 
-def value(cloud: np.ndarray, triangle: np.ndarray) -> float:
-    """Half the longest edge."""
-    return max(np.sqrt(sum((cloud[a] - cloud[b]) ** 2)) for a in triangle for b in triangle) / 2
+@compiled
+def test_a_camera_that_sends_zeros_for_what_it_did_not_see():
+    """A point that is there 20,000 times: with all its copies' edges it would take 15 GB."""
+    ring = polygon(40)
+    once = rips_persistence(np.insert(ring, 20, 0.0, axis=0))
+    number = np.r_[:21, 20_020:20_040]
+    diagram = rips_persistence(np.insert(ring, 20, np.zeros((20_000, 2)), axis=0))
+    np.testing.assert_array_equal(diagram.death, once.death)
+    np.testing.assert_array_equal(diagram.birth_edge, number[once.birth_edge])
+    np.testing.assert_array_equal(diagram.killer_triangles, number[once.killer_triangles])
 
 
-def test_death_ends_the_class():
-    """Just before the killer edge arrives the loop is there, with it the loop is gone: counted by ranks over GF(2)."""
-    rng = np.random.default_rng(7)
-    for _ in range(30):
-        cloud = rng.normal(size=(12, 2))
-        for birth, death in pairs(rips_persistence(cloud)):
-            assert betti_1(cloud, birth) > betti_1(cloud, np.nextafter(birth, 0) - 1e-12)
-            assert betti_1(cloud, death - 1e-12) > betti_1(cloud, death + 1e-12)
-
-
-def betti_1(cloud: np.ndarray, radius: float) -> int:
-    """Dimension of H_1 of the Rips complex by Gaussian elimination over GF(2)."""
-    near = np.linalg.norm(cloud[:, None] - cloud[None], axis=2) <= 2 * radius
-    n = len(cloud)
-    edges = {(i, j): k for k, (i, j) in enumerate((i, j) for i in range(n) for j in range(i + 1, n) if near[i, j])}
-    triangles = [(i, j, k) for i, j in edges for k in range(j + 1, n) if (i, k) in edges and (j, k) in edges]
-    boundary_1 = [(1 << i) | (1 << j) for i, j in edges]
-    boundary_2 = [sum(1 << edges[e] for e in ((i, j), (i, k), (j, k))) for i, j, k in triangles]
-    return len(edges) - rank(boundary_1) - rank(boundary_2)
-
-
-def rank(columns: list[int]) -> int:
-    pivots: dict[int, int] = {}
-    for column in columns:
-        while column and column.bit_length() in pivots:
-            column ^= pivots[column.bit_length()]
-        if column:
-            pivots[column.bit_length()] = column
-    return len(pivots)
-
-
-def test_order_of_points_does_not_matter():
-    rng = np.random.default_rng(3)
-    cloud = rng.normal(size=(60, 3))
-    order = rng.permutation(60)
-    one, other = rips_persistence(cloud), rips_persistence(cloud[order])
-    np.testing.assert_array_equal(one.birth, other.birth)
-    np.testing.assert_array_equal(one.death, other.death)
-    np.testing.assert_array_equal(np.sort(one.killer_edge), np.sort(order[other.killer_edge]))
-    np.testing.assert_array_equal(one.killer_triangles[:, :, 2], order[other.killer_triangles[:, :, 2]])
-
-
-def test_distance_matrix_gives_the_same():
-    cloud = np.random.default_rng(5).normal(size=(40, 3))
-    matrix = np.linalg.norm(cloud[:, None] - cloud[None], axis=2)
-    one, other = rips_persistence(cloud), rips_persistence(matrix, metric="precomputed")
-    np.testing.assert_allclose(one.death, other.death)
-    np.testing.assert_array_equal(one.killer_triangles, other.killer_triangles)
-    np.testing.assert_array_equal(one.neighbours(0), other.neighbours(0))
+# Where the filtration is cut
 
 
 def test_max_radius_leaves_loops_open_and_min_lifetime_leaves_them_out():
@@ -144,47 +116,356 @@ def test_max_radius_leaves_loops_open_and_min_lifetime_leaves_them_out():
     assert len(rips_persistence(circle, min_lifetime=np.nextafter(whole.lifetime[0], 9))) == 0
 
 
-@pytest.mark.parametrize(
-    "points",
-    [np.empty((0, 3)), [[0.0, 0.0]], [[0, 0], [1, 0], [0, 1]], np.zeros((50, 3)), np.arange(9.0)[:, None]],
-    ids=["no points", "one", "three", "all equal", "on a line"],
-)
-def test_no_loops_is_an_answer(points):
-    diagram = rips_persistence(points)
-    assert len(diagram) == 0
-    assert diagram.killer_triangles.shape == (0, 2, 3)
-    assert "0 loops" in repr(diagram)
+def test_ties_at_the_cut_are_inside():
+    assert rips_persistence(SQUARE, max_radius=np.sqrt(2)).death[0] == np.sqrt(2)
+    assert rips_persistence(SQUARE, max_radius=np.nextafter(np.sqrt(2), 0)).death[0] == np.inf
+    assert len(rips_persistence(SQUARE, max_radius=1.0)) == 1
+    assert len(rips_persistence(SQUARE, max_radius=np.nextafter(1.0, 0))) == 0
+    assert rips_persistence(SQUARE, max_radius=1e200).death[0] == np.sqrt(2)  # its square overflows
+
+
+# Scales
+
+
+@compiled  # NumPy would warn of the quotients that overflow on purpose
+@pytest.mark.parametrize("size", [5e-324, 1e-310, 1.7e308])
+def test_distances_at_the_ends_of_floating_point(size):
+    equal = np.full((8, 8), size)
+    np.fill_diagonal(equal, 0)
+    assert len(rips_persistence(equal, metric="precomputed")) == 0
+    square = np.array([[0, 1, 2, 1], [1, 0, 1, 2], [2, 1, 0, 1], [1, 2, 1, 0]]) * (size if size < 1 else size / 2)
+    assert rips_persistence(square, metric="precomputed").killer_edge.tolist() == [[0, 2]]
+
+
+@pytest.mark.parametrize("size", [1e-320, 1e-310, 1e-200, 1e150, 5e307])
+def test_coordinates_at_the_ends_of_floating_point(size):
+    assert rips_persistence(SQUARE * size).killer_edge.tolist() == [[0, 2]]
+    assert rips_persistence(SQUARE * size - size).killer_edge.tolist() == [[0, 2]]
+
+
+@pytest.mark.parametrize("metric", ["euclidean", "precomputed"])
+@pytest.mark.parametrize("exponent", [-1070, -1022, -1000, -540, 510, 1000, 1019])
+def test_a_cloud_at_any_scale_is_the_same_cloud(metric, exponent):
+    """Also where births and deaths lose their digits, as tiny numbers do."""
+    data = np.random.default_rng(3).integers(0, 16, (24, 3)).astype(float)
+    if metric == "precomputed":
+        data = np.rint(4 * distances(data)) / (1 if exponent < 0 else 16)
+    one, other = rips_persistence(data, metric=metric), rips_persistence(np.ldexp(data, exponent), metric=metric)
+    assert len(one) > 2
+    for name in ("birth", "death"):
+        np.testing.assert_array_equal(getattr(other, name), np.ldexp(getattr(one, name), exponent))
+    same(one, other, ("birth_edge", "killer_edge", "killer_triangles"))
+    for i in range(len(one)):
+        assert other.neighbours(i).tolist() == one.neighbours(i).tolist()
+        assert other.cycle(i).tolist() == one.cycle(i).tolist()
+        assert tighten(other, other.cycle(i)).tolist() == tighten(one, one.cycle(i)).tolist()
+
+
+def test_half_a_length_that_is_a_number_is_an_answer():
+    wide = rips_persistence([[-1e308, 0], [1e308, 0], [0, 1e308], [0, -1e308]])
+    assert wide.death.tolist() == [1e308]
+    assert wide.killer_edge.tolist() == [[0, 1]]
+    assert len(wide.neighbours(0)) == 4
+    with pytest.raises(ValueError, match=r"1\.7e\+308"):
+        rips_persistence([[-1.7e308] * 3, [1.7e308] * 3, [0] * 3, [1] * 3])
+
+
+def test_what_differs_too_much_for_one_unit_is_refused():
+    with pytest.raises(ValueError, match=r"points\[1\] and points\[3\]"):
+        rips_persistence([[0, 1], [1e-200, 0], [1, 1], [0, 0]])
+    assert len(rips_persistence([[0, 1], [1, 1e-200], [1, 1], [0, 1e-170]])) == 1
+    matrix = (1.0 - np.eye(5)) * 1e300
+    matrix[1, 2] = matrix[2, 1] = 1e-100
+    with pytest.raises(ValueError, match=r"1e-100 and 1e\+300"):
+        rips_persistence(matrix, metric="precomputed")
+
+
+@pytest.mark.parametrize("metric", ["euclidean", "precomputed"])
+def test_a_diagram_does_not_change_with_the_array_it_was_made_of(metric):
+    cloud = np.random.default_rng(2).normal(size=(30, 3))
+    buffer, walk = distances(cloud) if metric == "precomputed" else cloud, np.arange(30)
+    kept = rips_persistence(buffer.copy(), metric=metric)
+    diagram = rips_persistence(buffer, metric=metric)
+    buffer[:] = 0
+    for i in range(len(kept)):
+        assert diagram.neighbours(i).tolist() == kept.neighbours(i).tolist()
+        assert diagram.cycle(i).tolist() == kept.cycle(i).tolist()
+    assert diagram.killers_of([walk]).tolist() == kept.killers_of([walk]).tolist()
+    with pytest.raises(ValueError, match="read-only"):
+        diagram.birth[0] = 0
+    with pytest.raises(IndexError):
+        diagram.neighbours(len(diagram))
+
+
+# Parts of the kernel
+
+
+class Counting(np.ndarray):
+    """An array that counts what is written into it."""
+
+    writes = 0
+
+    def __setitem__(self, place, value):
+        Counting.writes += np.size(value)
+        super().__setitem__(place, value)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-14], ids=["equal", "nearly equal"])
+def test_sorting_edges_of_nearly_equal_length_takes_few_moves(spread, monkeypatch):
+    """All pairs of 32 points, of lengths around 1; the last labels come first."""
+
+    def plain(function):
+        return getattr(function, "py_func", function)
+
+    x, y = np.triu_indices(32, 1)
+    lengths = 1 + spread * np.linspace(1, -1, len(x))
+    m, label = len(x), np.arange(32)[::-1].copy()
+    buffer = plain(kernel.new_buffer)(m)._replace(keys=np.empty(m, np.int64).view(Counting))
+    buffer.found_keys[:] = [kernel.edge_key(a, b, 0) for a, b in zip(x, y, strict=True)]
+    buffer.found_lengths[:] = lengths
+    monkeypatch.setattr(kernel, "heap_sort", plain(kernel.heap_sort))
+    monkeypatch.setattr(Counting, "writes", 0)
+    plain(kernel.sort_edges)(buffer, m, label)
+    assert Counting.writes <= m * (4 + np.log2(m))
+    expected = sorted((length, *sorted((label[i], label[j]))) for length, i, j in zip(lengths, x, y, strict=True))
+    assert [sorted(label[list(kernel.ends_of(key)[:2])]) for key in buffer.keys.tolist()] == [
+        e[1:] for e in map(list, expected)
+    ]
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 4, 7])
+def test_lengths_are_the_same_in_numpy_and_compiled(d):
+    points = np.random.default_rng(d).normal(size=(20, d)) * np.logspace(-3, 3, d)
+    for i in range(20):
+        squares = _cloud.squares(points[i], points)
+        assert squares.tolist() == [kernel.edge_length(points, i, j, (0,) * d) for j in range(20)]
+        assert squares.tolist() == [kernel.edge_length(points, j, i, (0,) * d) for j in range(20)]
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_point_is_near_the_middle_only_if_it_is_near_all_of_the_lune(d):
+    """Against points on the rim of the lune, where it is farthest from what is between its two balls."""
+    rng, axes, near = np.random.default_rng(d), (0,) * d, 0
+    for _ in range(300):
+        data = rng.normal(size=(3, d))
+        data[2] = data[:2].mean(axis=0) + rng.normal(size=d) * 0.3
+        length = kernel.edge_length(data, 0, 1, axes)
+        across = rng.normal(size=(400, d))
+        step = (data[1] - data[0]) / np.sqrt(length)
+        across -= np.outer(across @ step, step)
+        rim = data[:2].mean(axis=0) + np.sqrt(0.75 * length) * across / np.linalg.norm(across, axis=1, keepdims=True)
+        farthest = max(((np.vstack([rim, data[:2]]) - data[2]) ** 2).sum(axis=1))
+        is_near = kernel.is_near_middle(data, axes, 0, 1, 2, length)
+        assert is_near <= (farthest < length)
+        near += is_near
+    assert 20 < near < 200
+
+
+@compiled
+@pytest.mark.parametrize("shape", ["sheet", "torus"])
+def test_places_decide_as_the_distances_do(shape):
+    """Above 2,048 points cones are known from places; for a matrix of distances they cannot be."""
+    cloud = torus(2300)
+    if shape == "sheet":
+        a, b = np.random.default_rng(11).random((2, 2300))
+        cloud = np.column_stack([a, b, 0.05 * np.sin(5 * a)])[(a - 0.5) ** 2 + (b - 0.4) ** 2 > 0.04]
+    assert len(cloud) > 64 * kernel.FEW_WORDS or shape == "sheet"
+    same(rips_persistence(cloud), rips_persistence(distances(cloud), metric="precomputed"))
+
+
+@compiled
+def test_windows_of_edges_are_bounded_and_leave_none_out():
+    cloud = _cloud.Cloud.of(np.random.default_rng(12).random((3100, 2)))
+    tree = kernel.build_tree(cloud.data, cloud.axes)
+    buffer, shortest, count, before, stop = kernel.new_buffer(1 << 16), 0.0, 0, -1.0, np.zeros(1, np.int64)
+    while shortest < 4:
+        buffer, m, bound = kernel.edges_between(tree.points, cloud.axes, tree, shortest, 5.0, buffer, 1 << 40, stop)
+        lengths = buffer.lengths[:m]
+        assert m <= len(buffer.found_keys) == kernel.WINDOW
+        assert before <= lengths[0]
+        assert (np.diff(lengths) >= 0).all()
+        assert shortest <= lengths[0] <= lengths[-1] < bound
+        shortest, count, before = bound, count + m, lengths[-1]
+    assert count == 3100 * 3099 // 2
+
+
+# Memory, Ctrl-C, compilation
+
+
+@compiled
+def test_more_memory_than_is_allowed(monkeypatch):
+    with pytest.raises(MemoryError, match=r"200000 points need 5\.5 GB"):
+        rips_persistence(np.random.default_rng(0).random((200_000, 3)))
+    all_alike = 1.0 - np.eye(2000)
+    many_loops = np.random.default_rng(0).random((4500, 3))
+    for cloud, metric, spare, what in (
+        (all_alike, "precomputed", 1 << 26, "edges"),
+        (many_loops, "euclidean", 2_000_000, "loops"),
+    ):
+        monkeypatch.setattr(_cloud, "MEMORY", len(cloud) * ((len(cloud) + 63) // 64) * 8 + spare)
+        with pytest.raises(MemoryError, match=f"these {len(cloud)} points need .*{what}"):
+            rips_persistence(cloud, metric=metric)
+
+
+@compiled
+def test_a_refusal_gives_memory_back(monkeypatch):
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        pytest.skip("only Linux tells what a process holds")
+    cloud, held = np.random.default_rng(0).random((8192, 3)), []
+    monkeypatch.setattr(_cloud, "MEMORY", 8192 * 1024 + 2_000_000)
+    for _ in range(12):
+        with pytest.raises(MemoryError, match="loops"):
+            rips_persistence(cloud)
+        held.append(int(statm.read_text().split()[1]) * resource.getpagesize())
+    assert held[-1] - held[2] < 4 * 8192 * 1024  # nine refusals
+
+
+@compiled
+@pytest.mark.parametrize("call", [rips_persistence, lambda cloud: rips_persistence_many([cloud] * 2, 1)])
+@pytest.mark.usefixtures("ctrl_c")
+def test_a_long_computation_hears_an_interrupt(call):
+    cloud = torus(12_000)
+    call(cloud[:2500])  # compiled by now, for clouds that are large too
+    start, main = time.process_time(), threading.main_thread().ident
+    threading.Timer(0.2, signal.pthread_kill, (main, signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        call(cloud)
+    assert time.process_time() - start < 3  # of ten seconds of the processor, or twenty
+
+
+@pytest.mark.parametrize("seconds", [0.3, 0.0])
+def test_long_compilation_is_announced(monkeypatch, capsys, seconds):
+    monkeypatch.setattr(_pairs, "_PATIENCE", 0.1)
+    monkeypatch.setattr(_pairs, "_ready", set())
+    monkeypatch.setattr(_pairs, "_run", lambda *_: time.sleep(seconds))
+    _pairs._compile(points=False)
+    time.sleep(0.2)
+    assert ("matrices" in capsys.readouterr().err) == bool(seconds)
+    monkeypatch.setattr(_pairs, "_run", None)
+    _pairs._compile(points=False)  # once is enough
+
+
+# Many clouds, and films
+
+
+def test_many_clouds_on_threads(capsys):
+    rng = np.random.default_rng(0)
+    clouds = [rng.random((int(n), 3)) for n in rng.integers(1, 120, size=40)]
+    together = rips_persistence_many(clouds, n_jobs=4, progress=True)
+    for one, other in zip(together, map(rips_persistence, clouds), strict=True):
+        same(one, other)
+    assert "40 of 40 clouds" in capsys.readouterr().err
+    assert rips_persistence_many([]) == []
+
+
+def a_film(rng, family: str, frames: int) -> list[np.ndarray]:
+    """Frames of a cloud of a family that trembles, drifts, grows, jumps, is renumbered, and loses points."""
+    first = rng.permutation(random_cloud(rng, family, max_points=60))
+    clouds = []
+    for _ in range(frames):
+        frame = clouds[-1] if clouds else first
+        kind = rng.choice(["still", "tremble", "tremble", "drift", "grow", "jump", "renumber", "fewer", "again"])
+        if kind == "tremble":
+            frame = frame + rng.choice([1e-6, 1e-3, 1e-1]) * rng.normal(size=frame.shape)
+        elif kind in ("drift", "grow"):
+            frame = frame + rng.normal(size=frame.shape[1]) if kind == "drift" else frame * rng.uniform(0.4, 2.5)
+        elif kind == "jump":
+            frame = np.where(rng.random((len(frame), 1)) < 0.1, rng.normal(size=frame.shape), frame)
+        elif kind == "renumber":
+            frame = rng.permutation(frame)
+        elif kind in ("fewer", "again"):
+            frame = first[: rng.integers(1, len(first) + 1)] if kind == "fewer" else first
+        clouds.append(frame)
+    return clouds
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_clouds_in_one_call_are_what_they_are_alone(family):
+    """Bit for bit, with short loops, ties, repeated points, and films whose frames tell little about the next."""
+    rng = np.random.default_rng(FAMILIES.index(family))
+    for radius in (np.inf, np.inf, 0.5):
+        clouds, film = a_film(rng, family, fewer(40)), Film()
+        together = rips_persistence_many(clouds, n_jobs=1, max_radius=radius, min_lifetime=0.01)
+        for cloud, one in zip(clouds, together, strict=True):
+            same(one, rips_persistence(cloud, max_radius=radius, min_lifetime=0.01))
+            same(film.next_diagram(cloud), rips_persistence(cloud))
+            assert (one.n_points, one.max_radius) == (len(cloud), radius)
+            if len(one):
+                assert one.cycle(0).tolist() == rips_persistence(cloud, max_radius=radius).cycle(0).tolist()
+
+
+@pytest.mark.parametrize("step", [1e-4, 0.02, 0.2])
+def test_a_list_of_edges_is_complete_below_its_bound(step):
+    """However the points move, no edge shorter than the bound is missing; and when they move little, it is a useful one."""
+    rng = np.random.default_rng(3)
+    before = rng.random((200, 3))
+    after = before + step * np.sin(5 * before) + 0.1 * step * rng.normal(size=before.shape)
+    tree, reach = kernel.build_tree(before, (0, 0, 0)), 0.3**2
+    moved, bound = kernel.move_tree(tree, after, reach)
+    np.testing.assert_array_equal(moved.points, after[tree.label])
+    was, now = (_cloud.squares(t.points[:, None], t.points[None]) for t in (tree, moved))
+    assert not ((was >= reach) & (now < bound)).any()
+    assert bound <= reach
+    assert bound > 0.9 * reach or step > 1e-4
+
+
+def test_a_film_is_read_from_the_list_of_an_earlier_frame():
+    """What is kept of the frame before: the same list for frames that tremble, none when the cloud is another."""
+    rng, film, lists = np.random.default_rng(5), Film(), []
+    cloud = rng.random((60, 3))
+    for frame in [*(cloud + 1e-4 * rng.normal(size=cloud.shape) for _ in range(5)), rng.random((60, 3))]:
+        same(film.next_diagram(frame), rips_persistence(frame))
+        lists.append(film._before.keys)
+    assert [len(keys) > 0 for keys in lists] == [False, True, True, True, True, False]
+    assert all(np.array_equal(keys, lists[1]) for keys in lists[2:5])
+
+
+@compiled
+def test_a_list_that_another_thread_made_may_be_too_long_for_this_one():
+    film, answers = Film(), []
+    frames = [polygon(600) + 1e-5 * np.random.default_rng(i).normal(size=(600, 2)) for i in range(3)]
+    for frame in frames[:2]:
+        film.next_diagram(frame)
+    assert len(film._before.keys) > 1 << 16  # edges for which a thread has a buffer at first
+    thread = threading.Thread(target=lambda: answers.append(film.next_diagram(frames[2])))
+    thread.start()
+    thread.join()
+    same(answers[0], rips_persistence(frames[2]))
+
+
+# Bad input
 
 
 @pytest.mark.parametrize(
-    ("points", "error", "says"),
+    ("points", "error", "names"),
     [
-        ([[0, 0], [1, np.nan], [1, 1], [0, 1]], ValueError, r"points has 1 of 4 points with a NaN.*row 1"),
+        ([[0, 0], [1, np.nan], [1, 1], [0, 1]], ValueError, "row 1"),
         ([[0, 0], [np.inf, 1]], ValueError, "row 1"),
-        ([1.0, 2.0, 3.0], ValueError, r"shape \(3,\)"),
+        ([1.0, 2.0, 3.0], ValueError, r"\(3,\)"),
         (np.zeros((3, 4, 2)), ValueError, "topokit.track"),
-        ([[0, 0], [1]], ValueError, "rows differ in length"),
-        ([["a", "b"]], TypeError, "real numbers"),
+        ([[0, 0], [1]], ValueError, "points"),
+        ([["a", "b"]], TypeError, "points"),
         ([[1 + 1j, 0]], TypeError, "complex"),
-        (np.empty((4, 0)), ValueError, "shape"),
+        (np.empty((4, 0)), ValueError, "points"),
     ],
 )
-def test_bad_points(points, error, says):
-    with pytest.raises(error, match=says):
+def test_bad_points(points, error, names):
+    with pytest.raises(error, match=names):
         rips_persistence(points)
 
 
 @pytest.mark.parametrize(
-    ("matrix", "says"),
+    ("matrix", "names"),
     [
-        (np.zeros((3, 4)), "square"),
-        ([[0, 1], [2, 0]], r"not symmetric at \[0, 1\]"),
-        ([[0, -1], [-1, 0]], "negative"),
-        ([[0, 1], [1, 3]], r"not zero on the diagonal at \[1, 1\]"),
+        (np.zeros((3, 4)), r"\(3, 4\)"),
+        ([[0, 1], [2, 0]], r"symmetric at \[0, 1\]"),
+        ([[0, -1], [-1, 0]], r"\[0, 1\]"),
+        ([[0, 1], [1, 3]], r"\[1, 1\]"),
     ],
 )
-def test_bad_distance_matrix(matrix, says):
-    with pytest.raises(ValueError, match=says):
+def test_bad_distance_matrix(matrix, names):
+    with pytest.raises(ValueError, match=names):
         rips_persistence(matrix, metric="precomputed")
 
 
@@ -199,12 +480,13 @@ def test_bad_distance_matrix(matrix, says):
 )
 def test_bad_options(option, error):
     with pytest.raises(error, match=next(iter(option))):
-        rips_persistence(np.zeros((5, 2)), **option)
+        rips_persistence(SQUARE, **option)
 
 
-def test_diagram_is_read_only_and_knows_its_loops():
-    diagram = rips_persistence(polygon(8))
-    with pytest.raises(ValueError, match="read-only"):
-        diagram.birth[0] = 0
-    with pytest.raises(IndexError, match="has 1"):
-        diagram.neighbours(1)
+def test_many_names_the_cloud_that_is_bad():
+    good = np.zeros((5, 2))
+    with pytest.raises(ValueError, match=r"clouds\[1\]"):
+        rips_persistence_many([good, np.where(np.eye(5, 2) > 0, [np.nan, 0], 0)])
+    for n_jobs in (0, -1, 1.5, True, "2", float("nan"), float("inf")):
+        with pytest.raises((TypeError, ValueError), match="n_jobs"):
+            rips_persistence_many([good], n_jobs=n_jobs)

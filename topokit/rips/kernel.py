@@ -71,6 +71,14 @@ def edge_length(data, i, j, axes):
     return total
 
 
+@njit(forceinline=True)
+def root_of(length, axes):
+    """Return the length of an edge of which `edge_length` is given."""
+    if len(axes) == 0:
+        return length
+    return np.sqrt(length)
+
+
 @njit(forceinline=True, cache=True)
 def precedes(length, a, b, other_length, x, y):
     """Return whether the edge {a, b} comes before {x, y} in the total order, given the lengths of both."""
@@ -419,7 +427,7 @@ def _key_precedes(key, length, other_key, other_length, label):
 
 
 @njit()
-def _heap_sort(keys, lengths, label):
+def heap_sort(keys, lengths, label):
     """Put edges in the total order, however many have almost the same length: the last edge of a heap leaves it first."""
     size = len(keys)
     half = size >> 1
@@ -462,9 +470,9 @@ def sort_edges(buffer, m, label):
     for e in range(m):
         shortest = min(shortest, lengths[e])
         longest = max(longest, lengths[e])
-    scale = m / (longest - shortest) if longest > shortest else 0.0
-    if not scale < 1e300:  # tiny distances: the number of a slice would not be finite
-        scale = 0.0
+    scale = 0.0
+    if longest > shortest and m / (longest - shortest) < 1e300:  # else the number of a slice would not be finite
+        scale = m / (longest - shortest)
 
     # Count the edges of each slice, and sum up: then slice_start[s + 1] is where slice s begins.
     slice_start[: m + 2] = 0
@@ -485,7 +493,7 @@ def sort_edges(buffer, m, label):
         first = slice_start[s]
         last = slice_start[s + 1]
         if last - first > FEW_EDGES:
-            _heap_sort(sorted_keys[first:last], sorted_lengths[first:last], label)
+            heap_sort(sorted_keys[first:last], sorted_lengths[first:last], label)
     for e in range(1, m):
         key = sorted_keys[e]
         length = sorted_lengths[e]
@@ -537,7 +545,7 @@ def first_window(data, axes, tree):
         for y in range(n) if len(axes) == 0 else range(max(0, x - 4), min(n, x + 5)):
             if y != x:
                 nearest = min(nearest, edge_length(data, x, y, axes))
-        total += nearest if len(axes) == 0 else np.sqrt(nearest)
+        total += root_of(nearest, axes)
     first = 2.0 * total / n if len(axes) == 0 else (2.5 * total / n) ** 2
     return max(first, 1e-6 * greatest_length(data, axes, tree), 5e-324)
 
@@ -545,7 +553,9 @@ def first_window(data, axes, tree):
 @njit()
 def next_window(data, axes, shortest, longest, m):
     """Return the bound of the window after one with m edges: as many again or more, and not too many more."""
-    growth = 0.5 * longest if len(axes) == 0 or len(data) <= FEW_POINTS else longest
+    growth = longest
+    if len(axes) == 0 or len(data) <= FEW_POINTS:
+        growth = 0.5 * longest
     ratio = max(1.0, 0.5 * WINDOW / (m + 1))
     return longest + max(min(growth, ratio * (longest - shortest)), 1e-6 * longest)
 
@@ -553,7 +563,9 @@ def next_window(data, axes, shortest, longest, m):
 @njit()
 def greatest_length(data, axes, tree):
     """Return an upper bound of all lengths."""
-    return data.max() if len(axes) == 0 else between_boxes(tree, 0, 0)[1]
+    if len(axes) == 0:
+        return data.max()
+    return between_boxes(tree, 0, 0)[1]
 
 
 # Lunes ----------------------------------------------------------------------------------------------------------------
@@ -1183,7 +1195,9 @@ def _edges_of_list(keys, tree, bound, buffer):
     for e in range(len(keys)):
         x, y, middle = ends_of(keys[e])
         length = edge_length(tree.points, x, y, tree.axes)
-        buffer.found_keys[size] = keys[e] if middle >= 0 else edge_key(x, y, x)
+        buffer.found_keys[size] = keys[e]
+        if middle < 0:
+            buffer.found_keys[size] = edge_key(x, y, x)
         buffer.found_lengths[size] = length
         size += length < bound
     return size
@@ -1250,7 +1264,9 @@ def pair_clouds(data, axes, starts, max_lengths, tree_arrays, keys, reach, end, 
             for k in range(2):
                 created[total, k] = moved.label[loops[i, k]]
             for k in range(4):
-                killed[total, k] = moved.label[killers[i, k]] if killers[i, k] >= 0 else -1
+                killed[total, k] = -1
+                if killers[i, k] >= 0:
+                    killed[total, k] = moved.label[killers[i, k]]
             total += 1
     return buffer, (tree, keys, reach, end), created[:total], killed[:total], counts
 
@@ -1318,7 +1334,7 @@ def neighbours(data, axes, v, time):
         length = edge_length(data, v, w, axes)
         if w != v and precedes(length, v, w, time[0], time[1], time[2]):
             joined[size] = w
-            lengths[size] = length if len(axes) == 0 else np.sqrt(length)
+            lengths[size] = root_of(length, axes)
             size += 1
     return joined[:size], lengths[:size]
 
@@ -1352,7 +1368,7 @@ def shortest_paths(data, axes, time, targets, stop):
                 continue
             side = edge_length(data, v, w, axes)
             if precedes(side, v, w, time[0], time[1], time[2]):
-                new_length = length[v] + (side if len(axes) == 0 else np.sqrt(side))
+                new_length = length[v] + root_of(side, axes)
                 if new_length < length[w] or (new_length == length[w] and steps[v] + 1 < steps[w]):
                     length[w] = new_length
                     following[w] = v

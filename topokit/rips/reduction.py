@@ -70,16 +70,19 @@ class Reduction:
             if len(simplex.vertices) != degree + 1 or self.columns[j]:
                 continue
             # What is never killed has the cycle that V holds; otherwise the killer's column is one that bounds at death.
-            last = self.simplices[self.killer[j]] if j in self.killer else None
-            cycle = self.columns[self.killer[j]] if j in self.killer else self.chains[j]
+            last = Simplex((), math.inf, None)  # stands for no simplex
+            cycle = self.chains[j]
+            if j in self.killer:
+                last = self.simplices[self.killer[j]]
+                cycle = self.columns[self.killer[j]]
             yield Pair(
                 degree=degree,
                 birth=simplex.value,
-                death=last.value if last else math.inf,
+                death=last.value,
                 birth_simplex=simplex.vertices,
-                death_simplex=last.vertices if last else None,
+                death_simplex=last.vertices or None,
                 birth_edge=simplex.latest_edge,
-                killer_edge=last.latest_edge if last else None,
+                killer_edge=last.latest_edge,
                 cycle=tuple(self.simplices[i].vertices for i in sorted(cycle)),
             )
 
