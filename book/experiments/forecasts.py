@@ -116,8 +116,9 @@ def load_evaluation(path: Path) -> EvaluationConfig:
     document = json.loads(path.read_text(encoding="utf-8"))
     conditions = []
     for entry in document["conditions"]:
-        clouds = Clouds(**entry["clouds"]) if "clouds" in entry else None
-        conditions.append(Condition(**{**entry, "clouds": clouds}))
+        if "clouds" in entry:
+            entry["clouds"] = Clouds(**entry["clouds"])
+        conditions.append(Condition(**entry))
     document["conditions"] = conditions
     document["shape"] = Shape(**document.get("shape", {}))
     return EvaluationConfig(**document)
@@ -319,13 +320,17 @@ def stack_forecasts(forecasts: Sequence[Forecast], slots: int) -> StateTensors:
     """Return B forecasts as one, with as many slots as the windows have. A slot that a forecast lacks is empty."""
     parts = {}
     for part in fields(StateTensors):
+        empty = 0.0
+        if part.name == "noise":
+            empty = NOISE
         padded = []
         for forecast in forecasts:
             values = getattr(forecast, part.name)[:, :slots]
             missing = [(0, 0), (0, slots - values.shape[1]), *[(0, 0)] * (values.ndim - 2)]
-            padded.append(np.pad(values, missing, constant_values=NOISE if part.name == "noise" else 0.0))
+            padded.append(np.pad(values, missing, constant_values=empty))
         parts[part.name] = torch.from_numpy(np.stack(padded)).float()
-    parts["presence"] = parts["presence"].double().logit(1e-6).float()  # forecasts give probabilities, states logits
+    # Forecasts give probabilities of presence, states have logits.
+    parts["presence"] = parts["presence"].double().logit(1e-6).float()
     return StateTensors(**parts)
 
 
@@ -406,7 +411,10 @@ def measure_condition(config: EvaluationConfig, condition: Condition, folder: Pa
     for name in ("hold", "carry"):
         forecasters[name] = [of_windows(build(name, shape).eval())]
     checkpoints: dict[str, list[dict[str, Any]]] = {}
-    for name, paths in (config.models if condition.models is None else condition.models).items():
+    models = config.models
+    if condition.models is not None:
+        models = condition.models
+    for name, paths in models.items():
         shown = "ours" if name == config.ours else name
         forecasters[shown] = []
         checkpoints[shown] = []
@@ -425,9 +433,9 @@ def measure_condition(config: EvaluationConfig, condition: Condition, folder: Pa
     settings = {key: value for key, value in asdict(condition).items() if key not in ("models", "dataset")}
     garments = samples.drop_duplicates("window")["garment"].value_counts()
     spoilt = condition.clouds is not None
-    failures = (
-        [] if spoilt or "ours" not in forecasters else list_failures(samples, forecasters, clean, config, steps[-1])
-    )
+    failures = []
+    if "ours" in forecasters and not spoilt:  # no dataset holds spoilt clouds
+        failures = list_failures(samples, forecasters, clean, config, steps[-1])
     return {
         "dataset": {"sha256": dataset.checksum(), "seed": dataset.seed, "episodes": len(dataset)},
         "labels": {"name": labels, "sha256": dataset.labels(labels).checksum()},
@@ -459,6 +467,7 @@ def measure(
     bar = tqdm(total=len(clean) * sum(map(len, forecasters.values())), desc=name, unit="forecast", disable=None)
     with bar, torch.inference_mode():
         for number, start in enumerate(range(0, len(clean), BATCH)):
+            # The truth about a batch of windows; all forecasters are compared with it.
             rows = range(start, min(start + BATCH, len(clean)))
             labelled = default_collate([clean[row] for row in rows])
             window = default_collate([observed[row] for row in rows])
@@ -492,6 +501,7 @@ def summarise(samples: pd.DataFrame, config: EvaluationConfig, thorough: bool) -
     present = [quotient(totals, f"{kind}_right", kind) for kind in ("present", "absent")]
     measures["presence"] = (present[0][0] + present[1][0]) / 2, np.maximum(present[0][1], present[1][1])
 
+    # Means over the windows by model and step, then what is no mean.
     answer: dict[str, Any] = {name: table(*found, horizons) for name, found in measures.items()}
     answer["nll_median"] = medians(samples, horizons)
     answer["lost"] = lost(samples, config, horizons)
@@ -504,6 +514,8 @@ def summarise(samples: pd.DataFrame, config: EvaluationConfig, thorough: bool) -
         for name in ("hull_accuracy", "distance_cm", "identity", "presence")
     }
     answer["hull_treatments"] = treatments(totals, TOLERANCES, horizons)
+
+    # The same for each garment and each target, with draws of their own.
     for kind in ("garment", "target"):
         parts = dict(list(samples.groupby(kind)))
         if len(parts) < 2:
@@ -522,6 +534,7 @@ def summarise(samples: pd.DataFrame, config: EvaluationConfig, thorough: bool) -
 
 def sums_of(samples: pd.DataFrame, config: EvaluationConfig) -> pd.DataFrame:
     """Return bootstrap sums of all columns, of hits under all tolerances, and of how many samples have a value at all."""
+    # Hits are 0 or 1, so that their sums over counts are shares.
     columns = samples.drop(columns=["window", "target"]).copy()
     columns["distance_cm"] = 100 * columns.pop("distance")
     columns["in_hull"] = columns["hull_distance"] <= max(config.tolerance, 1e-9)
@@ -530,6 +543,7 @@ def sums_of(samples: pd.DataFrame, config: EvaluationConfig) -> pd.DataFrame:
             columns[f"{column}, {tolerance}"] = columns[column] <= max(tolerance, 1e-9)
     column = "hull_distance_presence_ignored"
     columns[f"{column}, {config.tolerance}"] = columns[column] <= max(config.tolerance, 1e-9)
+    # Beside each column its count: how many samples have a value.
     keys = ("model", "seed", "step", "episode", "garment")
     values = [name for name in columns if name not in keys]
     counts = columns[values].notna().add_suffix("_n")
@@ -598,6 +612,7 @@ def lost(samples: pd.DataFrame, config: EvaluationConfig, horizons: Sequence[int
         for step, part in rows.groupby("step"):
             far = (part["hull_distance"] > FAR).to_numpy()
             variance = part["expected_variance"].to_numpy()
+            # The Mann-Whitney statistic over its largest value, in every draw.
             above = (1 + np.sign(variance[far][:, None] - variance[~far])) / 2  # (far, near), half where they are equal
             draws = draw_samples(part, config)
             pairs = draws[:, far].sum(axis=1) * draws[:, ~far].sum(axis=1)

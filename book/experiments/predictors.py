@@ -114,7 +114,9 @@ def forecasts(predictor: Predictor, plans: int, repeat: int) -> dict[str, Times]
         "one plan": timed(first, repeat),
         f"{plans} plans": timed(lambda: predictor.predict(many), max(5, repeat // 4)),
     }
-    return found | ({"exact at four": timed(exact, repeat)} if isinstance(predictor, MotionPredictor) else {})
+    if isinstance(predictor, MotionPredictor):
+        found["exact at four"] = timed(exact, repeat)
+    return found
 
 
 def forget(predictor: Predictor) -> None:
@@ -199,7 +201,11 @@ def training(name: str, dataset: Path | None, batch: int, steps: int, peak: floa
         before = marks[-1]
     seconds = before - start
     speed = counter.get_total_flops() * steps / (seconds - spent["data"]) / 1e9
-    binds = "data" if spent["data"] > seconds / 2 else "compute" if speed > peak / 2 else "memory"
+    binds = "memory"
+    if spent["data"] > seconds / 2:
+        binds = "data"
+    elif speed > peak / 2:
+        binds = "compute"
     return {
         "windows_per_second": round(batch * steps / seconds, 1),
         "shares": {part: round(value / seconds, 3) for part, value in spent.items()},
@@ -240,9 +246,16 @@ def main() -> int:
     rows = {f"{name}, {what}": times for name, parts in answer["forecast"].items() for what, times in parts.items()}
     for name, times in (rows | {f"{name}, one frame": times for name, times in answer["topology"].items()}).items():
         model, _, what = name.partition(", ")
-        goal = GOALS.get(model) if what == "one plan" else 100.0 if what.endswith("plans") and model in GOALS else None
-        goal = 12.0 if what == "exact at four" else goal
-        verdict = "" if goal is None else f"   goal {goal:g} ms: {'met' if times['ms'] <= goal else 'not met'}"
+        goal = None
+        if what == "one plan":
+            goal = GOALS.get(model)
+        elif what == "exact at four":
+            goal = 12.0
+        elif what.endswith("plans") and model in GOALS:
+            goal = 100.0
+        verdict = ""
+        if goal is not None:
+            verdict = f"   goal {goal:g} ms: {'met' if times['ms'] <= goal else 'not met'}"
         print(f"{name:28}{times['ms']:9.2f} ms {times['clock_ms']:9.2f} ms by the clock{verdict}", flush=True)
     if options.steps:
         peak = peak_gflops()
