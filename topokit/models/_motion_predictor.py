@@ -15,7 +15,7 @@ from topokit._validate import as_points
 from topokit.sampling import inliers
 from topokit.seqph import Frame, Loop, SeqPH, belief_after, follow_all
 
-from ._motion import KNOTS, PAST, Codes, Motion, _world
+from ._motion import KNOTS, PAST, Codes, Motion, world
 from ._predictor import Array, Forecast, Predictor, as_cloud, as_grippers
 from ._scenes import carriers_first, flow, target_of
 from ._states import NOISE, TRIANGLES
@@ -131,7 +131,7 @@ class MotionPredictor(Predictor):
         codes = self._encode(self._clouds[-1].data if asked is None else asked)
         parts = [self.model.under(codes, *chunk) for chunk in chunks]
         places, scales = (torch.cat(part)[:, :, codes.carriers :].numpy() for part in zip(*parts, strict=True))
-        start = _world(codes.place[:, codes.carriers :], codes.origin, codes.turn)
+        start = world(codes.place[:, codes.carriers :], codes.origin, codes.axes)
         first = np.broadcast_to(start.numpy()[:, None], (len(places), 1, *places.shape[2:]))
         ends = [first, places], [scales[:, :1], scales]
         return _between(np.concatenate(ends[0], axis=1)), _between(np.concatenate(ends[1], axis=1))
