@@ -7,7 +7,7 @@ from topokit._lazy import attach
 if TYPE_CHECKING:
     from ._dress import PullOverController, StrapController
     from ._hang import Hanging, hang
-    from ._planner import Carried, MotionForecaster, Planner
+    from ._planner import Carried, Planner
     from ._servo import Controller, Servo
     from ._thrower import ThrowController
 

@@ -59,8 +59,8 @@ def hang(
         Those of the task when not given.
     model : optional
         The forecaster that plans are made by (`Planner`, or with a `fence` `ThrowController`): "carry", the checkpoint of a
-        `topokit.models.Motion`, or a `MotionForecaster` of one's own. With None the `Servo` acts, which needs none. What is worn
-        is put on a mannequin by `PullOverController` or `StrapController`, which need none either.
+        `topokit.models.Motion`, or an object with the methods of `Carried`. With None the `Servo` acts, which needs none. What
+        is worn is put on a mannequin by `PullOverController` or `StrapController`, which need none either.
     goal : optional
         As of `Servo`; when not given, as many loops at once as the task asks for.
     controller : Controller, optional

@@ -41,35 +41,13 @@ _LOW_COSTS = 2.0  # metres for a metre below the tip when the arm is near
 
 
 class MotionForecaster(Protocol):
-    """The interface of a forecaster of motion for plans: `Carried` is one, `topokit.models.MotionPredictor` another."""
+    """The interface of a forecaster of motion for plans; `Carried` describes its methods."""
 
-    def reset(self) -> None:
-        """Forget everything observed."""
+    def reset(self) -> None: ...
 
-    def observe(self, points: ArrayLike, grippers: ArrayLike, held: bool, target: ArrayLike) -> None:
-        """Take in the next frame.
+    def observe(self, points: ArrayLike, grippers: ArrayLike, held: bool, target: ArrayLike) -> None: ...
 
-        Parameters
-        ----------
-        points : (n, 3) array_like
-        grippers : (2, 3) array_like
-        held : bool
-        target : (L, 3) array_like
-            A centre line.
-        """
-
-    def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]:
-        """Return places (C, 60, n, 3) of points under plans, and their expected errors or None.
-
-        Parameters
-        ----------
-        actions : (C, 60, 2, 3) array_like
-            Where the grippers should be at each of the next frames, metres.
-        held : (C, 60) array_like of bool, optional
-        points : (n, 3) array_like
-            Where they are now.
-        """
-        ...
+    def move(self, actions: ArrayLike, held: ArrayLike | None, points: ArrayLike) -> tuple[Any, Any]: ...
 
 
 class Carried:
@@ -117,7 +95,7 @@ class Planner(Servo):
     Parameters
     ----------
     forecast : MotionForecaster
-        `Carried()`, a `topokit.models.MotionPredictor`, or one's own.
+        `Carried()`, a `topokit.models.MotionPredictor`, or an object of one's own with the methods of `Carried`.
     goal : optional
     radius : float
     max_step : float
