@@ -47,14 +47,16 @@ METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command with `arguments` (those of the process when None) and return its exit code."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    known = bool(words) and words[0] in list(app)
-    command = f"topokit {words[0]}" if known else "topokit"
+    if arguments is None:
+        arguments = sys.argv[1:]
+    command = "topokit"
+    if arguments and arguments[0] in list(app):
+        command = f"topokit {arguments[0]}"
     try:
-        code = app(words)
+        code = app(list(arguments))
         print(end="", flush=True)  # here, where an error of the output can still be reported
-        if not words:
-            return 2  # the help was printed, since no command was given
+        if not arguments:
+            return 2  # no command was given, so the help was printed
         return code or 0
     except CycloptsError as error:
         return _report(command, f"error: {_one_line(error)} (see {command} --help)", 2)
@@ -65,10 +67,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MemoryError as error:
         return _report(command, f"error: {str(error) or 'not enough memory for so much at a time'}", 2)
     except OSError as error:
-        words_of_it = str(error)
+        message = str(error)
         if error.errno == errno.ENOSPC:
-            words_of_it = _of_output(error, "make room, and repeat the command")
-        return _report(command, f"error: {words_of_it}", 2)
+            message = _of_output(error, "make room, and repeat the command")
+        return _report(command, f"error: {message}", 2)
     except (ValueError, ImportError) as error:  # any other error is a mistake of ours and shows its traceback
         return _report(command, f"error: {error}", 2)
     except RuntimeError as error:  # the input was right, and the work failed, as a simulation that exploded
@@ -219,10 +221,9 @@ class TrackerOptions:
         """Return what was given, by the names of the parameters of `SeqPH`."""
         from .seqph import PAPER
 
-        options = dict(PAPER) if self.paper else {}
-        for name, value in vars(self).items():
-            if name != "paper" and value is not None:
-                options[name] = value
+        options = {name: value for name, value in vars(self).items() if name != "paper" and value is not None}
+        if self.paper:
+            return {**PAPER, **options}
         return options
 
 
@@ -280,6 +281,7 @@ def track(
     cloud
         Episodes: all vertices (default), or the sample of them that an observer sees.
     """
+    # A stream has no file: options of files are refused.
     if live:
         files = {"an episode": episode, "--out": out, "--plot": plot, "--topic": clouds.topic, "--fps": clouds.fps}
         if given := [name for name, value in files.items() if value is not None]:
@@ -291,15 +293,12 @@ def track(
     _check_suffix("--plot", plot, PICTURES)
 
     # Options that the kind of input has no use for are refused.
-    is_episode = _is_archive_of_ours(episode)
-    unused = clouds.given() if is_episode else ["plot"] * (plot is not None)
-    if unused:
-        raise ValueError(
-            f"--{unused[0]} is for {'clouds' if is_episode else 'episodes'}, and {episode} is not: leave it out"
-        )
-
-    if is_episode:
+    if _is_archive_of_ours(episode):
+        if given := clouds.given():
+            raise ValueError(f"--{given[0]} is for clouds, and {episode} is an episode: leave it out")
         return _track_episode(episode, out, plot, cloud, tracker, as_json)
+    if plot is not None:
+        raise ValueError(f"--plot is for episodes, and {episode} is not: leave it out")
     return _track_clouds(episode, out, clouds, tracker, as_json)
 
 
@@ -317,7 +316,9 @@ def _is_archive_of_ours(path: Path) -> bool:
 def _tracks_file(episode: Path, out: Path | None) -> Path:
     """Return where to write the tracks, or raise ValueError when they cannot be written there."""
     if out is None:
-        named = episode if episode.name.strip(".") else episode.resolve()  # "." is the folder's own name
+        named = episode
+        if not episode.name.strip("."):
+            named = episode.resolve()  # "." and ".." are named after the folder
         out = named.with_suffix(".tracks.npz")
     if set(out.name) & set("*?["):
         raise ValueError(f"--out: name a file for the tracks of {episode}")
@@ -337,6 +338,8 @@ def _track_episode(path: Path, out: Path, plot: Path | None, cloud: str, tracker
     if plot is not None:
         from .view import track_figure  # before the work, so that a missing matplotlib is reported at once
     episode = load_episode(path)
+
+    # Follow the loops, compare them with the true ones, and write.
     options = tracker.chosen()
     progress = sys.stderr.isatty() and not as_json
     states = track_sequence(getattr(episode, cloud), times=episode.times, progress=progress, **options)
@@ -524,9 +527,10 @@ def simulate(
     if cameras < 0 or (noise and not cameras):
         raise ValueError(f"--cameras {cameras}: a number of cameras, one at least with --noise")
     garment, chosen = _garment_and_task(mesh, mesh_options, task, "apron-hook")
-    around = ()
+    depth_noise = DepthNoise() if noise else None
+    around: Sequence[Camera] = ()
     if cameras:
-        around = Camera.around(chosen.target.seat, cameras, distance=2.2, noise=DepthNoise() if noise else None)
+        around = Camera.around(chosen.target.seat, cameras, distance=2.2, noise=depth_noise)
     episode = run_simulation(
         garment,
         task=chosen,
@@ -564,6 +568,7 @@ def _garment_and_task(path: Path | None, options: MeshOptions, task: str | None,
     """Return the garment of a mesh, None when none is given, and the task that was asked for."""
     from .sim import TASKS, Hanger, Hook, Mannequin, task_for
 
+    # A garment of one's own has no task of its own name; its targets are enough.
     targets: dict[str, Any] = {}
     if path is not None:
         targets = {target.name: target for target in (Hook, Hanger, Mannequin)}
@@ -571,6 +576,7 @@ def _garment_and_task(path: Path | None, options: MeshOptions, task: str | None,
     name = task or default
     if name not in TASKS and name not in targets:
         raise ValueError(f"--task {name}: there is no such task; there are {', '.join([*TASKS, *targets])}")
+    # Without a mesh, options of meshes are refused.
     if path is None:
         given = [option for option, value in vars(options).items() if value is not None]
         if given:
@@ -599,8 +605,8 @@ def _garment(path: Path, options: MeshOptions) -> Garment:
     garment = Garment.from_mesh(path, loops=loops, scale=scale, size=options.size, up=options.up)
     if not garment.loops:
         reasons = [repair for repair in garment.repairs if "open front" in repair]
-        reason = reasons[0] if reasons else "its border is its edge"
-        raise ValueError(f"{path}: it has no loop to hang it by; {reason}")
+        reasons.append("its border is its edge")
+        raise ValueError(f"{path}: it has no loop to hang it by; {reasons[0]}")
     return garment
 
 
@@ -651,6 +657,7 @@ def _plot_garment(path: Path, garment: Garment) -> None:
     from .view import plot_cloth
 
     figure = Figure(figsize=(10, 6), dpi=120)
+    # From before on the left, from the side on the right.
     for column, view in enumerate(((-70, 12), (-20, 12)), 1):
         axes: Any = figure.add_subplot(1, 2, column, projection="3d")
         plot_cloth(garment.vertices, garment.faces, ax=axes, true_loops=garment.loops, view=view)
@@ -706,6 +713,8 @@ def hang(
     if film is not None:
         from . import view  # noqa: F401 - before the work, so that a missing matplotlib is reported at once
     garment, chosen = _garment_and_task(mesh, mesh_options, task, "tote-hook")
+
+    # Options that were not given are left to `hang` itself.
     scene: dict[str, Any] = {}
     if anywhere:
         scene.update(place="anywhere", start="anywhere")
@@ -732,7 +741,7 @@ def hang(
     else:
         decision = 1000 * result.seconds_a_decision
         print(f"{result.episode.task}: {result.reason}; {result.steps} frames, {decision:.0f} ms a decision")
-    return 0 if result.success else 1
+    return int(not result.success)
 
 
 def _save_film(path: Path, episode: Episode) -> None:
@@ -881,8 +890,9 @@ def check(dataset: str, /, *, quiet: Quiet = False, as_json: Json = False) -> in
     else:
         for problem in problems:
             print(problem)
-        print(f"{dataset}: {len(problems)} problems" if problems else f"{dataset}: all is well")
-    return 1 if problems else 0
+        summary = f"{len(problems)} problems" if problems else "all is well"
+        print(f"{dataset}: {summary}")
+    return int(bool(problems))
 
 
 # -- train, predict ---------------------------------------------------------------------------------------------------------
@@ -927,8 +937,10 @@ def train(
         return 0
     model = f"{answer['checkpoint']}: {answer['model']}, {answer['parameters']:,} parameters"
     loss = f"{answer['validation_loss']:.4f} in epoch {answer['best_epoch'] + 1} of {answer['epochs']}"
-    speed = f", {answer['windows_per_second']:.0f} windows/s" if answer["windows_per_second"] else ""
-    print(f"{model}, validation loss {loss}{speed}")
+    line = f"{model}, validation loss {loss}"
+    if answer["windows_per_second"]:
+        line += f", {answer['windows_per_second']:.0f} windows/s"
+    print(line)
     return 0
 
 

@@ -93,7 +93,9 @@ def ripser(
     # A few farthest points stand for all.
     index = np.arange(len(distances))
     covering_radius = 0.0
-    to_all: Any = X if distance_matrix else distances
+    to_all: Any = distances
+    if distance_matrix:
+        to_all = X
     if n_perm and whole(n_perm, "n_perm", 1, len(distances)) < len(distances):
         index, covering_radius = _farthest_points(distances, n_perm)
         to_all = distances[index]
@@ -105,7 +107,9 @@ def ripser(
         diagram = rips_persistence(as_points(X)[index], max_radius=thresh / 2)
 
     # Ripser lists late births first, and counts edges in float32 up to the enclosing radius, beyond which nothing dies.
-    rows = np.argsort(-diagram.birth, kind="stable") if maxdim else np.empty(0, np.int64)
+    rows = np.argsort(-diagram.birth, kind="stable")
+    if maxdim == 0:
+        rows = rows[:0]
     loops = 2 * np.column_stack([diagram.birth, diagram.death])[rows]
     diagrams = [_components(diagram, distances), loops][: maxdim + 1]
     if thresh == np.inf and not is_sparse:

@@ -50,27 +50,28 @@ def births_and_deaths(points: Tensor, n_loops: int | None = None, *, n_jobs: int
     >>> points.grad[2]
     tensor([0.3536, 0.3536])
     """
-    if not isinstance(points, Tensor) or not points.is_floating_point():
-        kind = points.dtype if isinstance(points, Tensor) else type(points).__name__
-        raise WrongKindError(f"points must be a tensor of floating point, not {kind}")
+    if not isinstance(points, Tensor):
+        raise WrongKindError(f"points must be a tensor, not {type(points).__name__}")
+    if not points.is_floating_point():
+        raise WrongKindError(f"points must be a tensor of floating point, not of {points.dtype}")
     if points.ndim not in (2, 3):
         raise ValueError(f"points must be of shape (n, d) or (batch, n, d), not {tuple(points.shape)}")
-    batch = points if points.ndim == 3 else points[None]
-    if not len(batch):
+    if points.ndim == 2:
+        return births_and_deaths(points[None], n_loops, n_jobs=n_jobs)[0]
+    if not len(points):
         raise ValueError(f"points holds no cloud: its shape is {tuple(points.shape)}")
 
     # Which edges create and end the loops; nothing of this is differentiated.
-    diagrams = rips_persistence_many(batch.detach().cpu().double().numpy(), n_jobs)
+    diagrams = rips_persistence_many(points.detach().cpu().double().numpy(), n_jobs)
     if n_loops is None:
         n_loops = max(map(len, diagrams), default=0)
     n_loops = whole(n_loops, "n_loops")
     edges = torch.from_numpy(np.stack([_edges(diagram, n_loops) for diagram in diagrams])).to(points.device)
 
     # Half the lengths of these edges, as functions of their ends.
-    clouds = torch.arange(len(batch), device=points.device)[:, None, None, None]
-    ends = batch[clouds, edges]  # (batch, n_loops, 2, 2, d)
-    bars = torch.linalg.vector_norm(ends[..., 0, :] - ends[..., 1, :], dim=-1) / 2
-    return bars if points.ndim == 3 else bars[0]
+    clouds = torch.arange(len(points), device=points.device)[:, None, None, None]
+    ends = points[clouds, edges]  # (batch, n_loops, 2, 2, d)
+    return torch.linalg.vector_norm(ends[..., 0, :] - ends[..., 1, :], dim=-1) / 2
 
 
 def _edges(diagram: Diagram, n: int) -> np.ndarray:

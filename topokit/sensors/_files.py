@@ -93,7 +93,7 @@ def read_clouds(
 
 
 def read_stream(
-    stream: io.BufferedReader,
+    stream: Any,
     *,
     unit: str | None = None,
     columns: Sequence[int | str] | None = None,
@@ -134,7 +134,7 @@ def read_stream(
         yield cloud
 
 
-def _next_array(stream: io.BufferedReader) -> Array:
+def _next_array(stream: Any) -> Array:
     """Read the next array of a stream; memory is taken only when its header declares no more than a cloud."""
     version = np.lib.format.read_magic(stream)
     if version == (1, 0):
@@ -186,7 +186,9 @@ def _files_of(path: Path) -> list[Path]:
         files = [existing(path)]
     kinds = sorted({_kind(file) for file in files})
     if len(kinds) != 1 or kinds[0] not in _READERS:
-        held = "files " + ", ".join(kinds) if kinds else "no cloud"
+        held = "no cloud"
+        if kinds:
+            held = "files " + ", ".join(kinds)
         raise FormatError(f"{path}: holds {held}; a film is one of {', '.join(_READERS)}")
     return sorted(files, key=_number_order)
 
@@ -273,18 +275,21 @@ def _seen_by_pixels(depth: Array, camera: Any, unit: str | None) -> Array:
 
 def _lens(camera: Any) -> Array:
     """Return fx, fy, cx, cy in pixels and the metres of a unit of depth, of a camera as its maker describes it."""
-    if isinstance(camera, Path) and camera.is_dir():
-        camera = camera / _INTRINSICS if (camera / _INTRINSICS).is_file() else None
     entries: Mapping[str, Any] = {}
     if isinstance(camera, Mapping):
         entries = camera
+    elif isinstance(camera, Path) and camera.is_dir():
+        if (camera / _INTRINSICS).is_file():
+            entries = read_json((camera / _INTRINSICS).read_bytes())
     elif camera is not None:
         entries = read_json(existing(camera).read_bytes())
 
     # A matrix, as of a CameraInfo, or single entries.
     matrices = [entries[name] for name in ("K", "k", "camera_matrix", "intrinsic_matrix") if name in entries]
     if matrices:
-        numbers = matrices[0]["data"] if isinstance(matrices[0], Mapping) else matrices[0]
+        numbers = matrices[0]
+        if isinstance(numbers, Mapping):
+            numbers = numbers["data"]  # as OpenCV writes it
         k = np.array(numbers, float).reshape(3, 3)
         if not k[0, 2]:
             k = k.T  # Open3D writes it column by column
@@ -331,8 +336,10 @@ def _npz(path: Path, declared: _Declared) -> Frames:
         if len(names) != 1 and not is_film:
             raise ValueError(f"it holds {', '.join(names) or 'nothing'}: name the array of clouds 'points'")
         arrays = [archive[name] for name in names]
-        frames = _frames_of(arrays[0]) if len(arrays) == 1 else arrays
-        times = [None] * len(frames)
+        frames = arrays
+        if len(arrays) == 1:
+            frames = _frames_of(arrays[0])
+        times: list[float | None] = [None] * len(frames)
         if "times" in archive:
             times = archive["times"].tolist()
     if np.shape(times) != (len(frames),):

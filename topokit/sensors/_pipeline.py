@@ -189,7 +189,10 @@ def _followed(points: Array, plane: Array, thickness: float) -> Array | None:
 
 
 def _found(sample: Array, thickness: float, eye: Array) -> Array | None:
-    """Return the plane that most points are on, of those that are not seen through: RANSAC along each axis, then least squares."""
+    """Return the plane that most points are on, of those that are not seen through.
+
+    RANSAC looks for it along each axis, and least squares refine it.
+    """
     from sklearn.linear_model import RANSACRegressor
 
     points = sample[::4]
