@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sensor_files import cloud_message, depth_image, ring, save_bag, save_pcd
-from test_io import small_episode
 
 from topokit import track
 from topokit.cli import main
-from topokit.io import load_episode, load_states, save_episode
+from topokit.io import load_episode, load_states
 
 from conftest import hear_ctrl_c, polygon
 
@@ -124,12 +123,11 @@ def test_the_neck_loop_keeps_one_name(episode, capsys):
     assert 0 < longest["distance"] < 0.1
 
 
-def test_tracks_as_lines_and_as_a_picture(tmp_path, capsys):
-    path = save_episode(tmp_path / "film.npz", small_episode())
+def test_tracks_as_lines_and_as_a_picture(episode, tmp_path):
     picture = tmp_path / "deep" / "tracks.png"
-    assert main(["track", str(path), "--out", str(tmp_path / "states.jsonl"), "--plot", str(picture)]) == 0
+    assert main(["track", str(episode), "--out", str(tmp_path / "states.jsonl"), "--plot", str(picture)]) == 0
     lines = [json.loads(line) for line in (tmp_path / "states.jsonl").read_text().splitlines()]
-    recorded = load_episode(path)
+    recorded = load_episode(episode)
     assert lines == [state.as_dict() for state in track(recorded.points, times=recorded.times)]
     assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 

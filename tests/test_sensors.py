@@ -37,7 +37,7 @@ from sklearn.linear_model import RANSACRegressor
 
 import topokit as tk
 from topokit._config import from_mapping
-from topokit.io import FormatError
+from topokit.io import FormatError, save_states
 from topokit.sensors import Cleaner, Pipeline, read_clouds, read_stream
 
 # Each kind of file: a film of the ring at 0 and 1, or its first frame.
@@ -218,7 +218,6 @@ BAD = {
     "depth.npy": (npy(np.ones((30, 40), np.float32)), "fx, fy, cx and cy"),
     "millimetres.npy": (npy(1000 * ring()), "unit='mm'"),
     "two.npz": (npz(a=ring(), b=ring()), "a, b: .*'points'"),
-    "ours.npz": (npz(points=[ring()], json=np.zeros(9)), "load_episode"),
     "late.npz": (npz(points=[ring()], times=[0.0, 1.0]), "times"),
     "colour.png": (png(np.zeros((30, 40, 3), np.uint8)), "RGB"),
     "depth.png": (png(depth_image()), "fx, fy, cx and cy"),
@@ -234,6 +233,12 @@ BAD = {
     "no.mcap": (b"hello", ""),
     "no.db3": (b"hello", ""),
 }
+
+
+def test_an_archive_of_topokit_holds_no_film(tmp_path):
+    path = save_states(tmp_path / "states.npz", tk.track([ring()]))
+    with pytest.raises(FormatError, match=r"states\.npz: .*load_states"):
+        clouds(path)
 
 
 @pytest.mark.parametrize("name", BAD)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topokit._archive import FormatError, check_size, existing, read_json
+from topokit._archive import HEADER, FormatError, check_size, existing, read_json
 from topokit._validate import as_reals, positive
 
 Array = NDArray[Any]
@@ -328,7 +328,7 @@ def _npz(path: Path, declared: _Declared) -> Frames:
     with np.load(path, allow_pickle=False) as archive:
         check_size(archive.zip.infolist(), path.stat().st_size)
         names = [name for name in archive.files if name != "times"]
-        if "json" in names:
+        if HEADER in names:
             raise ValueError("topokit wrote it, and it holds no film: read it by load_episode or load_states")
         if "points" in names:
             names = ["points"]
