@@ -395,7 +395,7 @@ def test_a_mistake_in_the_code_shows_where(episode, monkeypatch):
         ("gymnasium", "from topokit.sim import HangEnv"),
         ("torch", "from topokit.models import Predictor"),
         ("matplotlib", "from topokit.view import plot_cloth"),
-        ("dask", "sys.argv[1:] = ['generate', '--out', 'x', '--episodes', '1']; run()"),
+        ("pydantic", "sys.argv[1:] = ['generate', '--out', 'x', '--episodes', '1']; run()"),
     ],
 )
 def test_what_is_missing_is_named_with_the_extra_that_brings_it(package, use, tmp_path):
