@@ -133,11 +133,11 @@ FLOORS = [
     {"sensors"},
     {"io"},
     {"compat"},
-    {"lemmas", "evaluate"},
+    {"lemmas"},
     {"sim"},
     {"data"},
     {"models"},
-    {"control"},
+    {"control", "evaluate"},
     {"view"},
     {"cli", "__main__"},
 ]

@@ -69,7 +69,13 @@ class TrueCurves:
     tight: tuple[Sequence[Array], ...] = ()  #: K other curves of its class, (n, 3) each
 
     def hulls(self, loop: int, k: int) -> list[Array]:
-        """Return the points (n, 3) whose convex hulls count as the loop's: of the marked curve, and of another one."""
+        """Return the points (n, 3) whose convex hulls count as the loop's: of the marked curve, and of another one.
+
+        Parameters
+        ----------
+        loop, k : int
+            Which true loop, and at which of the K steps.
+        """
         closing = np.zeros((0, 3))
         if self.closing:
             closing = self.closing[loop][k]
@@ -89,7 +95,14 @@ class TrueCurves:
         return centres, radii
 
     def beside(self, loop: int, k: int, point: Array) -> float:
-        """Return how far a point is beside a curve's plane, in units of what still counts; inf outside its outline."""
+        """Return how far a point is beside a curve's plane, in units of what still counts; inf outside its outline.
+
+        Parameters
+        ----------
+        loop, k : int
+            Which true loop, and at which of the K steps.
+        point : (3,) array_like
+        """
         offsets = self.curves[loop][k] - point
         mean = offsets.mean(axis=0)
         axes = np.linalg.svd(offsets - mean, full_matrices=False)[2]  # of the scatter of its vertices, the normal last
