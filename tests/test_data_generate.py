@@ -205,7 +205,7 @@ def test_a_crash_is_recorded_and_tried_again_when_asked(tmp_path, outcomes):
     assert [(record.episode, record.status) for record in dataset.failures] == [(0, "failed"), (1, "failed")]
     assert "SIGSEGV" in dataset.failures[0].reason
     assert (dataset.record(1).task, dataset.record(1).seed) == TINY.draw(SEED, 1)
-    with pytest.raises(KeyError, match="episode 1 was failed: .*no sign of life"):
+    with pytest.raises(KeyError, match=r"episode 1 was failed: .*no sign of life"):
         dataset[1]
     outcomes.clear()
     assert generate_dataset(TINY, tmp_path, 4, SEED, progress=False).counts == {"failed": 2}

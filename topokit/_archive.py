@@ -59,6 +59,7 @@ def save_archive(path: str | Path, kind: str, header: dict[str, Any], arrays: di
     path = Path(path)
     if path.suffix != ".npz":
         raise ValueError(f"{path}: the name of an archive ends in .npz")
+    # Every entry is made in memory first: an error leaves no file.
     document = json.dumps({**header, "kind": kind}, sort_keys=True, ensure_ascii=False)
     entries = {HEADER: document.encode()}
     for name in sorted(arrays):
@@ -157,6 +158,7 @@ def _header(archive: zipfile.ZipFile, path: Path, kind: str) -> dict[str, Any]:
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
     """Read an array whose header declares the very size that its entry has."""
     with archive.open(entry) as stream:
+        # The header of a .npy: its shape and type say how many bytes must follow.
         version = np.lib.format.read_magic(stream)
         read_header = np.lib.format.read_array_header_1_0
         if version != (1, 0):
@@ -169,6 +171,7 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
             raise ValueError(f"{entry.filename} declares {declared} bytes and has {entry.file_size}")
         if math.prod(shape) == 0 and max(shape) > _MOST_ROWS:
             raise ValueError(f"{entry.filename} is empty and claims the shape {shape}")
+        # Reading to the end compares the CRC-32.
         content = bytearray(stream.read())
     if column_major:
         return np.frombuffer(content, dtype).reshape(shape[::-1]).T
@@ -190,9 +193,10 @@ def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
             yield handle
             handle.flush()
             os.fsync(handle.fileno())
+        # mkstemp makes files that only their owner can read: give this one the usual rights.
         umask = os.umask(0)
         os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)  # mkstemp makes files that only their owner can read
+        os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, path)
     except BaseException as error:
         if isinstance(error, OSError) and error.errno and error.filename is None:

@@ -27,8 +27,10 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 def as_tuple(values: Any) -> Any:
-    """Lists and arrays are tuples in configurations, which do not change."""
-    return tuple(np.asarray(values).tolist()) if isinstance(values, (np.ndarray, list)) else values
+    """Return lists and arrays as tuples, since configurations do not change; leave anything else as it is."""
+    if isinstance(values, (np.ndarray, list)):
+        return tuple(np.asarray(values).tolist())
+    return values
 
 
 Place = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]
@@ -36,7 +38,7 @@ Place = Annotated[tuple[float, float, float], BeforeValidator(as_tuple)]
 
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def checked(kind: type[T]) -> type[T]:
-    """Make a class a frozen dataclass whose fields are checked; what they refuse is a ValueError of one line."""
+    """Make a class a frozen dataclass whose fields are checked; a value that they refuse is a ValueError of one line."""
     made: Any = dataclass(kind, frozen=True, config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
     start = made.__init__
 
@@ -44,14 +46,14 @@ def checked(kind: type[T]) -> type[T]:
         try:
             start(self, *arguments, **values)
         except ValidationError as error:
-            raise ValueError(_told(error, kind)) from error
+            raise ValueError(_first_fault(error, kind)) from error
 
     made.__init__ = __init__
     return made
 
 
 def from_mapping(kind: type[T], entries: Any, where: str) -> T:
-    """A checked dataclass from plain numbers, strings, lists and dicts, nested ones too; errors name `where` and the entry."""
+    """Return a checked dataclass made of plain numbers, strings, lists and dicts; errors name `where` and the entry."""
     if not isinstance(entries, Mapping):
         raise ValueError(f"{where} must be an object with named entries, not {entries!r:.200}")
     try:
@@ -61,11 +63,11 @@ def from_mapping(kind: type[T], entries: Any, where: str) -> T:
     try:
         return TypeAdapter(kind).validate_json(plain)
     except ValidationError as error:
-        raise ValueError(f"{where}: {_told(error, kind)}") from error
+        raise ValueError(f"{where}: {_first_fault(error, kind)}") from error
 
 
 def load(kind: type[T], path: str | Path) -> T:
-    """A checked dataclass from a JSON file; errors name the file and the entry."""
+    """Return a checked dataclass that a JSON file holds; errors name the file and the entry."""
     path = existing(path)
     try:
         entries = read_json(path.read_text(encoding="utf-8"))
@@ -74,19 +76,26 @@ def load(kind: type[T], path: str | Path) -> T:
     return from_mapping(kind, entries, str(path))
 
 
-def _told(error: ValidationError, kind: Any) -> str:
-    """The first thing that is wrong, in a line; a name that is not known before one that is missing."""
-    known = [part.name for part in fields(kind)]
-    found = error.errors(include_url=False)
-    first = next((one for one in found if one["type"] == "unexpected_keyword_argument"), found[0])
-    head, *rest = first["loc"] or ("",)
-    name_of: dict[Any, str] = dict(enumerate(known))  # arguments may be given by place
-    place = ".".join(map(str, (name_of.get(head, head), *rest)))
-    if first["type"] == "unexpected_keyword_argument":
-        return f"there is no {place!r}" + (f"; there are {', '.join(known)}" if not rest else "")
-    if first["type"] == "missing":
+def _first_fault(error: ValidationError, kind: Any) -> str:
+    """Return the first thing that is wrong, in a line; an unknown name comes before a missing one."""
+    known = [entry.name for entry in fields(kind)]
+    faults = error.errors(include_url=False)
+    unknown = [fault for fault in faults if fault["type"] == "unexpected_keyword_argument"]
+    fault = (unknown or faults)[0]
+
+    # The place of the fault, as "simulation.dt"; arguments that were given by position get their names.
+    head, *rest = fault["loc"] or ("",)
+    if isinstance(head, int) and head < len(known):
+        head = known[head]
+    place = ".".join(map(str, (head, *rest)))
+
+    if unknown:
+        if rest:
+            return f"there is no {place!r}"
+        return f"there is no {place!r}; there are {', '.join(known)}"
+    if fault["type"] == "missing":
         return f"{place!r} is missing"
-    message = first["msg"].removeprefix("Value error, ")
-    if first["type"] == "value_error" and not place:
+    message = fault["msg"].removeprefix("Value error, ")
+    if fault["type"] == "value_error" and not place:
         return message
-    return f"{place}: {message}, not {first['input']!r:.200}"
+    return f"{place}: {message}, not {fault['input']!r:.200}"

@@ -64,6 +64,7 @@ def in_fresh_processes(
     with tempfile.TemporaryDirectory(prefix="topokit-", ignore_cleanup_errors=True) as folder:
         try:
             while waiting or running:
+                # Give every free worker an item.
                 while waiting and len(running) < n_workers:
                     item, failures = waiting.popleft()
                     ours, theirs = _CONTEXT.Pipe(duplex=False)
@@ -71,6 +72,7 @@ def in_fresh_processes(
                     process = _started(_CONTEXT.Process(target=_perform, args=arguments), preload)
                     theirs.close()
                     running[ours] = _Job(item, failures, process, time.monotonic() + time_limit)
+                # See what has come: a report, an outcome, or the end of a process that sent none.
                 for connection, kind, value in _news(running, time_limit):
                     if kind == "report" and report is not None:
                         report(value)
@@ -135,13 +137,16 @@ def _started(process: Any, preload: Sequence[str]) -> Any:
         return {**data, "sys_path": packages}
 
     with _starting, contextlib.ExitStack() as restore:
+        # A blocked signal stays blocked in the fork server and in all that it forks.
         if hasattr(signal, "pthread_sigmask"):
             mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             restore.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
+        # The fork server inherits the environment: one thread each, and a safe path.
         restore.callback(os.environ.update, dict(os.environ))
         for name in own.keys() - os.environ.keys():
             restore.callback(os.environ.pop, name)
         os.environ.update(own)
+        # multiprocessing refuses children of daemons, and would run the caller's script in them.
         settings = multiprocessing.current_process()._config  # type: ignore[attr-defined]
         restore.callback(settings.update, daemon=settings.get("daemon"))
         settings["daemon"] = False

@@ -23,8 +23,8 @@ from ._validate import WrongKindError, as_ids, as_reals
 from .sensors import read_clouds
 from .seqph import Loop, TopologicalState
 
-__all__ = ["FEWEST_FRAMES", "HISTORY", "HORIZON", "LOOP_NAMES", "SCHEMA", "Episode", "FormatError", "load_episode"]
-__all__ += ["load_states", "read_clouds", "save_episode", "save_states"]
+__all__ = ["HISTORY", "HORIZON", "Episode", "FormatError", "load_episode", "load_states", "read_clouds", "save_episode"]
+__all__ += ["save_states"]
 
 SCHEMA = 2
 # Frames that a forecast looks back on, and frames that it looks ahead to (Antonova et al. 2021, section 5).
@@ -134,6 +134,7 @@ def save_episode(path: str | Path, episode: Episode) -> Path:
         When a part is of another shape or kind than it should be; the message names it.
     """
     check_episode(episode)
+    # Positions become ticks, and along time differences.
     arrays: dict[str, NDArray[Any]] = {
         "held": np.asarray(episode.held, dtype=np.bool_),
         "faces": np.asarray(episode.faces, dtype=np.int32),
@@ -141,11 +142,15 @@ def save_episode(path: str | Path, episode: Episode) -> Path:
     }
     for name in ("points", "actions", "grippers"):
         arrays[name] = _differences(as_ticks(getattr(episode, name), name))
+
+    # An observation of vertices is stored as their ids, which take a third of the room.
     ids = _vertex_ids(episode.points, episode.observed)
     if ids is None:
         arrays["observed"] = _differences(as_ticks(episode.observed, "observed"))
     else:
         arrays["observed_ids"] = ids
+
+    # All else is text in the header.
     header: dict[str, Any] = {name: getattr(episode, name) for name in _TEXT}
     header["frames"] = len(episode)
     header["loops"] = [np.asarray(loop).tolist() for loop in episode.loops]
@@ -341,12 +346,15 @@ def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
     states : sequence of TopologicalState
         The cycles of their loops are found and stored with them.
     """
+    # The loops of all states stand one after another, a row each.
     loops = [loop for state in states for loop in state.loops]
     arrays = {name: np.array([getattr(loop, name) for loop in loops]) for name in _LOOP_NUMBERS | _LOOP_ARRAYS}
+    # What varies in length from loop to loop stands one after another, too, and is counted.
     for count, names in _LOOP_LISTS.items():
         for name in names:
             arrays[name] = np.concatenate([getattr(loop, name) for loop in loops] or [np.empty(0)])
         arrays[count] = np.array([len(getattr(loop, names[0])) for loop in loops], dtype=np.int64)
+    # The states themselves: which of the loops are theirs, frame and time.
     arrays["n_loops"] = np.array([len(state) for state in states], dtype=np.int64)
     arrays["frame"] = np.array([state.frame for state in states], dtype=np.int64)
     arrays["time"] = np.array([state.time for state in states], dtype=np.float64)

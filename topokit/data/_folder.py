@@ -71,6 +71,7 @@ class NumberedFiles:
         self._kind = kind
         self._about = about
         self._known: dict[int, Record] = {}
+        # Names tell what is there; headers are read when a record is asked for.
         found: dict[str, set[int]] = {"npz": set(), "json": set()}
         for name in os.listdir(self.folder):
             if match := _NUMBERED.fullmatch(name):
@@ -190,6 +191,7 @@ def begin(folder: Path, about: str, settings: Mapping[str, Any]) -> None:
         When the folder was begun with other settings, or holds other files.
     """
     path = folder / about
+    # A folder that was begun goes on with the same settings only; any other must be empty.
     if path.is_file():
         old = read_json(path.read_bytes())
         _refuse_other(old, dict(settings), str(folder))

@@ -61,12 +61,13 @@ def make_files(
             contextlib.closing(_outcomes(job, numbers, workers)) as outcomes,
         ):
             for number, outcome in outcomes:
+                # The outcome is a status; an exception stops the command, unless it is the episode's own.
                 if isinstance(outcome, ProcessError):
                     reason = f"after {_TRIES} tries: {outcome}"
                     write_json(failure_path(folder, number), {**describe(number), "status": "failed", "reason": reason})
                     outcome = "failed"
                 elif isinstance(outcome, BaseException):
-                    raise outcome  # of the disk, or of this program: not the episode's fault
+                    raise outcome
                 counts[outcome] += 1
                 done += 1
                 bar.set_postfix({status: n for status, n in counts.items() if status != "ok"}, refresh=False)
@@ -104,17 +105,18 @@ def _on_cluster(job: Job, numbers: Sequence[int], workers: Workers) -> Generator
     except (OSError, TimeoutError) as error:
         raise ConnectionError(f"no Dask scheduler answers at {workers.scheduler}: {error}") from error
     with client:
+        # Dask gives the job of a worker that dies to another one, and gives up when it dies again and again.
         afresh = partial(_one_afresh, job, workers)
         number_of = {client.submit(afresh, number, pure=False): number for number in numbers}
         for future in as_completed(list(number_of), loop=client.loop):
             number = number_of.pop(future)
             if future.cancelled():
                 raise ConnectionError("the Dask scheduler has gone away: start it again, and the same command goes on")
-            error = future.exception()
-            if isinstance(error, KilledWorker):
+            failure = future.exception()
+            if isinstance(failure, KilledWorker):
                 yield number, ProcessError("its worker died, whatever worker it was")
             else:
-                yield number, error or future.result()
+                yield number, failure or future.result()
 
 
 def _one_afresh(job: Job, workers: Workers, number: int) -> Any:

@@ -9,7 +9,7 @@ import dataclasses
 import functools
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -27,6 +27,7 @@ from topokit.sim import (
     Cloth,
     DepthNoise,
     Garment,
+    GripperPath,
     Hanger,
     Hook,
     Mannequin,
@@ -57,18 +58,17 @@ class Draw(NamedTuple):
 
 
 def _ranges(values: Any) -> Any:
-    """The ranges of a JSON document: without the version that `to_json` notes beside them, and its lists as tuples."""
+    """Return the ranges of a JSON document: without the version that `to_json` notes beside them, and its lists as tuples."""
     if not isinstance(values, Mapping):
         return values
     if values.get("version", Randomisation.version) != Randomisation.version:
         raise ValueError(f"of another version; this topokit has {Randomisation.version}")
-    plain = {name: value for name, value in values.items() if name != "version"}
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in plain.items()}
+    return {name: as_tuple(value) for name, value in values.items() if name != "version"}
 
 
 @checked
 class MeshFile:
-    """A garment of one's own in a dataset: a file, and how `topokit.sim.Garment.from_mesh` is to understand it."""
+    """A garment of one's own in a dataset: a file, and the options of `topokit.sim.Garment.from_mesh` to read it with."""
 
     file: str  #: OBJ, PLY or STL; in the file of a configuration relative to that file
     #: Of its bytes. `generate_dataset` fills it in, makes the path absolute, and goes on with no other mesh.
@@ -88,9 +88,9 @@ class MeshFile:
 class DatasetConfig:
     """What is drawn for the episodes of a dataset, and how they are simulated and observed.
 
-    A mesh of one's own has the physics of `topokit.sim.Cloth` for its area and edges, and what `simulation` says otherwise than
-    the default; its clock is the quicker of the two, its frame time that of `simulation`. The ranges of `randomisation`
-    are then taken as factors: a mass of twice that of `simulation` is drawn from twice the range.
+    A mesh of one's own has the physics of `topokit.sim.Cloth` for its area and edges. Numbers of `simulation` that differ from
+    the default take their place. Its clock is the quicker of the two, and its frame time that of `simulation`. The ranges of
+    `randomisation` are then taken as factors: a mass of twice that of `simulation` is drawn from twice the range.
 
     Raises
     ------
@@ -190,7 +190,7 @@ class DatasetConfig:
         """
         name = task.rpartition("-")[0]
         if name in self.meshes:
-            return _own(name, self.meshes[name])
+            return _garment_of_mesh(name, self.meshes[name])
         try:
             return TASKS[task].garment(**self.sizes.get(name, {}))
         except TypeError as error:
@@ -198,7 +198,7 @@ class DatasetConfig:
 
 
 def checked_file(mesh: MeshFile) -> tuple[Path, str]:
-    """Path and checksum of a mesh; a ValueError when its file has another one than it says."""
+    """Return path and checksum of a mesh; raise ValueError when its file has another checksum than the configuration."""
     path = existing(mesh.file).resolve()
     checksum = hashlib.sha256(path.read_bytes()).hexdigest()
     if mesh.sha256 not in ("", checksum):
@@ -207,10 +207,10 @@ def checked_file(mesh: MeshFile) -> tuple[Path, str]:
     return path, checksum
 
 
-def _own(name: str, mesh: MeshFile) -> Garment:
+def _garment_of_mesh(name: str, mesh: MeshFile) -> Garment:
     path, _ = checked_file(mesh)
-    how = {option: getattr(mesh, option) for option in ("loops", "grips", "size", "scale", "up")}
-    return dataclasses.replace(Garment.from_mesh(path, **how), name=name)
+    options = {option: getattr(mesh, option) for option in ("loops", "grips", "size", "scale", "up")}
+    return dataclasses.replace(Garment.from_mesh(path, **options), name=name)
 
 
 def pinned(config: DatasetConfig) -> DatasetConfig:
@@ -218,7 +218,7 @@ def pinned(config: DatasetConfig) -> DatasetConfig:
     meshes = {}
     for name, mesh in config.meshes.items():
         path, checksum = checked_file(mesh)
-        garment = _own(name, mesh)
+        garment = _garment_of_mesh(name, mesh)
         tasks = [_task(config, task, garment) for task in config.tasks if task.rpartition("-")[0] == name]
         for task in tasks:
             if not task.loops:
@@ -230,50 +230,80 @@ def pinned(config: DatasetConfig) -> DatasetConfig:
 
 def _task(config: DatasetConfig, name: str, garment: Garment) -> Task:
     mesh, _, target = name.rpartition("-")
-    return task_for(garment, _TARGETS[target]()) if mesh in config.meshes else TASKS[name]
+    if mesh in config.meshes:
+        return task_for(garment, _TARGETS[target]())
+    return TASKS[name]
 
 
 def _physics(config: DatasetConfig, garment: Garment) -> tuple[SimulationConfig, Randomisation | None]:
-    """Physics and its ranges, those of a mesh of one's own by its area and edges."""
-    usual, ranges = config.simulation, config.randomisation
+    """Return physics and its ranges; those of a mesh of one's own follow its area and edges."""
+    usual = config.simulation
+    ranges = config.randomisation
     if garment.name not in config.meshes:
         return usual, ranges
-    own, usually = Cloth().config(garment), SimulationConfig()
-    said = {name: x for name, x in dataclasses.asdict(usual).items() if x != getattr(usually, name)}
-    steps = max(usual.steps_per_frame, round(usual.frame_time / own.dt))
-    own = dataclasses.replace(own, **said | {"dt": usual.frame_time / steps, "steps_per_frame": steps})
-    drawn = [name for name in Randomisation.PHYSICS if name not in said and getattr(ranges, name, None)]
-    factors = {name: getattr(own, name) / getattr(usually, name) for name in drawn}
-    changed = {name: tuple(factor * bound for bound in getattr(ranges, name)) for name, factor in factors.items()}
-    return own, ranges and dataclasses.replace(ranges, **changed)
+    cloth = Cloth().config(garment)
+    default = SimulationConfig()
+
+    # What the configuration says otherwise than the default is kept.
+    chosen = {name: value for name, value in dataclasses.asdict(usual).items() if value != getattr(default, name)}
+    steps = max(usual.steps_per_frame, round(usual.frame_time / cloth.dt))
+    chosen |= {"dt": usual.frame_time / steps, "steps_per_frame": steps}
+    physics = dataclasses.replace(cloth, **chosen)
+    if ranges is None:
+        return physics, None
+
+    # The ranges of all other numbers are those of the default, multiplied by what this cloth has instead of it.
+    changed = {}
+    for name in Randomisation.PHYSICS:
+        if name not in chosen and getattr(ranges, name):
+            factor = getattr(physics, name) / getattr(default, name)
+            changed[name] = tuple(factor * bound for bound in getattr(ranges, name))
+    return physics, dataclasses.replace(ranges, **changed)
 
 
 def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, Target]:
-    """Task, garment and target of an episode; sizes, place and script have each a generator of their own."""
-    garment, ranges = config.garment(name), config.randomisation
+    """Return task, garment and target of an episode; sizes, place and script have a generator each."""
+    garment = config.garment(name)
     task = _task(config, name, garment)
-    plan, target = task.plan, task.target
+    target = task.target
     if config.vary:
-        rng, largest = Randomisation.generator(seed, "sizes"), ranges.scale[1] if ranges and ranges.scale else 1.0
-        vary = config.vary / (2 if isinstance(target, Mannequin) else 1)
-        target = varied_target(target, config.vary / 2, rng)
-        longest = float(target.seat[2]) / largest
-        if garment.name in config.meshes:
-            garment = _scaled(garment, vary, longest, rng)
-        else:
-            make = functools.partial(task.garment, **config.sizes.get(name.rpartition("-")[0], {}))
-            garment = varied_garment(make, garment, vary, rng, longest)
+        garment, target = _varied(config, name, task, garment, seed)
+
+    # A path that leaves its script draws from the same generator that decided that it does.
+    script = task.plan
     rng = Randomisation.generator(seed, "script")
     if rng.random() < config.off_script:
-        task = dataclasses.replace(task, plan=lambda g, t, own: off_script(plan(g, t, own), g, t, rng))
+
+        def leave_script(garment: Garment, target: Target, own: np.random.Generator) -> GripperPath:
+            return off_script(script(garment, target, own), garment, target, rng)
+
+        task = dataclasses.replace(task, plan=leave_script)
     if config.places:
         x, y, turn = Randomisation.generator(seed, "place").uniform(-1, 1, 3).tolist()
         target = Placed(target, x=config.places * x, y=config.places * y, yaw=180 * turn)
     return task, garment, target
 
 
+def _varied(config: DatasetConfig, name: str, task: Task, garment: Garment, seed: int) -> tuple[Garment, Target]:
+    """Return garment and target in other sizes: the target first, and then a garment that does not touch the floor."""
+    rng = Randomisation.generator(seed, "sizes")
+    vary = config.vary
+    if isinstance(task.target, Mannequin):
+        vary /= 2
+    target = varied_target(task.target, config.vary / 2, rng)
+
+    largest_scale = 1.0
+    if config.randomisation is not None and config.randomisation.scale:
+        largest_scale = config.randomisation.scale[1]
+    longest = float(target.seat[2]) / largest_scale
+    if garment.name in config.meshes:
+        return _scaled(garment, vary, longest, rng), target
+    make = functools.partial(task.garment, **config.sizes.get(name.rpartition("-")[0], {}))
+    return varied_garment(make, garment, vary, rng, longest), target
+
+
 def _scaled(garment: Garment, vary: float, longest: float, rng: np.random.Generator) -> Garment:
-    """The garment as a whole larger or smaller; not larger than it may be, unless it is already."""
+    """Return the garment as a whole larger or smaller; not larger than it may be, unless it is already."""
     most = min(1 + vary, max(1.0, longest / max(garment.hangs_down, 1e-9)))
     factor = float(np.exp(rng.uniform(-np.log1p(vary), np.log(most))))
     parameters = {**garment.parameters, "varied": factor}
@@ -294,7 +324,12 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
     name, episode_seed = config.draw(seed, index)
     task, garment, target = _scene(config, name, episode_seed)
     physics, ranges = _physics(config, garment)
-    cameras, noise = config.cameras, DepthNoise() if config.depth_noise else None
+    cameras: Sequence[Camera] = ()
+    n_observed = min(config.n_observed, len(garment.vertices))
+    if config.cameras:
+        noise = DepthNoise() if config.depth_noise else None
+        cameras = Camera.around(target.seat, config.cameras, distance=config.camera_distance, noise=noise)
+        n_observed = config.n_observed
     return simulate(
         garment,
         target,
@@ -302,7 +337,7 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
         seed=episode_seed,
         config=physics,
         randomisation=ranges,
-        cameras=Camera.around(target.seat, cameras, distance=config.camera_distance, noise=noise) if cameras else (),
-        n_observed=config.n_observed if cameras else min(config.n_observed, len(garment.vertices)),
+        cameras=cameras,
+        n_observed=n_observed,
         time_limit=time_limit,
     )

@@ -17,13 +17,16 @@ _THIN = 0.02  # metres: cloth tunnels through thinner rods
 def varied_garment(
     make: Callable[..., Garment], garment: Garment, vary: float, rng: np.random.Generator, longest: float = np.inf
 ) -> Garment:
-    """The garment with each size but its spacing multiplied by a factor from 1 / (1 + vary) to 1 + vary.
+    """Return the garment with each size but its spacing multiplied by a factor from 1 / (1 + vary) to 1 + vary.
 
-    Drawn again, at most 50 times, is what the pattern refuses, what has too many vertices, and what hangs down more than
-    `longest` metres. Then the garment stays as it is. The spacing changes with the area of the cloth.
+    Sizes are drawn again, at most 50 times, when the pattern refuses them, when the garment has too many vertices, and when it
+    hangs down more than `longest` metres. After that the garment stays as it is. The spacing follows the area of the cloth.
     """
-    spacing, extent = garment.parameters["spacing"], np.array(_extent(garment))
-    for sizes in _varied({name: size for name, size in garment.parameters.items() if name != "spacing"}, vary, rng):
+    spacing = garment.parameters["spacing"]
+    extent = np.array(_extent(garment))
+    own = {name: size for name, size in garment.parameters.items() if name != "spacing"}
+    for sizes in _varied(own, vary, rng):
+        # The first garment tells how much cloth there is; the second has about as many vertices as the original.
         try:
             first = make(**sizes, spacing=spacing)
             other = make(**sizes, spacing=float(spacing * np.sqrt(len(first.vertices) / len(garment.vertices))))
@@ -35,7 +38,7 @@ def varied_garment(
 
 
 def varied_target(target: Target, vary: float, rng: np.random.Generator) -> Target:
-    """The target with its sizes multiplied likewise; no rod gets thinner than cloth tunnels through."""
+    """Return the target with its sizes multiplied likewise; no rod gets so thin that cloth tunnels through it."""
     own = {name: size for name, size in dataclasses.asdict(target).items() if name != "distance"}
     for sizes in _varied(own, vary, rng):
         thick = {name: max(size, min(own[name], _THIN)) for name, size in sizes.items() if "radius" in name}

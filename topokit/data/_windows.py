@@ -38,17 +38,20 @@ class _Tracked:
     numbers: Array  # (T, S', 3): birth, death, killer_shift
 
     @classmethod
-    def of(cls, found: Mapping[str, NDArray[Any]], cloud: Ticks) -> _Tracked:
-        """From stored arrays, and the cloud that was tracked: the killer triangles first, then the neighbours."""
-        simplices, numbers = found["simplices"], found["values"]
+    def of(cls, arrays: Mapping[str, NDArray[Any]], cloud: Ticks) -> _Tracked:
+        """Return what the arrays of labels say about a tracked cloud: the killer triangles first, then the neighbours."""
+        simplices = arrays["simplices"]
+        numbers = arrays["values"]
         frames, slots = simplices.shape[:2]
         killers = simplices[..., SIMPLICES["killer_triangles"]].reshape(frames, slots, 2, 3)
         neighbours = simplices[..., SIMPLICES["neighbours"]].reshape(frames, slots, 4, 3)
+
+        # A neighbour that is absent repeats the thick killer triangle, with the value 0.
         absent = neighbours[..., :1] == ABSENT
         ids = np.concatenate([killers, np.where(absent, killers[:, :, :1], neighbours)], axis=2)  # (T, S', 6, 3)
         values = np.concatenate([numbers[..., [1, 1]], np.where(absent[..., 0], 0, numbers[..., 3:7])], axis=2)
         triangles = cloud[np.arange(frames)[:, None, None, None], ids]
-        return cls(found["id"], triangles, values, np.nan_to_num(numbers[..., :3], nan=0.0))
+        return cls(arrays["id"], triangles, values, np.nan_to_num(numbers[..., :3], nan=0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +66,16 @@ class _Episode:
 
     @property
     def nbytes(self) -> int:
-        parts = [*vars(self).values(), *vars(self.tracked).values()]
-        return sum(part.nbytes for part in parts if isinstance(part, np.ndarray))
+        arrays = [*vars(self).values(), *vars(self.tracked).values()]
+        return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
 
 class _Memory:
     """Decoded episodes, the one used last at the end: at most so many bytes, one at least; none for a spawned process."""
 
     def __init__(self, most: float) -> None:
-        self.most, self.nbytes = most, 0
+        self.most = most
+        self.nbytes = 0
         self.episodes: OrderedDict[int, _Episode] = OrderedDict()
 
     def __reduce__(self) -> tuple[type[_Memory], tuple[float]]:
@@ -160,14 +164,24 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
             if type(value) is not int or value < 1:
                 raise ValueError(f"{name} must be a whole number, at least 1, not {value!r}")
         self.dataset = dataset if isinstance(dataset, Dataset) else Dataset(dataset)
-        self.labels, self.observe, self.resampled = labels, observe, resampled
-        self.history, self.horizon, self.n_points, self.slots = history, horizon, n_points, slots
+        self.labels = labels
+        self.observe = observe
+        self.resampled = resampled
+        self.history = history
+        self.horizon = horizon
+        self.n_points = n_points
+        self.slots = slots
         self._memory = _Memory(memory)
-        self.episodes = self.dataset.labelled(labels) if episodes is None else np.unique([*map(int, episodes)])
-        missing = np.setdiff1d(self.episodes, self.dataset.labelled(labels))
+
+        # The episodes, all of which must have labels.
+        labelled = self.dataset.labelled(labels)
+        self.episodes = labelled if episodes is None else np.unique([*map(int, episodes)])
+        missing = np.setdiff1d(self.episodes, labelled)
         if len(missing):
-            lack = f"{len(missing)} episodes have no labels {labels!r}, the first is {missing[0]}"
-            raise ValueError(f"{lack}: topokit label makes them")
+            lacking = f"{len(missing)} episodes have no labels {labels!r}, the first is {missing[0]}"
+            raise ValueError(f"{lacking}: topokit label makes them")
+
+        # The windows: a frame t of an episode that has enough frames before and after it.
         lengths = [self.dataset.record(i).frames for i in self.episodes]
         spans = [range(history - 1, length - horizon, stride) for length in lengths]
         counts = [len(span) for span in spans]
@@ -208,8 +222,9 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     def true_loops(self, i: int) -> tuple[Array, ...]:
         """Return the vertices of every true loop in the frames t+1..t+k of window `i`, (k, L, 3) metres each."""
         number, frame = self.index[i].tolist()
-        film, ahead = self.dataset[number], slice(frame + 1, frame + self.horizon + 1)
-        return tuple(film.points[ahead, loop] for loop in film.loops)
+        episode = self.dataset[number]
+        ahead = slice(frame + 1, frame + self.horizon + 1)
+        return tuple(episode.points[ahead, loop] for loop in episode.loops)
 
     def seen(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the clouds of an episode that its states were tracked on, (T, P, 3), and its target's centre line, (L, 3)."""
@@ -233,15 +248,21 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         return chosen
 
     def _identities(self, tracked: _Tracked, past: slice, future: slice) -> NDArray[np.int64]:
-        """(S,) who has which slot; -2 for nobody."""
-        ids, numbers = tracked.ids[past], tracked.numbers[past]
+        """(S,) the identity in each slot; -2 where there is none."""
+        ids = tracked.ids[past]
+        numbers = tracked.numbers[past]
+
+        # The loops of the history, the longest total lifetime first.
         alive = ids >= 0
-        known, where = np.unique(ids[alive], return_inverse=True)
-        total = np.bincount(where, (numbers[..., 1] - numbers[..., 0])[alive], len(known))
-        later, first = np.unique(tracked.ids[future], return_index=True)  # in order of frames, then of lifetime
+        known, position = np.unique(ids[alive], return_inverse=True)
+        total = np.bincount(position, (numbers[..., 1] - numbers[..., 0])[alive], len(known))
+        known_first = known[np.argsort(-total, kind="stable")]
+
+        # Then those that appear later, in the order of frames, and within a frame of lifetime.
+        later, first = np.unique(tracked.ids[future], return_index=True)
         later = later[np.argsort(first)]
-        order = [known[np.argsort(-total, kind="stable")], later[(later >= 0) & ~np.isin(later, known)]]
-        return np.concatenate([*order, np.full(self.slots, -2)])[: self.slots]
+        newcomers = later[(later >= 0) & ~np.isin(later, known)]
+        return np.concatenate([known_first, newcomers, np.full(self.slots, -2)])[: self.slots]
 
     def _decode(self, number: int) -> _Episode:
         episode = self.dataset[number]
@@ -283,10 +304,11 @@ def _metres(ticks: Ticks) -> Array:
 
 
 def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> dict[str, NDArray[Any]]:
-    """The states of some frames in slots; zeros where a loop is not there."""
+    """Return the states of some frames in slots; zeros where a loop is absent."""
     ids = tracked.ids[span]  # (T, S')
     match = ids[:, None, :] == order[None, :, None]  # (T, S, S')
-    present, place = match.any(axis=2), match.argmax(axis=2)
+    present = match.any(axis=2)
+    place = match.argmax(axis=2)
     row = np.arange(len(ids))[:, None]
     numbers = np.where(present[..., None], tracked.numbers[span][row, place], 0)
     return {
