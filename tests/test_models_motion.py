@@ -17,7 +17,7 @@ from topokit.io import load_episode
 from topokit.models import Motion, MotionPredictor, Normalisation, Scenes, Shape, build
 from topokit.models._motion import CARRIERS, KNOTS, UNIT, carried
 from topokit.models._motion_predictor import _corners
-from topokit.models._scenes import carriers_first, flow, target_of
+from topokit.models._scenes import carriers_first, flow, scene_at, target_of
 from topokit.seqph import Frame, follow_all
 
 from conftest import DATA
@@ -70,30 +70,28 @@ def about_the_vertical(angle):
 # -- the network ------------------------------------------------------------------------------------------------------------
 
 
-def test_shapes(batch):
-    places, scales = make()(batch)
+def test_shapes_and_every_weight_learns(batch):
+    model = make().train()
+    places, scales = model(batch)
     assert places.shape == (4, len(KNOTS), CARRIERS + 16, 3)
     assert scales.shape == places.shape[:3]
     assert (scales > 0).all()
-
-
-def test_every_weight_learns(batch):
-    model = make().train()
     model.loss(batch, torch.Generator().manual_seed(0))[0].backward()
     assert [name for name, part in model.named_parameters() if part.grad is None or not part.grad.any()] == []
 
 
-@pytest.mark.parametrize("angle", [0.4, 1.6, -2.9])
+@pytest.mark.parametrize("angle", [0.4, -2.9])
 def test_a_scene_turned_and_moved_is_the_same_scene(batch, angle):
-    turn, shift = about_the_vertical(angle), torch.tensor([2.0, -1.0, 0.3])
     model = make()
+    turn = about_the_vertical(angle)
+    shift = torch.tensor([2.0, -1.0, 0.3])
+    elsewhere = moved(batch, turn, shift)
     with torch.inference_mode():
-        (places, scales), (others, uncertain) = model(batch), model(moved(batch, turn, shift))
+        (places, scales), (others, other_scales) = model(batch), model(elsewhere)
     assert torch.allclose(places @ turn.T + shift, others, atol=1e-4)
-    assert torch.allclose(scales, uncertain, rtol=1e-4)
-    both = (model.loss(one, torch.Generator().manual_seed(1))[0].item() for one in (batch, moved(batch, turn, shift)))
-    loss, again = both
-    assert loss == pytest.approx(again, abs=1e-4)
+    assert torch.allclose(scales, other_scales, rtol=1e-4)
+    losses = [model.loss(one, torch.Generator().manual_seed(1))[0].item() for one in (batch, elsewhere)]
+    assert losses[0] == pytest.approx(losses[1], abs=1e-4)
 
 
 def test_which_gripper_is_the_first_does_not_matter(batch):
@@ -104,21 +102,16 @@ def test_which_gripper_is_the_first_does_not_matter(batch):
             torch.testing.assert_close(one, other, atol=1e-4, rtol=0)
 
 
-def test_the_floor_matters_where_it_is_near(batch):
-    """A scene that is lifted off its floor is another one; of a floor far below nothing is felt."""
+def test_tilt_and_floor_matter(batch):
+    """Gravity counts, and so does a floor that is near; one that is far below does not."""
     model = make()
+    tilt = torch.tensor([[1, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=torch.float32)
     with torch.inference_mode():
         usual, high, higher = (model({**batch, "floor": batch["floor"] - down})[0] for down in (0, 100, 1000))
+        tilted = model(moved(batch, tilt, torch.zeros(3)))[0]
     assert not torch.allclose(usual, high, atol=1e-4)
     assert torch.equal(high, higher)
-
-
-def test_a_scene_that_is_tilted_is_another(batch):
-    """Gravity counts: only turns about the vertical do nothing."""
-    tilt = torch.tensor([[1, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=torch.float32)
-    model = make()
-    with torch.inference_mode():
-        assert not torch.allclose(model(batch)[0] @ tilt.T, model(moved(batch, tilt, torch.zeros(3)))[0], atol=1e-2)
+    assert not torch.allclose(usual @ tilt.T, tilted, atol=1e-2)
 
 
 def test_untrained_it_carries(batch):
@@ -218,12 +211,11 @@ def test_scenes_are_windows_of_vertices(episode):
     ]
 
 
-def test_scenes_do_not_tell_the_order_of_vertices():
-    parts, rng = film(np.random.default_rng(0)), np.random.default_rng(1)
-    mixed = {**parts, "points": parts["points"][:, rng.permutation(360)]}
-    model, errors = make(), []
-    from topokit.models._scenes import scene_at
-
+def test_the_order_of_vertices_does_not_matter():
+    parts = film(np.random.default_rng(0))
+    mixed = {**parts, "points": parts["points"][:, np.random.default_rng(1).permutation(360)]}
+    model = make()
+    errors = []
     for one in (parts, mixed):
         scene = default_collate([scene_at(one, 20, np.random.default_rng(5))])
         errors.append(float(model.loss(scene, torch.Generator().manual_seed(0))[1]["error"]))
@@ -350,21 +342,20 @@ def test_buffers_that_are_refilled_are_not_the_frames_before(episode):
 
 def test_what_cannot_be_observed_or_planned_is_refused(episode):
     predictor = MotionPredictor(make())
+    cloud, hands = episode.points[0], episode.grippers[0]
     plan = np.repeat(episode.grippers[20][None], 60, axis=0)
-    with pytest.raises(ValueError, match="nothing was observed yet"):
+    with pytest.raises(ValueError, match="observe"):
         predictor.predict(plan)
-    with pytest.raises(ValueError, match="needs to know where the grippers are"):
-        predictor.observe(episode.points[0])
-    with pytest.raises(ValueError, match=r"target must be an \(L, 3\) array"):
-        predictor.observe(episode.points[0], episode.grippers[0], True, [[0, 0]])
-    predictor.observe(episode.points[0], episode.grippers[0])
-    with pytest.raises(ValueError, match=r"actions must be \(60, 2, 3\)"):
+    with pytest.raises(ValueError, match="grippers"):
+        predictor.observe(cloud)
+    with pytest.raises(ValueError, match="target"):
+        predictor.observe(cloud, hands, True, [[0, 0]])
+    predictor.observe(cloud, hands)
+    with pytest.raises(ValueError, match="actions"):
         predictor.move(plan[:5])
-    for exact in ((0,), (61,)):
-        with pytest.raises(ValueError, match="exact names frames from 1 to 60 of a single plan"):
-            predictor.predict(plan, exact=exact)
-    with pytest.raises(ValueError, match="of a single plan"):
-        predictor.predict(plan[None], exact=(1,))
+    for plans, exact in ((plan, (0,)), (plan, (61,)), (plan[None], (1,))):
+        with pytest.raises(ValueError, match="exact"):
+            predictor.predict(plans, exact=exact)
 
 
 def test_a_cloud_without_a_loop_has_a_forecast_without_one():

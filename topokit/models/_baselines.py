@@ -1,6 +1,5 @@
-"""What all predictors have in common, their units and the three parts of a forward pass; and hold, carry and ridge.
+"""The parts of a model that reads windows; and the baselines hold, carry and ridge, which start from the tracked states.
 
-These three are to be beaten: they start from the last tracked states, and need no network.
 Source: Hoerl and Kennard 1970 (ridge regression). Taught in chapter 11.
 """
 
@@ -33,7 +32,7 @@ _Size = Annotated[float, Field(ge=1e-6, le=1e6)]  # models divide by it, in 32 b
 class Shape:
     """Sizes of a window."""
 
-    history: Annotated[int, Field(ge=1, le=1000)] = HISTORY  #: frames that are seen
+    history: Annotated[int, Field(ge=1, le=1000)] = HISTORY  #: frames that are observed
     horizon: Annotated[int, Field(ge=1, le=1000)] = HORIZON  #: frames that are forecast
     points: Annotated[int, Field(ge=1, le=100_000)] = 128  #: of a cloud
     slots: Annotated[int, Field(ge=1, le=32)] = 4  #: loops that are forecast at most
@@ -49,10 +48,10 @@ class Normalisation:
 
 
 class PredictiveModel(nn.Module, ABC):
-    """From a window (the dict of tensors of `topokit.data.WindowDataset`, a leading axis of B) to its states.
+    """A model from windows (the dict of tensors of `topokit.data.WindowDataset`, with a leading axis of B) to states.
 
-    Three parts: `encode_frames` looks at single frames, so that a frame of a stream is encoded once; `gather` puts a history of
-    them together, so that all plans share it; `decode` reads a plan of actions and gives the states of all steps.
+    It has three parts. `encode_frames` reads single frames, so that a frame of a stream is encoded once. `gather` puts the frames
+    of a history together, once for all plans. `decode` reads a plan of actions and returns the states of all steps.
 
     Parameters
     ----------
@@ -61,26 +60,28 @@ class PredictiveModel(nn.Module, ABC):
     """
 
     learns = True  # by gradient descent
-    inputs: tuple[str, ...] = ("clouds",)  # what is read of each frame of a window's history
-    tracked = False  # whether `gather` is given what a tracker saw, too: `PAST`, of all frames
+    inputs: tuple[str, ...] = ("clouds",)  # entries of a window that are read of each frame of its history
+    tracked = False  # whether `gather` also gets the states of a tracker: the entries `PAST` of all frames
 
     def __init__(self, shape: Shape, normalisation: Normalisation) -> None:
         super().__init__()
-        self.shape, self.normalisation = shape, normalisation
+        self.shape = shape
+        self.normalisation = normalisation
+        self.options: dict[str, object] = {}
         self.register_buffer("origin", torch.tensor(normalisation.origin), persistent=False)
         self.origin: Tensor
 
     def encode_frames(self, frames: Context) -> Context:
-        """What is kept of N frames, each alone; the `inputs` of a window with a leading axis of N."""
+        """Return what is kept of N frames, each alone, from the `inputs` of a window with a leading axis of N."""
         return frames
 
     @abstractmethod
     def gather(self, kept: Context) -> Context:
-        """What the forecast needs of the frames kept, (B, F, ...), and of the tracked states, (B, history, ...) newest first."""
+        """Return the context of a forecast from the frames kept and the tracked states, (B, history, ...), newest first."""
 
     @abstractmethod
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
-        """Forecast the states of all steps.
+        """Return the predicted states of all steps.
 
         Parameters
         ----------
@@ -92,7 +93,7 @@ class PredictiveModel(nn.Module, ABC):
         """
 
     def encode(self, window: Window) -> Context:
-        """Everything that does not depend on the plan."""
+        """Return the context of a batch of windows, which does not depend on the plan."""
         frames = {name: window[name].flip(1) for name in self.inputs}
         sizes = next(iter(frames.values())).shape[:2]
         kept = self.encode_frames({name: part.flatten(0, 1) for name, part in frames.items()})
@@ -102,16 +103,17 @@ class PredictiveModel(nn.Module, ABC):
         return self.gather(kept)
 
     def forward(self, window: Window) -> StateTensors:
-        """The forecast."""
+        """Return the predicted states of a batch of windows."""
         return self.decode(self.encode(window), window["actions"], window["actions_held"])
 
     def normalise(self, points: Tensor) -> Tensor:
-        """Coordinates in metres to about the unit cube."""
+        """Return coordinates in metres as multiples of the scale, about the origin."""
         return (points - self.origin) / self.normalisation.scale
 
     def _states(self, numbers: Tensor, about: Tensor) -> StateTensors:
-        """The last layer of a network (..., NUMBERS) as states: corners are `scale` times the first 24, about places (..., 3)."""
-        corners, positive = numbers[..., :24].unflatten(-1, (8, 3)), self._positive(numbers[..., 24:31])
+        """Return a last layer's numbers (..., NUMBERS) as states; the first 24, times `scale`, are corners about places."""
+        corners = numbers[..., :24].unflatten(-1, (8, 3))
+        positive = self._positive(numbers[..., 24:31])
         return StateTensors(
             corners=torch.add(about, corners, alpha=self.normalisation.scale),
             neighbour_values=positive[..., :4],
@@ -123,24 +125,26 @@ class PredictiveModel(nn.Module, ABC):
         )
 
     def _positive(self, raw: Tensor) -> Tensor:
-        """Values that are positive whatever the network says, at half the cost of a softplus."""
+        """Return values that are positive whatever the network's output is, at half the cost of a softplus."""
         return self.normalisation.value / 2 * (raw + (raw.square() + 1).sqrt())
 
 
 class Hold(PredictiveModel):
-    """Every loop stays as it was at its last appearance in the history; it is there if it was there at the last frame."""
+    """The forecast that each loop stays as at its last appearance; it is present if it was present at the last frame."""
 
     learns = False
     inputs = ("grippers",)
     tracked = True
 
     def gather(self, kept: Context) -> Context:
-        """Each slot as it was last tracked, and the grippers then; one that never was has its corners between the grippers."""
+        """Return each slot as it was last tracked, and the grippers then; one never tracked is between the present grippers."""
         present = kept["past_present"]  # (B, h, slots), the newest frame first
+        known = present.any(dim=1)  # (B, slots)
         last = present.int().argmax(dim=1)  # (B, slots); 0 of one that was never tracked
-        batch, slot = torch.arange(len(last))[:, None], torch.arange(last.shape[1])
+        batch = torch.arange(len(last))[:, None]
+        slot = torch.arange(last.shape[1])
         loops = StateTensors.from_past({name: kept[name][batch, last, slot] for name in PAST})  # (B, slots)
-        known, grippers = present.any(dim=1), kept["grippers"][:, 0]
+        grippers = kept["grippers"][:, 0]
         corners = torch.where(known[..., None, None], loops.corners, grippers.mean(dim=1)[:, None, None])
         loops = loops.replace(corners=corners, presence=torch.where(present[:, 0], 6.0, -6.0))
         return vars(loops) | {"known": known, "grippers": grippers, "grippers_then": kept["grippers"][batch, last]}
@@ -156,18 +160,19 @@ class Hold(PredictiveModel):
         )
 
     def _moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
-        """How far each loop has gone by each step."""
+        """Return how far each loop has gone by each step, (C, K, slots or 1, 3)."""
         return torch.zeros_like(actions[:, :, :1])
 
 
 class Carry(Hold):
-    """Every loop goes with the middle between the grippers for as long as they hold, and is then at rest."""
+    """The forecast that each loop goes with the middle between the grippers while they hold, and then rests."""
 
     def _moved(self, context: Context, actions: Tensor, held: Tensor) -> Tensor:
-        """Since its last appearance with the grippers as they went, from the present on as planned."""
+        # From the present on as planned, while they hold.
         start = context["grippers"].expand(len(actions), -1, -1)
         steps = torch.cat([start[:, None], actions], dim=1).diff(dim=1).mean(dim=2)  # (C, K, 3)
         ahead = (steps * held[..., None].to(steps)).cumsum(dim=1)
+        # Since its last appearance, as the grippers went.
         since = (context["grippers"][:, None] - context["grippers_then"]).mean(dim=2)  # (B, slots, 3)
         return ahead[:, :, None] + since[:, None]
 
@@ -175,8 +180,9 @@ class Carry(Hold):
 class Ridge(Hold):
     """Linear regression with a `penalty` on squared coefficients, from the last states and the plan to those of all steps.
 
-    The corners' change since the last appearance, the values and the presence are regressed on the last state of the slot, the
-    grippers and the plan, all relative to the middle between the grippers. A loop that is not there has no say in its place.
+    The outputs are the change of the corners since the last appearance, the values and the presence. The inputs are the last
+    state of the slot, the grippers and the plan, all relative to the middle between the grippers. Absent loops do not count in
+    the regression of corners.
     """
 
     def __init__(self, shape: Shape, normalisation: Normalisation, penalty: float = 100.0) -> None:
@@ -195,60 +201,89 @@ class Ridge(Hold):
         return self.normalisation.value * raw.clamp_min(0)
 
     def fit(self, batches: Iterable[Window]) -> None:
-        """Solve the normal equations, summed over batches of windows: one system for places, one for the rest."""
+        """Solve the normal equations, summed over batches of windows: one system for corners, one for the other numbers."""
         size = len(self.coefficients)
-        gram, there_gram = torch.zeros(2, size, size, dtype=torch.float64)
+        scale = self.normalisation.scale
+        value = self.normalisation.value
+        gram = torch.zeros(size, size, dtype=torch.float64)
+        corner_gram = torch.zeros(size, size, dtype=torch.float64)
         moments = torch.zeros(size, self.shape.horizon, NUMBERS, dtype=torch.float64)
         for window in batches:
-            kept, target = self.encode(window), StateTensors.from_labels(window)
-            x = self._inputs(kept, window["actions"], window["actions_held"]).double()  # (B, slots, inputs)
-            scale, value = self.normalisation.scale, self.normalisation.value
+            kept = self.encode(window)
+            target = StateTensors.from_labels(window)
+            inputs = self._inputs(kept, window["actions"], window["actions_held"]).double()  # (B, slots, inputs)
+
+            # The other numbers, of all slots.
+            present = (target.presence > 0)[..., None]  # (B, K, slots, 1)
             values = torch.stack([target.birth, target.death - target.birth, target.killer_shift], dim=-1)
-            places = ((target.corners - kept["corners"][:, None]) / scale).flatten(3)
-            there = (target.presence > 0)[..., None]
-            whole = (there.all(dim=1) & kept["known"][..., None]).double()  # slots seen and there at every step
-            rest = torch.cat([target.neighbour_values / value, values / value, there.to(values)], dim=-1)
-            known = x * whole
-            gram += torch.einsum("bsi,bsj->ij", x, x)
-            there_gram += torch.einsum("bsi,bsj->ij", known, known)
-            moments[..., :24] += torch.einsum("bsi,bksn->ikn", known, places.double())
-            moments[..., 24:] += torch.einsum("bsi,bksn->ikn", x, rest.double())
+            others = torch.cat([target.neighbour_values / value, values / value, present.to(values)], dim=-1)
+            gram += torch.einsum("bsi,bsj->ij", inputs, inputs)
+            moments[..., 24:] += torch.einsum("bsi,bksn->ikn", inputs, others.double())
+
+            # Corners, of the slots that were tracked and are present at every step.
+            corners = ((target.corners - kept["corners"][:, None]) / scale).flatten(3)  # (B, K, slots, 24)
+            whole = inputs * (present.all(dim=1) & kept["known"][..., None]).double()
+            corner_gram += torch.einsum("bsi,bsj->ij", whole, whole)
+            moments[..., :24] += torch.einsum("bsi,bksn->ikn", whole, corners.double())
+
         penalty = self.penalty * torch.eye(size, dtype=torch.float64)
-        penalty[0, 0] = 1e-6
-        for part, matrix in ((moments[..., :24], there_gram), (moments[..., 24:], gram)):
+        penalty[0, 0] = 1e-6  # the constant is hardly penalised
+        for part, matrix in ((moments[..., :24], corner_gram), (moments[..., 24:], gram)):
             part[:] = torch.linalg.solve(matrix + penalty, part.flatten(1)).view_as(part)
         self.coefficients.data = moments.flatten(1).to(self.coefficients)
 
     def _inputs(self, kept: Context, actions: Tensor, held: Tensor) -> Tensor:
-        """(C, slots, inputs): a constant, the slot's last state, the grippers, the plan, which slot it is."""
-        scale, value, slots = self.normalisation.scale, self.normalisation.value, self.shape.slots
+        """Return (C, slots, inputs): a constant, the grippers, the plan, the slot's last state, and which slot it is."""
+        scale = self.normalisation.scale
+        value = self.normalisation.value
         middle = kept["grippers"].mean(dim=1)  # (C, 3)
-        state = ((kept["corners"] - middle[:, None, None]) / scale).flatten(2)
+
+        # The same for all slots.
+        grippers = torch.cat(
+            [(kept["grippers"] - middle[:, None]).flatten(1) / scale, self.normalise(middle)], dim=1
+        )  # (C, 9)
+        moves = (actions - kept["grippers"][:, None]).flatten(1) / scale
+        plan = torch.cat([moves, held.to(moves)], dim=1)  # (C, 7 horizon)
+        shared = torch.cat([torch.ones_like(plan[:, :1]), grippers, plan], dim=1)
+        shared = shared[:, None].expand(-1, self.shape.slots, -1)
+
+        # Of each slot.
+        corners = ((kept["corners"] - middle[:, None, None]) / scale).flatten(2)
         values = torch.stack([kept["birth"], kept["death"]], dim=-1) / value
         flags = torch.stack([kept["known"].to(values), (kept["presence"] > 0).to(values)], dim=-1)
-        grippers = torch.cat([(kept["grippers"] - middle[:, None]).flatten(1) / scale, self.normalise(middle)], dim=1)
-        plan = torch.cat([(actions - kept["grippers"][:, None]).flatten(1) / scale, held.to(values)], dim=1)
-        each = torch.cat([torch.ones_like(plan[:, :1]), grippers, plan], dim=1)[:, None].expand(-1, slots, -1)
-        name = torch.eye(slots).to(plan).expand(len(plan), -1, -1)
-        return torch.cat([each, state, kept["neighbour_values"] / value, values, flags, name], dim=-1)
+        slot = torch.eye(self.shape.slots).to(plan).expand(len(plan), -1, -1)
+        return torch.cat([shared, corners, kept["neighbour_values"] / value, values, flags, slot], dim=-1)
 
 
 def past_window(states: Sequence[TopologicalState], slots: int) -> dict[str, Tensor]:
-    """The `past_` fields of a window (1, h, ...) from tracked states: slots by mean lifetime over the history, longest first."""
+    """Return the `past_` entries of a window (1, h, ...) from tracked states; the slots are the longest-lived loops."""
+    # Slots by mean lifetime over the history, longest first.
     total: defaultdict[int, float] = defaultdict(float)
-    for loop in (loop for state in states for loop in state.loops):
-        total[loop.id] += loop.lifetime
+    for state in states:
+        for loop in state.loops:
+            total[loop.id] += loop.lifetime
     longest = sorted(total, key=total.__getitem__, reverse=True)[:slots]
-    numbers = [(name, np.float32) for name in ("birth", "death", "killer_shift")]
-    kind = [("triangles", np.float32, (6, 3, 3)), ("values", np.float32, 6), *numbers, ("present", bool)]
+
+    kind = [
+        ("triangles", np.float32, (6, 3, 3)),
+        ("values", np.float32, 6),
+        ("birth", np.float32),
+        ("death", np.float32),
+        ("killer_shift", np.float32),
+        ("present", bool),
+    ]
     past = np.zeros((len(states), slots), np.dtype(kind))
     for frame, state in enumerate(states):
-        for loop in (loop for loop in state.loops if loop.id in longest):
-            place, n = past[frame, longest.index(loop.id)], 2 + len(loop.neighbours)
-            place["triangles"] = loop.killer_triangles[0]  # stands for neighbours that are absent
-            place["triangles"][:n] = np.concatenate([loop.killer_triangles, loop.neighbours])
-            place["values"][:n] = np.concatenate([loop.killer_values, loop.neighbour_values])
-            for name, _ in numbers:
-                place[name] = np.nan_to_num(getattr(loop, name))
-            place["present"] = True
+        for loop in state.loops:
+            if loop.id not in longest:
+                continue
+            row = past[frame, longest.index(loop.id)]
+            n = 2 + len(loop.neighbours)
+            row["triangles"] = loop.killer_triangles[0]  # stands for neighbours that are absent
+            row["triangles"][:n] = np.concatenate([loop.killer_triangles, loop.neighbours])
+            row["values"][:n] = np.concatenate([loop.killer_values, loop.neighbour_values])
+            row["birth"] = loop.birth
+            row["death"] = loop.death
+            row["killer_shift"] = np.nan_to_num(loop.killer_shift)
+            row["present"] = True
     return {name: torch.from_numpy(past[name.removeprefix("past_")].copy())[None] for name in PAST}

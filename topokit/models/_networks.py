@@ -1,4 +1,4 @@
-"""The two networks of the paper, as faithfully as it tells: they see clouds in the coordinates of the room, and answer in them.
+"""The two networks of the paper, as far as it describes them: inputs and outputs are in the coordinates of the room.
 
 Source: Antonova et al. 2021, section 5; Qi, Su, Mo, Guibas 2017, *PointNet* (a network shared by all points, then the maximum
 over them), without its transforms of the input. Taught in chapter 11.
@@ -14,18 +14,20 @@ from torch.nn import functional
 from ._baselines import Context, Normalisation, PredictiveModel, Shape
 from ._states import NUMBERS, StateTensors
 
-HIDDEN, POINTS = (512, 512, 256, 128), (64, 64, 96)  # units of the paper's hidden layers, and of those for every point
+HIDDEN = (512, 512, 256, 128)  # units of the paper's hidden layers
+POINT_UNITS = (64, 64, 96)  # units of the layers that all points share
 
 
 def maximum(codes: Tensor) -> Tensor:
-    """(N, width) maximum over the points of codes (N, P, width), as a pooling: its gradient is far quicker than that of amax."""
+    """Return the maximum (N, width) over the points of codes (N, P, width)."""
+    # As a pooling, whose gradient is far quicker than that of `amax`.
     return functional.adaptive_max_pool1d(codes.transpose(1, 2), 1)[..., 0]
 
 
 class MLP(PredictiveModel):
     """Fully connected network of `hidden` units, in the coordinates of the room.
 
-    Of a cloud it reads so many `points`, the first: clouds come in farthest-point order.
+    It reads the first `points` of a cloud: clouds come in farthest-point order.
     """
 
     def __init__(
@@ -58,18 +60,21 @@ class MLP(PredictiveModel):
 
 
 class PointNet(MLP):
-    """PointNet a cloud, shared by all frames, in front of the fully connected network."""
+    """A PointNet that all frames share, in front of the fully connected network."""
 
     def __init__(self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN) -> None:
         super().__init__(shape, normalisation, hidden)
-        self.points = nn.Sequential(*_layers((3, *POINTS)))
+        self.points = nn.Sequential(*_layers((3, *POINT_UNITS)))
 
     def _frame_size(self) -> int:
-        return POINTS[-1]
+        return POINT_UNITS[-1]
 
     def encode_frames(self, frames: Context) -> Context:
         return {"frame": maximum(self.points(self.normalise(frames["clouds"])))}
 
 
 def _layers(widths: Sequence[int]) -> list[nn.Module]:
-    return [layer for n_in, n_out in itertools.pairwise(widths) for layer in (nn.Linear(n_in, n_out), nn.ReLU())]
+    layers: list[nn.Module] = []
+    for n_in, n_out in itertools.pairwise(widths):
+        layers += [nn.Linear(n_in, n_out), nn.ReLU()]
+    return layers

@@ -1,4 +1,4 @@
-"""A trained model on a stream of clouds: observe, then predict under one plan or many; and what it says, all of it in NumPy."""
+"""A trained model on a stream of clouds: observe, then predict under one plan or many. Forecasts are NumPy arrays."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from ._checkpoint import Model, describe, load_model, save_tensors
 from ._motion import Motion
 from ._states import NOISE, TRIANGLES, StateTensors
 
-_PLANS_AT_ONCE = 250  # so that weights are read seldom, and what lies between layers stays in the cache
+_PLANS_AT_ONCE = 250  # weights are read seldom, and what lies between layers stays in the cache
 
 Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedLoop:
-    """A loop that is forecast. As `topokit.Loop`, but its triangles have no vertices in a cloud."""
+    """A predicted loop: a `topokit.Loop` whose triangles have no vertices in a cloud."""
 
     slot: int  #: its identity: the same over the whole forecast
     presence: float  #: probability that it is there
@@ -41,7 +41,7 @@ class PredictedLoop:
     neighbours: Array  #: (m, 3, 3) metres, m <= 4
     killer_values: Array  #: (2,)
     neighbour_values: Array  #: (m,)
-    noise: float = NOISE  #: of its mixture, square metres: more, the less sure the forecast is of the place
+    noise: float = NOISE  #: of its mixture, square metres; larger where the forecast is less sure of the place
 
     @property
     def lifetime(self) -> float:
@@ -50,25 +50,32 @@ class PredictedLoop:
 
     @property
     def centre(self) -> Array:
-        """(3,) mean of the killer triangles' barycentres, as of a `topokit.Loop`; `mixture().mean` is another place."""
+        """(3,) mean of the killer triangles' barycentres. `mixture().mean` is another place."""
         return np.asarray(self.killer_triangles.mean(axis=(0, 1)))
 
     def mixture(self, noise: float | None = None) -> LoopMixture:
-        """Where the loop is, as `topokit.loop_mixture` says, with the forecast's own noise when none is given."""
+        """Return where the loop is (`topokit.loop_mixture`), with the forecast's own noise when none is given."""
         return loop_mixture(self, self.noise if noise is None else noise)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists, for JSON."""
-        numbers = {name: getattr(self, name) for name in ("slot", "birth", "death", "lifetime")}
-        places = {"mean": self.mixture().mean.tolist(), "killer_triangles": self.killer_triangles.tolist()}
-        return numbers | places | {"presence": round(self.presence, 4)}
+        """Return plain numbers and lists, for JSON."""
+        return {
+            "slot": self.slot,
+            "birth": self.birth,
+            "death": self.death,
+            "lifetime": self.lifetime,
+            "mean": self.mixture().mean.tolist(),
+            "killer_triangles": self.killer_triangles.tolist(),
+            "presence": round(self.presence, 4),
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """The states of K steps, of S slots, under one plan, or under C plans: then every array has a leading axis of C.
+    """The predicted states of K steps and S slots under a plan; under C plans every array has a leading axis of C.
 
-    As a sequence it has K items, each a tuple of `PredictedLoop`: those that are there, longest lifetime first.
+    As a sequence it has K items, each a tuple of the loops that are there, longest lifetime first. They have the attributes of
+    a `topokit.Loop`, and `slot`, `presence`, `noise` and `mixture()`.
     """
 
     #: (K, S, 8, 3) metres: the killer edge's ends, the apexes of the thick and the other killer triangle, of the neighbours
@@ -82,16 +89,17 @@ class Forecast:
 
     @classmethod
     def from_states(cls, states: StateTensors) -> Forecast:
-        """Of a model's output (C, K, S), on the CPU."""
-        return cls(*(part.numpy() for part in vars(states.replace(presence=states.presence.sigmoid())).values()))
+        """Return a model's output (C, K, S) as a forecast."""
+        states = states.replace(presence=states.presence.sigmoid())
+        return cls(*(part.numpy() for part in vars(states).values()))
 
     def plan(self, index: int) -> Forecast:
-        """The forecast under one of many plans.
+        """Return the forecast under one of many plans.
 
         Raises
         ------
         IndexError
-            When there is but one.
+            When there is only one plan.
         """
         if self.birth.ndim < 3:
             raise IndexError("this is the forecast of a single plan")
@@ -132,16 +140,20 @@ class Forecast:
         return tuple(self._loop(step, int(slot)) for slot in longest if self.presence[step, slot] > 0.5)
 
     def _loop(self, step: int, slot: int) -> PredictedLoop:
-        triangles = self.corners[step, slot][np.array(TRIANGLES)]
-        near, death = self.neighbour_values[step, slot], self.death[step, slot]
-        numbers = ("presence", "birth", "death", "killer_shift", "noise")
+        triangles = self.corners[step, slot][np.array(TRIANGLES)]  # (6, 3, 3)
+        values = self.neighbour_values[step, slot]
+        present = values > 0
         return PredictedLoop(
             slot=slot,
-            **{name: float(getattr(self, name)[step, slot]) for name in numbers},
+            presence=float(self.presence[step, slot]),
+            birth=float(self.birth[step, slot]),
+            death=float(self.death[step, slot]),
+            killer_shift=float(self.killer_shift[step, slot]),
             killer_triangles=triangles[:2],
-            neighbours=triangles[2:][near > 0],
-            killer_values=np.repeat(death, 2),
-            neighbour_values=near[near > 0],
+            neighbours=triangles[2:][present],
+            killer_values=np.repeat(self.death[step, slot], 2),
+            neighbour_values=values[present],
+            noise=float(self.noise[step, slot]),
         )
 
 
@@ -152,7 +164,7 @@ class Predictor:
     ----------
     model : PredictiveModel or Motion
     description : mapping, optional
-        What a checkpoint says of it.
+        The description in its checkpoint.
     """
 
     def __init__(self, model: Model, description: Mapping[str, Any] | None = None) -> None:
@@ -162,11 +174,13 @@ class Predictor:
 
     @classmethod
     def load(cls, path: str | Path) -> Predictor:
-        """Read a checkpoint; of a model of motion it is a `MotionPredictor`."""
+        """Read a checkpoint; a model of motion gives a `MotionPredictor`."""
         from ._motion_predictor import MotionPredictor
 
         model, description = load_model(path)
-        return (MotionPredictor if isinstance(model, Motion) else cls)(model, description)
+        if isinstance(model, Motion):
+            return MotionPredictor(model, description)
+        return cls(model, description)
 
     def save(self, path: str | Path) -> None:
         """Write the model and its description to a checkpoint (.safetensors)."""
@@ -190,11 +204,11 @@ class Predictor:
         points : (n, 3) array_like
             Metres.
         grippers : (2, 3) array_like, optional
-            Metres. A model that reads clouds alone does without.
+            Metres. A model that reads clouds alone needs none.
         held : bool
             Whether they hold the garment.
         target : (L, 3) array_like, optional
-            Centre line of the target, from the floor to its tip, which a `MotionPredictor` looks at; the last one when not given.
+            Centre line of the target, from the floor to its tip, for a `MotionPredictor`; the last one when not given.
 
         Raises
         ------
@@ -204,10 +218,14 @@ class Predictor:
         self._take(as_cloud(points), grippers, bool(held), target)
 
     def _take(self, cloud: NDArray[np.float64], grippers: Any, held: bool, target: Any) -> None:
+        """Keep what a model needs of a frame, encoded."""
+        # As many points as the model reads: chosen from many, repeated where there are few.
         n = self.model.shape.points
-        chosen = cloud[farthest_point_sample(cloud, n, None)[0]] if len(cloud) > n else cloud
-        repeated = np.resize(chosen, (1, n, 3)).astype(np.float32)  # where there are few
-        frame = {"clouds": torch.from_numpy(repeated)}
+        points = cloud
+        if len(cloud) > n:
+            points = cloud[farthest_point_sample(cloud, n, None)[0]]
+        points = np.resize(points, (1, n, 3)).astype(np.float32)
+        frame = {"clouds": torch.from_numpy(points)}
         if "grippers" in self.model.inputs:
             place = as_grippers(grippers)
             frame |= {"grippers": torch.from_numpy(place).float()[None], "held": torch.tensor([held])}
@@ -223,21 +241,25 @@ class Predictor:
         Parameters
         ----------
         actions : (60, 2, 3) or (C, 60, 2, 3) array_like
-            Where the two grippers are told to be at each of the next frames, metres; or C such plans.
+            Planned places of the two grippers at each of the next frames, metres; or C such plans.
         held : (60,) or (C, 60) array_like of bool, optional
             Whether they hold the garment then; throughout, when not given.
         """
         chunks = self._plans(actions, held)
         context = self._encoded()
-        parts = (vars(self.model.decode(context, *chunk)).values() for chunk in chunks)
-        forecast = Forecast.from_states(StateTensors(*map(torch.cat, zip(*parts, strict=True))))
-        return forecast if np.ndim(actions) == 4 else forecast.plan(0)
+        parts = [vars(self.model.decode(context, *chunk)).values() for chunk in chunks]
+        states = StateTensors(*(torch.cat(part) for part in zip(*parts, strict=True)))
+        forecast = Forecast.from_states(states)
+        if np.ndim(actions) == 4:
+            return forecast
+        return forecast.plan(0)
 
     def _encoded(self) -> dict[str, Tensor]:
-        """The history as `decode` needs it; made once for all plans until the next frame."""
+        """Return the history as `decode` needs it; it is made once for all plans until the next frame."""
         if not self._kept:
             raise ValueError("nothing was observed yet: call observe(points) first")
         if self._context is None:
+            # The newest frame first; the oldest stands in for those before it.
             back = [max(len(self._kept) - 1 - frames, 0) for frames in range(self.model.shape.history)]
             kept = {name: torch.stack([self._kept[i][name] for i in back], dim=1) for name in self._kept[0]}
             if self._tracker is not None:
@@ -247,23 +269,26 @@ class Predictor:
         return self._context
 
     def _plans(self, actions: ArrayLike, held: ArrayLike | None) -> list[tuple[Tensor, Tensor]]:
-        """Plans (C, 60, 2, 3) and holds (C, 60), some at a time."""
+        """Return plans (C, 60, 2, 3) and holds (C, 60), some at a time."""
         steps = self.model.shape.horizon
-        with np.errstate(over="ignore"):  # infinite here, and said so
+        with np.errstate(over="ignore"):  # what is infinite in 32 bits is refused below
             plans = as_reals(actions, "actions").astype(np.float32)
         if plans.ndim not in (3, 4) or plans.shape[-3:] != (steps, 2, 3) or not len(plans):
             raise ValueError(f"actions must be ({steps}, 2, 3) or (plans, {steps}, 2, 3), not {plans.shape}")
         if not np.isfinite(plans).all():
             raise ValueError("actions hold a NaN or infinite coordinate")
-        holds = np.ones(plans.shape[:-2], dtype=bool) if held is None else as_reals(held, "held").astype(bool)
+        holds = np.ones(plans.shape[:-2], dtype=bool)
+        if held is not None:
+            holds = as_reals(held, "held").astype(bool)
         if holds.shape != plans.shape[:-2]:
             raise ValueError(f"held must be {plans.shape[:-2]}, as the actions, not {holds.shape}")
-        parts = torch.from_numpy(plans).reshape(-1, steps, 2, 3), torch.from_numpy(holds).reshape(-1, steps)
-        return list(zip(*(part.split(_PLANS_AT_ONCE) for part in parts), strict=True))
+        some_plans = torch.from_numpy(plans).reshape(-1, steps, 2, 3).split(_PLANS_AT_ONCE)
+        some_holds = torch.from_numpy(holds).reshape(-1, steps).split(_PLANS_AT_ONCE)
+        return list(zip(some_plans, some_holds, strict=True))
 
 
 def as_cloud(points: ArrayLike) -> NDArray[np.float64]:
-    """A cloud that can be looked at, and kept."""
+    """Return a cloud (n, 3), checked and copied."""
     cloud = as_points(points, copy=True)
     if cloud.shape[1] != 3 or not len(cloud):
         raise ValueError(f"points must be an (n, 3) array of one point at least, not of shape {cloud.shape}")
@@ -271,9 +296,9 @@ def as_cloud(points: ArrayLike) -> NDArray[np.float64]:
 
 
 def as_grippers(grippers: ArrayLike | None) -> NDArray[np.float64]:
-    """Where the two grippers are, told to a model that needs to know."""
+    """Return the places (2, 3) of the grippers, checked and copied."""
     if grippers is None:
-        raise ValueError("this model needs to know where the grippers are: observe(points, grippers)")
+        raise ValueError("this model needs the places of the grippers: observe(points, grippers)")
     place = as_points(grippers, "grippers", copy=True)
     if place.shape != (2, 3):
         raise ValueError(f"grippers must be a (2, 3) array, not of shape {place.shape}")

@@ -1,4 +1,4 @@
-"""What `Motion` learns from: scenes and where the vertices went, of a dataset without labels."""
+"""The windows that `Motion` learns from: scenes, and where the vertices went. They need no labels."""
 
 from __future__ import annotations
 
@@ -22,89 +22,104 @@ FIRST, AHEAD = 4, 20  # frames that a window has at least before the present one
 
 
 class Scenes(torch.utils.data.Dataset[dict[str, Tensor]]):
-    """Windows of the motion of vertices: an item is the scene of `Motion`, its plan, and `future` (13, 40, 3) with `known` (13,).
+    """Windows of the motion of vertices, for training `Motion`.
 
-    Which vertices are seen is drawn at random for each frame, so that a cloud's order says nothing.
+    An item is the scene of `Motion`, its plan, and `future` (13, 40, 3) with `known` (13,). Which vertices are seen is drawn at
+    random for each frame, so that a cloud's order carries no information.
 
     Parameters
     ----------
     dataset : Dataset
     episodes : iterable of int
     n_points : int
-        Points of a cloud that are looked at; where there are fewer, some of them twice.
+        Points of a cloud that are read; of a smaller cloud some are read twice.
     stride : int
         Frames from one window to the next.
     """
 
     def __init__(self, dataset: Dataset, episodes: Iterable[int], *, n_points: int = 160, stride: int = 1) -> None:
-        self.dataset, self.episodes, self.n_points = dataset, np.unique([*map(int, episodes)]), n_points
-        lengths = [dataset.record(i).frames for i in self.episodes]
-        frames = [np.arange(FIRST, length - AHEAD, stride) for length in lengths]
-        self.index = np.column_stack([np.repeat(self.episodes, [*map(len, frames)]), np.concatenate(frames)])
-        self._known: dict[int, dict[str, Array]] = {}
+        self.dataset = dataset
+        self.episodes = np.unique([int(number) for number in episodes])
+        self.n_points = n_points
+        rows = [
+            (int(number), frame)
+            for number in self.episodes
+            for frame in range(FIRST, dataset.record(number).frames - AHEAD, stride)
+        ]
+        self.index = np.array(rows, dtype=np.int64).reshape(-1, 2)
+        self._films: dict[int, dict[str, Array]] = {}
 
     def __len__(self) -> int:
         return len(self.index)
 
     def __getitem__(self, i: int) -> dict[str, Tensor]:
         number, frame = self.index[i].tolist()
-        if number not in self._known:
-            film, names = self.dataset[number], ("points", "grippers", "actions", "held")
-            self._known[number] = {name: getattr(film, name) for name in names}
-            self._known[number] |= target_of(film.centre_line)
-        return scene_at(self._known[number], frame, np.random.default_rng((number, frame)), self.n_points)
+        if number not in self._films:
+            episode = self.dataset[number]
+            film = {name: getattr(episode, name) for name in ("points", "grippers", "actions", "held")}
+            self._films[number] = film | target_of(episode.centre_line)
+        return scene_at(self._films[number], frame, np.random.default_rng((number, frame)), self.n_points)
 
 
-def scene_at(parts: dict[str, Array], frame: int, rng: np.random.Generator, n_points: int = 160) -> dict[str, Tensor]:
-    """The window of an episode whose present is that frame."""
-    points, n = parts["points"], parts["points"].shape[1]
-
-    def some(count: int, most: int = n) -> NDArray[np.int64]:
-        return np.resize(rng.permutation(n)[:most], count)
-
-    thin = int(rng.integers(n // 3, n)) if rng.random() < 0.5 else n  # a camera sees a part, a tracker on vertices all
-    seen, asked, ago = some(n_points), some(ASKED), np.maximum(frame - np.array((0, *PAST)), 0)
-    seen = seen[carriers_first(points[frame, seen])]
-    both, hands = points[frame, np.concatenate([seen, asked])], parts["grippers"][ago]
-    knots, ahead = frame + np.array(KNOTS), frame + np.arange(1, KNOTS[-1] + 1)
+def scene_at(film: dict[str, Array], frame: int, rng: np.random.Generator, n_points: int = 160) -> dict[str, Tensor]:
+    """Return the window of a film whose present is that frame."""
+    points = film["points"]  # (T, n, 3)
+    n = points.shape[1]
     last = len(points) - 1
+
+    # In half of the windows the past is seen by a camera, which sees a part; in the others by a tracker of all vertices.
+    n_past = n
+    if rng.random() < 0.5:
+        n_past = int(rng.integers(n // 3, n))
+    seen = np.resize(rng.permutation(n), n_points)
+    asked = np.resize(rng.permutation(n), ASKED)
+    times = np.maximum(frame - np.array((0, *PAST)), 0)
+    seen = seen[carriers_first(points[frame, seen])]
+    past = [cKDTree(points[then, rng.permutation(n)[:n_past]]) for then in times[1:]]
+
+    both = points[frame, np.concatenate([seen, asked])]
+    grippers = film["grippers"][times]
+    ahead = np.minimum(frame + np.arange(1, KNOTS[-1] + 1), last)
+    knots = frame + np.array(KNOTS)
     scene = {
         "cloud": both[:n_points],
         "points": both[n_points:],
-        "flow": flow(both, [cKDTree(points[then, some(n, thin)]) for then in ago[1:]], hands),
-        "grippers": hands,
-        "held": parts["held"][frame],
-        "target": parts["target"],
-        "floor": parts["floor"],
-        "actions": parts["actions"][np.minimum(ahead, last)],
-        "actions_held": parts["held"][np.minimum(ahead, last)],
+        "flow": flow(both, past, grippers),
+        "grippers": grippers,
+        "held": film["held"][frame],
+        "target": film["target"],
+        "floor": film["floor"],
+        "actions": film["actions"][ahead],
+        "actions_held": film["held"][ahead],
         "future": points[np.minimum(knots, last)][:, np.concatenate([seen[:CARRIERS], asked])],
         "known": knots <= last,
     }
     return {name: torch.as_tensor(np.asarray(part)) for name, part in scene.items()}
 
 
-def flow(points: NDArray[np.floating], past: Sequence[cKDTree], hands: NDArray[np.floating]) -> Array:
-    """How points (n, 3) moved, more than the grippers (1 + 3, 2, 3) did, since each of 3 clouds before: (n, 3, 3), metres.
+def flow(points: NDArray[np.floating], past: Sequence[cKDTree], grippers: NDArray[np.floating]) -> Array:
+    """Return (n, 3, 3) how points (n, 3) moved since each of 3 past clouds, without how the grippers (1 + 3, 2, 3) did; metres.
 
-    Taken back with the grippers, a point has its nearest neighbour in the cloud of then; that is where it came from.
+    A point is carried back with the grippers. Its nearest neighbour in the cloud of then is where it came from.
     """
-    place, now = (torch.from_numpy(np.ascontiguousarray(part, np.float64)) for part in (points, hands))
-    back = carried(place.expand(len(past), -1, -1), now[:1].expand(len(past), -1, -1), now[1:]).numpy()
-    found = [then - cloud.data[cloud.query(then)[1]] for then, cloud in zip(back, past, strict=True)]
-    return np.stack(found, axis=1).astype(np.float32)
+    place = torch.from_numpy(np.ascontiguousarray(points, np.float64))
+    hands = torch.from_numpy(np.ascontiguousarray(grippers, np.float64))
+    count = len(past)
+    back = carried(place.expand(count, -1, -1), hands[:1].expand(count, -1, -1), hands[1:]).numpy()  # (3, n, 3)
+    moved = [then - cloud.data[cloud.query(then)[1]] for then, cloud in zip(back, past, strict=True)]
+    return np.stack(moved, axis=1).astype(np.float32)
 
 
 def carriers_first(cloud: NDArray[np.floating]) -> NDArray[np.int64]:
-    """(n,) the order of a cloud's points in which a farthest-point sample comes first: handles have few points, and matter."""
-    few, _ = farthest_point_sample(cloud, min(CARRIERS, len(cloud)))
-    return np.append(few, np.delete(np.arange(len(cloud)), few))
+    """Return an order (n,) of a cloud's points, a farthest-point sample first, so that handles of few points are among them."""
+    carriers, _ = farthest_point_sample(cloud, min(CARRIERS, len(cloud)))
+    return np.append(carriers, np.delete(np.arange(len(cloud)), carriers))
 
 
 def target_of(line: NDArray[np.floating], n: int = TARGET) -> dict[str, Array]:
-    """What is told of a target: `target` (n, 3), places along the last 0.9 m of its centre line, and `floor` (), where it stands.
+    """Return `target` (n, 3), places along the last 0.9 m of a target's centre line, and `floor` (), where the target stands.
 
-    Corners of the line are among the places as near as may be. Of no target both are far below.
+    Where there is no target, both are far below.
     """
     if not len(line):
         line = np.array([[0, 0, -1000.0]])
