@@ -339,7 +339,7 @@ def _npz(path: Path, declared: _Declared) -> Frames:
         frames = arrays
         if len(arrays) == 1:
             frames = _frames_of(arrays[0])
-        times: list[float | None] = [None] * len(frames)
+        times: Any = [None] * len(frames)
         if "times" in archive:
             times = archive["times"].tolist()
     if np.shape(times) != (len(frames),):
