@@ -227,10 +227,12 @@ def between_boxes(tree, a, b):
 @njit()
 def centre(tree, a, b, place):
     """Write the middle between two boxes into `place`; return how far from it the midpoint of an edge may be."""
+    low = tree.low
+    high = tree.high
     spread = 0.0
     for k in range(len(tree.axes)):
-        place[k] = 0.25 * (tree.low[a, k] + tree.high[a, k] + tree.low[b, k] + tree.high[b, k])
-        spread += (tree.high[a, k] - tree.low[a, k] + tree.high[b, k] - tree.low[b, k]) ** 2
+        place[k] = 0.25 * (low[a, k] + high[a, k] + low[b, k] + high[b, k])
+        spread += (high[a, k] - low[a, k] + high[b, k] - low[b, k]) ** 2
     return 0.25 * np.sqrt(spread)
 
 
@@ -240,6 +242,7 @@ def nearby_point(tree, place):
 
     It is the nearest of the points in the leaf that always taking the nearer box leads to.
     """
+    points = tree.points
     node = 0
     while node < tree.first_leaf:
         node = 2 * node + 1
@@ -249,7 +252,7 @@ def nearby_point(tree, place):
     for z in range(tree.start[node], tree.end[node]):
         square = 0.0
         for k in range(len(tree.axes)):
-            step = tree.points[z, k] - place[k]
+            step = points[z, k] - place[k]
             square += step * step
         if square < least:
             nearest = z
@@ -326,8 +329,15 @@ def _edges_of_points(tree, shortest, longest, buffer):
 
     Of few points, each two leaves are looked at once: when the window reaches their nearest places. Their longer edges wait.
     """
+    # Names for fields of tuples, which would be counted as used in every turn of a loop.
     points = tree.points
     axes = tree.axes
+    start = tree.start
+    end = tree.end
+    found_keys = buffer.found_keys
+    found_lengths = buffer.found_lengths
+    later_keys = buffer.later_keys
+    later_lengths = buffer.later_lengths
     once = len(points) <= FEW_POINTS and buffer.waiting[0] >= 0
     waiting = buffer.waiting[0]
     size = 0
@@ -355,18 +365,18 @@ def _edges_of_points(tree, shortest, longest, buffer):
         # Two leaves: write down all edges between them that are not too short.
         if once and least < shortest:
             continue
-        if max(size, waiting) + LEAF * LEAF > len(buffer.found_keys):
+        if max(size, waiting) + LEAF * LEAF > len(found_keys):
             return -1
         middle = _middle_vertex(tree, a, b, max(least, shortest), place)
-        for x in range(tree.start[a], tree.end[a]):
-            for y in range(x + 1 if a == b else tree.start[b], tree.end[b]):
+        for x in range(start[a], end[a]):
+            for y in range(x + 1 if a == b else start[b], end[b]):
                 length = edge_length(points, x, y, axes)
                 key = edge_key(x, y, middle)
                 # Both places are written to, and one of them is kept: a branch here could not be foreseen.
-                buffer.found_keys[size] = key
-                buffer.found_lengths[size] = length
-                buffer.later_keys[waiting] = key
-                buffer.later_lengths[waiting] = length
+                found_keys[size] = key
+                found_lengths[size] = length
+                later_keys[waiting] = key
+                later_lengths[waiting] = length
                 size += (shortest <= length) & (length < longest)
                 waiting += once & (length >= longest)
     if once:
@@ -380,19 +390,23 @@ def _take_waiting(buffer, longest, size, waiting):
 
     It returns -1 if the buffer is too small.
     """
+    found_keys = buffer.found_keys
+    found_lengths = buffer.found_lengths
+    later_keys = buffer.later_keys
+    later_lengths = buffer.later_lengths
     waited = buffer.waiting[0]
-    if size + waited > len(buffer.found_keys):
+    if size + waited > len(found_keys):
         return -1
     still_waiting = 0
     for e in range(waiting):
-        key = buffer.later_keys[e]
-        length = buffer.later_lengths[e]
+        key = later_keys[e]
+        length = later_lengths[e]
         if e < waited:  # the others are of this window's leaves, and too long for it
-            buffer.found_keys[size] = key
-            buffer.found_lengths[size] = length
+            found_keys[size] = key
+            found_lengths[size] = length
             size += length < longest
-        buffer.later_keys[still_waiting] = key
-        buffer.later_lengths[still_waiting] = length
+        later_keys[still_waiting] = key
+        later_lengths[still_waiting] = length
         still_waiting += length >= longest
     buffer.waiting[0] = still_waiting
     return size
@@ -461,6 +475,7 @@ def heap_sort(keys, lengths, label):
 @njit()
 def sort_edges(buffer, m, label):
     """Put m edges in the total order: a slice of lengths holds about one edge, and insertion does the rest."""
+    keys = buffer.found_keys
     lengths = buffer.found_lengths
     slice_start = buffer.slice_start
     sorted_keys = buffer.keys
@@ -484,7 +499,7 @@ def sort_edges(buffer, m, label):
     # Put each edge into its slice. Afterwards slice_start[s] is where slice s begins.
     for e in range(m):
         s = min(int((lengths[e] - shortest) * scale), m - 1) + 1
-        sorted_keys[slice_start[s]] = buffer.found_keys[e]
+        sorted_keys[slice_start[s]] = keys[e]
         sorted_lengths[slice_start[s]] = lengths[e]
         slice_start[s] += 1
 
@@ -912,6 +927,9 @@ def _last_of_matrix(data, shortest):
 
 @njit()
 def _last_of_points(tree, shortest):
+    points = tree.points
+    start = tree.start
+    end = tree.end
     latest = 0.0
     box_pairs = np.zeros((272, 3), dtype=np.int64)  # two boxes, and a point that may be between them
     nodes = np.empty(256, dtype=np.int64)
@@ -943,9 +961,9 @@ def _last_of_points(tree, shortest):
             continue
 
         # Two leaves: edge by edge. The point z, the points of both leaves, and then all are looked at.
-        for x in range(tree.start[a], tree.end[a]):
-            for y in range(x + 1 if a == b else tree.start[b], tree.end[b]):
-                length = edge_length(tree.points, x, y, tree.axes)
+        for x in range(start[a], end[a]):
+            for y in range(x + 1 if a == b else start[b], end[b]):
+                length = edge_length(points, x, y, tree.axes)
                 if length < shortest or length <= latest or _is_in_lune(tree, z, x, y, length):
                     continue
                 met = _leaf_meets_lune(tree, x, y, length, a) or _leaf_meets_lune(tree, x, y, length, b)
@@ -1191,14 +1209,15 @@ def _edges_of_list(keys, tree, bound, buffer):
     An end stands for a middle that was near enough for the lune to be a cone: the points have moved.
     """
     buffer.waiting[0] = -1
+    found_keys = buffer.found_keys
+    found_lengths = buffer.found_lengths
+    points = tree.points
     size = 0
     for e in range(len(keys)):
         x, y, middle = ends_of(keys[e])
-        length = edge_length(tree.points, x, y, tree.axes)
-        buffer.found_keys[size] = keys[e]
-        if middle < 0:
-            buffer.found_keys[size] = edge_key(x, y, x)
-        buffer.found_lengths[size] = length
+        length = edge_length(points, x, y, tree.axes)
+        found_keys[size] = keys[e] if middle >= 0 else edge_key(x, y, x)
+        found_lengths[size] = length
         size += length < bound
     return size
 
