@@ -14,7 +14,7 @@ import pytest
 
 from topokit import SeqPH, TopologicalState, follow, hausdorff, rips_persistence, track
 from topokit.sampling import as_tree
-from topokit.seqph import Candidates, Frame, as_table, assign, follow_all, loop_colour, place
+from topokit.seqph import Candidates, Frame, as_table, assign, follow_all, place
 
 from conftest import polygon
 
@@ -97,7 +97,6 @@ def test_states_as_tables_dictionaries_and_pickles(d):
     assert (row["frame"], row["loops"][0]["id"], row["parameters"]) == (1, 0, states[1].parameters)
     assert row["loops"][1]["centre"] == states[1].loops[1].centre.tolist()
     assert_same(pickle.loads(pickle.dumps(states[1])), states[1])
-    assert loop_colour(1) == loop_colour(7) != loop_colour(2)
 
 
 # -- identities --------------------------------------------------------------------------------------------------------

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from .seqph import TopologicalState
     from .sim import Garment, Task
 
-__all__ = ["main"]
-
 app = App(
     name="topokit",
     help="Find the loops of deformable objects in clouds of points, follow them, forecast them, and hang garments by them.",

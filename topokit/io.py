@@ -20,11 +20,9 @@ from numpy.typing import NDArray
 
 from ._archive import FormatError, load_archive, save_archive
 from ._validate import WrongKindError, as_ids, as_reals
-from .sensors import read_clouds
 from .seqph import Loop, TopologicalState
 
-__all__ = ["HISTORY", "HORIZON", "Episode", "FormatError", "load_episode", "load_states", "read_clouds", "save_episode"]
-__all__ += ["save_states"]
+__all__ = ["HISTORY", "HORIZON", "Episode", "FormatError", "load_episode", "load_states", "save_episode", "save_states"]
 
 SCHEMA = 2
 # Frames that a forecast looks back on, and frames that it looks ahead to (Antonova et al. 2021, section 5).

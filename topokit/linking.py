@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from topokit._validate import Array, as_points, as_reals, positive
 
-__all__ = ["close_far", "curve_centroid", "linking_number", "linking_numbers", "side_lengths", "to_segment"]
+__all__ = ["close_far", "linking_number", "linking_numbers"]
 
 _PAIRS_AT_ONCE = 2**17  # pairs of segments in memory at a time: some 30 MB
 _TOUCH = 1e-12  # curves nearer than this share of their size touch; far from the origin, where digits are lost, sooner

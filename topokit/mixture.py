@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._validate import Array, as_points, as_reals, own_arrays, positive, whole
 
-__all__ = ["InverseWishart", "LoopMixture", "loop_mixture", "moments"]
+__all__ = ["InverseWishart", "LoopMixture", "loop_mixture"]
 
 
 class Triangles(Protocol):

@@ -16,16 +16,7 @@ from ._validate import Array, Ids, as_points, positive, whole
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = [
-    "as_tree",
-    "covering_radius",
-    "farthest_point_sample",
-    "hausdorff",
-    "hausdorff_table",
-    "inliers",
-    "spacing",
-    "spoil",
-]
+__all__ = ["covering_radius", "farthest_point_sample", "hausdorff", "inliers", "spacing", "spoil"]
 
 _MARGIN = 0.1  # metres around a cloud's box in which outliers of `spoil` lie
 _AT_ONCE = 100  # points that compiled code chooses before Python can hear Ctrl-C

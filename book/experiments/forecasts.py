@@ -35,7 +35,7 @@ import topokit
 from topokit.data import Dataset, WindowDataset
 from topokit.evaluate import TrueCurves, measure_forecasts, true_loops
 from topokit.io import save_episode
-from topokit.models import NOISE, Forecast, MotionPredictor, Predictor, Shape, StateTensors, build
+from topokit.models import Forecast, MotionPredictor, Predictor, Shape, StateTensors, build
 from topokit.sampling import spoil
 
 Forecaster = Callable[[Mapping[str, Tensor]], StateTensors]
@@ -322,7 +322,7 @@ def stack_forecasts(forecasts: Sequence[Forecast], slots: int) -> StateTensors:
     for part in fields(StateTensors):
         empty = 0.0
         if part.name == "noise":
-            empty = NOISE
+            empty = 1e-4  # square metres: a mixture needs a width, also where there is no loop
         padded = []
         for forecast in forecasts:
             values = getattr(forecast, part.name)[:, :slots]

@@ -31,8 +31,8 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import numpy as np
 
 import topokit as tk
-from topokit.io import load_episode, read_clouds
-from topokit.sensors import Cleaner, Pipeline, _pipeline
+from topokit.io import load_episode
+from topokit.sensors import Cleaner, Pipeline, _pipeline, read_clouds
 
 HEIGHT = 480
 WIDTH = 640

@@ -23,7 +23,7 @@ from topokit._archive import FormatError, load_archive
 from topokit._config import checked
 from topokit.io import Episode, check_layout
 from topokit.rips import Diagram, rips_persistence
-from topokit.seqph import Loop, TopologicalState, loop_of
+from topokit.seqph import Loop, TopologicalState
 
 from ._folder import NumberedFiles, read_settings
 
@@ -150,7 +150,7 @@ def _loop(arrays: Mapping[str, NDArray[Any]], place: tuple[int, int], frame: _Fr
     neighbours = ids["neighbours"].reshape(4, 3)
     neighbours = neighbours[neighbours[:, 0] != ABSENT]
     birth, death, killer_shift, *neighbour_values = arrays["values"][place].tolist()
-    return loop_of(
+    return Loop.from_cloud(
         frame.points,
         partial(frame.cycle, simplices[:4].tolist()),
         id=int(arrays["id"][place]),

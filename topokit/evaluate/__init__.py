@@ -10,7 +10,7 @@ from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._accuracy import TrueCurves, measure_forecasts
-    from ._scores import Event, Overlap, TrackingScore, events, score
+    from ._scores import Overlap, TrackingScore, events, score
     from ._tracking import TrueLoops, compare, distance_to_hull, summarise_tracks, true_loops
 
 __getattr__, __all__ = attach(__name__, __file__, "learn")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ._motion_predictor import MotionPredictor
     from ._predictor import Forecast, Predictor
     from ._scenes import Scenes
-    from ._states import NOISE, LossWeights, StateTensors, forecast_loss, loop_mixtures
+    from ._states import LossWeights, StateTensors, forecast_loss, loop_mixtures
     from ._training import train
 
 __getattr__, __all__ = attach(__name__, __file__, "learn")

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from ._evidence import belief_after
     from ._follow import follow, follow_all
     from ._frames import Frame
-    from ._matching import Candidates, MatchRule, assign
-    from ._state import Loop, TopologicalState, as_table, loop_colour, loop_of
+    from ._matching import Candidates, assign
+    from ._state import Loop, TopologicalState, as_table
     from ._tracker import PAPER, SeqPH, place, track
 
 __getattr__, __all__ = attach(__name__, __file__)

@@ -19,7 +19,6 @@ from topokit._validate import Array, Ids, own_arrays
 from topokit.rips import Diagram
 from topokit.sampling import hausdorff_table
 
-_OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # colours that everybody can tell apart
 ClosedCurve = tuple[Ids, Array]  # vertex ids of a closed walk, and their places
 
 
@@ -89,26 +88,26 @@ class Loop:
         z1, z2 = self.killer_triangles[is_apex]
         return np.array([x, z1, y, z2])
 
+    @classmethod
+    def from_cloud(cls, cloud: Array, cycle: Callable[[], Ids], **fields: Any) -> Loop:
+        """Return a loop of a cloud.
 
-def loop_of(cloud: Array, cycle: Callable[[], Ids], **fields: Any) -> Loop:
-    """Return a loop of a cloud.
-
-    Parameters
-    ----------
-    cloud : (n, d) float64
-    cycle : callable
-        Returns the vertex ids of the loop's closed walk; called when the walk is asked for.
-    **fields
-        The fields of `Loop` that hold numbers and vertex ids.
-    """
-    return Loop(
-        **fields,
-        killer_edge_points=cloud[fields["killer_edge"]],
-        killer_triangles=cloud[fields["killer_triangle_ids"]],
-        neighbours=cloud[fields["neighbour_ids"]],
-        killer_values=np.full(2, fields["death"]),  # their longest edge is the killer edge
-        _curve=partial(_closed_curve, cloud, cycle),
-    )
+        Parameters
+        ----------
+        cloud : (n, d) float64
+        cycle : callable
+            Returns the vertex ids of the loop's closed walk; called when the walk is asked for.
+        **fields
+            The fields that hold numbers and vertex ids.
+        """
+        return cls(
+            **fields,
+            killer_edge_points=cloud[fields["killer_edge"]],
+            killer_triangles=cloud[fields["killer_triangle_ids"]],
+            neighbours=cloud[fields["neighbour_ids"]],
+            killer_values=np.full(2, fields["death"]),  # their longest edge is the killer edge
+            _curve=partial(_closed_curve, cloud, cycle),
+        )
 
 
 def loop_at(diagram: Diagram, bar: int, cloud: Array, ids: Ids, identity: int, edge_before: Array | None) -> Loop:
@@ -122,7 +121,7 @@ def loop_at(diagram: Diagram, bar: int, cloud: Array, ids: Ids, identity: int, e
     killer_shift = float("nan")
     if edge_before is not None:
         killer_shift = float(hausdorff_table(cloud[killer_edge][None], edge_before[None])[0, 0])
-    return loop_of(
+    return Loop.from_cloud(
         cloud,
         partial(_cycle_in_cloud, diagram, bar, ids),
         id=identity,
@@ -196,8 +195,3 @@ def as_table(states: Iterable[TopologicalState]) -> Any:
             values = [getattr(loop, name) for name in numbers]
             rows.append([state.frame, state.time, *values, *loop.centre.tolist(), *loop.killer_edge.tolist()])
     return pd.DataFrame(rows, columns=["frame", "time", *numbers, *axes, "killer_a", "killer_b"])
-
-
-def loop_colour(loop_id: int) -> str:
-    """Return the colour of an identity as `#RRGGBB`; identities six apart share one."""
-    return _OKABE_ITO[int(loop_id) % len(_OKABE_ITO)]

@@ -10,8 +10,9 @@ from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._figure import HtmlFigure
+    from ._looks import loop_colour
     from ._player import plans, player, wardrobe
-    from ._plots import Scene, appearances, loop_colour, plot_cloth, plot_diagram, plot_tracks, track_figure
+    from ._plots import Scene, appearances, plot_cloth, plot_diagram, plot_tracks, track_figure
     from ._render import pyvista_works, render_cloth, save_animation
 
 __getattr__, __all__ = attach(__name__, __file__, "view")

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topokit.seqph import loop_colour
+from topokit.view._looks import loop_colour
 
 _PARTS = Path(__file__).parent
 

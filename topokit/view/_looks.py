@@ -1,4 +1,4 @@
-"""The look of cloth: smooth normals, a check that folds with it, seams, and a shadow.
+"""The look of cloth and loops: smooth normals, a check that folds with the cloth, seams, a shadow, and colours of identities.
 
 Idea: the check runs along the cloth. An episode keeps no pattern, but folding hardly changes distances along a mesh's edges;
 landmark multidimensional scaling lays these out in the plane (de Silva and Tenenbaum 2004).
@@ -15,6 +15,12 @@ from topokit.sampling import farthest_point_sample
 
 CHECK_BRIGHTNESS = 0.82
 SEAM_BRIGHTNESS = 0.5
+_OKABE_ITO = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # colours that everybody can tell apart
+
+
+def loop_colour(loop_id: int) -> str:
+    """Return the colour of an identity as `#RRGGBB`; identities six apart share one."""
+    return _OKABE_ITO[int(loop_id) % len(_OKABE_ITO)]
 
 
 def cloth_marks(points: Array, faces: Ids, *, smooth: bool) -> list[tuple[Ids, Array, float]]:

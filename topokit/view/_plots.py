@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from topokit._validate import Array, Ids, as_ids, as_points, as_reals
 from topokit.io import Episode
 from topokit.rips import Diagram
-from topokit.seqph import Loop, TopologicalState, loop_colour
-from topokit.view._looks import cloth_marks, face_normals, shadow, smoothed
+from topokit.seqph import Loop, TopologicalState
+from topokit.view._looks import cloth_marks, face_normals, loop_colour, shadow, smoothed
 
 CLOTH = "#E8E2D4"
 LINING = "#C8C9D0"  # the inner side of cloth

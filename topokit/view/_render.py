@@ -26,6 +26,7 @@ from topokit._archive import atomic_file
 from topokit._validate import Array
 from topokit.io import Episode
 from topokit.seqph import Loop, TopologicalState
+from topokit.view._looks import loop_colour
 from topokit.view._plots import (
     CLOTH,
     INK,
@@ -35,7 +36,6 @@ from topokit.view._plots import (
     check_one_state_a_frame,
     direction,
     draw_cloth,
-    loop_colour,
 )
 
 _PROBE = """
