@@ -246,7 +246,21 @@ def test_grippers_do_not_pass_a_fence(fence):
     assert after == pytest.approx(0.2, abs=0.03) if fence else after.max() < 0
     for _ in range(3):
         shot = env.step(np.array([1, 0, 0] * 2 + [0]))[0]  # back again
-    assert ((shot["grippers"] - tip) @ out).min() > after.max() + 0.03
+    assert ((shot["grippers"] - tip) @ out > after + 0.03).all()
+    env.close()
+
+
+def test_grippers_behind_a_fence_are_not_pushed_and_may_go_back_alone():
+    env = make(fence=2.0)
+    start = env.reset(seed=2)[0]
+    out = np.array([0, -1, 0])  # of the arm
+    goal = env.goal
+    for _ in range(5):
+        env.step([0, 1, 0] * 2 + [0])
+    np.testing.assert_allclose(env.goal, goal, atol=1e-9)
+    for _ in range(5):
+        shot = env.step([0, -1, 0] * 2 + [0])[0]
+    assert ((shot["grippers"] - start["grippers"]) @ out > 0.05).all()
     env.close()
 
 
