@@ -48,6 +48,7 @@ def _some_loop_of_o(step: Step, alpha: float) -> Verdict:
     tolerance = step.tolerance
     if len(s) == 0:
         return Verdict(0.0, 0.0, True)
+    # S has a loop at r from a birth on; O loses one at r + alpha with a death.
     radii = np.concatenate([s.birth, o.death - alpha])
     alive = (s.birth[:, None] <= radii) & (s.death[:, None] > radii + tolerance)
     shifted = radii + alpha + tolerance

@@ -64,7 +64,7 @@ def regularity_of_killers(before: ArrayLike | Step, after: ArrayLike | None = No
     before, after : (n, d) array_like
         S_t and S_t+1: row i of both is the same point. Or a Step in the place of `before`.
     alpha : float
-        Of the observations; 2.001 epsilon when smaller, since the paper's Assumption 2 wants it above 2 epsilon.
+        The covering radius of the observations; 2.001 epsilon when smaller, since the paper's Assumption 2 wants it above 2 epsilon.
     """
     step = as_step(before, after=after)
     s = step.before
@@ -76,6 +76,8 @@ def regularity_of_killers(before: ArrayLike | Step, after: ArrayLike | None = No
         "corrected": s.beta_critical(2 * epsilon, 0.0, epsilon),
         "intrinsic": s.beta_critical(2 * delta, 0.0, delta),
     }
+
+    # Every version speaks about the loops that live long enough for it.
     n_loops = max(len(beta.value) for beta in betas.values())
     rows = _loop_checks(step, ("S_t", "S_t+1"), [_bounds(f, betas, plus=epsilon) for f in range(n_loops)])
     separated = s.separation(alpha) > 2 * alpha + betas["paper"].max + epsilon

@@ -25,7 +25,7 @@ from ..seqph import assign
 
 @dataclass(frozen=True, eq=False)
 class DiagramMatching:
-    """Which bars of two diagrams correspond."""
+    """The correspondence of the bars of two diagrams."""
 
     partner: NDArray[np.int64]  #: (n,) for every bar of the first diagram its bar in the second, -1 when it has none
     cost: float  #: the bottleneck: the largest of the shifts of matched bars and the costs of bars left alone
@@ -57,6 +57,7 @@ def match_diagrams(
     def is_enough(c: float) -> bool:
         return _saturates((pair <= c)[alone > c]) and _saturates((pair <= c).T[others_alone > c])
 
+    # The least cost that is enough, then the cheapest matching that reaches it.
     cost = float(limits[bisect_left(limits, True, key=is_enough)])
     partner = _cheapest(pair, alone, others_alone, cost)
     return DiagramMatching(partner, cost, _worst(pair, alone, others_alone, partner))
@@ -67,11 +68,10 @@ def longest_unmatched(
 ) -> tuple[float, int]:
     """Return lifetime and index of the longest bar of `first` that no matching reaches together with all longer ones.
 
-    They are (0.0, -1) when there is none.
-
-    No matching does better: the sets of bars that can be matched together are those of a matroid.
+    They are (0.0, -1) when there is none. No matching does better: the sets of bars that can be matched together are those of a matroid.
     """
     pair, _, _ = _costs(first, second, one_sided, tolerance)
+    # Bars come longest first: count those that can still be matched together.
     longest = range(1, len(first) + 1)
     matched = bisect_left(longest, True, key=lambda count: not _saturates(pair[:count] <= shift))
     if matched == len(first):
@@ -88,6 +88,8 @@ def _costs(first: Diagram, second: Diagram, one_sided: bool, tolerance: float) -
     deaths = second.death[None, :] - first.death[:, None]
     if not one_sided:
         return np.maximum(np.abs(births), np.abs(deaths)), first.lifetime / 2, second.lifetime / 2
+
+    # One-sided: both values may only grow, up to rounding.
     pair = np.maximum(np.maximum(births, deaths), 0.0)
     pair[np.minimum(births, deaths) < -tolerance] = np.inf
     return pair, first.lifetime, second.lifetime

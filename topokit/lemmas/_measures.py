@@ -27,7 +27,7 @@ ROUNDING = 1e-12  # relative; rounding may only add rivals and make more edges c
 
 @dataclass(frozen=True, eq=False)
 class Beta:
-    """How far from a loop's killer edge the edges lie that could be taken for it."""
+    """The distances from a loop's killer edge to the edges that could be taken for it."""
 
     value: Array  #: (k,) for each of the k longest-lived loops the largest Hausdorff distance to a rival
     edge: Ids  #: (k, 2) that rival; the killer itself when there is no other
@@ -101,6 +101,8 @@ class State:
         edge = killers.copy()
         if n_loops == 0:
             return Beta(value, edge)
+
+        # All edges with their half lengths; for each loop those in its window are rivals.
         rounding = ROUNDING * float(self.distances.max())
         pairs = np.column_stack(np.triu_indices(len(self.distances), 1))
         half = self.distances[pairs[:, 0], pairs[:, 1]] / 2

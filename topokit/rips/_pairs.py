@@ -37,7 +37,7 @@ class Pairs(NamedTuple):
 
 
 class CloudBefore:
-    """What the kernel knows of the cloud before: its tree, its list of edges, how long they are, and the last length read."""
+    """The kernel's memory of the cloud before: its tree, its list of edges, their reach, and the last length read."""
 
     def __init__(self) -> None:
         nothing = np.zeros((1, 3))
