@@ -64,7 +64,7 @@ def regularity_of_killers(before: ArrayLike | Step, after: ArrayLike | None = No
     before, after : (n, d) array_like
         S_t and S_t+1: row i of both is the same point. Or a Step in the place of `before`.
     alpha : float
-        The covering radius of the observations; 2.001 epsilon when smaller, since the paper's Assumption 2 wants it above 2 epsilon.
+        The covering radius of the observations; 2.001 epsilon when smaller, since Assumption 2 wants it above 2 epsilon.
     """
     step = as_step(before, after=after)
     s = step.before

@@ -68,7 +68,8 @@ def longest_unmatched(
 ) -> tuple[float, int]:
     """Return lifetime and index of the longest bar of `first` that no matching reaches together with all longer ones.
 
-    They are (0.0, -1) when there is none. No matching does better: the sets of bars that can be matched together are those of a matroid.
+    They are (0.0, -1) when there is none. No matching does better: the sets of bars that can be matched together are those of a
+    matroid.
     """
     pair, _, _ = _costs(first, second, one_sided, tolerance)
     # Bars come longest first: count those that can still be matched together.
