@@ -13,13 +13,13 @@ import psutil
 import pytest
 
 pytest.importorskip("pybullet")
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
-
 from topokit._processes import ProcessError, in_fresh_processes
 from topokit.sim import Garment, SimulationConfig, SimulationError, simulate
 
 from fresh_jobs import count_up, crash_until_third, divide, do, wait
 from small_datasets import wait_until
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
 
 SIMULATE = """
 from topokit.sim import Garment, SimulationConfig, simulate

@@ -37,7 +37,7 @@ from ._states import StateTensors, Window, forecast_loss
 try:
     from lightning_fabric import Fabric
 except ModuleNotFoundError:  # conda-forge has it as a part of Lightning
-    from lightning.fabric import Fabric
+    from lightning.fabric import Fabric  # type: ignore[import-not-found, no-redef]
 
 LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
 _FREE = ("workers", "out", "dataset", "start", "rehearse", "accelerator")  # may change when a training goes on
@@ -110,7 +110,7 @@ class _Training:
         self.show = show
         self.out = Path(config.out)
         self.progress = Progress()
-        self.fabric = Fabric(accelerator=config.accelerator, devices=1, precision=config.precision)
+        self.fabric = Fabric(accelerator=config.accelerator, devices=1, precision=config.precision)  # type: ignore[arg-type]
 
         # An earlier run left a checkpoint: go on from there, with its normalisation.
         saved = None
