@@ -9,7 +9,7 @@ import pytest
 
 _PACKAGES = """
 bokeh dask distributed fsspec gymnasium lightning_fabric matplotlib pandas pybullet pydantic pypcd4 pyvista safetensors sklearn
-torch tqdm trimesh vtk yaml zarr gudhi networkx ripser
+torch tqdm trimesh vtk yaml gudhi networkx ripser
 """
 _NAMES = """
 Diagram Loop LoopMixture SeqPH TopologicalState covering_radius farthest_point_sample follow hausdorff linking_number

@@ -144,7 +144,7 @@ def test_a_match_is_kept_while_it_holds():
 def test_scores_of_trackers_need_only_the_core():
     code = """
 import sys
-for name in "torch safetensors zarr dask pydantic tqdm matplotlib pandas".split():
+for name in "torch safetensors dask pydantic tqdm matplotlib pandas".split():
     sys.modules[name] = None
 import numpy as np, topokit
 from topokit.evaluate import compare, score, summarise_tracks, true_loops

@@ -22,8 +22,7 @@ def shown(path: str) -> dict[str, str]:
 def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], Any], list[str]]:
     """Return the `__getattr__` and the `__all__` of the package with the face `path`.
 
-    When a dependency is missing, the error tells to ``pip install 'topokit[extra]'``; an extra "*" is the name of what is
-    missing.
+    When a dependency is missing, the error names the command that installs it: ``pip install 'topokit[extra]'``.
     """
     module_of = shown(path)
     requirement = f"topokit[{extra}]" if extra else "topokit"
@@ -41,7 +40,7 @@ def attach(package: str, path: str, extra: str = "") -> tuple[Callable[[str], An
             if (error.name or "").startswith("topokit"):
                 raise
             missing = str(error.name).partition(".")[0]
-            command = f"pip install '{requirement.replace('*', missing)}'"
+            command = f"pip install '{requirement}'"
             raise ImportError(f"{package}.{name} needs {missing}: {command}") from error
 
         setattr(sys.modules[package], name, value)  # the next time Python finds it without asking here
