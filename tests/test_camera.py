@@ -172,7 +172,7 @@ def test_places_may_be_arrays():
         (Camera, {"eye": (0, 0)}, "eye"),
         (Camera, {"target": (0, 0, np.nan)}, "target"),
         (Camera, {"eye": (0, 0, 2), "target": (0, 0, 1)}, "up"),
-        (Camera, {"eye": (0, 0, 1), "target": (0, 0, 1)}, "itself"),
+        (Camera, {"eye": (0, 0, 1), "target": (0, 0, 1)}, "eye"),
         (Camera, {"fov": 180}, "fov"),
         (Camera, {"fov": 0}, "fov"),
         (Camera, {"width": 12.5}, "width"),

@@ -1,10 +1,10 @@
-"""Loops as probability: a Gaussian mixture that says where a loop is.
+"""Loops as probability: a Gaussian mixture as the density of a loop's place.
 
-Idea: the triangles around a loop's killer are samples of where the loop closes last. Every triangle gives a Gaussian, its
-barycentre the mean, its three vertices the covariance, and weighs as much as its filtration value.
+Idea: the triangles around a loop's killer are samples of where the loop closes last. Each triangle gives one Gaussian: its mean
+is the barycentre of the triangle, its covariance is that of the three vertices, and its weight is the filtration value.
 
-Source: Antonova et al. 2021, section 5, equation 1. Taught in chapter 10. `topokit.models.loop_mixtures` has the same density for
-batches, differentiable.
+Source: Antonova et al. 2021, section 5, equation 1. Taught in chapter 10. `topokit.models.loop_mixtures` computes the same
+density for batches of tensors, and is differentiable.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["InverseWishart", "LoopMixture", "loop_mixture"]
 
 
 class Triangles(Protocol):
-    """The part of a loop that a mixture needs; the loop is tracked (`Loop`) or predicted (`PredictedLoop`)."""
+    """The part of a loop that a mixture needs: a tracked loop (`Loop`) and a predicted one (`PredictedLoop`) have it."""
 
     @property
     def killer_triangles(self) -> NDArray[np.floating]: ...  # (2, 3, d)
@@ -35,15 +35,16 @@ class Triangles(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class InverseWishart:
-    """Prior of a component's covariance in d dimensions; the three vertices of its triangle are the data.
+    """The inverse-Wishart prior of a component's covariance in d dimensions.
 
-    With a flat prior on the mean, the covariance given vertices of scatter A (the sum of the outer products about their mean)
-    is inverse-Wishart(scale + A, dof + 2), and its mean (scale + A) / (dof + 1 - d).
+    The data are the three vertices of the component's triangle. Their scatter A is the sum of the outer products of their
+    offsets from their mean. With a flat prior on the mean, the posterior of the covariance is inverse-Wishart(scale + A,
+    dof + 2), whose mean is (scale + A) / (dof + 1 - d).
     """
 
-    #: scale matrix (d, d), or that multiple of the identity; square metres. The prior's mean is scale / (dof - d - 1).
+    #: scale matrix (d, d) in square metres; a number is that multiple of the identity. The prior's mean is scale / (dof - d - 1)
     scale: ArrayLike
-    #: degrees of freedom, above d - 1; d + 2 when not given, the fewest whole ones for which the prior has a mean: `scale`
+    #: degrees of freedom, above d - 1. When not given d + 2, the smallest whole number for which the prior has a mean, `scale`
     dof: float | None = None
 
     def posterior_mean(self, scatter: Array) -> Array:
@@ -69,7 +70,8 @@ class InverseWishart:
             scale = np.diag(np.full(d, scale))
         symmetric = scale.shape == (d, d) and np.isfinite(scale).all() and np.allclose(scale, scale.T)
         if not symmetric or np.linalg.eigvalsh(scale)[0] <= 0:
-            raise ValueError(f"scale must be positive, or a positive definite ({d}, {d}) matrix, not {self.scale!r}")
+            kinds = f"a positive number or a positive definite ({d}, {d}) matrix"
+            raise ValueError(f"scale must be {kinds}, not {self.scale!r}")
         return np.asarray((scale + scatter) / (dof + 1 - d))
 
 
@@ -79,14 +81,14 @@ class LoopMixture:
 
     means: Array  #: (m, d) barycentres of the triangles, killer triangles first
     covariances: Array  #: (m, d, d)
-    weights: Array  #: (m,) they sum to one
+    weights: Array  #: (m,) weights of the components, which sum to one
 
     def __post_init__(self) -> None:
         own_arrays(self)
 
     @property
     def mean(self) -> Array:
-        """Return the place (d,) where the loop is on average."""
+        """Return the mean (d,) of the whole mixture."""
         return np.asarray(self.weights @ self.means)
 
     @property
@@ -97,7 +99,7 @@ class LoopMixture:
         return np.asarray(np.einsum("m,mij->ij", self.weights, self.covariances + between))
 
     def sample(self, n: int, rng: np.random.Generator | int | None = None) -> Array:
-        """Draw `n` points and return them, (n, d).
+        """Draw `n` points from the mixture and return them, (n, d).
 
         Parameters
         ----------
@@ -113,14 +115,14 @@ class LoopMixture:
         n = whole(n, "n")
         generator = np.random.default_rng(rng)
 
-        # Draw a component for each point, then a standard normal vector that the component's Cholesky factor shapes.
+        # Draw a component for each point, then a standard normal vector, and multiply it by the component's Cholesky factor.
         component = generator.choice(len(self.weights), size=n, p=self.weights)
         white = generator.standard_normal((n, self.means.shape[1], 1))
         factor = np.linalg.cholesky(self.covariances)
         return np.asarray(self.means[component] + (factor[component] @ white)[..., 0])
 
     def log_prob(self, x: ArrayLike) -> Array:
-        """Return the natural logarithm (n,) of the density at the points `x`, or a number for one point.
+        """Return the natural logarithm (n,) of the density at the points `x`; for one point it is a scalar.
 
         Parameters
         ----------
@@ -129,22 +131,22 @@ class LoopMixture:
         Raises
         ------
         ValueError
-            When `x` has another shape.
+            When `x` is neither a point nor a list of points of the mixture's dimension.
         """
         points = as_reals(x, "x").astype(np.float64)
         d = self.means.shape[1]
         if points.ndim not in (1, 2) or points.shape[-1] != d:
             raise ValueError(f"x must be a ({d},) point or (n, {d}) points, not an array of shape {points.shape}")
 
-        # The squared Mahalanobis distance is that of the whitened offset: Cholesky factor times it gives the offset.
+        # Whiten the offsets: solve (Cholesky factor) @ white = offset. Then |white|^2 is the squared Mahalanobis distance.
         factor = np.linalg.cholesky(self.covariances)  # (m, d, d)
         offsets = np.atleast_2d(points)[:, None] - self.means  # (n, m, d)
         white = np.linalg.solve(factor, offsets.transpose(1, 2, 0))  # (m, d, n)
         log_norm = np.log(np.einsum("mii->mi", factor)).sum(axis=1) + d / 2 * np.log(2 * np.pi)  # (m,)
-        with np.errstate(divide="ignore"):  # a component of weight 0 has logarithm -inf, and counts for nothing
+        with np.errstate(divide="ignore"):  # log 0 = -inf: a component of weight 0 adds nothing
             terms = np.log(self.weights) - log_norm - (white**2).sum(axis=1).T / 2  # (n, m)
 
-        # Sum over the components in logarithms, the largest term taken out so that nothing underflows.
+        # Sum over the components (log-sum-exp). The largest term is taken out first, so that nothing underflows.
         largest = terms.max(axis=1, keepdims=True)
         log_density = largest[:, 0] + np.log(np.exp(terms - largest).sum(axis=1))
         if points.ndim == 1:
@@ -152,37 +154,37 @@ class LoopMixture:
         return np.asarray(log_density)
 
     def density(self, n: int = 48, *, extent: float = 3.0) -> tuple[tuple[Array, ...], Array]:
-        """Evaluate the density on a grid: return coordinates along each of the d axes, (n,), and the values, (n,) * d.
+        """Return a grid of n places along each of the d axes, d arrays (n,), and the density (n,) * d on it.
 
         The order of the values is that of ``numpy.meshgrid(*axes, indexing="ij")``.
 
         Parameters
         ----------
         n : int
-            Places along each axis.
+            How many places along each axis.
         extent : float
-            Standard deviations of every component that the grid covers.
+            How many standard deviations of every component, on either side of its mean, the grid covers.
         """
         n = whole(n, "n", 1)
         reach = positive(extent, "extent") * np.sqrt(np.einsum("mii->mi", self.covariances))
         low = (self.means - reach).min(axis=0)
         high = (self.means + reach).max(axis=0)
-        axes = tuple(np.linspace(a, b, n) for a, b in zip(low, high, strict=True))
+        axes = tuple(np.linspace(start, end, n) for start, end in zip(low, high, strict=True))
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         values = np.exp(self.log_prob(grid.reshape(-1, len(axes))))
         return axes, values.reshape(grid.shape[:-1])
 
     def credibility(self, x: ArrayLike, *, n: int = 4096, rng: np.random.Generator | int | None = 0) -> Array:
-        """Return the mass (n,) of the smallest region that reaches each point of `x`: 0 at the mode, 1 far away.
+        """Return the probability (n,) of the smallest region of highest density that reaches each point of `x`.
 
-        It is estimated as the share of samples whose density is above that of the point. If mixtures are calibrated, the
-        credibilities of true places are uniform: a share q of them lies below q.
+        It is 0 at the mode and 1 far away, and is estimated by the share of samples whose density is above that of the point.
+        If mixtures are calibrated, the credibilities of true places are uniform: a share q of them lies below q.
 
         Parameters
         ----------
         x : (n, d) array_like
         n : int
-            How many samples.
+            How many samples the estimate uses.
         rng : numpy.random.Generator or int, optional
             As in `sample`.
         """
@@ -193,21 +195,21 @@ class LoopMixture:
 
 
 def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | None = None) -> LoopMixture:
-    """Return the Gaussian mixture of a loop over its killer triangles and neighbours.
+    """Return the Gaussian mixture of a loop, with a component for each killer triangle and each neighbouring one.
 
     Parameters
     ----------
     loop : Loop or PredictedLoop
     noise : float
-        Added to the diagonal of every sample covariance, square metres: a triangle is flat, and its covariance has no density
-        without it. The default is 1 cm squared. Not used with a prior.
+        Variance added to the diagonal of every sample covariance, square metres. A triangle is flat: without the noise its
+        covariance is singular and the Gaussian has no density. The default is 1 cm squared. A prior replaces the noise.
     prior : InverseWishart, optional
-        Take the posterior mean of the covariances under this prior instead.
+        When given, the covariances are the posterior means under this prior.
 
     Raises
     ------
     ValueError
-        When the loop's arrays do not fit each other, or its filtration values are negative or all zero.
+        When the shapes of the loop's arrays do not fit each other, or its filtration values are negative or all zero.
 
     Examples
     --------
@@ -217,18 +219,20 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
     >>> mixture.mean.round(6).tolist(), len(mixture.weights)
     ([1.0, 1.0], 6)
     """
-    # Check what the loop holds: it may come from elsewhere than the tracker.
+    # Check the arrays of the loop, which need not come from the tracker.
     for name in ("killer_triangles", "neighbours", "killer_values", "neighbour_values"):
         as_reals(getattr(loop, name), name)
     triangles = np.concatenate([loop.killer_triangles, loop.neighbours]).astype(np.float64)
     values = np.concatenate([loop.killer_values, loop.neighbour_values]).astype(np.float64)
     if triangles.ndim != 3 or triangles.shape[1] != 3 or len(values) != len(triangles):
-        raise ValueError(f"a mixture needs (m, 3, d) triangles and m values, not {triangles.shape} and {values.shape}")
+        shapes = f"not arrays of shapes {triangles.shape} and {values.shape}"
+        raise ValueError(f"a mixture needs (m, 3, d) triangles and as many filtration values, {shapes}")
     as_points(triangles.reshape(len(triangles), -1), "triangles")
     if not (np.isfinite(values).all() and (values >= 0).all() and values.sum() > 0):
-        raise ValueError(f"filtration values must be finite and not negative, one of them positive: {values.tolist()}")
+        needed = "finite and not negative, and at least one of them positive"
+        raise ValueError(f"filtration values must be {needed}, not {values.tolist()}")
 
-    # Equation 1: a component for each triangle. Three vertices leave two degrees of freedom about their mean.
+    # Equation 1: a component for each triangle. The sample covariance divides by 2: three vertices less one for their mean.
     means, scatter = moments(triangles)
     if prior is None:
         covariances = scatter / 2 + positive(noise, "noise", zero=False) * np.eye(triangles.shape[2])
@@ -238,12 +242,12 @@ def loop_mixture(loop: Triangles, noise: float = 1e-4, prior: InverseWishart | N
 
 
 def moments(triangles: Any) -> tuple[Any, Any]:
-    """Return barycentres (..., d) and the scatter of the vertices (..., d, d) of triangles.
+    """Return the barycentres (..., d) of triangles and the scatter (..., d, d) of their vertices.
 
     Parameters
     ----------
     triangles : (..., 3, d) array or tensor
-        Of NumPy or of PyTorch; so are the results.
+        An array of NumPy or a tensor of PyTorch; the results are of the same kind.
     """
     means = triangles.mean(axis=-2)
     offsets = triangles - means[..., None, :]

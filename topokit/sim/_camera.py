@@ -1,6 +1,6 @@
 """Depth cameras: images of the cloth, and their pixels as points in metres.
 
-A camera draws the whole scene, so that what is in front hides what is behind; only the cloth's pixels become points.
+A camera draws the whole scene, so that near surfaces hide what is behind them. Only the pixels of the cloth become points.
 
 Source: Hartley and Zisserman 2004, chapter 6 (the pinhole camera); Nguyen, Izadi and Lovell 2012, *Modeling Kinect sensor
 noise for improved 3D reconstruction and tracking* (the noise). Taught in chapter 8.
@@ -27,10 +27,12 @@ class DepthNoise:
     """The errors of a structured-light depth sensor, after Nguyen, Izadi and Lovell 2012."""
 
     axial: NotNegative = 0.0012  #: standard deviation of the depth at `best` metres, in metres
-    axial_growth: NotNegative = 0.0019  #: the deviation at depth z is `axial + axial_growth * (z - best)**2`; 1/m
-    best: NotNegative = 0.4  #: depth of least noise, metres
-    lateral: NotNegative = 0.8  #: standard deviation, in pixels, of the place a pixel reads: outlines become ragged
-    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of pixels that are lost, each by itself
+    axial_growth: NotNegative = 0.0019  #: 1/m; the deviation at depth z is `axial + axial_growth * (z - best)**2`
+    best: NotNegative = 0.4  #: the depth of least noise, metres
+    lateral: NotNegative = (
+        0.8  #: standard deviation, in pixels, of the place where a pixel measures: outlines become ragged
+    )
+    dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: the probability with which each pixel is lost
 
     def add_to(self, depth: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Mask]:
         """Return a noisy copy of a depth image and of the mask of the cloth in it.
@@ -38,35 +40,40 @@ class DepthNoise:
         Parameters
         ----------
         depth : (h, w) array
-            Metres.
+            Depths in metres.
         mask : (h, w) array of bool
+            The pixels of the cloth.
         rng : numpy.random.Generator
         """
-        # Across the view: each pixel reads the place of a neighbour, so that outlines become ragged.
+        # Lateral noise: each pixel takes the value of a pixel near it, so that outlines become ragged.
         rows, columns = np.indices(depth.shape)
         shift = np.rint(self.lateral * rng.standard_normal((2, *depth.shape))).astype(np.int64)
         rows = np.clip(rows + shift[0], 0, depth.shape[0] - 1)
         columns = np.clip(columns + shift[1], 0, depth.shape[1] - 1)
         depth = depth[rows, columns]
         mask = mask[rows, columns] & (rng.random(mask.shape) >= self.dropout)
-        # Along the view: a deviation that grows with the square of the distance.
+        # Axial noise: its deviation grows with the square of the distance from the best depth.
         deviation = self.axial + self.axial_growth * (np.where(mask, depth, self.best) - self.best) ** 2
         return depth + deviation * rng.standard_normal(depth.shape), mask
 
 
 @checked
 class Camera:
-    """A pinhole depth camera. Metres, degrees, pixels."""
+    """A pinhole depth camera; lengths are in metres."""
 
-    eye: Place = (0.0, -1.6, 1.2)  #: (3,) where it is
-    target: Place = (0.0, 0.0, 1.0)  #: (3,) the place in the middle of its picture
-    up: Place = (0.0, 0.0, 1.0)  #: (3,) the direction that points up in the picture, not along the view
+    eye: Place = (0.0, -1.6, 1.2)  #: (3,) the place of the camera
+    target: Place = (0.0, 0.0, 1.0)  #: (3,) the place that is seen in the middle of the picture
+    up: Place = (
+        0.0,
+        0.0,
+        1.0,
+    )  #: (3,) the direction that points up in the picture; it may not be the direction of view
     fov: Annotated[float, Field(gt=0, lt=180)] = 50.0  #: vertical angle of view, degrees
-    width: Pixels = 128  #: of the picture, pixels
-    height: Pixels = 128  #: of the picture, pixels
-    near: Positive = 0.1  #: nothing nearer is seen
-    far: Positive = 6.0  #: nothing farther is seen
-    noise: DepthNoise | None = None  #: added by `observe`; none when not given
+    width: Pixels = 128  #: width of the picture, pixels
+    height: Pixels = 128  #: height of the picture, pixels
+    near: Positive = 0.1  #: the least depth that is seen
+    far: Positive = 6.0  #: the largest depth that is seen
+    noise: DepthNoise | None = None  #: the noise of observed depths; none when not given
 
     def __post_init__(self) -> None:
         if self.near >= self.far:
@@ -74,11 +81,12 @@ class Camera:
         forward = np.subtract(self.target, self.eye)
         scale = float(np.linalg.norm(forward) * np.linalg.norm(self.up))
         if np.linalg.norm(np.cross(forward, self.up)) <= 1e-9 * scale:
-            raise ValueError(f"the camera at {self.eye} must look at another place than itself, not along up {self.up}")
+            places = f"eye {self.eye}, target {self.target}, up {self.up}"
+            raise ValueError(f"target must differ from eye, and up must not point along the view: {places}")
 
     @property
     def axes(self) -> Array:
-        """Unit vectors (3, 3) to the right, up and forward in the picture."""
+        """Return the unit vectors (3, 3) that point right, up and forward in the picture."""
         forward = np.subtract(self.target, self.eye)
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, self.up)
@@ -87,20 +95,26 @@ class Camera:
 
     @property
     def matrices(self) -> tuple[list[float], list[float]]:
-        """OpenGL's view and projection matrices, column by column, as PyBullet's renderer takes them."""
+        """Return OpenGL's view and projection matrices, column by column, as PyBullet's renderer takes them."""
         axes = self.axes * [[1], [1], [-1]]  # OpenGL looks along -z
         view = np.eye(4)
         view[:3, :3] = axes
         view[:3, 3] = -axes @ self.eye
         scale = 1 / np.tan(np.radians(self.fov) / 2)
-        reach = self.near - self.far
-        projection = np.diag([scale * self.height / self.width, scale, (self.near + self.far) / reach, 0.0])
-        projection[2, 3] = 2 * self.near * self.far / reach
+        depth_range = self.near - self.far
+        projection = np.diag([scale * self.height / self.width, scale, (self.near + self.far) / depth_range, 0.0])
+        projection[2, 3] = 2 * self.near * self.far / depth_range
         projection[3, 2] = -1.0
         return view.T.ravel().tolist(), projection.T.ravel().tolist()
 
     def depths(self, buffer: ArrayLike) -> Array:
-        """Turn a depth buffer, 0 at `near` and 1 at `far`, into (h, w) metres along the view; inf where nothing is."""
+        """Return the depths (h, w), in metres along the view, of a depth buffer; inf where nothing is seen.
+
+        Parameters
+        ----------
+        buffer : (h * w,) or (h, w) array_like
+            0 at `near` and 1 at `far`.
+        """
         values = np.asarray(buffer, dtype=np.float64).reshape(self.height, self.width)
         metres = self.near * self.far / (self.far - (self.far - self.near) * values)
         return np.where(values < 1 - 1e-6, metres, np.inf)
@@ -117,7 +131,7 @@ class Camera:
         Raises
         ------
         ValueError
-            When a shape is not the camera's, or a pixel of the mask has no depth.
+            When a shape is not that of the camera's picture, or a pixel of the mask has no finite depth.
         """
         metres = np.asarray(depth, dtype=np.float64)
         chosen = np.asarray(mask, dtype=bool)
@@ -127,8 +141,9 @@ class Camera:
         rows, columns = np.nonzero(chosen & np.isfinite(metres))
         if len(rows) < chosen.sum():
             row, column = np.argwhere(chosen & ~np.isfinite(metres))[0]
-            raise ValueError(f"pixel ({row}, {column}) of the mask sees nothing: its depth is {metres[row, column]}")
-        # PyBullet's TinyRenderer samples a pixel at its left edge and its lower edge, not at its middle.
+            raise ValueError(f"pixel ({row}, {column}) of the mask must have a finite depth, not {metres[row, column]}")
+        # A point lies on the ray through its pixel. PyBullet's TinyRenderer samples a pixel at its left lower corner, not at its
+        # middle.
         half = np.tan(np.radians(self.fov) / 2)
         x = (2 * columns / self.width - 1) * half * self.width / self.height
         y = (1 - 2 * (rows + 1) / self.height) * half
@@ -139,27 +154,33 @@ class Camera:
     def around(
         place: ArrayLike = (0.0, 0.1, 1.0), n: int = 3, *, distance: float = 1.6, noise: DepthNoise | None = None
     ) -> tuple[Camera, ...]:
-        """Return `n` cameras evenly around a place, 20 degrees over its horizon, the first in front of it (towards -y).
+        """Return `n` cameras evenly around a place, all looking at it from 20 degrees above.
+
+        The first camera is in front of the place (towards -y).
 
         Parameters
         ----------
         place : (3,) array_like
         n : int
+            How many cameras, at most a hundred.
         distance : float
-            From the place, metres.
+            Distance of the cameras from the place, metres.
         noise : DepthNoise, optional
-            Of every camera.
+            The noise of every camera.
 
         Raises
         ------
         ValueError
-            When there would be more than a hundred.
+            When `n` is negative or above a hundred.
         """
         if not 0 <= n <= 100:
-            raise ValueError(f"n must be 0 to 100 cameras, not {n}")
+            raise ValueError(f"n must be from 0 to 100 cameras, not {n}")
         middle = np.asarray(place, dtype=np.float64)
-        turn = 2 * np.pi * np.arange(n) / n - np.pi / 2
-        tilt = np.radians(20)
-        around = np.column_stack([np.cos(tilt) * np.cos(turn), np.cos(tilt) * np.sin(turn), np.full(n, np.sin(tilt))])
-        x, y, z = middle.tolist()
-        return tuple(Camera(tuple(eye), (x, y, z), noise=noise) for eye in (middle + distance * around).tolist())
+        azimuth = 2 * np.pi * np.arange(n) / n - np.pi / 2
+        elevation = np.radians(20)
+        x = np.cos(elevation) * np.cos(azimuth)
+        y = np.cos(elevation) * np.sin(azimuth)
+        z = np.full(n, np.sin(elevation))
+        eyes = middle + distance * np.column_stack([x, y, z])
+        target = tuple(middle.tolist())
+        return tuple(Camera(tuple(eye), target, noise=noise) for eye in eyes.tolist())

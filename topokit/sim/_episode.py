@@ -1,6 +1,7 @@
 """Record an episode: two grippers carry a garment to a target, hang it there and let go.
 
-What varies between episodes is drawn from declared ranges, with a generator for every purpose, and recorded.
+Everything that varies between episodes is drawn from declared ranges, and the draws are recorded in the episode. Each purpose
+(path, physics, cameras, noise) has a generator of its own.
 
 Source: Antonova et al. 2021, section 6 (stiffness and paths are randomised). Taught in chapters 0 and 8.
 """
@@ -34,12 +35,14 @@ from ._targets import Rod, Target
 from ._tasks import Task, check_loops, planned, resolved, warn_of_floor
 from ._world import SimulationConfig, SimulationError, World, check_stretch
 
+# A report is called with the number of each recorded frame, and with -1 now and then while the cloth settles.
 Report = Callable[[int], None]
-# points (T, N, 3), grippers (T, 2, 3), observed (T, M, 3) by cameras, stretch (T, 2)
+# The arrays of a recording: points (T, N, 3), grippers (T, 2, 3), observed (T, M, 3) by cameras, stretch (T, 2).
 Recording = dict[str, NDArray[Any]]
-AT_REST = 0.3  # m/s, mean over the vertices: a hung apron still swings a little, a falling one is faster within 0.03 s
-_CHECK_WHILE_SETTLING = 5  # steps: in cloth that has exploded a single step of self-collision can take minutes
-_MOST_STEPS, _MOST_PLACES = 10_000_000, 100_000_000
+AT_REST = 0.3  # m/s, mean over the vertices: a hung apron swings more slowly, a falling one is faster after 0.03 s
+_CHECK_WHILE_SETTLING = 5  # steps between checks: a step of self-collision in exploded cloth can take minutes
+_MOST_STEPS = 10_000_000  # physics steps of an episode
+_MOST_POINTS = 100_000_000  # vertices and observed points of all frames together
 
 
 def simulate(
@@ -55,75 +58,77 @@ def simulate(
     time_limit: float | None = 60.0,
     progress: bool = False,
 ) -> Episode:
-    """Record one episode: a garment hung between two grippers, carried to a target, let go there.
+    """Simulate one episode and return it: a garment hangs between two grippers, is carried to a target, and is let go there.
 
-    It is a success when, after release, the loops of the task are on the target and the garment is at rest there.
+    The episode is a success when, after the release, the loops of the task are on the target and the garment is at rest.
 
     Parameters
     ----------
     garment, target : optional
-        Those of the task when not given. With neither a task nor these, an apron is hung on a hook.
+        The garment and the target of the task when not given. Without a task either, an apron is hung on a hook.
     task : str or Task, optional
-        A name in `TASKS` or a task; when not given, the one of that garment and target (`task_for`).
+        A name in `TASKS` or a task; when not given, the task of the garment and the target (`task_for`).
     seed : int
-        Of everything random: path, physics, cameras and their noise each have a generator of their own.
+        Seed of everything random. Path, physics, cameras and their noise each have a generator of their own.
     config : SimulationConfig, optional
-        When not given, `SimulationConfig()` for what is in `WARDROBE`, and `Cloth().config(garment)` for a garment of one's own.
+        When not given, `SimulationConfig()` for a garment of `WARDROBE`, and `Cloth().config(garment)` for any other.
     randomisation : Randomisation, optional
-        Without it nothing varies but the path.
+        The ranges from which physics, size and cameras are drawn. Without it nothing varies but the path.
     cameras : sequence of Camera, optional
-        What the observer has. Without any it sees all sides: farthest-point samples of the vertices.
+        The cameras that observe the cloth. Without any, farthest-point samples of the vertices on all sides are observed.
     n_observed : int, optional
-        Points of the observation in each frame: 500, or all vertices of a garment that has fewer, when not given. It may not
-        exceed the vertices, nor the pixels of the cameras.
+        How many points are observed in each frame, at most as many as the garment has vertices or the cameras have pixels.
+        When not given: 500, or all vertices if there are fewer.
     time_limit : float, optional
-        Seconds for loading, settling and each frame in a fresh process; the same call then gives the same bytes anywhere
-        in a program. None: in this process, repeatable bit by bit only as its first simulation.
+        Seconds that loading, settling and each frame may take in a fresh process; the same call then gives the same bytes
+        anywhere in a program. With None the simulation runs in this process, and only its first simulation gives these bytes.
     progress : bool
-        Write the share done to stderr.
+        Write the number of frames done to stderr.
 
     Raises
     ------
     SimulationError
         When the cloth explodes or is over-stretched, or the simulator crashes or is stopped.
     ValueError
-        When `n_observed` exceeds the number of vertices, `task` is not known or asks for loops that the garment has not, or
-        no camera sees any cloth in some frame.
+        When `n_observed` is too large, `task` is not known or asks for loops that the garment does not have, or no camera sees
+        any cloth in some frame.
     """
     if garment is not None and not isinstance(garment, Garment):
-        how = "make one"
+        advice = "make one with Garment.from_mesh or from WARDROBE"
         if isinstance(garment, str | Path):
-            how = f"Garment.from_mesh({garment!r}) makes one of a mesh"
-        raise WrongKindError(f"garment must be a Garment, not {type(garment).__name__}: {how}")
+            advice = f"make one with Garment.from_mesh({garment!r})"
+        raise WrongKindError(f"garment must be a Garment, not {type(garment).__name__}: {advice}")
     task, garment, target = resolved(task, garment, target)
     config = config or usual_config(garment)
     check_loops(task, garment)
-    # Draw physics, size and cameras.
+    # Draw the physics, the size of the garment and the cameras.
     drawn: dict[str, Any] = {"randomisation": None}
     if randomisation is not None:
         config, garment, cameras, numbers = randomisation.draw(seed, config, garment, cameras)
         drawn = {"randomisation": {**randomisation.describe(), "drawn": numbers}}
-    # How many points are observed.
+    # Decide how many points are observed.
     if n_observed is None:
         n_observed = 500 if cameras else min(500, len(garment.vertices))
     most = sum(camera.width * camera.height for camera in cameras) or len(garment.vertices)
     if not 1 <= n_observed <= most:
-        what = "pixels of the cameras" if cameras else "vertices of the garment"
-        raise ValueError(f"n_observed must be 1 to {most}, the {what}, not {n_observed}")
+        available = "pixels of all cameras" if cameras else "vertices of the garment"
+        raise ValueError(f"n_observed must be from 1 to {most}, the number of {available}, not {n_observed}")
     # Plan the path, and turn the garment to its start.
     warn_of_floor(garment, target)
     path = planned(task, garment, target, Randomisation.generator(seed, "path"))
     garment = garment.turned(path.vias[0].yaw)
     if path.drawn:
         drawn["path"] = dict(path.drawn)
-    # How long it takes; what does not fit into the memory is refused.
+    # Find the number of frames, and refuse an episode that does not fit into the memory.
     frames = config.frames or max(FEWEST_FRAMES, math.ceil(min(path.end / config.frame_time, _MOST_STEPS)))
     config = dataclasses.replace(config, frames=frames)
     steps = frames * config.steps_per_frame
-    places = frames * (len(garment.vertices) + n_observed)
-    if steps > _MOST_STEPS or places > _MOST_PLACES:
-        bounds = f"at most {_MOST_STEPS:,} steps and {_MOST_PLACES:,} places of points fit into the memory"
-        raise ValueError(f"{frames:,} frames of {steps:,} steps and {places:,} places of points: {bounds}")
+    n_points = frames * (len(garment.vertices) + n_observed)
+    if steps > _MOST_STEPS or n_points > _MOST_POINTS:
+        size = f"{frames:,} frames make {steps:,} physics steps and {n_points:,} points"
+        bounds = f"at most {_MOST_STEPS:,} steps and {_MOST_POINTS:,} points fit into the memory"
+        raise ValueError(f"{size}; {bounds}: lower config.frames or n_observed, or raise config.dt")
+    # Simulate the run, and make the recording an episode.
     goals = path.at(np.arange(steps) * config.dt)
     noise = int(Randomisation.generator(seed, "noise").integers(2**63))
     rods, moves = rods_of(target, np.arange(frames + 1) * config.frame_time)
@@ -143,16 +148,17 @@ def as_episode(
     target: Target,
     seed: int,
     drawn: dict[str, Any],
-    first: int | None = None,  # vertex of the samples: a world that is controlled shows the first one of the mesh
+    first: int | None = None,  # the vertex at which farthest-point sampling begins, as in `farthest_point_sample`
 ) -> Episode:
-    """Return the episode of a run and of what was recorded; `drawn` is noted in its physics."""
+    """Return the episode of a run and its recording; what was `drawn` is noted in its physics."""
     garment = run.garment
     config = run.config
     points = recording["points"]
-    # At rest: a loop that flies past the arm links it, too.
+    # Success needs the garment to be at rest, since a loop that flies past the arm links it, too.
     held = np.arange(len(points)) * config.steps_per_frame < run.release
     speed = float(np.linalg.norm(points[-1] - points[-2:][0], axis=1).mean()) / config.frame_time
-    rests = len(points) > 1 and not held[-1] and speed < AT_REST
+    at_rest = len(points) > 1 and not held[-1] and speed < AT_REST
+    # Note everything that a repetition needs.
     physics = {
         "config": dataclasses.asdict(config),
         "elastic_stiffness": config.elastic_stiffness(len(garment.vertices)),
@@ -163,7 +169,7 @@ def as_episode(
     if garment.loop_names != wardrobe_names(garment.name, garment.parameters):
         physics["loops"] = list(garment.loop_names)
     physics["stretch"] = dict(zip(("p99", "worst"), recording["stretch"].max(axis=0).tolist(), strict=True))
-    # Without cameras all sides are observed.
+    # Without cameras, farthest-point samples of the vertices are observed.
     if run.cameras:
         observed = recording["observed"]
     else:
@@ -181,7 +187,7 @@ def as_episode(
         garment=garment.name,
         target=target.name,
         task=task.name,
-        success=bool(rests and task.hangs(points[-1], garment.named_loops, target)),
+        success=bool(at_rest and task.hangs(points[-1], garment.named_loops, target)),
         seed=seed,
         dt=config.frame_time,
         observation={
@@ -194,7 +200,7 @@ def as_episode(
 
 
 def _version(package: str) -> str:
-    """Return the version of a package that is installed."""
+    """Return the version of an installed package."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:  # run from a source tree that is not installed
@@ -202,28 +208,28 @@ def _version(package: str) -> str:
 
 
 def _show(frames: int, frame: int) -> None:
-    """Write to stderr which frame of how many is done."""
+    """Write to stderr how many of the frames are done."""
     end = "\n" if frame + 1 == frames else ""
     print(f"\rsimulating: frame {frame + 1} of {frames}", end=end, file=sys.stderr, flush=True)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Run:
-    """The whole input of a simulation, which may run in another process."""
+    """The whole input of a simulation, so that it can run in another process."""
 
     garment: Garment
-    rods: Sequence[Rod]  # the target, as it stands at first
-    moves: Array  # (frames + 1, R, 3) metres that each has gone by every frame; (0, R, 3) when it stands still
-    goals: Array  # (steps, 2, 3) metres, where the grippers should be at every physics step
-    release: int  # the step at which they let go
+    rods: Sequence[Rod]  # the R rods of the target in the first frame
+    moves: Array  # (frames + 1, R, 3) how far each rod has moved by each frame, metres; (0, R, 3) when the target stands still
+    goals: Array  # (steps, 2, 3) where the grippers should be at each physics step, metres
+    release: int  # the step at which the grippers let go
     config: SimulationConfig
-    cameras: Sequence[Camera]  # that observe every frame; there may be none
-    n_observed: int  # points that the cameras give together
+    cameras: Sequence[Camera]  # the cameras that observe every frame, if any
+    n_observed: int  # how many points are observed in a frame
     noise: int  # seed of the noise of the cameras
 
 
 def record(run: Run, report: Report | None = None) -> Recording:
-    """Simulate in this process; `report` is called with -1 now and then while the cloth settles, and with every frame."""
+    """Simulate a run in this process and return its recording."""
     garment = run.garment
     config = run.config
     if report is None:
@@ -236,13 +242,13 @@ def record(run: Run, report: Report | None = None) -> Recording:
     stretch = []
     with World(garment, offset, config) as world:
         world.add_rods(run.rods)
-        # The garment settles between the grippers.
+        # Let the garment settle between the grippers.
         for step in range(round(config.settle / config.dt)):
             if step % _CHECK_WHILE_SETTLING == 0 and step:
                 check_stretch(garment, config, world.vertices(), "settling")
                 report(-1)
             world.step(run.goals[0])
-        # It is carried to the target, let go, and recorded.
+        # Carry it to the target, let go, and record a frame every few steps.
         for step, goal in enumerate(run.goals):
             if step == run.release:
                 world.release()
@@ -253,6 +259,7 @@ def record(run: Run, report: Report | None = None) -> Recording:
                 if run.cameras:
                     observed.append(world.observe(run.cameras, run.n_observed, noise))
                 report(len(points) - 1)
+            # A moving target moves evenly between two frames.
             if len(run.moves):
                 frame, share = divmod(step / config.steps_per_frame, 1)
                 world.move_rods((1 - share) * run.moves[int(frame)] + share * run.moves[int(frame) + 1])
@@ -270,8 +277,11 @@ def _silence(_: int) -> None:
 
 
 def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> Recording:
-    """Simulate in a fresh process; it is stopped when loading, settling or a frame takes longer than `time_limit` seconds."""
-    stage = "loading the garment"
+    """Simulate a run in a fresh process and return its recording.
+
+    The process is stopped when loading, settling or a frame takes longer than `time_limit` seconds.
+    """
+    stage = "loading the garment"  # for the error of a process that fails
 
     def note(frame: int) -> None:
         nonlocal stage
@@ -289,7 +299,10 @@ def record_afresh(run: Run, time_limit: float, report: Report | None = None) -> 
 
 
 def rods_of(target: Target, times: NDArray[np.floating]) -> tuple[list[Rod], Array]:
-    """Return the rods of a target at the first of some times, and how far each has moved by each time; (0, R, 3) if it stands."""
+    """Return the R rods of a target at the first time, and how far each has moved (T, R, 3) by each of the times.
+
+    For a target that stands still the second array is empty, (0, R, 3).
+    """
     first = target.at(times[0]).rods
     if target.at(times[-1]) == target.at(times[0]):
         return first, np.zeros((0, len(first), 3))
