@@ -153,7 +153,7 @@ def test_two_rings_that_die_together_are_no_opening():
     assert any(len({*loop.cycle.tolist()}) < len(loop.cycle) for loop in tk.track([np.concatenate(rings)])[0].loops)
     servo = Servo()
     plan(servo, seen(np.concatenate(rings), [[-0.1, -0.6, 1.42], [0.1, -0.6, 1.42]]))
-    assert [len(known.cycle) for known in servo._known] == [40]
+    assert [len(known.cycle) for known in servo._known_loops] == [40]
 
 
 def test_of_two_handles_the_one_that_is_not_seen_is_the_twin():
@@ -277,7 +277,7 @@ def test_a_throw_ends_at_the_fence_and_what_is_let_go_flies():
     np.testing.assert_allclose(moves[:, 0] @ -arm.out, [moves[0, 0] @ -arm.out, *[0.9] * 58][: len(moves)], atol=1e-9)
     assert moves[1, 0, 2] == pytest.approx(0.6)
     assert goals[last - 1, 0, 2] - hands[0, 2] == pytest.approx(
-        arm.tip[2] + thrower._clear(arm) + 0.02 - 1.28, abs=0.01
+        arm.tip[2] + thrower._clearance(arm) + 0.02 - 1.28, abs=0.01
     )
     held = thrower._moved(goals[None], ring(60, centre=(0, -0.9, 1.13)))
     flying = thrower._flown(held, np.array([last]))[0]

@@ -84,22 +84,22 @@ class _Wearing(Servo):
             return nothing
         grippers = np.asarray(observation["grippers"], np.float64)
         line = np.asarray(observation["target"], np.float64)
-        body = _Body.of(line, np.asarray(observation["rods"], np.float64), self._front)
+        body = _Body.of(line, np.asarray(observation["rods"], np.float64), self._approach_from)
         if body is None:
             self.reason = "the target has no head on shoulders"
         if body is None or not observation["held"]:
             return nothing
         self._frame += 1
-        self._wide = 0.0
+        self._least_width = 0.0
         self._follow(np.asarray(observation["points"], np.float64), grippers, line)
         self.reason = self._unfit(body)
         return nothing if self.reason else self._onward(body, grippers)
 
-    def _look(self, points: Array) -> None:
+    def _observe_cloud(self, points: Array) -> None:
         """Take in the loops that are seen now."""
         loops = self._tracker.update(np.unique(points, axis=0)).loops
-        self._loops = [self._inside(loop.cycle_points) for loop in loops]
-        self._measure(self._inside(points))
+        self._loops = [self._to_gripper_frame(loop.cycle_points) for loop in loops]
+        self._measure(self._to_gripper_frame(points))
 
     def _onward(self, body: _Body, grippers: Array) -> NDArray[np.float32]:
         """Return the action that brings the grippers nearer to the stop; then comes the next stop, or they let go."""
@@ -129,7 +129,7 @@ class _Wearing(Servo):
         goals = here + turned(self._goals - here, np.clip(_GAIN * facing, -TURN, TURN)) + move + self._drift
         across = (goals[1] - goals[0]) / np.linalg.norm(goals[1] - goals[0])
         goals = goals + np.array([[-0.5], [0.5]]) * across * np.clip(apart, -_WIDEN, _WIDEN)
-        return self._step(goals, grippers)
+        return self._action_towards(goals, grippers)
 
     def _unfit(self, body: _Body) -> str:
         """Return why the garment cannot be put on this body; "" when it can."""
@@ -181,7 +181,7 @@ class PullOverController(_Wearing):
                 self._centre = (1 - _NEW) * self._centre + _NEW * curve_centroid(loop) * [1, 1, 0]
 
     def _here(self) -> Array:
-        return self._outside(self._centre[None])[0]
+        return self._to_world(self._centre[None])[0]
 
     def _goal_of(self, stop: str, here: Array, body: _Body) -> tuple[Array, float]:
         top = body.line[-1]
@@ -203,7 +203,7 @@ class PullOverController(_Wearing):
         return (aside + 90) % 180 - 90
 
     def _worn(self, stop: str, body: _Body) -> bool:
-        on = any(body.arm.holds(self._outside(loop)) for loop in self._loops)
+        on = any(body.arm.holds(self._to_world(loop)) for loop in self._loops)
         self._around = self._around + 1 if on else 0
         return self._around >= SURE
 
@@ -257,7 +257,7 @@ class StrapController(_Wearing):
         return angle(ahead, -body.arm.out)
 
     def _worn(self, stop: str, body: _Body) -> bool:
-        curves = [self._outside(loop) for loop in self._loops]
+        curves = [self._to_world(loop) for loop in self._loops]
         on = [any(_around(curve, line) for curve in curves) for line in body.shoulders]
         self._seen = (self._seen + on) * (stop == "down")
         return bool((self._seen >= _SEEN).all())

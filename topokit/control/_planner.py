@@ -153,18 +153,18 @@ class Planner(Servo):
         self._observed = 0
         self._carried = np.zeros((0, 3))
 
-    def _look(self, points: Array) -> None:
+    def _observe_cloud(self, points: Array) -> None:
         """Let the forecast observe it, too; frames without a cloud are filled in by carrying the last cloud along."""
-        super()._look(points)
+        super()._observe_cloud(points)
         frame = self._frame - self._age
         first = len(self._past) - self._age - frame + self._observed
         for then in list(self._past)[first : -1 - self._age]:
             self._forecast.observe(turned(self._carried, then.yaw) + then.middle, then.grippers, True, then.line)
-        self._forecast.observe(points, self._then.grippers, True, self._then.line)
+        self._forecast.observe(points, self._cloud_frame.grippers, True, self._cloud_frame.line)
         self._observed = frame
-        self._carried = self._inside(points)
+        self._carried = self._to_gripper_frame(points)
 
-    def _outside(self, points: Array) -> Array:
+    def _to_world(self, points: Array) -> Array:
         """Return where the points are now, by the forecast for what was done since they were seen."""
         seen = self._seen(points)
         if not self._age:
@@ -173,7 +173,7 @@ class Planner(Servo):
 
     def _seen(self, points: Array) -> Array:
         """Return where the points were when they were seen."""
-        return turned(points, self._then.yaw) + self._then.middle
+        return turned(points, self._cloud_frame.yaw) + self._cloud_frame.middle
 
     def _moved(self, goals: Array, points: Array) -> Array:
         """Return (C, 60, n, 3) points that were seen, under the goals since then, and after them under goals (C, F, 2, 3)."""
@@ -183,13 +183,13 @@ class Planner(Servo):
         plans = plans[:, np.minimum(np.arange(FRAMES), plans.shape[1] - 1)]
         return np.asarray(self._forecast.move(plans, np.ones(plans.shape[:2], bool), points)[0], np.float64)
 
-    def _along(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
+    def _next_action(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
         """Return the next step of the plan, which is made anew every few frames; or let go."""
         # A small loop leaves no room for cloth that swings: the servo, which is slow, hangs it.
         if self._slow is None:
-            self._slow = self._pace < 1 and min(loop.opening.size[0] for loop in self._chosen) < self._needed(arm)
+            self._slow = self._pace < 1 and min(loop.opening.size[0] for loop in self._chosen) < self._needed_size(arm)
         if self._slow:
-            return super()._along(arm, grippers)
+            return super()._next_action(arm, grippers)
         rim = self._rim(arm, grippers)
         before = self._goals
         speed = float(np.linalg.norm(rim - self._was - self._drift))
@@ -198,7 +198,7 @@ class Planner(Servo):
         if self._stop:
             self._followed = len(self._path)
             self._speed = np.zeros((2, 3))
-            action = super()._along(arm, grippers)
+            action = super()._next_action(arm, grippers)
             if self._stop < DOWN:
                 self._stop = 0
             return action
@@ -207,11 +207,11 @@ class Planner(Servo):
         self._waited += bool(np.linalg.norm(rim - arm.tip) < _CLOSE)
         seated = np.linalg.norm(self._seat(arm) - rim) < _SEATED and speed < _STILL
         if linked >= SURE and (seated or self._waited > PATIENCE / 2):
-            if all(loop.cycle is not loop.curve for loop in self._chosen):
+            if all(loop.is_seen for loop in self._chosen):
                 return np.eye(7, dtype=np.float32)[6]
             self._stop = DOWN
             self._waited = 0
-            return super()._along(arm, grippers)
+            return super()._next_action(arm, grippers)
         if self._waited > PATIENCE:
             self._stop = LIFT
             self._waited = 0
@@ -221,7 +221,7 @@ class Planner(Servo):
             self._path = self._best(arm, rim, linked > 0)
             self._followed = 0
         self._followed += 1
-        action = self._step(self._path[self._followed - 1], grippers)
+        action = self._action_towards(self._path[self._followed - 1], grippers)
         self._speed = self._goals - before
         return action
 
@@ -259,13 +259,13 @@ class Planner(Servo):
         length = np.append(0, np.linalg.norm(np.diff(legs, axis=0), axis=1).cumsum())
         gone = self._pace * self.max_step * _KNOTS[1:]
         places = np.stack([np.interp(gone, length, axis) for axis in legs.T], axis=1)
-        facing = angle(self._faces(), arm.out)
+        facing = angle(self._loop_direction(), arm.out)
         return np.column_stack([places - rim, np.clip(facing, -TURN * _KNOTS[1:], TURN * _KNOTS[1:])])
 
     def _stops(self, arm: Arm, rim: Array) -> list[Array]:
         """Return places to pass before the rim sinks: up beside the target, before it, above the tip, above the seat."""
         seat = self._seat(arm)
-        over = arm.tip + [0, 0, self._clear(arm)]
+        over = arm.tip + [0, 0, self._clearance(arm)]
         far = abs(angle(arm.out, rim - arm.start)) > 60 or np.linalg.norm((rim - arm.tip)[:2]) > 0.3
         before = [np.array([*arm.before(rim, 0.13)[:2], over[2]])] if far else []
         return [*before, over, np.array([*seat[:2], over[2]])]
@@ -309,12 +309,12 @@ class Planner(Servo):
     def _to_go(self, rim: Array, cycle: Array, arm: Arm, linked: bool) -> Array:
         """Return (C, F) the guide for a rim (C, F, 3) of a cycle (C, F, L, 3), which may sink once it was seen around."""
         seat = self._seat(arm)
-        over = arm.tip + [0, 0, self._clear(arm)]
+        over = arm.tip + [0, 0, self._clearance(arm)]
         above = np.array([*seat[:2], over[2]])
         # Degrees by which the opening faces aside of the arm, on the side that was chosen.
         area = np.cross(cycle, np.roll(cycle, -1, axis=2)).sum(axis=2) * [1, 1, 0]
         area = area / np.maximum(np.linalg.norm(area, axis=-1, keepdims=True), 1e-9)
-        side = np.sign(area[:, :1] @ self._faces())
+        side = np.sign(area[:, :1] @ self._loop_direction())
         aside = np.degrees(np.arccos(np.clip(side * (area @ arm.out), -1, 1)))
         # Metres below the height of the tip, which cost most when the arm is near.
         low = np.maximum(over[2] - rim[..., 2], 0) * np.exp(-((((rim - arm.tip) @ arm.out) / 0.13) ** 2))

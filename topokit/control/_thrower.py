@@ -64,20 +64,20 @@ class ThrowController(Planner):
         self._fence = positive(fence, "fence")
         self._time = positive(frame_time, "frame_time", zero=False)
 
-    def _goal(self, stop: str, arm: Arm, rim: Array) -> Array:
+    def _rim_goal(self, stop: str, arm: Arm, rim: Array) -> Array:
         """Return where the run begins: a throw has no other stop."""
         return np.array([*arm.before(rim, self._fence + _RUN)[:2], self._passes(arm) - _LOW])
 
-    def _along(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
+    def _next_action(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
         """Return the next action: go to where a run begins, choose a run, follow it, and let go."""
         if self._stop == 0:
-            return Servo._along(self, arm, grippers)
+            return Servo._next_action(self, arm, grippers)
         if not len(self._path):
             self._path = self._aimed(arm, grippers)
         self._followed += 1
         if self._followed > len(self._path):
             return np.eye(7, dtype=np.float32)[6]
-        return self._step(self._path[self._followed - 1], grippers)
+        return self._action_towards(self._path[self._followed - 1], grippers)
 
     def _aimed(self, arm: Arm, grippers: Array) -> Array:
         """Return the run (F, 2, 3) that is taken."""
@@ -125,4 +125,4 @@ class ThrowController(Planner):
 
     def _passes(self, arm: Arm) -> float:
         """Return the height at which the rim should pass the tip, metres."""
-        return float(arm.tip[2] + self._clear(arm))
+        return float(arm.tip[2] + self._clearance(arm))
