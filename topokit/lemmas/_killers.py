@@ -144,8 +144,8 @@ def _bounds(f: int, betas: dict[str, Beta], *, times: int = 1, plus: float = 0.0
 def _loop_checks(step: Step, places: Sequence[str], bounds: Sequence[dict[str, float]]) -> list[LoopCheck]:
     """Measure how far the killers of the longest-lived loops of S_t are apart from place to place, and in the first and last."""
     n = len(bounds)
-    legs = np.array([np.diagonal(step.apart(*pair, n)) for pair in pairwise(places)]).T.tolist()
-    ends = np.diagonal(step.apart(places[0], places[-1], n)).tolist()
+    legs = np.array([np.diagonal(step.killer_distances(*pair, n)) for pair in pairwise(places)]).T.tolist()
+    ends = np.diagonal(step.killer_distances(places[0], places[-1], n)).tolist()
     lifetimes = step.before.diagram.lifetime.tolist()
     return [LoopCheck(f, lifetimes[f], ends[f], tuple(legs[f]), bounds[f]) for f in range(n)]
 
@@ -211,7 +211,7 @@ def _by_loop(step: Step, alpha: float) -> Verdict:
         return Verdict(0.0, np.inf, True)
     beta = max(state.beta_all(alpha, alpha, alpha).max for state in (s, step.after))
     reach = 2 * alpha + beta + step.epsilon
-    distance = step.apart("O_t", "O_t+1", n_loops)
+    distance = step.killer_distances("O_t", "O_t+1", n_loops)
     np.fill_diagonal(distance, np.inf)
     least = float(distance.min())
     loop = int(distance.min(axis=1).argmin())
@@ -235,7 +235,7 @@ def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
     killers = s.diagram.killer_edge[:n_loops]
     nearest = [np.argmin([s.edge_distances(seen, killer) for killer in killers], axis=0) for seen in edges]
     same = np.equal.outer(*nearest)
-    distance = step.apart("O_t", "O_t+1", n_loops)
+    distance = step.killer_distances("O_t", "O_t+1", n_loops)
     least = float(distance[~same].min(initial=np.inf))
     most = float(distance[same].max(initial=0.0))
     holds = least > reach - step.tolerance and most <= reach + step.tolerance

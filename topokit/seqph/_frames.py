@@ -1,4 +1,4 @@
-"""What a tracker takes from a cloud, and which frames may follow each other in a sequence."""
+"""The frame of a tracker: a cloud with its measures; and the checks that one frame can follow another."""
 
 from __future__ import annotations
 
@@ -16,32 +16,34 @@ from ._evidence import Gaps, evidence, significance
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-_SCENE = 0.95  # share of the points that have a neighbour within 2 alpha, for an estimate of alpha
-_MOVED = 0.9  # share of the points that move no farther than epsilon, for an estimate of epsilon
-_FITS = 0.25  # share of the points that decide whether the scene has moved; the others may have come in
-_NO_GAPS = Gaps(0.0, 1.0)  # of a single place, and where alpha decides which bars are loops
-_OTHER_UNITS = 20.0  # times as large: cloth does not grow so between two frames
+_SHARE_WITHIN_ALPHA = 0.95  # share of the points that have a neighbour within 2 alpha, when alpha is estimated
+_SHARE_WITHIN_EPSILON = 0.9  # share of the points that move no farther than epsilon, when epsilon is estimated
+_SHARE_THAT_FITS = 0.25  # share of the points that decide whether the scene has moved; the others may be new in view
+_NO_GAPS = Gaps(0.0, 1.0)  # for a cloud of one place, and where alpha decides which bars are loops
+_OTHER_UNITS = (
+    20.0  # factor between the sizes of two frames beyond which they have different units: cloth does not grow so
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A cloud, the points of it that count, and how far apart they are."""
+    """The points of a cloud that are used, and how far apart they are."""
 
-    tree: cKDTree  #: of the points that count
-    ids: Ids  #: (n,) their numbers in the cloud
-    alpha: float  #: how far the scene may be from the nearest of them
-    gaps: Gaps = _NO_GAPS  #: how wide the gaps between them are
+    tree: cKDTree  #: search tree of the points that are used
+    ids: Ids  #: (n,) ids of these points in the cloud
+    alpha: float  #: how far a place of the scene may be from the nearest of these points
+    gaps: Gaps = _NO_GAPS  #: how wide the gaps between these points are
 
     @classmethod
     def of_all_points(cls, tree: cKDTree, alpha: float | None = None) -> Frame:
-        """Return the frame in which all points count, as in the paper.
+        """Return the frame that uses all points, as in the paper.
 
         Parameters
         ----------
         tree : cKDTree
-            Of the points.
+            Search tree of the points.
         alpha : float, optional
-            Half the largest distance of a point from its nearest other one, when not given.
+            When not given, half the largest distance from a point to its nearest neighbour.
         """
         if alpha is None:
             alpha = spacing(tree)
@@ -49,19 +51,19 @@ class Frame:
 
     @classmethod
     def without_outliers(cls, tree: cKDTree) -> Frame:
-        """Return the frame in which points that are alone do not count.
+        """Return the frame that leaves out points far from all others.
 
         Parameters
         ----------
         tree : cKDTree
-            Of the points.
+            Search tree of all points.
         """
         if tree.n == 0:
             return cls(tree, np.arange(0), 0.0)
         ids, places, nearest = inliers_and_tree(tree)
         if places.n == 1:
             return cls(places, ids, 0.0)
-        alpha = float(np.quantile(nearest[:, 0], _SCENE)) / 2
+        alpha = float(np.quantile(nearest[:, 0], _SHARE_WITHIN_ALPHA)) / 2
         return cls(places, ids, alpha, Gaps.of(nearest))
 
     def significance(self, birth: Array, death: Array) -> Array:
@@ -85,48 +87,48 @@ class Frame:
         return evidence(self.significance(birth, death))
 
     def motion_since(self, before: Frame) -> tuple[Array, float]:
-        """Return how far the scene has moved since another frame, and how far its points have moved beside that.
+        """Return the shift (d,) of the scene since an earlier frame, and how far its points have moved in addition.
 
-        The first is a vector (d,); the second is a partial Hausdorff distance. It is measured one way only, since a point that
-        is hidden now has not moved.
+        The second number is a partial Hausdorff distance, from the points of this frame to those of the earlier one only: a
+        point that is hidden now has not moved.
 
         Parameters
         ----------
         before : Frame
         """
-        # The middle of a still scene moves when a part of it is hidden or another comes in. So the motion of the middle
-        # counts only when the nearest quarter of the points fits the scene before better with it than without.
+        # The centroid of a still scene moves when a part of the scene is hidden or comes into view. So the shift of the centroid
+        # is used only when the nearest quarter of the points fits the earlier scene better with the shift than without it.
         shift = self.tree.data.mean(axis=0) - before.tree.data.mean(axis=0)
         distance = before.tree.query(self.tree.data)[0]
         shifted_distance = before.tree.query(self.tree.data - shift)[0]
-        if np.quantile(distance, _FITS) <= np.quantile(shifted_distance, _FITS):
-            return np.zeros_like(shift), float(np.quantile(distance, _MOVED))
-        return shift, float(np.quantile(shifted_distance, _MOVED))
+        if np.quantile(distance, _SHARE_THAT_FITS) <= np.quantile(shifted_distance, _SHARE_THAT_FITS):
+            return np.zeros_like(shift), float(np.quantile(distance, _SHARE_WITHIN_EPSILON))
+        return shift, float(np.quantile(shifted_distance, _SHARE_WITHIN_EPSILON))
 
 
 def check_follows(
     number: int, frame: Frame, time: float | None, before: Frame | None, time_before: float | None
 ) -> None:
-    """Raise ValueError unless a frame and its time can follow those before."""
+    """Raise ValueError unless a frame and its time can follow the frame before and its time."""
     if frame.tree.n == 0:
-        raise ValueError(f"frame {number} has no points: nothing seen is not the same as no loops; skip the frame")
+        raise ValueError(f"frame {number} has no points, so that its loops are not known: skip the frame")
     seconds = time.item() if isinstance(time, np.generic) else time
     if time is not None and not (isinstance(seconds, (int, float)) and abs(seconds) < 1e300):
-        raise ValueError(f"frame {number} has time {time}; it must be a finite number of seconds")
+        raise ValueError(f"frame {number} has time {time}; a time must be a finite number of seconds")
     if before is None:
         return
 
     _check_time(number, time_before, time)
     if frame.tree.m != before.tree.m:
-        raise ValueError(f"frame {number} has {frame.tree.m} dimensions, the frames before it {before.tree.m}")
+        raise ValueError(f"frame {number} has {frame.tree.m} dimensions, the frames before it have {before.tree.m}")
 
     # A scene may grow, and a cloud may become coarser. Both at once by the same large factor is a change of units.
     size = _extent(frame.tree)
     size_before = _extent(before.tree)
     if _differ_in_units(size, size_before) and _differ_in_units(spacing(frame.tree), spacing(before.tree)):
-        sizes = f"frame {number} is {size:.4g} across, the frame before it {size_before:.4g}"
-        reason = "its points are as much farther apart or nearer: is it in other units?"
-        raise ValueError(f"{sizes}, and {reason} Convert it, or start a new tracker")
+        sizes = f"frame {number} is {size:.4g} across, and the frame before it {size_before:.4g}"
+        reason = "the gaps between points changed as much, so the frames seem to be in different units"
+        raise ValueError(f"{sizes}; {reason}: convert one of them, or start a new tracker")
 
 
 def _check_time(number: int, before: float | None, time: float | None) -> None:
@@ -135,24 +137,24 @@ def _check_time(number: int, before: float | None, time: float | None) -> None:
         return
     advice = "give all frames a time, or none"
     if time is None:
-        raise ValueError(f"frame {number} has no time, the frame before it one: {advice}")
+        raise ValueError(f"frame {number} has no time, but the frame before it has one: {advice}")
     if before is None:
-        raise ValueError(f"frame {number} has time {time} s, the frame before it none: {advice}")
+        raise ValueError(f"frame {number} has time {time} s, but the frame before it has none: {advice}")
     if time <= before:
         problem = "is repeated" if time == before else "is out of order"
-        reason = f"its time {time} s is not later than {before} s, that of the frame before"
+        reason = f"its time {time} s is not later than the time {before} s of the frame before"
         raise ValueError(f"frame {number} {problem}: {reason}; sort the frames by time and drop repeated ones")
 
 
 def check_diagram(number: int, diagram: Diagram, n_points: int) -> None:
-    """Raise ValueError unless a diagram is of so many points and all its loops die."""
+    """Raise ValueError unless a diagram is that of a cloud of so many points, and all its loops die."""
     if diagram.n_points != n_points:
-        raise ValueError(f"frame {number} has {n_points} points, its diagram is of {diagram.n_points}")
+        raise ValueError(f"frame {number} has {n_points} points, but its diagram was computed from {diagram.n_points}")
     still_open = int(np.isinf(diagram.death).sum())
     if still_open:
-        problem = f"{still_open} loops of its diagram do not die below max_radius = {diagram.max_radius:g}"
-        reason = "a tracked loop needs its killer: compute the diagram without max_radius"
-        raise ValueError(f"frame {number}: {problem}, and {reason}")
+        problem = f"{still_open} loops of the diagram do not die below max_radius = {diagram.max_radius:g}"
+        reason = "a loop without a killer cannot be tracked; compute the diagram without max_radius"
+        raise ValueError(f"frame {number}: {problem}: {reason}")
 
 
 def _extent(tree: cKDTree) -> float:
@@ -161,7 +163,7 @@ def _extent(tree: cKDTree) -> float:
 
 
 def _differ_in_units(size: float, before: float) -> bool:
-    """Return whether two lengths differ as much as metres and inches (39), centimetres or millimetres."""
+    """Return whether two lengths differ by a factor as between metres and inches (39), centimetres or millimetres."""
     smaller = min(size, before)
     larger = max(size, before)
     return smaller > 0 and larger > _OTHER_UNITS * smaller
