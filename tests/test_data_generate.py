@@ -79,7 +79,7 @@ def test_an_episode_is_what_anyone_simulates(undisturbed, tmp_path):
 
 def test_killed_in_every_way_it_goes_on(undisturbed, tmp_path, monkeypatch):
     """A child killed, the command killed, the command stopped by SIGTERM and by Ctrl-C: each time the same command goes on."""
-    folder, config, temporary = tmp_path / "data", tmp_path / "config.json", tmp_path / "temporary"
+    folder, config, temporary = tmp_path / "data", tmp_path / "config.json", tmp_path / ("a long name of a folder " * 4)
     config.write_text(json.dumps(TINY.to_json()))
     temporary.mkdir()
     monkeypatch.setenv("TMPDIR", str(temporary))

@@ -305,7 +305,8 @@ def test_units_and_columns_are_declared(tmp_path):
 
 def test_a_missing_reader_is_named(tmp_path):
     save_pcd(tmp_path / "ring.pcd", ring())
-    code = f"import sys; sys.modules['pypcd4'] = None\nfrom topokit.io import read_clouds\nlist(read_clouds({str(tmp_path)!r}))"
+    code = "import sys; sys.modules['pypcd4'] = None\nfrom topokit.sensors import read_clouds\n"
+    code += f"list(read_clouds({str(tmp_path)!r}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert "ring.pcd: reading it needs pypcd4: pip install 'topokit[sensors]'" in done.stderr
 
@@ -313,7 +314,9 @@ def test_a_missing_reader_is_named(tmp_path):
 def test_files_of_numpy_need_no_extra(tmp_path):
     np.savez(tmp_path / "film.npz", [ring(), ring(1)])
     code = "import sys\nfor name in 'pydantic pypcd4 rosbags trimesh PIL pandas sklearn'.split(): sys.modules[name] = None\n"
-    code += f"from topokit.io import read_clouds\nassert len(list(read_clouds({str(tmp_path / 'film.npz')!r}))) == 2"
+    code += (
+        f"from topokit.sensors import read_clouds\nassert len(list(read_clouds({str(tmp_path / 'film.npz')!r}))) == 2"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

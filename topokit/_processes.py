@@ -25,6 +25,7 @@ from typing import Any
 
 _CONTEXT: Any = multiprocessing.get_context("forkserver" if hasattr(os, "fork") else "spawn")
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_LONGEST_FOLDER = 70  # characters: the address of a fork server is a path of at most 107, with 33 of its own
 _starting = threading.Lock()
 
 
@@ -146,6 +147,10 @@ def _started(process: Any, preload: Sequence[str]) -> Any:
         for name in own.keys() - os.environ.keys():
             restore.callback(os.environ.pop, name)
         os.environ.update(own)
+        # The fork server listens at a path in the folder of temporary files, which may be too long for an address.
+        if len(tempfile.gettempdir()) > _LONGEST_FOLDER and os.path.isdir("/tmp"):
+            restore.callback(setattr, tempfile, "tempdir", tempfile.tempdir)
+            tempfile.tempdir = "/tmp"
         # multiprocessing refuses children of daemons, and would run the caller's script in them.
         settings = multiprocessing.current_process()._config  # type: ignore[attr-defined]
         restore.callback(settings.update, daemon=settings.get("daemon"))
