@@ -1,4 +1,4 @@
-"""Make the episodes of a dataset, in parallel, each exactly once whatever happens.
+"""Make the episodes of a dataset in parallel; a run that was stopped goes on with the episodes that are missing.
 
 Source: the 23,000 trajectories of Antonova et al. 2021, section 6. Taught in chapter 9.
 """
@@ -28,8 +28,8 @@ from ._folder import (
 from ._jobs import Workers, make_files
 from ._recipe import DatasetConfig, checked_file, make_episode, pinned
 
-_PACKAGES = ("numpy", "scipy", "pybullet")
-_PRELOAD = ("topokit.data._generate",)
+_PACKAGES = ("numpy", "scipy", "pybullet")  # the versions of these are recorded, since the bytes depend on them
+_PRELOAD = ("topokit.data._generate",)  # imported once by the fork server, so that fresh processes start quickly
 
 
 def generate_dataset(
@@ -44,61 +44,65 @@ def generate_dataset(
     retry_failed: bool = False,
     progress: bool = True,
 ) -> Dataset:
-    """Make the dataset of a configuration and a seed in a folder, or go on with it.
+    """Make the dataset of a configuration and a seed in a folder, or go on with one that was begun.
 
-    Every episode is `make_episode` of the configuration, the seed and its number, simulated in a fresh process: the bytes
-    do not depend on how many workers there are, in which order they work or how often they were stopped.
+    Every episode is made by `make_episode` from the configuration, the seed and the episode's number, in a fresh process. So
+    its bytes do not depend on how many workers there are, in which order they work, or how often they were stopped.
 
     Parameters
     ----------
     config : DatasetConfig
     out : path
-        A folder of a local disk, or of one that all workers share. What is finished there stays.
+        A folder on a local disk, or on a disk that all workers share. Finished episodes in it are kept.
     episodes : int
-        How many there are to be; more than the last time adds to them.
+        How many episodes the dataset has in the end; a larger number than before adds episodes.
     seed : int
+        Seed of the dataset, from which the seeds of the episodes are drawn.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers see the same folder; processes of this machine when not given.
+        Address of a Dask scheduler whose workers see the same folder. When not given, processes of this machine work.
     n_workers : int, optional
-        How many of those; as many as cores when not given.
+        How many processes of this machine work; one for each core when not given.
     time_limit : float
         Seconds after which the simulation of an episode is stopped and tried again.
     retry_failed : bool
-        Try those again that were recorded as failed.
+        Try the episodes again that were recorded as failed.
     progress : bool
-        Show a bar with the time left on stderr.
+        Show a progress bar with the time left on stderr.
 
     Returns
     -------
     dataset : Dataset
-        With its `folder`, `counts` and `checksum()`.
+        The dataset in the folder.
 
     Raises
     ------
     ValueError
-        When the folder was begun with another configuration, seed or version, or a mesh in it is not the one that it was;
-        the message names what differs.
+        When the folder was begun with another configuration, seed or version, or a mesh file has changed since; the message
+        names the difference.
     FileNotFoundError
-        When the file of a mesh is not there.
+        When the file of a mesh does not exist.
     ImportError
-        When PyBullet is not there.
+        When PyBullet is not installed.
     """
     if find_spec("pybullet") is None:
-        raise ImportError("making episodes needs PyBullet: pip install 'topokit[sim,data]'")
+        raise ImportError("generate_dataset needs PyBullet: pip install 'topokit[sim,data]'")
     for name, number, least, most in (("episodes", episodes, 1, MOST_EPISODES), ("seed", seed, 0, 2**128)):
         if isinstance(number, bool) or not isinstance(number, int) or not least <= number <= most:
-            raise ValueError(f"{name} must be a whole number from {least} to {most:,}")
+            raise ValueError(f"{name} must be a whole number from {least} to {most:,}, not {number!r}")
     positive(time_limit, "time_limit", zero=False)
     workers = Workers(scheduler, n_workers, time_limit, _PRELOAD)
+    # Begin the folder, or check that it was begun with the same configuration, seed and versions.
     folder = Path(out)
     about = {"schema": 2, "config": pinned(config).to_json(), "seed": seed, "episodes": episodes}
     begin(folder, ABOUT, {**about, "versions": versions_of(*_PACKAGES)})
     dataset = Dataset(folder)
+    # Forget the failures that are to be tried again.
     if retry_failed:
         for record in dataset.failures:
             if record.status == "failed":
                 failure_path(folder, record.episode).unlink()
         dataset = Dataset(folder)
+    # Make the episodes that are missing.
     missing = [number for number in range(episodes) if not dataset.is_done(number)]
     make_files(
         folder, missing, episodes, partial(_make_file, str(folder)), partial(_describe, dataset), workers, progress
@@ -107,24 +111,28 @@ def generate_dataset(
 
 
 def _make_file(folder: str, number: int) -> str:
-    """Simulate an episode in a fresh process and write its file; return the status.
+    """Simulate an episode and write its file, or a record of its failure; return the status.
 
-    What is no fault of the episode (the disk, another mesh, other versions) is raised, and stops the whole command.
+    This runs in a fresh process. Errors that are no fault of the episode (a full disk, a changed mesh, other versions) are
+    raised, and stop the whole command.
     """
     dataset = Dataset(folder)
     refuse_other_versions(dataset.folder, dataset.settings.versions)
     for mesh in dataset.config.meshes.values():
         checked_file(mesh)
-    described = _describe(dataset, number)
+    description = _describe(dataset, number)
     try:
         episode = make_episode(dataset.config, dataset.seed, number, time_limit=None)
-    except OSError:
+    except OSError:  # a fault of the disk, not of the episode
         raise
     except Exception as error:
-        # An exploded cloth is no mistake: the same configuration gives the same one on every try.
-        status = "rejected" if isinstance(error, SimulationError) else "failed"
-        reason = str(error) if status == "rejected" else f"{type(error).__name__}: {error}"
-        write_json(failure_path(dataset.folder, number), {**described, "status": status, "reason": reason})
+        # Cloth that explodes does so on every try, so the episode is rejected for good. Any other error may not come again.
+        status = "failed"
+        reason = f"{type(error).__name__}: {error}"
+        if isinstance(error, SimulationError):
+            status = "rejected"
+            reason = str(error)
+        write_json(failure_path(dataset.folder, number), {**description, "status": status, "reason": reason})
         return status
     provenance = {**episode.provenance, "dataset_seed": dataset.seed, "episode": number}
     save_episode(archive_path(dataset.folder, number), dataclasses.replace(episode, provenance=provenance))
@@ -132,7 +140,7 @@ def _make_file(folder: str, number: int) -> str:
 
 
 def _describe(dataset: Dataset, number: int) -> dict[str, Any]:
-    """Return what is known of an episode before it is simulated."""
+    """Return the task, garment, target and seed of an episode, which are drawn before it is simulated."""
     task, seed = dataset.config.draw(dataset.seed, number)
     garment, _, target = task.rpartition("-")
     return {"task": task, "garment": garment, "target": target, "seed": seed}

@@ -1,9 +1,10 @@
-"""The labels of a dataset: what the tracker saw in every frame of every episode, as arrays of one shape.
+"""The labels of a dataset: the tracked loops in every frame of every episode, as arrays of one shape.
 
-Labels keep the loops of the longest lifetime in a frame, by vertex ids of the cloud that was tracked. With T frames, S slots:
+Every frame has S slots, which hold its loops of longest lifetime. Places are stored as ids of points in the cloud that was
+tracked. The arrays of an episode of T frames are:
 
     id          (T, S)        the identity of a loop; -1: no loop
-    simplices   (T, S, 22)    ids into the cloud: birth edge, killer edge, killer triangles, neighbours (65535: none)
+    simplices   (T, S, 22)    point ids: birth edge, killer edge, killer triangles, neighbours (65535: none)
     values      (T, S, 7)     birth, death, killer_shift and the filtration values of the neighbours, metres
     parameters  (T, 4)        alpha, beta and epsilon of the tracker, and how many loops had no slot
 """
@@ -29,27 +30,28 @@ from ._folder import NumberedFiles, read_settings
 
 KIND = "topokit-labels"
 ABOUT = "labels.json"
-SLOTS = 8  # of a frame
+SLOTS = 8  # loops that are kept in a frame
+# The columns of `simplices`.
 SIMPLICES = {
     "birth_edge": slice(0, 2),
     "killer_edge": slice(2, 4),
     "killer_triangles": slice(4, 10),
     "neighbours": slice(10, 22),
 }
-ABSENT = 65535
+ABSENT = 65535  # the point id that stands for "no neighbour"
 _PARAMETERS = ("alpha", "beta", "epsilon", "dropped")
 _LAYOUT = {"id": "i T S", "simplices": "u T S 22", "values": "f T S 7", "parameters": "f T 4"}
 
 
 @checked
 class LabelSettings:
-    """What a set of labels is."""
+    """The settings with which a set of labels was made."""
 
     schema: Literal[2]
-    observation: Literal["full", "observed", "camera"]  #: what the tracker saw
-    n_points: int | None  #: of an observation: so many of its first points, or all
-    options: Mapping[str, Any]  #: of the tracker, `topokit.SeqPH`
-    versions: Mapping[str, str]
+    observation: Literal["full", "observed", "camera"]  #: the points that were tracked
+    n_points: int | None  #: how many of the first points of an observation were tracked; None for all
+    options: Mapping[str, Any]  #: the options of the tracker, `topokit.SeqPH`
+    versions: Mapping[str, str]  #: the versions of the packages that made the labels
 
 
 class Labels(NumberedFiles):
@@ -57,44 +59,54 @@ class Labels(NumberedFiles):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder, KIND, ABOUT)
-        self.settings: LabelSettings = read_settings(LabelSettings, folder / ABOUT)  #: what they are
+        self.settings: LabelSettings = read_settings(
+            LabelSettings, folder / ABOUT
+        )  #: the settings with which the labels were made
 
     @property
     def options(self) -> dict[str, Any]:
-        """The options of the tracker."""
+        """Return the options of the tracker."""
         return dict(self.settings.options)
 
     def cloud(self, episode: Episode) -> NDArray[np.float32]:
-        """Return what was tracked of an episode, (T, n, 3) metres: all vertices, or the first points of what was observed."""
+        """Return the cloud that was tracked in an episode, (T, n, 3) metres: all vertices, or the first observed points."""
         return cloud_of(episode, self.settings)
 
     def arrays(self, number: int) -> dict[str, NDArray[Any]]:
-        """Return the arrays of an episode."""
+        """Return the arrays of labels of an episode."""
         path = self.path_of(number)
         _, arrays = load_archive(path, KIND)
         try:
             check_layout(arrays, _LAYOUT)
         except (KeyError, ValueError) as error:
-            raise FormatError(f"{path}: labels with a missing or an unknown part: {error}; label again") from error
+            raise FormatError(
+                f"{path}: the arrays are not those of labels: {error}; remove the file and label again"
+            ) from error
         return arrays
 
     def check_fit(self, number: int, arrays: Mapping[str, NDArray[Any]], frames: int, points: int) -> None:
-        """Raise FormatError unless arrays are of so many frames, of clouds of so many points."""
+        """Raise FormatError unless the arrays of an episode fit clouds of so many frames and points."""
         simplices = arrays["simplices"][arrays["id"] >= 0]
-        known = simplices[simplices != ABSENT]
-        if len(arrays["id"]) != frames or (simplices[:, :10] == ABSENT).any() or known.max(initial=0) >= max(points, 1):
-            raise FormatError(f"{self.path_of(number)}: labels of another episode; remove the file, and label again")
+        point_ids = simplices[simplices != ABSENT]
+        # Only neighbours may be absent: the first ten ids of a loop are its edges and killer triangles.
+        incomplete = (simplices[:, :10] == ABSENT).any()
+        if len(arrays["id"]) != frames or incomplete or point_ids.max(initial=0) >= max(points, 1):
+            problem = f"the labels are of another episode, not of {frames} frames of {points} points"
+            raise FormatError(f"{self.path_of(number)}: {problem}; remove the file and label again")
 
 
 def cloud_of(episode: Episode, settings: LabelSettings) -> NDArray[np.float32]:
-    """Return the cloud of an episode that labels of these settings are of, (T, n, 3) metres."""
+    """Return the cloud (T, n, 3) of an episode that is tracked with these settings, metres."""
     if settings.observation == "full":
         return episode.points
     return episode.observed[:, : settings.n_points]
 
 
 def arrays_of(states: list[TopologicalState], slots: int = SLOTS) -> dict[str, NDArray[Any]]:
-    """Return states as the arrays of labels; loops beyond `slots` in a frame, the shortest-lived ones, are dropped."""
+    """Return the arrays of labels for tracked states.
+
+    A frame keeps its `slots` longest-lived loops; the others are dropped and counted.
+    """
     frames = len(states)
     arrays: dict[str, NDArray[Any]] = {
         "id": np.full((frames, slots), -1, dtype=np.int32),
@@ -102,9 +114,11 @@ def arrays_of(states: list[TopologicalState], slots: int = SLOTS) -> dict[str, N
         "values": np.zeros((frames, slots, 7), dtype=np.float32),
         "parameters": np.zeros((frames, 4), dtype=np.float32),
     }
+    # Fill one frame after the other: first the parameters, then a slot for each loop.
     for frame, state in enumerate(states):
         estimated = [state.parameters[name] for name in _PARAMETERS[:3]]
-        arrays["parameters"][frame] = [*estimated, max(0, len(state) - slots)]
+        n_dropped = max(0, len(state) - slots)
+        arrays["parameters"][frame] = [*estimated, n_dropped]
         for slot, loop in enumerate(state.loops[:slots]):
             neighbours = np.full((4, 3), ABSENT)
             neighbours[: len(loop.neighbour_ids)] = loop.neighbour_ids
@@ -118,22 +132,24 @@ def arrays_of(states: list[TopologicalState], slots: int = SLOTS) -> dict[str, N
 
 @dataclass(frozen=True)
 class _Frame:
-    """A tracked cloud, whose persistence is computed once: when the first of its loops is asked for its cycle."""
+    """A tracked cloud; its persistence is computed once, when the first cycle of a loop is needed."""
 
     points: NDArray[np.float64]
 
     @cached_property
     def diagram(self) -> Diagram:
+        """Return the persistence diagram of the cloud."""
         return rips_persistence(self.points)
 
     def cycle(self, edges: list[int]) -> NDArray[np.int64]:
-        """Return the cycle of the loop with these birth and killer edges."""
-        pairs = np.column_stack([self.diagram.birth_edge, self.diagram.killer_edge])
-        return self.diagram.cycle(pairs.tolist().index(edges))
+        """Return the cycle of the loop with this birth edge and killer edge, four point ids."""
+        diagram = self.diagram
+        edges_of_loops = np.column_stack([diagram.birth_edge, diagram.killer_edge]).tolist()
+        return diagram.cycle(edges_of_loops.index(edges))
 
 
 def states_of(arrays: Mapping[str, NDArray[Any]], cloud: NDArray[np.float32], dt: float) -> list[TopologicalState]:
-    """Return the tracked states that labels hold, in the coordinates of the cloud that was tracked."""
+    """Return the tracked states of the arrays of labels, given the cloud (T, n, 3) that was tracked."""
     states = []
     for number, points in enumerate(cloud.astype(np.float64)):
         frame = _Frame(points)
@@ -144,16 +160,17 @@ def states_of(arrays: Mapping[str, NDArray[Any]], cloud: NDArray[np.float32], dt
     return states
 
 
-def _loop(arrays: Mapping[str, NDArray[Any]], place: tuple[int, int], frame: _Frame) -> Loop:
-    simplices = arrays["simplices"][place].astype(np.int64)
-    ids = {name: simplices[part] for name, part in SIMPLICES.items()}
+def _loop(arrays: Mapping[str, NDArray[Any]], frame_and_slot: tuple[int, int], frame: _Frame) -> Loop:
+    """Return the loop in a slot of a frame."""
+    simplices = arrays["simplices"][frame_and_slot].astype(np.int64)
+    ids = {name: simplices[columns] for name, columns in SIMPLICES.items()}
     neighbours = ids["neighbours"].reshape(4, 3)
     neighbours = neighbours[neighbours[:, 0] != ABSENT]
-    birth, death, killer_shift, *neighbour_values = arrays["values"][place].tolist()
+    birth, death, killer_shift, *neighbour_values = arrays["values"][frame_and_slot].tolist()
     return Loop.from_cloud(
         frame.points,
         partial(frame.cycle, simplices[:4].tolist()),
-        id=int(arrays["id"][place]),
+        id=int(arrays["id"][frame_and_slot]),
         birth=birth,
         death=death,
         killer_shift=killer_shift,

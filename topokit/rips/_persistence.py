@@ -1,4 +1,4 @@
-"""Degree-1 persistence of one cloud, of many on all cores, and of the frames of a film."""
+"""Degree-1 persistence of one cloud, of many clouds on all cores, and of the frames of a film."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def rips_persistence(
 ) -> Diagram:
     """Compute the loops of a point cloud: degree-1 Vietoris-Rips persistence, exactly.
 
-    Edges are ordered by (length, smaller index, larger index), which decides every tie. Ctrl-C ends a long computation.
+    Edges are ordered by (length, smaller index, larger index); this order decides every tie. Ctrl-C ends a long computation.
 
     Parameters
     ----------
     points : (n, d) array_like
         Coordinates, or with ``metric="precomputed"`` the (n, n) symmetric matrix of distances.
     max_radius : float
-        Stop the filtration there; loops still alive get death inf.
+        Radius at which the filtration stops; loops that are still alive then get death inf.
     min_lifetime : float
         Leave out loops with a shorter lifetime. Loops of lifetime zero are always left out.
     metric : {"euclidean", "precomputed"}
@@ -36,16 +36,16 @@ def rips_persistence(
     Raises
     ------
     ValueError
-        When the points or the matrix cannot be meant.
+        When the points or the matrix are not valid, as with nan or an asymmetric matrix.
     MemoryError
-        When the tables would take more than 4.3 GB. They hold a bit for each pair of points (0.3 GB for 50,000 points), a
-        sixteenth of a byte for each pair of loops, however short, and 108 bytes for each of the edges sorted at a time: four
-        million, or as many as have the same length. More than three dimensions are read as distances, 8 bytes for each two
-        points. Take a subset then (`farthest_point_sample`).
+        When the tables would take more than 4.3 GB; take a subset of the points then (`farthest_point_sample`). The tables hold
+        a bit for each pair of points (0.3 GB for 50,000 points), a sixteenth of a byte for each pair of loops, short ones
+        included, and 108 bytes for each edge that is sorted at a time. Four million edges are sorted at a time, or more when
+        more have the same length. Points of more than three dimensions also need their matrix of distances, 8 bytes a pair.
 
     Examples
     --------
-    The loop of a square is born with the last side and dies with the first diagonal.
+    The loop of a square is born with its last side and dies with its first diagonal.
 
     >>> dgm = rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]])
     >>> dgm.birth, dgm.death.round(4), dgm.killer_edge
@@ -73,16 +73,16 @@ def rips_persistence_many(
     ----------
     clouds : (T, n, d) array_like or list of (n_t, d) array_like
     n_jobs : int, optional
-        Threads; by default one for each core.
+        Number of threads; by default one for each core.
     progress : bool
-        Count the clouds done on stderr.
+        Write the number of clouds done to stderr.
     max_radius, min_lifetime : float
         As in `rips_persistence`.
 
     Raises
     ------
     TypeError, ValueError
-        When `n_jobs` is not a whole number, 1 or more.
+        When `n_jobs` is not a whole number of 1 or more, or a cloud is not valid.
 
     Examples
     --------
@@ -95,27 +95,27 @@ def rips_persistence_many(
     cutoff = positive(max_radius, "max_radius", infinite=True)
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
 
-    # Short clouds go to the kernel by the dozen, long ones alone.
-    in_one_call = 1
+    # A call of the kernel takes many small clouds, or one large cloud.
+    clouds_per_call = 1
     if max(map(len, arrays), default=0) < LONG:
-        in_one_call = min(64, -(-len(arrays) // workers) or 1)
+        clouds_per_call = min(64, -(-len(arrays) // workers) or 1)
 
     diagrams: list[Diagram] = []
     stops: list[NDArray[np.int64]] = []
     with ThreadPoolExecutor(workers) as pool:
         jobs = []
-        for first in range(0, len(arrays), in_one_call):
+        for first in range(0, len(arrays), clouds_per_call):
             stops.append(new_stop())
-            part = arrays[first : first + in_one_call]
-            jobs.append(pool.submit(_diagrams, part, cutoff, shortest, CloudBefore(), stops[-1]))
+            batch = arrays[first : first + clouds_per_call]
+            jobs.append(pool.submit(_diagrams, batch, cutoff, shortest, CloudBefore(), stops[-1]))
         try:
             for job in jobs:
                 diagrams += job.result()
                 if progress:
-                    counted = f"\rpersistence: {len(diagrams)} of {len(arrays)} clouds"
-                    print(counted, end="", file=sys.stderr, flush=True)
+                    line = f"\rpersistence: {len(diagrams)} of {len(arrays)} clouds"
+                    print(line, end="", file=sys.stderr, flush=True)
         finally:
-            # An error or Ctrl-C does not wait for the rest.
+            # After an error or Ctrl-C, stop the other threads instead of waiting for them.
             pool.shutdown(wait=False, cancel_futures=True)
             for stop in stops:
                 stop_run(stop)
@@ -125,7 +125,9 @@ def rips_persistence_many(
 
 
 class Film:
-    """Persistence of the frames of a film: the same diagrams, found faster when points move little from frame to frame.
+    """Persistence of the frames of a film, computed faster when points move little from frame to frame.
+
+    The diagrams are those of `rips_persistence`.
 
     Examples
     --------
@@ -139,7 +141,12 @@ class Film:
         self._before = CloudBefore()
 
     def next_diagram(self, points: ArrayLike) -> Diagram:
-        """Return the diagram of the next frame, (n, d), as `rips_persistence` does."""
+        """Return the diagram of the next frame.
+
+        Parameters
+        ----------
+        points : (n, d) array_like
+        """
         return _diagrams([points], np.inf, 0.0, self._before)[0]
 
 
@@ -150,25 +157,27 @@ def _diagrams(
     before: CloudBefore,
     stop: NDArray[np.int64] | None = None,
 ) -> list[Diagram]:
+    """Compute the diagrams of clouds one after the other, with one call of the kernel."""
     clouds = [Cloud.of(array) for array in arrays]
-    found = pairs_of_many(clouds, cutoff, before, stop)
-    return [_diagram(cloud, its_pairs, cutoff, shortest) for cloud, its_pairs in zip(clouds, found, strict=True)]
+    pairs_of_clouds = pairs_of_many(clouds, cutoff, before, stop)
+    return [_diagram(cloud, loops, cutoff, shortest) for cloud, loops in zip(clouds, pairs_of_clouds, strict=True)]
 
 
-def _diagram(cloud: Cloud, found: Pairs, cutoff: float, shortest: float) -> Diagram:
-    """Return the diagram of the pairs that live long enough, longest lifetime first."""
-    lifetime = found.death - found.birth
+def _diagram(cloud: Cloud, loops: Pairs, cutoff: float, shortest: float) -> Diagram:
+    """Return the diagram of the loops that live long enough, longest lifetime first, in the unit of the cloud."""
+    lifetime = loops.death - loops.birth
     count = np.count_nonzero((lifetime > 0) & (lifetime >= shortest * cloud.scale))
-    keep = np.argsort(-lifetime, kind="stable")[:count]  # births come in the total order, which decides ties
-    killed = found.killed[keep]
+    keep = np.argsort(-lifetime, kind="stable")[:count]  # ties keep the order of birth
+    # A killer edge (0, 1) with its two apexes (2, 3) gives two triangles; that of the second apex is first.
+    killed = loops.killed[keep]
     return Diagram(
-        birth=found.birth[keep] / cloud.scale,
-        death=found.death[keep] / cloud.scale,
-        birth_edge=found.created[keep],
+        birth=loops.birth[keep] / cloud.scale,
+        death=loops.death[keep] / cloud.scale,
+        birth_edge=loops.created[keep],
         killer_edge=killed[:, :2],
         killer_triangles=killed[:, [[0, 1, 3], [0, 1, 2]]],
         n_points=len(cloud),
         max_radius=cutoff,
         _cloud=cloud,
-        _simplices=(found.created, found.killed),
+        _simplices=(loops.created, loops.killed),
     )
