@@ -1,12 +1,12 @@
 """Paths of two grippers: through given places at given times, at rest at both ends.
 
-Idea: people's reaching movements minimise the integral of squared jerk. Through given places at given times, at rest at both
-ends, the minimiser is the quintic spline of four continuous derivatives; between two rests it is
-start + (10 s^3 - 15 s^4 + 6 s^5) (end - start) with s the share of the time.
+Idea: people's reaching movements minimise the integral of squared jerk. The minimiser through the places is the quintic spline
+with four continuous derivatives. Between two rests it is start + (10 s^3 - 15 s^4 + 6 s^5) (end - start), where s is the share
+of the time that is over.
 
-A film of plans that succeed does not show what the cloth does under other plans. `off_script` changes a path as hands do that
-miss, hesitate, take a detour, let go too early, push, or wander. Each change has a probability of its own, and changes are
-composed; what was drawn is noted in `GripperPath.drawn`.
+Films of plans that succeed do not show how the cloth moves under other plans. So `off_script` changes a path as hands do that
+miss, hesitate, take a detour, let go too early, push, or wander. Each change has its own probability, and several can come
+together; the draws are noted in `GripperPath.drawn`.
 
 Source: Flash and Hogan 1985, *The coordination of arm movements*. Taught in chapter 8.
 """
@@ -28,60 +28,67 @@ from ._garments import Garment
 from ._surface import Array, EdgeGraph
 from ._targets import Target, gap
 
-_CLEAR = 0.3  # metres from the rods, at a start
-_ABOVE = 0.05  # metres from the floor, at a start
-_TAUT = 1.02  # the grippers are at most so far apart, in multiples of their distance along the cloth
-_TIME, _PLACE, _OPENING, _YAW, _REST = 0, slice(1, 4), 4, 5, 6  # columns of the table that `off_script` changes
+_CLEAR = 0.3  # metres: the least distance of the cloth from the rods at a start
+_ABOVE = 0.05  # metres: the least distance of the cloth from the floor at a start
+_TAUT = 1.02  # the largest distance between the grippers, as a multiple of their distance along the cloth
+# Columns of the table that `off_script` changes.
+_TIME = 0
+_PLACE = slice(1, 4)
+_OPENING = 4
+_YAW = 5
+_REST = 6
 
 
 @dataclass(frozen=True)
 class Via:
-    """A place on a path. At the first and the last one the grippers stand still anyway."""
+    """A place on a path. At the first and the last place the grippers always stand still."""
 
     time: float  #: seconds since the first frame
-    place: ArrayLike  #: (3,) of the middle between the grippers, metres
-    opening: float = 1.0  #: distance between the grippers as a multiple of the one at the start
+    place: ArrayLike  #: (3,) the middle between the grippers, metres
+    opening: float = 1.0  #: distance between the grippers as a multiple of their distance at the start
     rest: bool = False  #: whether the grippers stand still there
     yaw: float = 0.0  #: degrees by which the grippers are turned about the vertical through their middle, x towards y
 
 
 @dataclass(frozen=True, eq=False)
 class GripperPath:
-    """The path of two grippers, and when they let go."""
+    """The path of two grippers, and the time when they let go."""
 
-    LONGEST = 4.5  # seconds of an episode off its script, unless the script lasts longer
+    LONGEST = 4.5  # seconds that an episode off its script lasts at most, unless the script lasts longer
 
-    vias: Sequence[Via]  #: two at least, in the order of time; before and after them the grippers stand still
-    spread: Array  #: (2, 3) the grippers relative to their middle, at an opening of 1
-    release: float  #: seconds; when they let go
-    end: float  #: seconds; how long an episode lasts that gives the garment time to come to rest
-    #: What was drawn for a path that is off its script, by name (`off_script`); an episode's physics records it.
+    vias: Sequence[Via]  #: at least two places, in the order of time; before and after them the grippers stand still
+    spread: Array  #: (2, 3) places of the grippers relative to their middle, at an opening of 1, metres
+    release: float  #: seconds until the grippers let go
+    end: float  #: seconds until the episode ends, long enough for the garment to come to rest
+    #: The draws of `off_script` by their names; they are recorded in an episode's physics. Empty for a path on its script.
     drawn: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.vias) < 2:
-            raise ValueError(f"a path needs two places at least, not {len(self.vias)}")
+            raise ValueError(f"vias must hold at least two places, not {len(self.vias)}")
         table = self._table
         checks = (("vias", table, (len(self.vias), 6)), ("spread", np.asarray(self.spread), (2, 3)))
         for name, values, shape in checks:
             if values.shape != shape or not np.isfinite(values).all():
                 raise ValueError(f"{name} must be finite numbers of shape {shape}, not {values.tolist()}")
         if not ((np.diff(table[:, 0]) > 0).all() and (table[:, 4] > 0).all()):
-            raise ValueError(f"times must increase and openings be more than zero: {self.vias}")
+            raise ValueError(f"the times of vias must increase and their openings be above 0: {self.vias}")
         if not self.end >= self.release >= 0:
-            raise ValueError(f"the end ({self.end} s) must come after the release ({self.release} s), and that after 0")
+            raise ValueError(
+                f"release must be 0 or later and end not before release, but release is {self.release} s and end {self.end} s"
+            )
 
     def at(self, time: ArrayLike) -> Array:
-        """Return (..., 2, 3) where the two grippers should be at these times (...).
+        """Return the places (..., 2, 3) of the two grippers at some times (...).
 
-        `scipy.interpolate.BPoly.from_derivatives` gives the same to 9e-16 m. Cloth is chaotic enough for that to move it by up to
-        0.3 mm, and recorded episodes would change, so the sum is written out.
+        `scipy.interpolate.BPoly.from_derivatives` gives the same places to 9e-16 m. Cloth is chaotic, so that this rounding would
+        change recorded episodes by up to 0.3 mm. Therefore the sum is written out.
         """
         t = np.asarray(time, dtype=np.float64)
         times = self._table[:, 0]
         places = self._table[:, 1:]
         velocities, accelerations = self._derivatives
-        # The stretch of the path at each time, its duration h, and the share s of it that is over.
+        # Find the segment i of the path at each time, its duration h, and the share s of the duration that is over.
         i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
         h = (times[i + 1] - times[i])[..., None]
         s = np.clip((t - times[i])[..., None] / h, 0, 1)
@@ -111,23 +118,24 @@ class GripperPath:
 
     @property
     def widest(self) -> float:
-        """The largest distance between the grippers, metres."""
+        """Return the largest distance between the grippers, metres."""
         first, second = np.moveaxis(self.at(np.arange(0, self.end, 0.02)), -2, 0)
         return float(np.linalg.norm(first - second, axis=-1).max())
 
     @functools.cached_property
     def _table(self) -> Array:
-        """Return (k, 6) times, middles, openings, yaws."""
-        return np.array([[v.time, *np.asarray(v.place), v.opening, v.yaw] for v in self.vias], dtype=np.float64)
+        """Return the places of the path as rows (k, 6): time, middle, opening, yaw."""
+        rows = [[via.time, *np.asarray(via.place), via.opening, via.yaw] for via in self.vias]
+        return np.array(rows, dtype=np.float64)
 
     @functools.cached_property
     def _derivatives(self) -> tuple[Array, Array]:
-        """Return (k, 5) velocities and accelerations at the places: 0 at a rest, the minimum-jerk spline's between two rests."""
+        """Return the velocities (k, 5) and accelerations (k, 5) at the places: 0 at a rest, else those of the spline."""
         times = self._table[:, 0]
         places = self._table[:, 1:]
         velocities = np.zeros_like(places)
         accelerations = np.zeros_like(places)
-        # From each rest to the next one a spline of its own, with velocity and acceleration 0 at both ends.
+        # Each part from one rest to the next has a spline of its own, with velocity and acceleration 0 at both ends.
         still = ([(1, np.zeros(places.shape[1])), (2, np.zeros(places.shape[1]))],) * 2
         rests = [0, *(i for i in range(1, len(self.vias) - 1) if self.vias[i].rest), len(self.vias) - 1]
         for first, last in itertools.pairwise(rests):
@@ -143,16 +151,17 @@ class GripperPath:
 def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
     """Return a path that differs from the script.
 
-    One in seven wanders about the target, one in ten pushes the cloth against it. The others are the script at another
-    pace with some of: a miss, other openings, a detour, a stop, another start and yaw; an early or a late release, or none.
+    One path in seven wanders about the target, and one in ten pushes the cloth against it. The others follow the script at
+    another pace, with some of these changes: a miss, other openings, a detour, a stop, another start and yaw. The release may
+    be early, late, or never.
 
     Parameters
     ----------
     path : GripperPath
-        The script, planned for that garment and target.
+        The script, planned for the garment and the target.
     garment : Garment
     target : Target
-        As it stands in the script's coordinates.
+        The target in the coordinates of the script.
     rng : numpy.random.Generator
     """
     table = _table(path)
@@ -160,7 +169,7 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
     kind = rng.random()
     longest = max(path.LONGEST, path.end)
     drop = float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min()) + _ABOVE
-    # What the hands do: wander, push, miss, or follow the script.
+    # Wander, push, miss, or follow the script.
     if kind < 0.15:
         drawn["wander"] = 1.0
         table = _wander(table[0], target.seat, drop, rng)
@@ -175,11 +184,11 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
         table[approach:, _YAW] += turn
         drawn["miss"] = float(np.linalg.norm(shift))
         drawn["turn"] = turn
-    # They open and close on the path.
+    # Change the openings along the path.
     if rng.random() < 0.5:
         drawn["openings"] = 1.0
         table[1:, _OPENING] *= rng.uniform(0.6, 1.4, len(table) - 1)
-    # A detour: one more place, a quarter of a second later.
+    # Take a detour: insert a place, and do what follows a quarter of a second later.
     if rng.random() < 0.3:
         i = int(rng.integers(1, len(table)))
         aside = rng.normal(0, 0.1, 3)
@@ -188,7 +197,7 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
         table[i:, _TIME] += 0.25
         drawn["detour"] = float(np.linalg.norm(aside))
         table = np.insert(table, i, between, axis=0)
-    # A stop of 0.3 s at a place.
+    # Stop at a place for 0.3 s.
     if rng.random() < 0.25:
         i = int(rng.integers(1, len(table)))
         drawn["stop"] = float(table[i, _TIME])
@@ -197,7 +206,7 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
         table[i + 1 :, _TIME] += 0.3
     if rng.random() < 0.6:
         drawn["elsewhere"] = _elsewhere(table, garment, target, rng)
-    # The pace, and when they let go: as scripted, early, late, or never.
+    # Draw the pace, and the time of the release: as scripted, early, late, or never.
     drawn["pace"] = min(float(0.7 * 2 ** rng.random()), (longest - 0.4) / float(table[-1, _TIME]))
     table[:, _TIME] *= drawn["pace"]
     last = float(table[-1, _TIME])
@@ -205,18 +214,18 @@ def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.rand
     release = float(releases[int(rng.choice(4, p=(0.35, 0.3, 0.15, 0.2)))])
     end = min(longest, max(3.0, release + path.end - path.release))
     drawn["release"] = end if release == longest else min(release, longest - 0.25)
-    # The cloth is not torn: openings shrink until the grippers are near enough, or as near as in the script.
-    cloth = float(EdgeGraph(garment.vertices, garment.edges).distances(garment.grips)[0, 1])
-    most = max(_TAUT * cloth, path.widest)
+    # Shrink the openings until the grippers do not tear the cloth, or are as near as in the script.
+    along_cloth = float(EdgeGraph(garment.vertices, garment.edges).distances(garment.grips)[0, 1])
+    most = max(_TAUT * along_cloth, path.widest)
     while True:
-        other = replace(path, vias=_vias(table), release=drawn["release"], end=end, drawn=drawn)
-        if other.widest <= most:
-            return other
-        table[1:, _OPENING] = table[1:, _OPENING] * 0.99 * most / other.widest
+        changed = replace(path, vias=_vias(table), release=drawn["release"], end=end, drawn=drawn)
+        if changed.widest <= most:
+            return changed
+        table[1:, _OPENING] = table[1:, _OPENING] * 0.99 * most / changed.widest
 
 
 def from_elsewhere(path: GripperPath, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
-    """Return the script from another start, turned by any yaw; as it is when no place is free."""
+    """Return the script with another start at any yaw; unchanged when no free place is found."""
     table = _table(path)
     _elsewhere(table, garment, target, rng)
     later = float(table[-1, _TIME]) - path.vias[-1].time
@@ -224,18 +233,18 @@ def from_elsewhere(path: GripperPath, garment: Garment, target: Target, rng: np.
 
 
 def _table(path: GripperPath) -> Array:
-    """Return (k, 7) times, middles, openings, yaws and rests of the places of a path."""
+    """Return the places of a path as rows (k, 7): time, middle, opening, yaw, rest."""
     rows = [[via.time, *np.asarray(via.place), via.opening, via.yaw, via.rest] for via in path.vias]
     return np.array(rows, dtype=np.float64)
 
 
 def _vias(table: Array) -> list[Via]:
-    """Return the places of a table."""
+    """Return the places of a path, given its table."""
     return [Via(row[_TIME], row[_PLACE], row[_OPENING], bool(row[_REST]), row[_YAW]) for row in table]
 
 
 def _wander(start: Array, seat: Array, drop: float, rng: np.random.Generator) -> Array:
-    """Return random places around the seat, as high as the garment is long."""
+    """Return a table of random places around the seat, high enough for the garment to clear the floor."""
     low = max(float(seat[2]) - 0.1, drop)
     rows = [start]
     for _ in range(int(rng.integers(3, 6))):
@@ -246,7 +255,7 @@ def _wander(start: Array, seat: Array, drop: float, rng: np.random.Generator) ->
 
 
 def _push(start: Array, seat: Array, drop: float, rng: np.random.Generator) -> Array:
-    """Return a straight path at a height at which the cloth meets the target; half of the time it goes back again."""
+    """Return a table of a straight path that pushes the cloth against the target; half of them come back again."""
     x, beyond, z = rng.uniform((-0.15, -0.05, 0.0), (0.15, 0.2, 0.25))
     times = np.cumsum([start[_TIME] + 1.0, (beyond + 0.35) / rng.uniform(0.35, 0.8) + 0.2, 0.9])
     ahead = (seat[1] - 0.35, seat[1] + beyond, seat[1] - 0.35)
@@ -255,7 +264,10 @@ def _push(start: Array, seat: Array, drop: float, rng: np.random.Generator) -> A
 
 
 def _elsewhere(table: Array, garment: Garment, target: Target, rng: np.random.Generator) -> float:
-    """Start at any yaw somewhere before or beside the target; return how far from its seat, 0 when no place is free."""
+    """Change the start of a table to a free place before or beside the target, at any yaw.
+
+    Return the distance of the start from the target's seat, or 0 when no free place is found.
+    """
     cloth = garment.vertices - garment.vertices[garment.grips].mean(axis=0)
     for _ in range(30):
         yaw = float(rng.uniform(-180, 180))
@@ -264,9 +276,9 @@ def _elsewhere(table: Array, garment: Garment, target: Target, rng: np.random.Ge
         place[2] = table[0, _PLACE][2] + rng.uniform(-0.15, 0.15)
         hanging = turned(cloth, yaw) + place
         if hanging[:, 2].min() > _ABOVE and gap(hanging, target) > _CLEAR:
-            # From farther off, or turned by more, the first stretch takes longer.
-            takes = max(float(np.linalg.norm(place - table[1, _PLACE])), abs(yaw - table[1, _YAW]) / 120)
-            table[1:, _TIME] += max(0.0, takes - table[1, _TIME] + table[0, _TIME])
+            # A start that is farther off or turned by more leaves more time for the way to the second place.
+            seconds = max(float(np.linalg.norm(place - table[1, _PLACE])), abs(yaw - table[1, _YAW]) / 120)
+            table[1:, _TIME] += max(0.0, seconds - table[1, _TIME] + table[0, _TIME])
             table[0, _PLACE] = place
             table[0, _YAW] = yaw
             return distance
