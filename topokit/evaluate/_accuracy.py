@@ -1,9 +1,9 @@
-"""How good forecasts are, sample by sample: a window of an episode, at some of the steps ahead.
+"""The accuracy of forecasts, sample by sample; a sample is a window of an episode at one of the steps ahead.
 
-Idea: where L true loops are present (`topokit.evaluate.true_loops`), the first k = min(L, 2) forecast loops count, longest
-lifetime first, as in the paper. The matching of forecast to true loops is the one that favours the forecast. A true loop is
-marked by one curve of its class, and other curves are as true (straight across a skirt, or behind a tie), so its hull takes in
-the edge that ends its class, too.
+Idea: where L true loops are present (`topokit.evaluate.true_loops`), the k = min(L, 2) forecast loops of longest lifetime are
+judged, as in the paper. They are matched to true loops in the way that favours the forecast. A true loop is marked by one curve
+of its class, but other curves are as true (straight across a skirt, or behind a tie). So the hull of a true loop also contains
+the edge that ends its class.
 
 Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 13.
 """
@@ -27,8 +27,8 @@ from topokit.seqph import assign
 from ._tracking import distance_to_hull, extent
 
 Array = NDArray[np.float64]
-MOST = 2  # true loops that a sample asks for, at most: the paper's objects have one or two
-OFFSET = 0.25  # how far beside the plane of a loop still counts as in it, as a share of its radius
+MOST = 2  # loops of a sample that are judged, at most: the paper's objects have one or two
+OFFSET = 0.25  # distance from the plane of a loop up to which a point is in the plane, as a share of the loop's radius
 POINTS = 16  # points drawn from an opening, for likelihood and coverage
 DRAWN = 100  # points drawn from a mixture, for coverage
 
@@ -36,26 +36,26 @@ COLUMNS = (
     "hull_distance",  # of the farthest of the k means from its hull, metres; inf when fewer than k are forecast
     "hull_distance_any_curve",  # the same for the nearer of two hulls: of the marked curve, of another curve of its class
     "hull_distance_marked_curve",  # the same for hulls of the marked curves alone, of loops that are not present, too
-    "hull_distance_presence_ignored",  # as the first, with loops ranked by lifetime times presence and none left out
+    "hull_distance_presence_ignored",  # as `hull_distance`, with loops ranked by lifetime times presence and none left out
     "in_plane",  # 1 when all k are in the curve's outline, seen along its normal, and near its plane
-    "in_opening",  # 1 when all are nearer to the centres than the curves' farthest vertices, as chapter 7 asks of tracks
+    "in_opening",  # 1 when all are nearer to the centres than the curves' farthest vertices, as for tracks in chapter 7
     "distance",  # of the k means from these centres, metres
     "same_slot",  # of the true loops found at the first step and still present, the share found by the same slot
     "nll",  # negative log-likelihood of points of the openings, nats
     "cover50",  # share of these points in the region of 50 % of the mass
     "cover90",  # share of them in the region of 90 %
-    "expected_variance",  # of a forecast's own error, square metres: noise that is not the opening's width
-    "present",  # slots whose loop the tracker sees at that step
-    "absent",  # slots whose loop it does not see
+    "expected_variance",  # variance that the forecast expects of its error, m^2: its noise without the opening's width
+    "present",  # slots whose loop the tracker finds at that step
+    "absent",  # slots whose loop the tracker does not find
     "present_right",  # how many of the present slots the forecast has right
     "absent_right",  # how many of the absent slots
     "brier",  # mean square of the forecast probability of presence less the truth
-    "opens",  # how many more loops the tracker sees than at the last frame seen; slots of networks keep no identity
+    "opens",  # how many more loops the tracker finds than in the last observed frame; slots of networks keep no identity
     "closes",  # how many fewer
     "opens_forecast",  # how many more are forecast
     "closes_forecast",  # how many fewer
-    "opens_right",  # how many of these come true, at most
-    "closes_right",
+    "opens_right",  # how many of the forecast openings can be true: the smaller of both counts
+    "closes_right",  # the same for closings
 )
 
 
@@ -63,13 +63,15 @@ COLUMNS = (
 class TrueCurves:
     """The true loops of a window at K steps."""
 
-    curves: tuple[Array, ...]  #: of each loop the vertices (K, L, 3), metres
-    closing: tuple[Array, ...] = ()  #: of each the ends (K, 2, 3) of the edges of the full cloud that end its class
-    present: tuple[NDArray[np.bool_], ...] = ()  #: (K,) whether it is present; all are when not given
-    tight: tuple[Sequence[Array], ...] = ()  #: K other curves of its class, (n, 3) each
+    curves: tuple[Array, ...]  #: for each loop the vertices (K, L, 3) of its marked curve, metres
+    closing: tuple[
+        Array, ...
+    ] = ()  #: for each loop the ends (K, 2, 3) of the edges of the full cloud that end its class
+    present: tuple[NDArray[np.bool_], ...] = ()  #: for each loop (K,) whether it is present; all are when not given
+    tight: tuple[Sequence[Array], ...] = ()  #: for each loop K other curves of its class, (n, 3) each
 
     def hulls(self, loop: int, k: int) -> list[Array]:
-        """Return the points (n, 3) whose convex hulls count as the loop's: of the marked curve, and of another one.
+        """Return the points (n, 3) whose convex hulls stand for the loop: those of the marked curve, and of another one.
 
         Parameters
         ----------
@@ -86,7 +88,7 @@ class TrueCurves:
 
     @cached_property
     def extents(self) -> tuple[Array, Array]:
-        """The centroids of the curves (K, loops, 3), by length, and the largest distances from them (K, loops)."""
+        """Return the centroids of the curves (K, loops, 3), by length, and the largest distances from them (K, loops)."""
         centres = np.zeros((len(self.curves[0]), len(self.curves), 3))
         radii = np.zeros(centres.shape[:2])
         for loop, curves in enumerate(self.curves):
@@ -95,7 +97,7 @@ class TrueCurves:
         return centres, radii
 
     def beside(self, loop: int, k: int, point: Array) -> float:
-        """Return how far a point is beside a curve's plane, in units of what still counts; inf outside its outline.
+        """Return the distance of a point from a curve's plane, as a share of the allowed one; inf outside the outline.
 
         Parameters
         ----------
@@ -105,7 +107,7 @@ class TrueCurves:
         """
         offsets = self.curves[loop][k] - point
         mean = offsets.mean(axis=0)
-        axes = np.linalg.svd(offsets - mean, full_matrices=False)[2]  # of the scatter of its vertices, the normal last
+        axes = np.linalg.svd(offsets - mean, full_matrices=False)[2]  # principal axes of the vertices, the normal last
         distance = abs(float(mean @ axes[2])) / (OFFSET * self.extents[1][k, loop])
         if distance > 1 or distance_to_hull((0, 0), offsets @ axes[:2].T) >= 1e-9:
             return float("inf")
@@ -128,13 +130,13 @@ def measure_forecasts(
     states : StateTensors
         The forecasts, (B, horizon, slots).
     target, past : StateTensors
-        What the tracker saw at all steps, and at the last frame before them (B, 1, slots).
+        The tracked states at all steps, and at the last frame before them (B, 1, slots).
     truth : sequence of TrueCurves
         The true loops of each window at these steps.
     steps : sequence of int
         Steps ahead, from 1.
     fine : sequence of int
-        Those of the steps where likelihood and coverage are taken, which take long.
+        The steps at which likelihood and coverage are measured, which takes long.
     rng : Generator
 
     Returns
@@ -149,7 +151,7 @@ def measure_forecasts(
     lifetimes = (chosen.death - chosen.birth).double().numpy()
     presence = chosen.presence.double().sigmoid().numpy()
 
-    # Places and identities, sample by sample; pairs are collected, and their mixtures measured together.
+    # Measure places and identities sample by sample. Collect the pairs, whose mixtures are measured together afterwards.
     columns = {name: np.full((len(truth), len(steps)), np.nan) for name in COLUMNS}
     pairs = []  # window, step, slot, true loop
     for i, curves in enumerate(truth):
@@ -167,7 +169,7 @@ def measure_forecasts(
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """A window at one of its steps: true loops, and S forecast ones."""
+    """A window at one of its steps, with its true loops and S forecast loops."""
 
     truth: TrueCurves
     k: int
@@ -177,7 +179,7 @@ class _Sample:
 
     @cached_property
     def loops(self) -> list[int]:
-        """The true loops that are present."""
+        """Return the true loops that are present."""
         every = range(len(self.truth.curves))
         if not self.truth.present:
             return list(every)
@@ -185,12 +187,12 @@ class _Sample:
 
     @cached_property
     def distances(self) -> Array:
-        """(S, loops) how far the means are from the centres of the true loops."""
+        """Return the distances (S, loops) of the forecast means from the centres of the true loops."""
         return np.linalg.norm(self.means[:, None] - self.truth.extents[0][self.k], axis=2)
 
     @cached_property
     def slot_of_loop(self) -> dict[int, int]:
-        """The slot of each true loop whose opening has a mean in it."""
+        """Return the slot that finds each true loop: its mean is in the loop's opening."""
         radii = self.truth.extents[1][self.k]
         likely = (self.presence > 0.5)[:, None]
         near = (self.distances <= radii) & likely & np.isin(np.arange(len(radii)), self.loops)
@@ -198,16 +200,16 @@ class _Sample:
 
     @cached_property
     def ranked(self) -> list[int]:
-        """The slots that can count: of those that are likely present the longest-lived."""
+        """Return the slots that are judged: the longest-lived of those that are likely present."""
         return _first(self.lifetimes, self.presence > 0.5)
 
     @cached_property
     def pairs(self) -> list[tuple[int, int]]:
-        """The slots that count, and the true loops that they are compared with; none when there are too few."""
+        """Return pairs of a judged slot and its true loop; none when too few loops are forecast."""
         chosen = self.ranked[: len(self.loops)]
         if len(chosen) < min(len(self.loops), MOST):
             return []
-        # Of all ways to pair them, the one whose distances of centres are least in sum.
+        # Of all ways to pair them, take the one whose distances of centres have the least sum.
         orders = itertools.permutations(self.loops, len(chosen))
         best = min(orders, key=lambda order: float(self.distances[chosen, list(order)].sum()))
         return list(zip(chosen, best, strict=True))
@@ -220,7 +222,7 @@ class _Sample:
         return float(np.mean([self.slot_of_loop.get(loop) == first.slot_of_loop[loop] for loop in still]))
 
     def places(self) -> dict[str, float]:
-        """Return the columns of places; only that of the marked curves where no true loop is present."""
+        """Return the columns about places; where no true loop is present, only that of the marked curves."""
         truth = self.truth
         k = self.k
         marked = [[curve[k]] for curve in truth.curves]
@@ -228,7 +230,7 @@ class _Sample:
         if not self.loops:
             return values
 
-        # Hulls, with presence asked for and without.
+        # Measure distances from hulls, with the forecast presence and without it.
         either = [truth.hulls(loop, k) for loop in self.loops]
         first = [hulls[:1] for hulls in either]
         likeliest = _first(self.lifetimes * self.presence, self.lifetimes > 0)
@@ -236,7 +238,7 @@ class _Sample:
         values["hull_distance_any_curve"] = self.hull_distance(self.ranked, either)
         values["hull_distance_presence_ignored"] = self.hull_distance(likeliest, first)
 
-        # Planes, openings and centres.
+        # Compare with planes, openings and centres.
         beside = [[truth.beside(loop, k, self.means[slot]) for loop in self.loops] for slot in self.ranked]
         values["in_plane"] = _least_worst(beside, len(self.loops)) <= 1
         shares = (self.distances / truth.extents[1][k])[self.ranked][:, self.loops]
@@ -254,19 +256,22 @@ class _Sample:
         return _least_worst([[nearest(slot, choices) for choices in hulls] for slot in slots], len(hulls))
 
 
-def _first(rank: Array, which: NDArray[np.bool_]) -> list[int]:
-    """Return the slots of highest rank among some of them."""
+def _first(rank: Array, chosen: NDArray[np.bool_]) -> list[int]:
+    """Return the slots of highest rank among the chosen ones."""
     ranked = np.argsort(-rank, kind="stable")
-    return ranked[which[ranked]][:MOST].tolist()
+    return ranked[chosen[ranked]][:MOST].tolist()
 
 
 def _least_worst(table: Sequence[Sequence[float]], loops: int) -> float:
-    """Return the worst pair of the assignment whose worst pair is best: below a threshold iff all can be below it."""
-    asked = min(loops, MOST)
-    if len(table) < asked:
+    """Return the value of the worst pair, in the assignment whose worst pair is best.
+
+    It is below a threshold if and only if some assignment has all its pairs below the threshold.
+    """
+    n_pairs = min(loops, MOST)
+    if len(table) < n_pairs:
         return float("inf")
-    orders = itertools.permutations(range(loops), asked)
-    return min(max(row[loop] for row, loop in zip(table[:asked], order, strict=True)) for order in orders)
+    orders = itertools.permutations(range(loops), n_pairs)
+    return min(max(row[loop] for row, loop in zip(table[:n_pairs], order, strict=True)) for order in orders)
 
 
 def opening_points(curve: Array, n: int, rng: np.random.Generator) -> Array:
@@ -295,13 +300,15 @@ def _measure_mixtures(
     noise = states.noise[i, k, slot].double()
     mixtures: Any = loop_mixtures(triangles, values, noise)
 
-    # A point is in the region of 90 % when at most 90 % of the mixture's own draws are at places of higher density.
+    # A point is in the region of 90 % of the mass when at most 90 % of draws from the mixture are at places of higher density.
     points = np.array([opening_points(truth[i].curves[loop][k], POINTS, rng) for i, k, _, loop in pairs])
     density = mixtures.log_prob(torch.from_numpy(points).transpose(0, 1))  # (POINTS, pairs)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(rng.integers(2**62)))
-        own = mixtures.log_prob(mixtures.sample((DRAWN,)))  # (DRAWN, pairs)
-    above = (own[:, None] > density[None]).double().mean(dim=0)  # the credible region that just reaches each point
+        density_of_draws = mixtures.log_prob(mixtures.sample((DRAWN,)))  # (DRAWN, pairs)
+    above = (
+        (density_of_draws[:, None] > density[None]).double().mean(dim=0)
+    )  # the mass of the credible region that just reaches each point
 
     measured = {
         "nll": -density.mean(dim=0),
@@ -309,10 +316,11 @@ def _measure_mixtures(
         "cover90": (above <= 0.9).double().mean(dim=0),
         "expected_variance": (noise - states.death[i, k, slot].double() ** 2).clamp(min=0),
     }
-    for name, found in measured.items():
+    # Take the mean over the pairs of a window and a step.
+    for name, values_of_pairs in measured.items():
         total = np.zeros_like(columns[name])
         count = np.zeros_like(columns[name])
-        np.add.at(total, (i, k), found.numpy())
+        np.add.at(total, (i, k), values_of_pairs.numpy())
         np.add.at(count, (i, k), 1)
         columns[name][count > 0] = total[count > 0] / count[count > 0]
 
@@ -320,7 +328,10 @@ def _measure_mixtures(
 def _count_slots(
     states: StateTensors, target: StateTensors, past: StateTensors, at: Tensor, columns: Mapping[str, Array]
 ) -> None:
-    """Fill in the counts of slots. Slots have no order: the one that suits the forecast best over all steps is taken."""
+    """Fill in the counts of slots.
+
+    Slots have no order, so the order that suits the forecast best over all steps is taken.
+    """
     present = target.matched_to(states)[:, at].presence > 0  # (B, K, S)
     logits = states[:, at].presence
     forecast = logits > 0
@@ -329,13 +340,13 @@ def _count_slots(
         columns[name][:] = which.sum(dim=-1).numpy()
         columns[f"{name}_right"][:] = (which & (forecast == present)).sum(dim=-1).numpy()
 
-    # Loops that open or close since the last frame seen, whichever they are.
+    # Count how many loops open or close since the last observed frame, without regard to which loops they are.
     before = (past.presence > 0).sum(dim=-1)
-    came = present.sum(dim=-1) - before  # (B, K)
-    expected = forecast.sum(dim=-1) - before
+    true_change = present.sum(dim=-1) - before  # (B, K)
+    forecast_change = forecast.sum(dim=-1) - before
     for name, sign in (("opens", 1), ("closes", -1)):
-        true = (sign * came).clamp(min=0).numpy()
-        claimed = (sign * expected).clamp(min=0).numpy()
+        true = (sign * true_change).clamp(min=0).numpy()
+        predicted = (sign * forecast_change).clamp(min=0).numpy()
         columns[name][:] = true
-        columns[f"{name}_forecast"][:] = claimed
-        columns[f"{name}_right"][:] = np.minimum(true, claimed)
+        columns[f"{name}_forecast"][:] = predicted
+        columns[f"{name}_right"][:] = np.minimum(true, predicted)

@@ -1,10 +1,10 @@
-"""The statements about killer edges: recovering them, following them, telling them apart.
+"""The statements about killer edges: recovering them, following them, and distinguishing them.
+
+Idea: the distance of two edges is the Hausdorff distance of their end points. Edges that could be taken for the killer, its
+*rivals*, are assumed to lie within beta of it. In the paper's Assumption 3 the rivals are all edges of about the killer's length
+(`converse` shows where that cannot hold); in Assumption 3' they are the critical edges alone (`beta_critical`).
 
 Source: Antonova et al. 2021, section 4. Taught in chapter 6.
-
-Edges, each its two end points, are compared by Hausdorff distance, and edges that could be taken for the killer are assumed
-to lie within beta of it: all edges of about its length by the paper's Assumption 3, see `converse` for where that cannot hold,
-and critical ones by Assumption 3', see `beta_critical`.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from .._validate import positive
 from ._measures import Beta
 from ._step import Check, LoopCheck, Step, Verdict, as_step, compare
 
-MORE_THAN_TWICE = 2.001  # alpha must exceed 2 epsilon in Assumption 2; a larger alpha than measured is still one
+MORE_THAN_TWICE = 2.001  # Assumption 2 needs alpha above 2 epsilon; a larger radius than the measured one covers, too
 
 
 def recovering_killers(state: ArrayLike | Step, observed: ArrayLike | None = None) -> Check:
     """Check that the killer edge seen in the observation is near the true one (Lemma 4).
 
-    The paper: the killer of f in S and that of its counterpart in O are within beta. True for lifetimes above alpha, which the
-    statement leaves out: shorter loops may have no counterpart. Its beta is over all edges.
+    The paper: the killer of a loop f in S and the killer of its counterpart in O are within beta, where beta is over all edges.
+    This is true for lifetimes above alpha, a condition that the statement leaves out: shorter loops may have no counterpart.
 
-    Corrected: the same with beta over (alpha, 0)-critical edges, for each loop its own. Proof: the counterpart dies in
-    [d, d + alpha], and its killer's lune falls apart in O. A path in S that showed the edge not to be critical would, each point
-    moved to the nearest observed one, hold that lune together.
+    Corrected: the same with a beta over (alpha, 0)-critical edges for each loop. Proof: the counterpart dies in
+    [d, d + alpha], and its killer's lune falls apart in O. Suppose that a path in S showed the edge not to be critical. Move
+    each of its points to the nearest observed point: then the path would hold that lune together.
 
     Parameters
     ----------
     state : (n, d) array_like, or Step
-        S_t; or a step that holds all, as in the other statements.
+        S_t, or a step that holds both the state and the observation.
     observed : array_like, optional
         O_t: (m,) ids of points of S_t or their (m, d) coordinates; all of them when not given.
     """
@@ -52,19 +52,20 @@ def recovering_killers(state: ArrayLike | Step, observed: ArrayLike | None = Non
 def regularity_of_killers(before: ArrayLike | Step, after: ArrayLike | None = None, alpha: float = 0.0) -> Check:
     """Check that killer edges move little in a small motion (Lemma 5).
 
-    The paper: the killer of f and that of its image are within beta + epsilon. True; the proof uses Assumption 3 on edges of
-    S_t+1, where it says nothing about them: pull the image's killer back to S_t, where it is a rival of f's.
+    The paper: the killer of a loop f and the killer of its image are within beta + epsilon. This is true, but the proof applies
+    Assumption 3 to edges of S_t+1, and the assumption is about S_t. It is mended by pulling the killer of the image back to
+    S_t, where it is a rival of the killer of f.
 
     Corrected: beta over (0, epsilon)-critical edges, for loops with a lifetime above 2 epsilon. Proof: the lune of the image's
     killer falls apart in S_t+1; pulled back, the edge is critical, of half length within 2 epsilon of the death. Intrinsic:
-    beta over (0, distortion)-critical edges; epsilon stays where it says how far the edge's ends move.
+    beta over (0, distortion)-critical edges; epsilon stays where it bounds how far the ends of the edge move.
 
     Parameters
     ----------
     before, after : (n, d) array_like
         S_t and S_t+1: row i of both is the same point. Or a Step in the place of `before`.
     alpha : float
-        The covering radius of the observations; 2.001 epsilon when smaller, since Assumption 2 wants it above 2 epsilon.
+        The covering radius of the observations. At least 2.001 epsilon is used, since Assumption 2 needs it above 2 epsilon.
     """
     step = as_step(before, after=after)
     s = step.before
@@ -77,7 +78,7 @@ def regularity_of_killers(before: ArrayLike | Step, after: ArrayLike | None = No
         "intrinsic": s.beta_critical(2 * delta, 0.0, delta),
     }
 
-    # Every version speaks about the loops that live long enough for it.
+    # Every version is about the loops that live long enough for it.
     n_loops = max(len(beta.value) for beta in betas.values())
     rows = _loop_checks(step, ("S_t", "S_t+1"), [_bounds(f, betas, plus=epsilon) for f in range(n_loops)])
     separated = s.separation(alpha) > 2 * alpha + betas["paper"].max + epsilon
@@ -93,10 +94,11 @@ def corollary(
 ) -> Check:
     """Check how far killers may lie apart in two observations of one loop (Corollary 1).
 
-    The paper: at most 2 alpha + beta + epsilon. False: its proof puts alpha for the two outer legs, where Lemma 4 gives beta.
+    The paper: at most 2 alpha + beta + epsilon. This is false: its proof puts alpha for the two outer legs, where Lemma 4 gives
+    beta.
 
-    Corrected: 2 beta + epsilon, with beta over (alpha, epsilon)-critical edges of S_t alone, for each loop its own, and
-    lifetimes above alpha + 2 epsilon. Proof: both observed killers, pulled back to S_t, are critical and of half length in
+    Corrected: at most 2 beta + epsilon for lifetimes above alpha + 2 epsilon, with a beta over (alpha, epsilon)-critical edges
+    of S_t alone for each loop. Proof: both observed killers, pulled back to S_t, are critical and of half length in
     [d - 2 epsilon, d + alpha + 2 epsilon], hence within beta of f's. Intrinsic: the `distortion` in place of epsilon
     everywhere but in the last term. Further: over all edges 3 beta + epsilon follows from the paper's lemmas, and 2 beta +
     epsilon when its Assumption 3 takes the wider window. A loop's legs lead from O_t to S_t, to S_t+1, and to O_t+1.
@@ -121,7 +123,7 @@ def corollary(
     }
     of_the_paper = {"paper": 2 * larger + beta + epsilon, "3 beta + epsilon, all edges": 3 * beta + epsilon}
 
-    # The paper's versions speak about loops that live long enough at both times.
+    # The paper's versions are about loops that live long enough at both times.
     lifetimes = s.diagram.lifetime
     images = np.append(step.after.diagram.lifetime, 0.0)[step.matching.partner]
     bounds = [_bounds(f, betas, times=2, plus=epsilon) for f in range(int((lifetimes > alpha).sum()))]
@@ -129,7 +131,7 @@ def corollary(
         bounds[f] |= of_the_paper
     rows = _loop_checks(step, ("O_t", "S_t", "S_t+1", "O_t+1"), bounds)
 
-    # A loop that is not seen at t + 1, and is too short-lived to have to be, is left out.
+    # Leave out a loop that is not seen at t + 1 and lives too short for any version to promise that it is.
     rows = [row for row in rows if np.isfinite(row.legs[-1]) or {"corrected", "intrinsic"} & set(row.bounds)]
     separated = s.separation(larger) > 2 * larger + beta + epsilon
     names = ("paper", "corrected", "intrinsic", "3 beta + epsilon, all edges", "2 beta + epsilon, all edges")
@@ -137,12 +139,12 @@ def corollary(
 
 
 def _bounds(f: int, betas: dict[str, Beta], *, times: int = 1, plus: float = 0.0) -> dict[str, float]:
-    """Return times * beta + plus for every version that speaks about loop f."""
+    """Return times * beta + plus for every version that is about loop f."""
     return {name: times * float(beta.value[f]) + plus for name, beta in betas.items() if f < len(beta.value)}
 
 
 def _loop_checks(step: Step, places: Sequence[str], bounds: Sequence[dict[str, float]]) -> list[LoopCheck]:
-    """Measure how far the killers of the longest-lived loops of S_t are apart from place to place, and in the first and last."""
+    """Measure the distances between the killers of a loop from place to place, for the longest-lived loops of S_t."""
     n = len(bounds)
     legs = np.array([np.diagonal(step.killer_distances(*pair, n)) for pair in pairwise(places)]).T.tolist()
     ends = np.diagonal(step.killer_distances(places[0], places[-1], n)).tolist()
@@ -151,12 +153,12 @@ def _loop_checks(step: Step, places: Sequence[str], bounds: Sequence[dict[str, f
 
 
 def _verdicts(step: Step, rows: Sequence[LoopCheck], versions: Iterable[str], separated: bool) -> dict[str, Verdict]:
-    """Return every version at the loop where it is tightest; only the paper's assumes that loops are separated."""
+    """Return the verdict on every version; only the paper's version assumes that loops are separated."""
     return {version: _verdict(step, rows, version, separated or version != "paper") for version in versions}
 
 
 def _verdict(step: Step, rows: Sequence[LoopCheck], version: str, hypotheses: bool) -> Verdict:
-    """Return a version at the loop where it is tightest."""
+    """Return the verdict on a version at the loop where it is tightest."""
     concerned = [row for row in rows if version in row.bounds]
     if not concerned:
         return Verdict(0.0, 0.0, True, hypotheses)
@@ -171,19 +173,20 @@ def converse(
     after: ArrayLike | None = None,
     observed_after: ArrayLike | None = None,
 ) -> Check:
-    """Check that observed killers which are close belong to the same loop: what tracking needs, the corollary's converse.
+    """Check that observed killers which are close belong to the same loop: the converse of the corollary, which tracking needs.
 
-    The paper concludes it from killers in S_t that are more than 2 alpha + beta + epsilon apart, which its Assumption 3 rules
-    out where loops die within alpha of each other: their killers are rivals, within beta. Even where they do not, each observed
-    killer may be beta off. The killers of other loops are critical too, so only the distance to the nearest can be small.
+    The paper concludes this when killers in S_t are more than 2 alpha + beta + epsilon apart. Its own Assumption 3 rules that out
+    where loops die within alpha of each other: then their killers are rivals, so within beta. And where loops do not die
+    together, each observed killer may still be off by beta. The killers of other loops are critical edges, too. So only the
+    distance of a critical edge to the nearest killer can be small.
 
     Corrected: let every critical edge in the window of some loop with a lifetime above alpha + 2 epsilon lie within beta of the
     *nearest* killer of such a loop, and let these killers be more than 4 beta + 2 epsilon apart. Then each observed killer has
-    its place, the killer in S_t within beta of it (beta + epsilon at t + 1), and two observed killers of t and t + 1 are within
-    2 beta + epsilon if and only if they have the same place. The statistic is that reach, the bound the least distance
-    between killers of different places. Proof: both are critical, as in the corollary; apply the triangle inequality through
-    their places. Intrinsic: the `distortion` in place of epsilon, but not where it says how far edges move. The check is empty
-    where there are not two loops that live long enough.
+    one place: the killer in S_t within beta of it (beta + epsilon at t + 1). Two observed killers of t and t + 1 are within
+    the reach 2 beta + epsilon if and only if they have the same place. The statistic is the reach; the bound is the least
+    distance between killers of different places. Proof: both are critical, as in the corollary; apply the triangle inequality
+    through their places. Intrinsic: the `distortion` in place of epsilon, but not where epsilon bounds how far edges move. The
+    check is empty where there are not two loops that live long enough.
 
     Parameters
     ----------
@@ -228,18 +231,18 @@ def _by_nearest_killer(step: Step, alpha: float, change: float) -> Verdict:
         return Verdict(0.0, np.inf, True)
     reach = 2 * s.beta_critical(min_lifetime, alpha, change, nearest=True).max + step.epsilon
     edges = [step.killers(place, n_loops) for place in ("O_t", "O_t+1")]
-    if np.min(edges) < 0:  # against the theorem
+    if np.min(edges) < 0:  # a loop has no counterpart, against the theorem
         return Verdict(reach, 0.0, False, True, n_loops, step.witness("S_t", 0, "a loop is not seen"))
 
-    # The killer in S_t that is nearest to each observed killer, at both times.
+    # Find the killer in S_t that is nearest to each observed killer, at both times.
     killers = s.diagram.killer_edge[:n_loops]
-    nearest = [np.argmin([s.edge_distances(seen, killer) for killer in killers], axis=0) for seen in edges]
+    nearest = [np.argmin([s.edge_distances(observed, killer) for killer in killers], axis=0) for observed in edges]
     same = np.equal.outer(*nearest)
     distance = step.killer_distances("O_t", "O_t+1", n_loops)
     least = float(distance[~same].min(initial=np.inf))
     most = float(distance[same].max(initial=0.0))
     holds = least > reach - step.tolerance and most <= reach + step.tolerance
     loop = int(np.where(same, np.inf, distance).min(axis=1).argmin())
-    what = f"killers of one place up to {most:.6g} apart, of different ones down to {least:.6g}"
+    description = f"killers of one place up to {most:.6g} apart, of different ones down to {least:.6g}"
     separated = s.separation(min_lifetime) > 2 * reach
-    return Verdict(reach, least, holds, separated, n_loops, step.witness("S_t", loop, what))
+    return Verdict(reach, least, holds, separated, n_loops, step.witness("S_t", loop, description))
