@@ -227,9 +227,8 @@ class StrapController(_Wearing):
     def reset(self, observation: Mapping[str, Any]) -> None:
         """Forget everything, and begin with a first observation of `topokit.sim.HangEnv`."""
         super().reset(observation)
-        self._ahead = (
-            0.0  # metres from the middle of the cloth to the straps, along the left of the way from gripper to gripper
-        )
+        # Metres from the middle of the cloth to the straps, along the left of the way from gripper to gripper.
+        self._ahead = 0.0
         self._seen = np.zeros(2, np.int64)  # frames in which a strap was around each shoulder
 
     def _unfit(self, body: _Body) -> str:

@@ -1,4 +1,4 @@
-"""Hang a garment in a closed loop: a controller observes, acts, and observes again; the result is an episode like any other."""
+"""Hang a garment in a closed loop: a controller observes, acts and observes again; the result is an ordinary episode."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class Hanging:
 
     success: bool  #: the task's loops are on the target, and the garment, let go of, is at rest there
     linked: tuple[str, ...]  #: the garment's true loops that are around the target at the end, by their names
-    reason: str  #: how it ended, in words
-    steps: int  #: frames until then
-    seconds_a_decision: float  #: of the controller, on the mean
-    episode: Episode  #: all of it, to be saved, played and tracked
+    reason: str  #: how the episode ended, in words
+    steps: int  #: number of frames until the end
+    seconds_a_decision: float  #: mean time that the controller takes for an action
+    episode: Episode  #: the whole episode, to be saved, played and tracked
 
 
 def hang(
@@ -47,37 +47,38 @@ def hang(
     progress: bool = False,
     **options: Any,
 ) -> Hanging:
-    """Hang a garment on a target by what is seen of it, and return the outcome.
+    """Hang a garment on a target by its observations, and return the outcome.
 
     Parameters
     ----------
     task : str or Task, optional
-        As of `topokit.sim.simulate`; a tote is hung on a hook when neither this nor what follows is given.
+        As in `topokit.sim.simulate`. When neither a task nor a garment is given, a tote is hung.
     seed : int
-        Of where it starts.
+        Seed of the environment, and of the controller's draws.
     garment, target : optional
-        Those of the task when not given.
+        The garment and the target of the task when not given.
     model : optional
-        The forecaster that plans are made by (`Planner`, or with a `fence` `ThrowController`): "carry", the checkpoint of a
-        `topokit.models.Motion`, or an object with the methods of `Carried`. With None the `Servo` acts, which needs none. What
-        is worn is put on a mannequin by `PullOverController` or `StrapController`, which need none either.
+        The forecaster with which `Planner` plans (`ThrowController` when there is a `fence`): "carry", the checkpoint of a
+        `topokit.models.Motion`, or an object with the methods of `Carried`. With None the `Servo` acts, which needs no forecast.
+        A garment that is worn is put on a mannequin by `PullOverController` or `StrapController`, which need no forecast
+        either.
     goal : optional
-        As of `Servo`; when not given, as many loops at once as the task asks for.
+        As in `Servo`; when not given, as many loops at once as the task asks for.
     controller : Controller, optional
-        Acts in place of those.
+        The controller that acts in place of these.
     pace : float
-        As of `Planner`, for those that plan.
+        As in `Planner`; other controllers do not use it.
     max_steps : int
         Frames after which the episode ends.
     progress : bool
-        Write the frames done to stderr.
+        Write the number of frames done to stderr.
     **options
-        Where the target stands, what disturbs, what is seen: those of `topokit.sim.HangEnv`, as ``place="anywhere"``.
+        Options of `topokit.sim.HangEnv`, such as ``place="anywhere"``: place, disturbances and observation.
 
     Raises
     ------
     TypeError, ValueError
-        When the model forecasts no motion, an option is not known, or the garment has not the loops of the task.
+        When the model does not forecast motion, an option is not known, or the garment lacks loops of the task.
     """
     forecast = _forecast(model)
     if task is None and garment is None:
@@ -100,27 +101,27 @@ def _usual(
     options: dict[str, Any],
 ) -> Servo:
     """Return the usual controller of a task."""
-    how = {"max_step": env.max_step, "cloud_delay": options.get("cloud_delay", 0)}
-    # What is worn is put on a mannequin, whatever the goal and the model.
+    shared = {"max_step": env.max_step, "cloud_delay": options.get("cloud_delay", 0)}
+    # A garment that is worn is put on a mannequin, whatever the goal and the model.
     if env.task.all_loops and env.target.name == Mannequin.name:
         if {"neck", "hem"} <= {*env.task.loops}:
-            return PullOverController(**how)
+            return PullOverController(**shared)
         if all(loop.startswith("strap") for loop in env.task.loops):
-            return StrapController(**how)
-    # Everything else is hung: by the servo, by plans, or by a throw over a fence.
+            return StrapController(**shared)
+    # Any other garment is hung: by the servo, by plans, or by a throw over a fence.
     if goal is None:
         goal = env.task.needed(env.garment.named_loops) or None
-    how["radius"] = env.target.rods[0][2]
+    shared["radius"] = env.target.rods[0][2]
     if forecast is None:
-        return Servo(goal, **how)
+        return Servo(goal, **shared)
     if options.get("fence"):
         frame_time = env.config.frame_time
-        return ThrowController(forecast, goal, fence=options["fence"], frame_time=frame_time, seed=seed, **how)
-    return Planner(forecast, goal, pace=pace, seed=seed, **how)
+        return ThrowController(forecast, goal, fence=options["fence"], frame_time=frame_time, seed=seed, **shared)
+    return Planner(forecast, goal, pace=pace, seed=seed, **shared)
 
 
 def _forecast(model: Any) -> MotionForecaster | None:
-    """Return the forecaster for a model, given as `hang` takes it."""
+    """Return the forecaster for the argument `model` of `hang`."""
     if model == "carry":
         return Carried()
     if isinstance(model, str | Path):
@@ -128,13 +129,13 @@ def _forecast(model: Any) -> MotionForecaster | None:
 
         model = Predictor.load(model)
     if model is not None and not callable(getattr(model, "move", None)):
-        ways = "None for the servo, 'carry', the checkpoint of a motion model, or a forecast that has `move`"
-        raise WrongKindError(f"model must be {ways}, not {model!r:.80}")
+        kinds = "None for the servo, 'carry', the checkpoint of a motion model, or a forecaster with the method `move`"
+        raise WrongKindError(f"model must be {kinds}, not {model!r:.80}")
     return model
 
 
 def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Hanging:
-    """Return what becomes of a garment under a controller."""
+    """Run an episode under a controller and return its outcome."""
     observation, info = env.reset(seed=seed)
     controller.reset(observation)
     seconds: list[float] = []
@@ -148,9 +149,9 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
             observation, _, terminated, truncated, info = env.step(action)
             ends = terminated or truncated
         if progress:
-            words = f"\rhanging: frame {len(seconds)} of at most {env.max_steps}"
-            print(words, end="\n" * ends, file=sys.stderr, flush=True)
-    # What came of it.
+            line = f"\rhanging: frame {len(seconds)} of at most {env.max_steps}"
+            print(line, end="\n" * ends, file=sys.stderr, flush=True)
+    # Record the outcome, and how the episode ended.
     episode = env.episode(type(controller).__name__)
     loops = env.garment.named_loops
     linked = tuple(name for name, loop in loops.items() if env.standing.holds(env.vertices[loop]))

@@ -64,9 +64,8 @@ class TrueCurves:
     """The true loops of a window at K steps."""
 
     curves: tuple[Array, ...]  #: for each loop the vertices (K, L, 3) of its marked curve, metres
-    closing: tuple[
-        Array, ...
-    ] = ()  #: for each loop the ends (K, 2, 3) of the edges of the full cloud that end its class
+    #: for each loop the ends (K, 2, 3) of the edges of the full cloud that end its class
+    closing: tuple[Array, ...] = ()
     present: tuple[NDArray[np.bool_], ...] = ()  #: for each loop (K,) whether it is present; all are when not given
     tight: tuple[Sequence[Array], ...] = ()  #: for each loop K other curves of its class, (n, 3) each
 
@@ -306,9 +305,8 @@ def _measure_mixtures(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(rng.integers(2**62)))
         density_of_draws = mixtures.log_prob(mixtures.sample((DRAWN,)))  # (DRAWN, pairs)
-    above = (
-        (density_of_draws[:, None] > density[None]).double().mean(dim=0)
-    )  # the mass of the credible region that just reaches each point
+    # The mass of the credible region that just reaches each point.
+    above = (density_of_draws[:, None] > density[None]).double().mean(dim=0)
 
     measured = {
         "nll": -density.mean(dim=0),

@@ -23,7 +23,8 @@ from ._checkpoint import Model, describe, load_model, save_tensors
 from ._motion import Motion
 from ._states import NOISE, TRIANGLES, StateTensors
 
-_PLANS_AT_ONCE = 250  # weights are read seldom, and what lies between layers stays in the cache
+# Plans in a batch: enough to read the weights seldom, few enough for activations to stay in the cache.
+_PLANS_AT_ONCE = 250
 
 Array = NDArray[np.float32]
 
@@ -32,29 +33,29 @@ Array = NDArray[np.float32]
 class PredictedLoop:
     """A predicted loop: a `topokit.Loop` whose triangles have no vertices in a cloud."""
 
-    slot: int  #: its identity: the same over the whole forecast
-    presence: float  #: probability that it is there
+    slot: int  #: identity of the loop, the same over the whole forecast
+    presence: float  #: probability that the loop is present
     birth: float  #: filtration value, metres
     death: float  #: filtration value, metres
-    killer_shift: float  #: Hausdorff distance between its killer edge and that of the step before, metres
-    killer_triangles: Array  #: (2, 3, 3) metres, the thick one first
+    killer_shift: float  #: Hausdorff distance between the killer edges at this step and at the step before, metres
+    killer_triangles: Array  #: (2, 3, 3) metres, the thick triangle first
     neighbours: Array  #: (m, 3, 3) metres, m <= 4
     killer_values: Array  #: (2,)
     neighbour_values: Array  #: (m,)
-    noise: float = NOISE  #: of its mixture, square metres; larger where the forecast is less sure of the place
+    noise: float = NOISE  #: noise of the mixture, square metres; larger where the place is less certain
 
     @property
     def lifetime(self) -> float:
-        """death - birth."""
+        """Return death - birth, metres."""
         return self.death - self.birth
 
     @property
     def centre(self) -> Array:
-        """(3,) mean of the killer triangles' barycentres. `mixture().mean` is another place."""
+        """Return the mean (3,) of the killer triangles' barycentres, which is not that of the mixture."""
         return np.asarray(self.killer_triangles.mean(axis=(0, 1)))
 
     def mixture(self, noise: float | None = None) -> LoopMixture:
-        """Return where the loop is (`topokit.loop_mixture`), with the forecast's own noise when none is given."""
+        """Return the mixture of the loop's place (`topokit.loop_mixture`), with the forecast's noise when none is given."""
         return loop_mixture(self, self.noise if noise is None else noise)
 
     def as_dict(self) -> dict[str, Any]:
@@ -74,24 +75,24 @@ class PredictedLoop:
 class Forecast:
     """The predicted states of K steps and S slots under a plan; under C plans every array has a leading axis of C.
 
-    As a sequence it has K items, each a tuple of the loops that are there, longest lifetime first. They have the attributes of
-    a `topokit.Loop`, and `slot`, `presence`, `noise` and `mixture()`.
+    As a sequence it has K items. Each is a tuple of the loops that are present, longest lifetime first (`PredictedLoop`).
     """
 
-    #: (K, S, 8, 3) metres: the killer edge's ends, the apexes of the thick and the other killer triangle, of the neighbours
+    #: (K, S, 8, 3) metres: both ends of the killer edge, the apexes of both killer triangles (the thick one first), and those of
+    #: the four neighbours
     corners: Array
-    neighbour_values: Array  #: (K, S, 4) filtration values of the neighbours, 0 where there is none
+    neighbour_values: Array  #: (K, S, 4) filtration values of the neighbours, 0 where a neighbour is missing
     birth: Array  #: (K, S) metres
     death: Array  #: (K, S) metres
     killer_shift: Array  #: (K, S) metres
     presence: Array  #: (K, S) probability
-    noise: Array  #: (K, S) of the mixtures, square metres
+    noise: Array  #: (K, S) noise of the mixtures, square metres
 
     @classmethod
     def from_states(cls, states: StateTensors) -> Forecast:
         """Return a model's output (C, K, S) as a forecast."""
         states = states.replace(presence=states.presence.sigmoid())
-        return cls(*(part.numpy() for part in vars(states).values()))
+        return cls(*(tensor.numpy() for tensor in vars(states).values()))
 
     def plan(self, index: int) -> Forecast:
         """Return the forecast under one of many plans.
@@ -102,27 +103,27 @@ class Forecast:
             When there is only one plan.
         """
         if self.birth.ndim < 3:
-            raise IndexError("this is the forecast of a single plan")
-        return Forecast(*(part[index] for part in vars(self).values()))
+            raise IndexError("this is the forecast of a single plan, and has no plan to choose")
+        return Forecast(*(array[index] for array in vars(self).values()))
 
     @property
     def lifetime(self) -> Array:
-        """(K, S)."""
+        """Return death - birth (K, S), metres."""
         return self.death - self.birth
 
     @property
     def triangles(self) -> Array:
-        """(K, S, 6, 3, 3) the killer triangles and the neighbours."""
+        """Return the killer triangles and the neighbours, (K, S, 6, 3, 3)."""
         return self._states.triangles.numpy()
 
     @property
     def values(self) -> Array:
-        """(K, S, 6) filtration values of the triangles."""
+        """Return the filtration values (K, S, 6) of the triangles."""
         return self._states.values.numpy()
 
     @property
     def mean(self) -> Array:
-        """(K, S, 3) means of the mixtures."""
+        """Return the means (K, S, 3) of the mixtures."""
         return self._states.mean.numpy()
 
     @property
@@ -133,7 +134,7 @@ class Forecast:
         return self.birth.shape[-2]
 
     def __getitem__(self, step: int) -> tuple[PredictedLoop, ...]:
-        """Return the loops of a step, 0 for the next frame: those more likely there than not, longest lifetime first."""
+        """Return the loops of a step that are more likely present than not, longest lifetime first; step 0 is the next frame."""
         if self.birth.ndim > 2:
             raise IndexError("this is a forecast of many plans: choose one first, forecast.plan(i)[step]")
         longest = np.argsort(-self.lifetime[step], kind="stable")
@@ -164,7 +165,7 @@ class Predictor:
     ----------
     model : PredictiveModel or Motion
     description : mapping, optional
-        The description in its checkpoint.
+        The description in the model's checkpoint.
     """
 
     def __init__(self, model: Model, description: Mapping[str, Any] | None = None) -> None:
@@ -204,9 +205,9 @@ class Predictor:
         points : (n, 3) array_like
             Metres.
         grippers : (2, 3) array_like, optional
-            Metres. A model that reads clouds alone needs none.
+            Places of the grippers, metres. A model whose input is clouds alone does not need them.
         held : bool
-            Whether they hold the garment.
+            Whether the grippers hold the garment.
         target : (L, 3) array_like, optional
             Centre line of the target, from the floor to its tip, for a `MotionPredictor`; the last one when not given.
 
@@ -218,8 +219,8 @@ class Predictor:
         self._take(as_cloud(points), grippers, bool(held), target)
 
     def _take(self, cloud: NDArray[np.float64], grippers: Any, held: bool, target: Any) -> None:
-        """Keep what a model needs of a frame, encoded."""
-        # As many points as the model reads: chosen from many, repeated where there are few.
+        """Encode a frame and keep it."""
+        # Choose as many points as the model reads; repeat points when there are fewer.
         n = self.model.shape.points
         points = cloud
         if len(cloud) > n:
@@ -236,14 +237,14 @@ class Predictor:
 
     @torch.inference_mode()
     def predict(self, actions: ArrayLike, held: ArrayLike | None = None) -> Forecast:
-        """Forecast the states of the next frames; the first frame observed stands in for those before it.
+        """Forecast the states of the next frames; the first observed frame also stands for the frames before it.
 
         Parameters
         ----------
         actions : (60, 2, 3) or (C, 60, 2, 3) array_like
             Planned places of the two grippers at each of the next frames, metres; or C such plans.
         held : (60,) or (C, 60) array_like of bool, optional
-            Whether they hold the garment then; throughout, when not given.
+            Whether the grippers hold the garment at each of these frames; when not given, at all of them.
         """
         chunks = self._plans(actions, held)
         context = self._encoded()
@@ -255,33 +256,33 @@ class Predictor:
         return forecast.plan(0)
 
     def _encoded(self) -> dict[str, Tensor]:
-        """Return the history as `decode` needs it; it is made once for all plans until the next frame."""
+        """Return the encoded history for `decode`; it is computed once, for all plans until the next frame."""
         if not self._kept:
-            raise ValueError("nothing was observed yet: call observe(points) first")
+            raise ValueError("no frame has been observed yet: call observe first")
         if self._context is None:
-            # The newest frame first; the oldest stands in for those before it.
+            # Take the newest frame first; the oldest one also stands for the frames before it.
             back = [max(len(self._kept) - 1 - frames, 0) for frames in range(self.model.shape.history)]
             kept = {name: torch.stack([self._kept[i][name] for i in back], dim=1) for name in self._kept[0]}
             if self._tracker is not None:
                 past = past_window(self._states, self.model.shape.slots)
-                kept |= {name: part[:, back] for name, part in past.items()}
+                kept |= {name: tensor[:, back] for name, tensor in past.items()}
             self._context = self.model.gather(kept)
         return self._context
 
     def _plans(self, actions: ArrayLike, held: ArrayLike | None) -> list[tuple[Tensor, Tensor]]:
-        """Return plans (C, 60, 2, 3) and holds (C, 60), some at a time."""
+        """Return plans (C, 60, 2, 3) and holds (C, 60) in batches."""
         steps = self.model.shape.horizon
         with np.errstate(over="ignore"):  # what is infinite in 32 bits is refused below
             plans = as_reals(actions, "actions").astype(np.float32)
         if plans.ndim not in (3, 4) or plans.shape[-3:] != (steps, 2, 3) or not len(plans):
             raise ValueError(f"actions must be ({steps}, 2, 3) or (plans, {steps}, 2, 3), not {plans.shape}")
         if not np.isfinite(plans).all():
-            raise ValueError("actions hold a NaN or infinite coordinate")
+            raise ValueError("actions must be finite, but hold NaN or infinite coordinates")
         holds = np.ones(plans.shape[:-2], dtype=bool)
         if held is not None:
             holds = as_reals(held, "held").astype(bool)
         if holds.shape != plans.shape[:-2]:
-            raise ValueError(f"held must be {plans.shape[:-2]}, as the actions, not {holds.shape}")
+            raise ValueError(f"held must have the shape {plans.shape[:-2]}, as the actions do, not {holds.shape}")
         some_plans = torch.from_numpy(plans).reshape(-1, steps, 2, 3).split(_PLANS_AT_ONCE)
         some_holds = torch.from_numpy(holds).reshape(-1, steps).split(_PLANS_AT_ONCE)
         return list(zip(some_plans, some_holds, strict=True))
@@ -291,7 +292,7 @@ def as_cloud(points: ArrayLike) -> NDArray[np.float64]:
     """Return a cloud (n, 3), checked and copied."""
     cloud = as_points(points, copy=True)
     if cloud.shape[1] != 3 or not len(cloud):
-        raise ValueError(f"points must be an (n, 3) array of one point at least, not of shape {cloud.shape}")
+        raise ValueError(f"points must be an (n, 3) array of at least one point, not of shape {cloud.shape}")
     return cloud
 
 

@@ -20,9 +20,7 @@ _SHARE_WITHIN_ALPHA = 0.95  # share of the points that have a neighbour within 2
 _SHARE_WITHIN_EPSILON = 0.9  # share of the points that move no farther than epsilon, when epsilon is estimated
 _SHARE_THAT_FITS = 0.25  # share of the points that decide whether the scene has moved; the others may be new in view
 _NO_GAPS = Gaps(0.0, 1.0)  # for a cloud of one place, and where alpha decides which bars are loops
-_OTHER_UNITS = (
-    20.0  # factor between the sizes of two frames beyond which they have different units: cloth does not grow so
-)
+_OTHER_UNITS = 20.0  # factor of size between two frames above which their units differ: cloth does not grow so
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,9 +29,8 @@ class DepthNoise:
     axial: NotNegative = 0.0012  #: standard deviation of the depth at `best` metres, in metres
     axial_growth: NotNegative = 0.0019  #: 1/m; the deviation at depth z is `axial + axial_growth * (z - best)**2`
     best: NotNegative = 0.4  #: the depth of least noise, metres
-    lateral: NotNegative = (
-        0.8  #: standard deviation, in pixels, of the place where a pixel measures: outlines become ragged
-    )
+    #: standard deviation, in pixels, of the place where a pixel measures: outlines become ragged
+    lateral: NotNegative = 0.8
     dropout: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: the probability with which each pixel is lost
 
     def add_to(self, depth: Array, mask: Mask, rng: np.random.Generator) -> tuple[Array, Mask]:
@@ -63,11 +62,7 @@ class Camera:
 
     eye: Place = (0.0, -1.6, 1.2)  #: (3,) the place of the camera
     target: Place = (0.0, 0.0, 1.0)  #: (3,) the place that is seen in the middle of the picture
-    up: Place = (
-        0.0,
-        0.0,
-        1.0,
-    )  #: (3,) the direction that points up in the picture; it may not be the direction of view
+    up: Place = (0.0, 0.0, 1.0)  #: (3,) the direction that is up in the picture; it may not be that of the view
     fov: Annotated[float, Field(gt=0, lt=180)] = 50.0  #: vertical angle of view, degrees
     width: Pixels = 128  #: width of the picture, pixels
     height: Pixels = 128  #: height of the picture, pixels
