@@ -16,9 +16,8 @@ import topokit as tk
 from topokit import cli
 from topokit._geometry import turned
 from topokit.control import Carried, Planner, PullOverController, Servo, StrapController, ThrowController, hang
-from topokit.control._arm import Arm, Opening, angle, drawn
+from topokit.control._arm import Arm, angle
 from topokit.io import load_episode, save_episode
-from topokit.sampling import as_tree
 from topokit.sim import Garment, Hanger, Hook, Mannequin, Placed
 
 from conftest import polygon
@@ -44,19 +43,18 @@ def plan(servo, observation, frames=8):
     return [servo.act(observation) for _ in range(frames)]
 
 
+def rods_of(target):
+    return np.array([[*start, *end, radius] for start, end, radius in target.rods])
+
+
 @pytest.mark.parametrize("target", [Hook(), Hanger()])
 def test_the_arm_is_found_wherever_the_target_stands(target):
     placed = Placed(target, 0.3, -0.2, 0.1, yaw=130.0)
     arm = Arm.of(placed.centre_line)
     np.testing.assert_allclose((arm.start + arm.end) / 2, placed.seat, atol=1e-9)
-    assert angle(Arm.of(target.centre_line).out, arm.out) == pytest.approx(130)
     loop = turned(ring(radius=0.12), 130)  # it looks along the arm
     for place, on in ((placed.seat, True), (arm.tip + 0.3 * arm.out, False)):
         assert arm.holds(loop + place) == placed.holds(loop + place) == on
-
-
-def rods_of(target):
-    return np.array([[*start, *end, radius] for start, end, radius in target.rods])
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -66,10 +64,9 @@ def test_a_head_is_approached_from_where_the_garment_is(side):
     arm = Arm.of_head(dummy.centre_line, rods_of(dummy), top + 0.5 * ahead)
     np.testing.assert_allclose(arm.out, ahead, atol=1e-9)
     assert (arm.seat - top) @ ahead < -Mannequin().head_radius  # it is let go behind the neck
-    assert arm.tip[2] == top[2]
-    flat = ring(radius=0.12)[:, [0, 2, 1]]
+    flat = ring(radius=0.12)[:, [0, 2, 1]] + top
     for z in (-0.05, -0.25, -0.3):  # on the crown like a wreath, and lower
-        assert arm.holds(flat + top + [0, 0, z]) == dummy.holds(flat + top + [0, 0, z]) == (z < -0.2)
+        assert arm.holds(flat + [0, 0, z]) == dummy.holds(flat + [0, 0, z]) == (z < -0.2)
 
 
 def test_a_pole_has_neither_arm_nor_head():
@@ -90,41 +87,6 @@ def test_grippers_go_apart_for_a_head():
     assert second[0] - first[0] > 0.1
 
 
-def test_the_way_to_the_front_goes_around_the_target():
-    arm = Arm.of(Hook().centre_line)
-    place, before = arm.start - 0.8 * arm.out + [0.05, 0, 0], arm.tip + 0.35 * arm.out
-    for _ in range(200):
-        way = (arm.before(place, 0.35) - place) * [1, 1, 0]
-        place = place + 0.05 * way
-        assert np.linalg.norm((place - arm.start)[:2]) > 0.4
-    np.testing.assert_allclose(place[:2], before[:2], atol=0.02)
-
-
-def test_an_opening_is_measured():
-    rim, normal, (height, width) = Opening.of(ring(centre=(1, 2, 3)))
-    np.testing.assert_allclose(rim, [1, 2, 3.15], atol=2e-3)
-    assert abs(normal @ [0, 1, 0]) == pytest.approx(1)
-    np.testing.assert_allclose((height, width), 0.3, atol=2e-3)
-    assert Opening.of(ring()[:, [0, 2, 1]]) is None  # it lies flat
-
-
-def test_cloth_before_an_opening_is_counted_on_its_side_only():
-    opening = Opening.of(ring()).along(np.array([0.0, 1.0, 0.0]))
-    board = np.column_stack([np.linspace(-0.05, 0.05, 9), np.full(9, -0.3), np.zeros(9)])
-    assert opening.blocked(board, 0.1) > 0
-    assert opening.along(-opening.normal).blocked(board, 0.1) == 0
-
-
-def test_a_curve_that_is_not_seen_follows_the_cloth_and_keeps_its_shape():
-    curve = ring(30)
-    moved = curve
-    for step in range(1, 21):
-        cloth = ring(200, centre=(0, 0.004 * step, 0))
-        moved = drawn(moved, curve, as_tree(cloth))
-    assert 0.05 < moved[:, 1].mean() < 0.08
-    assert Opening.of(moved).size == pytest.approx(Opening.of(curve).size, rel=0.1)
-
-
 def test_it_looks_before_it_moves_and_turns_towards_the_arm():
     loop = ring(60, centre=(0, -0.6, 1.25))
     actions = plan(Servo(), seen(loop, [[-0.1, -0.6, 1.42], [0.1, -0.6, 1.42]], Placed(Hook(), yaw=30.0)), 9)
@@ -134,15 +96,11 @@ def test_it_looks_before_it_moves_and_turns_towards_the_arm():
     assert actions[-1][6] == 0
 
 
-def two_rings(gap=0.5):
-    upper, lower = ring(60, 0.1, (0, 0, 1.3)), ring(60, 0.15, (0, 0, 1.3 - gap))
-    return np.concatenate([upper, lower])
-
-
 @pytest.mark.parametrize(("goal", "z"), [(None, 1.3), ((0, 0, -0.6), 0.8)])
 def test_it_hangs_the_loop_that_bears_or_the_one_it_was_told(goal, z):
     servo = Servo(goal)
-    plan(servo, seen(two_rings(), [[-0.1, 0, 1.42], [0.1, 0, 1.42]]))
+    rings = np.concatenate([ring(60, 0.1, (0, 0, 1.3)), ring(60, 0.15, (0, 0, 0.8))])
+    plan(servo, seen(rings, [[-0.1, 0, 1.42], [0.1, 0, 1.42]]))
     assert len(servo._chosen) == 1
     assert servo._chosen[0].cycle[:, 2].mean() == pytest.approx(z - 1.42, abs=0.03)
 
@@ -208,7 +166,7 @@ def test_a_loop_that_is_too_small_is_refused_in_words():
     assert not np.any(actions)
 
 
-@pytest.mark.parametrize("goal", [0, 1.5, "left", [1, 2], [0, 0, np.nan]])
+@pytest.mark.parametrize("goal", [0, "left", [1, 2], [0, 0, np.nan]])
 def test_a_goal_that_is_none_is_refused(goal):
     with pytest.raises((TypeError, ValueError), match="goal"):
         Servo(goal)
@@ -261,34 +219,28 @@ def test_what_cannot_be_reached_is_thrown(hanging):
     thrown = hang("apron-hook", garment=COARSE, seed=1, model="carry", fence=0.15)
     assert (thrown.success, thrown.linked) == (True, ("neck",))
     assert thrown.episode.physics["controller"] == "ThrowController"
-    arm, line = Arm.of(thrown.episode.centre_line), thrown.episode.centre_line
-    assert ((thrown.episode.grippers - line[-1]) @ arm.out).min() > 0.12
+    ahead = thrown.episode.centre_line[-1] - thrown.episode.grippers  # the arm points along -y
+    assert ahead[..., 1].min() > 0.12
     assert not hang("apron-hook", garment=COARSE, seed=1, fence=0.15, max_steps=hanging.steps + 20).success
 
 
 def test_a_throw_ends_at_the_fence_and_what_is_let_go_flies():
     hands = np.array([[-0.1, -0.9, 1.3], [0.1, -0.9, 1.3]])
-    thrower, observation = ThrowController(Carried(), fence=0.2), seen(ring(60, centre=(0, -0.9, 1.13)), hands)
+    loop, tip = ring(60, centre=(0, -0.9, 1.13)), Hook().centre_line[-1]
+    thrower, observation = ThrowController(Carried(), fence=0.2), seen(loop, hands)
     plan(thrower, observation)
-    arm = Arm.of(observation["target"])
-    goals, last = thrower._run(np.array([0.9, 0.6, 0.02]), arm, hands)
-    moves = np.diff(goals, axis=0)[last - 2 :] / thrower.max_step
-    assert ((goals[last - 1] - arm.tip) @ arm.out).min() == pytest.approx(0.2)
-    np.testing.assert_allclose(moves[:, 0] @ -arm.out, [moves[0, 0] @ -arm.out, *[0.9] * 58][: len(moves)], atol=1e-9)
-    assert moves[1, 0, 2] == pytest.approx(0.6)
-    assert goals[last - 1, 0, 2] - hands[0, 2] == pytest.approx(
-        arm.tip[2] + thrower._clearance(arm) + 0.02 - 1.28, abs=0.01
-    )
-    held = thrower._moved(goals[None], ring(60, centre=(0, -0.9, 1.13)))
-    flying = thrower._flown(held, np.array([last]))[0]
+    arm, asked = Arm.of(observation["target"]), np.array([0.9, 0.6, 0.02])
+    goals, last = thrower._run(asked, arm, hands)
+    assert (tip - goals[last - 1])[:, 1].min() == pytest.approx(0.2)
+    held = thrower._moved(goals[None], loop)
+    way = thrower._flown(held, np.array([last]))[0] - held[0, last - 1]
     time = 0.036 * np.array([4, 6, 8, 10])
-    way = flying - held[0, last - 1]
     np.testing.assert_allclose(way[..., 1], np.repeat(time[:, None] * 0.9 * 1.2, 60, axis=1), rtol=0.05)
-    thrower._goals = hands - [0, 3, 0]  # from far away, too, it ends at the fence, and not before
-    goals, frames = thrower._run(np.array([0.9, 0.6, 0.02]), arm, hands - [0, 3, 0])
-    assert ((goals[frames - 1] - arm.tip) @ arm.out).min() == pytest.approx(0.2)
     up = (held[0, last - 1, 0, 2] - held[0, last - 2, 0, 2]) / 0.036
     np.testing.assert_allclose(way[..., 2], np.repeat((up * time - 4.9 * time**2)[:, None], 60, axis=1), atol=1e-9)
+    thrower._goals = hands - [0, 3, 0]  # from far away, too, it ends at the fence, and not before
+    goals, last = thrower._run(asked, arm, thrower._goals)
+    assert (tip - goals[last - 1])[:, 1].min() == pytest.approx(0.2)
 
 
 def test_what_is_carried_turns_with_the_grippers():
@@ -302,11 +254,8 @@ def test_what_is_carried_turns_with_the_grippers():
 
 
 def test_planned_paths_are_no_faster_and_no_harder_than_said():
-    planner, observation = (
-        Planner(Carried()),
-        seen(ring(60, centre=(0, -0.6, 1.25)), [[-0.1, -0.6, 1.42], [0.1, -0.6, 1.42]]),
-    )
-    actions = np.array(plan(planner, observation, 16))[:, :6]  # the leash is not yet taut
+    observation = seen(ring(60, centre=(0, -0.6, 1.25)), [[-0.1, -0.6, 1.42], [0.1, -0.6, 1.42]])
+    actions = np.array(plan(Planner(Carried()), observation, 16))[:, :6]  # the leash is not yet taut
     assert 0.2 < abs(actions).max() <= 0.6
     assert abs(np.diff(actions, axis=0)).max() <= 0.06 + 1e-6
 
@@ -345,11 +294,8 @@ def test_in_a_hurry_a_loop_that_leaves_no_room_is_planned_for():
     ("controller", "wrong"),
     [
         (Planner, {"plans": 3}),
-        (Planner, {"rounds": 0}),
-        (Planner, {"replan_every": 0}),
         (ThrowController, {"fence": -0.1}),
         (ThrowController, {"fence": 0.1, "frame_time": 0.0}),
-        (ThrowController, {"fence": 0.1, "plans": 2}),
     ],
 )
 def test_wrong_options_of_planners_are_named(controller, wrong):
@@ -362,13 +308,10 @@ def test_wrong_options_of_planners_are_named(controller, wrong):
 DUMMY = Placed(Mannequin(), 0.3, -0.2, 0.05, yaw=70.0)
 
 
-def tube(radius=0.13, top=0.0, bottom=-0.5, n=30):
+def tube():
     """Rings above each other; the highest is the narrowest."""
-    heights = np.arange(top, bottom, -0.04)
-    rings = [
-        np.column_stack([r * polygon(n), np.full(n, z)]) for z, r in zip(heights, [0.1, *[radius] * 99], strict=False)
-    ]
-    return np.concatenate(rings)
+    widths = [0.1, *[0.13] * 12]
+    return np.concatenate([ring(30, width)[:, [0, 2, 1]] - [0, 0, 0.04 * k] for k, width in enumerate(widths)])
 
 
 def straps():
@@ -387,10 +330,10 @@ def carried(controller, cloth, place, yaw, gap, frames=400):
     for frame in range(frames):
         points = turned(own, angle(np.eye(3)[0], hands[1] - hands[0])) + hands[side]
         clouds.append(points)
-        seen = {"points": points, "grippers": hands, "target": DUMMY.centre_line, "rods": rods_of(DUMMY), "held": 1}
+        observation = {**seen(points, hands, DUMMY), "rods": rods_of(DUMMY)}
         if frame == 0:
-            controller.reset(seen)
-        action = controller.act(seen)
+            controller.reset(observation)
+        action = controller.act(observation)
         if action[6] or controller.reason:
             break
         hands = hands + controller.max_step * action[:6].reshape(2, 3)
@@ -441,11 +384,10 @@ def test_straps_that_are_too_narrow_are_refused_before_anything_tears():
 
 @pytest.mark.parametrize("kind", [PullOverController, StrapController])
 def test_a_hook_wears_nothing(kind):
-    hands = np.array([[-0.1, 0, 1.4], [0.1, 0, 1.4]])
-    seen = {"points": tube() + [0, 0, 1.4], "grippers": hands, "target": Hook().centre_line, "held": 1}
+    observation = {**seen(tube() + [0, 0, 1.4], [[-0.1, 0, 1.4], [0.1, 0, 1.4]]), "rods": rods_of(Hook())}
     controller = kind()
-    controller.reset(seen)
-    assert not controller.act({**seen, "rods": rods_of(Hook())}).any()
+    controller.reset(observation)
+    assert not controller.act(observation).any()
     assert "no head" in controller.reason
 
 

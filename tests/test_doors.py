@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
 import os
@@ -11,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import topokit as tk
 from topokit import lemmas
@@ -21,10 +18,10 @@ from topokit.io import load_episode, load_states, save_episode, save_states
 from topokit.linking import close_far, linking_numbers
 from topokit.mixture import InverseWishart
 from topokit.sampling import spacing
-from topokit.sim import Garment, HangEnv, SimulationConfig
+from topokit.sim import Garment, SimulationConfig
 from topokit.view import plot_cloth
 
-from conftest import DATA, memory, polygon
+from conftest import DATA, polygon
 
 RING = np.column_stack([polygon(12), np.zeros(12)])
 FAR = RING + [9.0, 0, 0]
@@ -130,18 +127,14 @@ BAD_CALLS = [
     (lambda: tk.track([RING], times=["now"]), "frame 0 has time now"),
     (lambda: tk.track([RING], times=np.zeros((1, 2))), "frame 0 has time"),
     (lambda: tk.SeqPH().update(RING, time=10**400), "frame 0 has time"),
-    (lambda: tk.farthest_point_sample(RING, 2.5), "n must be"),
     (lambda: tk.farthest_point_sample(RING, "3"), "n must be"),
     (lambda: tk.farthest_point_sample(RING, 3, 1.5), "start"),
     (lambda: MIXTURE.sample(float("nan")), "n must be"),
-    (lambda: MIXTURE.sample("3"), "n must be"),
     (lambda: MIXTURE.density(0), "n must be"),
     (lambda: MIXTURE.density(4, extent=float("nan")), "extent"),
     (lambda: MIXTURE.credibility(RING, n=0), "n must be"),
-    (lambda: MIXTURE.log_prob("abc"), "x must"),
     (lambda: MIXTURE.log_prob([[1, 2, 3], [1]]), "x must"),
     (lambda: tk.loop_mixture(LOOP, prior=InverseWishart(1.0, float("inf"))), "dof"),
-    (lambda: tk.loop_mixture(LOOP, prior=InverseWishart(np.inf)), "scale"),
     (lambda: tk.loop_mixture(LOOP, prior=InverseWishart("a")), "scale"),
     (lambda: close_far(RING * 1e308), "1e150"),
     (lambda: close_far(RING, start="up"), "start"),
@@ -156,70 +149,6 @@ def test_a_bad_argument_is_named(call, name):
 
 
 # -- files ------------------------------------------------------------------------------------------------------------------
-
-PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
-PLY += "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 0 1\n3 0 1 2\n"
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("element face", "element evil 2000000000\nproperty char x\nelement face"),
-        ("element face", "element evil -1\nproperty char x\nelement face"),
-        ("vertex 3", "vertex 9" + "9" * 30),
-        ("3 0 1 2", "inf 0 1 2"),
-        ("3 0 1 2", "3 0 nan 2"),
-        ("3 0 1 2", "900000000 0 1 2"),
-        ("property float x", "property list uchar float x"),
-        ("property list uchar int", "property list"),
-        ("element vertex", "property float w\nelement vertex"),
-        ("element vertex", "element\nelement vertex"),
-        ("1 0 0", "1e200 0 0"),
-    ],
-)
-def test_a_ply_file_declares_no_more_than_it_holds(tmp_path, old, new):
-    path = tmp_path / "cloth.ply"
-    path.write_text(PLY.replace(old, new, 1))
-    with pytest.raises(ValueError, match=r"cloth\.ply"):
-        Garment.from_mesh(path)
-
-
-def test_work_for_a_mesh_is_bounded(tmp_path):
-    """Cutting faces into triangles takes the square of their corners: thirty seconds here."""
-    around = "".join(f"v {x} 0 {z}\n" for x, z in polygon(1000))
-    (tmp_path / "round.obj").write_text(around + ("f " + " ".join(map(str, range(1, 1001))) + "\n") * 31)
-    with pytest.raises(ValueError, match=r"round.obj: 31 faces"):
-        Garment.from_mesh(tmp_path / "round.obj")
-
-
-@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl"])
-def test_a_mesh_takes_a_hundred_times_its_file_at_most(tmp_path, suffix):
-    """The densest files: a byte or two for each number."""
-    n = 20_000
-    dense = PLY.replace("ascii", "binary_little_endian").replace("float", "char").replace("uchar int", "uchar uchar")
-    head = dense.replace("vertex 3", f"vertex {n}").replace("face 1", f"face {n}").split("0 0 0")[0]
-    facet = b"facet normal vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
-    data = {
-        ".ply": head.encode() + b"\0\1\2" * n + b"\3\0\1\2" * n,
-        ".obj": b"v 0 0 0\n" * n + b"f 1 2 3\n" * n,
-        ".stl": b"solid\n" + facet * n + b"endsolid",
-    }[suffix]
-    path = tmp_path / f"cloth{suffix}"
-    path.write_bytes(data)
-    with memory() as peak, contextlib.suppress(ValueError):
-        Garment.from_mesh(path)
-    assert peak() < 100 * len(data)
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.binary(max_size=200), st.sampled_from([".ply", ".obj", ".stl"]), st.integers(0, 200))
-def test_any_mesh_file_is_read_or_refused(tmp_path_factory, noise, suffix, at):
-    """A slice of `tests/fuzz_readers.py`, without coverage to guide it."""
-    whole = PLY.encode() if suffix == ".ply" else b"v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n"
-    path = tmp_path_factory.getbasetemp() / f"fuzz{suffix}"
-    path.write_bytes(whole[:at] + noise + whole[at + len(noise) // 2 :])
-    with contextlib.suppress(ValueError):
-        Garment.from_mesh(path)
 
 
 def test_deep_json_of_a_configuration_names_the_file(tmp_path):
@@ -242,27 +171,3 @@ def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
     with pytest.raises(OSError, match=r"No space left on device: .*s.npz"):
         save_states(tmp_path / "s.npz", [])
     assert not list(tmp_path.iterdir())
-
-
-# -- the environment --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "options",
-    [{"n_points": 2.5}, {"n_points": "a"}, {"n_points": True}, {"max_steps": 0.5}, {"max_steps": float("inf")}],
-    ids=str,
-)
-def test_numbers_of_the_environment_are_whole(options):
-    with pytest.raises(ValueError, match=next(iter(options))):
-        HangEnv(**options)
-
-
-BAD_ACTIONS = [None, "abc", [0] * 6, [np.inf] * 7, [[1], 2, 3, 4, 5, 6, 7], [10**400] * 7, np.zeros(7, complex)]
-
-
-@pytest.mark.parametrize("action", [*BAD_ACTIONS, np.ma.masked_all(7)], ids=str)
-def test_an_action_that_is_none_moves_nothing(action, monkeypatch):
-    env = HangEnv(n_points=50)
-    monkeypatch.setattr(env, "_running", lambda: None)
-    with pytest.raises(ValueError, match="action"):
-        env.step(action)

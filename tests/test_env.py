@@ -15,7 +15,7 @@ pytest.importorskip("gymnasium")
 
 import gymnasium
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
+from gymnasium.vector import AsyncVectorEnv
 from scipy.spatial.distance import cdist
 
 from topokit._geometry import turned
@@ -265,11 +265,9 @@ def test_grippers_behind_a_fence_are_not_pushed_and_may_go_back_alone():
 
 
 def test_a_fence_stands_before_an_arm():
-    env = HangEnv("vest-mannequin", config=QUICK)
-    env.reset(seed=0)
+    env = HangEnv("vest-mannequin", config=QUICK, fence=0.1)
     with pytest.raises(ValueError, match="fence"):
-        env.reset(options={"fence": 0.1})
-    env.step(np.zeros(7))  # the episode goes on
+        env.reset(seed=0)
     env.close()
 
 
@@ -337,8 +335,7 @@ def test_a_start_anywhere_turns_the_garment_with_the_grippers():
 
 
 def test_the_script_succeeds_from_elsewhere():
-    config = dataclasses.replace(QUICK, settle=0.4)
-    env = make(place="anywhere", start="anywhere", target_shift=0.1, config=config)
+    env = make(place="anywhere", start="anywhere", target_shift=0.1, config=dataclasses.replace(QUICK, settle=0.4))
     assert play(env, seed=1)[1]["success"]
     env.close()
 
@@ -369,6 +366,14 @@ def test_rods_and_loops_of_a_task(name, wanted, needed):
     env.close()
 
 
+@pytest.fixture(scope="module")
+def running():
+    env = make()
+    env.reset(seed=0)
+    yield env
+    env.close()
+
+
 @pytest.mark.parametrize(
     ("options", "named"),
     [
@@ -383,15 +388,12 @@ def test_rods_and_loops_of_a_task(name, wanted, needed):
         ({"outliers": "few"}, "outliers"),
     ],
 )
-def test_a_wrong_option_is_refused_by_name(options, named):
+def test_a_wrong_option_is_refused_by_name(options, named, running):
     with pytest.raises(ValueError, match=named):
         make(**options)
-    env = make()
-    env.reset(seed=0)
     with pytest.raises(ValueError, match=named):
-        env.reset(options=options)
-    env.step(np.zeros(7))  # the episode goes on
-    env.close()
+        running.reset(options=options)
+    running.step(np.zeros(7))  # the episode goes on
 
 
 def test_every_task_has_an_id():
@@ -405,9 +407,8 @@ def test_every_task_has_an_id():
     env.close()
 
 
-@pytest.mark.parametrize("vector", [SyncVectorEnv, AsyncVectorEnv])
-def test_vectors_of_environments(vector):
-    envs = vector([make, make])
+def test_vectors_of_environments():
+    envs = AsyncVectorEnv([make, make])
     observations, _ = envs.reset(seed=5)
     assert observations["points"].shape == (2, 120, 3)
     assert not np.array_equal(*observations["grippers"])
@@ -427,10 +428,7 @@ def test_pictures():
     picture = env.render()
     env.close()
     assert (picture.shape, picture.dtype) == ((360, 480, 3), np.uint8)
-    blue = (picture[..., 2] > picture[..., 0] + 20).mean()
-    grey = ((picture.max(axis=-1) < 220) & (np.ptp(picture.astype(int), axis=-1) < 3)).mean()
-    assert blue > 0.02
-    assert grey > 0.001
+    assert (picture[..., 2] > picture[..., 0] + 20).mean() > 0.02  # the blue cloth
     assert make().render() is None
 
 
@@ -438,9 +436,13 @@ def test_pictures():
     ("options", "named"),
     [
         ({"task": "tie-nail"}, "tie-nail"),
-        ({"task": "shirt-mannequin", "garment": COARSE}, "neck, hem; the apron has neck"),
+        ({"task": "shirt-mannequin", "garment": COARSE}, "neck, hem.*apron"),
         ({"reward": "gold"}, "reward"),
         ({"n_points": 10**6}, "n_points"),
+        ({"n_points": 2.5}, "n_points"),
+        ({"n_points": "a"}, "n_points"),
+        ({"n_points": True}, "n_points"),
+        ({"max_steps": float("inf")}, "max_steps"),
         ({"render_mode": "human"}, "render_mode"),
     ],
 )
@@ -449,27 +451,23 @@ def test_misuse_is_explained(options, named):
         HangEnv(**options)
 
 
+BAD_ACTIONS = [None, "abc", [0] * 6, [np.nan] * 7, [[1], 2, 3, 4, 5, 6, 7], [10**400] * 7, np.zeros(7, complex)]
+
+
 def test_no_step_without_a_reset_nor_by_a_bad_action():
     env = make()
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(np.zeros(7))
     env.reset(seed=0)
-    for action in (np.zeros(6), [np.nan] * 7):
-        with pytest.raises(ValueError, match="seven"):
+    for action in (*BAD_ACTIONS, np.ma.masked_all(7)):
+        with pytest.raises(ValueError, match="action"):
             env.step(action)
     env.close()
     env.close()
 
 
 def test_without_gymnasium_only_the_environment_is_missing():
-    code = """
-import sys
-sys.modules["gymnasium"] = None
-import topokit.sim
-try:
-    topokit.sim.HangEnv
-except ImportError as error:
-    print(error)
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "topokit[sim]" in done.stdout
+    code = "import sys; sys.modules['gymnasium'] = None; import topokit.sim; print('imported'); topokit.sim.HangEnv"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "imported\n"
+    assert "topokit[sim]" in done.stderr

@@ -1,14 +1,19 @@
-"""`Garment.from_mesh` on meshes as they come: what is repaired and said, where loops and grips land, what is refused."""
+"""`Garment.from_mesh` on meshes as they come: what is repaired and reported, where loops and grips land, what is refused."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 
 pytest.importorskip("pybullet")
 pytest.importorskip("trimesh")
@@ -16,14 +21,23 @@ pytest.importorskip("trimesh")
 import trimesh
 
 import topokit as tk
+from topokit.cli import main
 from topokit.evaluate import summarise_tracks, true_loops
-from topokit.sim import TASKS, WARDROBE, Garment, Hook, Mannequin, SimulationConfig, task_for
-from topokit.sim._mesh import _top
-from topokit.sim._tasks import check_loops
-from topokit.sim._world import World
+from topokit.sim import TASKS, WARDROBE, Garment, Hook, Mannequin, SimulationConfig, World, task_for
+
+from conftest import memory
 
 APRON = Garment.apron(spacing=0.05, strap_width=0.05)
 TOTE = Garment.tote(handles=2, spacing=0.04)
+VEST = Garment.vest(spacing=0.05)
+
+
+def written(path: Path, vertices: ArrayLike, polygons: ArrayLike) -> Path:
+    """An OBJ file with these vertices and polygons."""
+    lines = ["v {:.17g} {:.17g} {:.17g}".format(*row) for row in vertices]
+    lines += ["f " + " ".join(str(i + 1) for i in polygon) for polygon in polygons]
+    path.write_text("\n".join(lines) + "\n")
+    return path
 
 
 class Mesh:
@@ -39,11 +53,8 @@ class Mesh:
     def places(self) -> list[np.ndarray]:
         return [self.vertices[ids].copy() for ids in (*self.loops, self.grips)]
 
-    def obj(self, path: Path, *, vertex: str = "v {:.17g} {:.17g} {:.17g}", corner: str = "{}", head: str = "") -> Path:
-        lines = [vertex.format(*row) for row in self.vertices]
-        lines += ["f " + " ".join(corner.format(i + 1) for i in polygon) for polygon in self.polygons]
-        path.write_text(head + "\n".join(lines) + "\n")
-        return path
+    def obj(self, path: Path) -> Path:
+        return written(path, self.vertices, self.polygons)
 
     def cut_seams(self, share: float = 0.3) -> None:
         """Give each face of a share of them corners of its own, as at UV seams, and let the loops name the copies."""
@@ -183,66 +194,46 @@ def test_defects_together(tmp_path, seed):
     assert_lands(load(mesh.obj(tmp_path / "cloth.obj"), mesh), mesh.places())
 
 
-def rewritten(text: str, way: str) -> str:
-    """The same OBJ file as other programs write it."""
+def in_faces(text: str, write: Callable[[int, int], str]) -> str:
+    """The file with each corner of a face, its place in the face and its vertex, written anew."""
     lines = text.splitlines()
-    n = sum(line.startswith("v ") for line in lines)
-    faces = [line for line in lines if line.startswith("f ")]
-    if way == "crlf":
-        return text.replace("\n", "\r\n")
-    if way == "negative ids":
-        turned = {f: "f " + " ".join(str(int(i) - n - 1) for i in f.split()[1:]) for f in faces}
-        return "\n".join(turned.get(line, line) for line in lines) + "\n"
-    if way == "comments, groups and a lost material":
-        lines[n:n] = ["o cloth", "g front", "usemtl cotton", "s off"]
-        lines[n + 50 : n + 50] = ["g back", "o other", "usemtl linen", "# a comment", "l 1 2", "p 1"]
-        return "# made by hand\nmtllib lost.mtl\n" + "\n".join(f"{line} # why" for line in lines) + "\n\n"
-    if way == "texture and normals":
-        corner = {f: "f " + " ".join(f"{i}/{k + 1}/1" for k, i in enumerate(f.split()[1:])) for f in faces}
-        lines[n:n] = ["vt 0 0", "vt 1 0", "vt 0 1", "vn 0 0 1"]
-        return "\n".join(corner.get(line, line) for line in lines) + "\n"
-    if way == "normals only, mixed":
-        corner = {f: "f " + " ".join(f"{i}//1" for i in f.split()[1:]) for f in faces[::2]}
-        lines[n:n] = ["vn 0 0 1"]
-        return "\n".join(corner.get(line, line) for line in lines) + "\n"
-    if way == "colours":
-        return "\n".join(line + " 0.5 0.5 1" if line.startswith("v ") else line for line in lines)
-    if way == "tabs and continued lines":
-        return text.replace(" ", "\t").replace("f\t", "  f \\\n\t")
-    if way == "faces first":
-        return "\n".join(faces + [line for line in lines if line not in faces])
-    if way == "latin-1":
-        return "# caf\xe9\n" + text
-    raise AssertionError(way)
+    for number, line in enumerate(lines):
+        if line.startswith("f "):
+            lines[number] = "f " + " ".join(write(k, int(i)) for k, i in enumerate(line.split()[1:]))
+    return "\n".join(lines) + "\n"
 
 
-@pytest.mark.parametrize(
-    "way",
-    [
-        "crlf",
-        "negative ids",
-        "comments, groups and a lost material",
-        "texture and normals",
-        "normals only, mixed",
-        "colours",
-        "tabs and continued lines",
-        "faces first",
-        "latin-1",
-    ],
-)
+def with_groups(text: str) -> str:
+    lines = text.splitlines()
+    for at in (-50, len(TOTE.vertices)):
+        lines[at:at] = ["o cloth", "g front", "usemtl cotton", "s off", "# a comment", "l 1 2", "p 1"]
+    return "# made by hand\nmtllib lost.mtl\n" + "\n".join(f"{line} # why" for line in lines) + "\n\n"
+
+
+OBJ_WAYS = {
+    "crlf": lambda text: text.replace("\n", "\r\n"),
+    "negative ids": lambda text: in_faces(text, lambda _, i: str(i - len(TOTE.vertices) - 1)),
+    "comments, groups and a lost material": with_groups,
+    "texture and normals": lambda text: (
+        "vt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\n" + in_faces(text, lambda k, i: f"{i}/{k + 1}/1")
+    ),
+    "normals only, mixed": lambda text: "vn 0 0 1\n" + in_faces(text, lambda k, i: f"{i}//1" if k else f"{i}"),
+    "colours": lambda text: text.replace("\nv ", " 0.5 0.5 1\nv "),
+    "tabs and continued lines": lambda text: text.replace(" ", "\t").replace("f\t", "  f \\\n\t"),
+    "faces first": lambda text: "f " + text.split("\nf ", 1)[1] + text.split("\nf ", 1)[0],
+    "latin-1": lambda text: "# caf\xe9\n" + text,
+}
+
+
+@pytest.mark.parametrize("way", OBJ_WAYS)
 def test_obj_as_programs_write_it(tmp_path, way):
     mesh = Mesh(TOTE)
     path = mesh.obj(tmp_path / "tote.obj")
-    path.write_bytes(rewritten(path.read_text(), way).encode("latin-1"))
+    path.write_bytes(OBJ_WAYS[way](path.read_text()).encode("latin-1"))
     loaded = load(path, mesh)
     assert_lands(loaded, mesh.places(), atol=1e-12)
     np.testing.assert_array_equal(loaded.faces, TOTE.faces)
     assert loaded.repairs == ()
-
-
-def soup_ids(garment: Garment) -> dict[int, int]:
-    """For every vertex one corner of an STL file that is it."""
-    return {int(vertex): corner for corner, vertex in enumerate(garment.faces.ravel())}
 
 
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
@@ -253,7 +244,7 @@ def test_stl_as_trimesh_writes_it(tmp_path, kind, noise):
     path = tmp_path / "apron.STL"
     data = soup.export(file_type=kind)
     path.write_bytes(data if isinstance(data, bytes) else data.encode())
-    of = soup_ids(APRON)
+    of = {int(vertex): corner for corner, vertex in enumerate(APRON.faces.ravel())}
     loop, grips = [of[int(v)] for v in APRON.loops[0]], [of[int(v)] for v in APRON.grips]
     loaded = Garment.from_mesh(path, loops=[loop], grips=grips)
     assert_lands(loaded, [APRON.vertices[APRON.loops[0]], APRON.vertices[APRON.grips]])
@@ -315,9 +306,7 @@ def test_ply_with_mixed_polygons_and_other_elements(tmp_path, order):
 def test_polygons_are_cut_along_short_diagonals(tmp_path):
     """An L of six corners has one inner corner; no triangle may lie outside it."""
     corners = np.array([[0, 0, 0], [0.4, 0, 0], [0.4, 0, 0.1], [0.1, 0, 0.1], [0.1, 0, 0.4], [0, 0, 0.4]])
-    path = tmp_path / "l.obj"
-    path.write_text("".join("v {} {} {}\n".format(*row) for row in corners) + "f 1 2 3 4 5 6\n")
-    loaded = Garment.from_mesh(path)
+    loaded = Garment.from_mesh(written(tmp_path / "l.obj", corners, [range(6)]))
     ends = loaded.vertices[loaded.faces]
     area = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1).sum() / 2
     assert area == pytest.approx(0.07)
@@ -347,15 +336,49 @@ def test_units(tmp_path, factor, options, extent, says):
     assert [says in repair for repair in loaded.repairs] == ([] if says is None else [True])
 
 
-def test_up_is_found_or_told(tmp_path):
+def test_up_is_found(tmp_path):
     mesh = Mesh(APRON)
     mesh.vertices = mesh.vertices[:, [0, 2, 1]] * [1, 1, -1]  # z up to y up
     path = mesh.obj(tmp_path / "apron.obj")
-    for turned in (load(path, mesh), load(path, mesh, up="y"), Garment.from_mesh(path)):
+    for turned in (load(path, mesh), Garment.from_mesh(path)):
         np.testing.assert_allclose(turned.vertices, APRON.vertices, atol=1e-12)
-    lying = load(path, mesh, up="z")
-    np.testing.assert_allclose(lying.vertices, mesh.vertices, atol=1e-12)
-    assert "y axis was taken for up" in load(path, mesh).repairs[0]
+    np.testing.assert_allclose(load(path, mesh, up="z").vertices, mesh.vertices, atol=1e-12)
+
+
+@pytest.mark.parametrize("up", ["x", "y", "z", "-x", "-y", "-z"])
+def test_any_axis_may_be_up(tmp_path, up):
+    """z of the garment becomes that axis of the file, and comes back; no turn mirrors."""
+    axis, sign = "xyz".index(up[-1]), -1 if up[0] == "-" else 1
+    turn = np.eye(3)
+    turn[[axis, 2]] = turn[[2, axis]]
+    turn[axis] *= sign
+    turn[2 if axis != 2 else 0] *= np.linalg.det(turn)
+    assert np.linalg.det(turn) == pytest.approx(1)
+    loaded = Garment.from_mesh(written(tmp_path / "m.obj", VEST.vertices @ turn.T, VEST.faces), up=up)
+    np.testing.assert_allclose(loaded.vertices[:, 2], VEST.vertices[:, 2], atol=1e-9)
+    after, before = (np.linalg.det(vest.vertices[vest.faces]).sum() for vest in (loaded, VEST))
+    assert after * before > 0
+
+
+def test_grips_at_the_floor_are_refused_and_a_lying_mesh_is_reported(tmp_path):
+    path = written(tmp_path / "m.obj", VEST.vertices * [1, 1, -1], VEST.faces)
+    with pytest.raises(ValueError, match=r"grips.*up"):
+        Garment.from_mesh(path, grips=VEST.grips, up="z")
+    assert Garment.from_mesh(path, grips=VEST.grips, up="-z").loops == ()
+    low = written(tmp_path / "low.obj", VEST.vertices * [1, 3, 0.7], VEST.faces)
+    for options, lies in (({}, True), ({"up": "z"}, False)):
+        assert any("lie" in repair for repair in Garment.from_mesh(low, **options).repairs) == lies
+
+
+def test_an_open_front_is_reported(tmp_path, capsys):
+    middle = VEST.vertices[VEST.faces].mean(axis=1)
+    strip = (np.abs(middle[:, 0]) < 0.05) & (middle[:, 1] < 0)
+    path = written(tmp_path / "waistcoat.obj", VEST.vertices, VEST.faces[~strip])
+    (said,) = [words for words in Garment.from_mesh(path, loops="auto").repairs if "open front" in words]
+    whole = written(tmp_path / "vest.obj", VEST.vertices, VEST.faces)
+    assert not any("open front" in words for words in Garment.from_mesh(whole, loops="auto").repairs)
+    assert main(["mesh", str(path), "--json"]) == 0
+    assert said in json.loads(capsys.readouterr().out)["repairs"]
 
 
 def test_far_from_the_origin(tmp_path):
@@ -446,8 +469,6 @@ def test_loops_that_nobody_marked_are_found_and_named(tmp_path, name):
     assert sorted(loaded.loop_names) == sorted(NAMED[name])
     borders = Garment.from_mesh(path, loops="borders")
     assert sorted(set(borders.loop_names) - set(NAMED[name])) in ([], ["edge"])
-    for target in (Hook(), Mannequin()):
-        check_loops(task_for(borders, target), borders)
 
 
 @pytest.mark.parametrize("name", ["shirt", "vest"])
@@ -457,7 +478,7 @@ def test_a_dressed_shirt_is_judged_by_names_and_not_by_the_order_of_its_borders(
     assert loaded.loop_names[0] == "hem"
     worn = loaded.vertices + [0, dummy.distance, dummy.shoulder_height + 0.05]
     for task in (TASKS[f"{name}-mannequin"], task_for(loaded, dummy)):
-        check_loops(task, loaded)
+        assert task.needed(loaded.named_loops) == 2
         assert task.hangs(worn, loaded.named_loops)
         assert not task.hangs(worn - [0, 0.5, 0], loaded.named_loops)  # before the mannequin
 
@@ -468,7 +489,6 @@ def test_a_bag_whose_rim_is_the_longest_border_hangs_by_its_handles(tmp_path):
     assert bag.loop_names[0] == "edge"
     over = hook.seat - bag.vertices[bag.loops[1]].mean(axis=0)
     for task in (TASKS["tote2-hook"], task_for(bag, hook)):
-        check_loops(task, bag)
         assert task.hangs(bag.vertices + over, bag.named_loops)
         moved = bag.vertices + over - [0, 0.12, 0]  # one handle beyond the tip
         assert task.hangs(moved, bag.named_loops) == (task.name != "tote2-hook")
@@ -495,13 +515,12 @@ def closed(path: Path, tube: float) -> Path:
 def test_closed_solids_are_refused_and_closed_straps_are_not(tmp_path):
     ball, ring = closed(tmp_path / "ball.stl", 0), closed(tmp_path / "ring.stl", 0.06)
     for path, loops in ((ball, ()), (ball, "auto"), (ball, "borders"), (ring, "borders")):
-        with pytest.raises(ValueError, match="every edge is in two faces or more, as of a closed solid"):
+        with pytest.raises(ValueError, match="closed solid"):
             Garment.from_mesh(path, loops=loops)
     found = Garment.from_mesh(ring, loops="auto")
     length = [np.ptp(found.vertices[loop], axis=0).max() for loop in found.loops]
     assert len(length) == 2
     np.testing.assert_allclose(sorted(length), [0.12, 0.5], atol=0.06)  # around the tube, and along the ring
-    assert "2 loops were found by persistence" in "; ".join(found.repairs)
 
 
 def test_borders_that_touch_are_taken_apart(tmp_path):
@@ -522,8 +541,7 @@ def test_grips_are_chosen_near_the_top_and_said(tmp_path):
     loaded = Garment.from_mesh(Mesh(sheet).obj(tmp_path / "sheet.obj"))
     assert set(loaded.grips.tolist()) == set(sheet.grips.tolist())
     assert any("taken for grips" in repair for repair in loaded.repairs)
-    triangle = tmp_path / "triangle.obj"
-    triangle.write_text("v 0 0 0\nv 0 0 1\nv 0 0.1 0.5\nf 1 2 3\n")
+    triangle = written(tmp_path / "triangle.obj", [[0, 0, 0], [0, 0, 1], [0, 0.1, 0.5]], [[0, 1, 2]])
     assert len(set(Garment.from_mesh(triangle).grips.tolist())) == 2
 
 
@@ -537,10 +555,8 @@ def test_repairs_are_logged(tmp_path, caplog):
 
 def test_a_wider_weld_joins_what_a_gap_parts(tmp_path):
     left = np.array([[0, 0, 0], [0.5, 0, 0], [0.5, 0, 0.5], [0, 0, 0.5]])
-    path = tmp_path / "two.obj"
-    rows = np.vstack([left, left + [0.501, 0, 0]])
-    path.write_text("".join("v {} {} {}\n".format(*row) for row in rows) + "f 1 2 3 4\nf 5 6 7 8\n")
-    with pytest.raises(ValueError, match=r"2 components that no edge joins, of 50 %, 50 % of the surface"):
+    path = written(tmp_path / "two.obj", [*left, *(left + [0.501, 0, 0])], [range(4), range(4, 8)])
+    with pytest.raises(ValueError, match=r"2 components"):
         Garment.from_mesh(path)
     assert len(Garment.from_mesh(path, weld=0.002).vertices) == 6
 
@@ -554,7 +570,7 @@ def test_what_hangs_by_a_vertex_is_not_part_of_the_garment(tmp_path):
     loaded = load(mesh.obj(tmp_path / "apron.obj"), mesh)
     assert len(loaded.vertices) == len(APRON.vertices)
     assert "1 smaller components" in loaded.repairs[0]
-    with pytest.raises(ValueError, match="2 components that no edge joins"):
+    with pytest.raises(ValueError, match="2 components"):
         Garment("apron", mesh.vertices, np.array(mesh.polygons), (), APRON.grips)
 
 
@@ -568,10 +584,7 @@ def test_a_very_short_edge_is_said(tmp_path):
     mesh = Mesh(APRON)
     a, b = mesh.polygons[30][:2]
     mesh.vertices[a] = mesh.vertices[b] + [0, 1e-4, 0]
-    assert (
-        f"vertices {min(a, b)} and {max(a, b)} are only 0.0001 m apart"
-        in load(mesh.obj(tmp_path / "a.obj"), mesh).repairs[-1]
-    )
+    assert f"vertices {min(a, b)} and {max(a, b)}" in load(mesh.obj(tmp_path / "a.obj"), mesh).repairs[-1]
 
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 0 1\nf 1 2 3\n"
@@ -579,56 +592,58 @@ PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float
 PLY += "property list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 0 1\n3 0 1 2\n"
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "says"),
-    [
-        ("a.obj", "", "empty"),
-        ("a.obj", " \n\n", "empty"),
-        ("a.obj", "hello world", "no faces"),
-        ("a.obj", "v 0 0 0\nv 1 0 0\n", "2 vertices and no faces"),
-        ("a.obj", TRIANGLE + "f 1 2 9\n", "names vertex 8"),
-        ("a.obj", TRIANGLE + "f -9 2 3\n", "names vertex -6"),
-        ("a.obj", TRIANGLE + "f 0 1 2\n", "line 5 is no face"),
-        ("a.obj", TRIANGLE + "f 1 2\n", "line 5 is no face"),
-        ("a.obj", TRIANGLE + "f 1 2 x\n", "line 5 should hold vertex numbers"),
-        ("a.obj", TRIANGLE + "v 0,5 1 2\n", "line 5 should hold three coordinates"),
-        ("a.obj", "v 0 0\n" + TRIANGLE, "line 1 should hold three coordinates"),
-        ("a.obj", TRIANGLE.replace("v 1 0 0", "v nan 0 0"), r"vertex 1 is at \[nan"),
-        ("a.obj", TRIANGLE.replace("v 1 0 0", "v inf 0 0"), r"vertex 1 is at \[inf"),
-        ("a.obj", TRIANGLE.replace("v 1 0 0", "v 0 0 0"), "no face with three different vertices"),
-        ("a.obj", "\n<!DOCTYPE html><html><body>v 0 0 0</body></html>", "a web page and not a mesh"),
-        ("a.stl", "<html>solid</html>", "a web page and not a mesh"),
-        ("a.obj", "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n", "'git lfs pull'"),
-        ("a.dae", TRIANGLE, r"ends in .obj, .ply, .stl, not in '.dae'"),
-        ("a", TRIANGLE, "not in ''"),
-        ("a.ply", TRIANGLE, "not a PLY file"),
-        ("a.ply", PLY.replace("ascii", "zip"), "PLY format 'zip'"),
-        ("a.ply", PLY.replace("float y", "complex y"), "not understood: 'property complex y'"),
-        ("a.ply", PLY.replace("property float z", "property float w"), "no x, y and z"),
-        ("a.ply", PLY.replace("vertex_indices", "corners"), "no list vertex_indices"),
-        ("a.ply", PLY.replace("3 0 1 2", "2 0 1"), "face 0 has 2 corners"),
-        ("a.ply", PLY.replace("3 0 1 2", "3 0 1 7"), "names vertex 7"),
-        ("a.ply", PLY.replace("3 0 1 2", "3 0 1"), "cut off or damaged among the 1 rows of its element 'face'"),
-        ("a.ply", PLY.replace("1 0 0", "1 zero 0"), "cut off or damaged among the 3 rows of its element 'vertex'"),
-        ("a.obj", TRIANGLE.replace("v 1 0 0", "v 1e200 0 0"), r"vertex 1 is at \[1e\+200"),
-        ("a.obj", TRIANGLE.replace(" 1", " 1e-120").replace("f 1e-120", "f 1"), "largest extent is 1e-120"),
-        ("a.obj", TRIANGLE + "f" + 400 * " 1 2 3" + "\n", "a face of 1200 corners; cut those of more than 1000"),
-        ("a.ply", PLY.replace("vertex 3", "vertex 2000000000"), "among the 2000000000 rows of its element 'vertex'"),
-        ("a.ply", PLY.replace("vertex 3", "vertex -3"), "among the -3 rows of its element 'vertex'"),
-        ("a.ply", PLY.replace("3 0 1 2", "inf 0 1 2"), "cut off or damaged among the 1 rows of its element 'face'"),
-        ("a.ply", PLY.replace("3 0 1 2", "3 0 1 nan"), "its element 'face': cannot convert float NaN to integer"),
-        ("a.stl", "no stl at all", "neither ASCII STL nor whole binary STL"),
-        ("a.stl", "solid x\nendsolid x\n", "no faces"),
-        ("a.stl", "solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n", "cut off or damaged"),
-        ("a.stl", "\0" * 80 + "\x09\0\0\0" + "\0" * 50, "counts 9 triangles"),
-    ],
-)
+# The name and content of a file, and what the error must mention beside the file.
+REFUSED = [
+    ("a.obj", " \n\n", "empty"),
+    ("a.obj", "v 0 0 0\nv 1 0 0\n", "2 vertices"),
+    ("a.obj", TRIANGLE + "f 1 2 9\n", "vertex 8"),
+    ("a.obj", TRIANGLE + "f -9 2 3\n", "vertex -6"),
+    ("a.obj", TRIANGLE + "f 0 1 2\n", "line 5"),
+    ("a.obj", TRIANGLE + "f 1 2\n", "line 5"),
+    ("a.obj", TRIANGLE + "f 1 2 x\n", "line 5"),
+    ("a.obj", TRIANGLE + "v 0,5 1 2\n", "line 5"),
+    ("a.obj", "v 0 0\n" + TRIANGLE, "line 1"),
+    ("a.obj", TRIANGLE.replace("v 1 0 0", "v nan 0 0"), r"vertex 1 is at \[nan"),
+    ("a.obj", TRIANGLE.replace("v 1 0 0", "v 1e200 0 0"), r"vertex 1 is at \[1e\+200"),
+    ("a.obj", TRIANGLE.replace("v 1 0 0", "v 0 0 0"), "three different vertices"),
+    ("a.obj", TRIANGLE.replace(" 1", " 1e-120").replace("f 1e-120", "f 1"), "1e-120"),
+    ("a.obj", TRIANGLE + "f" + 400 * " 1 2 3" + "\n", "1200"),
+    ("a.obj", "\n<!DOCTYPE html><html><body>v 0 0 0</body></html>", "web page"),
+    ("a.obj", "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n", "git lfs pull"),
+    ("a.dae", TRIANGLE, r"\.dae"),
+    ("a.ply", TRIANGLE, "PLY"),
+    ("a.ply", PLY.replace("ascii", "zip"), "zip"),
+    ("a.ply", PLY.replace("float y", "complex y"), "property complex y"),
+    ("a.ply", PLY.replace("property list uchar int", "property list"), "property list"),
+    ("a.ply", PLY.replace("element vertex", "element\nelement vertex"), "element"),
+    ("a.ply", PLY.replace("property float z", "property float w"), "x, y and z"),
+    ("a.ply", PLY.replace("property float x", "property list uchar float x"), ""),
+    ("a.ply", PLY.replace("element vertex", "property float w\nelement vertex"), ""),
+    ("a.ply", PLY.replace("vertex_indices", "corners"), "vertex_indices"),
+    ("a.ply", PLY.replace("3 0 1 2", "2 0 1"), "face 0"),
+    ("a.ply", PLY.replace("3 0 1 2", "3 0 1 7"), "vertex 7"),
+    ("a.ply", PLY.replace("3 0 1 2", "3 0 1"), "1 rows .*'face'"),
+    ("a.ply", PLY.replace("3 0 1 2", "inf 0 1 2"), "1 rows .*'face'"),
+    ("a.ply", PLY.replace("3 0 1 2", "3 0 1 nan"), "'face'.*NaN"),
+    ("a.ply", PLY.replace("3 0 1 2", "900000000 0 1 2"), "'face'"),
+    ("a.ply", PLY.replace("1 0 0", "1 zero 0"), "3 rows .*'vertex'"),
+    ("a.ply", PLY.replace("vertex 3", "vertex 2000000000"), "2000000000 rows .*'vertex'"),
+    ("a.ply", PLY.replace("vertex 3", "vertex 9" + "9" * 30), "9" * 31),
+    ("a.ply", PLY.replace("vertex 3", "vertex -3"), "-3 rows .*'vertex'"),
+    ("a.ply", PLY.replace("element face", "element evil 2000000000\nproperty char x\nelement face"), "'evil'"),
+    ("a.stl", "no stl at all", "STL"),
+    ("a.stl", "solid x\nendsolid x\n", "no faces"),
+    ("a.stl", "solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n", "cut off"),
+    ("a.stl", "\0" * 80 + "\x09\0\0\0" + "\0" * 50, "9 triangles"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "says"), REFUSED)
 def test_files_that_are_refused(tmp_path, name, content, says):
     path = tmp_path / name
     path.write_text(content)
-    with pytest.raises(ValueError, match=says) as raised:
+    with pytest.raises(ValueError, match=rf"{name}: .*{says}"):
         Garment.from_mesh(path)
-    assert str(path) in str(raised.value)
 
 
 def test_an_element_without_properties_takes_no_memory(tmp_path):
@@ -652,34 +667,30 @@ def test_no_file_or_a_folder(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "error", "says"),
+    ("options", "says"),
     [
-        ({"loops": [[0, 1, 99999]]}, ValueError, r"loops\[0\] names vertex 99999"),
-        ({"loops": [[0, 1, -1]]}, ValueError, r"loops\[0\] names vertex -1"),
-        ({"loops": [[0.5, 1, 2]]}, TypeError, r"loops\[0\] must hold whole numbers"),
-        ({"loops": [[]]}, (TypeError, ValueError), r"loops\[0\]"),
-        ({"loops": [0, 1, 2]}, ValueError, "list of lists"),
-        ({"loops": [[6, 7, 6]]}, ValueError, r"loops\[0\] .* 2 different vertices"),
-        (
-            {"loops": [[0, 1, 2]]},
-            ValueError,
-            r"loops\[0\] names vertex 0, which is in no face of the garment's component",
-        ),
-        ({"grips": [0, 20]}, ValueError, "grips names vertex 0"),
-        ({"grips": [20]}, ValueError, "two vertex ids"),
-        ({"grips": [20, 20]}, ValueError, "one vertex"),
-        ({"loops": "holes"}, ValueError, "'borders'"),
-        ({"up": "w"}, ValueError, "up must be"),
-        ({"size": 1.0, "scale": 1.0}, ValueError, "not both"),
-        ({"size": -1.0}, ValueError, "size"),
-        ({"weld": 0.0}, ValueError, "weld"),
-        ({"max_vertices": 100}, ValueError, r"\d+ vertices after repair; more than 100"),
+        ({"loops": [[0, 1, 99999]]}, r"loops\[0\] names vertex 99999"),
+        ({"loops": [[0, 1, -1]]}, r"loops\[0\] names vertex -1"),
+        ({"loops": [[0.5, 1, 2]]}, r"loops\[0\]"),
+        ({"loops": [[]]}, r"loops\[0\]"),
+        ({"loops": [0, 1, 2]}, "list of lists"),
+        ({"loops": [[6, 7, 6]]}, r"loops\[0\] .* 2 different vertices"),
+        ({"loops": [[0, 1, 2]]}, r"loops\[0\] names vertex 0"),
+        ({"loops": "holes"}, "'borders'"),
+        ({"grips": [0, 20]}, "grips names vertex 0"),
+        ({"grips": [20]}, "two vertex ids"),
+        ({"grips": [20, 20]}, "one vertex"),
+        ({"up": "w"}, "up"),
+        ({"size": 1.0, "scale": 1.0}, "size or scale"),
+        ({"size": -1.0}, "size"),
+        ({"weld": 0.0}, "weld"),
+        ({"max_vertices": 100}, r"\d+ vertices .* 100"),
     ],
 )
-def test_options_that_are_refused(tmp_path, options, error, says):
+def test_options_that_are_refused(tmp_path, options, says):
     mesh = Mesh(APRON)
     mesh.add_button()
-    with pytest.raises(error, match=says):
+    with pytest.raises((TypeError, ValueError), match=says):
         Garment.from_mesh(mesh.obj(tmp_path / "apron.obj"), **options)
 
 
@@ -735,10 +746,47 @@ def test_meshes_of_others_load_hang_and_are_tracked():
         assert found == set(np.flatnonzero(present).tolist()) == set(range(len(garment.loops))), name
 
 
-def test_a_bag_is_held_above_the_middle_of_each_strap():
-    strap = np.array(
-        [[x, z] for x, z in [(-0.3, 0), (-0.29, 0.31), (-0.1, 0.3), (0.0, 0.3), (0.1, 0.3), (0.3, 0.3), (0.3, 0)]]
-    )
-    for side, curve in ((-0.2, strap), (0.2, strap)):
-        loop = np.column_stack([np.full(len(curve), side), curve])
-        assert _top(loop, 10 + np.arange(len(curve))) == 13  # not the corner, though that is a centimetre higher
+def test_a_bag_is_held_above_the_middle_of_each_strap(tmp_path):
+    strap = [[-0.3, 0], [-0.29, 0.31], [-0.1, 0.3], [0.0, 0.3], [0.1, 0.3], [0.3, 0.3], [0.3, 0]]
+    vertices = [[side, y, z] for side in (-0.2, 0.2) for y, z in strap]
+    polygons = [[k, (k + 1) % 7, (k + 1) % 7 + 7, k + 7] for k in range(7)]
+    path = written(tmp_path / "bag.obj", vertices, polygons)
+    bag = Garment.from_mesh(path, loops={"strap 1": range(7), "strap 2": range(7, 14)}, up="z")
+    assert bag.grips.tolist() == [3, 10]  # not the corner, though that is a centimetre higher
+
+
+def test_work_for_a_mesh_is_bounded(tmp_path):
+    """Cutting faces into triangles takes the square of their corners: thirty seconds here."""
+    around = [[np.cos(angle), 0, np.sin(angle)] for angle in 2 * np.pi * np.arange(1000) / 1000]
+    with pytest.raises(ValueError, match=r"round.obj: 31 faces"):
+        Garment.from_mesh(written(tmp_path / "round.obj", around, [range(1000)] * 31))
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl"])
+def test_a_mesh_takes_a_hundred_times_its_file_at_most(tmp_path, suffix):
+    """The densest files: a byte or two for each number."""
+    n = 20_000
+    dense = PLY.replace("ascii", "binary_little_endian").replace("float", "char").replace("uchar int", "uchar uchar")
+    head = dense.replace("vertex 3", f"vertex {n}").replace("face 1", f"face {n}").split("0 0 0")[0]
+    facet = b"facet normal vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+    data = {
+        ".ply": head.encode() + b"\0\1\2" * n + b"\3\0\1\2" * n,
+        ".obj": b"v 0 0 0\n" * n + b"f 1 2 3\n" * n,
+        ".stl": b"solid\n" + facet * n + b"endsolid",
+    }[suffix]
+    path = tmp_path / f"cloth{suffix}"
+    path.write_bytes(data)
+    with memory() as peak, contextlib.suppress(ValueError):
+        Garment.from_mesh(path)
+    assert peak() < 100 * len(data)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.binary(max_size=200), st.sampled_from([".ply", ".obj", ".stl"]), st.integers(0, 200))
+def test_any_mesh_file_is_read_or_refused(tmp_path_factory, noise, suffix, at):
+    """A slice of `tests/fuzz_readers.py`, without coverage to guide it."""
+    whole = PLY.encode() if suffix == ".ply" else TRIANGLE.encode()
+    path = tmp_path_factory.getbasetemp() / f"fuzz{suffix}"
+    path.write_bytes(whole[:at] + noise + whole[at + len(noise) // 2 :])
+    with contextlib.suppress(ValueError):
+        Garment.from_mesh(path)

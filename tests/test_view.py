@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from PIL import Image
 
 import topokit as tk
@@ -17,12 +15,12 @@ from topokit import view
 from topokit.io import Episode, load_episode
 from topokit.linking import close_far, linking_number
 from topokit.sim import WARDROBE
-from topokit.view import _player, _plots, _render
+from topokit.view import _player, _render
 
+from conftest import DATA, polygon
 from pages import by_script, needs_node, page_data, unpack
 
 FRAMES, RING, ROWS = 6, 24, 3
-ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(autouse=True)
@@ -34,17 +32,13 @@ def close_figures():
 @pytest.fixture(scope="module")
 def episode():
     """Return a short tube of cloth that drifts towards a rod: one true loop, three rings of vertices."""
-    angle = np.linspace(0, 2 * np.pi, RING, endpoint=False)
-    ring = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle)], axis=1)
+    ring = polygon(RING, 0.1)
     rest = np.concatenate([np.column_stack([ring * (1 + 0.1 * row), np.full(RING, 0.02 * row)]) for row in range(ROWS)])
     rest += np.random.default_rng(0).normal(0, 1e-3, rest.shape)
     points = np.stack([rest + [0.01 * frame, 0, 0.005 * frame] for frame in range(FRAMES)]).astype(np.float32)
-    faces = []
-    for row in range(ROWS - 1):
-        for i in range(RING):
-            a = row * RING + i
-            b = row * RING + (i + 1) % RING
-            faces += [(a, b, a + RING), (b, b + RING, a + RING)]
+    a = np.arange((ROWS - 1) * RING)
+    b = a - a % RING + (a + 1) % RING
+    faces = np.concatenate([np.column_stack([a, b, a + RING]), np.column_stack([b, b + RING, a + RING])])
     grippers = np.stack([points[:, 0], points[:, RING // 2]], axis=1)
     return Episode(
         points=points,
@@ -52,7 +46,7 @@ def episode():
         actions=grippers,
         grippers=grippers,
         held=np.arange(FRAMES) < 4,
-        faces=np.array(faces, dtype=np.int32),
+        faces=faces.astype(np.int32),
         loops=(np.arange(RING, dtype=np.int32),),
         centre_line=np.array([[0.0, 0, -0.1], [0, 0, 0.1], [0, 0.05, 0.12]], dtype=np.float32),
         garment="tube</script>",
@@ -77,11 +71,6 @@ def no_pyvista(monkeypatch):
 # ---- diagrams and tracks
 
 
-def test_the_colour_depends_on_the_identity_alone():
-    assert view.loop_colour(3) == view.loop_colour(9)
-    assert len({view.loop_colour(k) for k in range(6)}) == 6
-
-
 def test_appearances_are_the_frames_of_an_identity(states):
     neck = states[0].loops[0].id
     gap = [*states[:2], tk.TopologicalState(2, 0.08), *states[3:]]
@@ -100,11 +89,17 @@ def test_a_diagram_has_a_dot_for_each_loop_in_its_colour(states):
 
 
 def test_a_diagram_shows_a_loop_that_does_not_die_and_no_loops(episode):
-    axes = Figure().add_subplot()
-    assert view.plot_diagram(tk.rips_persistence(episode.points[0], max_radius=0.04), axes) is axes
+    axes = view.plot_diagram(tk.rips_persistence(episode.points[0], max_radius=0.04))
     assert sum(line.get_marker() == "^" for line in axes.lines) == 1
     assert np.isfinite(axes.get_ylim()).all()
     assert len(view.plot_diagram(tk.TopologicalState(0, 0.0)).lines) == 1
+
+
+def test_states_of_another_length_are_refused(episode, states):
+    assert view.track_figure(episode, states).axes
+    for draw in (view.track_figure, view.player):
+        with pytest.raises(ValueError, match=r"5 frames .* 6"):
+            draw(episode, states[:-1])
 
 
 def test_tracks_break_where_a_loop_is_missing(states):
@@ -118,15 +113,6 @@ def test_tracks_break_where_a_loop_is_missing(states):
     assert not view.plot_tracks([]).lines
 
 
-def test_a_track_figure_saves_and_refuses_another_length(episode, states, tmp_path):
-    figure = view.track_figure(episode, states)
-    figure.savefig(tmp_path / "tracks.png")
-    assert len(figure.axes) == 6
-    for draw in (view.track_figure, view.player):
-        with pytest.raises(ValueError, match="5 frames where episode has 6"):
-            draw(episode, states[:-1])
-
-
 # ---- cloth
 
 
@@ -138,13 +124,6 @@ def test_a_cloth_is_drawn_with_rod_and_killers(episode, states):
     assert len(cloth.get_facecolor()) > len(episode.faces)  # the rod is sorted together with the cloth
     assert len(killers._faces) == 2
     assert mpl.colors.to_hex(edge.get_color()[0]).upper() == view.loop_colour(loop.id)
-    axes.figure.canvas.draw()
-
-
-def test_a_cloth_without_faces_is_drawn_as_points(episode):
-    axes = view.plot_cloth(episode.points[0])
-    axes.figure.canvas.draw()
-    assert [len(part.get_offsets()) for part in axes.collections if len(part.get_offsets()) > 1] == [RING * ROWS]
 
 
 @pytest.mark.parametrize(
@@ -169,13 +148,6 @@ def test_nothing_is_drawn_from_uninitialised_memory(episode, states, monkeypatch
         patch.setattr(np, "empty", arbitrary_memory)
         axes = view.plot_cloth(episode.points[0], episode.faces, loops=states[0].loops, centre_line=episode.centre_line)
         axes.figure.canvas.draw()
-
-
-def test_a_tube_has_its_radius_everywhere():
-    line = np.column_stack([np.linspace(0, 1, 9), np.zeros(9), np.zeros(9)])
-    walls = _plots.tube(line, 0.1)
-    assert walls.shape == (128, 3, 3)
-    np.testing.assert_allclose(np.linalg.norm(walls[..., 1:], axis=-1), 0.1)
 
 
 # ---- the look of cloth: check, seams, shadow, light
@@ -210,13 +182,9 @@ def length(lines: np.ndarray) -> float:
     return np.linalg.norm(np.diff(lines, axis=1), axis=-1).sum()
 
 
-def test_the_check_runs_along_the_cloth_and_folds_with_it():
-    flat = drawn_lines(view.Scene(*sheet()), 0)
-    directions = np.diff(flat, axis=1)[:, 0]
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    assert np.mean(abs(directions).max(axis=1) > np.cos(0.2)) > 0.8  # most of them up or across
-    folded = drawn_lines(view.Scene(*roof()), 0)
-    assert length(folded) == pytest.approx(length(flat), rel=0.15)
+def test_the_check_folds_with_the_cloth():
+    flat, folded = (length(drawn_lines(view.Scene(*mesh), 0)) for mesh in (sheet(), roof()))
+    assert folded == pytest.approx(flat, rel=0.15)
 
 
 def test_seams_are_the_border_and_the_sharp_folds_of_cloth_at_rest():
@@ -233,39 +201,28 @@ def test_a_mesh_without_size_is_drawn():
         assert np.isfinite(drawn_lines(view.Scene(points, [[0, 1, 2]]), 0)).all()
 
 
-def test_the_shadow_is_fainter_and_wider_the_higher_the_cloth_hangs():
+def test_the_shadow_is_fainter_the_higher_the_cloth_hangs():
     points, faces = sheet()
     low, high, below = (view.Scene(points + [3, 0, z], faces) for z in (-0.4, 0.1, -1.4))
     np.testing.assert_allclose(low.shadow.mean(axis=(0, 1)), [3.2, 0, 0], atol=1e-9)
-    assert low.darkness > 1.5 * high.darkness > 0
-    assert (np.ptp(high.shadow[0], axis=0) > np.ptp(low.shadow[0], axis=0))[:2].all()
+    assert low.darkness > high.darkness > 0
     assert len(below.shadow) == 0  # z = 0 is not its floor
 
 
-@pytest.mark.parametrize("renderer", ["matplotlib", "pyvista"])
-def test_a_fold_is_light_on_the_side_of_the_lamp_and_has_a_check(renderer, monkeypatch):
-    works, reason = view.pyvista_works()
-    if renderer == "pyvista" and not works:
-        pytest.skip(reason)
-    monkeypatch.setattr(_render, "pyvista_works", lambda: (renderer == "pyvista", "not used here"))
+def test_a_fold_is_light_on_the_side_of_the_lamp(no_pyvista):
     picture = view.render_cloth(*roof(), size=(200, 240), view=(-90.0, 0.0))
     pixels = np.asarray(picture).astype(float).mean(axis=2)
-    left = pixels[90:150, 60:95]
-    right = pixels[90:150, 105:140]
-    assert np.median(left) > np.median(right) + 10
-    assert np.quantile(left, 0.02) < np.median(left) - 10  # the check
+    assert np.median(pixels[90:150, 60:95]) > np.median(pixels[90:150, 105:140]) + 10
 
 
 # ---- rendering
 
 
-def test_rendering_falls_back_and_says_so_once(episode, states, no_pyvista, capsys):
+def test_rendering_falls_back_and_says_so_once(episode, no_pyvista, capsys):
     for _ in range(2):
-        image = view.render_cloth(episode.points[0], episode.faces, loops=states[0].loops, size=(200, 150))
+        image = view.render_cloth(episode.points[0], episode.faces, size=(200, 150))
     assert capsys.readouterr().err.count("install OpenGL") == 1
-    pixels = np.asarray(image)
-    assert pixels.shape == (150, 200, 3)
-    assert pixels.std() > 5
+    assert np.asarray(image).shape == (150, 200, 3)
 
 
 def test_the_probe_survives_a_crash(monkeypatch):
@@ -294,11 +251,9 @@ def test_pyvista_shows_the_loop(episode, states):
 
 
 def test_an_animation_has_its_frames_and_refuses_what_it_cannot_write(episode, states, tmp_path, no_pyvista):
-    rods = [(episode.centre_line[0], episode.centre_line[1], 0.02)]
-    path = view.save_animation(tmp_path / "film.gif", episode, states, rods=rods, every=2, size=(120, 150))
+    path = view.save_animation(tmp_path / "film.gif", episode, states, every=2, size=(120, 150))
     with Image.open(path) as film:
         assert film.n_frames == 3
-        assert film.size == (120, 150)
         assert film.info["duration"] == pytest.approx(1000 * 2 * episode.dt, abs=10)
     for name, options in (("film.mp4", {}), ("film.gif", {"every": 0}), ("film.gif", {"states": states[1:]})):
         with pytest.raises(ValueError, match=r"\.gif|every|5 frames"):
@@ -352,9 +307,6 @@ def test_a_wardrobe_holds_each_mesh_and_its_true_loops():
         np.testing.assert_allclose(unpack(mesh["points"])[0], garment.vertices, atol=1e-4)
         np.testing.assert_array_equal(unpack(mesh["faces"]), garment.faces)
         assert [list(loop) for loop in garment.loops] == mesh["truth"]
-        assert np.linalg.norm(garment.vertices - mesh["centre"], axis=1).max() <= mesh["radius"] * (1 + 1e-9)
-        for mark in mesh["marks"]:
-            np.testing.assert_allclose(unpack(mark["ends"]).sum(axis=-1), 1, atol=1e-4)  # shares of a face's corners
     with pytest.raises(ValueError, match="garments"):
         view.wardrobe({})
 
@@ -368,7 +320,7 @@ NOW = 80  # the apron hangs by then
 
 @pytest.fixture(scope="module")
 def film():
-    return load_episode(ROOT / "data_small" / "apron_hook_0.npz")
+    return load_episode(DATA / "apron_hook_0.npz")
 
 
 @pytest.fixture(scope="module")
