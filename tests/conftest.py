@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 DATA = Path(__file__).parent.parent / "data_small"
-collect_ignore = ["fuzz_readers.py"]  # needs atheris, and instruments what it imports
 
 
 def polygon(n: int, radius: float = 1.0) -> np.ndarray:

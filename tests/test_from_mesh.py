@@ -784,7 +784,7 @@ def test_a_mesh_takes_a_hundred_times_its_file_at_most(tmp_path, suffix):
 @settings(max_examples=60, deadline=None)
 @given(st.binary(max_size=200), st.sampled_from([".ply", ".obj", ".stl"]), st.integers(0, 200))
 def test_any_mesh_file_is_read_or_refused(tmp_path_factory, noise, suffix, at):
-    """A slice of `tests/fuzz_readers.py`, without coverage to guide it."""
+    """A slice of `.github/fuzz_readers.py`, without coverage to guide it."""
     whole = PLY.encode() if suffix == ".ply" else TRIANGLE.encode()
     path = tmp_path_factory.getbasetemp() / f"fuzz{suffix}"
     path.write_bytes(whole[:at] + noise + whole[at + len(noise) // 2 :])

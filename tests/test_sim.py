@@ -234,7 +234,7 @@ def test_a_garment_longer_than_its_target_is_high_is_warned_of(caplog):
 
 
 def test_kinds_of_cloth_drape_in_their_order():
-    """On a coarse square and for a moment only; `python tests/drape.py` gives the figures of the finer one."""
+    """On a coarse square and for a moment only; `python book/experiments/drape.py` gives the figures of the finer one."""
     measured = [drape(cloth, spacing=0.05, seconds=1.0) for cloth in Cloth.KINDS.values()]
     assert [*Cloth.KINDS] == ["canvas", "cotton", "jersey", "silk"]
     assert all(a + 0.005 < b for a, b in itertools.pairwise([0, *measured, 1])), measured

@@ -67,7 +67,7 @@ class Cloth:
         return SimulationConfig(**{**physics, **options})
 
 
-# Area densities (as ISO 3801 measures them) are typical of such fabrics; tests/drape.py measures how far each drapes.
+# Area densities (as ISO 3801 measures them) are typical of such fabrics; book/experiments/drape.py measures how far each drapes.
 Cloth.KINDS = {
     "canvas": Cloth(density=0.34, stiffness=0.6, bending=0.4, damping=60.0),
     "cotton": Cloth(density=0.15, stiffness=0.6, bending=0.1, damping=60.0, friction=0.8),

@@ -1,8 +1,8 @@
 """Break the core in every way that a mutation tool knows, and count how many the tests notice.
 
     pip install mutmut==3.8.1
-    python tests/mutation.py tracking                # seqPH, linking, mixtures, windows; goes on where it was stopped
-    python tests/mutation.py rips --fresh            # persistence, from the start
+    python .github/mutation.py tracking                # seqPH, linking, mixtures, windows; goes on where it was stopped
+    python .github/mutation.py rips --fresh            # persistence, from the start
     (cd runs/mutation/rips && mutmut browse)         # look at those that live
 
 mutmut leaves decorated functions alone, and compiled code cannot be broken while it runs. So persistence is broken in a copy in

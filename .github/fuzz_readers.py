@@ -1,8 +1,8 @@
 """Coverage-guided fuzz of everything that reads a file or a stream of a stranger, by Atheris.
 
     pip install atheris                                   # CPython on Linux
-    python tests/fuzz_readers.py ply --runs 200000        # one of READERS
-    python tests/fuzz_readers.py states crash-1234        # again what was found
+    python .github/fuzz_readers.py ply --runs 200000        # one of READERS
+    python .github/fuzz_readers.py states crash-1234        # again what was found
 
 An input may be refused by a `ValueError` (a `FormatError` is one) or an `OSError`, whose words fit on a screen. Anything else
 stops the run and leaves the input in a file: another exception, which would be a traceback from somewhere inside; ten seconds

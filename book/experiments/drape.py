@@ -1,4 +1,4 @@
-"""How far each kind of cloth drapes: `python tests/drape.py` prints a table.
+"""How far each kind of cloth drapes: `python book/experiments/drape.py` prints a table.
 
 A square of 30 cm lies across a rod under its middle, held there at both ends; its halves overhang. The drape is how far their
 free edges hang below the rod as a share of the overhang: near 0 for a board, near 1 for what hangs straight down.
