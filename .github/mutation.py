@@ -34,7 +34,7 @@ PARTS = {
             "mixture.py",
             "data/_windows.py",
         ),
-        ("seqph", "evidence", "sampling", "linking", "mixture", "data_windows", "data_spoil"),
+        ("seqph", "evidence", "sampling", "linking", "mixture", "data_windows"),
     ),
     "rips": (
         tuple(

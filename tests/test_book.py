@@ -72,17 +72,6 @@ def test_chapters_build_on_earlier_ones(book):
     assert cards.builds_on({"cells": [{"source": ["# A\n", "\n", words]}]}) == [2, 3, 4]
 
 
-def test_the_time_to_read_counts_words_and_visible_code(book):
-    cards = book("cards")
-    words = {"cell_type": "markdown", "source": ["word " * 1500], "metadata": {}}
-    visible = {"cell_type": "code", "source": ["1"], "metadata": {}}
-    folded = visible | {"metadata": {"tags": ["hide-input"]}}
-    few = cards.minutes_to_read({"cells": [words] + [folded] * 20})
-    assert few == 5 * round(1500 / cards.WORDS_A_MINUTE / 5)
-    assert cards.minutes_to_read({"cells": [words] + [visible] * 20}) == few + 10
-    assert [cards.time_to_run(seconds) for seconds in (None, 1, 41, 130)] == ["", "5 s", "40 s", "2 min"]
-
-
 def test_chapters_called_by_their_numbers_are_found(book):
     links = book("links")
     text = "Chapters 3 to 6 show, and chapters 1, 2 and 14"

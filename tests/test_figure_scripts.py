@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations
 
 import numpy as np
 import pytest
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
-from test_figures import HOOK, MEASURES, RING, film, results
+from test_figures import HOOK, RING, film
 
 from chapter_tools import figures
 from chapter_tools.figures.lune_plots import joined_before, lune_components
-from topokit import SeqPH, hausdorff, lemmas, linking_number, loop_mixture, rips_persistence
+from topokit import SeqPH, lemmas, linking_number, loop_mixture, rips_persistence
 from topokit.linking import close_far
 from topokit.mixture import LoopMixture
 from topokit.rips import reduction
@@ -84,43 +84,6 @@ def test_components_merge_along_a_spanning_tree():
     [answer] = answers(["rips.js"], RIPS, [cloud])
     np.testing.assert_allclose(answer["merges"], np.sort(minimum_spanning_tree(cdist(cloud, cloud)).data) / 2)
     assert answer["edges"] == 35 * 34 // 2
-
-
-def is_boundary(cycle: list, edges: list) -> bool:
-    """Return whether a sum of edges bounds triangles of the complex with these edges, over Z/2."""
-    bit = {edge: 1 << k for k, edge in enumerate(edges)}
-    pivots: dict[int, int] = {}
-
-    def reduced(column: int) -> int:
-        while column and column.bit_length() in pivots:
-            column ^= pivots[column.bit_length()]
-        return column
-
-    for triangle in combinations(sorted({vertex for edge in edges for vertex in edge}), 3):
-        sides = list(combinations(triangle, 2))
-        if all(side in bit for side in sides):
-            rest = reduced(bit[sides[0]] ^ bit[sides[1]] ^ bit[sides[2]])
-            if rest:
-                pivots[rest.bit_length()] = rest
-    return reduced(sum(bit[edge] for edge in cycle)) == 0
-
-
-def test_cycles_are_born_with_their_bars_and_bound_at_death_and_not_before():
-    clouds = planar_clouds(120, 16, seed=3)
-    count = 0
-    for cloud, answer in zip(clouds, answers(["rips.js"], RIPS, clouds), strict=True):
-        squared = ((cloud[:, None] - cloud[None, :]) ** 2).sum(axis=-1)
-        order = sorted(combinations(range(len(cloud)), 2), key=lambda edge: (squared[edge], edge))
-        for loop in answer["loops"]:
-            walk = loop["cycle"]
-            steps = [tuple(sorted(edge)) for edge in pairwise([*walk, walk[0]])]
-            assert len(set(steps)) == len(steps) >= 4
-            assert max(steps, key=order.index) == tuple(loop["birthEdge"])
-            killer = order.index(tuple(loop["killerEdge"]))
-            assert is_boundary(steps, order[: killer + 1])
-            assert not is_boundary(steps, order[:killer])
-            count += 1
-    assert count > 60
 
 
 FILM = """({ film, loops: rows }) => {
@@ -334,18 +297,6 @@ def test_the_places_of_a_loop_are_topokits():
     assert 50 < seen < len(clouds)
 
 
-def test_moves_of_the_places_are_measured_as_topokit_does():
-    clouds = [cloud for cloud in rings(40, 2) if len(rips_persistence(cloud))]
-    given = [(a.tolist(), b.tolist()) for a, b in pairwise(clouds)]
-    moves = by_script(PLACES, "([a, b]) => moved(places(a), places(b))", given)
-    for (a, b), (edge, thick, _) in zip(pairwise(clouds), moves, strict=True):
-        first = rips_persistence(a)
-        second = rips_persistence(b)
-        assert edge == pytest.approx(hausdorff(a[first.killer_edge[0]], b[second.killer_edge[0]]))
-        shift = b[second.killer_triangles[0, 0]].mean(axis=0) - a[first.killer_triangles[0, 0]].mean(axis=0)
-        assert thick == pytest.approx(np.linalg.norm(shift))
-
-
 def test_a_billionth_moves_the_killer_edge_of_a_hexagon_and_nothing_else():
     hexagon = lemmas.COUNTEREXAMPLES["the sides of a hexagon"].before
     call = "(points) => moved(places(nudged(points, 0, true, -1e-9)), places(nudged(points, 0, true, 1e-9)))"
@@ -443,13 +394,6 @@ def test_mixtures_are_topokits():
     assert sizes == {2, 3, 4, 5, 6}
 
 
-def test_the_places_in_an_opening_fill_it():
-    cut = [[0, 0], [2, 0], [2, 1], [1, 2], [0, 2]]  # a square with a corner cut off: seven eighths
-    [places] = by_script(["mixture.js"], "(curve) => within(curve, 40)", [cut])
-    assert (np.sum(places, axis=1) < 3).all()
-    assert len(places) / 1600 == pytest.approx(7 / 8, abs=0.02)
-
-
 # ---- links
 
 LINK = """([a, b]) => ({ sum: linkingSum(a, b), gap: gapOf(a, b),
@@ -484,14 +428,3 @@ def test_curves_are_linked_as_by_topokit_and_their_distance_is_measured():
 
 
 # ---- shares
-
-
-def test_the_cells_of_shares_are_found():
-    data = page_data(figures.shares(results(), MEASURES))
-    packed = data["cells"]
-    cells = np.random.default_rng(0).integers(0, 10_000, packed["shape"])
-    asked = np.random.default_rng(1).integers(0, packed["shape"][:-1], (40, 5))
-    call = "({ table, shape, asked }) => asked.map((index) => cellAt(table, shape, index))"
-    given = [{"table": cells.ravel().tolist(), "shape": packed["shape"], "asked": asked.tolist()}]
-    [found] = by_script(["shares.js"], call, given)
-    assert found == [cells[tuple(index)].tolist() for index in asked]

@@ -1,4 +1,4 @@
-"""What the book's map of the paper names exists; every theorem has a proof or a source, every exercise a hint and a solution."""
+"""The book's map of the paper names things that exist, and links and references lead somewhere."""
 
 from __future__ import annotations
 
@@ -77,33 +77,3 @@ def test_labels_are_given_once_and_references_have_one():
     given = Counter(re.findall(r"^:label: (\S+)$", ALL, re.M))
     assert max(given.values()) == 1
     assert set(re.findall(r"\{(?:prf:ref|numref)\}`(?:[^`<]*<)?([^`>]+)>?`", ALL)) <= set(given)
-
-
-def test_every_theorem_has_a_proof_or_a_source_with_the_place():
-    """A statement in an environment is followed by its proof, or cites a work and says where in it, by number or by name."""
-    place = r"\{cite:p\}`[^`]+` \(((Theorem|chapter|section) [\w.]+|(the )?\*[^*]+\*|the theorem of its abstract)\)"
-    seen = Counter()
-    for page, text in PAGES.items():
-        for match in re.finditer(r"^:::\{prf:(theorem|proposition|lemma|corollary)\}.*?^:::$", text, re.M | re.S):
-            seen[match[1]] += 1
-            proof = text.find(":::{prf:proof}", match.end())
-            after = text.find(":::{prf:", match.end())
-            sourced = re.search(place, match[0])
-            assert sourced or 0 <= proof == after, f"{page}: {match[0].splitlines()[1]}"
-    assert seen["theorem"] >= 10
-
-
-@pytest.mark.parametrize("chapter", [f"{k:02}" for k in range(17)])
-def test_every_exercise_says_its_level_and_has_a_hint_and_a_folded_solution(chapter):
-    (path,) = (ROOT / "notebooks").glob(f"{chapter}*.ipynb")
-    cells, levels = json.loads(path.read_text())["cells"], []
-    for cell, after in zip(cells, [*cells[1:], {"metadata": {}}], strict=True):
-        for asked in re.findall(r"^::::\{exercise\}.*?^::::$", "".join(cell["source"]), re.M | re.S):
-            levels += [re.search(r":label: ex-[\w-]+\n\n\*\*([\w -]+)\.\*\* ", asked)[1]]
-            assert "<summary>Hint</summary>" in asked
-            folded = "hide-cell" in after["metadata"].get("tags", [])
-            assert not folded or after["metadata"]["jupyter"]["source_hidden"]  # folded in JupyterLab too
-            assert (
-                "<summary>What is known</summary>" in asked if "Open" in levels[-1] else folded or "Solution</" in asked
-            )
-    assert set(levels) - {"Project"} == {"Warm-up", "Exercise", "Proof", "Open question"}
