@@ -50,12 +50,6 @@ def test_every_item_of_the_paper_has_an_entry():
         assert [int(k) for k in re.findall(rf"^{item} (\d)", MAP, re.M)] == list(range(1, count + 1)), item
 
 
-def test_every_entry_names_a_chapter():
-    entries = re.findall(r"^(.+)\n: (.+)\n: (.+)$", MAP, re.M)
-    assert len(entries) == MAP.count("\n: The paper: ") > 25
-    assert all("../notebooks/" in places for _, _, places in entries)
-
-
 @pytest.mark.parametrize("name", sorted(set(re.findall(r"`(topokit[\w.]+)`", MAP))))
 def test_every_function_of_the_map_exists(name):
     assert resolve(name) is not None
