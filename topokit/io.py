@@ -4,7 +4,7 @@ Positions of an episode are stored as whole ticks of 0.1 mm, so reading costs at
 differences, which are small and compress well: ``np.cumsum(archive["points"], axis=0) / 10_000`` are the vertices in metres.
 States are stored to the last bit. Every text and number that is no array is in the header.
 
-Source: the paper's section 6 says what an episode holds; the format is ours. Taught in chapters 0 and 9.
+Source: the paper's section 6 defines the contents of an episode; the format is ours. Taught in chapters 0 and 9.
 """
 
 from __future__ import annotations
@@ -70,39 +70,39 @@ class Episode:
     """One recorded run of two grippers carrying a garment to a target. Arrays are held as they are given, not copied."""
 
     points: NDArray[np.float32]  #: (T, N, 3) all vertices of the garment in mesh order, metres
-    #: (T, M, 3) what an observer sees: farthest-point samples of the vertices, or of what cameras see (`observation` says which)
+    #: (T, M, 3) the observed points: farthest-point samples of the vertices, or of the cameras' points (see `observation`)
     observed: NDArray[np.float32]
-    actions: NDArray[np.float32]  #: (T, 2, 3) where the two grippers were told to be
-    grippers: NDArray[np.float32]  #: (T, 2, 3) where they were
-    held: NDArray[np.bool_]  #: (T,) whether the grippers hold the garment at that frame
-    faces: NDArray[np.int32]  #: (F, 3)
+    actions: NDArray[np.float32]  #: (T, 2, 3) commanded places of the two grippers
+    grippers: NDArray[np.float32]  #: (T, 2, 3) measured places of the two grippers
+    held: NDArray[np.bool_]  #: (T,) True in frames in which the grippers hold the garment
+    faces: NDArray[np.int32]  #: (F, 3) vertex ids of the triangles
     #: the true loops, each a closed cycle (L,) of vertex ids, the last joins the first
     loops: tuple[NDArray[np.int32], ...]
     centre_line: NDArray[np.float32]  #: (K, 3) the target's centre line, an open polyline
-    garment: str  #: its name
-    target: str  #: its name
-    success: bool  #: whether the task's true loops hang on the target, at rest, after release
-    seed: int  #: of everything random
+    garment: str  #: name of the garment
+    target: str  #: name of the target
+    success: bool  #: True if the task's true loops hang on the target, at rest, after release
+    seed: int  #: seed of everything random
     dt: float  #: seconds between frames
-    task: str = ""  #: garment and target
-    #: how `observed` was made: its kind and, for cameras, all their parameters
+    task: str = ""  #: name of the task: garment and target
+    #: description of the observation: its kind and, for cameras, all their parameters
     observation: dict[str, Any] = field(default_factory=dict)
     #: all parameters of the simulation, the target's sizes and position, what was randomised and in which ranges
     physics: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)  #: the command and the versions that made it
-    schema: int = SCHEMA  #: of the file format
+    schema: int = SCHEMA  #: version of the file format
 
     def __len__(self) -> int:
         return len(self.points)
 
     @property
     def times(self) -> NDArray[np.float64]:
-        """(T,) seconds since the first frame."""
+        """Return the times (T,) of the frames, in seconds since the first."""
         return np.arange(len(self), dtype=np.float64) * self.dt
 
     @property
     def named_loops(self) -> dict[str, NDArray[np.int32]]:
-        """The true loops by their names, or by their numbers ("loop 1") in a file without names."""
+        """Return the true loops by their names, or by their numbers ("loop 1") in a file without names."""
         names = self.physics.get("loops") or wardrobe_names(self.garment, self.physics.get("garment"))
         if not names:
             names = [f"loop {i + 1}" for i in range(len(self.loops))]
@@ -117,19 +117,19 @@ def wardrobe_names(garment: str, sizes: object) -> tuple[str, ...]:
 
 
 def save_episode(path: str | Path, episode: Episode) -> Path:
-    """Write `episode` to `path` (`.npz`) in one piece: a reader sees the old file or the whole new one.
+    """Write `episode` to `path` (`.npz`) in one piece: a reader finds the old file or the whole new one.
 
     Parameters
     ----------
     path : path
-        It ends in .npz.
+        Name of the file, which ends in .npz.
     episode : Episode
-        Its parts must fit each other. The same episode gives the same bytes.
+        The episode, whose parts must fit each other. The same episode gives the same bytes.
 
     Raises
     ------
     ValueError
-        When a part is of another shape or kind than it should be; the message names it.
+        When a part has the wrong shape or kind; the message names it.
     """
     check_episode(episode)
     # Positions become ticks, and along time differences.
@@ -163,7 +163,7 @@ def load_episode(path: str | Path) -> Episode:
     FileNotFoundError
         When there is no such file.
     FormatError
-        When the file is empty, damaged, of another format or of another schema; the message says which.
+        When the file is empty, damaged, of another format or of another schema; the message names the reason.
     """
     header, arrays = load_archive(path, EPISODE_KIND)
     _check_schema(path, header, SCHEMA, "record it again")
@@ -181,7 +181,7 @@ def load_episode(path: str | Path) -> Episode:
             parts["observed"] = as_metres(_sums(arrays["observed"]))
         loops = tuple(_loop_of(ids) for ids in header.pop("loops"))
         if header.pop("frames") != len(arrays["held"]):
-            raise ValueError("the header counts other frames than there are")
+            raise ValueError("the header gives another number of frames than the arrays")
         episode = Episode(loops=loops, **parts, **header)
         check_episode(episode)
     except (KeyError, TypeError) as error:
@@ -192,7 +192,7 @@ def load_episode(path: str | Path) -> Episode:
 
 
 def check_episode(episode: Episode) -> None:
-    """Raise ValueError unless the parts of an episode fit each other; the message says which do not, and where."""
+    """Raise ValueError unless the parts of an episode fit each other; the message names the part and the place."""
     for name in (*_POSITIONS, "held", "faces"):
         if not isinstance(as_reals(getattr(episode, name), name), type(getattr(episode, name))):
             raise WrongKindError(f"{name} must be an array, not {type(getattr(episode, name)).__name__}")
@@ -208,7 +208,7 @@ def check_episode(episode: Episode) -> None:
         if type(value) is not kind and not (kind is float and type(value) is int):
             raise WrongKindError(f"{name} must be a {kind.__name__}, not {value!r:.80}")
     if not np.isfinite(episode.dt) or episode.dt <= 0:
-        raise ValueError(f"dt must be the seconds between two frames, not {episode.dt}")
+        raise ValueError(f"dt must be a positive number of seconds between two frames, not {episode.dt}")
     _check_loop_names(episode)
 
 
@@ -271,14 +271,14 @@ def _sums(differences: NDArray[Any]) -> NDArray[Any]:
 
 
 def _vertex_ids(points: NDArray[Any], observed: NDArray[Any]) -> NDArray[np.uint16] | None:
-    """Return which vertices the observed points are, (T, M), or None when one of them is no vertex of its frame."""
+    """Return the ids (T, M) of the observed vertices, or None when an observed point is no vertex of its frame."""
     if points.dtype != observed.dtype or points.shape[1] > np.iinfo(np.uint16).max:
         return None
     ids = np.empty(observed.shape[:2], dtype=np.uint16)
-    for frame, (cloud, seen) in enumerate(zip(points, observed, strict=True)):
+    for frame, (cloud, observed_cloud) in enumerate(zip(points, observed, strict=True)):
         id_of = {position.tobytes(): i for i, position in enumerate(cloud)}
         try:
-            ids[frame] = [id_of[position.tobytes()] for position in seen]
+            ids[frame] = [id_of[position.tobytes()] for position in observed_cloud]
         except KeyError:
             return None
     return ids
@@ -294,7 +294,9 @@ def _loop_of(ids: object) -> NDArray[np.int32]:
 def _check_schema(path: str | Path, header: dict[str, Any], schema: int, remedy: str) -> None:
     """Raise FormatError unless a header is of the schema that this topokit reads."""
     if header.get("schema") != schema:
-        raise FormatError(f"{path}: of schema {header.get('schema')}, not {schema}: update topokit or {remedy}")
+        raise FormatError(
+            f"{path}: schema {header.get('schema')} where {schema} is expected: update topokit or {remedy}"
+        )
 
 
 def check_layout(arrays: dict[str, NDArray[Any]], layout: dict[str, str]) -> None:
@@ -314,8 +316,8 @@ def check_layout(arrays: dict[str, NDArray[Any]], layout: dict[str, str]) -> Non
             raise ValueError(f"{name} is of type {array.dtype} and shape {array.shape}, and does not fit")
 
 
-# Arrays in a file of states. Those of the loops stand one after another: numbers, arrays of one shape, and arrays whose
-# length varies from loop to loop and is counted in an array of its own.
+# Arrays in a file of states. All loops are stored one after another: numbers, arrays of one shape, and arrays whose
+# length varies from loop to loop. An array of its own counts these lengths.
 _FRAMES = {"n_loops": "i t", "frame": "i t", "time": "f t"}
 _LOOP_NUMBERS = {"id": "i n", "birth": "f n", "death": "f n", "killer_shift": "f n"}
 _LOOP_ARRAYS = {
@@ -340,19 +342,19 @@ def save_states(path: str | Path, states: Sequence[TopologicalState]) -> Path:
     Parameters
     ----------
     path : path
-        It ends in .npz.
+        Name of the file, which ends in .npz.
     states : sequence of TopologicalState
-        The cycles of their loops are found and stored with them.
+        States to store. The cycles of their loops are computed and stored with them.
     """
-    # The loops of all states stand one after another, a row each.
+    # The loops of all states are stored one after another, a row each.
     loops = [loop for state in states for loop in state.loops]
     arrays = {name: np.array([getattr(loop, name) for loop in loops]) for name in _LOOP_NUMBERS | _LOOP_ARRAYS}
-    # What varies in length from loop to loop stands one after another, too, and is counted.
+    # Arrays that vary in length from loop to loop are joined too, and their lengths are stored.
     for count, names in _LOOP_LISTS.items():
         for name in names:
             arrays[name] = np.concatenate([getattr(loop, name) for loop in loops] or [np.empty(0)])
         arrays[count] = np.array([len(getattr(loop, names[0])) for loop in loops], dtype=np.int64)
-    # The states themselves: which of the loops are theirs, frame and time.
+    # The states themselves: numbers of loops, frames and times.
     arrays["n_loops"] = np.array([len(state) for state in states], dtype=np.int64)
     arrays["frame"] = np.array([state.frame for state in states], dtype=np.int64)
     arrays["time"] = np.array([state.time for state in states], dtype=np.float64)
@@ -368,7 +370,7 @@ def load_states(path: str | Path) -> list[TopologicalState]:
     FileNotFoundError
         When there is no such file.
     FormatError
-        When the file is empty, damaged, of another format or of another schema; the message says which.
+        When the file is empty, damaged, of another format or of another schema; the message names the reason.
     """
     header, arrays = load_archive(path, _STATES_KIND)
     _check_schema(path, header, _STATES_SCHEMA, "track them again")
@@ -403,9 +405,9 @@ def _loops(arrays: dict[str, NDArray[Any]]) -> list[Loop]:
 
 
 def _split(rows: NDArray[Any], counts: NDArray[Any], name: str) -> list[NDArray[Any]]:
-    """Return the rows of one thing after another, `counts` to each."""
+    """Return the rows divided into consecutive runs, whose lengths are `counts`."""
     if (counts < 0).any() or counts.sum() != len(rows):
-        raise ValueError(f"{name} has {len(rows)} rows, and they are counted otherwise")
+        raise ValueError(f"{name} has {len(rows)} rows, and the stored counts add up to another number")
     if not len(counts):
         return []
     return np.split(rows, np.cumsum(counts)[:-1])

@@ -1,7 +1,7 @@
 """The linking number of two closed curves: how often one winds through the other.
 
-Idea: for a segment of either curve the differences `b - a` fill a parallelogram; the solid angle under which the origin
-sees it, summed over all pairs of segments, is 4 pi times the Gauss integral, hence 4 pi times an integer.
+Idea: for a segment of either curve the differences `b - a` fill a parallelogram. Its solid angle from the origin, summed
+over all pairs of segments, is 4 pi times the Gauss integral, hence 4 pi times an integer.
 
 Source: van Oosterom and Strackee, *The solid angle of a plane triangle*, 1983; Arai, *A rigorous numerical algorithm for
 computing the linking number of links*, 2013. Taught in chapters 8 and 14.
@@ -45,20 +45,20 @@ def curve_centroid(curve: Array) -> Array:
 def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
     """Return the linking number of two disjoint closed polygonal curves.
 
-    It is 1 where one goes once through the other, towards an eye that sees that other run counterclockwise. Its sign changes
-    when one curve is reversed, and not when the two are exchanged.
+    It is 1 where one curve goes once through the other, towards an eye for which that other runs counterclockwise. Its sign
+    changes when one curve is reversed, and not when the two are exchanged.
 
     Parameters
     ----------
     curve_a, curve_b : (n, 3), (m, 3) array_like
-        Corners in order, three at least; the last joins the first, which is not repeated. A curve with ends, such as a
-        hook, is closed by `close_far` first.
+        Corners in order, three at least; the last joins the first, which is not repeated. Close a curve with ends, such
+        as a hook, by `close_far` first.
 
     Raises
     ------
     ValueError
         When a curve is not in space, has fewer than three corners or passes through a corner twice, or when the curves
-        touch; the message says where. Also when they come so close that rounding leaves no integer.
+        touch; the message names the place. Also when they come so close that rounding leaves no integer.
 
     Examples
     --------
@@ -79,9 +79,9 @@ def linking_number(curve_a: ArrayLike, curve_b: ArrayLike) -> int:
 
 
 def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[np.int64], Array]:
-    """Return the linking numbers (B,) of many pairs of curves at once, and how far each Gauss integral was from its integer.
+    """Return the linking numbers (B,) of many pairs of curves at once, and the rounding errors of their Gauss integrals.
 
-    That rounding error, (B,), is about 1e-14 for a hundred segments that keep their distance.
+    The rounding error, (B,), is the difference from the integer: about 1e-14 for a hundred segments that are not close.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[n
     Raises
     ------
     ValueError
-        As `linking_number`; the message also names the curve of the batch.
+        In the cases of `linking_number`; the message also names the curve of the batch.
 
     Examples
     --------
@@ -105,7 +105,9 @@ def linking_numbers(curves_a: ArrayLike, curves_b: ArrayLike) -> tuple[NDArray[n
     a = _batch(curves_a, "curves_a")
     b = _batch(curves_b, "curves_b")
     if len(a) != len(b) and 1 not in (len(a), len(b)):
-        raise ValueError(f"curves_a and curves_b must be as many, or one of them one; they are {len(a)} and {len(b)}")
+        raise ValueError(
+            f"curves_a and curves_b must be equally many, or one of them a single curve; they are {len(a)} and {len(b)}"
+        )
     return _link(a, b, "curves_a[{}]", "curves_b[{}]")
 
 
@@ -122,11 +124,12 @@ def close_far(
     Parameters
     ----------
     curve : (n, 3) array_like
-        Corners in order, two at least. By default from the foot, led off down through the floor, to the tip, led off up.
+        Corners in order, two at least. The default directions suit a curve from its foot up to its tip: it then continues
+        down through the floor and up from the tip.
     start, end : (3,) array_like
-        Directions, of any length but zero.
+        Directions of any length except zero.
     far : float
-        In sizes of the curve, its longest extent along an axis.
+        Length of the leads, in sizes of the curve (its longest extent along an axis).
 
     Raises
     ------
@@ -142,7 +145,7 @@ def close_far(
     if points.shape[1] != 3 or len(points) < 2:
         raise ValueError(f"curve must be an (n, 3) array of at least 2 corners, not of shape {points.shape}")
     if np.abs(points).max() > 1e150:
-        raise ValueError("curve reaches beyond 1e150, and what is far away beyond floating point; take another unit")
+        raise ValueError("curve reaches beyond 1e150, so its far corners overflow floating point; use another unit")
     reach = positive(far, "far", zero=False) * float(np.ptp(points, axis=0).max())
     if reach == 0:
         raise ValueError("curve has no extent: all its corners are one point")

@@ -29,17 +29,17 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> t
     ----------
     points : (m, d) array_like
     n : int
-        How many to choose, 1 to m.
+        Number of points to choose, 1 to m.
     start : int, optional
-        The first one. For None it is the point farthest from the mean of all, so that the order of the points does not matter.
+        Index of the first point. For None it is the point farthest from the mean, so the order of the points is irrelevant.
 
     Returns
     -------
     idx : (n,) int64
-        In the order chosen; ties go to the smaller index.
+        Indices of the chosen points, in the order chosen. Ties go to the smaller index.
     radius : float
-        The covering radius: every point is within this distance of a chosen one. At most twice the best possible
-        (Gonzalez 1985).
+        The covering radius: every point is within this distance of a chosen one. It is at most twice the smallest
+        possible radius (Gonzalez 1985).
 
     Raises
     ------
@@ -109,12 +109,12 @@ def covering_radius(dense: ArrayLike, sample: ArrayLike | cKDTree) -> float:
     Parameters
     ----------
     dense, sample : (n, d), (m, d) array_like
-        One point each at least; `sample` may be a tree of its points.
+        Point sets with at least one point each; `sample` may be a tree of its points.
 
     Raises
     ------
     ValueError
-        When one of them has no point, or they differ in their dimension.
+        When a set has no point, or the sets differ in dimension.
 
     Examples
     --------
@@ -133,12 +133,12 @@ def covering_radius(dense: ArrayLike, sample: ArrayLike | cKDTree) -> float:
 def hausdorff(a: ArrayLike | cKDTree, b: ArrayLike | cKDTree) -> float:
     """Return the Hausdorff distance between two finite point sets, in the unit of the points.
 
-    For two edges this is the paper's distance between killer edges: each taken as the set of its two end points.
+    For two edges this is the paper's distance between killer edges: each edge is the set of its two end points.
 
     Parameters
     ----------
     a, b : (n, d), (m, d) array_like
-        One point each at least, or trees of them.
+        Point sets with at least one point each, or trees of them.
 
     Examples
     --------
@@ -173,19 +173,19 @@ def inliers(points: ArrayLike | cKDTree, *, neighbours: int = 5, factor: float =
     Parameters
     ----------
     points : (n, d) array_like
-        Or a tree of them.
+        Points, or a tree of them.
     neighbours : int
     factor : float
 
     Returns
     -------
     (k,) int64
-        In their order.
+        Ids of the points that are kept, in ascending order.
 
     Raises
     ------
     ValueError
-        When `neighbours` or `factor` is no positive number.
+        When `neighbours` or `factor` is not a positive number.
 
     Notes
     -----
@@ -207,7 +207,7 @@ def inliers_and_tree(tree: cKDTree, neighbours: int = 5, factor: float = 2.5) ->
     Parameters
     ----------
     tree : cKDTree
-        Of the points.
+        Tree of the points.
     neighbours : int
     factor : float
 
@@ -216,9 +216,9 @@ def inliers_and_tree(tree: cKDTree, neighbours: int = 5, factor: float = 2.5) ->
     ids : (k,) int64
         Numbers of these points in the cloud.
     tree : cKDTree
-        Of their p places; points that coincide are one place.
+        Tree of their p places; points that coincide are one place.
     nearest : (p, neighbours) float64
-        Distance of each place from its nearest other ones.
+        Distances of each place from its nearest other places.
     """
     ids = np.arange(tree.n)
     copies = None
@@ -227,8 +227,8 @@ def inliers_and_tree(tree: cKDTree, neighbours: int = 5, factor: float = 2.5) ->
         tree = as_tree(places)
         ids = np.arange(len(places))
 
-    # Each place is its own nearest one, so one more is asked for.
-    nearest, who = tree.query(tree.data, k=min(neighbours + 1, max(tree.n, 2)))
+    # Each place is its own nearest one, so the query is for one more.
+    nearest, neighbour_ids = tree.query(tree.data, k=min(neighbours + 1, max(tree.n, 2)))
     for _ in range(2):
         if tree.n <= neighbours:
             break
@@ -236,15 +236,15 @@ def inliers_and_tree(tree: cKDTree, neighbours: int = 5, factor: float = 2.5) ->
         if near.all():
             break
 
-        # Leave out what is alone. Only places that lose a neighbour by it have to be asked for their neighbours again.
+        # Leave out isolated places. Only places that lose a neighbour by it need a new query.
         tree = as_tree(tree.data[near])
         ids = ids[near]
         k = min(neighbours + 1, max(near.sum(), 2))
-        lost = ~near[who[near]].all(axis=1) | (k <= neighbours)
+        lost = ~near[neighbour_ids[near]].all(axis=1) | (k <= neighbours)
         renumbered = np.cumsum(near) - 1
         nearest = nearest[near, :k]
-        who = renumbered[who[near, :k]]
-        nearest[lost], who[lost] = tree.query(tree.data[lost], k=k)
+        neighbour_ids = renumbered[neighbour_ids[near, :k]]
+        nearest[lost], neighbour_ids[lost] = tree.query(tree.data[lost], k=k)
 
     if copies is not None:
         ids = np.flatnonzero(np.isin(copies.ravel(), ids))
@@ -273,7 +273,9 @@ def spacing(points: ArrayLike | cKDTree) -> float:
         return 0.0
     widest = float(tree.query(tree.data, k=[2])[0].max())
     if widest == 0:
-        raise ValueError("points differ so little beside their size that squares of their distances are 0: round them")
+        raise ValueError(
+            "points differ so little, compared with their size, that squares of their distances are 0: round them"
+        )
     return widest / 2
 
 
@@ -285,7 +287,7 @@ def spoil(
     outliers: ArrayLike = 0.0,
     keep: ArrayLike = 1.0,
 ) -> Array:
-    """Return clouds with points missing, noise and outliers, every cloud for itself.
+    """Return clouds with missing points, noise and outliers, drawn for every cloud separately.
 
     Parameters
     ----------
@@ -334,11 +336,11 @@ def as_tree(points: ArrayLike | cKDTree, name: str = "points", *, copy: bool = F
     Parameters
     ----------
     points : (n, d) array_like
-        Or a tree of them.
+        Points, or a tree of them.
     name : str
-        What errors call them.
+        Name of the points in error messages.
     copy : bool
-        Whether the tree keeps a copy of the points.
+        Keep a copy of the points in the tree.
     """
     from scipy.spatial import cKDTree  # here, because importing topokit must be quick
 

@@ -20,20 +20,20 @@ from ._labels import Labels
 
 @dataclass(frozen=True)
 class Problem:
-    """What is wrong with a dataset."""
+    """A problem of a dataset."""
 
     where: str  #: a path in the dataset
-    what: str  #: what is wrong there
+    what: str  #: description of the problem
 
     def __str__(self) -> str:
         return f"{self.where}: {self.what}"
 
 
 def check_dataset(folder: str | Path, *, progress: bool = False) -> list[Problem]:
-    """Return all that is wrong with a dataset; nothing when it is whole. Episodes that are still to be made are named too.
+    """Return all problems of a dataset; none when it is whole. Missing episodes are problems too.
 
-    Every file is read whole, against the CRC-32 of each of its parts. Episodes are compared with what was drawn for them,
-    and labels with the episodes they are of.
+    Every file is read whole and compared with the CRC-32 of each part. Episodes are compared with their draws, and labels
+    with their episodes.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def _strangers(files: NumberedFiles, known: set[str], wanted: Iterable[int], pre
 
 
 def _missing(files: NumberedFiles, wanted: Sequence[int], prefix: str) -> Iterator[Problem]:
-    """Yield one problem that counts the episodes that are not there."""
+    """Yield one problem that counts the missing episodes."""
     tried = {*files.episodes.tolist(), *files.refused}
     missing = [number for number in wanted if number not in tried]
     if missing:
@@ -103,12 +103,12 @@ def _label_problems(dataset: Dataset, name: str, progress: bool) -> Iterator[Pro
             if wrong := _wrong_labels(dataset, labels, number):
                 yield Problem(prefix + path.name, wrong)
         except FormatError as error:
-            if str(error).startswith(str(path)):  # else it is the episode's, which is a problem already
+            if str(error).startswith(str(path)):  # else it is a problem of the episode, which is in the list already
                 yield Problem(prefix + path.name, str(error).removeprefix(f"{path}: "))
 
 
 def _wrong_labels(dataset: Dataset, labels: Labels, number: int) -> str | None:
-    """Return what is wrong with the labels of an episode, whose file reads well."""
+    """Return the problems of the labels of an episode whose own file is sound."""
     of, labelled = dataset.record(number), labels.record(number)
     if (labelled.task, labelled.seed) != (of.task, of.seed):
         return f"labels of another episode, {labelled.task} of seed {labelled.seed}; remove the file, and label again"

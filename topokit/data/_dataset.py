@@ -1,4 +1,4 @@
-"""Read a dataset: episodes, labels, and how they are split for training and test. Taught in chapter 9."""
+"""Read a dataset: its episodes, its labels, and its parts for training and test. Taught in chapter 9."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ _FIRST_AND_LAST = {"train": -1, "test": 1}  # of a split; what is between them h
 
 @checked
 class DatasetSettings:
-    """What a dataset is."""
+    """The settings of a dataset, as stored in its folder."""
 
     schema: Literal[2]
     config: DatasetConfig
     seed: NotNegative
-    episodes: Annotated[int, Field(ge=1, le=MOST_EPISODES)]  #: how many were asked for
-    versions: Mapping[str, str]  #: on which bytes depend
-    #: Of a part of a dataset: the numbers of its episodes. All of them when not given.
+    episodes: Annotated[int, Field(ge=1, le=MOST_EPISODES)]  #: number of episodes
+    versions: Mapping[str, str]  #: versions of the packages on which bytes depend
+    #: numbers of the episodes, for a part of a dataset; all of them when not given
     numbers: tuple[NotNegative, ...] | None = None
 
 
 class Dataset(NumberedFiles):
     """A dataset that `generate_dataset` made in a folder.
 
-    Episodes keep their number whatever became of their neighbours: ``dataset[7]`` is `make_episode(config, seed, 7)`, to
-    within 0.05 mm. Iterating gives those that are whole, in order.
+    The number of an episode does not depend on other episodes: ``dataset[7]`` is `make_episode(config, seed, 7)`, to
+    within 0.05 mm. Iteration gives the whole episodes, in order.
 
     Parameters
     ----------
@@ -54,36 +54,36 @@ class Dataset(NumberedFiles):
     FileNotFoundError
         When there is no dataset in the folder.
     FormatError
-        When the file that says what it is (`dataset.json`) is damaged.
+        When the file of its settings (`dataset.json`) is damaged.
     """
 
     def __init__(self, folder: str | Path) -> None:
         if not (Path(folder) / ABOUT).is_file():
             raise FileNotFoundError(f"{folder}: there is no dataset (no {ABOUT})")
         super().__init__(folder, EPISODE_KIND, ABOUT)
-        self.settings: DatasetSettings = read_settings(DatasetSettings, self.folder / ABOUT)  #: what it is
+        self.settings: DatasetSettings = read_settings(DatasetSettings, self.folder / ABOUT)  #: its settings
         self._labels: dict[str, Labels] = {}
 
     @property
     def config(self) -> DatasetConfig:
-        """What the episodes were drawn from."""
+        """Return the configuration from which the episodes were drawn."""
         return self.settings.config
 
     @property
     def seed(self) -> int:
-        """What the episodes were drawn by."""
+        """Return the seed with which the episodes were drawn."""
         return self.settings.seed
 
     @property
     def wanted(self) -> Sequence[int]:
-        """The numbers of all episodes that the dataset is to have."""
+        """Return the numbers of all planned episodes of the dataset."""
         if self.settings.numbers is not None:
             return self.settings.numbers
         return range(self.settings.episodes)
 
     @cached_property
     def garments(self) -> tuple[str, ...]:
-        """All garments that the configuration can draw, in alphabetical order."""
+        """Return all garments that the configuration can draw, in alphabetical order."""
         return tuple(sorted({task.rpartition("-")[0] for task in self.config.tasks}))
 
     def __len__(self) -> int:
@@ -94,7 +94,7 @@ class Dataset(NumberedFiles):
         return f"Dataset({str(self.folder)!r}, {counted})"
 
     def __getitem__(self, episode: int) -> Episode:
-        """Return an episode by its number; a KeyError says why there is none, a FormatError what is damaged."""
+        """Return an episode by its number; raise KeyError when there is none, FormatError when its file is damaged."""
         return load_episode(self.path_of(episode))
 
     def __iter__(self) -> Iterator[Episode]:
@@ -102,7 +102,7 @@ class Dataset(NumberedFiles):
 
     @property
     def label_names(self) -> tuple[str, ...]:
-        """Names of the sets of labels, in alphabetical order."""
+        """Return the names of the sets of labels, in alphabetical order."""
         return tuple(sorted(path.parent.name for path in self.folder.glob(f"labels/*/{ABOUT_LABELS}")))
 
     def labels(self, name: str) -> Labels:
@@ -111,7 +111,7 @@ class Dataset(NumberedFiles):
         Raises
         ------
         FileNotFoundError
-            When there are none of that name.
+            When there are no labels of that name.
         """
         if name not in self._labels:
             if name not in self.label_names:
@@ -121,7 +121,7 @@ class Dataset(NumberedFiles):
         return self._labels[name]
 
     def labelled(self, name: str) -> Ids:
-        """(n,) the numbers of the episodes that have labels of that name."""
+        """Return the numbers (n,) of the episodes that have labels of that name."""
         return np.intersect1d(self.episodes, self.labels(name).episodes)
 
     def states(self, episode: int, name: str) -> list[TopologicalState]:
@@ -133,7 +133,7 @@ class Dataset(NumberedFiles):
         ----------
         episode : int
         name : str
-            Of the labels.
+            Name of the set of labels.
         """
         labels = self.labels(name)
         film = self[episode]
@@ -152,19 +152,19 @@ class Dataset(NumberedFiles):
         Parameters
         ----------
         by : {"episode", "garment"}
-            By episode each is drawn on its own: the shares are met about, and no episode changes its part when the dataset
-            grows. By garment whole garments are dealt out, at least one to every part.
+            Unit of the split. By episode each is drawn on its own: the shares hold approximately, and no episode changes
+            its part when the dataset grows. By garment every part gets whole garments, at least one.
         shares : mapping of str to float
             Parts and their shares.
         seed : int
         held_out : sequence of str
-            Garments of the last part, for example ``["apron", "apron2"]``, which are alike. By garment they are all of it; by
-            episode its share of the others' episodes is added, so that training and validation know the same garments.
+            Garments of the last part, for example ``["apron", "apron2"]``, which are alike. By garment the last part has no
+            others. By episode it also gets its share of all other episodes, and the other parts share the same garments.
 
         Raises
         ------
         ValueError
-            When there is no such way to split, a share is not positive, or garments are unknown or too few.
+            When `by` is unknown, a share is not positive, or garments are unknown or too few.
         """
         names = sorted(shares, key=lambda name: (_FIRST_AND_LAST.get(name, 0), name))
         weights = np.array([shares[name] for name in names], dtype=np.float64)
@@ -187,13 +187,13 @@ class Dataset(NumberedFiles):
         return {name: self.episodes[part == k] for k, name in enumerate(names)}
 
     def _owners(self, weights: NDArray[np.float64], seed: int, held_out: Sequence[str]) -> dict[str, int]:
-        """Which part each garment goes to."""
+        """Return the part of each garment."""
         rest = [g for g in np.random.default_rng(seed).permutation(self.garments).tolist() if g not in held_out]
         parts = len(weights) - bool(held_out)
         if len(rest) < parts:
             raise ValueError(f"{len(rest)} garments cannot be dealt out to {parts} parts")
         shares = (weights / weights.sum())[:parts]
-        free = len(rest) - parts  # beyond the one that every part gets
+        free = len(rest) - parts  # garments beyond the one that every part gets
         ends = np.rint(np.cumsum(shares / shares.sum()) * free).astype(int) + np.arange(1, parts + 1)
         owner = {garment: int(np.searchsorted(ends, place, side="right")) for place, garment in enumerate(rest)}
         return {**owner, **dict.fromkeys(held_out, len(weights) - 1)}

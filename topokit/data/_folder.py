@@ -1,8 +1,8 @@
 """A folder of numbered files, one an episode: a dataset, and beside its episodes a set of labels.
 
-    dataset.json         what the dataset is: configuration, seed, number of episodes, versions
+    dataset.json         settings of the dataset: configuration, seed, number of episodes, versions
     00000007.npz         episode 7
-    00000008.json        why there is no episode 8
+    00000008.json        the reason why there is no episode 8
     labels/NAME/         a folder of labels.json and of files of the same numbers
 
 Every file is written aside and moved into place. So a file that is there is whole, and a command that was stopped goes on by
@@ -39,66 +39,66 @@ NotNegative = Annotated[int, Field(ge=0)]
 
 @checked
 class Record:
-    """An episode in short."""
+    """A summary of an episode."""
 
     episode: Annotated[int, Field(ge=0, lt=MOST_EPISODES)]
-    #: ok: there is a file of it; rejected: it was not physical; failed: it could not be made.
+    #: result: ok (there is a file), rejected (it was not physical) or failed (it could not be made)
     status: Literal["ok", "rejected", "failed"]
-    reason: str = ""  #: why it is not ok
+    reason: str = ""  #: reason of a status other than ok
     task: str = ""
     garment: str = ""
     target: str = ""
-    seed: NotNegative = 0  #: of the episode
+    seed: NotNegative = 0  #: seed of the episode
     success: bool = False
     frames: NotNegative = 0
     physics: Mapping[str, Any] = field(default_factory=dict)
 
 
 class NumberedFiles:
-    """The files of a folder, each of one episode.
+    """The files of a folder, one file an episode.
 
     Parameters
     ----------
     folder : path
     kind : str
-        Of its archives.
+        Kind of its archives.
     about : str
-        Name of the file that says what the folder is.
+        Name of the file with the settings of the folder.
     """
 
     def __init__(self, folder: str | Path, kind: str, about: str) -> None:
-        self.folder = Path(folder)  #: where the files are
+        self.folder = Path(folder)  #: folder of the files
         self._kind = kind
         self._about = about
         self._known: dict[int, Record] = {}
-        # Names tell what is there; headers are read when a record is asked for.
+        # Names are listed now; a header is read on first use of its record.
         found: dict[str, set[int]] = {"npz": set(), "json": set()}
         for name in os.listdir(self.folder):
             if match := _NUMBERED.fullmatch(name):
                 found[match[2]].add(int(match[1]))
         self.episodes: NDArray[np.int64] = np.array(
             sorted(found["npz"]), dtype=np.int64
-        )  #: (n,) numbers of the whole ones
-        self.refused: list[int] = sorted(found["json"] - found["npz"])  #: numbers of the rejected and failed ones
+        )  #: (n,) numbers of the whole episodes
+        self.refused: list[int] = sorted(found["json"] - found["npz"])  #: numbers of the rejected and failed episodes
 
     @cached_property
     def records(self) -> tuple[Record, ...]:
-        """One for every episode that was tried, in order."""
+        """Return a record for every episode that was tried, in order."""
         return tuple(self.record(number) for number in sorted([*self.episodes.tolist(), *self.refused]))
 
     @property
     def failures(self) -> tuple[Record, ...]:
-        """Those that were rejected or failed, each with its `reason`."""
+        """Return the records of rejected and failed episodes, each with its `reason`."""
         return tuple(self.record(number) for number in self.refused)
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many episodes are "ok", "rejected" and "failed", as far as there are any."""
+        """Return the numbers of "ok", "rejected" and "failed" episodes, each only when there are any."""
         statuses = ["ok"] * len(self.episodes) + [record.status for record in self.failures]
         return {status: statuses.count(status) for status in sorted(set(statuses))}
 
     def record(self, episode: int) -> Record:
-        """Return an episode in short, read from the header of its file.
+        """Return the summary of an episode, read from the header of its file.
 
         Raises
         ------
@@ -131,7 +131,7 @@ class NumberedFiles:
             raise FormatError(f"{path}: {error}") from error
 
     def is_done(self, episode: int) -> bool:
-        """Return whether an episode was tried and its file reads well, as far as its header."""
+        """Return True if an episode was tried and the header of its file is sound."""
         try:
             self.record(episode)
         except (KeyError, FormatError):
@@ -139,7 +139,7 @@ class NumberedFiles:
         return True
 
     def path_of(self, episode: int) -> Path:
-        """Return the file of a whole episode; a KeyError says why there is none."""
+        """Return the file of a whole episode; raise KeyError with the reason when there is none."""
         path = archive_path(self.folder, int(episode))
         if not path.is_file():
             record = self.record(episode)
@@ -147,7 +147,7 @@ class NumberedFiles:
         return path
 
     def checksum(self) -> str:
-        """Return one SHA-256 of what the folder is and of all its episodes: the same however it was made."""
+        """Return one SHA-256 of the settings and of all episodes; it does not depend on how the folder was made."""
         digest = hashlib.sha256((self.folder / self._about).read_bytes())
         paths = [archive_path(self.folder, number) for number in self.episodes.tolist()]
         paths += [failure_path(self.folder, number) for number in self.refused]
@@ -157,17 +157,17 @@ class NumberedFiles:
 
 
 def archive_path(folder: Path, number: int) -> Path:
-    """Return where the file of a whole episode is."""
+    """Return the path of a whole episode."""
     return folder / f"{number:08d}.npz"
 
 
 def failure_path(folder: Path, number: int) -> Path:
-    """Return where it is said why there is no such episode."""
+    """Return the path of the file with the reason why an episode is missing."""
     return folder / f"{number:08d}.json"
 
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a JSON document in one piece; one that is there already is left alone."""
+    """Write a JSON document in one piece; an existing file is left alone."""
     content = (json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode()
     if not path.is_file() or path.read_bytes() != content:
         with atomic_file(path) as handle:
@@ -175,7 +175,7 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
 
 
 def read_settings(kind: type[Any], path: Path) -> Any:
-    """Return what a folder is, a checked dataclass, from its JSON file."""
+    """Return the settings of a folder, a checked dataclass, from its JSON file."""
     try:
         return from_mapping(kind, read_json(path.read_bytes()), "it")
     except ValueError as error:
@@ -200,7 +200,7 @@ def begin(folder: Path, about: str, settings: Mapping[str, Any]) -> None:
     elif folder.exists() and any(not name.endswith(".part") for name in os.listdir(folder)):
         raise ValueError(f"{folder} holds other files and no {about}: name a new folder, or an empty one")
     write_json(path, settings)
-    for left in folder.glob(".*.part"):  # what commands that were killed had begun to write
+    for left in folder.glob(".*.part"):  # files that killed commands left half written
         left.unlink(missing_ok=True)
 
 

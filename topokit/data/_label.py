@@ -1,4 +1,4 @@
-"""Label the episodes of a dataset: what the tracker sees in every frame, written as safely as the episodes are.
+"""Label the episodes of a dataset: the tracked state of every frame, written as safely as the episodes.
 
 Source: Antonova et al. 2021, Algorithm 1. Taught in chapter 9.
 """
@@ -39,27 +39,27 @@ def label_dataset(
 ) -> Labels:
     """Track every episode of a dataset and store the states, or go on with it.
 
-    The eight loops of the longest lifetime are kept in a frame; how many were dropped is stored beside them.
+    In every frame the eight loops of the longest lifetime are kept. The number of dropped loops is stored too.
 
     Parameters
     ----------
     folder : path
         A folder that `generate_dataset` made.
     observation : {"full", "observed", "camera"}
-        What the tracker sees: all vertices, the observation that was recorded, or that of a dataset made with cameras.
+        Input of the tracker: all vertices, the recorded observation, or the observation of a dataset made with cameras.
     name : str, optional
-        Of this set of labels; that of the observation when not given.
+        Name of this set of labels; the name of the observation when not given.
     n_points : int, optional
-        Track so many points of an observation of vertices, a farthest-point sample.
+        Number of points to track, a farthest-point sample of an observation of vertices.
     options : mapping, optional
-        Of `topokit.SeqPH`; its own when not given.
+        Options of `topokit.SeqPH`; its defaults when not given.
     scheduler, n_workers, progress
-        As in `generate_dataset`.
+        The parameters of the same names of `generate_dataset`.
 
     Returns
     -------
     labels : Labels
-        With its `folder`, `counts` and `checksum()`.
+        The set of labels, with its `folder`, `counts` and `checksum()`.
 
     Raises
     ------
@@ -83,20 +83,22 @@ def label_dataset(
 
 
 def _settings(dataset: Dataset, observation: str, n_points: int | None, options: Mapping[str, Any]) -> LabelSettings:
-    """Return what the labels are to be; raise ValueError when that cannot be."""
+    """Return the settings of the labels; raise ValueError when the dataset does not allow them."""
     cameras = dataset.config.cameras
     if observation not in _OBSERVATIONS:
         raise ValueError(f"observation must be one of {', '.join(_OBSERVATIONS)}, not {observation!r}")
     if observation == "camera" and not cameras:
         raise ValueError(f"{dataset.folder} was made without cameras: label `observed`")
     if n_points is not None and (observation != "observed" or cameras or n_points < 4):
-        raise ValueError(f"n_points = {n_points}: a number of points, at least 4, of an observation of vertices")
+        raise ValueError(
+            f"n_points must be a number of points, at least 4, of an observation of vertices, not {n_points}"
+        )
     return LabelSettings(2, observation, n_points, _all_options(options), versions_of(*_PACKAGES))  # type: ignore[arg-type]
 
 
 def _all_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of a tracker, with the defaults of those that were not given."""
-    SeqPH(**options)  # refuses an unknown one
+    """Return all options of a tracker, with defaults where none was given."""
+    SeqPH(**options)  # refuses an unknown option
     if options.get("match") is not None:
         raise ValueError("options: match is a function, which cannot be stored beside the labels")
     parameters = inspect.signature(SeqPH).parameters
@@ -121,6 +123,6 @@ def _label_episode(folder: str, name: str, number: int) -> str:
 
 
 def _describe(dataset: Dataset, number: int) -> dict[str, Any]:
-    """Return what is said of an episode in the file of its labels."""
+    """Return the header of an episode's file of labels."""
     record = dataset.record(number)
     return {name: getattr(record, name) for name in ("task", "garment", "target", "seed", "success")}

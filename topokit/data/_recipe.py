@@ -1,4 +1,4 @@
-"""What a dataset is made of: a declared, versioned configuration, and an episode as a pure function of it, a seed and a number.
+"""The configuration of a dataset, and an episode as a pure function of the configuration, a seed and a number.
 
 Source: Antonova et al. 2021, section 6 (garments, paths and physics are randomised). Taught in chapter 9.
 """
@@ -43,26 +43,26 @@ from topokit.sim import (
 
 from ._sizes import varied_garment, varied_target
 
-_LATER = ("scarf", "belt", "net", "trousers")  # than version 1, whose default tasks stay what they were
+_LATER = ("scarf", "belt", "net", "trousers")  # garments that are not in the default tasks of version 1
 _OF_TWO = ("off_script", "places", "vary", "meshes")
 _TARGETS: Mapping[str, type[Target]] = {kind.name: kind for kind in (Hook, Hanger, Mannequin)}
 Ids = Annotated[tuple[int, ...], BeforeValidator(as_tuple)]
-_FINEST = 0.005  # metres between vertices; no garment is asked for that would take hours to mesh
+_FINEST = 0.005  # metres between vertices; a finer garment would take hours to mesh
 
 
 class Draw(NamedTuple):
-    """What an episode is before it is simulated."""
+    """The task and the seed of an episode."""
 
     task: str
-    seed: int  # its own, of 63 bits
+    seed: int  # seed of the episode, 63 bits
 
 
 def _ranges(values: Any) -> Any:
-    """Return the ranges of a JSON document: without the version that `to_json` notes beside them, and its lists as tuples."""
+    """Return the ranges of a JSON document, without the version that `to_json` adds, and with tuples for lists."""
     if not isinstance(values, Mapping):
         return values
     if values.get("version", Randomisation.version) != Randomisation.version:
-        raise ValueError(f"of another version; this topokit has {Randomisation.version}")
+        raise ValueError(f"randomisation has another version; this topokit has {Randomisation.version}")
     return {name: as_tuple(value) for name, value in values.items() if name != "version"}
 
 
@@ -70,10 +70,11 @@ def _ranges(values: Any) -> Any:
 class MeshFile:
     """A garment of one's own in a dataset: a file, and the options of `topokit.sim.Garment.from_mesh` to read it with."""
 
-    file: str  #: OBJ, PLY or STL; in the file of a configuration relative to that file
-    #: Of its bytes. `generate_dataset` fills it in, makes the path absolute, and goes on with no other mesh.
+    file: str  #: path (OBJ, PLY or STL); in the file of a configuration relative to that file
+    #: checksum of the file's bytes; `generate_dataset` fills it in, makes the path absolute, and refuses another mesh
     sha256: Annotated[str, Field(pattern="^([0-9a-f]{64})?$")] = ""
-    loops: Literal["auto", "borders"] | Mapping[str, Ids] = "auto"  #: found, or vertex ids by name
+    #: rule to find the loops, or their vertex ids by name
+    loops: Literal["auto", "borders"] | Mapping[str, Ids] = "auto"
     grips: Ids | None = None  #: two vertex ids; found when not given
     size: Positive | None = None  #: largest extent, metres
     scale: Positive | None = None  #: metres in one unit of the file, instead of a size
@@ -86,25 +87,25 @@ class MeshFile:
 
 @checked
 class DatasetConfig:
-    """What is drawn for the episodes of a dataset, and how they are simulated and observed.
+    """The configuration of a dataset: the random draws of its episodes, their simulation and their observation.
 
     A mesh of one's own has the physics of `topokit.sim.Cloth` for its area and edges. Numbers of `simulation` that differ from
-    the default take their place. Its clock is the quicker of the two, and its frame time that of `simulation`. The ranges of
-    `randomisation` are then taken as factors: a mass of twice that of `simulation` is drawn from twice the range.
+    the default replace them. Its time step is the smaller of the two, and its frame time is given by `simulation`. The ranges
+    of `randomisation` are then factors: a mass twice as large as in `simulation` is drawn from twice the range.
 
     Raises
     ------
     ValueError
-        When a task or a garment is not known, or a value is not what it must be; the message names it.
+        When a task or a garment is unknown, or a value is not allowed; the message names it.
     """
 
-    #: Of the meaning of these numbers and of the order of the draws; saved with them. What needs 2 says so.
+    #: Version of the meaning of these numbers and of the order of the draws; saved with them. Fields of version 2 are marked.
     version: Literal[1, 2] = 1
     #: Names in `topokit.sim.TASKS` (a garment and a target) with the weights at which they are drawn.
     tasks: Annotated[Mapping[str, Positive], Field(min_length=1)] = field(
         default_factory=lambda: {task: 1.0 for task in TASKS if task.partition("-")[0] not in _LATER}
     )
-    #: Its `frames` is the length of every episode; None records each path to its end, at least 76 frames.
+    #: Physics and length: `frames` is the length of every episode; None records each path to its end, at least 76 frames.
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     #: Ranges of physics, size and cameras; None varies the path alone.
     randomisation: Annotated[Randomisation | None, BeforeValidator(_ranges)] = field(default_factory=Randomisation)
@@ -114,13 +115,13 @@ class DatasetConfig:
     #: Depth cameras around the target. 0: farthest-point samples of the vertices, all sides seen.
     cameras: Annotated[int, Field(ge=0, le=100)] = 0
     camera_distance: Positive = 2.2  #: metres from the cameras to the seat of the target
-    depth_noise: bool = False  #: whether the cameras have the noise of a depth sensor
-    #: Share of the episodes whose path leaves its script (`topokit.sim.off_script`). This and what follows: version 2.
+    depth_noise: bool = False  #: True gives the cameras the noise of a depth sensor
+    #: Share of the episodes whose path leaves its script (`topokit.sim.off_script`). This and all later fields: version 2.
     off_script: Annotated[float, Field(ge=0, le=1)] = 0.0
-    #: Half the side, in metres, of the square in which the target's place is drawn, and any yaw; 0: all stand where they do.
+    #: Half the side, in metres, of the square in which the target's place is drawn, with any yaw; 0 draws neither.
     places: Annotated[float, Field(ge=0, le=1)] = 0.0
-    #: By how much sizes vary: each of the garment's is multiplied by 1 / (1 + vary) to 1 + vary. By half of it those of the
-    #: target, and of what a mannequin wears, which must fit.
+    #: Variation of sizes: each size of the garment is multiplied by 1 / (1 + vary) to 1 + vary. Sizes of the target, and of
+    #: a mannequin's garment, which must fit, vary by half as much.
     vary: Annotated[float, Field(ge=0, le=1)] = 0.0
     #: Meshes of one's own by their names, which `tasks` may then name: ``{"bag": {"file": "bag.obj"}}`` allows "bag-hook",
     #: "bag-hanger" and "bag-mannequin". Files are read when episodes are made, not when a dataset is opened. `vary` scales a
@@ -130,7 +131,7 @@ class DatasetConfig:
     def __post_init__(self) -> None:
         new = [name for name in _OF_TWO if getattr(self, name) and self.version == 1]
         if new:
-            raise ValueError(f"{new[0]} is of version 2 of the configuration, and version is 1: say version 2")
+            raise ValueError(f"{new[0]} needs version 2 of the configuration, and version is 1: set version to 2")
         known = [*TASKS, *(f"{mesh}-{target}" for mesh in self.meshes for target in _TARGETS)]
         unknown = [name for name in self.tasks if name not in known]
         if unknown:
@@ -148,8 +149,8 @@ class DatasetConfig:
             if self.sizes[name].get("spacing", 1.0) < _FINEST:
                 raise ValueError(f"sizes: spacing of {name!r} must be at least {_FINEST} m: a finer one fits none")
         if self.depth_noise and not self.cameras:
-            raise ValueError("depth_noise is of cameras, and cameras is 0")
-        # Sorted: what is drawn must not depend on the order in which tasks were named.
+            raise ValueError("depth_noise needs cameras, and cameras is 0")
+        # Sorted: the draws must not depend on the order of the tasks.
         object.__setattr__(self, "tasks", dict(sorted(self.tasks.items())))
         object.__setattr__(self, "sizes", {name: dict(sorted(sizes.items())) for name, sizes in self.sizes.items()})
 
@@ -164,7 +165,7 @@ class DatasetConfig:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> DatasetConfig:
-        """Return the configuration of what `to_json` gave; what is left out has its default."""
+        """Return the configuration of a dictionary from `to_json`; missing fields get their defaults."""
         return from_mapping(cls, values, "the configuration")
 
     def draw(self, seed: int, index: int) -> Draw:
@@ -173,7 +174,7 @@ class DatasetConfig:
         Parameters
         ----------
         seed, index : int
-            Of the dataset, and number of the episode, from 0.
+            Seed of the dataset, and number of the episode, from 0.
         """
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
         names, weights = list(self.tasks), np.cumsum(list(self.tasks.values()))
@@ -181,12 +182,12 @@ class DatasetConfig:
         return Draw(names[place], int(rng.integers(2**63)))
 
     def garment(self, task: str) -> Garment:
-        """Return the garment of a task, of its size in this configuration; a mesh is read from its file.
+        """Return the garment of a task in its size in this configuration; a mesh is read from its file.
 
         Raises
         ------
         ValueError
-            When the garment has no such size, or the file is not the one with the mesh's checksum.
+            When the garment has no such size, or the file has another checksum than the mesh.
         """
         name = task.rpartition("-")[0]
         if name in self.meshes:
@@ -244,7 +245,7 @@ def _physics(config: DatasetConfig, garment: Garment) -> tuple[SimulationConfig,
     cloth = Cloth().config(garment)
     default = SimulationConfig()
 
-    # What the configuration says otherwise than the default is kept.
+    # Numbers of the configuration that differ from the default are kept.
     chosen = {name: value for name, value in dataclasses.asdict(usual).items() if value != getattr(default, name)}
     steps = max(usual.steps_per_frame, round(usual.frame_time / cloth.dt))
     chosen |= {"dt": usual.frame_time / steps, "steps_per_frame": steps}
@@ -252,7 +253,7 @@ def _physics(config: DatasetConfig, garment: Garment) -> tuple[SimulationConfig,
     if ranges is None:
         return physics, None
 
-    # The ranges of all other numbers are those of the default, multiplied by what this cloth has instead of it.
+    # The ranges of all other numbers are the default ranges, scaled by the ratio of this cloth's number to the default.
     changed = {}
     for name in Randomisation.PHYSICS:
         if name not in chosen and getattr(ranges, name):
@@ -269,7 +270,7 @@ def _scene(config: DatasetConfig, name: str, seed: int) -> tuple[Task, Garment, 
     if config.vary:
         garment, target = _varied(config, name, task, garment, seed)
 
-    # A path that leaves its script draws from the same generator that decided that it does.
+    # The same generator decides that a path leaves its script, and draws that path.
     script = task.plan
     rng = Randomisation.generator(seed, "script")
     if rng.random() < config.off_script:
@@ -303,7 +304,7 @@ def _varied(config: DatasetConfig, name: str, task: Task, garment: Garment, seed
 
 
 def _scaled(garment: Garment, vary: float, longest: float, rng: np.random.Generator) -> Garment:
-    """Return the garment as a whole larger or smaller; not larger than it may be, unless it is already."""
+    """Return the garment scaled as a whole; it does not exceed the largest size, unless it already does."""
     most = min(1 + vary, max(1.0, longest / max(garment.hangs_down, 1e-9)))
     factor = float(np.exp(rng.uniform(-np.log1p(vary), np.log(most))))
     parameters = {**garment.parameters, "varied": factor}
@@ -317,9 +318,9 @@ def make_episode(config: DatasetConfig, seed: int, index: int, *, time_limit: fl
     ----------
     config : DatasetConfig
     seed, index : int
-        Of the dataset, and number of the episode, from 0.
+        Seed of the dataset, and number of the episode, from 0.
     time_limit : float, optional
-        As in `topokit.sim.simulate`: None simulates in this process, which must then be a fresh one for the same bytes.
+        Limit of `topokit.sim.simulate`. None simulates in this process, which must then be a fresh one for the same bytes.
     """
     name, episode_seed = config.draw(seed, index)
     task, garment, target = _scene(config, name, episode_seed)

@@ -1,4 +1,4 @@
-"""Windows for training: 16 clouds of the past, 60 planned actions, the states that they led to; and worse clouds.
+"""Windows for training: 16 clouds of the past, 60 planned actions and the states that followed.
 
 Source: Antonova et al. 2021, section 5 (h = 16, k = 60). Taught in chapter 9.
 """
@@ -30,16 +30,16 @@ _TICK = np.float32(1 / TICKS)  # metres
 
 @dataclass(frozen=True, eq=False)
 class _Tracked:
-    """Labels of an episode: integers, in units of 0.1 mm, beside values in metres."""
+    """Labels of an episode: places as integers in units of 0.1 mm, values in metres."""
 
-    ids: NDArray[np.int32]  # (T, S'), -1 where there is no loop
-    triangles: Ticks  # (T, S', 6, 3, 3)
-    values: Array  # (T, S', 6)
-    numbers: Array  # (T, S', 3): birth, death, killer_shift
+    ids: NDArray[np.int32]  # (T, S') identities, -1 where there is no loop
+    triangles: Ticks  # (T, S', 6, 3, 3) corners of the triangles
+    values: Array  # (T, S', 6) filtration values of the triangles
+    numbers: Array  # (T, S', 3) birth, death, killer_shift
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]], cloud: Ticks) -> _Tracked:
-        """Return what the arrays of labels say about a tracked cloud: the killer triangles first, then the neighbours."""
+        """Return the labels of a tracked cloud from their arrays: the killer triangles first, then the neighbours."""
         simplices = arrays["simplices"]
         numbers = arrays["values"]
         frames, slots = simplices.shape[:2]
@@ -56,7 +56,7 @@ class _Tracked:
 
 @dataclass(frozen=True, eq=False)
 class _Episode:
-    """An episode as windows are cut from it: integers, in units of 0.1 mm."""
+    """An episode from which windows are cut: places as integers in units of 0.1 mm."""
 
     clouds: Ticks  # (T, P, 3)
     grippers: Ticks  # (T, 2, 3)
@@ -71,7 +71,7 @@ class _Episode:
 
 
 class _Memory:
-    """Decoded episodes, the one used last at the end: at most so many bytes, one at least; none for a spawned process."""
+    """A cache of decoded episodes, the last used at the end: of limited bytes, but at least one; spawned processes get none."""
 
     def __init__(self, most: float) -> None:
         self.most = most
@@ -94,54 +94,55 @@ class _Memory:
 class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
     """All windows of some episodes, in the order of episodes and frames; a `torch.utils.data.Dataset`.
 
-    An item is a dict of tensors: what was seen and planned up to frame t, and the states that followed. With h frames of
-    history, k of horizon, P points and S slots, lengths in metres:
+    An item is a dict of tensors: observations and plan at frame t, and the states that followed. There are h frames of
+    history, k frames of horizon, P points and S slots; lengths are in metres:
 
     =================  =================  ==================================================================================
     ``clouds``         (h, P, 3)          observations of the frames t-h+1..t
-    ``grippers``       (h, 2, 3)          where the grippers were then
-    ``held``           (h,) bool          whether they held the garment
-    ``actions``        (k, 2, 3)          where they shall be at t+1..t+k
-    ``actions_held``   (k,) bool          whether they shall hold it
+    ``grippers``       (h, 2, 3)          places of the grippers in these frames
+    ``held``           (h,) bool          True where they held the garment
+    ``actions``        (k, 2, 3)          planned places of the grippers at t+1..t+k
+    ``actions_held``   (k,) bool          True where they shall hold it
     ``triangles``      (k, S, 6, 3, 3)    the two killer triangles, thick first, then four neighbours; one that is absent
                                           repeats the thick killer triangle
     ``values``         (k, S, 6)          their filtration values, 0 where absent
-    ``birth, death``   (k, S)
+    ``birth, death``   (k, S)             filtration values of birth and death
     ``killer_shift``   (k, S)             Hausdorff distance to the previous appearance, 0 where new
     ``present``        (k, S) bool        where it is False, all of the above are 0
     ``past_...``       (h, S, ...)        the same six for the history
     ``episode``        int64              number of the episode
-    ``frame``          int64              t
-    ``garment``        int64              place in `Dataset.garments`
+    ``frame``          int64              number t of the frame
+    ``garment``        int64              index in `Dataset.garments`
     =================  =================  ==================================================================================
 
     A slot is one identity through the whole window. First come the loops that are alive in the history, the longest lifetime
-    on average over its frames first (0 where absent), then those that appear later, in their order. More than S have no slot.
+    on average over its frames first (0 where absent). Then come loops that appear later, in order of appearance. Loops after
+    the first S have no slot.
 
     Parameters
     ----------
     dataset : Dataset, path or URL
     episodes : iterable of int, optional
-        One part of `Dataset.split`, so that no episode is in two parts; all labelled ones when not given.
+        Numbers of the episodes, such as one part of `Dataset.split`; all labelled ones when not given.
     labels : str
-        Which set of labels.
+        Name of the set of labels.
     history, horizon : int
-        h and k.
+        Numbers of frames h and k.
     n_points : int
-        P: of the observation; one that has fewer points is repeated.
+        Number P of points of the observation; the points of a smaller observation are repeated.
     slots : int
-        S.
+        Number S of slots.
     stride : int
         Frames from one window of an episode to the next.
     resampled : bool
-        Take a farthest-point sample of each observation, from the point farthest from its mean on: then the order of the mesh
-        says nothing. Else the first P points, which in older films start at the first vertex of the mesh.
+        Take a farthest-point sample of each observation, from the point farthest from its mean on, so that the order of the
+        mesh has no effect. Else take the first P points, which in older films start at the first vertex of the mesh.
     memory : float
-        Bytes of decoded episodes that a process keeps; the one that was not used for longest goes first.
+        Bytes of decoded episodes that a process keeps; the least recently used episode is dropped first.
     observe : callable, optional
-        What is seen of an episode instead of its clouds: from its number and its clouds, (T, P, 3) float64, to clouds
-        (T, P', 3), in metres. All states, past and future, are then those that seqPH tracks on these, from the first frame
-        on, as labels are made; `labels` only say which episodes there are.
+        Function that replaces the clouds of an episode: from its number and its clouds, (T, P, 3) float64, to clouds
+        (T, P', 3), in metres. All states, past and future, are then tracked by seqPH on the new clouds, from the first
+        frame on, as for labels. The labels then only determine the list of episodes.
     """
 
     def __init__(
@@ -227,7 +228,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         return tuple(episode.points[ahead, loop] for loop in episode.loops)
 
     def seen(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the clouds of an episode that its states were tracked on, (T, P, 3), and its target's centre line, (L, 3)."""
+        """Return the clouds (T, P, 3) on which the states of an episode were tracked, and its target's centre line, (L, 3)."""
         episode = self.dataset[number]
         clouds = as_metres(self._tracked_clouds(episode, number))
         return clouds.astype(np.float64), episode.centre_line.astype(np.float64)
@@ -248,7 +249,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         return chosen
 
     def _identities(self, tracked: _Tracked, past: slice, future: slice) -> NDArray[np.int64]:
-        """(S,) the identity in each slot; -2 where there is none."""
+        """Return the identity (S,) in each slot; -2 where there is none."""
         ids = tracked.ids[past]
         numbers = tracked.numbers[past]
 
@@ -284,14 +285,14 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         )
 
     def _tracked_clouds(self, episode: Episode, number: int) -> Ticks:
-        """(T, n, 3) the clouds that the states of an episode are of."""
+        """Return the clouds (T, n, 3) on which the states of an episode were tracked."""
         if self.observe is None:
             return as_ticks(cloud_of(episode, self.dataset.labels(self.labels).settings))
         clouds = as_metres(self._sampled(episode)).astype(np.float64)
         return as_ticks(self.observe(number, clouds), "clouds")
 
     def _sampled(self, episode: Episode) -> Ticks:
-        """(T, P', 3) points of the observation, P' <= P."""
+        """Return points of the observation (T, P', 3), P' <= P."""
         clouds = as_ticks(episode.observed)
         few = min(self.n_points, clouds.shape[1])
         if not self.resampled:

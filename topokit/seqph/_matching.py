@@ -1,4 +1,4 @@
-"""Which loop of a frame is which of the loops known before: minimum-cost assignments, and the gates of seqPH."""
+"""Match the loops of a frame with the loops known before: minimum-cost assignments, and the gates of seqPH."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from topokit.sampling import hausdorff_table
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """The input of a match rule: the n loops found in a frame and the m known from before."""
+    """The input of a match rule: the n loops found in a frame and the m loops known from before."""
 
-    birth: Array  #: (n,)
-    death: Array  #: (n,)
-    places: Array  #: (n, p, d) where they are, by the tracker's `identity`: two ends of an edge, or one point
-    known_birth: Array  #: (m,)
-    known_death: Array  #: (m,)
-    known_places: Array  #: (m, p, d)
-    motion: Array  #: (m,) how far the scene may have moved since each was seen, the sum of the steps' epsilon
-    alpha: float  #: of this step
-    beta: float | Array  #: of this step, or (n, m) of each pair
+    birth: Array  #: (n,) births of the found loops
+    death: Array  #: (n,) deaths of the found loops
+    #: (n, p, d) places of the found loops, by the tracker's `identity`: two ends of an edge, or one point
+    places: Array
+    known_birth: Array  #: (m,) births of the known loops
+    known_death: Array  #: (m,) deaths of the known loops
+    known_places: Array  #: (m, p, d) places of the known loops
+    motion: Array  #: (m,) largest motion of the scene since each was last found, the sum of the steps' epsilon
+    alpha: float  #: the alpha of this step
+    beta: float | Array  #: the beta of this step, or (n, m) the beta of each pair
 
     def changes(self) -> tuple[Array, Array]:
         """Return the changes of birth and of death, each (n, m), between every found loop and every known one."""
@@ -66,14 +67,14 @@ def assign(cost: Array, allowed: NDArray[np.bool_] | None = None) -> list[tuple[
     Parameters
     ----------
     cost : (n, m) float64
-        Not negative where `allowed` is given.
+        Costs, which must not be negative when `allowed` is given.
     allowed : (n, m) bool, optional
         Pairs that may be matched; all of them when not given.
 
     Notes
     -----
-    A forbidden pair costs more than all allowed ones together. So the Hungarian algorithm takes one only where it has no
-    choice, and those are dropped. Infinite entries instead could make the problem infeasible.
+    A forbidden pair costs more than all allowed pairs together. So the Hungarian algorithm takes one only where it has no
+    choice, and forbidden pairs are dropped. Infinite costs could make the problem infeasible.
     """
     from scipy.optimize import linear_sum_assignment  # here, because importing topokit must be quick
 
@@ -107,7 +108,7 @@ def within_gates(gates: str, loops: Candidates) -> list[tuple[int, int]]:
 
 
 def check_pairs(pairs: object, n_found: int, n_known: int) -> list[tuple[int, int]]:
-    """Return the pairs that a match rule gave, or raise ValueError when they are no matching."""
+    """Return the checked pairs of a match rule, or raise ValueError when they are no matching."""
     try:
         checked = [(operator.index(i), operator.index(j)) for i, j in pairs]  # type: ignore[attr-defined]
         in_range = all(0 <= i < n_found and 0 <= j < n_known for i, j in checked)
@@ -117,5 +118,5 @@ def check_pairs(pairs: object, n_found: int, n_known: int) -> list[tuple[int, in
         is_matching = False
     if not is_matching:
         expected = f"pairs of one of {n_found} found and one of {n_known} known loops, each once"
-        raise ValueError(f"match must give {expected}, not {pairs!r}")
+        raise ValueError(f"match must return {expected}, not {pairs!r}")
     return checked

@@ -1,4 +1,4 @@
-"""The topological state of a scene: what the paper calls X_t.
+"""The topological state of a scene: X_t in the paper.
 
 A state is a list of loops. A loop is what `topokit.rips` finds (birth, death, killer edge, killer triangles, neighbours)
 together with the coordinates of those simplices and the identity that the tracker gives it.
@@ -52,14 +52,14 @@ class Loop:
 
     @property
     def centre(self) -> Array:
-        """Return where the loop is (d,), midway between the barycentres of its two killer triangles."""
+        """Return the centre (d,) of the loop, midway between the barycentres of its two killer triangles."""
         return np.asarray(self.killer_triangles.mean(axis=(0, 1)))
 
     @property
     def cycle(self) -> Ids:
-        """Return the vertex ids (length,) of a closed walk, tight around the loop at its birth; found when asked for.
+        """Return the vertex ids (length,) of a closed walk, tight around the loop at its birth; computed on first use.
 
-        It is that of `Diagram.cycle`. A loop that was put together by hand has no cloud to find it in: LookupError.
+        It is the cycle of `Diagram.cycle`. A loop that was made by hand has no cloud for it, and raises LookupError.
         """
         return self._closed_curve[0]
 
@@ -72,7 +72,7 @@ class Loop:
     def _closed_curve(self) -> ClosedCurve:
         """Return the ids and the places of the cycle."""
         if self._curve is None:
-            raise LookupError(f"loop {self.id} knows no cloud to find its cycle in: track the cloud (topokit.track)")
+            raise LookupError(f"loop {self.id} has no cloud to find its cycle in: track the cloud (topokit.track)")
         return self._curve()
 
     @property
@@ -80,8 +80,8 @@ class Loop:
         """Return the closed curve x, z1, y, z2 (4, d) around the killer triangles: the killer edge's ends and the apexes.
 
         Just before the loop dies this curve is in its class among the points. The class takes no account of a hook: edges as
-        long as the killer may pass through a thin one. Around a target that fills the opening the curve links as the loop does;
-        around a hook link `cycle_points`, which is tight.
+        long as the killer may pass through a thin one. Around a target that fills the opening the curve has the linking
+        number of the loop; around a hook use `cycle_points`, which is tight.
         """
         is_apex = ~np.isin(self.killer_triangle_ids, self.killer_edge)
         x, y = self.killer_edge_points
@@ -96,7 +96,7 @@ class Loop:
         ----------
         cloud : (n, d) float64
         cycle : callable
-            Returns the vertex ids of the loop's closed walk; called when the walk is asked for.
+            Function that returns the vertex ids of the loop's closed walk, called on first use.
         **fields
             The fields that hold numbers and vertex ids.
         """
@@ -113,7 +113,7 @@ class Loop:
 def loop_at(diagram: Diagram, bar: int, cloud: Array, ids: Ids, identity: int, edge_before: Array | None) -> Loop:
     """Return the loop of a bar of the diagram of the points `ids` of a cloud.
 
-    `edge_before` (2, d) is where its killer edge was at its previous appearance, None for a new loop.
+    `edge_before` (2, d) holds the places of its killer edge at its previous appearance, None for a new loop.
     """
     killer_edge = ids[diagram.killer_edge[bar]]
     neighbours = ids[diagram.neighbours(bar)]
@@ -160,14 +160,14 @@ class TopologicalState:
         return len(self.loops)
 
     def __getitem__(self, loop_id: int) -> Loop:
-        """Return the loop of that identity; KeyError when this frame has none."""
+        """Return the loop with that identity; raise KeyError when this frame has none."""
         for loop in self.loops:
             if loop.id == loop_id:
                 return loop
         raise KeyError(f"frame {self.frame} has no loop {loop_id}; it has {[loop.id for loop in self.loops]}")
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain numbers and lists, for JSON: frame, time, parameters, and of every loop its id, place and values."""
+        """Return plain numbers and lists, for JSON: frame, time, parameters, and for every loop its id, place and values."""
         loops = []
         for loop in self.loops:
             row: dict[str, Any] = {name: getattr(loop, name) for name in ("id", "birth", "death", "lifetime")}

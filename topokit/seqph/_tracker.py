@@ -2,8 +2,8 @@
 
 Idea: every frame's loops come from Rips persistence. A loop is the same as one of the frame before when its birth, its death and
 the place of its killer edge have moved no more than the sampling (alpha), the motion (epsilon) and the jitter of killers (beta)
-allow. The assignment that moves killers least in total hands the identities on. Which bars are loops is decided by the diagram
-and the film before it (`_evidence`), or, as in the paper, by alpha alone.
+allow. The assignment that moves killers least in total hands the identities on. The evidence of the diagram
+and of earlier frames decides which bars are loops (`_evidence`), or, as in the paper, alpha alone.
 
 Source: Antonova et al. 2021, Algorithm 1 and Corollary 1. In the paper's listing the matching is inside the loop over l; it needs
 the whole distance matrix, so it follows both loops here. Taught in chapters 0 and 7.
@@ -45,16 +45,16 @@ _IDENTITIES = ("killer-edge", "killer-triangles", "cycle")
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """A bar of an earlier frame that may be found again. It is a loop once there is enough belief in it."""
+    """A bar of an earlier frame that may be found again. It is a loop once its belief is large enough."""
 
     birth: float
     death: float
-    place: Array  #: (p, d) for the tracker's identity
-    killer_edge: Array  #: (2, d)
+    place: Array  #: (p, d) points of its place, by the tracker's `identity`
+    killer_edge: Array  #: (2, d) ends of the killer edge
     belief: float  #: log-odds of being a loop
-    id: int | None  #: None as long as there is too little belief in it
-    motion: float = 0.0  #: how far the scene has moved since it was seen
-    missed: int = 0  #: for how many frames it has not been found
+    id: int | None  #: identity; None as long as its belief is too small
+    motion: float = 0.0  #: distance that the scene has moved since the bar was last found
+    missed: int = 0  #: number of frames since the bar was last found
 
     def carried(self, shift: Array | float, epsilon: float) -> Known:
         """Return it one frame later, moved with the scene."""
@@ -67,40 +67,40 @@ class SeqPH:
     Parameters
     ----------
     alpha : float, optional
-        How far the scene may be from the nearest observed point (Assumption 1). Estimated, when not given, as half the distance
-        that 95 % of the points have from their nearest other one; with ``loops="alpha"`` that all of them have.
+        Largest distance from a point of the scene to the nearest observed point (Assumption 1). By default it is estimated as
+        half the distance within which 95 % of the points have their nearest other point; all points with ``loops="alpha"``.
     beta : float, optional
-        How far two killers of one loop may lie apart (Assumption 3). Estimated, when not given, as the length of the longer of
-        the two killer edges: on cloth the candidates for a loop's killer lie around that loop.
+        Largest distance between two killers of one loop (Assumption 3). By default it is estimated as the length of the longer
+        of the two killer edges: on cloth the candidates for a loop's killer lie around that loop.
     epsilon : float, optional
-        How far a point may move from one frame to the next (Assumption 2). Estimated, when not given, as what 90 % of the
-        points do not exceed beside the motion of the scene as a whole, which known places are carried along with; with
-        ``loops="alpha"`` as the Hausdorff distance of the clouds. Nothing is carried along where it is given.
+        Largest motion of a point from one frame to the next (Assumption 2). By default earlier places are moved with the
+        scene as a whole, and epsilon is estimated as the 90 % quantile of the motion that remains. With ``loops="alpha"``
+        the estimate is the Hausdorff distance of the clouds. When epsilon is given, no place is moved.
     loops : {"evidence", "alpha"}, optional
-        Which bars are loops: those that the diagram and the film before it speak for, points that are alone
-        (`topokit.sampling.inliers`) left out; or those that live alpha or longer, all points counting, as in the paper. The
-        second when alpha is given, the first when it is not.
+        Rule by which bars are loops. "evidence": bars that the diagram and earlier frames support; isolated points are
+        left out (`topokit.sampling.inliers`). "alpha", as in the paper: bars that live alpha or longer, with all points.
+        The default is "alpha" when alpha is given, else "evidence".
     gates : {"near", "proved", "paper"}
-        Largest change of birth and death, and largest distance of places, for the same loop: ``alpha + epsilon`` and a
-        quarter of the larger death, and ``beta + epsilon`` with the beta of these two; ``alpha + epsilon`` and
-        ``2 beta + epsilon``, which are what the proofs give; or the paper's ``2 alpha + epsilon`` and
+        Largest changes of birth, death and place for the same loop. "near": ``alpha + epsilon`` for birth, a quarter of the
+        larger death for death, and ``beta + epsilon`` with the beta of this pair for the place. "proved": the bounds of
+        the proofs, ``alpha + epsilon`` and ``2 beta + epsilon``. "paper": ``2 alpha + epsilon`` and
         ``2 alpha + beta + epsilon``.
     identity : {"killer-edge", "killer-triangles", "cycle"}
-        What a loop's place is. In the paper, the two ends of its killer edge, compared by Hausdorff distance; on a nearly
-        round loop that edge can jump across the loop between two frames. The barycentre of the thick killer triangle, or
-        the centroid of the representative cycle, stays; the cycle costs a search of its own.
+        Place of a loop. In the paper it is the two ends of the killer edge, compared by Hausdorff distance. On a nearly
+        round loop that edge can jump across the loop between two frames. The barycentre of the thick killer triangle and
+        the centroid of the representative cycle do not jump; the cycle needs a search of its own.
     memory : int
-        For how many frames a loop that is not found is remembered: when it comes back within its gates, widened by the
-        motion since, it keeps its identity. By evidence it is told again once it is believed in again, some frames later.
+        Number of frames for which a missed loop is remembered. When it returns within its gates, widened by the motion
+        since, it keeps its identity. With evidence it is returned once its belief is large enough, some frames later.
     match : callable, optional
-        Takes `Candidates` and gives the pairs (i, j) of a found loop i that is the known loop j, each once at most. Called for
-        the known loops that are believed in, then for what is left. By default the least total distance of places within
-        the gates.
+        Function of `Candidates` that returns the pairs (i, j) of a found loop i and the same known loop j, each at most once.
+        It is called for the known loops with positive belief, then for the rest. By default it minimises the total
+        distance of places within the gates.
 
     Raises
     ------
     TypeError, ValueError
-        When an option is not of its kind.
+        When an option has the wrong type or value.
 
     Examples
     --------
@@ -140,8 +140,8 @@ class SeqPH:
             raise TypeError(f"match must be a function of `Candidates`, not {match!r}")
         self._match = match
 
-        # What is kept from frame to frame.
-        self._number = 0  # of the next frame
+        # The memory from frame to frame.
+        self._number = 0  # number of the next frame
         self._next_id = 0
         self._before: Frame | None = None
         self._time_before: float | None = None
@@ -158,7 +158,7 @@ class SeqPH:
         Parameters
         ----------
         **options
-            Those of the class, in place of the paper's.
+            Options of the class that replace the paper's.
         """
         return cls(**{**PAPER, **options})
 
@@ -170,12 +170,12 @@ class SeqPH:
         Parameters
         ----------
         points : (n, d) array_like
-            At least one point; clouds may differ in n, not in d. They are copied.
+            Cloud of at least one point, which is copied. Clouds may differ in n, not in d.
         time : float, optional
-            Seconds, for all frames or for none; the frame's number when not given.
+            Time in seconds, for all frames or for none; the frame's number when not given.
         diagram : Diagram, optional
-            The persistence of these points, when it is known already: then all of them count, those that are alone too.
-            Computed when not given. All its loops must die.
+            Persistence of these points, computed when not given. With a given diagram isolated points are not left out.
+            All its loops must die.
         """
         tree = as_tree(points, f"frame {self._number}", copy=True)
         frame = self._frame(tree)
@@ -188,7 +188,7 @@ class SeqPH:
         return self._advance(tree.data, frame, diagram, time)
 
     def stream(self, frames: Iterable[ArrayLike]) -> Iterator[TopologicalState]:
-        """Yield the state of every frame as it comes; nothing is kept but what the next frame needs.
+        """Yield the state of every frame as it comes; only the input of the next frame is kept.
 
         Examples
         --------
@@ -200,7 +200,7 @@ class SeqPH:
             yield self.update(points)
 
     def _frame(self, tree: cKDTree) -> Frame:
-        """Return what this tracker takes from a cloud."""
+        """Return the points and the persistence that this tracker takes from a cloud."""
         if self.loops == "alpha":
             return Frame.of_all_points(tree, self.alpha)
         frame = Frame.without_outliers(tree)
@@ -213,7 +213,7 @@ class SeqPH:
 
         The tracker changes only at the end, so that an error of a match rule leaves it as it was.
         """
-        # The bars of this frame that may be loops, and where they are. In the paper: those that live alpha or longer.
+        # The bars of this frame that may be loops, and their places. In the paper: bars that live alpha or longer.
         evidence = self._loop_evidence(frame, diagram)
         bars = np.flatnonzero(evidence > WEAKEST).tolist()
         points = cloud[frame.ids]
@@ -221,24 +221,24 @@ class SeqPH:
 
         # The loops known from before, carried along with the scene.
         shift, epsilon = self._motion(frame)
-        known = [one.carried(shift, epsilon) for one in self._known]
+        known = [loop.carried(shift, epsilon) for loop in self._known]
 
-        # Which bar is which known loop: distances and gates of all pairs, then the cheapest matching of them.
-        beta = self._beta(diagram.death[bars], np.array([one.death for one in known]))
+        # Match bars with known loops: distances and gates of all pairs, then the cheapest matching.
+        beta = self._beta(diagram.death[bars], np.array([loop.death for loop in known]))
         candidates = Candidates(
             birth=diagram.birth[bars],
             death=diagram.death[bars],
             places=np.array(places),
-            known_birth=np.array([one.birth for one in known]),
-            known_death=np.array([one.death for one in known]),
-            known_places=np.array([one.place for one in known]),
-            motion=np.array([one.motion for one in known]),
+            known_birth=np.array([loop.birth for loop in known]),
+            known_death=np.array([loop.death for loop in known]),
+            known_places=np.array([loop.place for loop in known]),
+            motion=np.array([loop.motion for loop in known]),
             alpha=frame.alpha,
             beta=beta,
         )
         matched = self._pairs(candidates, known)
 
-        # A matched bar takes over belief and identity. A bar that is believed in for the first time gets a new identity.
+        # A matched bar takes over belief and identity. A bar whose belief becomes positive gets a new identity.
         loops = []
         found = []
         next_id = self._next_id
@@ -263,10 +263,10 @@ class SeqPH:
 
         # Known loops that were not found are remembered for some frames, with less belief. The paper forgets them.
         taken = set(matched.values())
-        missed = [one for j, one in enumerate(known) if j not in taken and one.missed <= self.memory]
-        remembered = [replace(one, belief=believe(one.belief, MISSED)) for one in missed]
+        missed = [loop for j, loop in enumerate(known) if j not in taken and loop.missed <= self.memory]
+        remembered = [replace(loop, belief=believe(loop.belief, MISSED)) for loop in missed]
 
-        # The state X_t, and what the next frame needs.
+        # The state X_t, and the memory for the next frame.
         parameters = {"alpha": frame.alpha, "beta": float(np.max(beta, initial=0.0)), "epsilon": epsilon}
         seconds = float(self._number if time is None else time)
         state = TopologicalState(self._number, seconds, tuple(loops), parameters)
@@ -284,7 +284,7 @@ class SeqPH:
         return frame.loop_evidence(diagram.birth, diagram.death)
 
     def _motion(self, frame: Frame) -> tuple[Array | float, float]:
-        """Return how far the scene as a whole has moved, and epsilon, given or estimated."""
+        """Return the motion of the scene as a whole, and epsilon, given or estimated."""
         if self._before is None or self.epsilon is not None:
             return 0.0, self.epsilon or 0.0
         if self.loops == "alpha":
@@ -300,11 +300,11 @@ class SeqPH:
         return 2 * max([*death, *known_death], default=0.0)
 
     def _pairs(self, candidates: Candidates, known: list[Known]) -> dict[int, int]:
-        """Return the known loop of each found one that has one. Loops that are believed in are matched first."""
+        """Return the matched known loop of each found loop. Known loops with positive belief are matched first."""
         pairs: dict[int, int] = {}
         for believed in (True, False):
             rows = [i for i in range(len(candidates.birth)) if i not in pairs]
-            columns = [j for j, one in enumerate(known) if (one.belief > 0) == believed]
+            columns = [j for j, loop in enumerate(known) if (loop.belief > 0) == believed]
             if rows and columns:
                 rule_pairs = self._match(candidates.subset(rows, columns))
                 for i, j in check_pairs(rule_pairs, len(rows), len(columns)):
@@ -332,12 +332,12 @@ def track(
     progress : bool
         Count the frames done on stderr.
     **options
-        Those of `SeqPH`.
+        Options of `SeqPH`.
 
     Raises
     ------
     TypeError, ValueError
-        As `SeqPH` does, naming the frame; before anything is computed when a frame is not a cloud.
+        In the cases of `SeqPH`; the message names the frame. All frames are checked before anything is computed.
     """
     clouds = as_sequence(sequence, copy=True)
     stamps: list[float | None] = [None] * len(clouds) if times is None else list(times)
@@ -366,7 +366,7 @@ def track(
 
 
 def place(diagram: Diagram, i: int, cloud: Array, identity: str) -> Array:
-    """Return (p, d) where loop `i` of a diagram is, for one of the identities of `SeqPH`.
+    """Return the place (p, d) of loop `i` of a diagram, for one of the identities of `SeqPH`.
 
     Parameters
     ----------
