@@ -233,7 +233,7 @@ def test_a_throw_ends_at_the_fence_and_what_is_let_go_flies():
     goals, last = thrower._run(asked, arm, hands)
     assert (tip - goals[last - 1])[:, 1].min() == pytest.approx(0.2)
     held = thrower._moved(goals[None], loop)
-    way = thrower._flown(held, np.array([last]))[0] - held[0, last - 1]
+    way = thrower._flight(held, np.array([last]))[0] - held[0, last - 1]
     time = 0.036 * np.array([4, 6, 8, 10])
     np.testing.assert_allclose(way[..., 1], np.repeat(time[:, None] * 0.9 * 1.2, 60, axis=1), rtol=0.05)
     up = (held[0, last - 1, 0, 2] - held[0, last - 2, 0, 2]) / 0.036
@@ -287,7 +287,7 @@ def test_in_a_hurry_a_loop_that_leaves_no_room_is_planned_for():
     for pace, slow in ((0.6, True), (1.0, False)):
         planner = Planner(Carried(), pace=pace)
         plan(planner, narrow)
-        assert planner._slow == slow
+        assert planner._uses_servo == slow
 
 
 @pytest.mark.parametrize(

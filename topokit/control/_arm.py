@@ -1,7 +1,7 @@
 """The measures of a servo: the arm of a target, and the opening of a loop.
 
 Idea: a loop is hung by passing its *rim*, the place that will lie on the arm, over the tip. Three measures of a loop suffice:
-where its rim is, which way its opening faces, and how large it is. Of a target the last part that runs sideways suffices.
+where its rim is, which direction its opening faces, and how large it is. For a target, the last part that runs sideways suffices.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from topokit.linking import close_far, curve_centroid, linking_number
 
 Array = NDArray[np.float64]
 _BEHIND = 0.05  # metres behind a head, and above its shoulders, where a neck strap is let go
-_RETREATS = 0.003  # metres in a frame
-_NEAR = 0.06  # metres at which cloth can still be that of a curve
-_FLAT = 0.7  # share of a loop's area that looks up or down, at least, when it lies flat
+_RETREATS = 0.003  # metres in a frame by which an arm retreats, at least
+_NEAR = 0.06  # metres from a curve within which cloth can belong to it
+_FLAT = 0.7  # least share of a flat loop's area that faces up or down
 
 
 def angle(start: Array, end: Array) -> float:
-    """Return the degrees, -180 to 180, from one level direction to another, from x towards y."""
+    """Return the angle from one level direction to another, -180 to 180 degrees, from x towards y."""
     return float(np.degrees(np.arctan2(start[0] * end[1] - start[1] * end[0], start[:2] @ end[:2])))
 
 
 def lies_flat(curve: Array) -> bool:
-    """Return whether a closed curve lies flat, as the tube of a shirt does, which goes around a body and not over an arm."""
+    """Return whether a closed curve lies flat, as the tube of a shirt does, which cannot go over an arm."""
     area = _area(curve)
     return bool(abs(area[2]) > _FLAT * np.linalg.norm(area))
 
@@ -41,7 +41,7 @@ def _area(curve: Array) -> Array:
 
 
 def drawn(cycle: Array, last: Array, cloth: cKDTree) -> Array:
-    """Return a curve that is not seen, drawn to the cloth nearest to it, evenly, and a little to where it was seen last."""
+    """Return a curve that is not seen, moved evenly to the nearest cloth, and a little to its place when last seen."""
     distance, nearest = cloth.query(cycle)
     pull = np.where((distance < _NEAR)[:, None], cloth.data[nearest] - cycle, 0)
     pull = uniform_filter1d(pull, max(3, len(cycle) // 3), axis=0, mode="wrap")
@@ -54,14 +54,14 @@ class Arm(NamedTuple):
     A head is an arm, too: it rises from the neck, and a loop that is drawn over it from the front lies behind it in the end.
     """
 
-    start: Array  # (3,)
-    end: Array  # (3,)
-    tip: Array  # (3,)
+    start: Array  # (3,) the place where it begins
+    end: Array  # (3,) the place where it ends
+    tip: Array  # (3,) the end of the tip
     out: Array  # (3,) unit, level: the direction in which it points
     reach: float  # metres along `out`
     closed: Array  # the whole centre line, closed far away
     depth: float = 0.5  # share of the reach at which the rim goes down
-    under: float = np.inf  # metres: a loop whose middle is higher does not hang yet
+    under: float = np.inf  # metres, the height below which the middle of a loop that hangs lies
     wide: float = 0.0  # metres between the grippers that a loop needs to go over it
 
     @classmethod
@@ -109,18 +109,18 @@ class Arm(NamedTuple):
 
     @property
     def seat(self) -> Array:
-        """The place (3,) where the rim goes down: on the centre line, or behind the neck."""
+        """Return the place (3,) where the rim goes down: on the centre line, or behind the neck."""
         return np.asarray(self.end + self.depth * (self.start - self.end))
 
     def holds(self, cycle: Array) -> bool:
-        """Return whether a closed curve winds around the target; a curve that touches the centre line does not yet."""
+        """Return whether a closed curve winds around the target; a curve that touches the centre line does not."""
         try:
             return linking_number(cycle, self.closed) != 0 and cycle[:, 2].mean() < self.under
         except ValueError:
             return False
 
     def before(self, place: Array, far: float) -> Array:
-        """Return a place so far before the tip; from beside or behind the target, one on the way around it."""
+        """Return a place `far` metres before the tip; for a place beside or behind the target, a stop on the way around it."""
         aside = angle(self.out, place - self.start)
         if abs(aside) < 60:
             return np.asarray(self.tip + far * self.out)
@@ -131,18 +131,18 @@ class Opening(NamedTuple):
     """The measures of a loop that is to hang."""
 
     rim: Array  # (3,) the highest place of the curve above its centroid
-    normal: Array  # (3,) unit, level: the direction that the arm shall have, from its pole to its tip
+    normal: Array  # (3,) unit, level: the direction for the arm, from its pole to its tip
     size: Array  # (2,) metres: from the rim down to the curve, and level from side to side
 
     @classmethod
     def of(cls, cycle: Array) -> Opening | None:
-        """Return the opening of a closed curve (L, 3), its normal either of two; None when it lies flat, or in one line."""
+        """Return the opening of a closed curve (L, 3), with either of its normals; None when it lies flat or in one line."""
         after = np.roll(cycle, -1, axis=0)
         area = _area(cycle) * [1, 1, 0]
         if len(cycle) < 3 or np.linalg.norm(area) < 1e-6:
             return None
         normal = area / np.linalg.norm(area)
-        # Where the curve crosses the upright line through its centroid; the rim is the highest such place.
+        # Find the places where the curve crosses the upright line through its centroid. The rim is the highest of them.
         across = (cycle - curve_centroid(cycle)) @ np.cross([0, 0, 1], normal)
         step = np.roll(across, -1) - across
         crossed = np.flatnonzero((across < 0) != (across + step < 0))
@@ -151,23 +151,23 @@ class Opening(NamedTuple):
         return cls(places[places[:, 2].argmax()], normal, np.array([np.ptp(places[:, 2]), np.ptp(across)]))
 
     def along(self, direction: Array) -> Opening:
-        """Return the opening with the one of its two normals that is nearer to a direction."""
+        """Return the opening with that of its two normals that is nearer to a direction."""
         return self if self.normal @ direction > 0 else self._replace(normal=-self.normal)
 
     def blended(self, new: Opening, weight: float) -> Opening:
-        """Return the mean of this and of a later opening, which counts by its weight; the normal keeps its side."""
+        """Return the weighted mean of this and a later opening; the normal keeps its side."""
         mixed = Opening(*((1 - weight) * a + weight * b for a, b in zip(self, new.along(self.normal), strict=True)))
         return mixed._replace(normal=mixed.normal / np.linalg.norm(mixed.normal))
 
     def gap(self, other: Opening) -> float:
-        """Return how different two openings are, metres."""
+        """Return the difference of two openings, metres."""
         return float(np.linalg.norm(self.rim - other.rim) + abs(self.size[0] - other.size[0]) / 2)
 
     def blocked(self, cloud: Array, depth: float) -> int:
-        """Return how many points (n, 3) lie before the opening, where the arm comes from, or within a depth behind it."""
+        """Return the number of points (n, 3) before the opening, or within a depth behind it."""
         from_rim = cloud - self.rim
         across = from_rim @ np.cross([0, 0, 1], self.normal)
         behind = from_rim @ self.normal
-        # Framed by the opening: seen along the normal, within its middle.
+        # A point is framed when it is within the middle of the opening, as seen along the normal.
         framed = (np.abs(across) < 0.3 * self.size[1]) & (np.abs(from_rim[:, 2] / self.size[0] + 0.5) < 0.3)
         return int((framed & (np.abs(behind) > 0.03) & (behind < depth)).sum())

@@ -1,4 +1,4 @@
-"""A planner: of many paths of the grippers it follows the one whose forecast brings the loop nearest to where it hangs.
+"""A planner: it follows that path of the grippers whose forecast brings the loop nearest to where it hangs.
 
 Idea: the servo uses where a loop's rim is, the planner where it will be. Smooth paths are drawn about a first guess and about
 the last plan, the motion of the loop is forecast under each, and the best is followed for a few frames. The cost of a path is a
@@ -26,15 +26,16 @@ from ._arm import Arm, Array, angle
 from ._servo import DOWN, LIFT, PATIENCE, SURE, TURN, Servo
 
 _KNOTS = np.array([0, 8, 18, 30, 44, 60])  # frames at which a path is described
-FRAMES = 60  # of a forecast
-_SEEN = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])  # frames of a path, from 0, at which the guide is asked
+FRAMES = 60  # frames of a forecast
+_GUIDE_FRAMES = np.array([4, 9, 14, 19, 24, 29, 39, 49, 59])  # frames of a path, from 0, at which the guide is computed
 _SPREAD = np.array([0.06, 0.06, 0.04, 15.0])  # metres and degrees by which paths differ, at first
-_BEST = 4  # paths whose mean is followed
-_CORNERS = 24  # of a cycle, at most
-_HARDER = 0.1  # share of the largest planned step by which it changes in a frame
+_BEST = 4  # paths that are kept after each round
+_CORNERS = 24  # corners of a cycle, at most
+_STEP_CHANGE = 0.1  # largest change of the step in a frame, as a share of the largest planned step
 _SEATED = 0.03  # metres from the seat within which a linked rim is let go
-_STILL = 0.008  # metres in a frame below which it is
-_CHASE = 1.6  # of the speed of a target that comes, by which the way to it is slower: cloth that is turned round swings
+_STILL = 0.008  # metres in a frame below which the rim is at rest
+# Share of the speed of an approaching target that is taken off the speed towards it: cloth that is turned round swings.
+_CHASE = 1.6
 _CLOSE = 0.25  # metres from the tip within which frames are counted
 _TURN_COSTS = 0.0026  # metres for a degree
 _LOW_COSTS = 2.0  # metres for a metre below the tip when the arm is near
@@ -78,10 +79,10 @@ class Carried:
         Parameters
         ----------
         actions : (C, 60, 2, 3) array_like
-            Where the grippers should be at each of the next frames, metres.
+            Goals of the grippers at each of the next frames, metres.
         held : (C, 60) array_like of bool, optional
         points : (n, 3) array_like
-            Where they are now.
+            Their present places.
         """
         planned = np.asarray(actions, np.float64)
         yaws = _heading(planned) - _heading(self._grippers)
@@ -100,18 +101,18 @@ class Planner(Servo):
     radius : float
     max_step : float
     cloud_delay : int
-        As in `Servo`.
+        The parameters of `Servo`.
     pace : float
-        Share of the largest step at which the rim should go; fast cloth swings and lags behind. Below 1 a loop that leaves no
-        room for that is left to the servo.
+        Speed of the rim as a share of the largest step. Fast cloth swings and lags behind. Below 1 the servo hangs a loop that
+        leaves no room for that.
     plans : int
-        Paths that are compared at a time.
+        Number of paths that are compared at a time.
     rounds : int
-        How often new ones are drawn about the best.
+        Number of draws about the best.
     replan_every : int
-        Frames that a plan is followed for.
+        Number of frames after which a new plan is made.
     seed : int
-        Of the draws.
+        Seed of the draws.
     """
 
     def __init__(
@@ -141,42 +142,42 @@ class Planner(Servo):
         super().reset(observation)
         self._forecast.reset()
         self._random = np.random.default_rng(self._seed)
-        # The path that is followed, for how many frames by now, and the curve that it came from.
+        # The path that is followed, the number of its frames that are done, and its curve.
         self._path = np.zeros((0, 2, 3))
         self._followed = 0
         self._last: CubicSpline | None = None
-        # Where the rim was, the last step of the goals, and whether the servo acts instead.
-        self._was = np.zeros(3)
+        # The last place of the rim, the last step of the goals, and whether the servo acts instead.
+        self._last_rim = np.zeros(3)
         self._speed = np.zeros((2, 3))
-        self._slow: bool | None = None
-        # The last frame that the forecast observed, and its cloud in the frame of the grippers.
+        self._uses_servo: bool | None = None
+        # The last frame that the forecast observed, and its cloud in the grippers' frame.
         self._observed = 0
-        self._carried = np.zeros((0, 3))
+        self._last_cloud = np.zeros((0, 3))
 
     def _observe_cloud(self, points: Array) -> None:
-        """Let the forecast observe it, too; frames without a cloud are filled in by carrying the last cloud along."""
+        """Let the forecast observe the cloud, too; in frames without one the last cloud is carried along."""
         super()._observe_cloud(points)
         frame = self._frame - self._age
         first = len(self._past) - self._age - frame + self._observed
         for then in list(self._past)[first : -1 - self._age]:
-            self._forecast.observe(turned(self._carried, then.yaw) + then.middle, then.grippers, True, then.line)
+            self._forecast.observe(turned(self._last_cloud, then.yaw) + then.middle, then.grippers, True, then.line)
         self._forecast.observe(points, self._cloud_frame.grippers, True, self._cloud_frame.line)
         self._observed = frame
-        self._carried = self._to_gripper_frame(points)
+        self._last_cloud = self._to_gripper_frame(points)
 
     def _to_world(self, points: Array) -> Array:
-        """Return where the points are now, by the forecast for what was done since they were seen."""
-        seen = self._seen(points)
+        """Return the present places of the points: the forecast from the frame in which they were observed."""
+        places = self._observed_places(points)
         if not self._age:
-            return seen
-        return self._moved(np.zeros((1, 0, 2, 3)), seen)[0, self._age - 1]
+            return places
+        return self._moved(np.zeros((1, 0, 2, 3)), places)[0, self._age - 1]
 
-    def _seen(self, points: Array) -> Array:
-        """Return where the points were when they were seen."""
+    def _observed_places(self, points: Array) -> Array:
+        """Return the places of the points in the frame in which they were observed."""
         return turned(points, self._cloud_frame.yaw) + self._cloud_frame.middle
 
     def _moved(self, goals: Array, points: Array) -> Array:
-        """Return (C, 60, n, 3) points that were seen, under the goals since then, and after them under goals (C, F, 2, 3)."""
+        """Return (C, 60, n, 3) observed points, moved under the goals since then, and then under goals (C, F, 2, 3)."""
         since = [then.goals for then in self._past][len(self._past) - self._age :]
         past = np.broadcast_to(np.reshape(since, (-1, 2, 3)), (len(goals), self._age, 2, 3))
         plans = np.concatenate([past, goals], axis=1)
@@ -184,17 +185,19 @@ class Planner(Servo):
         return np.asarray(self._forecast.move(plans, np.ones(plans.shape[:2], bool), points)[0], np.float64)
 
     def _next_action(self, arm: Arm, grippers: Array) -> NDArray[np.float32]:
-        """Return the next step of the plan, which is made anew every few frames; or let go."""
-        # A small loop leaves no room for cloth that swings: the servo, which is slow, hangs it.
-        if self._slow is None:
-            self._slow = self._pace < 1 and min(loop.opening.size[0] for loop in self._chosen) < self._needed_size(arm)
-        if self._slow:
+        """Return the next step of the plan, which is renewed every few frames, or let go."""
+        # A small loop leaves no room for cloth that swings. The servo, which is slow, hangs it.
+        if self._uses_servo is None:
+            self._uses_servo = self._pace < 1 and min(
+                loop.opening.size[0] for loop in self._chosen
+            ) < self._needed_size(arm)
+        if self._uses_servo:
             return super()._next_action(arm, grippers)
         rim = self._rim(arm, grippers)
         before = self._goals
-        speed = float(np.linalg.norm(rim - self._was - self._drift))
-        self._was = rim
-        # The servo's stops: down for certain; or the loop did not go in, so lift and back off.
+        speed = float(np.linalg.norm(rim - self._last_rim - self._drift))
+        self._last_rim = rim
+        # The servo's stops: lower the loop; or lift and back off when it did not go in.
         if self._stop:
             self._followed = len(self._path)
             self._speed = np.zeros((2, 3))
@@ -202,7 +205,7 @@ class Planner(Servo):
             if self._stop < DOWN:
                 self._stop = 0
             return action
-        # A loop that is around the target and seated is let go. One that is not seen is let go when it cannot fall any more.
+        # Let go of a loop that is around the target and seated. A loop that is not seen is first lowered by the servo.
         linked = min(loop.around for loop in self._chosen)
         self._waited += bool(np.linalg.norm(rim - arm.tip) < _CLOSE)
         seated = np.linalg.norm(self._seat(arm) - rim) < _SEATED and speed < _STILL
@@ -228,20 +231,20 @@ class Planner(Servo):
     # -- paths
 
     def _curves(self) -> tuple[list[Array], Array]:
-        """Return where corners of the chosen cycles, and their rims, were when they were seen."""
-        cycles = [self._seen(loop.curve[:: -(-len(loop.curve) // _CORNERS)]) for loop in self._chosen]
-        return cycles, self._seen(np.array([loop.opening.rim for loop in self._chosen]))
+        """Return places of corners of the chosen cycles, and of their rims, in the frame in which they were observed."""
+        cycles = [self._observed_places(loop.curve[:: -(-len(loop.curve) // _CORNERS)]) for loop in self._chosen]
+        return cycles, self._observed_places(np.array([loop.opening.rim for loop in self._chosen]))
 
     def _best(self, arm: Arm, rim: Array, linked: bool) -> Array:
-        """Return the goals (60, 2, 3) of the path that is followed now."""
+        """Return the goals (60, 2, 3) of the best path."""
         cycles, rims = self._curves()
-        # Begin with a guess, and with the rest of the last plan.
+        # Begin with a guess and with the rest of the last plan.
         kept = self._guess(arm, rim, linked)[None]
         spread = _SPREAD
         if self._last is not None:
             last = self._last(np.minimum(_KNOTS[1:] + self._replan_every, _KNOTS[-1])) - self._last(self._replan_every)
             kept = np.concatenate([kept, last[None]])
-        # Draw paths about the best, keep the best of them, and draw again, nearer.
+        # Draw paths about the best, keep the best of them, and draw again with half the spread.
         for _ in range(self._rounds):
             about = kept[self._random.integers(len(kept), size=self._plans - len(kept))]
             paths = np.concatenate([kept, about + spread * self._random.normal(size=about.shape)])
@@ -253,7 +256,7 @@ class Planner(Servo):
         return np.asarray(goals[order[0]])
 
     def _guess(self, arm: Arm, rim: Array, linked: bool) -> Array:
-        """Return (knots, 4) the moves and turns of a rim that goes through the stops at an even pace."""
+        """Return the moves and turns (knots, 4) of a rim that goes through the stops at an even pace."""
         stops = [self._seat(arm)] if linked else self._stops(arm, rim)
         legs = np.array([rim, *stops])
         length = np.append(0, np.linalg.norm(np.diff(legs, axis=0), axis=1).cumsum())
@@ -283,50 +286,50 @@ class Planner(Servo):
         goals = turned(self._goals - pivot, path[..., 3, None]) + pivot + path[..., None, :3]
         last = np.broadcast_to(self._goals, goals[:, 0].shape)
         step = np.broadcast_to(self._speed, goals[:, 0].shape)
-        # The limit of speed beside the target is lower when the target comes.
+        # The limit of speed relative to the target is lower when the target comes nearer.
         fast = self._pace * self.max_step
-        beside = max(fast - _CHASE * max(float(self._drift @ out), 0), fast / 5)
+        limit = max(fast - _CHASE * max(float(self._drift @ out), 0), fast / 5)
         for k in range(goals.shape[1]):
-            wished = self._drift + np.clip(goals[:, k] - last - self._drift, -beside, beside)
-            step = np.clip(wished, step - _HARDER * fast, step + _HARDER * fast)
+            wanted = self._drift + np.clip(goals[:, k] - last - self._drift, -limit, limit)
+            step = np.clip(wanted, step - _STEP_CHANGE * fast, step + _STEP_CHANGE * fast)
             last = last + step
             goals[:, k] = last
         return goals
 
     def _costs(self, goals: Array, cycles: list[Array], rims: Array, arm: Arm, linked: bool) -> Array:
-        """Return (C,) the guide under paths of the grippers, in metres, in the mean over some of their frames."""
-        frames = np.minimum(_SEEN + self._age, _SEEN[-1])
-        gone = (frames + 1 - self._age)[:, None, None] * self._drift  # motion of the target until then
+        """Return the guide (C,) under paths of the grippers, metres: its mean over some of their frames."""
+        frames = np.minimum(_GUIDE_FRAMES + self._age, _GUIDE_FRAMES[-1])
+        gone = (frames + 1 - self._age)[:, None, None] * self._drift  # motion of the target until these frames
         places = self._moved(goals, np.concatenate([rims, *cycles]))[:, frames] - gone
-        return self._missing(places, cycles, len(rims), arm, linked)
+        return self._mean_guide(places, cycles, len(rims), arm, linked)
 
-    def _missing(self, places: Array, cycles: list[Array], n: int, arm: Arm, linked: bool) -> Array:
-        """Return (C,) the guide in the mean over frames, for places (C, F, n + m, 3) of n rims and of the cycles' corners."""
+    def _mean_guide(self, places: Array, cycles: list[Array], n: int, arm: Arm, linked: bool) -> Array:
+        """Return the mean guide (C,) over frames, for places (C, F, n + m, 3) of n rims and of the cycles' corners."""
         tops, *moved = np.split(places, np.cumsum([n, *map(len, cycles)])[:-1], axis=2)
         costs = [self._to_go(tops[:, :, i], cycle, arm, linked) for i, cycle in enumerate(moved)]
         return np.asarray(np.max(costs, axis=0).mean(axis=1))
 
     def _to_go(self, rim: Array, cycle: Array, arm: Arm, linked: bool) -> Array:
-        """Return (C, F) the guide for a rim (C, F, 3) of a cycle (C, F, L, 3), which may sink once it was seen around."""
+        """Return the guide (C, F) for a rim (C, F, 3) of a cycle (C, F, L, 3), which may sink once it is linked."""
         seat = self._seat(arm)
         over = arm.tip + [0, 0, self._clearance(arm)]
         above = np.array([*seat[:2], over[2]])
-        # Degrees by which the opening faces aside of the arm, on the side that was chosen.
+        # The degrees by which the opening faces aside of the arm, on the chosen side.
         area = np.cross(cycle, np.roll(cycle, -1, axis=2)).sum(axis=2) * [1, 1, 0]
         area = area / np.maximum(np.linalg.norm(area, axis=-1, keepdims=True), 1e-9)
         side = np.sign(area[:, :1] @ self._loop_direction())
         aside = np.degrees(np.arccos(np.clip(side * (area @ arm.out), -1, 1)))
-        # Metres below the height of the tip, which cost most when the arm is near.
+        # The metres below the height of the tip, which cost most near the arm.
         low = np.maximum(over[2] - rim[..., 2], 0) * np.exp(-((((rim - arm.tip) @ arm.out) / 0.13) ** 2))
-        # Before the loop is around: over the tip, in and down. After that: the rest of it.
+        # Before the loop is around: the path over the tip, in and down. After that: the rest of the path.
         distance = np.linalg.norm(rim - over, axis=-1) + np.linalg.norm(over - above) + np.linalg.norm(above - seat)
-        missing = distance + _TURN_COSTS * aside
+        remaining = distance + _TURN_COSTS * aside
         left = np.linalg.norm(rim - (seat if linked else above), axis=-1)
-        guide = np.where(self._around(cycle, arm), left, missing)
+        guide = np.where(self._around(cycle, arm), left, remaining)
         return guide if linked else guide + _LOW_COSTS * low
 
     def _around(self, cycle: Array, arm: Arm) -> Array:
-        """Return (C, F) whether cycles (C, F, L, 3) wind around the target."""
+        """Return for cycles (C, F, L, 3) whether they wind around the target, (C, F)."""
         try:
             numbers, _ = linking_numbers(cycle.reshape(-1, *cycle.shape[2:]), arm.closed)
         except ValueError:  # one of them touches the centre line
@@ -335,12 +338,12 @@ class Planner(Servo):
 
 
 def _through(paths: Array) -> CubicSpline:
-    """Return the smooth curves from 0 through paths (..., knots, 4)."""
+    """Return smooth curves from 0 through paths (..., knots, 4)."""
     table = np.concatenate([np.zeros_like(paths[..., :1, :]), paths], axis=-2)
     return CubicSpline(_KNOTS, table, axis=table.ndim - 2, bc_type="natural")
 
 
 def _heading(grippers: Array) -> Array:
-    """Return the degrees from x towards y of the direction from the first gripper to the second, for grippers (..., 2, 3)."""
+    """Return the direction from the first gripper to the second, in degrees from x towards y; grippers are (..., 2, 3)."""
     x, y, _ = np.moveaxis(grippers[..., 1, :] - grippers[..., 0, :], -1, 0)
     return np.asarray(np.degrees(np.arctan2(y, x)))
