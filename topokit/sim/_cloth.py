@@ -19,34 +19,34 @@ from ._garments import WARDROBE, Garment
 from ._surface import face_areas
 from ._world import SimulationConfig
 
-_FRAME = 0.036  # s, between two frames
-_FEWEST_STEPS = 27  # of a frame: a slower clock lets straps tunnel
-_MOST_STEPS = 81  # of a frame: a quicker clock takes long
-_CLOCK = 1.0  # m^0.5, steps of a frame times L / sqrt(S): about what the wardrobe's garments have
-_MARGIN = 0.3  # of the shortest edge, at most
-_MARGIN_OF_USUAL = 0.18  # of the median edge, at most
+_FRAME = 0.036  # time between two frames, seconds
+_FEWEST_STEPS = 27  # least steps of a frame: with a slower clock straps tunnel
+_MOST_STEPS = 81  # most steps of a frame: a quicker clock takes long
+_CLOCK = 1.0  # m^0.5, steps of a frame times L / sqrt(S): about the value of the wardrobe's garments
+_MARGIN = 0.3  # largest margin as a share of the shortest edge
+_MARGIN_OF_USUAL = 0.18  # largest margin as a share of the median edge
 
 
 @checked
 class Cloth:
     """A kind of cloth, by numbers that do not depend on a garment's size or resolution."""
 
-    density: Positive = 0.25  #: kg/m^2
-    stiffness: Positive = 0.8  #: of the springs, as in `SimulationConfig`
-    bending: NotNegative = 0.0003  #: stiffness as a share of the elastic one at 750 steps a second
-    damping: NotNegative = 350.0  #: of the springs, 1/s: per mass of a vertex
-    friction: NotNegative = 1.0  #: coefficient
+    density: Positive = 0.25  #: mass per area, kg/m^2
+    stiffness: Positive = 0.8  #: stiffness of the springs, see `SimulationConfig`
+    bending: NotNegative = 0.0003  #: bending stiffness as a share of the elastic one, at 750 steps a second
+    damping: NotNegative = 350.0  #: damping of the springs per mass of a vertex, 1/s
+    friction: NotNegative = 1.0  #: coefficient of friction
 
     KINDS: ClassVar[Mapping[str, Cloth]] = {}  #: canvas, cotton, jersey and silk by their names
 
     def config(self, garment: Garment, **options: Any) -> SimulationConfig:
-        """Return the physics of a garment of this cloth: mass is area times density, and the clock as fast as the edges need.
+        """Return the physics of a garment of this cloth: the mass is area times density, the clock is as fast as the edges need.
 
         Parameters
         ----------
         garment : Garment
         **options
-            Fields of `SimulationConfig` that replace those.
+            Fields of `SimulationConfig` that replace the computed ones.
         """
         area = float(face_areas(garment.vertices, garment.faces).sum())
         mass = self.density * area
@@ -77,7 +77,7 @@ Cloth.KINDS = {
 
 
 def usual_config(garment: Garment) -> SimulationConfig:
-    """Return the physics of a garment when none is given: the standard one in the wardrobe, else by its area and edges."""
+    """Return the default physics of a garment: the standard one for the wardrobe, else one for its area and edges."""
     if garment.name in WARDROBE:
         return SimulationConfig()
     return Cloth().config(garment)

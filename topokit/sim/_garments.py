@@ -25,7 +25,7 @@ Sizes = ParamSpec("Sizes")
 
 
 def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]:
-    """Return a function that makes a garment of what a pattern returns; its docstring names the pattern's sizes."""
+    """Return a function that makes a garment from a pattern; its docstring lists the pattern's sizes."""
 
     @functools.wraps(pattern)
     def garment(*arguments: Sizes.args, **sizes: Sizes.kwargs) -> Garment:
@@ -38,7 +38,7 @@ def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]
     if "Parameters\n" not in words:
         rows = [f"{name} : {size.annotation}" for name, size in inspect.signature(pattern).parameters.items()]
         garment.__doc__ = "\n".join([words, "", "Parameters", "-" * 10, *rows])
-    # So that pickle finds it: tasks travel to other processes.
+    # Pickle finds the function by its module and name: tasks are sent to other processes.
     garment.__module__ = __name__
     garment.__qualname__ = f"Garment.{pattern.__name__}"
     return garment
@@ -48,24 +48,25 @@ def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]
 class Garment:
     """A triangle mesh with its true loops and the two vertices by which grippers hold it.
 
-    Everything that makes a physics engine fail or hang is refused here: vertices in no face, several components, edges
-    without length, faces that name a vertex twice; the message names them. An edge may be in three faces, as where a strap
-    is sewn on.
+    Meshes that make a physics engine fail or hang are refused: with vertices in no face, several components, edges without
+    length, or faces that contain a vertex twice; the message lists them. An edge may be in three faces, for example where a
+    strap is sewn on.
     """
 
-    name: str  #: that episodes record
-    vertices: Array  #: (N, 3) float64, rest positions in metres, z up; rest lengths of the springs are taken from them
-    faces: Ids  #: (F, 3) int64 vertex ids, counted from 0
-    loops: tuple[Ids, ...]  #: true loops (L,) int64: closed cycles of vertex ids along edges (the last joins the first)
-    grips: Ids  #: (2,) int64 the vertices that the grippers hold
-    parameters: Mapping[str, float] = field(default_factory=dict)  #: the sizes it was made from
-    repairs: tuple[str, ...] = ()  #: what `from_mesh` did to the mesh of a file, in words
-    #: A name for each loop, all different: neck, hem, handle, strap, arm, waist, ear, hole, edge, rim, ...; several of a kind are
-    #: numbered ("handle 1"). When not given, found by place and size on the mesh as it stands.
+    name: str  #: name that episodes record
+    vertices: Array  #: rest positions (N, 3) float64, metres, z up; they determine the rest lengths of the springs
+    faces: Ids  #: vertex ids (F, 3) int64, counted from 0
+    #: True loops, each (L,) int64: closed cycles of vertex ids along edges (the last is joined to the first).
+    loops: tuple[Ids, ...]
+    grips: Ids  #: ids (2,) int64 of the vertices that the grippers hold
+    parameters: Mapping[str, float] = field(default_factory=dict)  #: sizes that it was made from
+    repairs: tuple[str, ...] = ()  #: repairs of the mesh by `from_mesh`, in words
+    #: Names of the loops, all different: neck, hem, handle, strap, arm, waist, ear, hole, edge, rim, ...; several of a kind are
+    #: numbered ("handle 1"). When not given, they are found from place and size of the loops on the upright mesh.
     loop_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        # Check and copy the arrays, so that nobody else can change them.
+        # Check and copy the arrays, so that they cannot be changed from outside.
         vertices = as_points(self.vertices, "vertices", copy=True)
         if vertices.shape[1] != 3:
             raise ValueError(f"vertices must be an (N, 3) array, not of shape {vertices.shape}")
@@ -90,7 +91,7 @@ class Garment:
         if not words or not len(set(names)) == len(names) == len(loops):
             raise ValueError(f"loop_names must be {len(loops)} different names, one a loop, not {names!r:.200}")
         object.__setattr__(self, "loop_names", names)
-        self.edges.setflags(write=False)  # made once and handed out often
+        self.edges.setflags(write=False)  # computed once and shared
         self.edge_lengths.setflags(write=False)
 
     @property
@@ -100,25 +101,25 @@ class Garment:
 
     @property
     def hanging_loop(self) -> Ids | None:
-        """(L,) the true loop by which one would hang the garment: the neck if it has one; None without a loop."""
+        """Return the true loop (L,) to hang the garment by: the neck if it has one; None without a loop."""
         names = [*_names.to_hang_by(self.loop_names), *self.loop_names]
         return self.named_loops[names[0]] if names else None
 
     @property
     def hangs_down(self) -> float:
-        """Metres from the top of the loop that the garment hangs by down to its lowest vertex; 0 without a loop."""
+        """Return the distance from the top of the hanging loop down to the lowest vertex, metres; 0 without a loop."""
         loop = self.hanging_loop
         heights = self.vertices[:, 2]
         return 0.0 if loop is None else float(heights[loop].max() - heights.min())
 
     @functools.cached_property
     def edges(self) -> Ids:
-        """(E, 2) every edge once, smaller id first, in lexicographic order."""
+        """Return all edges (E, 2) once, smaller id first, in lexicographic order."""
         return np.unique(half_edges(self.faces), axis=0)
 
     @functools.cached_property
     def edge_lengths(self) -> Array:
-        """(E,) rest lengths in metres, in the order of `edges`."""
+        """Return the rest lengths (E,) of `edges`, metres."""
         return edge_lengths(self.vertices, self.edges)
 
     def turned(self, degrees: float) -> Garment:
@@ -160,4 +161,4 @@ WARDROBE: Mapping[str, Callable[[], Garment]] = {
     "trousers": Garment.trousers,
     "net": Garment.net,
 }
-"""Every garment by the name that episodes record, as a function that makes it at its default sizes."""
+"""All garments by the names that episodes record: functions that make them at their default sizes."""

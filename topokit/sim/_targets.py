@@ -1,9 +1,9 @@
 """Targets: collision shapes to hang a garment on, and the centre line that decides whether it hangs there.
 
-Idea: every target stands on the floor z = 0 at y = `distance` and faces the grippers, which come from smaller y; `Placed` puts it
-elsewhere. Its centre line starts at the floor and is closed far away
-(`topokit.linking.close_far`), so that the linking number of a garment's loop with it is defined: not 0 for a loop on the
-target, 0 for one that slipped off, lies against it or was never on.
+Idea: every target is on the floor z = 0 at y = `distance` and faces the grippers, which come from smaller y. `Placed` puts it
+elsewhere. Its centre line starts at the floor and is closed far away (`topokit.linking.close_far`), so that the linking number of
+a garment's loop with it is defined. The number is not 0 for a loop on the target. It is 0 for a loop that slipped off, lies
+against it or was never on it.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ _SHOULDER = 0.3  # radius of the shoulders as a share of the depth of the chest
 class Target(ABC):
     """The interface of a target. Subclass it, as a frozen dataclass, to hang garments on something else."""
 
-    distance: float = field(default=0.3, kw_only=True)  #: y of its pole or axis, metres
+    distance: float = field(default=0.3, kw_only=True)  #: y coordinate of the pole or axis, metres
 
     name: ClassVar[str]
 
     def at(self, time: float) -> Target:
-        """Return the target as it stands so many seconds after the first frame: itself, unless it moves.
+        """Return the target at a time in seconds after the first frame: itself, unless it moves.
 
         Parameters
         ----------
@@ -51,21 +51,21 @@ class Target(ABC):
     @property
     @abstractmethod
     def centre_line(self) -> Array:
-        """An open polyline (K, 3) from the floor to the tip, in metres."""
+        """Return an open polyline (K, 3) from the floor to the tip, in metres."""
 
     @property
     @abstractmethod
     def rods(self) -> list[Rod]:
-        """Its shape: capsules as (start, end, radius)."""
+        """Return the shape: capsules as (start, end, radius)."""
 
     @property
     @abstractmethod
     def seat(self) -> Array:
-        """The middle (3,) of where a strap should come to rest."""
+        """Return the middle (3,) of the place where a strap should come to rest."""
 
     @property
     def lowest(self) -> float:
-        """The z, if not its seat's, below which a loop around the target does not hang any more: it slid down."""
+        """Return the z below which a loop around the target has slid down and does not hang; by default that of the seat."""
         return float(self.seat[2])
 
     def holds(self, loop: ArrayLike) -> bool:
@@ -73,7 +73,7 @@ class Target(ABC):
         return _linked(loop, close_far(self.centre_line))
 
     def raised_for(self, garment: Garment) -> Target:
-        """Return the target so high that this garment hangs on it clear of the floor: a hook or a hanger; others as they are.
+        """Return a hook or a hanger raised until this garment hangs clear of the floor; return other targets unchanged.
 
         Parameters
         ----------
@@ -82,7 +82,7 @@ class Target(ABC):
         return self
 
     def describe(self) -> dict[str, Any]:
-        """Return the target's sizes and its position, as an episode records them."""
+        """Return the target's sizes and position in the form that an episode records."""
         return {**asdict(self), "position": [0.0, self.distance, 0.0]}
 
 
@@ -90,13 +90,13 @@ class Target(ABC):
 class Hook(Target):
     """A pole with an arm towards the grippers and an upturned tip. Metres, z up; the arm points along -y.
 
-    A loop around the arm links the centre line, and so does one around the tip or the pole: it is not off yet.
+    A loop around the arm links the centre line. So does a loop around the tip or the pole, which is not off yet.
     """
 
-    height: Positive = 1.2  #: of the arm's axis above the floor
-    reach: Positive = 0.2  #: from the pole to the tip
-    tip: Positive = 0.06  #: of the tip over the arm's axis
-    radius: Positive = 0.02  #: of all three rods; cloth tunnels through rods thinner than this
+    height: Positive = 1.2  #: height of the arm's axis above the floor
+    reach: Positive = 0.2  #: length of the arm, from the pole to the tip
+    tip: Positive = 0.06  #: height of the tip over the arm's axis
+    radius: Positive = 0.02  #: radius of all three rods; cloth tunnels through thinner rods
 
     name = "hook"
 
@@ -105,7 +105,7 @@ class Hook(Target):
 
     @property
     def centre_line(self) -> Array:
-        """Foot of the pole, pole and arm, arm and tip, end of the tip: (4, 3)."""
+        """Return the foot and the top of the pole, the end of the arm, and the end of the tip: (4, 3)."""
         pole = self.distance
         near = self.distance - self.reach
         top = self.height + self.tip
@@ -122,19 +122,19 @@ class Hook(Target):
 
 @checked
 class Hanger(Target):
-    """A clothes hanger on a rail, seen as in a wardrobe: the rail runs along x, one arm of the hanger points at the grippers.
+    """A clothes hanger on a rail, as in a wardrobe: the rail runs along x, one arm of the hanger points at the grippers.
 
-    Two arms slope down from the stem, each with an upturned end. A strap hangs when it is around an arm; around the stem it
-    is around both. The rail stands on two posts.
+    Two arms slope down from the stem, each with an upturned end. A strap hangs when it is around an arm; a strap around
+    the stem is around both. Two posts carry the rail.
     """
 
-    height: Positive = 1.3  #: of the place above the floor where the arms' axes meet under the stem
-    width: Positive = 0.44  #: from the end of one arm to that of the other
-    drop: Positive = 0.06  #: how much lower than their meeting the arms end, less than half the width
-    tip: Positive = 0.04  #: of the upturned ends over the arms' axes there
-    stem: Positive = 0.22  #: from the meeting of the arms up to the rail
-    radius: Positive = 0.02  #: of hanger and rail, as a hook's
-    span: Positive = 1.4  #: between the posts, which stand left and right of the hanger
+    height: Positive = 1.3  #: height above the floor of the place where the arms' axes meet under the stem
+    width: Positive = 0.44  #: distance between the ends of the arms
+    drop: Positive = 0.06  #: height of the meeting of the arms over their ends, less than half the width
+    tip: Positive = 0.04  #: height of the upturned ends over the arms' axes there
+    stem: Positive = 0.22  #: length of the stem, from the meeting of the arms up to the rail
+    radius: Positive = 0.02  #: radius of hanger and rail, see `Hook`
+    span: Positive = 1.4  #: distance between the posts, to the left and right of the hanger
 
     name = "hanger"
 
@@ -147,7 +147,11 @@ class Hanger(Target):
 
     @property
     def centre_line(self) -> Array:
-        """Foot of a post, its top, the rail over the hanger, the meeting of the arms, the near arm's end and its tip: (6, 3)."""
+        """Return the centre line (6, 3) through the near arm.
+
+        Its places are the foot and the top of a post, the rail over the hanger, the meeting of the arms, and the end and the tip
+        of the near arm.
+        """
         return self._line(-1)
 
     @property
@@ -156,7 +160,7 @@ class Hanger(Target):
 
     @property
     def rods(self) -> list[Rod]:
-        """One post, the rail's half, the stem and the near arm; then the far arm and the rest of the rail."""
+        """Return one post, half of the rail, the stem and the near arm; then the far arm and the rest of the rail."""
         far_arm = self._line(1)[3:]
         rest_of_rail = self._line(1)[2::-1] * [-1, 1, 1]
         return [rod for line in (self.centre_line, far_arm, rest_of_rail) for rod in _tube(line, self.radius)]
@@ -188,14 +192,14 @@ class Mannequin(Target):
     shoulder, as a backpack's straps are.
     """
 
-    height: Positive = 1.6  #: of the top of the head above the floor
-    head_radius: Positive = 0.08  #: half the breadth of the head
-    head_height: Positive = 0.22  #: from the chin to the top
-    neck_radius: Positive = 0.055  #: less than the head's
-    neck_length: Positive = 0.07  #: between head and shoulders
-    shoulder_width: Positive = 0.42  #: from the end of one shoulder to that of the other
-    depth: Positive = 0.16  #: of the chest, front to back
-    torso_length: Positive = 0.5  #: from the shoulders' top to the hips
+    height: Positive = 1.6  #: height of the top of the head above the floor
+    head_radius: Positive = 0.08  #: half of the breadth of the head
+    head_height: Positive = 0.22  #: height of the head, from the chin to the top
+    neck_radius: Positive = 0.055  #: radius of the neck, less than the head's
+    neck_length: Positive = 0.07  #: distance between head and shoulders
+    shoulder_width: Positive = 0.42  #: distance between the ends of the shoulders
+    depth: Positive = 0.16  #: depth of the chest, front to back
+    torso_length: Positive = 0.5  #: distance from the top of the shoulders to the hips
 
     name = "mannequin"
 
@@ -212,28 +216,28 @@ class Mannequin(Target):
 
     @property
     def shoulder_height(self) -> float:
-        """The top of the shoulders beside the neck, metres."""
+        """Return the height of the shoulders beside the neck, metres."""
         return self.height - self.head_height - self.neck_length
 
     @property
     def head_centre(self) -> Array:
-        """The middle (3,) of the head."""
+        """Return the middle (3,) of the head."""
         return np.array([0, self.distance, self.height - self.head_height / 2])
 
     @property
     def shoulder(self) -> Array:
-        """The middle (3,) of the right shoulder's end (x > 0)."""
+        """Return the middle (3,) of the right shoulder's end (x > 0)."""
         radius = _SHOULDER * self.depth
         return np.array([self.shoulder_width / 2 - radius, self.distance, self.shoulder_height - radius - 0.035])
 
     @property
     def centre_line(self) -> Array:
-        """Foot, hips, shoulders, top of the head: (4, 3)."""
+        """Return foot, hips, shoulders, and top of the head: (4, 3)."""
         return _upright(*((self.distance, z) for z in (0, self.lowest, self.shoulder_height, self.height)))
 
     @property
     def seat(self) -> Array:
-        """The axis (3,) at the top of the shoulders, where a neck strap lies."""
+        """Return the place (3,) on the axis at the top of the shoulders, where a neck strap lies."""
         return np.array([0, self.distance, self.shoulder_height])
 
     @property
@@ -271,24 +275,24 @@ class Mannequin(Target):
 
 @checked
 class Placed(Target):
-    """Another target elsewhere: turned about the z axis by `yaw`, and then moved by x, y and z.
+    """Another target at another place: turned about the z axis by `yaw`, and then moved by x, y and z.
 
-    Tasks plan for the target as it is, and move the path and the garment with it. Any `Target` can be placed.
+    A task plans for the target before it is placed, and moves the path and the garment with it. Any `Target` can be placed.
     """
 
-    target: Target  #: any, a placed one too
-    x: float = 0.0  #: metres, where the origin that the target is described from goes
-    y: float = 0.0  #: metres
-    z: float = 0.0  #: metres
-    yaw: float = 0.0  #: degrees, from x towards y
-    distance: float = field(default=0.0, init=False, kw_only=True)  #: fixed: the distance of its target counts
+    target: Target  #: target that is placed; it may be placed already
+    x: float = 0.0  #: x of the place to which the origin of the target moves, metres
+    y: float = 0.0  #: y of that place, metres
+    z: float = 0.0  #: z of that place, metres
+    yaw: float = 0.0  #: angle from x towards y, degrees
+    distance: float = field(default=0.0, init=False, kw_only=True)  #: zero, since the distance of its target counts
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", self.target.name)
 
     @property
     def place(self) -> Array:
-        """The place (3,): x, y and z."""
+        """Return the place (3,): x, y and z."""
         return np.array([self.x, self.y, self.z])
 
     @property
@@ -308,7 +312,7 @@ class Placed(Target):
         return self.target.lowest + self.z
 
     def holds(self, loop: ArrayLike) -> bool:
-        """Return whether its target holds the loop moved back."""
+        """Return whether its target holds the loop when both are moved back."""
         return self.target.holds(turned(as_points(loop, "loop") - self.place, -self.yaw))
 
     def at(self, time: float) -> Target:
@@ -316,30 +320,30 @@ class Placed(Target):
 
     def describe(self) -> dict[str, Any]:
         own = self.target.describe()
-        # Places of places add up.
+        # Positions of nested placements add up.
         position = self._there(own["position"]).tolist()
         return {**own, "position": position, "yaw": own.get("yaw", 0.0) + self.yaw}
 
     def _there(self, places: ArrayLike) -> Array:
-        """Return places of the target where they are now."""
+        """Return places of the target after it is placed."""
         return turned(places, self.yaw) + self.place
 
 
 @checked
 class Moving(Placed):
-    """A target that moves by x, y and z once, and stands still before and after.
+    """A target that moves by x, y and z once, and is at rest before and after.
 
-    It moves as a reaching hand does, by a polynomial of degree five. Scripts, success and an episode's centre line refer to the
+    It moves by a polynomial of degree five, as a reaching hand does. Scripts, success and an episode's centre line refer to the
     place where it arrives.
     """
 
-    start: NotNegative = 0.5  #: seconds after the first frame when it sets off
-    seconds: Positive = 1.0  #: duration of the move
+    start: NotNegative = 0.5  #: time after the first frame at which it starts to move, seconds
+    seconds: Positive = 1.0  #: duration of the motion
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.yaw:
-            raise ValueError(f"yaw is {self.yaw}: a target that moves does not turn; place it turned, and move that")
+            raise ValueError(f"yaw is {self.yaw}: a moving target does not turn; place it with this yaw, then move it")
 
     def at(self, time: float) -> Target:
         share = min(max((time - self.start) / self.seconds, 0.0), 1.0)
@@ -353,10 +357,10 @@ class Moving(Placed):
 
 @checked
 class Travelling(Placed):
-    """A target that moves on at one level velocity; plans and descriptions take it where it was at first."""
+    """A target that moves on at a constant level velocity; plans and descriptions refer to its first place."""
 
-    vx: float = 0.0  #: m/s
-    vy: float = 0.0  #: m/s
+    vx: float = 0.0  #: velocity along x, m/s
+    vy: float = 0.0  #: velocity along y, m/s
 
     def at(self, time: float) -> Target:
         return Placed(self.target.at(time), self.x + self.vx * time, self.y + self.vy * time, self.z, self.yaw)
@@ -371,12 +375,12 @@ def gap(points: Array, target: Target) -> float:
 
 
 def _raised(target: Hook | Hanger, garment: Garment) -> Target:
-    """Return a hook or a hanger at least as high as the garment on it is long, and `_CLEAR`."""
+    """Return a hook or a hanger that is at least as high as the garment is long; one that was raised leaves `_CLEAR`."""
     short = garment.hangs_down - float(target.seat[2])
     if short <= 0:
         return target
     height = round(target.height + short + _CLEAR, 2)
-    _log.warning("the %s stands %.2f m high, since the %s is so long", target.name, height, garment.name)
+    _log.warning("the %s is now %.2f m high, because the %s is long", target.name, height, garment.name)
     return replace(target, height=height)
 
 

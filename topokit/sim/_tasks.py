@@ -1,7 +1,7 @@
-"""Tasks: which garment goes to which target, on which scripted path, and when it hangs there.
+"""Tasks: a garment, its target, a scripted path to it, and the test whether the garment hangs there.
 
-Idea: a script carries the loop by which one would hang the garment (`Garment.hanging_loop`). It places a few stations relative to
-target and garment, and moves them by draws from given ranges.
+Idea: a script carries the loop by which a person would hang the garment (`Garment.hanging_loop`). It places a few stations
+relative to target and garment, and moves them by draws from given ranges.
 
 Source: Antonova et al. 2021, section 6. Taught in chapter 8.
 """
@@ -28,8 +28,8 @@ from ._targets import Hanger, Hook, Mannequin, Placed, Target
 
 Loop = TypeVar("Loop", bound=ArrayLike)
 _SMALL = ("scarf", "belt", "net", "trousers")
-_BESIDE = 0.08  # metres
-_ASIDE = 30  # degrees by which a loop may look aside of the arm that shall go through it
+_BESIDE = 0.08  # least level distance in metres of a loop that lies beside its grip
+_ASIDE = 30  # degrees by which a loop may face aside of the arm
 _log = logging.getLogger("topokit.sim")
 PathScript = Callable[[Garment, Target, np.random.Generator], GripperPath]
 
@@ -38,16 +38,16 @@ PathScript = Callable[[Garment, Target, np.random.Generator], GripperPath]
 class Task:
     """A garment to be hung on a target."""
 
-    name: str  #: garment, hyphen, target
-    garment: Callable[[], Garment]  #: makes the garment
-    target: Target  #: what it is hung on
-    plan: PathScript  #: draws the path; all its randomness comes from the generator
-    #: Names of the true loops of which one at least must be on the target; "handle" is each of "handle 1", "handle 2", ... too.
+    name: str  #: name, made of garment, hyphen, target
+    garment: Callable[[], Garment]  #: function that makes the garment
+    target: Target  #: target to hang it on
+    plan: PathScript  #: function that draws the path, with the given generator alone
+    #: Names of the true loops, of which at least one must be on the target; "handle" also means "handle 1", "handle 2", ...
     loops: tuple[str, ...] = ()
-    all_loops: bool = False  #: each of them must be, not only one
+    all_loops: bool = False  #: switch: all of these loops must be on the target
 
     def wanted(self, loops: Mapping[str, Loop]) -> dict[str, Loop]:
-        """Return those of the named loops that the task asks for.
+        """Return the named loops that the task asks for.
 
         Parameters
         ----------
@@ -57,27 +57,27 @@ class Task:
         return {name: loop for name, loop in loops.items() if {name, kind(name)} & {*self.loops}}
 
     def needed(self, loops: Mapping[str, Loop]) -> int:
-        """Return how many of the named loops must hang: all that the task asks for, or one of them.
+        """Return the number of named loops that must hang: all that the task asks for, or one of them.
 
         Parameters
         ----------
         loops : mapping of str to anything
-            As in `wanted`.
+            True loops by their names.
         """
         count = len(self.wanted(loops))
         return count if self.all_loops else min(count, 1)
 
     def hangs(self, points: ArrayLike, loops: Mapping[str, ArrayLike], target: Target | None = None) -> bool:
-        """Return whether the loops that must be are on the target, and the garment has not slid down around it.
+        """Return whether the loops that the task asks for are on the target, and the garment has not slid down around it.
 
         Parameters
         ----------
         points : (N, 3) array_like
-            The garment's vertices, metres.
+            Vertices of the garment, metres.
         loops : mapping of str to (L,) array_like of int
-            Its true loops by their names (`named_loops` of a garment, or of an episode).
+            True loops by their names (`named_loops` of a garment, or of an episode).
         target : Target, optional
-            The task's own when not given.
+            Target to check; the task's own when not given.
         """
         cloud = as_points(points)
         target = target or self.target
@@ -89,7 +89,7 @@ class Task:
 
 
 def check_loops(task: Task, garment: Garment) -> None:
-    """Raise ValueError when the garment lacks loops that the task asks for; the message says which it has."""
+    """Raise ValueError when the garment lacks loops that the task asks for; the message lists its loops."""
     names = garment.loop_names
     if not {*task.loops} <= {*names, *map(kind, names)}:
         asks = ", ".join(task.loops) or "none"
@@ -98,7 +98,7 @@ def check_loops(task: Task, garment: Garment) -> None:
 
 
 def planned(task: Task, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
-    """Return the path of a task; for a `Placed` target it is planned for the target itself, and moved with it."""
+    """Return the path of a task; the path to a `Placed` target is planned for the inner target, and moved with it."""
     if isinstance(target, Placed):
         return planned(task, garment, target.target, rng).moved(target.place, target.yaw)
     return task.plan(garment, target, rng)
@@ -184,25 +184,25 @@ def _mannequin(target: Target) -> Mannequin:
 
 
 def _spread(garment: Garment) -> Array:
-    """Return (2, 3) the grips relative to their middle."""
+    """Return the grips (2, 3) relative to their middle."""
     grips = garment.vertices[garment.grips]
     return np.asarray(grips - grips.mean(axis=0))
 
 
 def _reach(garment: Garment) -> float:
-    """Return how far the garment lies before its grips, towards the target, metres."""
+    """Return the length of the garment before its grips, towards the target, metres."""
     return float(garment.vertices[:, 1].max() - garment.vertices[garment.grips, 1].mean())
 
 
 def _opening(garment: Garment, opening: float = 1.0) -> tuple[float, float]:
-    """Return how far to the right of the grips' middle the loop to hang by will be, and how far below them its top."""
+    """Return the distances of the hanging loop to the right of the grips' middle, and of its top below them."""
     if not garment.loops:
         return 0.0, 0.0
     curve = garment.vertices[garment.hanging_loop] - garment.vertices[garment.grips].mean(axis=0)
     grips = _spread(garment)
     gap = np.linalg.norm(curve[:, None] - grips, axis=2)  # (L, 2)
     grips = grips * opening
-    # A loop that grips hold hangs below them.
+    # A loop that the grips hold hangs below them.
     aside = float(curve[:, 0].mean())
     holding = grips[gap.min(axis=0) < 0.06, 0]
     slope = 0.0
@@ -220,29 +220,29 @@ def _opening(garment: Garment, opening: float = 1.0) -> tuple[float, float]:
 
 
 def warn_of_floor(garment: Garment, target: Target) -> None:
-    """Log a warning when a garment is longer, from the loop it hangs by down, than its target is high."""
+    """Log a warning when a garment, from its hanging loop down, is longer than its target is high."""
     long = garment.hangs_down
     high = float(target.seat[2])
     if long > high:
-        what = "it will stand on the floor; give a smaller size, or a higher target"
-        _log.warning("the %s hangs %.2f m down from a %s %.2f m high: %s", garment.name, long, target.name, high, what)
+        hint = "it will touch the floor; use a smaller size, or a higher target"
+        _log.warning("the %s hangs %.2f m down from a %s %.2f m high: %s", garment.name, long, target.name, high, hint)
 
 
 def _behind(garment: Garment) -> bool:
-    """Return whether the loop that is carried lies beside its grip, as a backpack's strap does, not under it, as a handle."""
+    """Return whether the hanging loop lies beside its grip, as a backpack's strap does, not under it, as a handle does."""
     gaps = garment.vertices[garment.hanging_loop].mean(axis=0) - garment.vertices[garment.grips]
     return bool(np.linalg.norm(gaps[:, :2], axis=1).min() > _BESIDE)
 
 
 def _facing(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
-    """Return a path on which the garment is turned so that the arm goes through the loop in front, if loops look aside."""
-    # The normal of what the loop encloses says which way it looks; either side may come first.
+    """Return a path; a garment whose loops face aside is turned so that the arm goes through its front loop."""
+    # The loop faces along the normal of the area that it encloses; either side may come first.
     curve = garment.vertices[garment.hanging_loop] if garment.loops else np.zeros((1, 3))
     x, y, z = np.cross(curve, np.roll(curve, -1, axis=0)).sum(axis=0)
     yaw = float((np.degrees(np.arctan2(x, y)) + 90) % 180 - 90)
     if abs(yaw) < _ASIDE or np.hypot(x, y) < abs(z):
         return hang_by_strap(garment, target, rng)
-    # Plan for the turned garment with the loop in front alone.
+    # Plan for the turned garment with its front loop alone.
     faced = garment.turned(yaw)
     ahead = {name: float(faced.vertices[faced.named_loops[name], 1].mean()) for name in to_hang_by(faced.loop_names)}
     front = max(ahead, key=ahead.__getitem__)
@@ -283,7 +283,7 @@ def _tasks() -> Iterator[Task]:
 
 
 TASKS: Mapping[str, Task] = {task.name: task for task in _tasks()}
-"""Every task by its name: garment, hyphen, target."""
+"""All tasks by their names: garment, hyphen, target."""
 
 
 def as_task(task: str | Task) -> Task:
@@ -296,7 +296,7 @@ def as_task(task: str | Task) -> Task:
 
 
 def resolved(task: str | Task | None, garment: Garment | None, target: Target | None) -> tuple[Task, Garment, Target]:
-    """Return a task, its garment and its target when some of them are given: an apron is hung on a hook when none is."""
+    """Return a task, its garment and its target, given some of them; by default an apron is hung on a hook."""
     if task is None:
         task = task_for(garment or Garment.apron(), target or Hook())
     task = as_task(task)
@@ -304,10 +304,10 @@ def resolved(task: str | Task | None, garment: Garment | None, target: Target | 
 
 
 def task_for(garment: Garment, target: Target) -> Task:
-    """Return the task of `TASKS` for a garment and a target when its loops are there, or else one that its loops' names allow.
+    """Return the task of `TASKS` for a garment and a target when the garment has its loops; else make one from its loops' names.
 
-    On a mannequin a neck and a hem are put on as a shirt is, two straps as a backpack's, any other loop as an apron's neck.
-    On anything else, one of the loops by which one would hang it is carried there; not its hem, its waist or its edge.
+    On a mannequin, a garment with a neck and a hem is put on as a shirt is, one with two straps as a backpack is, any other as an
+    apron is. On other targets one of its loops is carried there, but not its hem, its waist or its edge.
 
     Parameters
     ----------
@@ -335,5 +335,5 @@ def task_for(garment: Garment, target: Target) -> Task:
 
 
 def _itself(garment: Garment) -> Garment:
-    """Return a garment that is made already: what a task of it makes, in a form that can be pickled."""
+    """Return the garment: with `functools.partial`, a function for a task that can be pickled."""
     return garment

@@ -1,4 +1,4 @@
-"""One PyBullet world: a cloth, two grippers that hold it, rods to hang it on, a floor; and a check that its cloth is physical."""
+"""One PyBullet world: a cloth, two grippers that hold it, rods to hang it on, a floor; and a check of the cloth's stretch."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Stretch = Annotated[float, Field(gt=1)]
 
 
 class SimulationError(RuntimeError):
-    """A run that failed: cloth that exploded or was stretched too far, a simulator that crashed or does not get on."""
+    """A run that failed: the cloth exploded or was stretched too far, or the simulator crashed or did not progress."""
 
 
 @checked
@@ -43,38 +43,41 @@ class SimulationConfig:
 
     GRAVITY = 9.8  # m/s^2, the same in every world
 
-    dt: Positive = 1 / 750  #: seconds of a physics step
-    mass: Positive = 0.3  #: of the garment, kg
+    dt: Positive = 1 / 750  #: duration of a physics step, seconds
+    mass: Positive = 0.3  #: mass of the garment, kg
     #: Elastic stiffness of the springs as a multiple of mass / (N dt^2), the stiffness at which a vertex of a garment of N
     #: vertices oscillates as fast as the clock can follow. 0.4 to 0.8 is cloth; above about 1.5 it buzzes, at 3 it explodes.
     stiffness: Positive = 0.8
     bending: NotNegative = 0.0003  #: bending stiffness as a share of the elastic one
-    damping: NotNegative = 0.15  #: of the springs, in all directions
+    damping: NotNegative = 0.15  #: damping of the springs, in all directions
     friction: NotNegative = 1.0  #: coefficient of friction of cloth on target and cloth
-    self_collision: bool = True  #: of the garment; with it an episode repeats bit by bit in a fresh process only
+    #: Collision of the garment with itself; with it an episode repeats bit by bit in a fresh process only.
+    self_collision: bool = True
     margin: Positive = 0.3  #: collision margin as a share of the shortest edge
-    gripper_mass: Positive = 0.1  #: of each gripper, kg
-    kp: Positive = 200.0  #: N/m
-    kd: NotNegative = 20.0  #: Ns/m
-    max_force: Positive = 30.0  #: of a gripper, N
-    frames: Count | None = None  #: recorded; as many as the path lasts when not given, at least 76
-    steps_per_frame: Count = 27  #: physics steps between two frames
-    settle: NotNegative = 0.8  #: seconds for the garment to hang still between the grippers before the first frame
-    max_stretch: Stretch = 1.8  #: of one edge in a hundred
-    max_edge_stretch: Stretch = 2.5  #: of any edge
+    gripper_mass: Positive = 0.1  #: mass of each gripper, kg
+    kp: Positive = 200.0  #: stiffness of the grippers' springs, N/m
+    kd: NotNegative = 20.0  #: damping of the grippers' springs, Ns/m
+    max_force: Positive = 30.0  #: largest force of a gripper, N
+    #: Number of recorded frames; when not given, the frames of the path, at least 76.
+    frames: Count | None = None
+    steps_per_frame: Count = 27  #: number of physics steps between two frames
+    #: Time for the garment to come to rest between the grippers before the first frame, seconds.
+    settle: NotNegative = 0.8
+    max_stretch: Stretch = 1.8  #: largest 99th percentile of the edges' stretch
+    max_edge_stretch: Stretch = 2.5  #: largest stretch of any edge
 
     @property
     def frame_time(self) -> float:
-        """Seconds between two frames."""
+        """Return the time between two frames, seconds."""
         return self.dt * self.steps_per_frame
 
     def elastic_stiffness(self, n_vertices: int) -> float:
-        """Return the stiffness of the springs, N/m, of a garment of that many vertices."""
+        """Return the stiffness of the springs, N/m, of a garment with this number of vertices."""
         return self.stiffness * self.mass / (n_vertices * self.dt**2)
 
 
 def _pybullet() -> ModuleType:
-    """Return PyBullet; an ImportError says how to install it."""
+    """Return PyBullet, or raise ImportError with the command that installs it."""
     try:
         with _silent():
             import pybullet
@@ -85,7 +88,7 @@ def _pybullet() -> ModuleType:
 
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:
-    """Send file descriptors 1 and 2 to nowhere: PyBullet's C++ side prints its build and its arguments there."""
+    """Discard what is written to file descriptors 1 and 2: PyBullet prints its build and its arguments there."""
     flush_c = ctypes.CDLL(None).fflush if os.name == "posix" else (lambda _: None)  # C keeps a buffer of its own
     sys.stdout.flush()
     sys.stderr.flush()
@@ -109,7 +112,7 @@ class World(contextlib.AbstractContextManager["World"]):
     ----------
     garment : Garment
     offset : (3,) float
-        Added to the garment's rest positions, metres.
+        Shift of the garment's rest positions, metres.
     config : SimulationConfig
     """
 
@@ -162,18 +165,18 @@ class World(contextlib.AbstractContextManager["World"]):
             self._rods.append((body, middle, turn))
 
     def move_rods(self, by: Array) -> None:
-        """Put the rods (R, 3) metres from where they were added, without turning them."""
+        """Put the rods at offsets (R, 3) in metres from the places where they were added, without turning them."""
         for (body, middle, turn), shift in zip(self._rods, by, strict=True):
             self._p.resetBasePositionAndOrientation(body, (middle + shift).tolist(), turn, self._client)
 
     def _add_fixed(self, shape: int, **place: list[float]) -> int:
-        """Return a body that does not move."""
+        """Add a body that does not move, and return its id."""
         body: int = self._bullet("createMultiBody", 0, shape, -1, **place)
         self._bullet("changeDynamics", body, -1, lateralFriction=self._config.friction)
         return body
 
     def step(self, targets: Array | None) -> None:
-        """Advance one step of `dt`, drawing the grippers to `targets` (2, 3); None when they have let go."""
+        """Advance one step of `dt`, with the grippers drawn to `targets` (2, 3); None when they have let go."""
         if targets is not None:
             goals: list[list[float]] = targets.tolist()
             for body, goal, before in zip(self._grippers, goals, self._goals or goals, strict=True):
@@ -187,7 +190,7 @@ class World(contextlib.AbstractContextManager["World"]):
         self._bullet("setGravity", x, y, -self._config.GRAVITY)
 
     def release(self, keep: int = 0) -> None:
-        """Let go of the garment, but for the first `keep` grippers. Grippers have no shape that could touch it afterwards."""
+        """Let go of the garment with all but the first `keep` grippers; grippers have no shape that could touch it afterwards."""
         for anchor in self._anchors[keep:]:
             self._bullet("removeConstraint", anchor)
         del self._anchors[keep:]
@@ -213,25 +216,25 @@ class World(contextlib.AbstractContextManager["World"]):
         return depth, (np.reshape(bodies, depth.shape) == self._cloth) & np.isfinite(depth)
 
     def observe(self, cameras: Sequence[Camera], n: int, rng: np.random.Generator) -> Array:
-        """Return `n` points (n, 3) of the cloth that the cameras see together: a farthest-point sample of all their pixels.
+        """Return `n` points (n, 3) of the cloth in the cameras' images: a farthest-point sample of all their pixels.
 
-        When they see fewer than `n` points, those seen are repeated in order; `topokit.track` counts points at one place once.
+        When fewer than `n` points are visible, they are repeated in order; `topokit.track` counts points at one place once.
 
         Parameters
         ----------
         cameras : sequence of Camera
-            One at least.
+            At least one camera.
         n : int
         rng : numpy.random.Generator
-            Used by cameras with noise only.
+            Generator of the noise, for cameras with noise only.
 
         Raises
         ------
         ValueError
-            When there is no camera, `n` is not positive, or no camera sees any cloth.
+            When there is no camera, `n` is not positive, or no cloth is in view.
         """
         if not cameras:
-            raise ValueError("observe needs one camera at least")
+            raise ValueError("observe needs at least one camera")
         if n < 1:
             raise ValueError(f"n must be 1 or more, not {n}")
         points = self.seen(cameras, n, rng)
@@ -246,7 +249,7 @@ class World(contextlib.AbstractContextManager["World"]):
         Parameters
         ----------
         cameras, n, rng
-            As of `observe`.
+            The parameters of `observe`.
         """
         views = []
         for camera in cameras:
@@ -265,7 +268,7 @@ class World(contextlib.AbstractContextManager["World"]):
         return getattr(self._p, function)(*arguments, **options, physicsClientId=self._client)
 
     def _load(self, garment: Garment, offset: Array) -> int:
-        """Load the garment through a temporary OBJ file, the only way PyBullet takes a mesh."""
+        """Load the garment through a temporary OBJ file, because PyBullet reads meshes from files only."""
         stiffness = self._config.elastic_stiffness(len(garment.vertices))
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "cloth.obj"
@@ -291,7 +294,7 @@ class World(contextlib.AbstractContextManager["World"]):
             )
 
     def _draw(self, body: int, goal: list[float], before: list[float]) -> None:
-        """Push a gripper towards its goal, which was at `before` a step ago; in plain floats, far quicker than arrays."""
+        """Push a gripper towards its goal, which was at `before` a step ago; plain floats are far quicker than arrays."""
         config = self._config
         client = self._client
         kp = config.kp
