@@ -1,4 +1,4 @@
-"""What a training is configured with, and the windows of two splits that it reads."""
+"""The configuration of a training, and the windows of the two splits that it reads."""
 
 from __future__ import annotations
 
@@ -20,40 +20,45 @@ Natural = Annotated[int, Field(ge=0)]
 
 
 class Windows(NamedTuple):
-    """What is trained on: two splits without a common episode, each a torch data set that has a length."""
+    """Two splits to train on and to validate on, without a common episode; each is a torch data set that has a length."""
 
-    train: Any  #: windows, as of `topokit.data.WindowDataset`
-    validation: Any  #: windows that are held back
-    checksum: str = ""  #: of the dataset that they are from
+    train: Any  #: windows to train on, see `topokit.data.WindowDataset`
+    validation: Any  #: windows for validation
+    checksum: str = ""  #: checksum of their dataset
 
 
 @checked
 class TrainConfig:
-    """What `topokit train` does. An entry that is unknown or refused is a ValueError that names it."""
+    """The configuration of `topokit train`; a ValueError names an entry that is unknown or refused."""
 
-    model: str  #: a name that `topokit.models.build` knows
+    model: str  #: name of the model, see `topokit.models.build`
     dataset: str = "."  #: directory of a dataset, relative to the configuration's file
     out: str = "run"  #: directory for checkpoints and logs, relative to the configuration's file
     start: str = ""  #: checkpoint whose weights the training starts from, relative to the configuration's file
-    rehearse: str = ""  #: configuration whose windows are half of those trained on, so that `start` is not forgotten
+    #: Configuration of an earlier training. Half of the windows are its windows, so that `start` is not forgotten.
+    rehearse: str = ""
     options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
-    windows: dict[str, Any] = field(default_factory=dict)  #: of `topokit.data.WindowDataset`: labels, stride
+    #: Keyword arguments of `topokit.data.WindowDataset`: labels, stride.
+    windows: dict[str, Any] = field(default_factory=dict)
     shape: Shape = field(default_factory=Shape)  #: sizes of a window
-    loss: LossWeights = field(default_factory=LossWeights)  #: what is minimised
-    split: dict[str, Any] = field(default_factory=dict)  #: of `Dataset.split`; its "train" and "validation" are read
-    seed: Natural = 0  #: of weights and of the order of windows
-    batch: Count = 64  #: windows a step
-    epochs: Count = 20  #: at most
-    windows_per_epoch: Count | None = None  #: drawn anew for each epoch; all windows when not given
-    validation_windows: Count = 2000  #: at most; the same ones in every epoch
-    learning_rate: Positive = 1e-3  #: of AdamW; rises over the first 2 % of steps, falls along a cosine to a hundredth
-    weight_decay: NotNegative = 1e-4  #: of AdamW
+    loss: LossWeights = field(default_factory=LossWeights)  #: weights of the loss
+    #: Keyword arguments of `topokit.data.Dataset.split`, whose "train" and "validation" are read.
+    split: dict[str, Any] = field(default_factory=dict)
+    seed: Natural = 0  #: seed of the weights and of the order of windows
+    batch: Count = 64  #: number of windows in a step
+    epochs: Count = 20  #: largest number of epochs
+    #: Number of windows in an epoch, drawn anew for each; all windows when not given.
+    windows_per_epoch: Count | None = None
+    validation_windows: Count = 2000  #: largest number of windows for validation, the same in every epoch
+    #: Learning rate of AdamW. It rises over the first 2 % of steps, and falls along a cosine to a hundredth.
+    learning_rate: Positive = 1e-3
+    weight_decay: NotNegative = 1e-4  #: weight decay of AdamW
     clip: Positive = 1.0  #: largest norm of a gradient
-    patience: Count = 5  #: stop after so many epochs without a smaller validation loss
-    threads: Count = 2  #: of PyTorch; with another number weights differ in their last bits
-    workers: Natural = 0  #: processes that read windows beside the one that trains
-    accelerator: str = "cpu"  #: of Lightning Fabric: "cpu", "cuda", "auto"
-    precision: str = "32-true"  #: of Lightning Fabric: "32-true", "bf16-mixed", "16-mixed"
+    patience: Count = 5  #: number of epochs without a smaller validation loss after which training stops
+    threads: Count = 2  #: threads of PyTorch; with another number the weights differ in their last bits
+    workers: Natural = 0  #: number of processes that read windows, besides the training process
+    accelerator: str = "cpu"  #: accelerator of Lightning Fabric: "cpu", "cuda", "auto"
+    precision: str = "32-true"  #: precision of Lightning Fabric: "32-true", "bf16-mixed", "16-mixed"
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:
@@ -71,12 +76,12 @@ class TrainConfig:
         return replace(config, **changes)
 
     def open_windows(self) -> Windows:
-        """Open the windows of the dataset, split by episode or as `split` says.
+        """Open the windows of the dataset, split by episode or by the options in `split`.
 
         Raises
         ------
         ValueError
-            When the model, the shape or the windows of what is rehearsed are not those of this configuration.
+            When the configuration that is rehearsed has another model, shape or other windows.
         """
         if self.rehearse:
             return self._open_with_rehearsal()
@@ -99,11 +104,11 @@ class TrainConfig:
         return Windows(train, validation, dataset.checksum())
 
     def _open_with_rehearsal(self) -> Windows:
-        """Open as many windows of the configuration that is rehearsed as there are new ones to train on."""
+        """Open the windows of this configuration, and at most as many of the one that is rehearsed."""
         earlier = TrainConfig.load(self.rehearse)
         for name in ("model", "shape", "windows"):
             if getattr(earlier, name) != getattr(self, name):
-                raise ValueError(f"{self.rehearse}: cannot be rehearsed, its {name} is not that of the configuration")
+                raise ValueError(f"{self.rehearse}: cannot be rehearsed, its {name} differs from the configuration's")
         new = replace(self, rehearse="").open_windows()
         old = earlier.open_windows()
         repeated: Any = Subset(old.train, spread(len(old.train), len(new.train)))
@@ -111,12 +116,12 @@ class TrainConfig:
 
 
 def epoch_order(n: int, count: int | None, seed: int, epoch: int) -> list[int]:
-    """Return `count` of n windows, or all, in an order that depends on seed and epoch alone."""
+    """Return `count` of n windows, or all, in an order that depends only on seed and epoch."""
     generator = torch.Generator().manual_seed(seed * 1_000_003 + epoch)
     return torch.randperm(n, generator=generator)[:count].tolist()
 
 
 def spread(n: int, most: int) -> list[int]:
-    """Return at most so many of n numbers, evenly spaced."""
+    """Return at most `most` of the numbers below n, evenly spaced."""
     count = min(n, most)
     return [i * n // count for i in range(count)]

@@ -1,16 +1,16 @@
-"""Where each point of the cloth will be under a plan: a network that knows how cloth moves, and no place and no garment.
+"""A network that predicts the place of each point of the cloth under a plan, without regard to the garment or the place.
 
 Idea, four choices:
 
 1. *Points, not loops.* The network predicts how the cloth moves. Loops are read off the moved cloud (`topokit.follow`). So
-   learning needs no labels, and nothing depends on where necks usually are.
-2. *Local inputs.* A point's inputs are where grippers, target, floor and neighbours are from it, and how it moved of late; to
-   these come two summaries of the cloud. All are in the grippers' frame: a scene that is moved, or turned about the vertical,
+   learning needs no labels, and nothing depends on the usual place of a neck.
+2. *Local inputs.* A point's inputs are the offsets to grippers, target, floor and neighbours, its recent motion, and two
+   summaries of the cloud. All are in the grippers' frame: a scene that is moved, or turned about the vertical,
    is the same scene.
-3. *A correction of being carried.* Cloth that is held goes with the grippers, as a rigid body does. The network adds the rest.
+3. *A correction of being carried.* Cloth that is held moves with the grippers, as a rigid body does. The network adds the rest.
 4. *Few large steps.* The future is taken in 13 steps of one to six frames. A code of every point is updated at each step, from
-   what grippers and target are like there, and from the mean and the maximum of the codes of 24 of the points, the carriers. No
-   point needs the others: a few points can be forecast under a thousand plans, or all points under one.
+   grippers and target at that step, and from the mean and the maximum of the codes of 24 of the points, the carriers. No
+   point depends on the others: a few points can be forecast under a thousand plans, or all points under one.
 
 The network also predicts a scale of each point's error, learned with the motion as the scale of a Laplace distribution.
 
@@ -34,7 +34,7 @@ PAST = (1, 4, 12)  # frames ago whose clouds and grippers are inputs
 UNIT = 0.2  # metres; lengths in the network are in this unit
 CARRIERS = 24  # points whose codes are pooled for all others
 _POOLED = 16  # numbers of a carrier's code that are pooled
-_NEIGHBOURS = 12  # of a point
+_NEIGHBOURS = 12  # neighbours of a point
 _REACH = 0.3 / UNIT  # distance over which target and floor fade
 Scene = Mapping[str, Tensor]
 
@@ -45,7 +45,7 @@ class Line(NamedTuple):
     start: Tensor  # (B, L, 3)
     along: Tensor  # (B, L, 3) from the start of a piece to its end
     square: Tensor  # (B, 1, L) squared lengths of the pieces
-    base: Tensor  # (B, 1, L) minus the products of starts with ways
+    base: Tensor  # (B, 1, L) minus the scalar products of `start` and `along`
     first: Tensor  # (B, 1, L) squares of the starts
 
     @classmethod
@@ -60,17 +60,17 @@ class Line(NamedTuple):
 
 
 class Codes(NamedTuple):
-    """What is known of B scenes before a plan, in the grippers' frame and units of 0.2 m; carriers first, then the n points."""
+    """The codes of B scenes before a plan, in the grippers' frame and units of 0.2 m; carriers first, then the n points."""
 
     code: Tensor  # (B, carriers + n, width)
     place: Tensor  # (B, carriers + n, 3)
     hands: Tensor  # (B, 2, 3)
     target: Line
-    floor: Tensor  # (B,) its height in that frame
-    origin: Tensor  # (B, 3) of that frame, metres
-    axes: Tensor  # (B, 3, 3) of that frame
+    floor: Tensor  # (B,) height of the floor in that frame
+    origin: Tensor  # (B, 3) origin of that frame, metres
+    axes: Tensor  # (B, 3, 3) axes of that frame
     carriers: int
-    swapped: Tensor  # (B,) whether the grippers exchanged their names
+    swapped: Tensor  # (B,) bool, true where the grippers are in the other order
 
 
 class Motion(nn.Module):
@@ -81,8 +81,8 @@ class Motion(nn.Module):
     ============  ================  ============================================================================
     ``cloud``     (B, M, 3)         the cloth at the present frame, in an order that carries no information
     ``points``    (B, n, 3)         points of the cloth whose motion is predicted
-    ``flow``      (B, M + n, 3, 3)  how cloud and points moved beside the grippers since 1, 4 and 12 frames ago
-    ``grippers``  (B, 4, 2, 3)      at the present frame, and then
+    ``flow``      (B, M + n, 3, 3)  motion of cloud and points relative to the grippers since 1, 4, 12 frames ago
+    ``grippers``  (B, 4, 2, 3)      the grippers at the present frame, and 1, 4 and 12 frames ago
     ``held``      (B,) bool         whether they hold the cloth
     ``target``    (B, L, 3)         the upper part of the target's centre line, up to its tip
     ``floor``     (B,)              the height of the floor; far below where it is unknown
@@ -93,7 +93,7 @@ class Motion(nn.Module):
     shape : Shape
         Its `horizon` is 60; its `points` are the most points of a cloud that are read.
     normalisation : Normalisation
-        Kept for the checkpoint; the network itself needs none.
+        Normalisation for the checkpoint; the network itself needs none.
     width : int
         Units of a point's code.
     """
@@ -128,7 +128,7 @@ class Motion(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, scene: Scene) -> tuple[Tensor, Tensor]:
-        """Return places (B, 13, carriers + n, 3) of carriers and points, metres, and the scales of their errors, without the 3.
+        """Return places (B, 13, carriers + n, 3) of carriers and points in metres, and scales (B, 13, carriers + n) of errors.
 
         The carriers are the first 24 points of the cloud. The scene also holds the plans: `actions` (B, 60, 2, 3) and
         `actions_held` (B, 60).
@@ -137,7 +137,7 @@ class Motion(nn.Module):
 
     def encode(self, scene: Scene) -> Codes:
         """Return the codes of the points, which do not depend on the plan."""
-        # Everything in the grippers' frame.
+        # Convert everything to the grippers' frame.
         swapped = _behind(scene["grippers"][:, 0], scene["target"][:, -1])
         grippers = _renamed(scene["grippers"], swapped)
         origin, axes = _frame(grippers[:, 0])
@@ -149,7 +149,7 @@ class Motion(nn.Module):
         seen = torch.cat([cloud, points], dim=1)  # (B, M + n, 3)
         flow = (2 / UNIT * scene["flow"].flatten(1, 2) @ axes.mT).view(len(cloud), -1, 9)  # (B, M + n, 9)
 
-        # The code of each point alone.
+        # Compute the code of each point alone.
         velocity = (10 * (hands[:, :1] - hands[:, 1:3])).flatten(1)  # (B, 12)
         opening = (hands[:, 0, 0] - hands[:, 0, 1]).norm(dim=1, keepdim=True)  # (B, 1)
         held = scene["held"].to(cloud)[:, None]  # (B, 1)
@@ -164,7 +164,7 @@ class Motion(nn.Module):
         ]
         code = self.point(torch.cat(features, dim=-1))  # (B, M + n, width)
 
-        # What its neighbours in the cloud, and the whole cloud, add for carriers and points.
+        # For carriers and points, mix in the codes of their neighbours in the cloud and of the whole cloud.
         size = cloud.shape[1]
         carriers = min(CARRIERS, size)
         asked = torch.cat([torch.arange(carriers), torch.arange(size, seen.shape[1])])
@@ -183,7 +183,7 @@ class Motion(nn.Module):
         return Codes(code, place, hands[:, 0], target, floor, origin, axes, carriers, swapped)
 
     def _edges(self, own: Tensor, cloth: Tensor, batch: Tensor, near: Tensor, offset: Tensor) -> Tensor:
-        """Return (B, N, width) the maximum over neighbours of the edge network."""
+        """Return the maximum (B, N, width) over neighbours of the edge network."""
         mine = own[:, :, None].expand(-1, -1, near.shape[2], -1)
         return self.edge(torch.cat([mine, cloth[batch, near], offset], dim=-1)).amax(dim=2)
 
@@ -203,7 +203,7 @@ class Motion(nn.Module):
         place = codes.place.expand(plans, -1, -1)  # (C, N, 3)
         target = Line(*(part.expand(plans, -1, -1) for part in codes.target))
 
-        # The plan, at the knots: where the grippers go, and how held cloth is carried from knot to knot.
+        # Compute the plan at the knots: places of the grippers, and how held cloth is carried from knot to knot.
         actions = _local(_renamed(actions, codes.swapped), codes.origin, codes.axes)
         hands, shares = _hands(actions, held, codes.hands)  # (C, 13, 2, 3), (C, 13)
         start = codes.hands.expand(plans, -1, -1)[:, None]
@@ -227,7 +227,7 @@ class Motion(nn.Module):
         scales = []
         for k, length in enumerate(lengths.tolist()):
             ahead = torch.baddbmm(shifts[:, k], place, turns[:, k])  # (C, N, 3): carried
-            # The new code: a gated recurrent unit, whose inputs are the point's own and those of the whole scene.
+            # Update the code by a gated recurrent unit, from inputs of the point and of the whole scene.
             pooled = self.pool(code[:, :carriers])  # (C, carriers, 16)
             pooled = torch.cat([pooled.mean(dim=1), pooled.amax(dim=1)], dim=1)
             scene = self.scene(torch.cat([plan_features[:, k], pooled], dim=1))  # (C, 3 width)
@@ -245,7 +245,7 @@ class Motion(nn.Module):
                 )
             )  # (C, N, 3 width)
             code = _gated(own + scene[:, None], self.before(code), code)
-            # Where the point goes besides being carried.
+            # Add the motion of the point besides being carried.
             change = self.out(code)  # (C, N, 4)
             moved = ahead + length * change[..., :3]
             step = (moved - place) / length
@@ -258,17 +258,17 @@ class Motion(nn.Module):
     def loss(self, scene: Scene, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss of a batch, and its parts for the log: mean error, mean distortion, and likelihood.
 
-        The distortion is by how much distances between points are wrong. Topology depends on it: deaths differ by half of the
-        largest one at most. An error that all points share moves no killer to another place of the cloth.
+        The distortion is the error of the distances between points. Topology depends on it: deaths differ by at most half of
+        the largest distortion. An error that all points share moves no killer to another place of the cloth.
 
-        Clouds are thinned at random, so that nothing depends on how many points are seen.
+        Clouds are thinned at random, so that nothing depends on the number of visible points.
 
         Parameters
         ----------
         scene : dict of Tensor
-            With its plans, `future` (B, 13, carriers + n, 3) and `known` (B, 13), as `Scenes` gives it.
+            Scene with its plans, `future` (B, 13, carriers + n, 3) and `known` (B, 13), as `Scenes` returns it.
         generator : torch.Generator
-            Of what is random.
+            Generator of the random numbers.
         """
         whole = scene["cloud"].shape[1]
         kept = int(torch.randint(64, whole + 1, (), generator=generator))
@@ -297,8 +297,8 @@ class Motion(nn.Module):
 
 
 def _distances(points: Tensor) -> Tensor:
-    """Return (..., n, n) distances between points (..., n, 3), to 1 mm."""
-    # As matrix products, which take a third of the time of differences.
+    """Return distances (..., n, n) between points (..., n, 3), to 1 mm."""
+    # Matrix products take a third of the time of differences.
     central = points - points.mean(dim=-2, keepdim=True)
     size = central.square().sum(dim=-1)
     square = size[..., :, None] + size[..., None, :] - 2 * central @ central.mT
@@ -306,12 +306,12 @@ def _distances(points: Tensor) -> Tensor:
 
 
 def carried(points: Tensor, before: Tensor, now: Tensor) -> Tensor:
-    """Return points (B, N, 3) moved as grippers (B, 2, 3) were: with their middle, and about the vertical through it."""
+    """Return points (B, N, 3) moved as the grippers (B, 2, 3): with their middle, and about the vertical through it."""
     return (points - before.mean(dim=1)[:, None]) @ _turns(before, now) + now.mean(dim=1)[:, None]
 
 
 def _turns(before: Tensor, now: Tensor) -> Tensor:
-    """Return (B, 3, 3) by which rows turn about the vertical as the line between grippers (B, 2, 3) does."""
+    """Return matrices (B, 3, 3) that turn rows about the vertical as the line between grippers (B, 2, 3) turns."""
     old = (before[:, 1] - before[:, 0])[:, :2]
     new = (now[:, 1] - now[:, 0])[:, :2]
     size = (old.norm(dim=1) * new.norm(dim=1)).clamp_min(1e-6)
@@ -321,7 +321,7 @@ def _turns(before: Tensor, now: Tensor) -> Tensor:
 
 
 def _about_the_vertical(cosine: Tensor, sine: Tensor) -> Tensor:
-    """Return (B, 3, 3) matrices by which rows turn about the vertical."""
+    """Return matrices (B, 3, 3) that turn rows about the vertical."""
     none = torch.zeros_like(sine)
     unit = torch.ones_like(sine)
     rows = [cosine, sine, none, -sine, cosine, none, none, none, unit]
@@ -334,14 +334,14 @@ def _hands(actions: Tensor, held: Tensor, start: Tensor) -> tuple[Tensor, Tensor
     start = start.expand(len(actions), 2, 3)[:, None]
     moves = torch.cat([start, actions], dim=1).diff(dim=1)
     place = start + (moves * holds[..., None, None]).cumsum(dim=1)  # (C, 60, 2, 3)
-    # Frames held up to each knot, and 0 before the first.
+    # Count the frames held up to each knot, from 0 before the first.
     knots = torch.tensor((0, *KNOTS), device=actions.device)
     count = torch.cat([torch.zeros_like(holds[:, :1]), holds.cumsum(dim=1)], dim=1)[:, knots]  # (C, 14)
     return place[:, knots[1:] - 1], count.diff(dim=1) / knots.diff()
 
 
 def _gated(new: Tensor, old: Tensor, code: Tensor) -> Tensor:
-    """Return the next code (C, N, width) of a gated recurrent unit, from new inputs and those of the code before."""
+    """Return the next code (C, N, width) of a gated recurrent unit, from new inputs and those of the old code."""
     width = code.shape[-1]
     keep, use = torch.sigmoid(new[..., width:] + old[..., width:]).chunk(2, dim=-1)
     candidate = torch.tanh(new[..., :width] + use * old[..., :width])
@@ -349,8 +349,8 @@ def _gated(new: Tensor, old: Tensor, code: Tensor) -> Tensor:
 
 
 def _beside(points: Tensor, line: Line) -> Tensor:
-    """Return (B, N, 5) the way from points (B, N, 3) to a line and where along it that ends, which fade; how near it is."""
-    # The nearest piece of the line. In plain form, with tensors (B, N, L, 3), a thousand plans take a sixth longer:
+    """Return features (B, N, 5) of points (B, N, 3) near a line: fading offset and place along it, and nearness."""
+    # Find the nearest piece of the line. In plain form, with tensors (B, N, L, 3), a thousand plans take a sixth longer:
     #     offset = points[:, :, None] - line.start[:, None]
     #     share = ((offset * line.along[:, None]).sum(-1) / line.square).clamp(0, 1)
     #     nearest = (share[..., None] * line.along[:, None] - offset).square().sum(-1).argmin(-1, keepdim=True)
@@ -361,7 +361,7 @@ def _beside(points: Tensor, line: Line) -> Tensor:
     square = square + share * (share * line.square - 2 * projection)
     nearest = square.argmin(dim=-1, keepdim=True)  # (B, N, 1)
 
-    # The way to its nearest place, which fades with the distance.
+    # Compute the offset to its nearest place, which fades with the distance.
     share = share.gather(2, nearest)
     index = nearest.expand(-1, -1, 3)
     offset = line.start.gather(1, index) + share * line.along.gather(1, index) - points  # (B, N, 3)
@@ -371,28 +371,28 @@ def _beside(points: Tensor, line: Line) -> Tensor:
 
 
 def _above(points: Tensor, floor: Tensor) -> Tensor:
-    """Return (B, N, 2) how high points (B, N, 3) are above the floor (B,), which fades; how near it is."""
+    """Return features (B, N, 2) of points (B, N, 3) above the floor (B,): fading height and nearness."""
     height = (points[..., 2:] - floor[:, None, None]).relu()
     near = (-height / _REACH).exp()
     return torch.cat([height * near, near], dim=-1)
 
 
 def _reach(hands: Tensor, target: Line) -> Tensor:
-    """Return (B, N, 8) where the target is from grippers (B, N, 3): its line, and its tip, which fades with the square."""
+    """Return features (B, N, 8) of a target for grippers (B, N, 3): those of its line, and its tip, fading with the square."""
     tip = target.start[:, -1:] + target.along[:, -1:] - hands  # (B, N, 3)
     faded = tip / (0.1 / UNIT**2 + tip.square().sum(dim=-1, keepdim=True)).sqrt()
     return torch.cat([_beside(hands, target), faded], dim=-1)
 
 
 def _behind(grippers: Tensor, tip: Tensor) -> Tensor:
-    """Return (B,) whether a tip (B, 3) lies to the right of the way from the first of two grippers (B, 2, 3) to the second."""
+    """Return whether a tip (B, 3) lies to the right of the direction from the first gripper to the second; (B,) bool."""
     across = (grippers[:, 1] - grippers[:, 0])[:, :2]
     away = (tip - grippers[:, 0])[:, :2]
     return across[:, 0] * away[:, 1] < across[:, 1] * away[:, 0]
 
 
 def _renamed(grippers: Tensor, swapped: Tensor) -> Tensor:
-    """Return grippers (B, K, 2, 3) in the other order where they are swapped: to the cloth their names make no difference."""
+    """Return grippers (B, K, 2, 3) in the other order where they are swapped; the cloth does not depend on their order."""
     return torch.where(swapped[:, None, None, None], grippers.flip(2), grippers)
 
 
@@ -405,11 +405,11 @@ def _frame(grippers: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _local(points: Tensor, origin: Tensor, axes: Tensor) -> Tensor:
-    """Return points (B, ..., 3) in metres as seen from a frame, in units; one frame may serve many scenes."""
+    """Return points (B, ..., 3) in metres as points of a frame, in units; one frame may serve many scenes."""
     flat = points.flatten(1, -2) - origin[:, None]
     return (flat @ (axes / UNIT).mT).view_as(points)
 
 
 def world(points: Tensor, origin: Tensor, axes: Tensor) -> Tensor:
-    """Return points (B, ..., 3) of a frame in metres of the room: the inverse of `_local`."""
+    """Return points (B, ..., 3) of a frame in room coordinates, metres: the inverse of `_local`."""
     return (points.flatten(1, -2) @ (UNIT * axes) + origin[:, None]).view_as(points)

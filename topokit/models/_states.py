@@ -24,7 +24,7 @@ from topokit._config import NotNegative, checked
 from topokit.mixture import moments
 
 TRIANGLES = ((0, 1, 2), (0, 1, 3), (0, 2, 4), (2, 1, 5), (0, 3, 6), (3, 1, 7))  # x y z1, x y z2, then the neighbours
-NUMBERS = 32  # of a loop: 8 corners, 4 neighbour values, birth, lifetime, killer_shift, presence
+NUMBERS = 32  # numbers that describe a loop: 8 corners, 4 neighbour values, birth, lifetime, killer_shift, presence
 NOISE = 1e-4  # square metres; added to the covariances of a mixture's triangles when a forecast gives no other value
 PAST = tuple(f"past_{name}" for name in ("triangles", "values", "birth", "death", "killer_shift", "present"))
 Window = Mapping[str, Tensor]  # a batch of windows, as `topokit.data.WindowDataset` makes them
@@ -40,19 +40,20 @@ _VALUE_UNIT = 0.02
 
 @dataclass(frozen=True, eq=False)
 class StateTensors:
-    """States of B sequences, K steps, S slots, in metres. An empty slot holds zeros, or whatever the model predicts for it."""
+    """States of B sequences, K steps, S slots, in metres. An empty slot holds zeros, or the predictions of a model for it."""
 
-    corners: Tensor  #: (B, K, S, 8, 3) x, y, z1, z2 and the neighbours' apexes
-    neighbour_values: Tensor  #: (B, K, S, 4) filtration values, 0 where there is no neighbour; the killers' are `death`
-    birth: Tensor  #: (B, K, S)
-    death: Tensor  #: (B, K, S)
-    killer_shift: Tensor  #: (B, K, S) Hausdorff distance between the killer edge and that of the step before
-    presence: Tensor  #: (B, K, S) logit of the loop being there
-    noise: Tensor  #: (B, K, S) square metres, added to the covariances of the mixture's triangles
+    corners: Tensor  #: corners (B, K, S, 8, 3): x, y, z1, z2 and the neighbours' apexes
+    #: Filtration values (B, K, S, 4) of the neighbours, 0 where there is none; the value of the killers is `death`.
+    neighbour_values: Tensor
+    birth: Tensor  #: births (B, K, S)
+    death: Tensor  #: deaths (B, K, S)
+    killer_shift: Tensor  #: Hausdorff distances (B, K, S) between the killer edge and that of the step before
+    presence: Tensor  #: logits (B, K, S) of the presence of the loop
+    noise: Tensor  #: variances (B, K, S) added to the covariances of the mixture's triangles, square metres
 
     @classmethod
     def from_labels(cls, window: Window) -> StateTensors:
-        """Return what should be predicted for a batch of windows."""
+        """Return the states to predict for a batch of windows."""
         corners, neighbour_values = corners_of(window["triangles"], window["values"])
         return cls(
             corners=corners,
@@ -66,24 +67,24 @@ class StateTensors:
 
     @classmethod
     def from_past(cls, window: Window) -> StateTensors:
-        """Return what the tracker saw in the history of a batch of windows."""
+        """Return the states that the tracker found in the history of a batch of windows."""
         return cls.from_labels({name.removeprefix("past_"): window[name] for name in PAST})
 
     @property
     def triangles(self) -> Tensor:
-        """(B, K, S, 6, 3, 3) the killer triangles, thick first, and the neighbours."""
+        """Return the triangles (B, K, S, 6, 3, 3): the killer triangles, thick first, and the neighbours."""
         return self.corners[..., torch.tensor(TRIANGLES, device=self.corners.device), :]
 
     @property
     def values(self) -> Tensor:
-        """(B, K, S, 6) filtration values of the triangles."""
+        """Return the filtration values (B, K, S, 6) of the triangles."""
         return torch.cat([self.death[..., None], self.death[..., None], self.neighbour_values], dim=-1)
 
     @property
     def mean(self) -> Tensor:
-        """(B, K, S, 3) mean of the mixture. A loop's `centre` is another place: the middle of its killer triangles alone."""
+        """Return the mean (B, K, S, 3) of the mixture; a loop's `centre` is another place, the middle of its killer triangles."""
         weights = self.values / self.values.sum(dim=-1, keepdim=True).clamp_min(1e-9)  # (B, K, S, 6)
-        # Each corner's share in the barycentres of the six triangles.
+        # Compute each corner's share in the barycentres of the six triangles.
         shares = functional.one_hot(torch.tensor(TRIANGLES), 8).sum(dim=1).to(weights) / 3  # (6, 8)
         return ((weights @ shares)[..., None, :] @ self.corners)[..., 0, :]  # (B, K, S, 3)
 
@@ -124,8 +125,8 @@ class StateTensors:
 def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     """Return corners (..., 8, 3) and neighbour values (..., 4) of labels: triangles (..., 6, 3, 3) and values (..., 6).
 
-    Labels list the neighbours without gaps, so the edge that a neighbour shares identifies it. The apex of an absent neighbour
-    is the middle of that edge.
+    Labels list the neighbours without gaps, so a neighbour is identified by the edge that it shares. The apex of an absent
+    neighbour is the middle of that edge.
     """
     corners = torch.cat([triangles[..., 0, :, :], triangles[..., 1, 2:, :]], dim=-2)  # (..., 4, 3): x, y, z1, z2
     edges = torch.tensor([triangle[:2] for triangle in TRIANGLES[2:]], device=triangles.device)
@@ -152,7 +153,7 @@ def loop_mixtures(triangles: Tensor, values: Tensor, noise: float | Tensor = NOI
     values : (..., m)
         Filtration values of the triangles, not negative; 0 for one that is absent.
     noise : float or Tensor (...)
-        Added to the diagonal of every sample covariance, square metres.
+        Variance added to the diagonal of every sample covariance, square metres.
     """
     means, scatter = moments(triangles)  # (..., m, 3), (..., m, 3, 3)
     noise = torch.as_tensor(noise, dtype=triangles.dtype, device=triangles.device)
@@ -166,23 +167,23 @@ def loop_mixtures(triangles: Tensor, values: Tensor, noise: float | Tensor = NOI
 class LossWeights:
     """Weights of the parts of the loss, and whether slots are matched."""
 
-    #: Squared errors of corners, values, birth, death and killer shift of the present loops (the paper's L2). The ends of
-    #: a killer edge are taken in the order that fits better.
+    #: Weight of the squared errors of corners, values, birth, death and killer shift of the present loops (the paper's L2).
+    #: The ends of a killer edge are taken in the order that fits better.
     features: NotNegative = 1.0
-    presence: NotNegative = 1.0  #: binary cross-entropy of the presence of each slot
-    centre: NotNegative = 0.0  #: Huber loss of the distance of the mixtures' means, quadratic below 2 cm
-    #: Compare with the target slots in the cheapest order for the whole horizon. Otherwise their order is that of the labels.
+    presence: NotNegative = 1.0  #: weight of the binary cross-entropy of the presence of each slot
+    centre: NotNegative = 0.0  #: weight of the Huber loss of the distance of the mixtures' means, quadratic below 2 cm
+    #: Switch: compare with the target slots in the cheapest order over the whole horizon, instead of the labels' order.
     match: bool = False
 
 
 def forecast_loss(predicted: StateTensors, window: Window, weights: LossWeights) -> tuple[Tensor, dict[str, Tensor]]:
-    """Return the loss of a batch; and for the log the loss, its parts, and the mean distance of the mixtures' means in metres.
+    """Return the loss of a batch, and for the log the loss, its parts, and the mean distance of the mixtures' means in metres.
 
     Parameters
     ----------
     predicted : StateTensors
     window : mapping of str to Tensor
-        The batch, labels included.
+        Batch with its labels.
     weights : LossWeights
     """
     target = StateTensors.from_labels(window)
@@ -203,7 +204,7 @@ def forecast_loss(predicted: StateTensors, window: Window, weights: LossWeights)
 
 @torch.no_grad()
 def match_slots(predicted: StateTensors, target: StateTensors) -> Tensor:
-    """Return (B, S) which target slot each predicted slot is compared with at all steps: the cheapest of all orders."""
+    """Return the target slot (B, S) to compare each predicted slot with at all steps: the cheapest of all orders."""
     present = (target.presence > 0).to(predicted.presence)  # (B, K, S)
     distance = torch.cdist(predicted.mean, target.mean) / _POSITION_UNIT  # (B, K, predicted, target)
     # The cross-entropy of the presence of every pair.
@@ -239,5 +240,5 @@ def _corners_error(predicted: StateTensors, target: StateTensors) -> Tensor:
 
 
 def _mean(errors: Tensor) -> Tensor:
-    """Return the mean; of nothing, a zero that has a gradient: a batch may have no loop."""
+    """Return the mean; for a batch without a loop, a zero that has a gradient."""
     return errors.sum() / max(errors.numel(), 1)
