@@ -79,7 +79,7 @@ class Hold:
 class Rigid(ThrowController):
     """A planner that throws as if nothing flew: what is let go stays where it was."""
 
-    def _flown(self, held: Any, lasts: Any) -> Any:
+    def _flight(self, held: Any, lasts: Any) -> Any:
         return np.repeat(held[np.arange(len(held)), lasts - 1][:, None], 4, axis=1)
 
 
