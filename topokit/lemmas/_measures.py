@@ -1,5 +1,5 @@
-"""A state with its observation, and what the lemmas assume of it: alpha, how far from a killer its rivals lie, how far apart
-loops are.
+"""Measure the assumptions of the lemmas on a state and its observation: alpha, distances of rivals from killers and
+distances between loops.
 
 Idea of a critical edge: the killer of a loop seen through samples is an edge whose lune falls apart there, see `beta_critical`.
 
@@ -29,7 +29,7 @@ ROUNDING = 1e-12  # relative; rounding may only add rivals and make more edges c
 class Beta:
     """The distances from a loop's killer edge to the edges that could be taken for it."""
 
-    value: Array  #: (k,) for each of the k longest-lived loops the largest Hausdorff distance to a rival
+    value: Array  #: (k,) largest Hausdorff distance to a rival, for each of the k longest-lived loops
     edge: Ids  #: (k, 2) that rival; the killer itself when there is no other
 
     @property
@@ -67,7 +67,7 @@ class State:
 
     @cached_property
     def tolerance(self) -> float:
-        """Return what rounding may change in a comparison: 1e-9 of the size of the cloud."""
+        """Return the tolerance for rounding in a comparison: 1e-9 of the size of the cloud."""
         return 1e-9 * float(np.ptp(self.points, axis=0).max(initial=0.0))
 
     @cached_property
@@ -122,9 +122,10 @@ class State:
 
 @njit(cache=True)
 def is_critical(distances: Array, x: int, y: int, alpha: float, epsilon: float) -> bool:
-    """Return whether the edge {x, y} is (alpha, epsilon)-critical, as `beta_critical` defines it."""
+    """Return True if the edge {x, y} is (alpha, epsilon)-critical, as `beta_critical` defines it."""
     length = distances[x, y]
-    inner = (length - alpha - 4 * epsilon) * (1 - ROUNDING)  # of points that carry paths, and of a path's end steps
+    # The bound for points that carry paths, and for a path's end steps.
+    inner = (length - alpha - 4 * epsilon) * (1 - ROUNDING)
     step = (length - 2 * alpha - 4 * epsilon) * (1 - ROUNDING)
     outer = (length + 4 * epsilon) * (1 + ROUNDING)
     apart = (length - 4 * epsilon) * (1 - ROUNDING)
@@ -192,11 +193,11 @@ def beta_all(
     points : (n, d) array_like
         The dense state S_t.
     alpha : float
-        How far from the death, in the unit of the points.
+        Largest distance of a rival's filtration value from the death, in the unit of the points.
     min_lifetime : float, optional
-        `alpha` when not given, as in the paper.
+        Loops with a longer lifetime are measured; `alpha` when not given, as in the paper.
     diagram : Diagram, optional
-        Of `points`, when it is known.
+        Diagram of `points`, computed when not given.
     """
     alpha = positive(alpha, "alpha")
     shortest = alpha if min_lifetime is None else positive(min_lifetime, "min_lifetime")
@@ -212,13 +213,13 @@ def beta_critical(
     min_lifetime: float | None = None,
     diagram: Diagram | None = None,
 ) -> Beta:
-    """Measure the beta of Assumption 3', over critical edges only: ours, where the paper quantifies over all edges.
+    """Measure the beta of Assumption 3', over critical edges only. It is our variant; the paper's beta is over all edges.
 
     An edge e = {x, y} of length L is (alpha, epsilon)-critical in S when there are two points a, b of S other than x and y,
     both within L + 4 epsilon of x and of y, at least L - 4 epsilon apart, that no path in S joins through points nearer than
     L - alpha - 4 epsilon to x and to y, its first and last steps shorter than L - alpha - 4 epsilon and those between
     shorter than L - 2 alpha - 4 epsilon. Where such a path exists it survives the sampling and the motion, and holds
-    the edge's lune together: an edge that is not critical cannot be seen as a killer. The assumption asks that the critical
+    the edge's lune together: an edge that is not critical cannot be observed as a killer. The assumption asks that the critical
     edges with half length in [death - 2 epsilon, death + alpha + 2 epsilon] lie within beta of the loop's killer.
 
     Parameters
@@ -233,7 +234,7 @@ def beta_critical(
     min_lifetime : float, optional
         Loops with a lifetime above it are measured; ``alpha + 2 * epsilon`` when not given: what the corollary needs.
     diagram : Diagram, optional
-        Of `points`, when it is known.
+        Diagram of `points`, computed when not given.
     """
     alpha = positive(alpha, "alpha")
     epsilon = positive(epsilon, "epsilon")
@@ -249,12 +250,12 @@ def feature_separation(points: ArrayLike, min_lifetime: float = 0.0) -> float:
     points : (n, d) array_like
         The dense state S_t.
     min_lifetime : float
-        Only loops with a lifetime above it.
+        Loops with a longer lifetime are compared.
     """
     return _dense(points, None).separation(positive(min_lifetime, "min_lifetime"))
 
 
 def _dense(points: ArrayLike, diagram: Diagram | None) -> State:
-    """Return a state of which all is observed."""
+    """Return a state of which all points are observed."""
     array = as_points(points)
     return State(array, np.arange(len(array)), diagram)

@@ -1,4 +1,4 @@
-"""A cloud as the kernel reads it: points or distances, checked, and scaled by a power of two."""
+"""The kernel's form of a cloud: points or distances, checked, and scaled by a power of two."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .._validate import Array, as_points
 
 MEMORY = 4 << 30  # bytes that the tables for one cloud may take
 _SMALLEST_NORMAL = 2.0**-1022  # the smallest number with all its digits
-_TINY = 2.0**-450  # of the largest coordinate: squares of larger differences have all their digits
+_TINY = 2.0**-450  # share of the largest coordinate: squares of larger differences have all their digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class Cloud:
         return len(self.data)
 
     def keys(self, i: int | NDArray[np.int64], j: NDArray[np.int64] | slice) -> Array:
-        """Return what orders edges from i to j: distances of a matrix, squared lengths of points; in scaled units."""
+        """Return the keys that order edges from i to j, in scaled units: distances of a matrix, squared lengths of points."""
         if self.axes:
             return squares(self.data[i], self.data[j])
         return self.data[i, j]
@@ -90,7 +90,7 @@ class Cloud:
         return np.asarray(lengths) / 2
 
     def key_of(self, radius: float) -> float:
-        """Return what an edge of a scaled radius has for a key, in floating point rather too much than too little."""
+        """Return the key of an edge of a scaled radius, rounded up rather than down."""
         length = 2 * radius * (1 + 1e-15)
         return length * length if self.axes else length
 

@@ -29,12 +29,12 @@ class Diagram:
     birth: NDArray[np.float64]  #: (n,) half the length of the birth edge, in the unit of the points
     death: NDArray[np.float64]  #: (n,) half the length of the killer edge
     birth_edge: NDArray[np.int64]  #: (n, 2) vertex ids, the smaller first
-    killer_edge: NDArray[np.int64]  #: (n, 2)
+    killer_edge: NDArray[np.int64]  #: (n, 2) vertex ids
     #: (n, 2, 3) the killer edge and an apex, twice: one of each of the two components of the lune that the killing relation
     #: joins. The thick triangle, whose apex is farther from the edge's farther end, comes first.
     killer_triangles: NDArray[np.int64]
-    n_points: int  #: of the cloud
-    max_radius: float  #: where the filtration stopped
+    n_points: int  #: number of points of the cloud
+    max_radius: float  #: radius at which the filtration stopped
     _cloud: Cloud
     _simplices: tuple[NDArray[np.int64], NDArray[np.int64]]  # of short loops too: created (c, 2), killed (c, 4)
 
@@ -51,7 +51,7 @@ class Diagram:
 
     @property
     def lifetime(self) -> NDArray[np.float64]:
-        """(n,) death - birth."""
+        """Return the lifetimes (n,) of the loops: death - birth."""
         return self.death - self.birth
 
     def neighbours(self, i: int) -> NDArray[np.int64]:
@@ -149,8 +149,8 @@ class Diagram:
         Returns
         -------
         (c, 3) int64, list of (n, 4) int64, (k,) int64, list of (m, 2) int64
-            Of components that merge, a vertex and the edge; of loops that end, birth edge and killer edge; a vertex of each
-            component that stays; the birth edges of loops that stay. The lists are empty when there is no such loop.
+            For each merge of components, a vertex and the edge. For loops that end, birth edge and killer edge. A vertex of
+            each component that stays. The birth edges of loops that stay. The lists are empty when there is no such loop.
 
         Examples
         --------
@@ -197,17 +197,17 @@ def tighten(
         The complex is VR_radius. When it is not given or smaller, the complex is that of the walk's own birth, with all edges
         up to the walk's latest.
     metric : {"euclidean", "precomputed"}
-        What `points` are; ignored for a diagram.
+        Kind of `points`; ignored for a diagram.
 
     Returns
     -------
     (new_length,) int64
-        Vertex ids, from the first of the old ones that is still there.
+        Vertex ids, from the first old vertex that is still there.
 
     Raises
     ------
     TypeError, ValueError
-        When `cycle` is no sequence of vertex ids.
+        When `cycle` is not a sequence of vertex ids.
 
     Examples
     --------
@@ -248,7 +248,7 @@ def tighten(
         found = pairs(cloud, bound)
         classes = Homology(cloud, found.created, found.killed)
     tight = classes.tightened(walk, time)
-    if classes.length(tight) > classes.length(walk):  # by rounding
+    if classes.length(tight) > classes.length(walk):  # only by rounding
         tight = walk
 
     # Begin at the first old vertex that is still there.

@@ -29,21 +29,21 @@ from numba import njit
 __all__ = ["is_cone", "is_connected", "pair_edges", "reduce_column"]
 
 # What a kernel writes into `stop[0]` when it ends early. It raises no exception, because that would not give memory back.
-STOPPED = 1  # another thread wrote it
+STOPPED = 1  # the reason: another thread wrote it
 TOO_MANY_EDGES = 2
 TOO_MANY_LOOPS = 3
 
 WINDOW = 1 << 22  # edges sorted at a time, unless more have one length
 EDGE_BYTES = 108  # bytes of an `EdgeBuffer` for an edge
 FEW_POINTS = 4096  # for so few points, edges too long for a window are kept for the next one
-FEW_EDGES = 8  # insertion sorts so few as quickly as anything
-FEW_WORDS = 32  # rows so short are read as quickly as a place is compared
-LEAF = 8  # points in a leaf of the tree, at most
+FEW_EDGES = 8  # number of edges up to which insertion sort is fastest
+FEW_WORDS = 32  # length of a row up to which reading it is as quick as comparing places
+LEAF = 8  # largest number of points in a leaf of the tree
 # A lune lies within sqrt(3)/2 of its edge's length from the midpoint: a point within the rest is joined to all of it.
 CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)
 ROUNDING = 4e-16  # error of a place that is a mean of coordinates, which are at most 1
-SLACK = 1.05  # times the squared length at which the cloud before ended: this one is expected to end below
-REACH = 1.3  # times that length are listed, for several clouds
+SLACK = 1.05  # factor of the squared length at which the last cloud ended: this one is expected to end below
+REACH = 1.3  # factor of that length up to which edges are listed, for several clouds
 ALIKE = (
     0.25  # this part of that length must be certain without a list, or the clouds have nothing to do with each other
 )
@@ -60,7 +60,7 @@ ALIKE = (
 def edge_length(data, i, j, axes):
     """Return the entry of a matrix (no axes), or the squared distance of two points; the same for (i, j) and (j, i).
 
-    All compiled code asks it, since ties are decided by it; `_cloud.squares` is the same in NumPy, to the last bit.
+    All compiled code calls it, since it decides ties; `_cloud.squares` is the same in NumPy, to the last bit.
     """
     if len(axes) == 0:
         return data[i, j]
@@ -81,7 +81,7 @@ def root_of(length, axes):
 
 @njit(forceinline=True, cache=True)
 def precedes(length, a, b, other_length, x, y):
-    """Return whether the edge {a, b} comes before {x, y} in the total order, given the lengths of both."""
+    """Return True if the edge {a, b} comes before {x, y} in the total order, given the lengths of both."""
     if length != other_length:
         return length < other_length
     low = min(a, b)
@@ -92,7 +92,7 @@ def precedes(length, a, b, other_length, x, y):
 # Bits -----------------------------------------------------------------------------------------------------------------
 
 ONE = np.uint64(1)
-# The powers of two differ modulo 67, so that the remainder tells which bit is set.
+# The powers of two differ modulo 67, so that the remainder determines which bit is set.
 _BIT_OF_REMAINDER = np.zeros(67, dtype=np.int64)
 for _bit in range(64):
     _BIT_OF_REMAINDER[2**_bit % 67] = _bit
@@ -106,7 +106,7 @@ def lowest_bit(word):
 
 @njit(forceinline=True)
 def has_bit(bits, i):
-    """Return whether bit i of a bitset is set, as the number 0 or 1."""
+    """Return bit i of a bitset, as the number 0 or 1."""
     return (bits[i >> 6] >> np.uint64(i & 63)) & ONE
 
 
@@ -191,7 +191,7 @@ def build_tree(points, axes):
 
 @njit()
 def has_repeats(tree):
-    """Return whether a point is there twice, as far as neighbours in the tree's order show it."""
+    """Return True if neighbours in the tree's order show that a point occurs twice."""
     for i in range(len(tree.points) - 1):
         same = True
         for k in range(len(tree.axes)):
@@ -416,7 +416,7 @@ def _take_waiting(buffer, longest, size, waiting):
 def _edges_of_matrix(data, shortest, longest, keys, lengths):
     """Find all edges with shortest <= length < longest; return their number, -1 if the buffer is too small.
 
-    One end stands for the middle.
+    One end replaces the middle.
     """
     size = 0
     for x in range(len(data)):
@@ -432,7 +432,7 @@ def _edges_of_matrix(data, shortest, longest, keys, lengths):
 
 @njit(forceinline=True)
 def _key_precedes(key, length, other_key, other_length, label):
-    """Return whether an edge comes before another in the total order, given keys and lengths."""
+    """Return True if an edge comes before another in the total order, given keys and lengths."""
     if length != other_length:
         return length < other_length
     a, b, _ = ends_of(key)
@@ -593,7 +593,7 @@ LuneSearch = namedtuple("LuneSearch", "lune left waiting apexes values")
 
 @njit(forceinline=True)
 def is_cone(rows, x, y, z):
-    """Return whether z is in the lune of {x, y} and joined to all of it."""
+    """Return True if z is in the lune of {x, y} and joined to all of it."""
     if not (rows[x, z >> 6] & rows[y, z >> 6]) >> np.uint64(z & 63) & ONE:
         return False
     outside = np.uint64(0)
@@ -604,7 +604,7 @@ def is_cone(rows, x, y, z):
 
 @njit(forceinline=True)
 def is_near_middle(data, axes, x, y, z, length):
-    """Return whether z is nearer than the length of {x, y} to every place where a point of the lune can be.
+    """Return True if z is nearer than the length of {x, y} to every place where a point of the lune can be.
 
     With z at distance b from the line through x and y, and a from their midpoint along it, the farthest such place is on the
     lune's rim: a^2 + (sqrt(3)/2 L + b)^2 < L^2. For a matrix it is never known.
@@ -636,9 +636,9 @@ def _write_lune(rows, x, y, lune):
 
 @njit(forceinline=True)
 def is_connected(rows, lune, z, left):
-    """Return whether a lune is connected; False may also mean that the order was unlucky, and the full search decides.
+    """Return True if a lune is connected; False may also mean that the order was unlucky, and the full search decides.
 
-    What z reaches is absorbed, and then vertex by vertex what shares a neighbour in the lune with what is absorbed already.
+    Vertices that z reaches are absorbed, and then, one by one, vertices that share a neighbour in the lune with those.
     `left` (words,) is space for a bitset.
     """
     words = len(lune)
@@ -716,7 +716,7 @@ def _count_components(data, axes, rows, label, x, y, search):
 #
 # Idea: a relation is a cycle that bounds. Each of its edges is replaced by the two other edges of a triangle on it, again and
 # again, until all have empty lunes. Those that joined two components form a tree and count as nothing; so the others, the
-# creators of loops, say which cycle it is. Persistence is the reduction of these short sets, youngest creator first.
+# creators of loops, determine which cycle it is. Persistence is the reduction of these short sets, youngest creator first.
 
 # Edges with an empty lune, as lists at their ends: the first link of a vertex, and for a link the next one, the edge's other
 # end, and the number of the loop that it created (-1: none, it joined two components).
@@ -833,7 +833,7 @@ def _add_in_creators(data, axes, rows, label, graph, a, b, column, edges):
                 column[creator >> 6] ^= ONE << np.uint64(creator & 63)
             continue
 
-        # Otherwise the two other edges of a triangle that was complete with it stand for it.
+        # Otherwise the two other edges of a triangle that was complete with it replace it.
         z = _vertex_of_lune(data, axes, rows, label, a, b)
         if z < 0:
             raise AssertionError("an edge with an empty lune was passed over: please report this cloud to topokit")
@@ -974,7 +974,7 @@ def _last_of_points(tree, shortest):
 
 @njit(forceinline=True)
 def _is_in_lune(tree, z, x, y, length):
-    """Return whether z is nearer to both ends of {x, y} than its length."""
+    """Return True if z is nearer to both ends of {x, y} than its length."""
     points = tree.points
     axes = tree.axes
     return z != x and z != y and edge_length(points, x, z, axes) < length and edge_length(points, y, z, axes) < length
@@ -982,7 +982,7 @@ def _is_in_lune(tree, z, x, y, length):
 
 @njit(forceinline=True)
 def _leaf_meets_lune(tree, x, y, length, leaf):
-    """Return whether a point of a leaf is in the lune of {x, y}."""
+    """Return True if a point of a leaf is in the lune of {x, y}."""
     met = False
     for z in range(tree.start[leaf], tree.end[leaf]):
         met = met or _is_in_lune(tree, z, x, y, length)
@@ -991,7 +991,7 @@ def _leaf_meets_lune(tree, x, y, length, leaf):
 
 @njit()
 def _is_empty_lune(tree, x, y, length, nodes, place):
-    """Return whether no point is in the lune of {x, y}; boxes nearer to its midpoint are looked at first."""
+    """Return True if no point is in the lune of {x, y}; boxes nearer to its midpoint are looked at first."""
     for k in range(len(tree.axes)):
         place[k] = 0.5 * (tree.points[x, k] + tree.points[y, k])
     reach = (0.86605 * np.sqrt(length) + ROUNDING) ** 2  # a lune lies within sqrt(3)/2 of the length
@@ -1017,7 +1017,7 @@ def _is_empty_lune(tree, x, y, length, nodes, place):
 
 @njit(forceinline=True)
 def _is_nearer(tree, z, a, b):
-    """Return whether the point z is nearer to every place of box b than any place of box a is.
+    """Return True if the point z is nearer to every place of box b than any place of box a is.
 
     |z - y|^2 - |x - y|^2 is a sum over the axes; along one it is greatest with y at an end of b and x as near to it as a allows.
     """
@@ -1036,7 +1036,7 @@ def _is_nearer(tree, z, a, b):
 
 @njit(forceinline=True)
 def _is_between(tree, z, a, b):
-    """Return whether z is in the lune of every edge between two boxes."""
+    """Return True if z is in the lune of every edge between two boxes."""
     return _is_nearer(tree, z, a, b) and _is_nearer(tree, z, b, a)
 
 
@@ -1045,7 +1045,7 @@ def _is_between(tree, z, a, b):
 
 @njit()
 def _root(parent, x):
-    """Return the vertex that stands for the component of x."""
+    """Return the vertex that represents the component of x."""
     while parent[x] != x:
         parent[x] = parent[parent[x]]
         x = parent[x]
@@ -1059,7 +1059,7 @@ def pair_edges(data, axes, tree, max_length, m, longest, buffer, spare, stop):
     `data` holds distances, or points in the order of `tree`; a matrix needs the tree's labels alone. Lengths are squared for
     points. The buffer may have the first window already: m edges in order, all that are shorter than `longest`; else m is -1.
     Besides the n x n bits `spare` bytes may be taken: half for the edges of a window, half for the columns of loops. When these
-    do not suffice, or another thread writes into `stop` (1,), `stop` holds the reason and what is returned is not all.
+    do not suffice, or another thread writes into `stop` (1,), `stop` holds the reason and the result is incomplete.
 
     Return the buffer for the next call, both tables, and the length of the edge that was read last.
     """
@@ -1132,7 +1132,7 @@ def pair_edges(data, axes, tree, max_length, m, longest, buffer, spare, stop):
                     born += 1
                     alive += 1
 
-            # Once all is one component and no loop is alive, ask how long it can matter to read on.
+            # Once all is one component and no loop is alive, compute up to which length edges can matter.
             if alive == 0 and n_components == 1 and last < 0:
                 last = last_empty_lune(data, axes, tree, length)
         if stop[0] != 0 or longest > greatest or (alive == 0 and 0 <= last < longest):
@@ -1206,7 +1206,7 @@ def move_tree(tree, points, reach):
 def _edges_of_list(keys, tree, bound, buffer):
     """Find the listed edges that are shorter than a bound; return their number.
 
-    An end stands for a middle that was near enough for the lune to be a cone: the points have moved.
+    An end replaces a middle that was near enough for the lune to be a cone: the points have moved.
     """
     buffer.waiting[0] = -1
     found_keys = buffer.found_keys

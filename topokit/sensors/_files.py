@@ -28,7 +28,7 @@ _WIDEST = 16  # columns of a point, at most; an image has more
 _IMAGE_SIZES = {(240, 320), (424, 512), (480, 640), (480, 848), (576, 640), (720, 1280), (1080, 1920)}  # depth cameras
 _MOST_POINTS_A_BYTE = 100
 _MOST_PIXELS = 2**26
-_MOST_NUMBERS = 2**12  # in a field of a point
+_MOST_NUMBERS = 2**12  # numbers in a field of a point
 _LARGEST_FRAME = 2**28  # bytes of a streamed cloud: eleven million points in space
 _ROS_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _ROS_DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
@@ -36,7 +36,7 @@ _ROS_DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 
 @dataclass(frozen=True)
 class _Declared:
-    """What the caller declared about clouds."""
+    """The caller's declarations about clouds."""
 
     unit: str | None = None
     columns: Sequence[int | str] | None = None
@@ -57,7 +57,7 @@ def read_clouds(
     topic: str | None = None,
     fps: float | None = None,
 ) -> Frames:
-    """Yield the clouds (n, 3) of a film, raw and in metres, each with its time in seconds, or None where none is known.
+    """Yield the clouds (n, 3) of a film, raw and in metres, each with its time in seconds, or None when it has none.
 
     Files of NumPy need no extra; the others need ``pip install 'topokit[sensors]'``. `Cleaner` makes the clouds ready.
 
@@ -68,22 +68,22 @@ def read_clouds(
         a bag of ROS 2; a folder or a pattern (``"film/*.pcd"``) of numbered files of one kind. An array (480, 640, 3), or of
         another size that depth cameras have, is one cloud; a film of that shape is stored as (480, 1, 640, 3).
     unit : {"m", "cm", "mm"}, optional
-        By default metres, and millimetres for depth in whole numbers; a cloud whose size fits neither is refused. A declared
-        "m" is not questioned.
+        Unit of the numbers: by default metres, and millimetres for depth in whole numbers. A cloud of an impossible size is
+        refused. With a declared "m" the size is not checked.
     columns : sequence, optional
-        Which three of the numbers of a point, or of their names, are its place; x, y and z, when they are named.
+        Indices or names of the three numbers of a point that are its place; x, y and z, when the numbers have names.
     intrinsics : mapping or path, optional
-        Of a depth camera without distortion: fx, fy, cx, cy (or K), or a JSON file of them; when not given, those in the bag, or
-        in intrinsics.json beside the image.
+        Intrinsics of a depth camera without distortion: fx, fy, cx, cy (or K), or a JSON file of them. By default they are
+        read from the bag, or from intrinsics.json beside the image.
     topic : str, optional
-        Of a bag.
+        Topic of a bag.
     fps : float, optional
         Frames a second, for files without times.
 
     Raises
     ------
     FileNotFoundError, FormatError
-        The message says which file, what is wrong, and what to do.
+        When a file is missing or unsound. The message names the file, the problem and a remedy.
     """
     declared = _Declared(unit, columns, intrinsics, topic)
     if fps is None:
@@ -105,16 +105,16 @@ def read_stream(
     Parameters
     ----------
     stream : io.BufferedReader
-        For example ``sys.stdin.buffer``.
+        Stream to read, for example ``sys.stdin.buffer``.
     unit, columns, intrinsics
-        As in `read_clouds`.
+        The parameters of the same names of `read_clouds`.
     check_unit : bool
-        Refuse clouds whose size cannot be meant, unless the unit is declared as "m".
+        Refuse clouds of an implausible size, unless the unit is declared as "m".
 
     Raises
     ------
     FormatError
-        The message says which frame, and what is wrong with it. No array of more than 256 MiB is read.
+        When a frame is unsound; the message names the frame and the problem. No array of more than 256 MiB is read.
     """
     declared = _Declared(unit, columns, intrinsics)
     unsure = check_unit and unit != "m"
@@ -154,11 +154,11 @@ def _next_array(stream: Any) -> Array:
 
 
 def _read(path: Path, declared: _Declared) -> Frames:
-    """Yield the clouds of a film in metres, each with its time; whatever is wrong with a file names it."""
+    """Yield the clouds of a film in metres, each with its time; errors name the file."""
     unsure = declared.unit != "m"
     try:
         for file in _files_of(path):
-            path = file  # the one to name when something is wrong
+            path = file  # the file that an error names
             for time, cloud in _READERS[_kind(file)](file, declared):
                 if unsure and _size_is_plausible(cloud, declared):
                     unsure = False
@@ -198,7 +198,7 @@ def _number_order(file: Path) -> list[str]:
 
 
 def _kind(path: Path) -> str:
-    """Return how a name ends; a folder with a `metadata.yaml` is a bag of ROS 2."""
+    """Return the suffix of a name; a folder with a `metadata.yaml` is a bag of ROS 2."""
     if (path / "metadata.yaml").is_file():
         return ".mcap"
     return path.suffix.lower()
@@ -208,7 +208,7 @@ def _kind(path: Path) -> str:
 
 
 def _size_is_plausible(cloud: Array, declared: _Declared) -> bool:
-    """Return whether a cloud has a size to look at, and raise ValueError when that size cannot be meant."""
+    """Return True if a cloud has a size to check; raise ValueError when that size is implausible."""
     seen = cloud[np.isfinite(cloud).all(axis=1) & cloud.any(axis=1)]
     if not len(seen):
         return False
@@ -225,9 +225,9 @@ def _size_is_plausible(cloud: Array, declared: _Declared) -> bool:
 
 
 def _as_cloud(frame: Array, declared: _Declared, camera: Path | Mapping[str, Any] | None) -> Array:
-    """Return places (n, 3) in metres, of rows or of an image.
+    """Return places (n, 3) in metres from rows or from an image.
 
-    `camera` is what an image is read by when no intrinsics were declared: a description, or the folder of its file.
+    `camera` replaces intrinsics that were not declared: a description of the camera, or the folder of the image.
     """
     names = frame.dtype.names
     if names is None:
@@ -236,7 +236,7 @@ def _as_cloud(frame: Array, declared: _Declared, camera: Path | Mapping[str, Any
         if declared.columns is None and frame.ndim == 2 and frame.shape[1] > _WIDEST:
             return _seen_by_pixels(as_reals(frame, "depth"), declared.intrinsics or camera, declared.unit)
 
-    # Which three of the numbers, or of the names, are the place.
+    # Find the three numbers, by index or by name, that are the place.
     known: Any = names or range(frame.shape[-1])
     columns: Any = known
     if declared.columns:
@@ -260,7 +260,7 @@ def _as_cloud(frame: Array, declared: _Declared, camera: Path | Mapping[str, Any
 
 
 def _seen_by_pixels(depth: Array, camera: Any, unit: str | None) -> Array:
-    """Return what pixels (h, w) see, to the right, down and forward; (0, 0, 0) where they see nothing."""
+    """Return the places of pixels (h, w): right, down and forward; (0, 0, 0) for pixels without depth."""
     fx, fy, cx, cy, scale = _lens(camera)
     if unit is not None:
         scale = np.float32(UNITS[unit])
@@ -274,7 +274,7 @@ def _seen_by_pixels(depth: Array, camera: Any, unit: str | None) -> Array:
 
 
 def _lens(camera: Any) -> Array:
-    """Return fx, fy, cx, cy in pixels and the metres of a unit of depth, of a camera as its maker describes it."""
+    """Return fx, fy, cx, cy in pixels and the metres in a unit of depth, from a maker's description of a camera."""
     entries: Mapping[str, Any] = {}
     if isinstance(camera, Mapping):
         entries = camera
@@ -289,10 +289,10 @@ def _lens(camera: Any) -> Array:
     if matrices:
         numbers = matrices[0]
         if isinstance(numbers, Mapping):
-            numbers = numbers["data"]  # as OpenCV writes it
+            numbers = numbers["data"]  # the form of OpenCV
         k = np.array(numbers, float).reshape(3, 3)
         if not k[0, 2]:
-            k = k.T  # Open3D writes it column by column
+            k = k.T  # the form of Open3D, column by column
         entries = {**entries, "fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
     lens = []
     for names in (("fx",), ("fy",), ("cx", "ppx"), ("cy", "ppy")):
@@ -324,12 +324,12 @@ def _npy(path: Path, declared: _Declared) -> Frames:
 
 
 def _npz(path: Path, declared: _Declared) -> Frames:
-    """Yield the frames of the array `points`, or of the only one besides `times`; several without names are a cloud each."""
+    """Yield the frames of the array `points`, or of its only array; several unnamed arrays are a cloud each."""
     with np.load(path, allow_pickle=False) as archive:
         check_size(archive.zip.infolist(), path.stat().st_size)
         names = [name for name in archive.files if name != "times"]
         if HEADER in names:
-            raise ValueError("topokit wrote it, and it holds no film: read it by load_episode or load_states")
+            raise ValueError("it is a file of topokit, not a film of clouds: read it by load_episode or load_states")
         if "points" in names:
             names = ["points"]
         is_film = bool(names) and all(name.startswith("arr_") for name in names)
@@ -356,7 +356,7 @@ def _ply(path: Path, declared: _Declared) -> Frames:
         handle.seek(0)
         points = np.asarray(load_ply(handle, fix_texture=False, skip_materials=True).get("vertices", ()))
     if counted is None or int(counted[1]) != len(points):
-        raise ValueError(f"cut off or damaged: it holds {len(points)} points, and its header counts others")
+        raise ValueError(f"cut off or damaged: it holds {len(points)} points, and its header declares another number")
     yield None, _as_cloud(points, declared, path.parent)
 
 
@@ -424,7 +424,7 @@ def _bag(path: Path, declared: _Declared) -> Frames:
 
 
 def _topic(kinds: Mapping[str, str], asked: str | None) -> str:
-    """Return the topic that was asked for, or the only one of clouds, or the only one of depth images."""
+    """Return the named topic, or else the only topic of clouds, or the only topic of depth images."""
     clouds = [name for name, kind in kinds.items() if kind == "PointCloud2"]
     images = [name for name, kind in kinds.items() if kind == "Image"]
     if asked is None:
@@ -433,7 +433,7 @@ def _topic(kinds: Mapping[str, str], asked: str | None) -> str:
         likely = [name for name in clouds + images if name == asked]
     if len(likely) != 1:
         listed = ", ".join(clouds + images) or "none of the types PointCloud2 and Image"
-        raise ValueError(f"which topic? There is {listed}: name one as topic= or --topic")
+        raise ValueError(f"the topic is ambiguous; there is {listed}: name one as topic= or --topic")
     return likely[0]
 
 

@@ -1,4 +1,4 @@
-"""A cloud with a memory: what one camera sees now, and what it saw before and cannot see now.
+"""A cloud with a memory: the points that one camera observes now, and earlier points that are hidden now.
 
 Idea: remembered points are carried along with the cloth. One that is seen again is replaced; one that the camera looks through
 is forgotten at once, for that place is empty; one that should be in sight and is not is forgotten after a while; one that
@@ -20,26 +20,27 @@ from topokit._validate import Array, as_points, whole
 from topokit.sampling import as_tree
 from topokit.seqph import TopologicalState
 
-# Distances in space are in units of the distance of cloth points from their nearest other one.
-_APART = 0.7  # how far from all that is seen a remembered point is
-_THICK = 1.3  # what is less far in front of the cloth or behind it belongs to it
-_BESIDE = 1.2  # how far in the picture from what is seen is beside it, in distances of points from their fifth nearest
-_AROUND = 4  # how many that are near in the picture must all be farther away, where a place is empty
+# The unit of distances in space is the distance of cloth points from their nearest other one.
+_APART = 0.7  # least distance of a remembered point from all observed points
+_THICK = 1.3  # thickness of the cloth: places within it, in front or behind, belong to the cloth
+# Distance in the picture beyond which a place is beside the cloth, in distances to the fifth nearest point.
+_BESIDE = 1.2
+_AROUND = 4  # number of near points in the picture that must all be farther away for a place to be empty
 _WITHIN = np.array([[1 / 3] * 3, *(np.eye(3) + 1) / 4, *(3 * np.eye(3) + 1) / 6])  # places in a triangle
 
 
 class CloudMemory:
-    """The cloud of what a depth camera sees and of what it remembers, a call a frame; a memory for each film.
+    """The cloud of a depth camera together with remembered points, one call a frame. Use a new memory for each film.
 
-    Remembered points move with the mean of what is in sight: one side of a piece of cloth shows little of how the other moves.
-    So the cloth should stay in the picture, and what passes in front of it should be given as `around`; otherwise what is
-    hidden, or has left, passes for motion. Clouds should be evenly sampled (`Pipeline` with a voxel, or farthest points): where
-    points are drawn at random anew in every frame, those of many frames pile up.
+    Remembered points move with the mean of the points in sight, since one side of a cloth shows little of the other's motion.
+    So the cloth should stay in the picture, and objects in front of it should be given as `around`. Otherwise points that
+    are hidden, or have left, look like motion. Clouds should be evenly sampled (`Pipeline` with a voxel, or farthest points).
+    When every frame is a new random sample, the points of many frames pile up.
 
     Parameters
     ----------
     frames : int
-        For how many frames a point is remembered while it should be in sight; those in which it is hidden do not count.
+        Number of frames for which a point is remembered while it should be in sight; frames in which it is hidden do not count.
 
     Examples
     --------
@@ -50,23 +51,23 @@ class CloudMemory:
 
     def __init__(self, frames: int = 30) -> None:
         self.frames = whole(frames, "frames")
-        self._view: _View | None = None  # of the last frame
+        self._view: _View | None = None  # view of the last frame
         self._remembered = np.zeros((0, 3))
-        self._frames_in_sight = np.zeros(0, np.int64)  # of each remembered point
+        self._frames_in_sight = np.zeros(0, np.int64)  # one number for each remembered point
         self._open: set[int] = set()  # identities of loops that have been looked through
 
     def __call__(self, points: ArrayLike, *, eye: ArrayLike = (0, 0, 0), around: ArrayLike | None = None) -> Array:
-        """Return (k, 3) what is seen, each place once, and what is remembered. A frame that is refused changes nothing.
+        """Return the observed points, each place once, and the remembered ones (k, 3). A refused frame changes nothing.
 
         Parameters
         ----------
         points : (n, 3) array_like
             Points of the cloth, in a frame of reference that does not move.
         eye : (3,) array_like
-            Where the camera is.
+            Place of the camera.
         around : (m, 3) array_like, optional
-            What else it sees, such as a wall or a hand: it hides what is behind, and is seen through places that are empty.
-            Without it, what is beside the cloth in the picture stays.
+            Other points in the picture, such as a wall or a hand. They hide points behind them, and show that places in front
+            of them are empty. Without them, remembered points beside the cloth in the picture stay.
         """
         cloth = _in_space(points, "points")
         others = _in_space(np.zeros((0, 3)) if around is None else around, "around")
@@ -77,7 +78,7 @@ class CloudMemory:
         return np.vstack([view.cloth, self._remembered])
 
     def open_loops(self, state: TopologicalState) -> TopologicalState:
-        """Keep those loops of the last cloud that the camera looks through past all cloth, now or before.
+        """Return the state with only the loops that the camera looks through past all cloth, now or in an earlier frame.
 
         Parameters
         ----------
@@ -94,8 +95,8 @@ class CloudMemory:
         return replace(state, loops=tuple(loop for loop in state.loops if loop.id in self._open))
 
     def _carry_along(self, before: _View, now: _View) -> None:
-        """Move what is remembered and what was seen, and keep what is neither seen again nor contradicted."""
-        # The motion is that of the mean of the cloth which nothing else hides in either frame.
+        """Move remembered and observed points, and keep those that are neither seen again nor contradicted."""
+        # The motion is the motion of the mean of the cloth which nothing else hides in either frame.
         stays = ~now.look_at(before.cloth).covered
         was_there = ~before.look_at(now.cloth).covered
         if not (stays.any() and was_there.any()):
@@ -113,25 +114,25 @@ class CloudMemory:
 
 
 class _Places(NamedTuple):
-    """What a view shows of n places."""
+    """The visibility of n places in a view."""
 
-    empty: NDArray[np.bool_]  #: (n,) looked through
-    hidden: NDArray[np.bool_]  #: (n,) hidden, or beside all that is seen
-    covered: NDArray[np.bool_]  #: (n,) hidden by what is not cloth
-    past_all_cloth: NDArray[np.bool_]  #: (n,) in a direction in which no cloth is seen
+    empty: NDArray[np.bool_]  #: (n,) True for places that the camera looks through
+    hidden: NDArray[np.bool_]  #: (n,) True for places that are hidden, or beside all observed points
+    covered: NDArray[np.bool_]  #: (n,) True for places hidden by other things than cloth
+    past_all_cloth: NDArray[np.bool_]  #: (n,) True for places in a direction without cloth
 
 
 class _View:
-    """What a camera sees in a frame: the cloth, the distances of its points, and all in directions from the eye."""
+    """The view of a camera in a frame: the cloth, the distances of its points, and all directions from the eye."""
 
     def __init__(self, points: Array, others: Array, eye: Array) -> None:
         self.cloth = np.unique(points + 0.0, axis=0)  # -0.0 and 0.0 are one place
         self._eye = eye
         if len(self.cloth) <= _AROUND:
-            raise ValueError(f"points has {len(self.cloth)} places, too few to tell what they hide: skip the frame")
+            raise ValueError(f"points has {len(self.cloth)} places, too few to decide what they hide: skip the frame")
         directions, self._depths = self._from_eye(np.vstack([self.cloth, others]))
         if not self._depths.all():
-            raise ValueError(f"a point is where the eye is, at {eye[0].tolist()}: drop pixels that saw nothing")
+            raise ValueError(f"a point is where the eye is, at {eye[0].tolist()}: drop pixels without depth")
         self._picture = as_tree(directions)
         self._picture_of_cloth = as_tree(directions[: len(self.cloth)])
         self.tree = as_tree(self.cloth)
@@ -140,7 +141,7 @@ class _View:
         self._beside = _BESIDE * float(np.median(to_fifth))
 
     def look_at(self, places: Array) -> _Places:
-        """Compare places with what is seen in their directions."""
+        """Compare places with the observed points in their directions."""
         directions, depths = self._from_eye(places)
         away, near = self._picture.query(directions, k=_AROUND)
         farther = self._depths[near] - depths[:, None]

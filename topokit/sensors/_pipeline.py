@@ -1,4 +1,4 @@
-"""The declared pipeline: which points are left out of a raw cloud before loops are looked for, step by step, and counted.
+"""The declared pipeline: it removes points from a raw cloud before the search for loops, step by step, and counts them.
 
 Source: Fischler and Bolles 1981 (RANSAC); outliers and farthest points as in `topokit.sampling`.
 """
@@ -21,8 +21,8 @@ from topokit.sampling import farthest_point_sample, inliers
 
 Box = Annotated[tuple[Place, Place], BeforeValidator(as_tuple)]
 _SAMPLE = 2000  # points that a plane is fitted to
-_SHARE = 0.1  # of the points, at least, are on a table or a wall
-_BEHIND = 0.03  # of the points, at most, are behind it: it is not cloth with the room behind
+_SHARE = 0.1  # least share of the points that are on a table or a wall
+_BEHIND = 0.03  # largest share of the points behind it: otherwise it is cloth with the room behind
 _REST = 30  # frames until a plane is searched for again that was not there: a search takes half a second
 _TURN = np.cos(np.radians(10))  # a plane turns less from one frame to the next
 
@@ -42,12 +42,12 @@ class Pipeline:
     crop: Box | None = None  #: lowest and highest corner of the box that is kept, metres
     #: walls and tables to remove: planes that are not seen through, the largest first
     planes: Annotated[int, Field(ge=0, le=10)] = 0
-    eye: Place = (0.0, 0.0, 0.0)  #: where the camera is
-    thickness: Positive = 0.01  #: what is within it of a plane belongs to the plane, metres
-    voxel: Positive | None = None  #: one point, their mean, for those in each cube of such an edge, metres
+    eye: Place = (0.0, 0.0, 0.0)  #: place of the camera
+    thickness: Positive = 0.01  #: largest distance from a plane of points that belong to it, metres
+    voxel: Positive | None = None  #: edge of cubes, metres: the points in each cube become their mean
     #: drop points that are alone: the factor of `topokit.sampling.inliers`; 2.5 suits cloth
     outliers: Positive | None = None
-    points: Count | None = 1000  #: farthest points that are kept of what is left; all, when none
+    points: Count | None = 1000  #: number of farthest points to keep; None keeps all
 
     def __post_init__(self) -> None:
         if self.crop is not None and not (np.array(self.crop[0]) < self.crop[1]).all():
@@ -74,10 +74,10 @@ class Cleaner:
         self.removed: dict[str, int] = {}
         self._frame = 0
         self._search_from = 0  # the frame from which on planes are searched for
-        self._planes: list[Array] = []  # of the last frame: unit normal, and its product with the plane's points
+        self._planes: list[Array] = []  # planes of the last frame: unit normal, and its product with the plane's points
 
     def __call__(self, points: ArrayLike) -> Array:
-        """Return what is left (k, 3) of a frame, (n, 3) or (h, w, 3) in metres."""
+        """Return the remaining points (k, 3) of a frame, (n, 3) or (h, w, 3) in metres."""
         raw = as_reals(points, "points")
         if raw.ndim not in (2, 3) or raw.shape[-1] != 3:
             raise ValueError(f"points must be (n, 3) or (h, w, 3), not of shape {raw.shape}: pick x, y and z")
@@ -106,12 +106,12 @@ class Cleaner:
             left = self._step("by farthest points", left, partial(_farthest, n=declared.points))
         if not len(left):
             removed = ", ".join(f"{count} {name}" for name, count in self.removed.items())
-            raise ValueError(f"nothing is left of frame {self._frame}: removed were {removed}; look at box and units")
+            raise ValueError(f"nothing is left of frame {self._frame}: removed were {removed}; check box and units")
         self._frame += 1
         return np.asarray(left, dtype=np.float64)
 
     def _step(self, name: str, points: Array, step: Callable[[Array], Array]) -> Array:
-        """Do a step on what is left, and count what it removes."""
+        """Apply a step to the remaining points, and count the points that it removes."""
         if not len(points):
             return points
         left = step(points)
@@ -125,7 +125,7 @@ class Cleaner:
         before = self._planes
         self._planes = []
         for number in range(self.pipeline.planes):
-            # A plane of the frame before is followed; where it is lost, or was not there, one is searched for.
+            # A plane of the last frame is followed. When it is lost, or there was none, a new one is searched for.
             plane = None
             if number < len(before):
                 plane = _followed(sample, before[number], thickness)
@@ -176,7 +176,7 @@ def _on(points: Any, plane: Array, thickness: float) -> NDArray[np.bool_]:
 
 
 def _followed(points: Array, plane: Array, thickness: float) -> Array | None:
-    """Return where a plane of the frame before is now; None when it is there no more."""
+    """Return the present place of a plane of the last frame; None when it is gone."""
     for width in (3 * thickness, thickness):
         near = _on(points, plane, width)
         if near.sum() < max(3, _SHARE * len(points)):
@@ -189,7 +189,7 @@ def _followed(points: Array, plane: Array, thickness: float) -> Array | None:
 
 
 def _found(sample: Array, thickness: float, eye: Array) -> Array | None:
-    """Return the plane that most points are on, of those that are not seen through.
+    """Return the plane with the most points, among the planes that are not seen through.
 
     RANSAC looks for it along each axis, and least squares refine it.
     """
@@ -218,7 +218,7 @@ def _found(sample: Array, thickness: float, eye: Array) -> Array | None:
 def _is_opaque(
     model: Any, _others: Array, _values: Array, *, points: Array, axis: int, thickness: float, eye: Array
 ) -> bool:
-    """Return whether few points lie behind the plane of a linear model, seen from the eye, and some on it."""
+    """Return True if few points lie behind the plane of a linear model, from the eye, and some lie on it."""
     normal = np.insert(model.coef_, axis, -1.0)
     offsets = points @ normal + model.intercept_
     side_of_eye = np.sign(eye @ normal + model.intercept_)

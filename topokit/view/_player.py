@@ -43,7 +43,7 @@ def player(
     episode : Episode
         The figure shows its cloth, its target and its grippers.
     states : sequence of TopologicalState
-        One a frame, in order, as `topokit.track` returns them.
+        States of all frames, in order, as `topokit.track` returns them.
     height : int
         Height of the frame in CSS pixels.
     start : int, optional
@@ -51,10 +51,10 @@ def player(
     view : (2,) float
         Azimuth and elevation of the eye in degrees, as in Matplotlib's `view_init`.
     show_truth : bool
-        Whether the garment's true loops are visible at first; the reader can turn them on and off.
+        Show the garment's true loops at first; the reader can turn them on and off.
     film : bool
-        Leave out the charts and play again and again until the reader stops it, unless the reader's system asks for less
-        motion.
+        Leave out the charts and play in a loop until the reader stops it. It does not start by itself when the reader's
+        system is set to reduced motion.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def plans(
             f"{frame} of {len(episode)}, not {paths.shape} and {forecasts.shape}"
         )
 
-    # vertices and grippers together as sums of few modes: now, then at each knot
+    # Vertices and grippers together become sums of few modes: now, then at each knot.
     later = np.concatenate([forecasts, paths[:, :, knots - 1]], axis=3)
     first = np.concatenate([now, episode.grippers[frame]])
     first = np.broadcast_to(first, (rows, columns, 1, *first.shape))
@@ -196,7 +196,7 @@ def wardrobe(garments: Mapping[str, Garment], *, height: int = 480, title: str =
         When there is no garment.
     """
     if not garments:
-        raise ValueError("garments names no garment; give at least one")
+        raise ValueError("garments is empty; give at least one garment")
     meshes = []
     for name, garment in garments.items():
         mesh, arrays = _mesh_data(garment.vertices[None], garment.faces, garment.loops)

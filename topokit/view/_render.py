@@ -57,7 +57,7 @@ _LAMPS = ((-45, 40, "#FFF6E5", 0.72), (55, 10, "#E6F0FF", 0.35), (170, 30, "whit
 
 @functools.cache
 def pyvista_works() -> tuple[bool, str]:
-    """Return whether PyVista can draw on this machine, and what to install when it cannot; computed once a process."""
+    """Return True if PyVista can draw on this machine, and else the missing package; computed once a process."""
     if find_spec("pyvista") is None:
         return False, "PyVista is not installed: pip install 'topokit[view]'"
     command = [sys.executable, "-c", _PROBE]
@@ -73,7 +73,7 @@ def render_cloth(
 ) -> Image.Image:
     """Return a shaded picture of a cloth with the killer triangles of its loops, as an RGB image of Pillow.
 
-    Where PyVista cannot draw, the picture is that of `plot_cloth`, and one line on stderr names what to install.
+    Where PyVista cannot draw, `plot_cloth` makes the picture, and one line on stderr names the package to install.
 
     Parameters
     ----------
@@ -106,13 +106,13 @@ def save_animation(
     Parameters
     ----------
     path : str or Path
-        Ends in .gif.
+        Name of the file, which ends in .gif.
     episode : Episode
         The cloth is drawn, and the target by its centre line where there are no rods.
     states : sequence of TopologicalState, optional
-        One a frame, as `topokit.track` returns them; their killer triangles are drawn.
+        States of all frames, as `topokit.track` returns them; their killer triangles are drawn.
     every : int
-        Draw one frame of so many.
+        Step between drawn frames.
     size : (2,) int
         Width and height in pixels.
     **scene
@@ -121,7 +121,7 @@ def save_animation(
     Raises
     ------
     ValueError
-        When `path` does not end in .gif, `every` is not a positive whole number, or the states are not one a frame.
+        When `path` does not end in .gif, `every` is not a positive whole number, or there is not one state for each frame.
     """
     path = Path(path)
     if path.suffix.lower() != ".gif":
@@ -138,7 +138,7 @@ def save_animation(
         loops = states[frame].loops if states else ()
         picture = render_cloth(episode.points[frame], episode.faces, size=size, loops=loops, **scene)
         pictures.append(picture.quantize(160, Image.Quantize.FASTOCTREE))  # a median cut loses small patches of colour
-    pause = max(20, round(1000 * episode.dt * every))  # milliseconds; browsers slow down what is faster
+    pause = max(20, round(1000 * episode.dt * every))  # milliseconds; browsers slow down shorter pauses
     options: dict[str, Any] = {"save_all": True, "duration": pause, "loop": 0, "optimize": True}
     with atomic_file(path) as file:
         pictures[0].save(file, format="GIF", append_images=pictures[1:], **options)
@@ -175,7 +175,7 @@ def _by_pyvista(scene: Scene, size: tuple[int, int]) -> NDArray[np.uint8]:
     plotter.set_background("#DCE3EA", top="#FFFFFF")
     extent = float(np.ptp(scene.points, axis=0).max(initial=0.0)) or 1.0
 
-    # cloth, target, true loops, killers
+    # Draw cloth, target, true loops and killers.
     _add_cloth(plotter, scene)
     for line, radius in scene.capsules:
         _add_tube(plotter, line, radius, _STEEL, **_GLOSS)
