@@ -115,16 +115,16 @@ Quiet = Annotated[bool, Parameter(help="Show no progress.")]
 @Parameter(name="*", group="Mesh")
 @dataclass(frozen=True)
 class MeshOptions:
-    """How the mesh of a garment is read.
+    """Options for reading the mesh of a garment.
 
     Attributes
     ----------
     loops
-        Its loops: auto (default), borders, or a file of vertex ids: {NAME: [ID, ...], ...} or [[ID, ...], ...] (.json).
+        Loops of the mesh: auto (default), borders, or a file of vertex ids: {NAME: [ID, ...], ...} or [[ID, ...], ...] (.json).
     unit
-        Its unit (default: the one that makes it as large as a garment).
+        Unit of the mesh (default: the unit that makes it as large as a garment).
     size
-        Its largest extent in metres, instead of a unit.
+        Largest extent of the mesh in metres, instead of a unit.
     up
         The axis of the mesh that points up (default: found).
     """
@@ -138,18 +138,18 @@ class MeshOptions:
 @Parameter(name="*", group="Clouds")
 @dataclass(frozen=True)
 class CloudOptions:
-    """How clouds are read that topokit did not record.
+    """Options for reading clouds that topokit did not record.
 
     Attributes
     ----------
     pipeline
-        What is left out of each of them (.json).
+        Steps that clean each cloud (.json).
     unit
         Unit of the clouds (default: metres; millimetres for depth images).
     columns
-        Which numbers, or names, of a point are its place, as 0,1,2.
+        Indices or names of the numbers of a point that are its place, as 0,1,2.
     intrinsics
-        fx, fy, cx and cy of a depth camera (.json).
+        Intrinsics fx, fy, cx and cy of a depth camera (.json).
     topic
         Topic of a ROS 2 bag.
     fps
@@ -195,15 +195,15 @@ class TrackerOptions:
     epsilon
         Motion of a frame in metres (default: estimated).
     paper
-        That of the paper; options beside it take the place of its own.
+        Use the tracker of the paper; other options replace its own.
     loops
-        Which bars are loops (default: by evidence without --alpha).
+        Rule by which bars are loops (default: evidence, without --alpha).
     gates
-        How far a loop may move (default: near).
+        Limits on the motion of a loop (default: near).
     identity
-        What the place of a loop is (default: killer-triangles; the paper's killer edge can jump).
+        Place of a loop (default: killer-triangles; the paper's killer edge can jump).
     memory
-        For how many frames a missed loop is remembered (default: 20).
+        Number of frames for which a missed loop is remembered (default: 20).
     """
 
     alpha: float | None = None
@@ -216,7 +216,7 @@ class TrackerOptions:
     memory: Whole | None = None
 
     def chosen(self) -> dict[str, Any]:
-        """Return what was given, by the names of the parameters of `SeqPH`."""
+        """Return the given options, by the names of the parameters of `SeqPH`."""
         from .seqph import PAPER
 
         options = {name: value for name, value in vars(self).items() if name != "paper" and value is not None}
@@ -228,14 +228,14 @@ class TrackerOptions:
 @Parameter(name="*", group="Processes")
 @dataclass(frozen=True)
 class ClusterOptions:
-    """Where the work of many episodes is done.
+    """Options for the work on many episodes.
 
     Attributes
     ----------
     workers
         Processes on this machine (default: one a core).
     scheduler
-        Address of a Dask scheduler whose workers see the same folder.
+        Address of a Dask scheduler whose workers have access to the same folder.
     """
 
     workers: Whole | None = None
@@ -277,7 +277,7 @@ def track(
     plot
         Episodes: also draw the tracks (.png, .svg or .pdf).
     cloud
-        Episodes: all vertices (default), or the sample of them that an observer sees.
+        Episodes: all vertices (default), or their observed sample.
     """
     # A stream has no file: options of files are refused.
     if live:
@@ -290,7 +290,7 @@ def track(
     out = _tracks_file(episode, out)
     _check_suffix("--plot", plot, PICTURES)
 
-    # Options that the kind of input has no use for are refused.
+    # Options that do not apply to this kind of input are refused.
     if _is_archive_of_ours(episode):
         if given := clouds.given():
             raise ValueError(f"--{given[0]} is for clouds, and {episode} is an episode: leave it out")
@@ -431,7 +431,7 @@ def _print_where(rows: Sequence[Any], out: Path) -> None:
 
 
 def _track_live(clouds: CloudOptions, tracker: TrackerOptions) -> int:
-    """Track clouds as they come; what is kept does not grow."""
+    """Track clouds as they come; the memory does not grow."""
     from .sensors import read_stream
     from .seqph import SeqPH
 
@@ -499,21 +499,21 @@ def simulate(
     Parameters
     ----------
     out
-        Where to write the episode (.npz).
+        File for the episode (.npz).
     task
-        What goes where (default: apron-hook; hook with --mesh).
+        Garment and target (default: apron-hook; hook with --mesh).
     seed
         Seed of everything random (default: 0).
     randomise
         Draw physics, size and cameras, not only the path.
     cameras
-        Observe with so many depth cameras around the target.
+        Number of depth cameras around the target that observe the garment.
     noise
         Give the cameras the noise of a depth sensor.
     observed
-        Points of an observation (default: 500, or all vertices if fewer).
+        Number of points of an observation (default: 500, or all vertices if fewer).
     time_limit
-        Stop a simulation that has shown no sign of life for so many seconds (default: 60).
+        Seconds without progress after which a simulation is stopped (default: 60).
     mesh
         A garment of one's own (.obj, .ply, .stl).
     """
@@ -563,7 +563,7 @@ def simulate(
 
 
 def _garment_and_task(path: Path | None, options: MeshOptions, task: str | None, default: str) -> tuple[Any, Task]:
-    """Return the garment of a mesh, None when none is given, and the task that was asked for."""
+    """Return the garment of a mesh, None when none is given, and the chosen task."""
     from .sim import TASKS, Hanger, Hook, Mannequin, task_for
 
     # A garment of one's own has no task of its own name; its targets are enough.
@@ -578,7 +578,7 @@ def _garment_and_task(path: Path | None, options: MeshOptions, task: str | None,
     if path is None:
         given = [option for option, value in vars(options).items() if value is not None]
         if given:
-            raise ValueError(f"--{given[0]} is of a mesh: give --mesh FILE, or leave it out")
+            raise ValueError(f"--{given[0]} is an option of meshes: give --mesh FILE, or leave it out")
         return None, TASKS[name]
     garment = _garment(path, options)
     if name in targets:
@@ -612,7 +612,7 @@ def _garment(path: Path, options: MeshOptions) -> Garment:
 def mesh(
     mesh: Path, /, *, plot: Path | None = None, mesh_options: MeshOptions = MeshOptions(), as_json: Json = False
 ) -> int:
-    """Say, and draw, what is understood of a mesh: its size, loops and grips.
+    """Print, and draw, the size, the loops and the grips of a mesh.
 
     Parameters
     ----------
@@ -648,14 +648,14 @@ def mesh(
 
 
 def _plot_garment(path: Path, garment: Garment) -> None:
-    """Draw the garment from before and from the side, its loops with their names, and its grips."""
+    """Draw the garment from the front and from the side, its loops with their names, and its grips."""
     from matplotlib.figure import Figure
 
     from ._archive import atomic_file
     from .view import plot_cloth
 
     figure = Figure(figsize=(10, 6), dpi=120)
-    # From before on the left, from the side on the right.
+    # The front view is on the left, the side view on the right.
     for column, view in enumerate(((-70, 12), (-20, 12)), 1):
         axes: Any = figure.add_subplot(1, 2, column, projection="3d")
         plot_cloth(garment.vertices, garment.faces, ax=axes, true_loops=garment.loops, view=view)
@@ -680,24 +680,24 @@ def hang(
     mesh_options: MeshOptions = MeshOptions(),
     as_json: Json = False,
 ) -> int:
-    """Hang a garment by what is seen of it, in a closed loop; the exit code is 1 when it does not hang.
+    """Hang a garment by its observations, in a closed loop; the exit code is 1 when it does not hang.
 
     The tasks are those of topokit simulate.
 
     Parameters
     ----------
     task
-        What goes where (default: tote-hook; hook with --mesh).
+        Garment and target (default: tote-hook; hook with --mesh).
     seed
-        Seed of where it starts (default: 0).
+        Seed of the start (default: 0).
     model
         Plan by a forecast: carry, or a checkpoint of a motion model (default: a servo, which needs none).
     anywhere
         Draw target and start anywhere in the room, at any yaw, by the seed.
     fence
-        The hands stop so many metres before the arm, and the garment is thrown.
+        Distance in metres before the arm at which the hands stop; the garment is then thrown.
     out
-        Also write what happened, as an episode (.npz).
+        Also write the run as an episode (.npz).
     film
         Also write a film of it (.gif, .html).
     mesh
@@ -773,13 +773,13 @@ def generate(
     Parameters
     ----------
     out
-        Where to make it, or to go on with it.
+        Folder of the dataset, new or to go on with.
     episodes
-        How many; more than last time adds some.
+        Number of episodes; a larger number than last time adds episodes.
     seed
         Seed of the dataset (default: 0).
     config
-        A DatasetConfig (.json); what it does not name has its default.
+        A DatasetConfig (.json); missing fields have their defaults.
     time_limit
         Seconds after which the simulation of an episode is stopped and tried again (default: 600).
     retry_failed
@@ -832,11 +832,11 @@ def label(
     dataset
         The folder of the dataset.
     observation
-        What the tracker sees: all vertices (default), what was recorded, or what the cameras saw.
+        Input of the tracker: all vertices (default), the recorded observation, or the points of the cameras.
     points
-        With observed: a farthest-point sample of so many points.
+        With observed: number of points of a farthest-point sample.
     name
-        Name of the labels (default: that of the observation).
+        Name of the labels (default: the name of the observation).
     """
     from .data import label_dataset
 
@@ -855,8 +855,8 @@ def label(
 
 
 def _make(work: Callable[[], Any], as_json: bool) -> int:
-    """Do work that Ctrl-C and SIGTERM stop without loss, and print what there is then."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # what was begun is put away, as at Ctrl-C
+    """Do work that Ctrl-C and SIGTERM stop without loss, and print the result so far."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # half-written files are removed, as at Ctrl-C
     try:
         made = work()
     finally:
@@ -911,11 +911,11 @@ def train(
     Parameters
     ----------
     config
-        What to train, how, and on what (.json).
+        Configuration of the model, the training and the dataset (.json).
     seed
         A seed in place of the configuration's; with --out, to train several.
     out
-        Where checkpoints and log go, in place of the configuration's folder.
+        Folder for checkpoints and log, in place of the configuration's folder.
     """
     from .models import TrainConfig
     from .models import train as run_training
@@ -953,7 +953,7 @@ def predict(checkpoint: Path, episode: Path, /, *, frame: Whole = 15, as_json: J
     episode
         A recorded episode (.npz).
     frame
-        The last frame that is seen (default: 15).
+        The last observed frame (default: 15).
     """
     import numpy as np
 
@@ -966,7 +966,7 @@ def predict(checkpoint: Path, episode: Path, /, *, frame: Whole = 15, as_json: J
     if not 0 <= frame < last:
         raise ValueError(f"--frame {frame}: the episode has frames 0 to {last}, and one must be left to forecast")
 
-    # The predictor sees the frames of its history, and then the plan; past its end the last action goes on.
+    # The predictor gets the frames of its history, and then the plan; past its end the last action goes on.
     shape = predictor.model.shape
     for seen in range(max(0, frame - shape.history + 1), frame + 1):
         held = bool(film.held[seen])
