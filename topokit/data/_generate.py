@@ -55,13 +55,13 @@ def generate_dataset(
     out : path
         A folder on a local disk, or on a disk that all workers share. Finished episodes in it are kept.
     episodes : int
-        How many episodes the dataset has in the end; a larger number than before adds episodes.
+        Final number of episodes of the dataset; a larger number than before adds episodes.
     seed : int
         Seed of the dataset, from which the seeds of the episodes are drawn.
     scheduler : str, optional
         Address of a Dask scheduler whose workers see the same folder. When not given, processes of this machine work.
     n_workers : int, optional
-        How many processes of this machine work; one for each core when not given.
+        Number of processes on this machine; one for each core when not given.
     time_limit : float
         Seconds after which the simulation of an episode is stopped and tried again.
     retry_failed : bool

@@ -28,7 +28,7 @@ Job = Callable[[int], str]  # writes the file of an episode and returns its stat
 
 @dataclass(frozen=True)
 class Workers:
-    """Where jobs run; `generate_dataset` says what these are."""
+    """The place where jobs run, by the parameters of `generate_dataset`."""
 
     scheduler: str | None = None
     n_workers: int | None = None

@@ -49,7 +49,7 @@ class LabelSettings:
 
     schema: Literal[2]
     observation: Literal["full", "observed", "camera"]  #: the points that were tracked
-    n_points: int | None  #: how many of the first points of an observation were tracked; None for all
+    n_points: int | None  #: number of first points of an observation that were tracked; None for all
     options: Mapping[str, Any]  #: the options of the tracker, `topokit.SeqPH`
     versions: Mapping[str, str]  #: the versions of the packages that made the labels
 
