@@ -51,7 +51,7 @@ LIFT = list(_RAIL).index("lift")
 
 
 class _PastFrame(NamedTuple):
-    """What is kept of a past frame."""
+    """The part of a past frame that is kept."""
 
     grippers: Array  # (2, 3)
     line: Array  # (K, 3) centre line of the target

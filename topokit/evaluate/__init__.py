@@ -1,4 +1,4 @@
-"""How good tracked and forecast loops are, against the true ones.
+"""Measures of tracked and forecast loops against the true ones.
 
 Scores of trackers need the core alone. `measure_forecasts` needs `pip install topokit[learn]`, and nothing here imports torch
 before it is used.

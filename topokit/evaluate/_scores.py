@@ -36,7 +36,7 @@ class Overlap:
 
 @dataclass(frozen=True)
 class Event:
-    """What became of an object or of a detection at a frame.
+    """The outcome of an object or of a detection at a frame.
 
     A "match" with another identity than the last one is a "switch". A "fragment" is added when the object had been lost in
     between.

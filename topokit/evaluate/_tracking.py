@@ -1,4 +1,4 @@
-"""How good tracked loops are: where they are, and how well their identities are kept, against the true loops of an episode.
+"""Measures of tracked loops: where they are, and how well their identities are kept, against the true loops of an episode.
 
 Idea: at every frame the true loops that are present are the objects, and the tracked loops are the detections. Nearness of
 their centres decides which can be matched to which. Topology decides what is present, on the full cloud: a certain edge ends

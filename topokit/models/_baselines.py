@@ -40,7 +40,7 @@ class Shape:
 
 @checked
 class Normalisation:
-    """Where coordinates and filtration values lie in the training split; models see (x - origin) / scale."""
+    """Means and scales of coordinates and filtration values in the training split; models see (x - origin) / scale."""
 
     origin: tuple[_Place, _Place, _Place] = (0.0, 0.0, 1.0)  #: mean of the clouds, metres
     scale: _Size = 0.2  #: root mean square distance from it along an axis, metres

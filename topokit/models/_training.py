@@ -93,7 +93,7 @@ def train(config: TrainConfig, windows: Sequence[Any] | None = None, *, progress
 
 @dataclass
 class Progress:
-    """How far a training is, after whole epochs: `log` has a row for each of them."""
+    """The progress of a training, after whole epochs: `log` has a row for each of them."""
 
     epoch: int = 0
     step: int = 0

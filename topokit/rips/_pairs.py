@@ -1,4 +1,4 @@
-"""From a cloud to the pairs of edges that create and kill its loops: how the compiled kernel is run.
+"""Run the compiled kernel on clouds: the pairs of edges that create and kill their loops.
 
 The kernel runs without Python's lock, in threads that share the clouds. A long run has a thread of its own, so that the thread
 that waits for it hears Ctrl-C; it then ends the run through the array `stop`, which the kernel reads at every edge.

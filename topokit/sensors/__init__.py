@@ -1,4 +1,4 @@
-"""What sensors send, made ready for the tracker: clouds from files, streams, depth images and ROS bags, and a declared pipeline.
+"""Clouds of sensors, made ready for the tracker: from files, streams, depth images and ROS bags, through a declared pipeline.
 
 Taught in chapter 7.
 """

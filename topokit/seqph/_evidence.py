@@ -32,7 +32,7 @@ _LEAST = -8.0  # least belief
 
 
 class Gaps(NamedTuple):
-    """How wide the gaps between the points of a cloud are, holes aside."""
+    """The widths of the gaps between the points of a cloud, holes aside."""
 
     spacing: float  #: median distance of a point from its fifth nearest neighbour, in the unit of the points
     unevenness: float  #: 1.4 for a grid, 2.6 for points strewn at random on a surface

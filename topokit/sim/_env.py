@@ -137,7 +137,7 @@ class Options:
 
 
 class _Scene(NamedTuple):
-    """What an episode draws from its options: the target and the pushes of the cloth."""
+    """The draws of an episode from its options: the target and the pushes of the cloth."""
 
     target: Target
     push_frames: range  # the frames in which the cloth is pushed; a swing takes as many

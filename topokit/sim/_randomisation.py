@@ -1,4 +1,4 @@
-"""What varies between episodes: declared ranges, and a random generator for every purpose."""
+"""The variation between episodes: declared ranges, and a random generator for every purpose."""
 
 from __future__ import annotations
 
