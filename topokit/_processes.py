@@ -70,9 +70,10 @@ def in_fresh_processes(
                     item, failures = waiting.popleft()
                     ours, theirs = _CONTEXT.Pipe(duplex=False)
                     arguments = (theirs, function, item, report is not None, folder)
-                    process = _started(_CONTEXT.Process(target=_perform, args=arguments), preload)
-                    theirs.close()
-                    running[ours] = _Job(item, failures, process, time.monotonic() + time_limit)
+                    with _deferred_signals():  # so that every process that was started is stopped
+                        process = _started(_CONTEXT.Process(target=_perform, args=arguments), preload)
+                        theirs.close()
+                        running[ours] = _Job(item, failures, process, time.monotonic() + time_limit)
                 # See what has come: a report, an outcome, or the end of a process that sent none.
                 for connection, kind, value in _news(running, time_limit):
                     if kind == "report" and report is not None:
@@ -162,6 +163,27 @@ def _started(process: Any, preload: Sequence[str]) -> Any:
     return process
 
 
+@contextlib.contextmanager
+def _deferred_signals() -> Iterator[None]:
+    """Let the signals that end this process act after the block, for the fork server complains of half a message."""
+    if threading.current_thread() is not threading.main_thread():  # signals are handled in the main thread alone
+        yield
+        return
+    arrived: list[int] = []
+    handlers = {}
+    for number in {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
+        if signal.getsignal(number) is not None:
+            handlers[number] = signal.getsignal(number)
+            signal.signal(number, lambda arrival, _: arrived.append(arrival))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for number in arrived:
+            signal.raise_signal(number)
+
+
 def _perform(connection: Connection, function: Callable[..., Any], item: Any, reports: bool, folder: str) -> None:
     """Do the work, and send what the function returns or raises; temporary files lie in `folder`."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -174,7 +196,8 @@ def _perform(connection: Connection, function: Callable[..., Any], item: Any, re
         outcome = function(*arguments)
     except Exception as error:
         outcome = error
-    connection.send(("outcome", outcome))
+    with contextlib.suppress(BrokenPipeError):  # the caller has ended
+        connection.send(("outcome", outcome))
 
 
 def _end_with_parent() -> None:
