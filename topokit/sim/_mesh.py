@@ -124,7 +124,7 @@ def from_mesh(
             if names:
                 repairs.append(f"by place and size they were called {', '.join(names)}")
         else:
-            _classes(placed, faces)
+            _count_classes(placed, faces, border_cycles(faces))  # refuses a closed solid
             known = loops if isinstance(loops, Mapping) else dict(enumerate(loops))
             carried = {key: _carry(loop, new_id, f"loops[{key!r}]") for key, loop in known.items()}
             cycles = _closed(placed, faces, kept, carried, repairs)
@@ -357,10 +357,9 @@ def _closed(vertices: Array, faces: Ids, kept: Ids, loops: Mapping[Any, Ids], re
     return tuple(cycles)
 
 
-def _classes(vertices: Array, faces: Ids, must_have_borders: bool = False) -> int:
+def _count_classes(vertices: Array, faces: Ids, borders: Sequence[Ids], *, must_have_borders: bool = False) -> int:
     """Return how many independent classes of loops the surface has, by Euler's formula; refuse a closed solid."""
     edges = np.unique(half_edges(faces), axis=0)
-    borders = border_cycles(faces)
     classes = 1 - len(vertices) + len(edges) - len(faces) + (not borders)
     if not borders and (must_have_borders or not classes):
         what = "every edge is in two faces or more, as of a closed solid, and a cloth has borders"
@@ -374,7 +373,7 @@ def _found(vertices: Array, faces: Ids, rule: str, repairs: list[str]) -> tuple[
     They are the borders, or with the rule "auto" those of persistence where the mesh has more classes than borders show.
     """
     cycles = border_cycles(faces)
-    classes = _classes(vertices, faces, must_have_borders=rule == "borders")
+    classes = _count_classes(vertices, faces, cycles, must_have_borders=rule == "borders")
     what = "borders were found"
     if rule == "auto" and classes >= max(len(cycles), 1):
         cycles = EdgeGraph(vertices, np.unique(half_edges(faces), axis=0)).loops(classes)
