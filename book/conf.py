@@ -62,6 +62,7 @@ bibtex_bibfiles = ["references.bib"]
 bibtex_reference_style = "author_year"
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True  # as they are written: the value of one may hold a path of this machine
 napoleon_google_docstring = False
 napoleon_use_param = napoleon_use_rtype = False  # shapes such as "(n, 3) float" are no classes to link to
 napoleon_custom_sections = [("Attributes", "params_style")]

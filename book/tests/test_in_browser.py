@@ -177,6 +177,11 @@ def test_page(chromium: Any, page: str) -> None:
         assert found + visit.trouble == []
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_no_page_shows_where_it_was_built(page: str) -> None:
+    assert str(ROOT) not in (BOOK / page).read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("page", CHAPTERS)
 def test_every_control_of_every_figure_does_something(chromium: Any, page: str) -> None:
     with Visit(chromium, page) as visit:

@@ -40,7 +40,7 @@ class HtmlFigure:
         caption: str,
         title: str,
         scripts: Sequence[str] = (),
-        folder: Path = _PARTS,
+        folder: Path | None = None,
     ) -> HtmlFigure:
         """Return the figure `name`, which consists of `name`.html, `name`.js and what all figures share.
 
@@ -58,9 +58,10 @@ class HtmlFigure:
             The name of the frame.
         scripts : sequence of str
             Files that must run before `name`.js, in order.
-        folder : Path
-            The folder of the files; those that are not there come from topokit.view.
+        folder : Path, optional
+            The folder of the files; those that are not there come from topokit.view, as all do by default.
         """
+        folder = _PARTS if folder is None else folder
         data = {**data, "height": int(height), "title": caption, "palette": [loop_colour(k) for k in range(6)]}
         encoded = json.dumps(data, separators=(",", ":"), default=_packed)
         code = "\n".join(_code_lines(folder, ["frame.js", *scripts, f"{name}.js"]))
