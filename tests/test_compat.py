@@ -237,9 +237,11 @@ def test_births_and_deaths_are_those_of_the_diagram():
     np.testing.assert_array_equal(births_and_deaths(points[1], 3).detach(), bars[1, :3].detach())
 
 
+@pytest.mark.parametrize("check", [torch.autograd.gradcheck, torch.autograd.gradgradcheck])
 @pytest.mark.parametrize("shape", [(14, 2), (3, 12, 2), (2, 10, 4)])
-def test_gradcheck_passes(shape):
-    assert torch.autograd.gradcheck(lambda points: births_and_deaths(points, 3, n_jobs=1), tensor(*shape))
+def test_gradcheck_passes(check, shape):
+    """First and second derivatives are those of differences, of bars that fill up the three as well."""
+    assert check(lambda points: births_and_deaths(points, 3, n_jobs=1), tensor(*shape))
 
 
 @pytest.mark.parametrize(("column", "name"), [(0, "birth_edge"), (1, "killer_edge")])
@@ -253,13 +255,29 @@ def test_gradients_flow_to_the_ends_of_an_edge(column, name):
     assert bar.dtype == torch.float32
 
 
-def test_loops_that_are_not_there_have_no_gradient():
-    points = tensor(3, 3, 2)
-    bars = births_and_deaths(points, 2)
-    assert bars.shape == (3, 2, 2)
-    bars.sum().backward()
-    assert not points.grad.any()
-    assert births_and_deaths(points[0]).shape == (0, 2)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("far", [1.0, 1e-30])
+def test_loops_that_are_not_there_have_no_derivatives(dtype, far):
+    """Neither a first nor a second one, also where points are repeated, or so near that a square of single precision is 0."""
+    square = far * torch.tensor([[0, 0], [2, 0], [2, 2], [0, 2], [2, 2]], dtype=dtype)
+    for points in (tensor(3, 3, 2, dtype=dtype), square[:3, :], square[[1, 1, 1, 1]]):
+        points = points.detach().requires_grad_()
+        bars = births_and_deaths(points, 2)
+        assert not bars.any()
+        (first,) = torch.autograd.grad(bars.sum() + (bars**2).sum(), points, create_graph=True)
+        (second,) = torch.autograd.grad(first.sum(), points)
+        assert not first.any()
+        assert not second.any()
+    assert births_and_deaths(square[:3]).shape == (0, 2)
+
+    # Beside a loop that is there, whose derivatives are finite.
+    points = square.detach().requires_grad_()
+    bars = births_and_deaths(points, 3)
+    (first,) = torch.autograd.grad(bars.sum(), points, create_graph=True)
+    (second,) = torch.autograd.grad((first**2).sum(), points)
+    assert torch.isfinite(first).all()
+    assert torch.isfinite(second).all()
+    assert not bars[1:].any()
 
 
 @pytest.mark.parametrize(

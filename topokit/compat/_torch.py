@@ -24,7 +24,8 @@ def births_and_deaths(points: Tensor, n_loops: int | None = None, *, n_jobs: int
     points : (n, d) or (batch, n, d) Tensor
         On any device; persistence itself is computed on the processor.
     n_loops : int, optional
-        So many of each cloud, longest lifetime first; by default as many as the cloud with the most. Missing ones are (0, 0).
+        So many of each cloud, longest lifetime first; by default as many as the cloud with the most. Missing ones are (0, 0),
+        and their derivatives are 0.
     n_jobs : int, optional
         Threads for a batch; by default one for each core.
 
@@ -71,7 +72,12 @@ def births_and_deaths(points: Tensor, n_loops: int | None = None, *, n_jobs: int
     # Half the lengths of these edges, as functions of their ends.
     clouds = torch.arange(len(points), device=points.device)[:, None, None, None]
     ends = points[clouds, edges]  # (batch, n_loops, 2, 2, d)
-    return torch.linalg.vector_norm(ends[..., 0, :] - ends[..., 1, :], dim=-1) / 2
+    sides = ends[..., 0, :] - ends[..., 1, :]
+
+    # The second derivative of a norm is not defined at 0. The length of an edge from a vertex to itself is the constant 0.
+    is_zero = torch.linalg.vector_norm(sides.detach(), dim=-1) == 0
+    lengths = torch.linalg.vector_norm(torch.where(is_zero[..., None], 1.0, sides), dim=-1)
+    return torch.where(is_zero, 0.0, lengths) / 2
 
 
 def _edges(diagram: Diagram, n: int) -> np.ndarray:
