@@ -5,11 +5,23 @@ from __future__ import annotations
 import gudhi
 import numpy as np
 import pytest
-from numba import config
+
+from topokit.rips import _pairs
+
+try:
+    from numba import config
+except ImportError:  # the core works without it
+    config = None
+
+# The tests of persistence use the compiled kernel from the first cloud on; `fuzz_rips` holds it to plain Python.
+INTERPRETED = config is None or bool(config.DISABLE_JIT)
+if not INTERPRETED:
+    _pairs._load(points=True)
+    _pairs._load(points=False)
 
 FAMILIES = ("gaussian", "grid", "polygon", "duplicates", "collinear", "sphere", "cocircular", "coplanar")
 
-compiled = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="takes long where numba does not compile")
+compiled = pytest.mark.skipif(INTERPRETED, reason="takes long where numba does not compile")
 
 
 DIAGRAM = ("birth", "death", "birth_edge", "killer_edge", "killer_triangles")
@@ -23,7 +35,7 @@ def same(one: object, other: object, names: tuple[str, ...] = DIAGRAM) -> None:
 
 def fewer(count: int) -> int:
     """A count of clouds, or a fifth of it where numba does not compile (a mutation run, say)."""
-    return count // 5 if config.DISABLE_JIT else count
+    return count // 5 if INTERPRETED else count
 
 
 def random_cloud(rng: np.random.Generator, family: str, max_points: int = 24) -> np.ndarray:

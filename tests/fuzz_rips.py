@@ -20,7 +20,7 @@ from collections.abc import Iterable
 import gudhi
 import numpy as np
 
-from topokit.rips import Diagram, rips_persistence, tighten
+from topokit.rips import Diagram, _cloud, _pairs, rips_persistence, tighten
 from topokit.rips.reduction import Pair, Reduction, filtration, reduce
 
 from clouds import FAMILIES, random_cloud, sorted_pairs
@@ -98,6 +98,13 @@ def check_diagram(case: Case) -> None:
     ours = sorted_pairs(np.column_stack([case.fast.birth, case.fast.death]))
     assert ours.shape == theirs.shape, f"{len(ours)} bars, GUDHI has {len(theirs)}"
     np.testing.assert_allclose(ours, theirs, atol=1e-9)
+
+
+def check_plain(case: Case) -> None:
+    """Plain Python pairs the same edges with the same apexes, short loops too."""
+    plain = _pairs._pairs_in_plain_python(_cloud.Cloud.of(case.data, case.metric), np.inf, None)
+    for fast, slow in zip(case.fast._simplices, plain[:2], strict=True):
+        np.testing.assert_array_equal(fast, slow)
 
 
 def check_pairing(case: Case) -> None:
@@ -275,6 +282,7 @@ def check_scales(case: Case) -> None:
 
 CHECKS = (
     check_diagram,
+    check_plain,
     check_scales,
     check_pairing,
     check_killers,

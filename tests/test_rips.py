@@ -339,11 +339,11 @@ def test_long_compilation_is_announced(monkeypatch, capsys, seconds):
     monkeypatch.setattr(_pairs, "_PATIENCE", 0.1)
     monkeypatch.setattr(_pairs, "_ready", set())
     monkeypatch.setattr(_pairs, "_run", lambda *_: time.sleep(seconds))
-    _pairs._compile(points=False)
+    _pairs._load(points=False)
     time.sleep(0.2)
     assert ("matrices" in capsys.readouterr().err) == bool(seconds)
     monkeypatch.setattr(_pairs, "_run", None)
-    _pairs._compile(points=False)  # once is enough
+    _pairs._load(points=False)  # once is enough
 
 
 # Many clouds, and films

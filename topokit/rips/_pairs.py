@@ -1,4 +1,9 @@
-"""Run the compiled kernel on clouds: the pairs of edges that create and kill their loops.
+"""The pairs of edges that create and kill the loops of clouds, by the compiled kernel or without a compiler.
+
+Idea: compiling takes as long as thousands of small clouds take in plain Python. So clouds are paired by `_plain` until that would
+have cost as much as compiling, or, where compiled code is kept from another time, as loading it. From then on the kernel is
+used. This costs at most twice what the better choice would have cost, whatever clouds come (Karlin et al. 1988, the rent of
+skis). Both ways return the same pairs to the last bit.
 
 The kernel runs without Python's lock, in threads that share the clouds. A long run has a thread of its own, so that the thread
 that waits for it hears Ctrl-C; it then ends the run through the array `stop`, which the kernel reads at every edge.
@@ -8,6 +13,7 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
 from collections.abc import Callable, Sequence
 from concurrent import futures
 from itertools import pairwise
@@ -17,13 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._validate import Array, Ids
-from . import _cloud, kernel
+from . import _cloud, _numba, _plain
 from ._cloud import Cloud, too_large
 
 LONG = 2000  # points that can take a second, as a quarter can of a matrix
-_PATIENCE = 3.0  # seconds of compiling before it is announced
+COMPILING = 20.0  # seconds of a processor that compiling takes
+LOADING = 1.0  # and loading what is compiled, numba included
+_PATIENCE = 3.0  # seconds before what takes long is announced
+_STOPPED = 1  # what a thread writes into the flag `stop` of another one; the kernel writes other numbers
 _ready: set[bool] = set()  # whether the kernel for points (True) and the kernel for matrices (False) are compiled
-_compiling = threading.Lock()
+_spent = {True: 0.0, False: 0.0}  # seconds that plain Python has taken in place of each kernel
+_choosing = threading.RLock()
 _thread = threading.local()  # each thread keeps its buffer for edges from one cloud to the next
 
 
@@ -49,13 +59,13 @@ class CloudBefore:
 
 
 def new_stop() -> NDArray[np.int64]:
-    """Return a flag that ends runs of the kernel when it is passed to `stop_run`."""
+    """Return a flag that ends runs when it is passed to `stop_run`."""
     return np.zeros(1, np.int64)
 
 
 def stop_run(stop: NDArray[np.int64]) -> None:
-    """Let a run of the kernel in another thread end."""
-    stop[0] = kernel.STOPPED
+    """Let a run in another thread end."""
+    stop[0] = _STOPPED
 
 
 def pairs(cloud: Cloud, max_radius: float, stop: NDArray[np.int64] | None = None) -> Pairs:
@@ -65,10 +75,12 @@ def pairs(cloud: Cloud, max_radius: float, stop: NDArray[np.int64] | None = None
     """
     if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # on a line
         return Pairs(np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0))
+    if not compiled_pays([len(cloud)], points=bool(cloud.axes)):
+        return _pairs_in_plain_python(cloud, max_radius, stop)
     if cloud.axes:
-        _compile(points=True)
         return _pairs_of_points([cloud], [max_radius], CloudBefore(), stop)[0]
-    _compile(points=False)
+    from . import kernel
+
     arguments = (cloud.data, cloud.key_of(max_radius))
     created, killed = _run(kernel.pair_matrix, arguments, len(cloud), LONG // 4, stop)
     found, _ = _cut(cloud, created, killed, max_radius)
@@ -80,16 +92,17 @@ def pairs_of_many(
 ) -> list[Pairs]:
     """Pair the edges of each cloud up to a radius in the unit of the points, short clouds in one compiled call."""
     bounds = [max_radius * cloud.scale for cloud in clouds]
-    longest = max(map(len, clouds))
-    if not clouds[0].axes or not 4 <= longest < LONG:
+    sizes = [len(cloud) for cloud in clouds]
+    if not clouds[0].axes or not 4 <= max(sizes) < LONG or not compiled_pays(sizes):
         return [pairs(cloud, bound, stop) for cloud, bound in zip(clouds, bounds, strict=True)]
-    _compile(points=True)
     return _pairs_of_points(clouds, bounds, before, stop)
 
 
 def _pairs_of_points(
     clouds: Sequence[Cloud], bounds: Sequence[float], before: CloudBefore, stop: NDArray[np.int64] | None
 ) -> list[Pairs]:
+    from . import kernel
+
     stack = Cloud(np.concatenate([cloud.data for cloud in clouds]), clouds[0].axes, 1.0)
     starts = np.cumsum([0, *map(len, clouds)])
     lengths = np.array([stack.key_of(bound) for bound in bounds])
@@ -106,6 +119,14 @@ def _pairs_of_points(
     for c in np.flatnonzero(counts < 0).tolist():
         found[c] = _pairs_without_repeats(clouds[c], bounds[c], stop)
     return found
+
+
+def _pairs_in_plain_python(cloud: Cloud, max_radius: float, stop: NDArray[np.int64] | None) -> Pairs:
+    start = time.thread_time()
+    created, killed = _plain.pair_edges(cloud, cloud.key_of(max_radius), new_stop() if stop is None else stop)
+    with _choosing:
+        _spent[bool(cloud.axes)] += time.thread_time() - start
+    return _cut(cloud, created, killed, max_radius)[0]
 
 
 def _pairs_without_repeats(cloud: Cloud, bound: float, stop: NDArray[np.int64] | None) -> Pairs:
@@ -135,6 +156,8 @@ def _run(
     pair: Callable[..., Any], arguments: tuple[Any, ...], n: int, long: int, stop: NDArray[np.int64] | None
 ) -> Any:
     """Run a compiled function on clouds of up to n points; from `long` points on in a thread of its own."""
+    from . import kernel
+
     bits = n * ((n + 63) // 64) * 8
     spare = _cloud.MEMORY - bits
     if spare < 0:
@@ -156,7 +179,7 @@ def _run(
                 stop_run(stop)
                 raise
 
-    if stop[0] == kernel.STOPPED:
+    if stop[0] == _STOPPED:
         raise futures.CancelledError
     if stop[0] == kernel.TOO_MANY_EDGES:
         raise too_large(n, "more: there are very many edges of the same length")
@@ -166,16 +189,50 @@ def _run(
     return found
 
 
-def _compile(points: bool) -> None:
+# The choice -----------------------------------------------------------------------------------------------------------
+
+
+def compiled_pays(sizes: Sequence[int], points: bool = True) -> bool:
+    """Return True if the kernel is loaded, or worth loading or compiling; then this is done here.
+
+    Parameters
+    ----------
+    sizes : sequence of int
+        Numbers of points of the clouds to come.
+    points : bool
+        Whether they are points in space, not matrices of distances.
+    """
+    if points in _ready:
+        return True
+    expected = sum(map(_plain.seconds, sizes))
+    with _choosing:
+        cost = _spent[points] + expected
+        if cost < LOADING or not _numba.is_usable():
+            if expected > _PATIENCE:
+                _numba.say_once(f"without numba a cloud of {max(sizes)} points takes long, {expected:.0f} s or more")
+            return False
+        return (cost >= COMPILING or _numba.is_compiled(_entry(points))) and _load(points)
+
+
+def _entry(points: bool) -> str:
+    """Return the name of the kernel's function for points or for matrices."""
+    return "pair_clouds" if points else "pair_matrix"
+
+
+def _load(points: bool) -> bool:
     """Compile a kernel on a tiny cloud, or load it, once a process; announce it when it takes long."""
-    with _compiling:
+    with _choosing:
         if points in _ready:
-            return
+            return True
         what = "points in space" if points else "matrices of distances"
         message = f"topokit: compiling the persistence kernel for {what} (once; kept for the next time)"
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:
+            if not _numba.imports():
+                return False
+            from . import kernel
+
             if points:
                 _pairs_of_points([Cloud(np.eye(4, 3), (0, 0, 0), 1.0)], [1.0], CloudBefore(), None)
             else:
@@ -183,3 +240,4 @@ def _compile(points: bool) -> None:
         finally:
             notice.cancel()
         _ready.add(points)
+        return True

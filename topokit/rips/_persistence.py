@@ -13,7 +13,7 @@ from .._cores import n_cores
 from .._validate import as_sequence, positive, whole
 from ._cloud import Cloud
 from ._diagram import Diagram
-from ._pairs import LONG, CloudBefore, Pairs, new_stop, pairs, pairs_of_many, stop_run
+from ._pairs import LONG, CloudBefore, Pairs, compiled_pays, new_stop, pairs, pairs_of_many, stop_run
 
 
 def rips_persistence(
@@ -94,6 +94,10 @@ def rips_persistence_many(
     workers = n_cores() if n_jobs is None else whole(n_jobs, "n_jobs", 1)
     cutoff = positive(max_radius, "max_radius", infinite=True)
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
+
+    # Of all clouds together, compiling may pay. Clouds of more than three dimensions are read as matrices.
+    if arrays and arrays[0].shape[1] <= 3:
+        compiled_pays(list(map(len, arrays)))
 
     # A call of the kernel takes many small clouds, or one large cloud.
     clouds_per_call = 1

@@ -24,12 +24,13 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
+
+from ._numba import njit
 
 __all__ = ["is_cone", "is_connected", "pair_edges", "reduce_column"]
 
 # What a kernel writes into `stop[0]` when it ends early. It raises no exception, because that would not give memory back.
-STOPPED = 1  # the reason: another thread wrote it
+# A thread that ends the run of another writes 1.
 TOO_MANY_EDGES = 2
 TOO_MANY_LOOPS = 3
 
