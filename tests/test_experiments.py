@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import importlib
 import json
+import shutil
 import sys
 from pathlib import Path
 
 import forecasts
 import numpy as np
 import pandas as pd
+import paper
 import pytest
 from forecasts import Clouds, Condition, EvaluationConfig, evaluate_forecasts, load_evaluation
 from scipy.stats import mannwhitneyu
@@ -142,6 +144,34 @@ def test_a_model_is_not_tested_on_what_it_was_trained_on():
     config = EvaluationConfig(dataset=str(DATA / "dataset"), models=models, conditions=[masks()], ours="mlp")
     with pytest.raises(ValueError, match="mlp"):
         evaluate_forecasts(config)
+
+
+# -- the paper's experiment --------------------------------------------------------------------------------------------------
+
+
+def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, monkeypatch):
+    protocol = json.loads((EXPERIMENTS / "paper.json").read_text())
+    protocol["films"]["validation"] = 3
+    small = {"sizes": [3], "seeds": [0, 1], "epoch": 64, "lengths": [1, 2], "rates": [1e-3, 3e-3], "windows": 20}
+    rates = {"films": 3, "seed": 0, "epochs": 1}
+    small |= {"rates_of": rates, "validation_windows": 32, "motion": ["motion"], "garments": {"all": []}}
+    (tmp_path / "little.json").write_text(json.dumps(protocol | small))
+    shutil.copytree(DATA / "dataset", tmp_path / "films")
+    out = tmp_path / "paper.csv"
+    arguments = ["--protocol", str(tmp_path / "little.json"), "--work", str(tmp_path), "--out", str(out)]
+    arguments += ["--networks", "mlp", "--stages", "trainings", "forecasts", "table"]
+    paper.main(arguments)
+    table = pd.read_csv(tmp_path / "paper_validation.csv")
+    assert {"seqph", "hold", "carry", "blind", "ridge", "mlp", "motion"} == set(table["forecaster"])
+    assert ((table["low"] <= table["share"] + 1e-4) & (table["share"] <= table["high"] + 1e-4)).mean() > 0.95
+    mean = table[(table["seed"] == "all") & (table["measure"] == "marked1") & (table["horizon"] == "mean")]
+    shares = mean.groupby("forecaster")["share"].max()
+    assert shares["seqph"] > shares["hold"]
+
+    # What is there is not made again.
+    monkeypatch.setattr(paper, "train", None)
+    monkeypatch.setattr(paper, "measure", None)
+    paper.main(arguments)
 
 
 # -- scripts -----------------------------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ SHAPE = Shape(points=POINTS, slots=SLOTS)
 UNITS = Normalisation((0.0, 0.0, 0.85), 0.1, 0.08)
 SMALL = {"hidden": [32, 16]}
 NETWORKS = ("mlp", "pointnet")
-NAMES = ("hold", "carry", "ridge", *NETWORKS)
+NAMES = ("hold", "carry", "blind", "ridge", *NETWORKS)
 
 
 def make(name, seed=0):
@@ -88,6 +88,28 @@ def test_the_order_of_points_does_not_count_for_a_pointnet(window):
     mixed = window | {"clouds": window["clouds"][:, :, torch.randperm(POINTS)]}
     with torch.inference_mode():
         assert torch.allclose(make("pointnet")(window).corners, make("pointnet")(mixed).corners, atol=1e-5)
+
+
+def test_the_blind_rule_is_below_the_grippers_and_stays_where_they_let_go(window):
+    held = torch.ones_like(window["actions_held"])
+    held[:, 40:] = False
+    states = build("blind", SHAPE, UNITS, {"height": 0.2})(window | {"actions_held": held})
+    middle = window["actions"].mean(dim=2)
+    middle[:, 40:] = middle[:, 39:40]
+    below = middle - torch.tensor([0.0, 0.0, 0.2])
+    assert torch.allclose(states.mean, below[:, :, None].expand_as(states.mean), atol=1e-5)
+    assert (states.presence > 0).all()
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_outputs_of_a_network_with_a_skip_are_offsets_from_the_plan(name, window):
+    model = build(name, SHAPE, UNITS, SMALL | {"skip": True}).eval()
+    model.action_layer.weight.data.zero_()  # the plan reaches the output by the skip alone
+    shift = torch.tensor([0.3, -0.2, 0.1])
+    with torch.inference_mode():
+        here = model(window)
+        there = model(window | {"actions": window["actions"] + shift})
+    assert torch.allclose(there.corners, here.corners + shift, atol=1e-5)
 
 
 def test_hold_and_carry_are_what_their_names_mean(window):

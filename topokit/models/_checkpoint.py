@@ -22,7 +22,7 @@ import topokit
 from topokit._archive import FormatError, atomic_file, existing
 from topokit._config import from_mapping
 
-from ._baselines import Carry, Hold, Normalisation, PredictiveModel, Ridge, Shape
+from ._baselines import Blind, Carry, Hold, Normalisation, PredictiveModel, Ridge, Shape
 from ._motion import Motion
 from ._networks import MLP, PointNet
 
@@ -30,6 +30,7 @@ Model = PredictiveModel | Motion
 MODELS: Mapping[str, type[Model]] = {
     "hold": Hold,
     "carry": Carry,
+    "blind": Blind,
     "ridge": Ridge,
     "mlp": MLP,
     "pointnet": PointNet,
@@ -45,16 +46,18 @@ def build(
 ) -> Model:
     """Make a model with freshly drawn weights.
 
-    "hold", "carry" and "ridge" are baselines without a network, "mlp" and "pointnet" the paper's networks, "motion" is ours.
+    "hold", "carry", "blind" and "ridge" are baselines without a network, "mlp" and "pointnet" are the paper's networks, and
+    "motion" is ours.
 
     Parameters
     ----------
-    name : {"hold", "carry", "ridge", "mlp", "pointnet", "motion"}
+    name : {"hold", "carry", "blind", "ridge", "mlp", "pointnet", "motion"}
     shape : Shape, optional
     normalisation : Normalisation, optional
     options : mapping, optional
-        For "ridge" the `penalty` on squared coefficients; for "mlp" and "pointnet" the `hidden` units; for "mlp" also how many
-        `points` of a cloud it reads; for "motion" the `width` of codes.
+        For "blind" the `height`; for "ridge" the `penalty` on squared coefficients; for "mlp" and "pointnet" the `hidden` units
+        and `skip`; for "mlp" also how many `points` of a cloud it reads, for "pointnet" the `units` that all points share; for
+        "motion" the `width` of codes.
 
     Raises
     ------

@@ -11,11 +11,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ._baselines import Context, Normalisation, PredictiveModel, Shape
+from ._baselines import Context, Normalisation, PredictiveModel, Shape, carried_middle
 from ._states import NUMBERS, StateTensors
 
 HIDDEN = (512, 512, 256, 128)  # units of the paper's hidden layers
-POINT_UNITS = (64, 64, 96)  # units of the layers that all points share
+POINT_UNITS = (64, 64, 96)  # units of the layers that all points share; as published 64, 64, 64, 128, 1024
 
 
 def maximum(codes: Tensor) -> Tensor:
@@ -27,18 +27,24 @@ def maximum(codes: Tensor) -> Tensor:
 class MLP(PredictiveModel):
     """Fully connected network of `hidden` units, in the coordinates of the room.
 
-    It reads the first `points` of a cloud: clouds come in farthest-point order.
+    It reads the first `points` of a cloud: clouds come in farthest-point order. With `skip` its outputs are offsets from the
+    planned middle of the grippers (`carried_middle`), and it need not learn to copy the plan.
     """
 
     def __init__(
-        self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN, points: int = 32
+        self,
+        shape: Shape,
+        normalisation: Normalisation,
+        hidden: Sequence[int] = HIDDEN,
+        points: int = 32,
+        skip: bool = False,
     ) -> None:
         super().__init__(shape, normalisation)
         if type(points) is not int or not 1 <= points <= 100_000:
             raise ValueError(f"points must be a whole number from 1 to 100,000, not {points!r:.80}")
         self.first = min(points, shape.points)
-        if not 1 <= len(hidden) <= 32 or not all(type(n) is int and 1 <= n <= 100_000 for n in hidden):
-            raise ValueError(f"hidden must be numbers of units, 1 to 32 of them, each 1 to 100,000, not {hidden!r:.80}")
+        self.skip = skip
+        _check_units("hidden", hidden)
         self.history_layer = nn.Linear(shape.history * self._frame_size(), hidden[0])
         self.action_layer = nn.Linear(7 * shape.horizon, hidden[0], bias=False)
         last = nn.Linear(hidden[-1], shape.horizon * shape.slots * NUMBERS)
@@ -56,21 +62,39 @@ class MLP(PredictiveModel):
     def decode(self, context: Context, actions: Tensor, held: Tensor) -> StateTensors:
         plan = torch.cat([self.normalise(actions).flatten(1), held.to(actions)], dim=1)
         numbers = self.rest(context["first"] + self.action_layer(plan))
-        return self._states(numbers.unflatten(1, (self.shape.horizon, self.shape.slots, NUMBERS)), self.origin)
+        about = self.origin
+        if self.skip:
+            about = carried_middle(actions, held)[:, :, None, None]  # (C, K, 1, 1, 3)
+        return self._states(numbers.unflatten(1, (self.shape.horizon, self.shape.slots, NUMBERS)), about)
 
 
 class PointNet(MLP):
-    """A PointNet that all frames share, in front of the fully connected network."""
+    """A PointNet that all frames share, in front of the fully connected network; `units` are those of its own layers."""
 
-    def __init__(self, shape: Shape, normalisation: Normalisation, hidden: Sequence[int] = HIDDEN) -> None:
-        super().__init__(shape, normalisation, hidden)
-        self.points = nn.Sequential(*_layers((3, *POINT_UNITS)))
+    def __init__(
+        self,
+        shape: Shape,
+        normalisation: Normalisation,
+        hidden: Sequence[int] = HIDDEN,
+        units: Sequence[int] = POINT_UNITS,
+        skip: bool = False,
+    ) -> None:
+        _check_units("units", units)
+        self.units = tuple(units)
+        super().__init__(shape, normalisation, hidden, skip=skip)
+        self.points = nn.Sequential(*_layers((3, *units)))
 
     def _frame_size(self) -> int:
-        return POINT_UNITS[-1]
+        return self.units[-1]
 
     def encode_frames(self, frames: Context) -> Context:
         return {"frame": maximum(self.points(self.normalise(frames["clouds"])))}
+
+
+def _check_units(name: str, units: Sequence[int]) -> None:
+    """Refuse numbers of units that no network has."""
+    if not 1 <= len(units) <= 32 or not all(type(n) is int and 1 <= n <= 100_000 for n in units):
+        raise ValueError(f"{name} must be numbers of units, 1 to 32 of them, each 1 to 100,000, not {units!r:.80}")
 
 
 def _layers(widths: Sequence[int]) -> list[nn.Module]:

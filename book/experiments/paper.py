@@ -1,0 +1,502 @@
+"""Repeat the paper's experiment in the paper's own setting: book/results/paper.csv.
+
+    python book/experiments/paper.py
+
+Questions, claims, measures, films, networks and their trainings are in paper.json beside this file; nothing is chosen on the
+films to test on. There are six stages, and each leaves alone what is in the folder already, so the same command goes on after it
+was stopped:
+
+films      garments on coarse meshes, to train and to validate with
+labels     their loops, tracked on all vertices
+trainings  of each network: the rate, then the length, then all seeds, for every number of films
+test       films of another seed, on the usual mesh, and their loops; made when all trainings are there
+forecasts  of all windows by all forecasters, on validation films and on test films
+table      shares with intervals, the logs of the trainings, and what became of the claims
+
+`--stages` names those to run, `--sizes` and `--networks` take a part of the trainings and forecasts. On one core: 1.4 hours of
+films, 20 minutes of labels, then for each number of films about 10 minutes for each MLP and hours for PointNet.
+
+Source: Antonova et al. 2021, section 6 and figure 4. Taught in chapter 13.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+from forecasts import HORIZONS, Forecaster, measure, of_stream, of_windows, spread_windows, turned
+from numpy.typing import NDArray
+from tables import bootstrap, interval, write_results
+
+from topokit.data import Dataset, DatasetConfig, WindowDataset, generate_dataset, label_dataset
+from topokit.models import LossWeights, Predictor, Shape, StateTensors, TrainConfig, build, train
+
+ROOT = Path(__file__).parents[2]
+STAGES = ("films", "labels", "trainings", "test", "forecasts", "table")
+PARTS = ("validation", "test")
+CHECKPOINTS = ROOT / "data_small" / "checkpoints"
+SAME_POINTS = "seqph_128_points"  # seqPH on the points that PointNet is shown
+FEW = 5  # films of a garment; with fewer, its films are drawn with those of other such garments
+DRAWS = 1000
+
+# Each measure: the column of distances in metres, and how far beside the hull still counts.
+MEASURES = {
+    "marked": ("hull_distance_marked_curve", 1e-9),
+    "marked1": ("hull_distance_marked_curve", 0.01),
+    "marked3": ("hull_distance_marked_curve", 0.03),
+    "wide": ("hull_distance", 0.01),
+    "any": ("hull_distance_any_curve", 0.01),
+}
+LOGGED = ("epoch", "step", "seconds", "train_loss", "train_distance", "validation_loss", "validation_distance")
+KEYS = ["setting", "garments", "measure", "forecaster", "training_films", "seed", "horizon"]
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A training that has ended."""
+
+    network: str
+    films: int
+    seed: int
+    rate: float
+    epochs: int
+    loss: float  #: the smallest on validation films
+    folder: Path
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The protocol, and the folder of its films, trainings and forecasts."""
+
+    protocol: dict[str, Any]
+    folder: Path
+    configs: Path  #: the folder that paths of the protocol are relative to
+    workers: int
+    sizes: tuple[int, ...]
+    networks: tuple[str, ...]
+
+    def config_of(self, part: str) -> DatasetConfig:
+        """Return the configuration of "films" or "test"."""
+        path = self.configs / self.protocol[part]["config"]
+        return DatasetConfig.from_json(json.loads(path.read_text(encoding="utf-8")))
+
+    # ------------------------------------------------------------------------------------------------------- films and labels
+
+    def make_films(self) -> None:
+        """Make films until there are enough for the largest training; those that are refused are replaced."""
+        wanted = self.protocol["films"]["validation"] + max(self.sizes)
+        seed = self.protocol["films"]["seed"]
+        episodes = wanted
+        while True:
+            films = generate_dataset(
+                self.config_of("films"), self.folder / "films", episodes, seed, n_workers=self.workers
+            )
+            missing = self.protocol["films"]["validation"] + max(self.sizes) - self.count(films)
+            if missing <= 0:
+                return
+            episodes += missing
+
+    def count(self, films: Dataset) -> int:
+        """Return how many films there are, with all numbers of the validation films taken as one film each."""
+        first = self.protocol["films"]["validation"]
+        return first + int((films.episodes >= first).sum())
+
+    def label_films(self) -> None:
+        """Track the loops of all films."""
+        label_dataset(self.folder / "films", n_workers=self.workers)
+
+    def make_test(self) -> None:
+        """Make the test films, and track their loops on all vertices and on the points that networks are shown."""
+        test = self.protocol["test"]
+        generate_dataset(
+            self.config_of("test"), self.folder / "test", test["episodes"], test["seed"], n_workers=self.workers
+        )
+        self.label_for_tests(self.folder / "test")
+
+    def label_for_tests(self, folder: Path) -> None:
+        """Label films on all vertices and on the points that networks are shown."""
+        label_dataset(folder, n_workers=self.workers)
+        for points in self.shown_points:
+            label_dataset(folder, "observed", n_points=points, n_workers=self.workers)
+
+    @cached_property
+    def shown_points(self) -> tuple[int, ...]:
+        """Return how many points PointNet and the MLP are shown."""
+        return self.protocol["points"], 32
+
+    @cached_property
+    def shape(self) -> Shape:
+        """Return the shape of all windows."""
+        return Shape(points=self.protocol["points"])
+
+    # -------------------------------------------------------------------------------------------------------------- trainings
+
+    def training_films(self, films: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the numbers of the films of a size, and of the validation films; sizes are nested."""
+        known = Dataset(self.folder / "films").labelled("full")
+        first = self.protocol["films"]["validation"]
+        chosen = known[known >= first][:films]
+        if len(chosen) < films:
+            raise ValueError(f"{len(chosen)} labelled films to train on, and {films} are wanted: run films and labels")
+        return chosen, known[known < first]
+
+    def validation_windows(self) -> WindowDataset:
+        """Return the windows of the validation films."""
+        return _windows(self.folder / "films", tuple(self.training_films(1)[1].tolist()), self.shape.points)
+
+    def train(self, network: str, films: int, seed: int, rate: float, epochs: int) -> Trained:
+        """Train a network, or go on with it, or return what it reached."""
+        out = self.folder / "trainings" / f"{network}-{films}-{seed}-{rate:g}-{epochs}"
+        summary = out / "summary.json"
+        if not summary.exists():
+            chosen, _ = self.training_films(films)
+            windows = _windows(self.folder / "films", tuple(chosen.tolist()), self.shape.points)
+            checksum = _checksum(self.folder / "films", chosen)
+            config = self.training_config(network, seed, rate, epochs, out)
+            print(f"{out.name}: {len(windows)} windows of {films} films", flush=True)
+            found = train(config, (windows, self.validation_windows(), checksum), progress=True)
+            write_results(summary, {**found, "films": checksum})
+        reached = json.loads(summary.read_text(encoding="utf-8"))
+        print(f"{out.name}: {reached['validation_loss']:.4f} at epoch {reached['best_epoch'] + 1}", flush=True)
+        return Trained(network, films, seed, rate, epochs, reached["validation_loss"], out)
+
+    def training_config(self, network: str, seed: int, rate: float, epochs: int, out: Path) -> TrainConfig:
+        """Return the configuration of a training. It is never stopped early: its rate has to fall to the end."""
+        described = self.protocol["networks"][network]
+        return TrainConfig(
+            model=described["model"],
+            out=str(out),
+            options=described.get("options", {}),
+            loss=LossWeights(**described.get("loss", {})),
+            shape=self.shape,
+            seed=seed,
+            batch=self.protocol["batch"],
+            epochs=epochs,
+            windows_per_epoch=self.protocol["epoch"],
+            validation_windows=self.protocol["validation_windows"],
+            patience=epochs,
+            learning_rate=rate,
+            threads=1,
+        )
+
+    def rate_of(self, network: str) -> float:
+        """Return the rate of the best of some whole trainings, which differ in nothing else."""
+        how = self.protocol["rates_of"]
+        rates = self.protocol["rates"]
+        tried = [self.train(network, how["films"], how["seed"], rate, how["epochs"]) for rate in rates]
+        return min(tried, key=lambda training: training.loss).rate
+
+    def trained(self, network: str, films: int) -> list[Trained]:
+        """Return a training for each seed, so long that one of twice the length is no better.
+
+        The rate falls to nothing over a training, so that its loss falls to the end, however long it is. So the question whether
+        it has been trained for long enough is put to whole trainings.
+        """
+        rate = self.rate_of(network)
+        first, *others = self.protocol["seeds"]
+        best = None
+        for epochs in self.protocol["lengths"]:
+            longer = self.train(network, films, first, rate, epochs)
+            if best is not None and longer.loss > best.loss * (1 - self.protocol["better"]):
+                break
+            best = longer
+        assert best is not None
+        return [best, *(self.train(network, films, seed, rate, best.epochs) for seed in others)]
+
+    def ridge(self, films: int) -> Path:
+        """Return the checkpoint of the ridge regression on some films."""
+        out = self.folder / "trainings" / f"ridge-{films}"
+        if not (out / "best.safetensors").exists():
+            chosen, _ = self.training_films(films)
+            windows = _windows(self.folder / "films", tuple(chosen.tolist()), self.shape.points)
+            config = TrainConfig(
+                model="ridge",
+                out=str(out),
+                shape=self.shape,
+                windows_per_epoch=60_000,
+                validation_windows=100,
+                threads=1,
+            )
+            train(config, (windows, self.validation_windows(), _checksum(self.folder / "films", chosen)))
+        return out / "best.safetensors"
+
+    def height(self, films: int) -> float:
+        """Return how far below the grippers' middle the first loop is in the last frame of a history, in the median, metres."""
+        chosen, _ = self.training_films(films)
+        windows = _windows(self.folder / "films", tuple(chosen.tolist()), self.shape.points)
+        heights = []
+        for row in np.linspace(0, len(windows) - 1, min(len(windows), 2000)).astype(int):
+            window = windows[int(row)]
+            past = StateTensors.from_past({name: part[None] for name, part in window.items() if name[:5] == "past_"})
+            if window["held"][-1] and past.presence[0, -1, 0] > 0:
+                middle = window["grippers"][-1].mean(dim=0)
+                heights.append(float(middle[2] - past.mean[0, -1, 0, 2]))
+        return float(np.median(heights))
+
+    def train_all(self) -> None:
+        """Train all networks, on few films first."""
+        for films in self.sizes:
+            for network in self.networks:
+                self.trained(network, films)
+
+    # -------------------------------------------------------------------------------------------------------------- forecasts
+
+    def names_of_forecasters(self) -> list[tuple[str, int]]:
+        """Return the forecasters to ask, and the number of their training films; 0 where there are none of these."""
+        most = max(self.sizes)
+        names = [("seqph", 0), *((f"seqph_{points}_points", 0) for points in self.shown_points)]
+        names += [("hold", 0), ("carry", 0), ("motion", 0), ("blind", most), ("ridge", most)]
+        return names + [(network, films) for films in self.sizes for network in self.networks]
+
+    def forecasters(self, name: str, films: int, windows: WindowDataset) -> list[Forecaster]:
+        """Return a forecaster for each of its seeds; seqPH is asked about the frame itself."""
+        if name.startswith("seqph"):
+            return [StateTensors.from_labels]
+        if name in ("hold", "carry"):
+            return [of_windows(build(name, self.shape).eval())]
+        if name == "blind":
+            return [of_windows(build(name, self.shape, options={"height": self.height(films)}).eval())]
+        if name == "motion":
+            paths = [CHECKPOINTS / f"{checkpoint}.safetensors" for checkpoint in self.protocol["motion"]]
+            return [turned(of_stream(Predictor.load(path), windows, HORIZONS), 0) for path in paths]
+        paths = [self.ridge(films)]
+        if name != "ridge":
+            paths = [training.folder / "best.safetensors" for training in self.trained(name, films)]
+        return [of_windows(Predictor.load(path).model) for path in paths]
+
+    def forecast(self) -> None:
+        """Measure all forecasters on validation films, and on test films when there are any."""
+        for part in PARTS:
+            if part == "validation":
+                dataset = Dataset(self.folder / "films")
+                self.forecast_part(part, dataset, self.training_films(1)[1])
+            elif (self.folder / "test").exists():
+                dataset = Dataset(self.folder / "test")
+                self.forecast_part(part, dataset, dataset.labelled("full"))
+
+    def forecast_part(self, part: str, dataset: Dataset, episodes: NDArray[np.int64]) -> None:
+        """Measure all forecasters on some films; each has a file of samples for each choice of garments."""
+        options = {"n_points": self.shape.points}
+        for garments, chosen in self.protocol["garments"].items():
+            names = chosen or dataset.garments
+            asked = [i for i in episodes.tolist() if dataset.record(i).garment in names]
+            windows = WindowDataset(dataset, asked, **options)
+            rows = spread_windows(windows, math.ceil(self.protocol["windows"] / len(names)))
+            clean = windows.select(rows)
+            for name, films in self.names_of_forecasters():
+                path = self.folder / "samples" / part / garments / f"{name}-{films}.csv"
+                if path.exists():
+                    continue
+                seen = clean
+                if name.endswith("_points"):
+                    points = int(name.split("_")[1])
+                    if f"observed-{points}" not in dataset.label_names:
+                        continue  # of the validation films, which are among those to train on
+                    seen = WindowDataset(dataset, asked, n_points=points, labels=f"observed-{points}").select(rows)
+                found = {name: self.forecasters(name, films, clean)}
+                samples = measure(found, clean, seen, HORIZONS, 0, f"{part}, {garments}, {name}")
+                save_samples(path, samples.assign(films=films))
+
+    # ------------------------------------------------------------------------------------------------------------------ table
+
+    def tabulate(self, out: Path) -> None:
+        """Write the tables of validation and of test, the logs of the trainings, and what became of the claims."""
+        for part in PARTS:
+            tables = []
+            claims = {}
+            for garments in self.protocol["garments"]:
+                paths = sorted((self.folder / "samples" / part / garments).glob("*.csv"))
+                if not paths:
+                    continue
+                samples = pd.concat([pd.read_csv(path) for path in paths], ignore_index=True)
+                shares = shares_of(samples)
+                tables.append(table_of(samples, shares, self.protocol["extrapolated_to"]).assign(garments=garments))
+                claims[garments] = verdicts(shares)
+            if tables:
+                name = out.stem if part == "test" else f"{out.stem}_{part}"
+                table = pd.concat(tables).assign(setting="paper")
+                table = table[[*KEYS, "share", "low", "high", "films", "windows"]]
+                table.round(4).to_csv(out.with_name(f"{name}.csv"), index=False)
+                write_results(out.with_name(f"{name}_claims.json"), claims)
+        logs = []
+        for path in sorted((self.folder / "trainings").glob("*/log.csv")):
+            log = pd.read_csv(path)
+            logs.append(log[[name for name in LOGGED if name in log]].assign(training=path.parent.name))
+        if logs:
+            pd.concat(logs).round(4).to_csv(out.with_name(f"{out.stem}_trainings.csv"), index=False)
+
+
+def save_samples(path: Path, samples: pd.DataFrame) -> None:
+    """Write the distances of a forecaster's samples in one piece."""
+    columns = ["window", "episode", "garment", "model", "films", "seed", "step"]
+    columns += dict.fromkeys(column for column, _ in MEASURES.values())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_suffix(".part")
+    samples[columns].round(5).to_csv(aside, index=False)
+    aside.replace(path)
+
+
+@lru_cache(4)
+def _windows(folder: Path, episodes: tuple[int, ...], points: int) -> WindowDataset:
+    return WindowDataset(folder, episodes, n_points=points).load()
+
+
+def _checksum(folder: Path, episodes: NDArray[np.int64]) -> str:
+    """Return one SHA-256 of some films and their labels."""
+    dataset = Dataset(folder)
+    digest = hashlib.sha256()
+    for number in episodes.tolist():
+        for path in (dataset.path_of(number), dataset.labels("full").path_of(number)):
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def shares_of(samples: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Return for each measure the shares of all draws: columns (forecaster and films, seed or "all", horizon or "mean")."""
+    samples = samples.copy()
+    films = samples.groupby("garment")["episode"].nunique()
+    samples["garment"] = samples["garment"].where(samples["garment"].map(films) >= FEW, "few films")
+    samples["model"] = samples["model"] + "|" + samples["films"].astype(str)
+    for name, (column, beside) in MEASURES.items():
+        samples[name] = (samples[column] <= beside).where(samples[column].notna()).astype(float)
+        samples[f"{name}_n"] = samples[column].notna().astype(float)
+    columns = [*MEASURES, *(f"{name}_n" for name in MEASURES)]
+    # All seeds together, and each of them alone.
+    parts = {"all": samples} | {str(seed): part for seed, part in samples.groupby("seed")}
+    totals = {seed: bootstrap(part, columns, DRAWS) for seed, part in parts.items()}
+    answer = {}
+    for name in MEASURES:
+        found = {}
+        for seed, sums in totals.items():
+            share = sums.xs(name, axis=1, level=2) / sums.xs(f"{name}_n", axis=1, level=2)
+            for model in share.columns.unique(0):
+                if seed != "all" and samples.loc[samples["model"] == model, "seed"].nunique() == 1:
+                    continue
+                steps = share[model]
+                for step in steps:
+                    found[model, seed, str(step)] = steps[step]
+                found[model, seed, "mean"] = steps.mean(axis=1)
+        answer[name] = pd.DataFrame(found)
+    return answer
+
+
+def table_of(samples: pd.DataFrame, shares: dict[str, pd.DataFrame], extrapolated_to: int) -> pd.DataFrame:
+    """Return the tidy table, with the learning curves carried on to more films."""
+    films = samples["episode"].nunique()
+    windows = samples["window"].nunique()
+    rows = []
+    for measure_name, draws in shares.items():
+        cells = interval(pd.concat([draws, carried_on(draws, extrapolated_to)], axis=1))
+        for (model, seed, horizon), cell in zip(cells.index, cells.itertuples(), strict=True):
+            forecaster, _, trained_on = model.partition("|")
+            rows.append(
+                {
+                    "measure": measure_name,
+                    "forecaster": forecaster,
+                    "training_films": int(trained_on),
+                    "seed": seed,
+                    "horizon": horizon,
+                    "share": cell.mean,
+                    "low": cell.low,
+                    "high": cell.high,
+                    "films": films,
+                    "windows": windows,
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def carried_on(draws: pd.DataFrame, films: int) -> pd.DataFrame:
+    """Return the learning curves at more films: lines through the logarithms of misses and films."""
+    sizes: dict[str, list[int]] = {}
+    for model in draws.columns.unique(0):
+        name, _, trained_on = model.partition("|")
+        if int(trained_on):
+            sizes.setdefault(name, []).append(int(trained_on))
+    found = {}
+    for name, known in sizes.items():
+        if len(known) < 3:
+            continue
+        known = sorted(known)
+        for horizon in draws[f"{name}|{known[0]}"]["all"]:
+            misses = np.column_stack([1 - draws[f"{name}|{size}", "all", horizon] for size in known])
+            logs = np.log(np.maximum(misses, 1e-3))
+            x = np.log(known) - np.mean(np.log(known))
+            slope = logs @ x / (x @ x)
+            at = logs.mean(axis=1) + slope * (np.log(films) - np.mean(np.log(known)))
+            found[f"{name}, extrapolated|{films}", "all", horizon] = 1 - np.exp(np.minimum(at, 0))
+    return pd.DataFrame(found, index=draws.index)
+
+
+def verdicts(shares: dict[str, pd.DataFrame]) -> dict[str, Any]:
+    """Return by measure the differences that the claims are about, on the same draws of films, in points."""
+    answer: dict[str, Any] = {}
+    for name, draws in shares.items():
+        largest: dict[str, str] = {}
+        for model in draws.columns.unique(0):
+            forecaster, _, films = model.partition("|")
+            if forecaster not in largest or int(films) > int(largest[forecaster].partition("|")[2]):
+                largest[forecaster] = model
+        pairs = [("mlp", "seqph"), ("mlp", SAME_POINTS), ("pointnet", "mlp"), ("pointnet", "seqph")]
+        pairs += [("pointnet", SAME_POINTS)]
+        pairs += [(network, other) for network in ("mlp", "pointnet") for other in ("carry", "blind", "hold")]
+        pairs += [("motion", other) for other in largest if other not in ("motion", "seqph", SAME_POINTS)]
+        found = {}
+        for one, other in pairs:
+            if one not in largest or other not in largest:
+                continue
+            difference = 100 * (draws[largest[one]]["all"] - draws[largest[other]]["all"])
+            difference["later"] = difference[["15", "30", "60"]].mean(axis=1)
+            cells = interval(difference).round(2)
+            found[f"{one} - {other}"] = {step: cells.loc[step].tolist() for step in cells.index}
+        answer[name] = found
+    return answer
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the stages of the experiment."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--protocol", type=Path, default=Path(__file__).with_suffix(".json"))
+    parser.add_argument("--work", type=Path, default=ROOT / "runs" / "paper", help="folder for films and trainings")
+    parser.add_argument("--out", type=Path, default=ROOT / "book" / "results" / "paper.csv")
+    parser.add_argument("--stages", nargs="+", choices=STAGES, default=STAGES)
+    parser.add_argument("--sizes", nargs="+", type=int, help="numbers of training films, of those of the protocol")
+    parser.add_argument("--networks", nargs="+", help="of those of the protocol")
+    parser.add_argument("--workers", type=int, default=1, help="processes for films and labels (default 1)")
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    protocol = json.loads(options.protocol.read_text(encoding="utf-8"))
+    experiment = Experiment(
+        protocol,
+        options.work,
+        options.protocol.parent,
+        options.workers,
+        tuple(options.sizes or protocol["sizes"]),
+        tuple(options.networks or protocol["networks"]),
+    )
+    steps = {
+        "films": experiment.make_films,
+        "labels": experiment.label_films,
+        "trainings": experiment.train_all,
+        "test": experiment.make_test,
+        "forecasts": experiment.forecast,
+        "table": lambda: experiment.tabulate(options.out),
+    }
+    for stage in STAGES:
+        if stage in options.stages:
+            print(f"-- {stage}", flush=True)
+            steps[stage]()
+
+
+if __name__ == "__main__":
+    main()
