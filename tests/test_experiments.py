@@ -152,7 +152,15 @@ def test_a_model_is_not_tested_on_what_it_was_trained_on():
 def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, monkeypatch):
     protocol = json.loads((EXPERIMENTS / "paper.json").read_text())
     protocol["films"]["validation"] = 3
-    small = {"sizes": [3], "seeds": [0, 1], "epoch": 64, "lengths": [1, 2], "rates": [1e-3, 3e-3], "windows": 20}
+    small = {
+        "sizes": [3],
+        "seeds": [0, 1],
+        "batch": 32,
+        "epoch": 32,
+        "lengths": [1, 2],
+        "rates": [1e-3, 3e-3],
+        "windows": 20,
+    }
     rates = {"films": 3, "seed": 0, "epochs": 1}
     small |= {"rates_of": rates, "validation_windows": 32, "motion": ["motion"], "garments": {"all": []}}
     (tmp_path / "little.json").write_text(json.dumps(protocol | small))

@@ -223,6 +223,7 @@ class Experiment:
                 model="ridge",
                 out=str(out),
                 shape=self.shape,
+                batch=self.protocol["batch"],
                 windows_per_epoch=60_000,
                 validation_windows=100,
                 threads=1,
