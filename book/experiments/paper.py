@@ -38,6 +38,7 @@ from forecasts import HORIZONS, Forecaster, measure, of_stream, of_windows, spre
 from numpy.typing import NDArray
 from tables import bootstrap, interval, write_results
 
+import topokit
 from topokit.data import Dataset, DatasetConfig, WindowDataset, generate_dataset, label_dataset
 from topokit.models import LossWeights, Predictor, Shape, StateTensors, TrainConfig, build, train
 
@@ -89,6 +90,12 @@ class Experiment:
         """Return the configuration of "films" or "test"."""
         path = self.configs / self.protocol[part]["config"]
         return DatasetConfig.from_json(json.loads(path.read_text(encoding="utf-8")))
+
+    @property
+    def is_whole(self) -> bool:
+        """Return whether all sizes and networks of the protocol are asked for."""
+        everything = tuple(self.protocol["sizes"]), tuple(self.protocol["networks"])
+        return (self.sizes, self.networks) == everything
 
     # ------------------------------------------------------------------------------------------------------- films and labels
 
@@ -276,12 +283,12 @@ class Experiment:
         return [of_windows(Predictor.load(path).model) for path in paths]
 
     def forecast(self) -> None:
-        """Measure all forecasters on validation films, and on test films when there are any."""
+        """Measure all forecasters on validation films; on test films only when no network and no size is left out."""
         for part in PARTS:
             if part == "validation":
                 dataset = Dataset(self.folder / "films")
                 self.forecast_part(part, dataset, self.training_films(1)[1])
-            elif (self.folder / "test").exists():
+            elif self.is_whole and (self.folder / "test").exists():
                 dataset = Dataset(self.folder / "test")
                 self.forecast_part(part, dataset, dataset.labelled("full"))
 
@@ -310,6 +317,16 @@ class Experiment:
 
     # ------------------------------------------------------------------------------------------------------------------ table
 
+    def checksums(self) -> dict[str, Any]:
+        """Return the SHA-256 of the films of each size and their labels, of those to validate with and of those to test on."""
+        folder = self.folder / "films"
+        found: dict[str, Any] = {"made_with": made_with(), "validation": _checksum(folder, self.training_films(1)[1])}
+        for films in self.sizes:
+            found[f"{films} films"] = _checksum(folder, self.training_films(films)[0])
+        if (self.folder / "test").exists():
+            found["test"] = Dataset(self.folder / "test").checksum()
+        return found
+
     def tabulate(self, out: Path) -> None:
         """Write the tables of validation and of test, the logs of the trainings, and what became of the claims."""
         for part in PARTS:
@@ -329,6 +346,7 @@ class Experiment:
                 table = table[[*KEYS, "share", "low", "high", "films", "windows"]]
                 table.round(4).to_csv(out.with_name(f"{name}.csv"), index=False)
                 write_results(out.with_name(f"{name}_claims.json"), claims)
+        write_results(out.with_name(f"{out.stem}_films.json"), self.checksums())
         logs = []
         for path in sorted((self.folder / "trainings").glob("*/log.csv")):
             log = pd.read_csv(path)
@@ -345,6 +363,11 @@ def save_samples(path: Path, samples: pd.DataFrame) -> None:
     aside = path.with_suffix(".part")
     samples[columns].round(5).to_csv(aside, index=False)
     aside.replace(path)
+
+
+def made_with() -> dict[str, str]:
+    """Return the versions that films and weights depend on."""
+    return {"topokit": topokit.__version__, "torch": torch.__version__, "numpy": np.__version__}
 
 
 @lru_cache(4)
