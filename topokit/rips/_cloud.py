@@ -98,7 +98,10 @@ class Cloud:
 def squares(points: Array, others: Array) -> Array:
     """Return squared distances of points, summed axis by axis as the kernel does; NumPy's `sum` pairs the terms."""
     terms = (points - others) ** 2
-    return np.asarray(sum(terms[..., axis] for axis in range(terms.shape[-1])))
+    total = terms[..., 0]
+    for axis in range(1, terms.shape[-1]):
+        total = total + terms[..., axis]
+    return total
 
 
 def too_large(n: int, needs: str) -> MemoryError:

@@ -16,18 +16,23 @@ from __future__ import annotations
 
 import heapq
 import math
+import operator
 from collections.abc import Iterable, Sequence
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
-from .._validate import Ids
+from .._validate import Array, Ids
 from ._cloud import Cloud
-from .kernel import edge_length, first_triangle, neighbours, shortest_paths
 
 SEARCH_LIMIT = 20_000  # pairs (vertex, class) looked at before a search gives up
+_ROWS = 4_000_000  # numbers that rows of keys may take, which are kept as they are asked for again and again
 Edge = tuple[int, int]
-Time = tuple[float, int, int]  # when an edge arrives: its length as `edge_length` has it, and its ends
+Time = tuple[float, int, int]  # when an edge arrives: its key (`Cloud.keys`), and its ends, the smaller one first
 NEVER: Time = (math.inf, 0, 0)
 
 
@@ -35,8 +40,12 @@ class Homology:
     """Degree-1 classes in the Rips filtration of a cloud, as sets of creators: an int, bit c for the c-th loop born."""
 
     def __init__(self, cloud: Cloud, created: Ids, killed: Ids) -> None:
-        self._data = cloud.data
-        self._axes = cloud.axes
+        self._cloud = cloud
+        self._simplices = (created, killed)
+        self._places: list[list[float]] = cloud.data.tolist() if cloud.axes else []
+        rows_kept = max(_ROWS // (len(cloud) + 1), 1)
+        self._keys_from = lru_cache(rows_kept)(self._new_keys_from)
+        self._complex_at = lru_cache(1)(self._new_complex_at)
         self._creator: dict[Edge, int] = {(a, b): loop for loop, (a, b) in enumerate(created.tolist())}
         self._killers: list[list[int]] = killed.tolist()
         self._killed_at = [self.time(x, y) if x >= 0 else NEVER for x, y, _, _ in self._killers]
@@ -45,14 +54,18 @@ class Homology:
         self._classes: dict[Edge, int] = {}  # classes of edges, at the time that was asked for last
         self._classes_at: Time | None = None
 
+    def __reduce__(self) -> tuple[type[Homology], tuple[Cloud, Ids, Ids]]:
+        """Pickle the loops alone; the rest is worked out again when it is asked for."""
+        return Homology, (self._cloud, *self._simplices)
+
     def time(self, i: int, j: int) -> Time:
         """Return when the edge {i, j} arrives."""
-        return edge_length(self._data, i, j, self._axes), min(i, j), max(i, j)
+        return self._key(i, j), min(i, j), max(i, j)
 
     def side(self, a: int, b: int) -> float:
         """Return the length of an edge."""
-        length = edge_length(self._data, a, b, self._axes)
-        return math.sqrt(length) if self._axes else length
+        key = self._key(a, b)
+        return math.sqrt(key) if self._cloud.axes else key
 
     def length(self, walk: Sequence[int]) -> float:
         """Return the length of a closed walk."""
@@ -61,11 +74,67 @@ class Homology:
     def _path_length(self, path: Sequence[int]) -> float:
         return sum(self.side(a, b) for a, b in pairwise(path))
 
+    # Edges ------------------------------------------------------------------------------------------------------------
+
+    def _key(self, i: int, j: int) -> float:
+        """Return the key of an edge as `Cloud.keys` does, to the last bit."""
+        if not self._cloud.axes:
+            return float(self._cloud.data[i, j])
+        x, y, z = map(operator.sub, self._places[i], self._places[j])
+        return x * x + y * y + z * z
+
+    def _new_keys_from(self, vertex: int) -> Array:
+        """Return the keys of the edges from a vertex to all others, infinity for itself."""
+        keys = self._cloud.keys(vertex, slice(None)).copy()
+        keys[vertex] = np.inf
+        return keys
+
+    def _new_complex_at(self, time: Time) -> csr_array:
+        """Return the edges before a time, as the (n, n) sparse matrix of their lengths."""
+        n = len(self._cloud)
+        if self._cloud.axes:
+            reach = min(math.sqrt(time[0]) * (1 + 1e-12), 4.0)  # coordinates are at most 1
+            a, b = self._tree.query_pairs(reach, output_type="ndarray").T
+        else:
+            a, b = np.nonzero(np.triu(self._cloud.data <= time[0], 1))
+        keys = self._cloud.keys(a, b)
+        arrived = (keys < time[0]) | ((keys == time[0]) & ((a < time[1]) | ((a == time[1]) & (b < time[2]))))
+        a = a[arrived]
+        b = b[arrived]
+        lengths = np.sqrt(keys[arrived]) if self._cloud.axes else keys[arrived]
+        return csr_array((np.tile(lengths, 2), (np.append(a, b), np.append(b, a))), (n, n))
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self._cloud.data)
+
+    def _neighbours(self, vertex: int, time: Time) -> tuple[Ids, Array]:
+        """Return the vertices joined to a vertex before a time, and the lengths of the edges to them."""
+        edges = self._complex_at(time)
+        row = slice(edges.indptr[vertex], edges.indptr[vertex + 1])
+        return edges.indices[row], edges.data[row]
+
+    def _first_triangle(self, x: int, y: int) -> int:
+        """Return the vertex that completes the earliest triangle before the edge {x, y}; -1 when its lune is empty."""
+        keys = self._keys_from(x)
+        longer = np.maximum(keys, self._keys_from(y))
+        apex = int(longer.argmin())
+        if longer[apex] < keys[y]:
+            return apex
+
+        # Among edges of one length the numbers of the vertices decide.
+        time = self.time(x, y)
+        for apex in np.flatnonzero(longer == time[0]).tolist():
+            if max(self.time(x, apex), self.time(y, apex)) < time:
+                return apex
+        return -1
+
     # Classes ----------------------------------------------------------------------------------------------------------
 
     def in_creators(self, a: int, b: int) -> int:
         """Return the edge {a, b} written in creators."""
         waiting = [(min(a, b), max(a, b))]
+        apexes = dict[Edge, int]()
         while waiting:
             edge = waiting[-1]
             if edge in self._in_creators:
@@ -75,7 +144,9 @@ class Homology:
                 self._in_creators[edge] = 1 << self._creator[edge]
                 continue
             x, y = edge
-            z = first_triangle(self._data, self._axes, x, y)
+            if edge not in apexes:
+                apexes[edge] = self._first_triangle(x, y)
+            z = apexes[edge]
             if z < 0:  # an edge of the tree
                 self._in_creators[edge] = 0
                 continue
@@ -184,14 +255,41 @@ class Homology:
 
     def path(self, sources: Sequence[int], targets: Sequence[int], time: Time) -> list[int]:
         """Return the shortest path from one of the sources to one of the targets before a time; [] when there is none."""
-        stop = sources[0] if len(sources) == 1 else -1
-        length, following = shortest_paths(self._data, self._axes, time, np.asarray(targets), stop)
-        path = [min(sources, key=lambda vertex: length[vertex])]
-        if length[path[0]] == math.inf:
+        lengths = self._shortest_paths(targets, time)
+        start = min(sources, key=lengths.__getitem__)
+        if lengths[start] == math.inf:
             return []
-        while following[path[-1]] >= 0:
-            path.append(int(following[path[-1]]))
-        return path
+
+        # Which vertices are on shortest paths from there, by the number of steps?
+        levels = [{start: self._following(start, lengths, time)}]
+        reached = {start}
+        while not reached.intersection(targets):
+            following = {vertex for choices in levels[-1].values() for vertex in choices} - reached
+            reached |= following
+            levels.append({vertex: self._following(vertex, lengths, time) for vertex in following})
+
+        # Back from the targets: among paths with the fewest steps, the one that goes to the nearest vertex first.
+        rest = {target: [target] for target in levels[-1].keys() & set(targets)}
+        for level in levels[-2::-1]:
+            rest = {
+                vertex: [vertex, *rest[min(choices & rest.keys(), key=lambda other: (lengths[other], other))]]
+                for vertex, choices in level.items()
+                if choices & rest.keys()
+            }
+        return rest[start]
+
+    def _following(self, vertex: int, lengths: Sequence[float], time: Time) -> set[int]:
+        """Return the vertices that are next on shortest paths from a vertex, given the lengths of shortest paths."""
+        joined, sides = self._neighbours(vertex, time)
+        return {
+            other
+            for other, side in zip(joined.tolist(), sides.tolist(), strict=True)
+            if lengths[other] + side == lengths[vertex]
+        }
+
+    def _shortest_paths(self, targets: Sequence[int], time: Time) -> list[float]:
+        """Return for each vertex the length of the shortest path before a time to the nearest target; infinite without one."""
+        return dijkstra(self._complex_at(time), indices=targets, min_only=True).tolist()
 
     def path_in_class(
         self, source: int, target: int, time: Time, death: Time, wanted: int, bound: float = math.inf
@@ -201,7 +299,7 @@ class Homology:
         It is [] if none is found that is shorter than the bound. The search is A*: the lengths of shortest paths of any class
         bound what remains from below.
         """
-        remaining = shortest_paths(self._data, self._axes, time, np.array([target]), -1)[0].tolist()
+        remaining = self._shortest_paths([target], time)
         start = (source, 0)
         goal = (target, wanted)
         best = {start: (0.0, 0)}  # length and steps of the best path to a vertex in a class
@@ -217,7 +315,7 @@ class Homology:
             done.add(state)
             vertex, path_class = state
             length, steps = best[state]
-            joined, side_lengths = neighbours(self._data, self._axes, vertex, time)
+            joined, side_lengths = self._neighbours(vertex, time)
             for other, side_length in zip(joined.tolist(), side_lengths.tolist(), strict=True):
                 if length + side_length + remaining[other] >= bound:
                     continue

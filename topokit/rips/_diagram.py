@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._validate import Array, Ids, as_ids, positive
 from ._cloud import Cloud
+from ._pairs import pairs
 
 if TYPE_CHECKING:
     from ._cycles import Homology
@@ -170,7 +171,7 @@ class Diagram:
 
     @cached_property
     def _homology(self) -> Homology:
-        from ._cycles import Homology  # numba takes a while to import
+        from ._cycles import Homology  # SciPy takes a while to import
 
         return Homology(self._cloud, *self._simplices)
 
@@ -219,8 +220,7 @@ def tighten(
     >>> tighten(points, [0, 1, 2, 4, 3], radius=1.2)
     array([0, 1, 2, 3])
     """
-    from ._cycles import Homology, sides  # numba takes a while to import
-    from ._pairs import pairs
+    from ._cycles import Homology, sides  # SciPy takes a while to import
 
     if isinstance(points, Diagram):
         diagram = points
@@ -267,14 +267,35 @@ def _as_walk(cycle: ArrayLike, n_points: int) -> list[int]:
 
 def _component_merges(cloud: Cloud, max_radius: float) -> tuple[Ids, Array]:
     """Return the (m, 2) edges with which components merge, smaller vertex first, in the total order; and half their lengths."""
-    from .kernel import spanning_tree  # numba takes a while to import
-
-    edges = np.sort(spanning_tree(cloud.data, cloud.axes))
-    order = np.lexsort((edges[:, 1], edges[:, 0], cloud.keys(edges[:, 0], edges[:, 1])))
-    edges = edges[order]
+    edges = _spanning_tree(cloud)
     radii = cloud.radii(edges[:, 0], edges[:, 1]) / cloud.scale
     inside = radii <= max_radius
     return edges[inside], radii[inside]
+
+
+def _spanning_tree(cloud: Cloud) -> Ids:
+    """Return the (n - 1, 2) edges of the minimum spanning tree in the total order, smaller vertex first, by Prim's method."""
+    n = len(cloud)
+    edges = np.empty((max(n - 1, 0), 3))  # key, smaller and larger vertex
+    keys = np.full(n, np.inf)  # of the shortest edge from the tree to each vertex outside; not a number inside
+    nearest = np.zeros(n, np.int64)  # the vertex of the tree at which that edge begins
+    new = 0
+    for row in range(len(edges)):
+        # A vertex has joined the tree, and is now the nearest one of some vertices outside.
+        keys[new] = np.nan
+        to_new = cloud.keys(new, slice(None))
+        is_nearer = to_new < keys
+        for other in np.flatnonzero(to_new == keys).tolist():
+            is_nearer[other] = sorted((new, other)) < sorted((nearest[other], other))
+        nearest[is_nearer] = new
+        keys[is_nearer] = to_new[is_nearer]
+
+        # The first edge in the total order that leaves the tree brings the next vertex.
+        shortest = np.flatnonzero(keys == np.fmin.reduce(keys)).tolist()
+        new = min(shortest, key=lambda other: sorted((nearest[other], other)))
+        edges[row] = keys[new], *sorted((nearest[new], new))
+    order = np.lexsort((edges[:, 2], edges[:, 1], edges[:, 0]))
+    return edges[order, 1:].astype(np.int64)
 
 
 def _elders(edges: Ids, n: int) -> tuple[Ids, Ids]:

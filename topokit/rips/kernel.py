@@ -13,7 +13,7 @@ it is joined to, so the *lune* of an arriving edge {x, y}, all that is joined to
 Triangles are never listed. The work ends when no loop is alive and no later edge has an empty lune.
 
 The sections of this file follow the data: lengths and their order, bits, a kd-tree of the points, edges a window at a time,
-lunes, relations between loops, when to stop, the pairing itself, films of clouds, and last spanning trees and shortest paths.
+lunes, relations between loops, when to stop, the pairing itself, and films of clouds.
 Functions that Python calls take plain arrays and tuples and are cached by numba on disk; the others are compiled into them.
 
 Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtration). Read in chapter 2.
@@ -57,7 +57,7 @@ ALIKE = (
 # "length" of an edge between points is squared here: it orders edges alike and costs no root.
 
 
-@njit(forceinline=True, cache=True)
+@njit(forceinline=True)
 def edge_length(data, i, j, axes):
     """Return the entry of a matrix (no axes), or the squared distance of two points; the same for (i, j) and (j, i).
 
@@ -80,7 +80,7 @@ def root_of(length, axes):
     return np.sqrt(length)
 
 
-@njit(forceinline=True, cache=True)
+@njit(forceinline=True)
 def precedes(length, a, b, other_length, x, y):
     """Return True if the edge {a, b} comes before {x, y} in the total order, given the lengths of both."""
     if length != other_length:
@@ -1289,111 +1289,3 @@ def pair_clouds(data, axes, starts, max_lengths, tree_arrays, keys, reach, end, 
                     killed[total, k] = moved.label[killers[i, k]]
             total += 1
     return buffer, (tree, keys, reach, end), created[:total], killed[:total], counts
-
-
-# Trees and paths ------------------------------------------------------------------------------------------------------
-
-
-@njit(cache=True)
-def spanning_tree(data, axes):
-    """Return the (n - 1, 2) edges of the minimum spanning tree in the total order, by Prim's method, from vertex 0."""
-    n = len(data)
-    outside = np.arange(1, n)  # vertices outside the tree, their nearest vertex in it, and the length of the edge
-    nearest = np.zeros(n, np.int64)
-    length = np.empty(n)
-    for v in range(1, n):
-        length[v] = edge_length(data, 0, v, axes)
-    tree = np.empty((max(n - 1, 0), 2), np.int64)
-    for size in range(n - 1, 0, -1):
-        best = 0
-        for i in range(1, size):
-            v = outside[i]
-            b = outside[best]
-            if precedes(length[v], nearest[v], v, length[b], nearest[b], b):
-                best = i
-        new = outside[best]
-        tree[size - 1, 0] = nearest[new]
-        tree[size - 1, 1] = new
-        outside[best] = outside[size - 1]
-        for v in outside[: size - 1]:
-            to_new = edge_length(data, new, v, axes)
-            if precedes(to_new, new, v, length[v], nearest[v], v):
-                nearest[v] = new
-                length[v] = to_new
-    return tree
-
-
-@njit(cache=True)
-def first_triangle(data, axes, x, y):
-    """Return the vertex that completes the earliest triangle before the edge {x, y}, x < y; -1 when its lune is empty."""
-    length = edge_length(data, x, y, axes)
-    best = -1
-    best_value = np.inf
-    for z in range(len(data)):
-        if z in (x, y):
-            continue
-        to_x = edge_length(data, x, z, axes)
-        to_y = edge_length(data, y, z, axes)
-        value = max(to_x, to_y)
-        if value < best_value and precedes(to_x, x, z, length, x, y) and precedes(to_y, y, z, length, x, y):
-            best = z
-            best_value = value
-    return best
-
-
-@njit(cache=True)
-def neighbours(data, axes, v, time):
-    """Return the vertices joined to v before a time, and the lengths of the edges to them.
-
-    A time is the arrival of an edge: its length and its two ends.
-    """
-    joined = np.empty(len(data), np.int64)
-    lengths = np.empty(len(data))
-    size = 0
-    for w in range(len(data)):
-        length = edge_length(data, v, w, axes)
-        if w != v and precedes(length, v, w, time[0], time[1], time[2]):
-            joined[size] = w
-            lengths[size] = root_of(length, axes)
-            size += 1
-    return joined[:size], lengths[:size]
-
-
-@njit(cache=True)
-def shortest_paths(data, axes, time, targets, stop):
-    """Return for each vertex the length of the shortest path before a time to the nearest target, and the next vertex on it.
-
-    The method is Dijkstra's. A length is infinite where there is no path or it is longer than the path from the vertex `stop`
-    (-1: no vertex); the next vertex is -1 at a target. Among equal lengths the path with fewer steps is taken.
-    """
-    n = len(data)
-    length = np.full(n, np.inf)
-    following = np.full(n, -1)
-    steps = np.zeros(n, np.int64)
-    done = np.zeros(n, np.bool_)
-    length[targets] = 0.0
-    while True:
-        # The nearest vertex that is not done.
-        v = -1
-        for w in range(n):
-            if not done[w] and length[w] < np.inf and (v < 0 or (length[w], steps[w]) < (length[v], steps[v])):
-                v = w
-        if v < 0 or v == stop:
-            break
-        done[v] = True
-
-        # Are paths over it shorter?
-        for w in range(n):
-            if done[w]:
-                continue
-            side = edge_length(data, v, w, axes)
-            if precedes(side, v, w, time[0], time[1], time[2]):
-                new_length = length[v] + root_of(side, axes)
-                if new_length < length[w] or (new_length == length[w] and steps[v] + 1 < steps[w]):
-                    length[w] = new_length
-                    following[w] = v
-                    steps[w] = steps[v] + 1
-    for w in range(n):
-        if not done[w] and w != stop:
-            length[w] = np.inf
-    return length, following
