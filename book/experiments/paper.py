@@ -25,7 +25,7 @@ import argparse
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -34,9 +34,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
+from _paper_tables import MEASURES, table_of
 from forecasts import HORIZONS, Forecaster, measure, of_stream, of_windows, spread_windows, turned
 from numpy.typing import NDArray
-from tables import bootstrap, interval, write_results
+from tables import write_results
 
 import topokit
 from topokit.data import Dataset, DatasetConfig, WindowDataset, generate_dataset, label_dataset
@@ -46,18 +47,7 @@ ROOT = Path(__file__).parents[2]
 STAGES = ("films", "labels", "trainings", "test", "forecasts", "table")
 PARTS = ("validation", "test")
 CHECKPOINTS = ROOT / "data_small" / "checkpoints"
-SAME_POINTS = "seqph_128_points"  # seqPH on the points that PointNet is shown
-FEW = 5  # films of a garment; with fewer, its films are drawn with those of other such garments
-DRAWS = 1000
 
-# Each measure: the column of distances in metres, and how far beside the hull still counts.
-MEASURES = {
-    "marked": ("hull_distance_marked_curve", 1e-9),
-    "marked1": ("hull_distance_marked_curve", 0.01),
-    "marked3": ("hull_distance_marked_curve", 0.03),
-    "wide": ("hull_distance", 0.01),
-    "any": ("hull_distance_any_curve", 0.01),
-}
 LOGGED = ("epoch", "step", "seconds", "train_loss", "train_distance", "validation_loss", "validation_distance")
 KEYS = ["setting", "garments", "measure", "forecaster", "training_films", "seed", "horizon"]
 
@@ -327,24 +317,30 @@ class Experiment:
             found["test"] = Dataset(self.folder / "test").checksum()
         return found
 
+    def samples(self, part: str) -> Iterator[tuple[str, pd.DataFrame]]:
+        """Yield the samples of each choice of garments, and of the garments that a choice names."""
+        for garments, names in self.protocol["garments"].items():
+            paths = sorted((self.folder / "samples" / part / garments).glob("*.csv"))
+            if not paths:
+                continue
+            samples = pd.concat([pd.read_csv(path) for path in paths], ignore_index=True)
+            yield garments, samples
+            for name in names:
+                if (samples["garment"] == name).any():
+                    yield name, samples[samples["garment"] == name]
+
     def tabulate(self, out: Path) -> None:
         """Write the tables of validation and of test, the logs of the trainings, and what became of the claims."""
         for part in PARTS:
             tables = []
             claims = {}
-            for garments in self.protocol["garments"]:
-                paths = sorted((self.folder / "samples" / part / garments).glob("*.csv"))
-                if not paths:
-                    continue
-                samples = pd.concat([pd.read_csv(path) for path in paths], ignore_index=True)
-                shares = shares_of(samples)
-                tables.append(table_of(samples, shares, self.protocol["extrapolated_to"]).assign(garments=garments))
-                claims[garments] = verdicts(shares)
+            for garments, samples in self.samples(part):
+                table, claims[garments] = table_of(samples, self.protocol["extrapolated_to"])
+                tables.append(table.assign(garments=garments, setting=self.protocol["setting"]))
             if tables:
                 name = out.stem if part == "test" else f"{out.stem}_{part}"
-                table = pd.concat(tables).assign(setting="paper")
-                table = table[[*KEYS, "share", "low", "high", "films", "windows"]]
-                table.round(4).to_csv(out.with_name(f"{name}.csv"), index=False)
+                columns = [*KEYS, "share", "low", "high", "films", "windows"]
+                pd.concat(tables)[columns].round(4).to_csv(out.with_name(f"{name}.csv"), index=False)
                 write_results(out.with_name(f"{name}_claims.json"), claims)
         write_results(out.with_name(f"{out.stem}_films.json"), self.checksums())
         logs = []
@@ -383,108 +379,6 @@ def _checksum(folder: Path, episodes: NDArray[np.int64]) -> str:
         for path in (dataset.path_of(number), dataset.labels("full").path_of(number)):
             digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
-
-
-def shares_of(samples: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """Return for each measure the shares of all draws: columns (forecaster and films, seed or "all", horizon or "mean")."""
-    samples = samples.copy()
-    films = samples.groupby("garment")["episode"].nunique()
-    samples["garment"] = samples["garment"].where(samples["garment"].map(films) >= FEW, "few films")
-    samples["model"] = samples["model"] + "|" + samples["films"].astype(str)
-    for name, (column, beside) in MEASURES.items():
-        samples[name] = (samples[column] <= beside).where(samples[column].notna()).astype(float)
-        samples[f"{name}_n"] = samples[column].notna().astype(float)
-    columns = [*MEASURES, *(f"{name}_n" for name in MEASURES)]
-    # All seeds together, and each of them alone.
-    parts = {"all": samples} | {str(seed): part for seed, part in samples.groupby("seed")}
-    totals = {seed: bootstrap(part, columns, DRAWS) for seed, part in parts.items()}
-    answer = {}
-    for name in MEASURES:
-        found = {}
-        for seed, sums in totals.items():
-            share = sums.xs(name, axis=1, level=2) / sums.xs(f"{name}_n", axis=1, level=2)
-            for model in share.columns.unique(0):
-                if seed != "all" and samples.loc[samples["model"] == model, "seed"].nunique() == 1:
-                    continue
-                steps = share[model]
-                for step in steps:
-                    found[model, seed, str(step)] = steps[step]
-                found[model, seed, "mean"] = steps.mean(axis=1)
-        answer[name] = pd.DataFrame(found)
-    return answer
-
-
-def table_of(samples: pd.DataFrame, shares: dict[str, pd.DataFrame], extrapolated_to: int) -> pd.DataFrame:
-    """Return the tidy table, with the learning curves carried on to more films."""
-    films = samples["episode"].nunique()
-    windows = samples["window"].nunique()
-    rows = []
-    for measure_name, draws in shares.items():
-        cells = interval(pd.concat([draws, carried_on(draws, extrapolated_to)], axis=1))
-        for (model, seed, horizon), cell in zip(cells.index, cells.itertuples(), strict=True):
-            forecaster, _, trained_on = model.partition("|")
-            rows.append(
-                {
-                    "measure": measure_name,
-                    "forecaster": forecaster,
-                    "training_films": int(trained_on),
-                    "seed": seed,
-                    "horizon": horizon,
-                    "share": cell.mean,
-                    "low": cell.low,
-                    "high": cell.high,
-                    "films": films,
-                    "windows": windows,
-                }
-            )
-    return pd.DataFrame(rows)
-
-
-def carried_on(draws: pd.DataFrame, films: int) -> pd.DataFrame:
-    """Return the learning curves at more films: lines through the logarithms of misses and films."""
-    sizes: dict[str, list[int]] = {}
-    for model in draws.columns.unique(0):
-        name, _, trained_on = model.partition("|")
-        if int(trained_on):
-            sizes.setdefault(name, []).append(int(trained_on))
-    found = {}
-    for name, known in sizes.items():
-        if len(known) < 3:
-            continue
-        known = sorted(known)
-        for horizon in draws[f"{name}|{known[0]}"]["all"]:
-            misses = np.column_stack([1 - draws[f"{name}|{size}", "all", horizon] for size in known])
-            logs = np.log(np.maximum(misses, 1e-3))
-            x = np.log(known) - np.mean(np.log(known))
-            slope = logs @ x / (x @ x)
-            at = logs.mean(axis=1) + slope * (np.log(films) - np.mean(np.log(known)))
-            found[f"{name}, extrapolated|{films}", "all", horizon] = 1 - np.exp(np.minimum(at, 0))
-    return pd.DataFrame(found, index=draws.index)
-
-
-def verdicts(shares: dict[str, pd.DataFrame]) -> dict[str, Any]:
-    """Return by measure the differences that the claims are about, on the same draws of films, in points."""
-    answer: dict[str, Any] = {}
-    for name, draws in shares.items():
-        largest: dict[str, str] = {}
-        for model in draws.columns.unique(0):
-            forecaster, _, films = model.partition("|")
-            if forecaster not in largest or int(films) > int(largest[forecaster].partition("|")[2]):
-                largest[forecaster] = model
-        pairs = [("mlp", "seqph"), ("mlp", SAME_POINTS), ("pointnet", "mlp"), ("pointnet", "seqph")]
-        pairs += [("pointnet", SAME_POINTS)]
-        pairs += [(network, other) for network in ("mlp", "pointnet") for other in ("carry", "blind", "hold")]
-        pairs += [("motion", other) for other in largest if other not in ("motion", "seqph", SAME_POINTS)]
-        found = {}
-        for one, other in pairs:
-            if one not in largest or other not in largest:
-                continue
-            difference = 100 * (draws[largest[one]]["all"] - draws[largest[other]]["all"])
-            difference["later"] = difference[["15", "30", "60"]].mean(axis=1)
-            cells = interval(difference).round(2)
-            found[f"{one} - {other}"] = {step: cells.loc[step].tolist() for step in cells.index}
-        answer[name] = found
-    return answer
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

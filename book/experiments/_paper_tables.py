@@ -1,0 +1,126 @@
+"""The tables of paper.py: shares in the hull with intervals, learning curves carried on, and the differences of the claims.
+
+Idea: every forecaster gets the same bootstrap draws of films, so that a difference of two shares is on the same films. A model is
+named here by its forecaster and its number of training films, `mlp|500`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from tables import bootstrap, interval
+
+# Each measure: the column of distances in metres, and how far beside the hull still counts.
+MEASURES = {
+    "marked": ("hull_distance_marked_curve", 1e-9),
+    "marked1": ("hull_distance_marked_curve", 0.01),
+    "marked3": ("hull_distance_marked_curve", 0.03),
+    "wide": ("hull_distance", 0.01),
+    "any": ("hull_distance_any_curve", 0.01),
+}
+SAME_POINTS = "seqph_128_points"  # seqPH on the points that PointNet is shown
+FEW = 5  # films of a garment; with fewer, its films are drawn with those of other such garments
+DRAWS = 1000
+
+
+def shares_of(samples: pd.DataFrame) -> dict[str, tuple[pd.DataFrame, pd.Series]]:
+    """Return for each measure the shares in all draws, and the numbers of windows measured.
+
+    Columns are (model, seed or "all", horizon or "mean").
+    """
+    samples = samples.copy()
+    films = samples.groupby("garment")["episode"].nunique()
+    samples["garment"] = samples["garment"].where(samples["garment"].map(films) >= FEW, "few films")
+    samples["model"] = samples["model"] + "|" + samples["films"].astype(str)
+    for name, (column, beside) in MEASURES.items():
+        samples[name] = (samples[column] <= beside).where(samples[column].notna()).astype(float)
+        samples[f"{name}_n"] = samples[column].notna().astype(float)
+    columns = [*MEASURES, *(f"{name}_n" for name in MEASURES)]
+
+    # All seeds together, and each of them alone where a model has several.
+    seeds = samples.groupby("model")["seed"].transform("nunique")
+    parts = {"all": samples} | {str(seed): part for seed, part in samples[seeds > 1].groupby("seed")}
+    totals = {seed: bootstrap(part, columns, DRAWS) for seed, part in parts.items()}
+    answer = {}
+    for name in MEASURES:
+        shares = {}
+        counts = {}
+        for seed, sums in totals.items():
+            measured = sums.xs(f"{name}_n", axis=1, level=2)
+            share = sums.xs(name, axis=1, level=2) / measured
+            for model in share.columns.unique(0):
+                for step in share[model]:
+                    shares[model, seed, str(step)] = share[model][step]
+                    counts[model, seed, str(step)] = measured[model][step].iloc[0]
+                shares[model, seed, "mean"] = share[model].mean(axis=1)
+                counts[model, seed, "mean"] = measured[model].iloc[0].max()
+        answer[name] = pd.DataFrame(shares), pd.Series(counts)
+    return answer
+
+
+def table_of(samples: pd.DataFrame, extrapolated_to: int) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """Return the tidy table, with the learning curves carried on to more films; and the differences of the claims."""
+    rows = []
+    claims = {}
+    for measure, (shares, counts) in shares_of(samples).items():
+        claims[measure] = differences(shares)
+        cells = interval(pd.concat([shares, carried_on(shares, extrapolated_to)], axis=1))
+        for (model, seed, horizon), cell in zip(cells.index, cells.itertuples(), strict=True):
+            forecaster, _, training_films = model.partition("|")
+            row = {"measure": measure, "forecaster": forecaster, "training_films": int(training_films), "seed": seed}
+            row |= {"horizon": horizon, "share": cell.mean, "low": cell.low, "high": cell.high}
+            row["films"] = samples["episode"].nunique()
+            row["windows"] = int(counts.get((model, seed, horizon), 0))
+            rows.append(row)
+    return pd.DataFrame(rows), claims
+
+
+def carried_on(shares: pd.DataFrame, films: int) -> pd.DataFrame:
+    """Return the learning curves at more films: straight lines through the logarithms of misses and of films.
+
+    The line is fitted in every draw, so that its interval has the noise of films and seeds, and not that of its being no line.
+    """
+    sizes: dict[str, list[int]] = {}
+    for model in shares.columns.unique(0):
+        name, _, size = model.partition("|")
+        if int(size):
+            sizes.setdefault(name, []).append(int(size))
+    found = {}
+    for name, known in sizes.items():
+        if len(known) < 3:
+            continue
+        logs = np.log(sorted(known))
+        offsets = logs - logs.mean()
+        for horizon in shares[f"{name}|{known[0]}"]["all"]:
+            misses = np.column_stack([1 - shares[f"{name}|{size}", "all", horizon] for size in sorted(known)])
+            heights = np.log(np.maximum(misses, 1e-3))
+            slopes = heights @ offsets / (offsets @ offsets)
+            ahead = heights.mean(axis=1) + slopes * (np.log(films) - logs.mean())
+            found[f"{name}, extrapolated|{films}", "all", horizon] = 1 - np.exp(np.minimum(ahead, 0))
+    return pd.DataFrame(found, index=shares.index)
+
+
+def differences(shares: pd.DataFrame) -> dict[str, Any]:
+    """Return the differences that the claims are about, in points: mean, low and high, by horizon.
+
+    Of each network the one with most training films is taken. `later` is the mean of t+15, t+30 and t+60.
+    """
+    largest: dict[str, int] = {}
+    for model in shares.columns.unique(0):
+        name, _, films = model.partition("|")
+        largest[name] = max(largest.get(name, 0), int(films))
+    seen = ("seqph", SAME_POINTS)
+    pairs = [(network, other) for network in ("mlp", "pointnet") for other in (*seen, "hold", "carry", "blind")]
+    pairs += [("pointnet", "mlp"), *(("motion", other) for other in largest if other != "motion")]
+    found = {}
+    for one, other in pairs:
+        if one not in largest or other not in largest:
+            continue
+        models = [f"{name}|{largest[name]}" for name in (one, other)]
+        points = 100 * (shares[models[0]]["all"] - shares[models[1]]["all"])
+        points["later"] = points[["15", "30", "60"]].mean(axis=1)
+        cells = interval(points).round(2)
+        found[f"{one} - {other}"] = {step: cells.loc[step].tolist() for step in cells.index}
+    return found
