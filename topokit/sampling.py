@@ -5,8 +5,9 @@ Source: Gonzalez 1985 (farthest-point traversal); Antonova et al. 2021, Assumpti
 
 from __future__ import annotations
 
-from functools import cache
-from typing import TYPE_CHECKING, Any
+import math
+from bisect import bisect_left, bisect_right
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["covering_radius", "farthest_point_sample", "hausdorff", "inliers", "spacing", "spoil"]
 
 _MARGIN = 0.1  # metres around a cloud's box in which outliers of `spoil` lie
-_AT_ONCE = 100  # points that compiled code chooses before Python can hear Ctrl-C
 
 
 def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> tuple[Ids, float]:
@@ -58,47 +58,35 @@ def farthest_point_sample(points: ArrayLike, n: int, start: int | None = 0) -> t
         start = int(np.square(from_mean).sum(axis=1).argmax())
     following = whole(start, "start", -len(array), len(array) - 1) % len(array)
 
-    # The compiled code reads coordinates axis by axis, in threes: axes of zeros are added until there are 3, 6, ...
-    axes = np.pad(array, ((0, 0), (0, -array.shape[1] % 3))).T.copy()
-    squared = np.full(len(array), np.inf)
-    idx = np.empty(n, dtype=np.int64)
-    traverse = _traversal()
-    for part in np.array_split(idx, 1 + n // _AT_ONCE):
-        following = traverse(axes, squared, part, following)
-    return idx, float(np.sqrt(squared.max()))
+    # Idea: a new point changes only what is within the covering radius of it, at first all points, and soon few. With the
+    # points sorted along the widest axis those are in a slice. The margin makes sure that rounding leaves none out.
+    widest = np.ptp(array, axis=0).argmax()
+    order = np.argsort(array[:, widest], kind="stable")
+    axes = array[order].T.copy()
+    along = axes[widest].tolist()
+    squared = np.full(len(array), np.inf)  # distance of each point from the nearest of those chosen so far
+    new = int(np.flatnonzero(order == following)[0])
+    reach = math.inf
+    chosen = []
+    for _ in range(n):
+        chosen.append(new)
+        near = slice(bisect_left(along, along[new] - reach), bisect_right(along, along[new] + reach))
+        steps = axes[:, near] - axes[:, new, None]
+        steps *= steps
+        from_new = steps[0]
+        for more in steps[1:]:
+            from_new += more
+        nearby = squared[near]
+        np.minimum(nearby, from_new, out=nearby)
 
-
-@cache
-def _traversal() -> Any:
-    """Return the compiled traversal; numba is imported when it is first needed, because importing topokit must be quick."""
-    from numba import njit
-
-    @njit(cache=True)
-    def traverse(axes: Any, squared: Any, ids: Any, following: Any) -> Any:
-        """Fill `ids` from the point `following` on, and return the next point.
-
-        `squared` (m,) holds the squared distance of each point from the nearest of those chosen so far.
-        """
-        new = np.empty(len(squared))
-        for k in range(len(ids)):
-            ids[k] = following
-
-            # Squared distances from the point just chosen. Three axes at a time become vector instructions.
-            new[:] = 0
-            for a in range(0, len(axes), 3):
-                x = axes[a, following]
-                y = axes[a + 1, following]
-                z = axes[a + 2, following]
-                for i in range(len(new)):
-                    new[i] = new[i] + (axes[a, i] - x) ** 2 + (axes[a + 1, i] - y) ** 2 + (axes[a + 2, i] - z) ** 2
-
-            # The farthest point from all that are chosen comes next.
-            for i in range(len(new)):
-                squared[i] = min(squared[i], new[i])
-            following = np.argmax(squared)
-        return following
-
-    return traverse
+        # The farthest point from all that are chosen comes next; among several, the one with the smallest index.
+        new = int(squared.argmax())
+        farthest = squared[new]
+        reach = math.sqrt(farthest) * (1 + 1e-12)
+        ties = (squared == farthest).nonzero()[0]
+        if len(ties) > 1:
+            new = int(ties[order[ties].argmin()])
+    return order[chosen], math.sqrt(farthest)
 
 
 def covering_radius(dense: ArrayLike, sample: ArrayLike | cKDTree) -> float:

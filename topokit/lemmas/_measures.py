@@ -8,13 +8,12 @@ Source: Antonova et al. 2021, Assumptions 1 and 3. Taught in chapters 3 and 6.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 
 from .._validate import Array, Ids, as_points, positive
@@ -120,7 +119,6 @@ class State:
         return Beta(value, edge)
 
 
-@njit(cache=True)
 def is_critical(distances: Array, x: int, y: int, alpha: float, epsilon: float) -> bool:
     """Return True if the edge {x, y} is (alpha, epsilon)-critical, as `beta_critical` defines it."""
     length = distances[x, y]
@@ -133,50 +131,33 @@ def is_critical(distances: Array, x: int, y: int, alpha: float, epsilon: float) 
     # Points of the lens, of which two may be the ends of a path, and points that may carry one.
     farther = np.maximum(distances[x], distances[y])
     in_lens = farther <= outer
-    in_lens[x] = False
-    in_lens[y] = False
+    in_lens[[x, y]] = False
     lens = np.flatnonzero(in_lens)
     carriers = np.flatnonzero(farther < inner)
 
-    # The components of carriers that each point of the lens reaches by an end step.
-    component, n_components = _components(distances, carriers, step)
-    reached = np.zeros((len(lens), n_components), dtype=np.bool_)
-    for i in range(len(lens)):
-        for j in range(len(carriers)):
-            if distances[lens[i], carriers[j]] < inner:
-                reached[i, component[j]] = True
-
-    # Are there two points far apart that reach no component together?
-    for i in range(len(lens)):
-        for j in range(i):
-            if distances[lens[i], lens[j]] >= apart and not (reached[i] & reached[j]).any():
-                return True
-    return False
+    # Two points far apart must reach a component of carriers together, by an end step each.
+    joined_by_none = np.tri(len(lens), k=-1, dtype=np.bool_) & (distances[np.ix_(lens, lens)] >= apart)
+    if not joined_by_none.any():
+        return False
+    near = distances[np.ix_(lens, carriers)] < inner
+    for component in _components(distances[np.ix_(carriers, carriers)] < step):
+        reached = near[:, component].any(axis=1)
+        joined_by_none[np.ix_(reached, reached)] = False
+    return bool(joined_by_none.any())
 
 
-@njit(cache=True)
-def _components(distances: Array, vertices: Ids, step: float) -> tuple[Ids, int]:
-    """Return the number of each vertex's component under steps shorter than `step`, and how many components there are."""
-    m = len(vertices)
-    component = np.full(m, -1, np.int64)
-    waiting = np.empty(m, np.int64)
-    n_components = 0
-    for start in range(m):
-        if component[start] >= 0:
-            continue
-        component[start] = n_components
-        waiting[0] = start
-        top = 1
-        while top > 0:
-            top -= 1
-            near = distances[vertices[waiting[top]]]
-            for w in range(m):
-                if component[w] < 0 and near[vertices[w]] < step:
-                    component[w] = n_components
-                    waiting[top] = w
-                    top += 1
-        n_components += 1
-    return component, n_components
+def _components(joined: NDArray[np.bool_]) -> Iterator[NDArray[np.bool_]]:
+    """Yield the components of a graph, given as an (n, n) table, as (n,) masks of its vertices."""
+    left = np.ones(len(joined), np.bool_)
+    while left.any():
+        component = np.zeros(len(joined), np.bool_)
+        new = component.copy()
+        new[left.argmax()] = True
+        while new.any():
+            component |= new
+            new = joined[new].any(axis=0) & ~component
+        left &= ~component
+        yield component
 
 
 def beta_all(
