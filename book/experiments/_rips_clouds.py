@@ -44,13 +44,18 @@ def cube(n: int, rng: np.random.Generator) -> Cloud:
     return rng.random((n, 3))
 
 
+def square(n: int, rng: np.random.Generator) -> Cloud:
+    """Draw points uniformly in the unit square of the plane."""
+    return rng.random((n, 2))
+
+
 def sheet(n: int, rng: np.random.Generator) -> Cloud:
     """Draw points uniformly on a waving square without a hole."""
     x, y = rng.random((2, n))
     return np.column_stack([x, y, 0.1 * np.sin(7 * x) * np.cos(5 * y)])
 
 
-SHAPES = {"apron": apron, "torus": torus, "sphere": sphere, "cube": cube, "sheet": sheet}
+SHAPES = {"apron": apron, "torus": torus, "sphere": sphere, "cube": cube, "sheet": sheet, "square": square}
 
 
 def cloud(shape: str, n: int, seed: int = 0) -> Cloud:
@@ -59,8 +64,8 @@ def cloud(shape: str, n: int, seed: int = 0) -> Cloud:
 
 
 def small_clouds(count: int, n: int = 128) -> list[Cloud]:
-    """Return small clouds of all shapes in turn, no two alike."""
-    shapes = list(SHAPES)
+    """Return small clouds in space, of all shapes in turn, no two alike."""
+    shapes = [shape for shape in SHAPES if shape != "square"]
     return [cloud(shapes[k % len(shapes)], n, seed=k) for k in range(count)]
 
 
@@ -103,24 +108,11 @@ def ugly(n: int = 3000) -> dict[str, tuple[Cloud, Cloud]]:
     half = cloud("torus", n // 2)
     twice = half[rng.integers(0, len(half), n)]
     some = len(ring) * 3 // 4
-    square = _grid(2, n)
-    box = _grid(3, n)
-    beside = np.r_[half, half + [2.7, 0, 0]]
+    side = int(np.ceil(n ** (1 / 3)))
+    grid = np.indices((side, side, side)).reshape(3, -1).T[:n].astype(float)
     return {
         "a quarter of the points in one place": (np.r_[ring[:some], np.zeros((n - some, 3))], ring),
-        "a quarter of the points nearly in one place": (
-            np.r_[ring[:some], 1e-9 * rng.normal(size=(n - some, 3))],
-            ring,
-        ),
-        "points repeated": (twice, ring),
         "points nearly repeated": (twice + 1e-9 * rng.normal(size=twice.shape), ring),
-        "two clusters, a million diameters apart": (np.r_[half, half + [2.7e6, 0, 0]], beside),
-        "two places, half of the points in each": (np.repeat([[0.0, 0, 0], [1, 1, 1]], n // 2, axis=0), ring),
-        "a square grid": (square, square + 0.1 * rng.normal(size=square.shape)),
-        "a cubic grid": (box, box + 0.1 * rng.normal(size=box.shape)),
+        "two clusters, a million diameters apart": (np.r_[half, half + [2.7e6, 0, 0]], np.r_[half, half + [2.7, 0, 0]]),
+        "a cubic grid": (grid, grid + 0.1 * rng.normal(size=grid.shape)),
     }
-
-
-def _grid(axes: int, n: int) -> Cloud:
-    side = int(np.ceil(n ** (1 / axes)))
-    return np.stack(np.meshgrid(*[np.arange(float(side))] * axes), axis=-1).reshape(-1, axes)[:n]

@@ -152,10 +152,19 @@ def ripser_told() -> Bars:
     return bars
 
 
-def ours(data: Array, is_matrix: bool, **options: float) -> tk.rips.Diagram:
+def ours(data: Array, is_matrix: bool) -> tk.rips.Diagram:
     """Compute bars by topokit."""
-    metric = "precomputed" if is_matrix else "euclidean"
-    return tk.rips_persistence(data, metric=metric, **options)
+    return tk.rips_persistence(data, metric="precomputed" if is_matrix else "euclidean")
+
+
+def compile_ours() -> None:
+    """Compile topokit's kernels, or load them, so that no time that is taken later holds it."""
+    points = np.random.default_rng(0).random((10_000, 2))
+    for n in (100, 1000, 10_000):
+        ours(points[:n], False)
+    ours(distances(points[:1000], False), True)
+    tk.rips_persistence_many([points[:100]] * 1000, n_jobs=1)
+    tk.farthest_point_sample(points, 100)
 
 
 def last_death(data: Array, is_matrix: bool = False) -> float:

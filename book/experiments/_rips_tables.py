@@ -17,34 +17,16 @@ import _rips_peers
 Entry = dict[str, Any]
 
 
-def growth(entries: Sequence[Entry]) -> Iterator[tuple[str, str, float]]:
-    """Yield shape, library and exponent: time grows as that power of the number of points."""
+def growth(entries: Sequence[Entry]) -> Iterator[tuple[str, float]]:
+    """Yield shape and exponent: topokit's time grows as that power of the number of points."""
     for shape in dict.fromkeys(entry["what"] for entry in entries):
-        mine = [entry for entry in entries if entry["what"] == shape]
-        for name in ("topokit", *mine[0]["peers"]):
-            times = {e["points"]: e["ms"] if name == "topokit" else e["peers"].get(name) for e in mine}
-            known = {n: ms for n, ms in times.items() if ms is not None}
-            if len(known) > 1:
-                yield shape, name, float(np.polyfit(np.log(list(known)), np.log(list(known.values())), 1)[0])
+        times = {e["points"]: e["ms"] for e in entries if e["what"] == shape}
+        yield shape, float(np.polyfit(np.log(list(times)), np.log(list(times.values())), 1)[0])
 
 
-def line(entry: Entry) -> str:
-    """Return an entry as a line of the table."""
-    sizes = " x ".join(f"{entry[k]:,}" for k in ("clouds", "points") if k in entry)
-    told = {
-        "floor_ms": "{:.2f} ms the floor",
-        "fixed_ms": "{:.2f} ms fixed",
-        "pairs": "{:,} pairs",
-        "one_by_one_ms": "{:.1f} ms one by one",
-        "plain_ms": "{:.1f} ms without",
-        "cached_ms": "{:.0f} ms cached",
-        "persistence_ms": "{:.2f} ms persistence",
-        "all_ms": "{:.1f} ms all",
-        "gb": "{:.2f} GB",
-    }
-    peers = [f"{name} {ms / entry['ms']:.1f}x" for name, ms in entry.get("peers", {}).items()]
-    rest = [text.format(entry[key]) for key, text in told.items() if key in entry]
-    return f"{entry['what']:>44} {sizes:>12} {entry['ms']:>10.2f} ms  " + ", ".join([*peers, *rest])
+def line(e: Entry) -> str:
+    """Return an entry as a line of text."""
+    return f"{e['what']:>44} {sizes(e):>26} {outcome(e):>12}  {beside(e)}"
 
 
 def processor() -> str:
@@ -75,9 +57,7 @@ def store(path: Path, name: str, entries: list[Entry], command: str) -> None:
     rows = old["rows"] if old.get("machine") == here else {}
     row: Entry = {"command": command, "date": dt.date.today().isoformat(), "entries": entries}
     if name == "single":
-        row["growth"] = [
-            {"what": shape, "library": library, "exponent": round(e, 3)} for shape, library, e in growth(entries)
-        ]
+        row["growth"] = [{"what": shape, "exponent": round(power, 3)} for shape, power in growth(entries)]
     rows[name] = row
     text = json.dumps({"machine": here, "rows": rows}, indent=1)
     path.write_text(text + "\n")
@@ -91,7 +71,7 @@ def rounded(value: Any) -> Any:
 
 
 def readme(results: Entry) -> str:
-    """Return README's section about time: single clouds against peers, and a line of each other row."""
+    """Return README's section about time: single clouds against peers, and every entry of the other rows."""
     where = results["machine"]
     rows = results["rows"]
     versions = where["versions"]
@@ -101,17 +81,17 @@ def readme(results: Entry) -> str:
     named = ", ".join(f"{package} {versions[package]}" for package in versions if package not in ("numpy", "scipy"))
     text = [
         "The time for one cloud, killers included, and how many times as long its peers take, on one core",
-        f"({where['processor']}, {date}; `{rows['single']['command']}`, after `pip install '.[bench]'`: {named}):",
+        f"({where['processor']}, {date}; `{rows['single']['command']}`, after `pip install --group bench`: {named}):",
         "",
         f"| cloud | points | topokit | {' | '.join(names)} |",
         "|---|---|---|" + "---|" * len(names),
     ]
     for e in shown:
         ratios = [f"{e['peers'][name] / e['ms']:.3g}" if name in e["peers"] else "" for name in names]
-        text.append(f"| {e['what']} | {e['points']:,} | {duration(e['ms'])} | {' | '.join(ratios)} |")
-    text += ["", "One line of each other row of the benchmark; the rest is in `book/results/rips.json`:", ""]
-    text += ["| work | topokit | beside it |", "|---|---|---|"]
-    text += [other_work(row["entries"][0]) for name, row in rows.items() if name != "single"]
+        text.append(f"| {e['what']} | {e['points']:,} | {outcome(e)} | {' | '.join(ratios)} |")
+    text += ["", "The other rows of the benchmark:", "", "| work | size | topokit | beside it |", "|---|---|---|---|"]
+    others = [e for name, row in rows.items() if name != "single" for e in row["entries"]]
+    text += [f"| {e['what']} | {sizes(e)} | {outcome(e)} | {beside(e)} |" for e in others]
     return "\n".join(text)
 
 
@@ -122,18 +102,23 @@ def in_page(page: str, results: Entry) -> str:
     return f"{before}{MARKS[0]}\n{readme(results)}\n{MARKS[1]}{after}"
 
 
-def other_work(e: Entry) -> str:
-    """Return a line of README's second table."""
-    sizes = [f"{e[k]:,} {k}" for k in ("clouds", "points") if k in e]
-    beside = [f"{name} {ratio:.3g} times" for name, ratio in ratios(e, FEW)]
-    beside += [text.format(duration(e[key])) for key, text in BESIDE.items() if key in e]
-    beside += [f"{e['gb']:.2f} GB"] if "gb" in e else []
-    return f"| {', '.join([e['what'], *sizes])} | {duration(e['ms'])} | {', '.join(beside)} |"
+def sizes(e: Entry) -> str:
+    """Return how many clouds and points an entry is about."""
+    return " of ".join(f"{e[key]:,} {key}" for key in ("clouds", "points") if key in e)
 
 
-def ratios(e: Entry, names: Sequence[str]) -> list[tuple[str, float]]:
-    """Return how many times as long as topokit those peers took."""
-    return [(name, e["peers"][name] / e["ms"]) for name in names if name in e.get("peers", {})]
+def outcome(e: Entry) -> str:
+    """Return the time that topokit took, or why it gave no answer."""
+    return e["refused"] if e["ms"] is None else duration(e["ms"])
+
+
+def beside(e: Entry) -> str:
+    """Return what is measured beside the time."""
+    parts = [f"{name} {ms / e['ms']:.3g} times" for name, ms in e.get("peers", {}).items()]
+    parts += [text.format(duration(e[key])) for key, text in BESIDE.items() if e.get(key)]
+    parts += [f"{1e3 * e['clouds'] / e['ms']:,.0f} clouds a second"] if "clouds" in e else []
+    parts += [f"{e['gb']:.2f} GB"] if "gb" in e else []
+    return ", ".join(parts)
 
 
 def duration(ms: float) -> str:
@@ -142,11 +127,10 @@ def duration(ms: float) -> str:
 
 
 MARKS = ("<!-- python book/experiments/rips.py --readme -->", "<!-- until here -->")
-FEW = ("redzed-tda", "tda", "ripser.py")
 BESIDE = {
     "one_by_one_ms": "one by one {}",
     "plain_ms": "without {}",
+    "processor_ms": "of which processor {}",
     "cached_ms": "the next time {}",
     "persistence_ms": "of which persistence {}",
-    "all_ms": "all loops {}",
 }

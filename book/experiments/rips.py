@@ -1,10 +1,10 @@
-"""Time degree-1 Rips persistence on one core: topokit, its peers in the same run, and the floor; book/results/rips.json.
+"""Time degree-1 Rips persistence on one core: topokit, and its peers in the same run; book/results/rips.json.
 
-Peers that are not installed are left out and named: pip install 'topokit[bench]'. Times are of the processor, medians of
-`--repeat` runs after one that is not counted; what takes longer than 5 s is run once. Ratios are of times from the same run, and
-topokit's include birth edges, killer edges and killer triangles. A peer is left out of a cloud when a quarter of its points say
-that it would take longer than `--patience`. The floor computes the lengths of all pairs up to the last death, and nothing else;
-what is fixed is a call that stops before the first edge: checks, boxes, Python.
+Peers that are not installed are left out and named: `pip install --group bench` gets them. Times are of the processor, medians of
+`--repeat` runs after one that is not counted; what takes longer than 2 s is run once. First answers are timed by the clock, in
+fresh processes, from start to end. Ratios are of times from the same run, and topokit's include birth edges, killer edges and
+killer triangles. A peer is left out of a cloud when a quarter of its points say that it would take longer than `--patience`. The
+floor computes the lengths of all pairs up to the last death, and nothing else.
 
     python book/experiments/rips.py --json book/results/rips.json    # every row; --rows NAME... replaces some
     python book/experiments/rips.py --readme                         # puts that file into README's tables
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import statistics
 import subprocess
 import sys
@@ -39,71 +40,47 @@ import realtime
 
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "book" / "results" / "rips.json"
-FASTEST = ("redzed-tda", "tda")  # what batches are run against
+FASTEST = ("redzed-tda",)  # the peer that every row but the first is run against
+LONG = 2000  # milliseconds; what takes longer is run once
 Entry = dict[str, Any]
-Diagrams = Sequence[tk.rips.Diagram]
-
-
-def many(batch: Sequence[np.ndarray]) -> Diagrams:
-    """Return diagrams of clouds that have nothing to do with each other."""
-    return tk.rips_persistence_many(batch, n_jobs=1)
-
-
-def film(frames: Sequence[np.ndarray]) -> Diagrams:
-    """Return diagrams of consecutive frames of the same points."""
-    return tk.rips_persistence_many(frames, n_jobs=1)
-
-
-def longest(points: np.ndarray, k: int) -> object:
-    """Return the lifetimes of the `k` longest loops."""
-    return tk.rips_persistence(points).lifetime[:k]
 
 
 class Race:
     """A way to take times, and the peers."""
 
-    def __init__(self, repeat: int, patience: float, wanted: Sequence[str]) -> None:
+    def __init__(self, repeat: int, patience: float, limit: float) -> None:
         self.repeat = repeat
-        self.patience = patience
-        self.peers = {name: bars for name, bars in _rips_peers.installed().items() if name in wanted}
+        self.patience = patience  # seconds that a peer may take for a cloud
+        self.limit = limit  # seconds that topokit may take for a large cloud
+        self.peers = _rips_peers.installed()
 
-    def timed(self, function: Callable[[], Any]) -> tuple[float, Any]:
-        """Return the median milliseconds of the processor after a run that is not counted, and the answer."""
+    def ms(self, function: Callable[[], object]) -> float:
+        """Return the median milliseconds of the processor after a run that is not counted."""
         times: list[float] = []
         while len(times) < self.repeat + 1 or (sum(times[1:]) < 500 and len(times) < 50):
             start = time.process_time()
-            answer = function()
+            function()
             times.append(1e3 * (time.process_time() - start))
-            if times[0] > 5e3:
-                return times[0], answer
-        return statistics.median(times[1:]), answer
+            if times[0] > LONG:
+                return times[0]
+        return statistics.median(times[1:])
 
-    def ms(self, function: Callable[[], object]) -> float:
-        """Return the milliseconds alone."""
-        return self.timed(function)[0]
-
-    def against(self, data: np.ndarray, is_matrix: bool = False, only: Sequence[str] = _rips_peers.NAMES) -> Entry:
-        """Time one cloud: topokit, the floor and the peers, all of which must find the same last death."""
-        _rips_peers.ours(data[:9, :9] if is_matrix else data[:9], is_matrix)  # compiled, before the first run is timed
-        ms, diagram = self.timed(lambda: _rips_peers.ours(data, is_matrix))
-        end = float(2 * diagram.death.max(initial=0.0))
-        floor = _rips_peers.floor(data, is_matrix, end)
+    def against(self, data: np.ndarray, is_matrix: bool = False, only: Sequence[str] = FASTEST) -> Entry:
+        """Time one cloud: topokit and the peers, all of which must find the same last death, and the floor."""
+        end = _rips_peers.last_death(data, is_matrix)
         entry: Entry = {
             "points": len(data),
-            "loops": len(diagram),
-            "ms": ms,
-            "fixed_ms": self.ms(lambda: _rips_peers.ours(data, is_matrix, max_radius=1e-9 * end)),
-            "pairs": floor(),
-            "floor_ms": self.ms(floor),
+            "ms": self.ms(lambda: _rips_peers.ours(data, is_matrix)),
+            "floor_ms": self.ms(_rips_peers.floor(data, is_matrix, end)),
             "peers": {},
         }
         for name in [name for name in self.peers if name in only]:
             bars = self.peers[name]
             if self._expected(bars, data, is_matrix) < self.patience:
-                ms, found = self.timed(lambda bars=bars: bars(data, is_matrix))
+                found = bars(data, is_matrix)
                 if not np.isclose(found[np.isfinite(found[:, 1]), 1].max(initial=0.0), end, rtol=1e-4):
                     raise AssertionError(f"{name} and topokit differ in the last death")
-                entry["peers"][name] = ms
+                entry["peers"][name] = self.ms(lambda bars=bars: bars(data, is_matrix))
         return entry
 
     @staticmethod
@@ -114,145 +91,125 @@ class Race:
         bars(data[:few, :few].copy() if is_matrix else data[:few], is_matrix)
         return (time.process_time() - start) * (len(data) / few) ** 3
 
-    def batch(self, batch: Sequence[np.ndarray], together: Callable[[Sequence[np.ndarray]], Diagrams]) -> Entry:
-        """Time clouds together, one by one, and by the fastest peers one by one."""
-        alone = [tk.rips_persistence(points) for points in batch]
-        for one, other in zip(alone, together(batch), strict=True):
-            if not all(
-                np.array_equal(getattr(one, k), getattr(other, k)) for k in ("birth", "death", "killer_triangles")
-            ):
-                raise AssertionError("clouds together have other diagrams than one by one")
-        return {
-            "clouds": len(batch),
-            "points": len(batch[0]),
-            "ms": self.ms(lambda: together(batch)),
-            "one_by_one_ms": self.ms(lambda: [tk.rips_persistence(points) for points in batch]),
-            "peers": {
-                name: self.ms(lambda bars=bars: [bars(points, False) for points in batch])
-                for name, bars in self.peers.items()
-                if name in FASTEST
-            },
-        }
-
 
 def single(race: Race) -> Iterator[Entry]:
-    """Single clouds of four shapes."""
+    """Single clouds of four shapes against all peers."""
     for shape in ("apron", "torus", "sphere", "cube"):
         for n in (500, 1000, 2000):
-            yield {"what": shape, **race.against(clouds.cloud(shape, n))}
+            yield {"what": shape, **race.against(clouds.cloud(shape, n), only=_rips_peers.NAMES)}
 
 
-def film_row(race: Race) -> Iterator[Entry]:
-    """Consecutive frames."""
-    yield {"what": "a film of the apron", **race.batch(realtime.film(1000, 96), film)}
-
-
-def small(race: Race) -> Iterator[Entry]:
-    """Many small clouds."""
-    yield {"what": "clouds of all shapes", **race.batch(clouds.small_clouds(1000), many)}
-
-
-def plans(race: Race) -> Iterator[Entry]:
-    """Clouds that differ little."""
-    yield {"what": "one scene under as many plans", **race.batch(clouds.plans(1000), many)}
+def first(race: Race) -> Iterator[Entry]:
+    """First answers by the clock: a fresh process that has nothing compiled, import included; then the same once more."""
+    snippet = (ROOT / "README.md").read_text().split("```python\n")[1].split("```")[0]
+    cloud = "import sys, numpy as np, topokit as tk\ntk.rips_persistence(np.load(sys.argv[1]))"
+    works = [
+        ("README's snippet, empty cache", snippet, "cube", 60),
+        ("first cloud, a cube, empty cache", cloud, "cube", 1000),
+        ("first cloud, a torus, empty cache", cloud, "torus", 1000),
+        ("first cloud, a cube, without numba", "import sys\nsys.modules['numba'] = None\n" + cloud, "cube", 100),
+    ]
+    for what, code, shape, n in works:
+        with tempfile.TemporaryDirectory() as folder:
+            np.save(f"{folder}/cloud.npy", clouds.cloud(shape, n))
+            empty, cached = (child(code, f"{folder}/cloud.npy", NUMBA_CACHE_DIR=folder) for _ in range(2))
+        yield {"what": what, "points": n, **empty, "cached_ms": cached["ms"]}
 
 
 LARGE = (
+    ("square", 50_000),
+    ("square", 200_000),
+    ("square", 1_000_000),
+    ("cube", 100_000),
     ("torus", 10_000),
     ("torus", 20_000),
-    ("sheet", 20_000),
-    ("sheet", 50_000),
     ("apron", 20_000),
-    ("cube", 50_000),
 )
+LARGE_CODE = """
+import json, sys, time
+sys.path.append(sys.argv[1])
+import _rips_clouds, _rips_peers
+points = _rips_clouds.cloud(sys.argv[2], int(sys.argv[3]))
+_rips_peers.compile_ours()
+start = time.process_time()
+_rips_peers.ours(points, False)
+ms = 1e3 * (time.process_time() - start)
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))  # ru_maxrss is the parent's as well
+print(json.dumps({"ms": ms, "gb": int(peak.split()[1]) / 1e6}))
+"""
 
 
 def large(race: Race) -> Iterator[Entry]:
-    """Large clouds with peak memory, each in a process of its own; the fastest peer when it can within `--patience`."""
+    """Large clouds with peak memory, each in a process of its own."""
     for shape, n in LARGE:
-        entry = child(LARGE_CODE, shape, n, "ours")
-        entry["peers"] = {}
-        if "redzed-tda" in race.peers and n <= 10_000:
-            try:
-                theirs = child(LARGE_CODE, shape, n, "redzed-tda", patience=race.patience)
-                entry["peers"] = {"redzed-tda": theirs["ms"]}
-            except subprocess.TimeoutExpired:
-                entry["gave_up"] = {"redzed-tda": race.patience}
-        yield {"what": shape, **entry}
+        entry = child(LARGE_CODE, Path(__file__).parent, shape, n, limit=race.limit)
+        yield {"what": shape, "points": n, **entry}
 
 
-LARGE_CODE = """
-shape, n, engine = sys.argv[2], int(sys.argv[3]), sys.argv[4]
-points = _rips_clouds.cloud(shape, n)
-bars = _rips_peers.installed()[engine] if engine != "ours" else _rips_peers.ours
-bars(points[:300], False)
-start = time.process_time()
-found = bars(points, False)
-entry = {"points": n, "loops": len(found), "ms": 1e3 * (time.process_time() - start)}
-peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))  # ru_maxrss is the parent's as well
-entry["gb"] = int(peak.split()[1]) / 1e6
-if engine == "ours":
-    floor = _rips_peers.floor(points, False, float(2 * found.death.max()))
-    floor()
-    start = time.process_time()
-    entry |= {"pairs": floor(), "floor_ms": 1e3 * (time.process_time() - start)}
-print(json.dumps(entry))
-"""
-FIRST_CODE = """
-tk.farthest_point_sample(np.eye(3), 2)
-for axes in map(int, sys.argv[2:]):
-    data = _rips_clouds.projective_plane(100) if axes == 0 else _rips_clouds.in_dimension(axes, 200)
-    start = time.process_time()
-    _rips_peers.ours(data, axes == 0)
-    entry = {"ms": 1e3 * (time.process_time() - start)}
-print(json.dumps(entry))
-"""
+def child(code: str, *arguments: object, limit: float | None = None, **environment: str) -> Entry:
+    """Run code in a fresh process; return what it prints as its last line, else the time that it took, or its error."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    start = time.perf_counter()
+    start_of_processor = processor_time()
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, env=os.environ | environment)
+    except subprocess.TimeoutExpired:
+        return {"ms": None, "refused": f"more than {limit:g} s"}
+    took = {
+        "ms": 1e3 * (time.perf_counter() - start),
+        "processor_ms": 1e3 * (processor_time() - start_of_processor),
+    }
+    if done.returncode:
+        print(done.stderr.splitlines()[-1], file=sys.stderr)
+        return {"ms": None, "refused": done.stderr.splitlines()[-1].split(":")[0]}
+    return json.loads(done.stdout.splitlines()[-1]) if done.stdout else took
 
 
-def child(code: str, *arguments: object, patience: float | None = None, **environment: str) -> Entry:
-    """Return what a fresh process prints as its last line."""
-    start = "import json, sys, time; sys.path.insert(0, sys.argv[1])\n"
-    start += "import numpy as np, _rips_clouds, _rips_peers, topokit as tk\n"
-    command = [sys.executable, "-c", start + code, str(Path(__file__).parent), *map(str, arguments)]
-    done = subprocess.run(
-        command, check=True, stdout=subprocess.PIPE, text=True, timeout=patience, env=os.environ | environment
-    )
-    return json.loads(done.stdout.splitlines()[-1])
+def processor_time() -> float:
+    """Return the seconds of the processor that child processes have taken so far."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def batches(race: Race) -> Iterator[Entry]:
+    """Many clouds in one call, and one by one."""
+    for what, batch in (
+        ("clouds of all shapes", clouds.small_clouds(1000)),
+        ("one scene under as many plans", clouds.plans(1000)),
+        ("a film of the apron", realtime.film(1000, 96)),
+    ):
+        yield {"what": what, **together(race, batch)}
+
+
+def together(race: Race, batch: Sequence[np.ndarray]) -> Entry:
+    """Time clouds in one call, one by one, and by the fastest peer one by one."""
+    alone = [tk.rips_persistence(points) for points in batch]
+    for one, other in zip(alone, tk.rips_persistence_many(batch, n_jobs=1), strict=True):
+        if not all(np.array_equal(getattr(one, k), getattr(other, k)) for k in ("birth", "death", "killer_triangles")):
+            raise AssertionError("clouds together have other diagrams than one by one")
+    return {
+        "clouds": len(batch),
+        "points": len(batch[0]),
+        "ms": race.ms(lambda: tk.rips_persistence_many(batch, n_jobs=1)),
+        "one_by_one_ms": race.ms(lambda: [tk.rips_persistence(points) for points in batch]),
+        "peers": {
+            name: race.ms(lambda name=name: [race.peers[name](points, False) for points in batch])
+            for name in FASTEST
+            if name in race.peers
+        },
+    }
 
 
 def ugly(race: Race) -> Iterator[Entry]:
     """Repeated points, far clusters and grids, against clouds of as many points without them."""
     for what, (bad, plain) in clouds.ugly().items():
-        entry = race.against(bad, only=FASTEST[:1])
-        yield {"what": what, **entry, "plain_ms": race.ms(lambda plain=plain: tk.rips_persistence(plain))}
-
-
-def dimensions(race: Race) -> Iterator[Entry]:
-    """Points in many dimensions, once compiled."""
-    for axes in (4, 9, 24):
-        yield {"what": f"a torus in {axes} dimensions", **race.against(clouds.in_dimension(axes))}
-
-
-def first(race: Race) -> Iterator[Entry]:
-    """The first call of a fresh process: on a new machine, then from numba's cache; and in a dimension new to the cache."""
-    for axes, what in (
-        (3, "points in space"),
-        (9, "points in 9 dimensions"),
-        (24, "points in 24 dimensions"),
-        (0, "a matrix"),
-    ):
-        with tempfile.TemporaryDirectory() as cache:
-            empty, cached = (child(FIRST_CODE, axes, NUMBA_CACHE_DIR=cache)["ms"] for _ in range(2))
-        yield {"what": f"first call, {what}, nothing compiled", "ms": empty, "cached_ms": cached}
-    with tempfile.TemporaryDirectory() as cache:
-        child(FIRST_CODE, 3, 5, NUMBA_CACHE_DIR=cache)
-        for axes in (9, 24):
-            entry = child(FIRST_CODE, axes, NUMBA_CACHE_DIR=cache)
-            yield {"what": f"first call in {axes} dimensions after calls in 3 and 5", "ms": entry["ms"]}
+        yield {"what": what, **race.against(bad), "plain_ms": race.ms(lambda plain=plain: tk.rips_persistence(plain))}
 
 
 def spaces(race: Race) -> Iterator[Entry]:
-    """Rotations, and the projective plane as a matrix."""
+    """Points in many dimensions, rotations, and the projective plane as a matrix."""
+    yield {"what": "a torus in 4 dimensions", **race.against(clouds.in_dimension(4))}
+    yield {"what": "a torus in 24 dimensions", **race.against(clouds.in_dimension(24))}
     yield {"what": "random rotations, in 9 dimensions", **race.against(clouds.rotations())}
     yield {"what": "the projective plane, as a matrix", **race.against(clouds.projective_plane(), is_matrix=True)}
 
@@ -263,42 +220,17 @@ def update(race: Race) -> Iterator[Entry]:
     realtime.milliseconds(frames, {})
     times = [ms for _ in range(race.repeat) for ms, _ in realtime.milliseconds(frames, {})]
     alone = race.ms(lambda: [tk.rips_persistence(points) for points in frames]) / len(frames)
-    yield {
-        "what": "SeqPH.update",
-        "points": 1000,
-        "ms": statistics.median(times),
-        "persistence_ms": alone,
-    }
-
-
-def bounded(race: Race) -> Iterator[Entry]:
-    """The longest loop alone, and loops of at least half its lifetime, against all loops."""
-    for shape in ("apron", "torus", "cube"):
-        points = clouds.cloud(shape, 2000)
-        bound = float(tk.rips_persistence(points).lifetime[0]) / 2
-        everything = race.ms(lambda points=points: tk.rips_persistence(points))
-        for what, function in (
-            ("the longest loop", lambda points=points: longest(points, 1)),
-            (
-                "loops half as long as it",
-                lambda points=points, bound=bound: tk.rips_persistence(points, min_lifetime=bound),
-            ),
-        ):
-            yield {"what": f"{shape}: {what}", "points": 2000, "ms": race.ms(function), "all_ms": everything}
+    yield {"what": "SeqPH.update", "points": 1000, "ms": statistics.median(times), "persistence_ms": alone}
 
 
 ROWS: dict[str, Callable[[Race], Iterable[Entry]]] = {
     "single": single,
-    "film": film_row,
-    "small": small,
-    "plans": plans,
-    "large": large,
-    "ugly": ugly,
-    "dimensions": dimensions,
     "first": first,
+    "large": large,
+    "batches": batches,
+    "ugly": ugly,
     "spaces": spaces,
     "update": update,
-    "bounded": bounded,
 }
 
 
@@ -306,9 +238,9 @@ def main() -> int:
     """Run the rows and print them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
-    parser.add_argument("--repeat", type=int, default=5)
-    parser.add_argument("--patience", type=float, default=30, help="seconds that a peer may take for a cloud")
-    parser.add_argument("--peers", nargs="*", choices=_rips_peers.NAMES, default=list(_rips_peers.NAMES))
+    parser.add_argument("--repeat", type=int, default=3)
+    parser.add_argument("--patience", type=float, default=10, help="seconds that a peer may take for a cloud")
+    parser.add_argument("--limit", type=float, default=200, help="seconds that topokit may take for a large cloud")
     parser.add_argument("--json", type=Path, help="also write the figures there, row by row")
     parser.add_argument(
         "--readme", action="store_true", help="put the recorded run into README's tables, and run nothing"
@@ -320,9 +252,10 @@ def main() -> int:
         return 0
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    race = Race(options.repeat, options.patience, options.peers)
-    if missing := set(options.peers) - set(race.peers):
+    race = Race(options.repeat, options.patience, options.limit)
+    if missing := set(_rips_peers.NAMES) - set(race.peers):
         print(f"not installed: {', '.join(sorted(missing))}", file=sys.stderr)
+    _rips_peers.compile_ours()
     command = " ".join(["python", "book/experiments/rips.py", *sys.argv[1:]])
     for name in options.rows:
         print(f"{name}: {ROWS[name].__doc__}")
@@ -330,11 +263,6 @@ def main() -> int:
         for entry in ROWS[name](race):
             entries.append(_rips_tables.rounded(entry))
             print(_rips_tables.line(entries[-1]), flush=True)
-        if name == "single":
-            print(
-                *(f"  {shape}, {library}: n^{power:.2f}" for shape, library, power in _rips_tables.growth(entries)),
-                sep="\n",
-            )
         if options.json:
             _rips_tables.store(options.json, name, entries, command)
     return 0
