@@ -5,13 +5,17 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from topokit import rips_persistence, rips_persistence_many
@@ -321,17 +325,63 @@ def test_a_refusal_gives_memory_back(monkeypatch):
     assert held[-1] - held[2] < 4 * 8192 * 1024  # nine refusals
 
 
+INTERRUPTED = """
+import signal, sys, time
+if "numba" in sys.argv[1]:
+    sys.modules["numba"] = None
+import numpy as np
+from topokit import rips_persistence, rips_persistence_many
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+small, middle, large = map(np.load, sys.argv[2:])
+if "diagram" in sys.argv[1]:
+    diagram = rips_persistence(middle)
+while input() == "compute":
+    try:
+        print(flush=True)
+        while True:
+            exec(sys.argv[1])
+    except KeyboardInterrupt:
+        print(time.process_time(), flush=True)
+raise KeyboardInterrupt
+"""
+
+
 @compiled
-@pytest.mark.parametrize("call", [rips_persistence, lambda cloud: rips_persistence_many([cloud] * 2, 1)])
-@pytest.mark.usefixtures("ctrl_c")
-def test_a_long_computation_hears_an_interrupt(call):
-    cloud = torus(12_000)
-    call(cloud[:2500])  # compiled by now, for clouds that are large too
-    start, main = time.process_time(), threading.main_thread().ident
-    threading.Timer(0.2, signal.pthread_kill, (main, signal.SIGINT)).start()
-    with pytest.raises(KeyboardInterrupt):
-        call(cloud)
-    assert time.process_time() - start < 3  # of ten seconds of the processor, or twenty
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize(
+    "computation",
+    [
+        "rips_persistence(small)",
+        "rips_persistence(large)",
+        "rips_persistence_many([small] * 100)",
+        "rips_persistence_many([large] * 2, 1)",
+        "[diagram.cycle(i) for i in range(len(diagram))]",
+        "diagram.to_gudhi()",
+        "rips_persistence(middle)  # without numba",
+    ],
+)
+def test_ctrl_c_is_heard_at_any_moment(computation, tmp_path):
+    """A fresh process goes on with KeyboardInterrupt within a second of the processor, and in the end exits by the signal."""
+    clouds = [str(tmp_path / f"{n}.npy") for n in (700, 3000, 12_000)]
+    for path, n in zip(clouds, (700, 3000, 12_000), strict=True):
+        np.save(path, torus(n))
+    command = [sys.executable, "-c", INTERRUPTED, computation, *clouds]
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    for moment in np.random.default_rng().random(4):
+        process.stdin.write("compute\n")
+        process.stdin.flush()
+        assert process.stdout.readline(), process.communicate()
+        time.sleep(moment)
+        process.send_signal(signal.SIGINT)
+        times = psutil.Process(process.pid).cpu_times()
+        heard = process.stdout.readline()
+        assert heard, process.communicate()
+        assert float(heard) - times.user - times.system < 1
+    assert "KeyboardInterrupt" in process.communicate("end\n")[1]
+    assert process.returncode == -signal.SIGINT
 
 
 @pytest.mark.parametrize("seconds", [0.3, 0.0])

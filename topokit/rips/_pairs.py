@@ -5,12 +5,14 @@ have cost as much as compiling, or, where compiled code is kept from another tim
 used. This costs at most twice what the better choice would have cost, whatever clouds come (Karlin et al. 1988, the rent of
 skis). Both ways return the same pairs to the last bit.
 
-The kernel runs without Python's lock, in threads that share the clouds. A long run has a thread of its own, so that the thread
-that waits for it hears Ctrl-C; it then ends the run through the array `stop`, which the kernel reads at every edge.
+The kernel runs without Python's lock, in threads that share the clouds. The main thread, which alone hears Ctrl-C, never runs it:
+it waits for another thread, and ends the run through the array `stop`, which the kernel reads at every edge. An interrupt in the
+main thread while numba makes Python's objects of what the kernel returns would crash the process.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
@@ -26,7 +28,7 @@ from .._validate import Array, Ids
 from . import _cloud, _numba, _plain
 from ._cloud import Cloud, too_large
 
-LONG = 2000  # points that can take a second, as a quarter can of a matrix
+LONG = 2000  # points that can take a second
 COMPILING = 20.0  # seconds of a processor that compiling takes
 LOADING = 1.0  # and loading what is compiled, numba included
 _PATIENCE = 3.0  # seconds before what takes long is announced
@@ -34,6 +36,7 @@ _STOPPED = 1  # what a thread writes into the flag `stop` of another one; the ke
 _ready: set[bool] = set()  # whether the kernel for points (True) and the kernel for matrices (False) are compiled
 _spent = {True: 0.0, False: 0.0}  # seconds that plain Python has taken in place of each kernel
 _choosing = threading.RLock()
+_worker = futures.ThreadPoolExecutor(1)  # the thread that works for the main thread
 _thread = threading.local()  # each thread keeps its buffer for edges from one cloud to the next
 
 
@@ -71,7 +74,7 @@ def stop_run(stop: NDArray[np.int64]) -> None:
 def pairs(cloud: Cloud, max_radius: float, stop: NDArray[np.int64] | None = None) -> Pairs:
     """Pair the edges of a cloud up to a scaled radius.
 
-    With `stop` the caller is a thread that another one can end; without, long runs get a thread of their own.
+    With `stop` the caller is a thread that another one can end.
     """
     if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # on a line
         return Pairs(np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0))
@@ -82,7 +85,7 @@ def pairs(cloud: Cloud, max_radius: float, stop: NDArray[np.int64] | None = None
     from . import kernel
 
     arguments = (cloud.data, cloud.key_of(max_radius))
-    created, killed = _run(kernel.pair_matrix, arguments, len(cloud), LONG // 4, stop)
+    created, killed = _run(kernel.pair_matrix, arguments, len(cloud), stop)
     found, _ = _cut(cloud, created, killed, max_radius)
     return found
 
@@ -107,7 +110,7 @@ def _pairs_of_points(
     starts = np.cumsum([0, *map(len, clouds)])
     lengths = np.array([stack.key_of(bound) for bound in bounds])
     arguments = (stack.data, stack.axes, starts, lengths, before.tree, before.keys, before.reach, before.end)
-    known, created, killed, counts = _run(kernel.pair_clouds, arguments, max(map(len, clouds)), LONG, stop)
+    known, created, killed, counts = _run(kernel.pair_clouds, arguments, max(map(len, clouds)), stop)
     tree, before.keys, before.reach, before.end = known
     before.tree = tuple(tree)
 
@@ -152,10 +155,28 @@ def _cut(cloud: Cloud, created: Ids, killed: Ids, bound: Any, offset: Any = 0) -
     return Pairs(created[inside], killed[inside], birth[inside], death[inside]), inside
 
 
-def _run(
-    pair: Callable[..., Any], arguments: tuple[Any, ...], n: int, long: int, stop: NDArray[np.int64] | None
-) -> Any:
-    """Run a compiled function on clouds of up to n points; from `long` points on in a thread of its own."""
+def _run(pair: Callable[..., Any], arguments: tuple[Any, ...], n: int, stop: NDArray[np.int64] | None) -> Any:
+    """Run a compiled function on clouds of up to n points, without `stop` not in the main thread."""
+    if stop is not None or threading.current_thread() is not threading.main_thread():
+        return _run_here(pair, arguments, n, new_stop() if stop is None else stop)
+    stop = new_stop()
+    try:
+        return _worker.submit(_run_here, pair, arguments, n, stop).result()
+    except BaseException:  # Ctrl-C, for example
+        stop_run(stop)
+        raise
+
+
+def _replace_worker() -> None:
+    global _worker
+    _worker = futures.ThreadPoolExecutor(1)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_replace_worker)  # a forked process has no thread but its main thread
+
+
+def _run_here(pair: Callable[..., Any], arguments: tuple[Any, ...], n: int, stop: NDArray[np.int64]) -> Any:
     from . import kernel
 
     bits = n * ((n + 63) // 64) * 8
@@ -165,20 +186,7 @@ def _run(
     buffer = getattr(_thread, "buffer", None)
     if buffer is None or kernel.EDGE_BYTES * len(buffer[0]) > spare // 2:
         buffer = tuple(kernel.new_buffer(min(1 << 16, spare // (2 * kernel.EDGE_BYTES))))
-    arguments = (*arguments, buffer, spare)
-
-    if stop is not None or n < long:
-        stop = new_stop() if stop is None else stop
-        buffer, *found = pair(*arguments, stop)
-    else:
-        stop = new_stop()
-        with futures.ThreadPoolExecutor(1) as pool:
-            try:
-                buffer, *found = pool.submit(pair, *arguments, stop).result()
-            except BaseException:  # Ctrl-C, for example
-                stop_run(stop)
-                raise
-
+    buffer, *found = pair(*arguments, buffer, spare, stop)
     if stop[0] == _STOPPED:
         raise futures.CancelledError
     if stop[0] == kernel.TOO_MANY_EDGES:
@@ -234,9 +242,9 @@ def _load(points: bool) -> bool:
             from . import kernel
 
             if points:
-                _pairs_of_points([Cloud(np.eye(4, 3), (0, 0, 0), 1.0)], [1.0], CloudBefore(), None)
+                _pairs_of_points([Cloud(np.eye(4, 3), (0, 0, 0), 1.0)], [1.0], CloudBefore(), new_stop())
             else:
-                _run(kernel.pair_matrix, (np.eye(4), 1.0), 4, LONG, None)
+                _run(kernel.pair_matrix, (np.eye(4), 1.0), 4, new_stop())
         finally:
             notice.cancel()
         _ready.add(points)
