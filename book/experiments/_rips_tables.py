@@ -6,22 +6,12 @@ import datetime as dt
 import json
 import os
 import platform
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 import _rips_peers
 
 Entry = dict[str, Any]
-
-
-def growth(entries: Sequence[Entry]) -> Iterator[tuple[str, float]]:
-    """Yield shape and exponent: topokit's time grows as that power of the number of points."""
-    for shape in dict.fromkeys(entry["what"] for entry in entries):
-        times = {e["points"]: e["ms"] for e in entries if e["what"] == shape}
-        yield shape, float(np.polyfit(np.log(list(times)), np.log(list(times.values())), 1)[0])
 
 
 def line(e: Entry) -> str:
@@ -55,10 +45,7 @@ def store(path: Path, name: str, entries: list[Entry], command: str) -> None:
     old = json.loads(path.read_text()) if path.exists() else {}
     here = machine()
     rows = old["rows"] if old.get("machine") == here else {}
-    row: Entry = {"command": command, "date": dt.date.today().isoformat(), "entries": entries}
-    if name == "single":
-        row["growth"] = [{"what": shape, "exponent": round(power, 3)} for shape, power in growth(entries)]
-    rows[name] = row
+    rows[name] = {"command": command, "date": dt.date.today().isoformat(), "entries": entries}
     text = json.dumps({"machine": here, "rows": rows}, indent=1)
     path.write_text(text + "\n")
 

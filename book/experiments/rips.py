@@ -256,6 +256,9 @@ def main() -> int:
     if missing := set(_rips_peers.NAMES) - set(race.peers):
         print(f"not installed: {', '.join(sorted(missing))}", file=sys.stderr)
     _rips_peers.compile_ours()
+    _rips_peers.ours(
+        clouds.projective_plane(4000), is_matrix=True
+    )  # so large that the kernel for matrices is compiled for it
     command = " ".join(["python", "book/experiments/rips.py", *sys.argv[1:]])
     for name in options.rows:
         print(f"{name}: {ROWS[name].__doc__}")
