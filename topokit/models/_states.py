@@ -33,6 +33,9 @@ Window = Mapping[str, Tensor]  # a batch of windows, as `topokit.data.WindowData
 _REVERSED_CORNERS = [1, 0, 2, 3, 5, 4, 7, 6]
 _REVERSED_NEIGHBOURS = [1, 0, 3, 2]
 
+# A number for each edge is six coordinates times these: edges are compared by one number instead of six.
+_EDGE_KEY = torch.tensor([2.0, 3.0, 5.0, 7.0, 11.0, 13.0]).sqrt()
+
 # Lengths in metres that count as one in the losses.
 _POSITION_UNIT = 0.1
 _VALUE_UNIT = 0.02
@@ -134,7 +137,9 @@ def corners_of(triangles: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
 
     # Assign each listed neighbour to the outer edge that its first two vertices are.
     listed = triangles[..., 2:, :, :]  # (..., 4 neighbours, 3, 3)
-    gap = (listed[..., :, None, :2, :] - outer[..., None, :, :, :]).abs().sum(dim=(-1, -2))  # (..., neighbour, edge)
+    listed_edges = listed[..., :2, :].flatten(-2) @ _EDGE_KEY.to(listed)  # (..., 4 neighbours)
+    outer_edges = outer.flatten(-2) @ _EDGE_KEY.to(outer)  # (..., 4 edges)
+    gap = (listed_edges[..., :, None] - outer_edges[..., None, :]).abs()  # (..., neighbour, edge)
     present = (values[..., 2:] > 0).to(triangles)
     assigned = functional.one_hot(gap.argmin(dim=-1), 4).to(triangles) * present[..., None]
 
