@@ -19,7 +19,18 @@ if not INTERPRETED:
     _pairs._load(points=True)
     _pairs._load(points=False)
 
-FAMILIES = ("gaussian", "grid", "polygon", "duplicates", "collinear", "sphere", "cocircular", "coplanar")
+FAMILIES = (
+    "gaussian",
+    "grid",
+    "polygon",
+    "duplicates",
+    "collinear",
+    "sphere",
+    "cocircular",
+    "coplanar",
+    "far apart",
+    "nearly repeated",
+)
 
 compiled = pytest.mark.skipif(INTERPRETED, reason="takes long where numba does not compile")
 
@@ -61,6 +72,11 @@ def random_cloud(rng: np.random.Generator, family: str, max_points: int = 24) ->
     if family == "coplanar":
         plane = rng.integers(0, 6, size=(n, 2)).astype(float)
         return np.column_stack([plane, plane.sum(axis=1)])
+    if family == "far apart":
+        return rng.normal(size=(n, d)) + 1e6 * rng.integers(0, 2, size=(n, 1))
+    if family == "nearly repeated":
+        points = random_cloud(rng, "duplicates", max_points)
+        return points + 1e-7 * rng.normal(size=points.shape)
     raise ValueError(family)
 
 

@@ -1,10 +1,12 @@
-"""Differential fuzz of the fast kernel: small clouds where distances tie, against GUDHI and the textbook reduction.
+"""Differential fuzz of persistence: clouds where distances tie, by every path, against GUDHI and the textbook reduction.
 
-    python tests/fuzz_rips.py --clouds 20000 --seed 0
+    python tests/fuzz_rips.py --clouds 100000        # half an hour
+    python tests/fuzz_rips.py --large                # clouds of 20,000 points, by the compiled paths
 
-Every cloud is given twice, as points and as a matrix of distances, and every eighth time as a matrix that is no metric, each
-also in other units, from 1e-300 to 1e300 times as large. What is checked is in `CHECKS`. Exits with 1 at the first mismatch,
-after taking points away for as long as it stays.
+Every cloud is given twice, as points and as a matrix of distances, and every eighth time as a matrix that is no metric. Each goes
+through all `PATHS`, whatever its size, to the end and to a radius in the middle; they must agree to the last bit. One cloud in
+`--deep` is small and goes through the other `CHECKS` as well, also in other units, from 1e-300 to 1e300 times as large. Exits
+with 1 at the first mismatch, after taking points away for as long as it stays.
 """
 
 from __future__ import annotations
@@ -15,15 +17,41 @@ import time
 import traceback
 import zlib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property
+from itertools import product
+from unittest import mock
 
 import gudhi
 import numpy as np
 
-from topokit.rips import Diagram, _cloud, _pairs, rips_persistence, tighten
+from topokit.rips import Diagram, _pairs, rips_persistence, tighten
 from topokit.rips.reduction import Pair, Reduction, filtration, reduce
 
-from clouds import FAMILIES, random_cloud, sorted_pairs
+from clouds import FAMILIES, random_cloud, same, sorted_pairs
+
+# What is replaced to make a path take every cloud. Compiled code is what `clouds` has loaded.
+PATHS = {
+    "dense": {"compiled_pays": lambda *_, **__: True},
+    "plain Python": {"compiled_pays": lambda *_, **__: False},
+}
+LARGE = ("dense",)  # the paths for clouds of 20,000 points
+
+
+def by(path: str, data: np.ndarray, metric: str = "euclidean", max_radius: float = np.inf) -> Diagram:
+    """The diagram of a cloud by one of the paths."""
+    with mock.patch.multiple(_pairs, **PATHS[path]):
+        return rips_persistence(data, metric=metric, max_radius=max_radius)
+
+
+def same_by(paths: Sequence[str], data: np.ndarray, metric: str = "euclidean", max_radius: float = np.inf) -> Diagram:
+    """The diagram of a cloud by the first path, with which the others agree, short loops included."""
+    diagrams = [by(path, data, metric, max_radius) for path in paths]
+    for path, diagram in zip(paths, diagrams, strict=True):
+        same(diagrams[0], diagram)
+        for ours, theirs in zip(diagrams[0]._simplices, diagram._simplices, strict=True):
+            np.testing.assert_array_equal(ours, theirs, err_msg=path)
+    return diagrams[0]
 
 
 class Case:
@@ -32,9 +60,21 @@ class Case:
     def __init__(self, data: np.ndarray, metric: str = "euclidean") -> None:
         self.data, self.metric = data, metric
         self.fast: Diagram = rips_persistence(data, metric=metric)
-        self.slow: Reduction = reduce(filtration(data, 2, metric=metric))
-        self.pairs: list[Pair] = [pair for pair in self.slow.pairs(1) if pair.death > pair.birth]
-        self.position = {simplex.vertices: i for i, simplex in enumerate(self.slow.simplices)}
+
+    @cached_property
+    def slow(self) -> Reduction:
+        """The textbook reduction."""
+        return reduce(filtration(self.data, 2, metric=self.metric))
+
+    @cached_property
+    def pairs(self) -> list[Pair]:
+        """Its bars of positive length."""
+        return [pair for pair in self.slow.pairs(1) if pair.death > pair.birth]
+
+    @cached_property
+    def position(self) -> dict[tuple[int, ...], int]:
+        """Positions of simplices in the filtration."""
+        return {simplex.vertices: i for i, simplex in enumerate(self.slow.simplices)}
 
     def edge(self, i: int, j: int) -> int:
         """Position of an edge in the filtration."""
@@ -100,11 +140,13 @@ def check_diagram(case: Case) -> None:
     np.testing.assert_allclose(ours, theirs, atol=1e-9)
 
 
-def check_plain(case: Case) -> None:
-    """Plain Python pairs the same edges with the same apexes, short loops too."""
-    plain = _pairs._pairs_in_plain_python(_cloud.Cloud.of(case.data, case.metric), np.inf, None)
-    for fast, slow in zip(case.fast._simplices, plain[:2], strict=True):
-        np.testing.assert_array_equal(fast, slow)
+def check_paths(case: Case) -> None:
+    """Every path finds the same edges and apexes, short loops too: to the end, and to a radius in the middle."""
+    paths = tuple(PATHS)
+    same(case.fast, same_by(paths, case.data, case.metric))
+    lengths = np.sort(case.keys()[np.triu_indices(len(case.data), 1)])
+    middle = float(lengths[len(lengths) // 3]) if len(lengths) else 0.0
+    same_by(paths, case.data, case.metric, (middle if case.metric == "precomputed" else np.sqrt(middle)) / 2)
 
 
 def check_pairing(case: Case) -> None:
@@ -281,8 +323,8 @@ def check_scales(case: Case) -> None:
 
 
 CHECKS = (
+    check_paths,
     check_diagram,
-    check_plain,
     check_scales,
     check_pairing,
     check_killers,
@@ -294,23 +336,23 @@ CHECKS = (
 )
 
 
-def clouds(seed: int, index: int) -> Iterable[tuple[str, np.ndarray, str]]:
+def clouds(seed: int, index: int, max_points: int = 24) -> Iterable[tuple[str, np.ndarray, str]]:
     """The inputs of one number: (family, data, metric). They do not depend on how many are asked for."""
     rng = np.random.default_rng([seed, index])
     family = FAMILIES[index % len(FAMILIES)]
-    points = random_cloud(rng, family)
+    points = random_cloud(rng, family, max_points)
     yield family, points, "euclidean"
     yield family, np.sqrt(squares(points)), "precomputed"
     if index % 8 == 0:
         yield "no metric", random_matrix(rng), "precomputed"
 
 
-def failure(data: np.ndarray, metric: str) -> tuple[str, str] | None:
+def failure(data: np.ndarray, metric: str, checks: Sequence[Callable[[Case], None]] = CHECKS) -> tuple[str, str] | None:
     """The first check that fails, and how."""
     check = "computation"
     try:
         case = Case(data, metric)
-        for function in CHECKS:
+        for function in checks:
             check = function.__name__
             function(case)
     except Exception:
@@ -318,29 +360,35 @@ def failure(data: np.ndarray, metric: str) -> tuple[str, str] | None:
     return None
 
 
-def smallest(data: np.ndarray, metric: str, check: str) -> np.ndarray:
+def smallest(data: np.ndarray, metric: str, check: str, checks: Sequence[Callable[[Case], None]]) -> np.ndarray:
     """Take points away for as long as the same check fails."""
     i = 0
     while i < len(data):
         fewer = np.delete(data, i, axis=0)
         fewer = np.delete(fewer, i, axis=1) if metric == "precomputed" else fewer
-        found = failure(fewer, metric)
+        found = failure(fewer, metric, checks)
         data, i = (fewer, 0) if found and found[0] == check else (data, i + 1)
     return data
 
 
-def run(n_clouds: int, seed: int, first: int = 0, progress: bool = False) -> tuple[Counter, str | None]:
-    """Check clouds `first` to `first + n_clouds`; return counts, and a reproducer of the first mismatch."""
+def run(n_clouds: int, seed: int, first: int = 0, deep: int = 1, progress: bool = False) -> tuple[Counter, str | None]:
+    """Check clouds `first` to `first + n_clouds`, one in `deep` by all checks; return counts, and a first mismatch."""
     counts: Counter = Counter()
     start = said = time.monotonic()
     for index in range(first, first + n_clouds):
-        for family, data, metric in clouds(seed, index):
-            if (found := failure(data, metric)) is not None:
-                less = smallest(data, metric, found[0])
-                _, how = failure(less, metric) or found
+        # A round has a cloud of each family. Where only the paths are compared, some need several words of bits and a deep tree.
+        turn = index // len(FAMILIES)
+        checks, max_points = CHECKS, 24
+        if turn % deep:
+            checks, max_points = CHECKS[:1], 24 if turn % 16 else 200
+        for family, data, metric in clouds(seed, index, max_points):
+            if (found := failure(data, metric, checks)) is not None:
+                less = smallest(data, metric, found[0], checks)
+                _, how = failure(less, metric, checks) or found
                 call = f"rips_persistence({less.tolist()}, metric={metric!r})"
                 return counts, f"cloud {index} ({family}) fails {found[0]}\n{how}\n{call}"
             counts[f"{family}, {'points' if metric == 'euclidean' else 'matrix'}"] += 1
+            counts["by all checks"] += len(checks) > 1
             counts["loops"] += len(rips_persistence(data, metric=metric))
         if progress and (time.monotonic() - said > 1 or index == first + n_clouds - 1):
             said = time.monotonic()
@@ -352,17 +400,45 @@ def run(n_clouds: int, seed: int, first: int = 0, progress: bool = False) -> tup
     return counts, None
 
 
+def large(n: int, seed: int) -> Iterable[str]:
+    """Clouds of n points in the plane and in space by the compiled paths, to the end and to a radius in the middle."""
+    rng = np.random.default_rng(seed)
+    shapes = {
+        "square": rng.random((n, 2)),
+        "cube": rng.random((n, 3)),
+        "sheet with a hole": (sheet := rng.random((2 * n, 3)) * [1, 1, 0.02])[np.hypot(*sheet[:, :2].T - 0.5) > 0.2][
+            :n
+        ],
+        "square grid": np.indices((round(n**0.5),) * 2).reshape(2, -1).T.astype(float),
+        "cubic grid": np.indices((round(n ** (1 / 3)),) * 3).reshape(3, -1).T.astype(float),
+        "far apart": rng.random((n, 3)) + 1e6 * rng.integers(0, 2, size=(n, 1)),
+        "repeated": rng.random((n // 2, 2))[rng.integers(0, n // 2, n)],
+        "nearly repeated": rng.random((n // 2, 2))[rng.integers(0, n // 2, n)] + 1e-9 * rng.normal(size=(n, 2)),
+    }
+    for (name, points), part in product(shapes.items(), (1.0, 0.5)):
+        radius = part * float(by(LARGE[0], points).death.max()) if part < 1 else np.inf
+        start = time.process_time()
+        diagram = same_by(LARGE, points, max_radius=radius)
+        yield f"{name}, {len(points)} points to {radius:.3g}: {len(diagram)} loops, {time.process_time() - start:.0f} s"
+
+
 def main() -> int:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--clouds", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="number of the first cloud")
+    parser.add_argument("--deep", type=int, default=20, help="one cloud in so many goes through all checks")
+    parser.add_argument("--large", action="store_true", help="clouds of 20,000 points instead")
     options = parser.parse_args()
-    counts, reproducer = run(options.clouds, options.seed, options.first, progress=True)
+    if options.large:
+        for line in large(20_000, options.seed):
+            print(line, flush=True)
+        return 0
+    counts, reproducer = run(options.clouds, options.seed, options.first, options.deep, progress=True)
     for what, count in sorted(counts.items()):
         print(f"{count:8d}  {what}")
-    print(reproducer or f"no mismatch in {options.clouds} clouds by {len(CHECKS)} checks")
+    print(reproducer or f"no mismatch in {options.clouds} clouds by {len(PATHS)} paths and {len(CHECKS)} checks")
     return reproducer is not None
 
 
