@@ -33,6 +33,7 @@ FAMILIES = (
 )
 
 compiled = pytest.mark.skipif(INTERPRETED, reason="takes long where numba does not compile")
+of_the_kernel = pytest.mark.skipif(config is None, reason="the kernel needs numba")
 
 
 DIAGRAM = ("birth", "death", "birth_edge", "killer_edge", "killer_triangles")

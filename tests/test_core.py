@@ -1,4 +1,4 @@
-"""The core is small: its fourteen names need NumPy, SciPy and numba, and no package of a companion."""
+"""The core is small: its fourteen names need NumPy and SciPy, use numba where it is, and need no package of a companion."""
 
 from __future__ import annotations
 
@@ -48,9 +48,10 @@ def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
 
 
+@pytest.mark.parametrize("without", [WITHOUT, WITHOUT + "sys.modules['numba'] = None\n"], ids=["numba", "no numba"])
 @pytest.mark.parametrize("code", [USE_ALL, SCORES], ids=["the core", "scores of tracks"])
-def test_the_core_works_without_packages_of_companions(code, tmp_path):
-    done = run(WITHOUT + code, str(tmp_path / "states.npz"))
+def test_the_core_works_without_packages_of_companions(code, without, tmp_path):
+    done = run(without + code, str(tmp_path / "states.npz"))
     assert done.returncode == 0, done.stderr
 
 

@@ -19,10 +19,13 @@ import psutil
 import pytest
 
 from topokit import rips_persistence, rips_persistence_many
-from topokit.rips import Film, _cloud, _pairs, kernel, tighten
+from topokit.rips import Film, _cloud, _pairs, tighten
 
-from clouds import FAMILIES, compiled, fewer, gudhi_pairs, random_cloud, same, sorted_pairs
+from clouds import FAMILIES, compiled, config, fewer, gudhi_pairs, of_the_kernel, random_cloud, same, sorted_pairs
 from conftest import polygon
+
+if config is not None:
+    from topokit.rips import kernel
 
 SQUARE = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
 
@@ -214,6 +217,7 @@ class Counting(np.ndarray):
         super().__setitem__(place, value)
 
 
+@of_the_kernel
 @pytest.mark.parametrize("spread", [0.0, 1e-14], ids=["equal", "nearly equal"])
 def test_sorting_edges_of_nearly_equal_length_takes_few_moves(spread, monkeypatch):
     """All pairs of 32 points, of lengths around 1; the last labels come first."""
@@ -237,6 +241,7 @@ def test_sorting_edges_of_nearly_equal_length_takes_few_moves(spread, monkeypatc
     ]
 
 
+@of_the_kernel
 @pytest.mark.parametrize("d", [1, 2, 3, 4, 7])
 def test_lengths_are_the_same_in_numpy_and_compiled(d):
     points = np.random.default_rng(d).normal(size=(20, d)) * np.logspace(-3, 3, d)
@@ -246,6 +251,7 @@ def test_lengths_are_the_same_in_numpy_and_compiled(d):
         assert squares.tolist() == [kernel.edge_length(points, j, i, (0,) * d) for j in range(20)]
 
 
+@of_the_kernel
 @pytest.mark.parametrize("d", [2, 3])
 def test_a_point_is_near_the_middle_only_if_it_is_near_all_of_the_lune(d):
     """Against points on the rim of the lune, where it is farthest from what is between its two balls."""
@@ -384,6 +390,7 @@ def test_ctrl_c_is_heard_at_any_moment(computation, tmp_path):
     assert process.returncode == -signal.SIGINT
 
 
+@of_the_kernel
 @pytest.mark.parametrize("seconds", [0.3, 0.0])
 def test_long_compilation_is_announced(monkeypatch, capsys, seconds):
     monkeypatch.setattr(_pairs, "_PATIENCE", 0.1)
@@ -445,6 +452,7 @@ def test_clouds_in_one_call_are_what_they_are_alone(family):
                 assert one.cycle(0).tolist() == rips_persistence(cloud, max_radius=radius).cycle(0).tolist()
 
 
+@of_the_kernel
 @pytest.mark.parametrize("step", [1e-4, 0.02, 0.2])
 def test_a_list_of_edges_is_complete_below_its_bound(step):
     """However the points move, no edge shorter than the bound is missing; and when they move little, it is a useful one."""
@@ -460,6 +468,7 @@ def test_a_list_of_edges_is_complete_below_its_bound(step):
     assert bound > 0.9 * reach or step > 1e-4
 
 
+@of_the_kernel
 def test_a_film_is_read_from_the_list_of_an_earlier_frame():
     """What is kept of the frame before: the same list for frames that tremble, none when the cloud is another."""
     rng, film, lists = np.random.default_rng(5), Film(), []
