@@ -16,6 +16,7 @@ from ._states import NUMBERS, StateTensors
 
 HIDDEN = (512, 512, 256, 128)  # units of the paper's hidden layers
 POINT_UNITS = (64, 64, 96)  # units of the layers that all points share; as published 64, 64, 64, 128, 1024
+_CLOUDS_AT_ONCE = 32
 
 
 def maximum(codes: Tensor) -> Tensor:
@@ -88,7 +89,11 @@ class PointNet(MLP):
         return self.units[-1]
 
     def encode_frames(self, frames: Context) -> Context:
-        return {"frame": maximum(self.points(self.normalise(frames["clouds"])))}
+        # A few clouds at a time, whose codes stay in the cache. The last ReLU comes after the maximum, which is the same.
+        clouds = self.normalise(frames["clouds"])
+        before_last = self.points[:-1]
+        parts = [maximum(before_last(part)) for part in clouds.split(_CLOUDS_AT_ONCE)]
+        return {"frame": self.points[-1](torch.cat(parts))}
 
 
 def _check_units(name: str, units: Sequence[int]) -> None:
