@@ -91,22 +91,16 @@ class Experiment:
 
     def make_films(self) -> None:
         """Make films until there are enough for the largest training; those that are refused are replaced."""
-        wanted = self.protocol["films"]["validation"] + max(self.sizes)
-        seed = self.protocol["films"]["seed"]
-        episodes = wanted
-        while True:
+        described = self.protocol["films"]
+        first = described["validation"]
+        episodes = first + max(self.sizes)
+        missing = 1
+        while missing > 0:
             films = generate_dataset(
-                self.config_of("films"), self.folder / "films", episodes, seed, n_workers=self.workers
+                self.config_of("films"), self.folder / "films", episodes, described["seed"], n_workers=self.workers
             )
-            missing = self.protocol["films"]["validation"] + max(self.sizes) - self.count(films)
-            if missing <= 0:
-                return
+            missing = max(self.sizes) - int((films.episodes >= first).sum())
             episodes += missing
-
-    def count(self, films: Dataset) -> int:
-        """Return how many films there are, with all numbers of the validation films taken as one film each."""
-        first = self.protocol["films"]["validation"]
-        return first + int((films.episodes >= first).sum())
 
     def label_films(self) -> None:
         """Track the loops of all films."""
@@ -186,8 +180,20 @@ class Experiment:
             threads=1,
         )
 
+    @property
+    def trainings(self) -> list[tuple[str, int]]:
+        """Return the networks to train and their numbers of films, few films first; variants are trained on some sizes only."""
+        described = self.protocol["networks"]
+        return [
+            (network, films)
+            for films in self.sizes
+            for network in self.networks
+            if films in described[network].get("sizes", self.sizes)
+        ]
+
     def rate_of(self, network: str) -> float:
-        """Return the rate of the best of some whole trainings, which differ in nothing else."""
+        """Return the rate of the best of some whole trainings, which differ in nothing else; variants take another network's."""
+        network = self.protocol["networks"][network].get("rate_of", network)
         how = self.protocol["rates_of"]
         rates = self.protocol["rates"]
         tried = [self.train(network, how["films"], how["seed"], rate, how["epochs"]) for rate in rates]
@@ -243,9 +249,8 @@ class Experiment:
 
     def train_all(self) -> None:
         """Train all networks, on few films first."""
-        for films in self.sizes:
-            for network in self.networks:
-                self.trained(network, films)
+        for network, films in self.trainings:
+            self.trained(network, films)
 
     # -------------------------------------------------------------------------------------------------------------- forecasts
 
@@ -254,7 +259,7 @@ class Experiment:
         most = max(self.sizes)
         names = [("seqph", 0), *((f"seqph_{points}_points", 0) for points in self.shown_points)]
         names += [("hold", 0), ("carry", 0), ("motion", 0), ("blind", most), ("ridge", most)]
-        return names + [(network, films) for films in self.sizes for network in self.networks]
+        return names + self.trainings
 
     def forecasters(self, name: str, films: int, windows: WindowDataset) -> list[Forecaster]:
         """Return a forecaster for each of its seeds; seqPH is asked about the frame itself."""
