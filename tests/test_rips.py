@@ -365,6 +365,7 @@ raise KeyboardInterrupt
         "[diagram.cycle(i) for i in range(len(diagram))]",
         "diagram.to_gudhi()",
         "rips_persistence(middle)  # without numba",
+        "rips_persistence(large)  # not compiled",
     ],
 )
 def test_ctrl_c_is_heard_at_any_moment(computation, tmp_path):

@@ -237,15 +237,39 @@ def _load(points: bool) -> bool:
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:
-            if not _numba.imports():
+            if not _aside(_compiles, points):
                 return False
-            from . import kernel
-
-            if points:
-                _pairs_of_points([Cloud(np.eye(4, 3), (0, 0, 0), 1.0)], [1.0], CloudBefore(), new_stop())
-            else:
-                _run(kernel.pair_matrix, (np.eye(4), 1.0), 4, new_stop())
         finally:
             notice.cancel()
         _ready.add(points)
         return True
+
+
+def _compiles(points: bool) -> bool:
+    """Compile or load a kernel; return False where numba cannot be imported."""
+    if not _numba.imports():
+        return False
+    from . import kernel
+
+    if points:
+        _pairs_of_points([Cloud(np.eye(4, 3), (0, 0, 0), 1.0)], [1.0], CloudBefore(), None)
+    else:
+        _run(kernel.pair_matrix, (np.eye(4), 1.0), 4, None)
+    return True
+
+
+def _aside(function: Callable[[bool], bool], argument: bool) -> bool:
+    """Call a function in a thread that does not keep the process from ending.
+
+    In the main thread the compiler would hear Ctrl-C late, or lose it: it makes many objects whose `__del__` may not raise.
+    """
+    answer: futures.Future[bool] = futures.Future()
+
+    def call() -> None:
+        try:
+            answer.set_result(function(argument))
+        except BaseException as error:
+            answer.set_exception(error)
+
+    threading.Thread(target=call, daemon=True).start()
+    return answer.result()
