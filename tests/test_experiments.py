@@ -13,9 +13,15 @@ import numpy as np
 import pandas as pd
 import paper
 import pytest
+import torch
+from _paper_windows import Remedied
 from forecasts import Clouds, Condition, EvaluationConfig, evaluate_forecasts, load_evaluation
 from scipy.stats import mannwhitneyu
 from tables import bootstrap, draw_episodes, interval
+from torch.utils.data import default_collate
+
+from topokit.data import WindowDataset
+from topokit.models import Shape, build
 
 from conftest import DATA
 
@@ -180,6 +186,25 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
     monkeypatch.setattr(paper, "train", None)
     monkeypatch.setattr(paper, "measure", None)
     paper.main(arguments)
+
+
+def test_windows_in_the_frame_of_the_grippers_are_the_same_scene():
+    windows = WindowDataset(DATA / "dataset", [0, 1], n_points=8)
+    window = default_collate([windows[i] for i in (0, 9, len(windows) - 1)])
+    remedied = Remedied(windows, "grippers", ("grippers", "target", "floor"))
+    seen = remedied.remedied(window)
+    assert torch.allclose(seen["grippers"][:, -1].mean(dim=1), torch.zeros(3), atol=1e-6)
+    assert torch.allclose(seen["grippers"][:, -1, :, 1], torch.zeros(2), atol=1e-6)
+    assert torch.equal(seen["clouds"][:, :, :2], seen["grippers"])  # a network is given them before the points
+    assert seen["clouds"].shape[2] == 8 + 2 + 4 + 1
+    lowest = windows.dataset[0].centre_line.min(axis=0)[2]
+    gripper = window["grippers"][0, -1].mean(dim=0)
+    assert seen["clouds"][0, 0, 6, 2] == pytest.approx(
+        float(lowest - gripper[2]), abs=1e-5
+    )  # the floor is where it was
+    # Carry forecasts the same in any frame.
+    carry = build("carry", Shape(points=8)).eval()
+    assert torch.allclose(remedied.forecaster(carry)(window).corners, carry(window).corners, atol=1e-5)
 
 
 # -- scripts -----------------------------------------------------------------------------------------------------------------

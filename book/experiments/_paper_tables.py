@@ -111,8 +111,8 @@ def differences(shares: pd.DataFrame) -> dict[str, Any]:
     for model in shares.columns.unique(0):
         name, _, films = model.partition("|")
         largest[name] = max(largest.get(name, 0), int(films))
-    seen = ("seqph", SAME_POINTS)
-    pairs = [(network, other) for network in ("mlp", "pointnet") for other in (*seen, "hold", "carry", "blind")]
+    rivals = [name for name in largest if name.startswith(("mlp", "pointnet"))]
+    pairs = [(rival, other) for rival in rivals for other in ("seqph", SAME_POINTS, "hold", "carry", "blind")]
     pairs += [("pointnet", "mlp"), *(("motion", other) for other in largest if other != "motion")]
     found = {}
     for one, other in pairs:

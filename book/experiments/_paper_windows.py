@@ -1,0 +1,114 @@
+"""Remedies of paper.py for networks that read windows: the grippers' frame, and points that they are given besides the cloud.
+
+Idea: a remedy is a change of the windows, and of the forecast back. So the networks stay as they are. In the grippers' frame the
+origin is the middle of the grippers in the last frame of the history, and x points from the first to the second, seen from above.
+What a fully connected network is given besides (grippers of every frame, target, floor) are points before those of the cloud,
+each always in the same place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from forecasts import Forecaster
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from topokit.data import WindowDataset
+from topokit.models import StateTensors
+
+PLACES = ("clouds", "grippers", "actions", "triangles", "past_triangles")
+ON_TARGET = 4  # points of the target's line that a network is given
+GIVEN = {"grippers": 2, "target": ON_TARGET, "floor": 1}
+
+
+class Remedied(Dataset[dict[str, Tensor]]):
+    """Windows with remedies.
+
+    Parameters
+    ----------
+    windows : WindowDataset
+    frame : {"room", "grippers"}
+    given : sequence of {"grippers", "target", "floor"}
+    """
+
+    def __init__(self, windows: WindowDataset, frame: str = "room", given: tuple[str, ...] = ()) -> None:
+        self.windows = windows
+        self.frame = frame
+        self.given = given
+        self._targets: dict[int, Tensor] = {}
+
+    def __len__(self) -> int:
+        return len(self.windows)
+
+    def __getitem__(self, i: int) -> dict[str, Tensor]:
+        window = self.windows[i]
+        batch = self.remedied({name: part[None] for name, part in window.items()})
+        return {name: part[0] for name, part in batch.items()}
+
+    def remedied(self, window: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return a batch of windows with the remedies."""
+        changed = dict(window)
+        before = [self._given(name, window) for name in self.given]
+        changed["clouds"] = torch.cat([*before, window["clouds"]], dim=2)
+        if self.frame == "grippers":
+            origin, turn = grippers_frame(window)
+            for name in PLACES:
+                changed[name] = to_frame(changed[name], origin, turn)
+        return changed
+
+    def forecaster(self, model: torch.nn.Module) -> Forecaster:
+        """Return a forecaster that asks a model about windows with the remedies, and writes its forecast in the room again."""
+
+        def forecast(window: Mapping[str, Tensor]) -> StateTensors:
+            states: StateTensors = model(self.remedied(window))
+            if self.frame == "grippers":
+                origin, turn = grippers_frame(window)
+                states = states.replace(corners=from_frame(states.corners, origin, turn))
+            return states.map(Tensor.float)
+
+        return forecast
+
+    def _given(self, name: str, window: Mapping[str, Tensor]) -> Tensor:
+        """Return points (B, h, n, 3) that a network is given in every frame of the history."""
+        if name == "grippers":
+            return window["grippers"]
+        targets = torch.stack([self._target(number) for number in window["episode"].tolist()])
+        chosen = targets[:, -1:] if name == "floor" else targets[:, :-1]
+        return chosen[:, None].expand(-1, window["clouds"].shape[1], -1, -1)
+
+    def _target(self, number: int) -> Tensor:
+        """Return points (n + 1, 3) of an episode's target, spread along its centre line, and where it stands."""
+        if number not in self._targets:
+            line = self.windows.dataset[number].centre_line
+            rows = np.linspace(0, len(line) - 1, ON_TARGET).round().astype(int)
+            lowest = line[line[:, 2].argmin()]
+            self._targets[number] = torch.from_numpy(np.vstack([line[rows], lowest])).float()
+        return self._targets[number]
+
+
+def grippers_frame(window: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """Return the origin (B, 3) and the axes (B, 3, 3), as columns, of the grippers' frame."""
+    last = window["grippers"][:, -1]
+    level = (last[:, 1] - last[:, 0])[:, :2]
+    length = level.norm(dim=1, keepdim=True)
+    # Grippers above each other have no direction: the room's is taken.
+    cosine, sine = torch.where(length > 1e-6, level / length.clamp_min(1e-6), level.new_tensor([1.0, 0.0])).T
+    zero = torch.zeros_like(cosine)
+    one = torch.ones_like(cosine)
+    axes = [torch.stack(row, dim=1) for row in ((cosine, -sine, zero), (sine, cosine, zero), (zero, zero, one))]
+    return last.mean(dim=1), torch.stack(axes, dim=1)
+
+
+def to_frame(places: Tensor, origin: Tensor, turn: Tensor) -> Tensor:
+    """Return places (B, ..., 3) of the room in a frame."""
+    flat = places.flatten(1, -2) - origin[:, None]
+    return (flat @ turn).view_as(places)
+
+
+def from_frame(places: Tensor, origin: Tensor, turn: Tensor) -> Tensor:
+    """Return places (B, ..., 3) of a frame in the room."""
+    flat = places.flatten(1, -2) @ turn.transpose(1, 2)
+    return (flat + origin[:, None]).view_as(places)
