@@ -22,7 +22,7 @@ from ._jobs import Workers, make_files
 from ._labels import ABOUT, KIND, Labels, LabelSettings, arrays_of
 
 _OBSERVATIONS = ("full", "observed", "camera")
-_PACKAGES = ("numpy", "scipy", "numba")
+_PACKAGES = ("numpy", "scipy")
 _PRELOAD = ("topokit.data._warm",)
 
 

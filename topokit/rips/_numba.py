@@ -30,7 +30,13 @@ _failed: list[Exception] = []  # why numba could not be imported
 
 def is_usable() -> bool:
     """Return True if numba is installed and was not seen to fail, without importing it."""
-    return not _failed and find_spec("numba") is not None
+    return not _failed and _place_of_numba() is not None
+
+
+@cache
+def _place_of_numba() -> str | None:
+    spec = find_spec("numba")
+    return spec.origin if spec else None
 
 
 def imports() -> bool:
@@ -43,6 +49,7 @@ def imports() -> bool:
     return not _failed
 
 
+@cache
 def is_compiled(function: str) -> bool:
     """Return True if a function of `kernel` was compiled by an earlier process and kept, without importing numba."""
     folder = _folder(make=False)
@@ -75,6 +82,7 @@ def say_once(message: str) -> None:
 def _folder(*, make: bool) -> Path | None:
     """Return the folder of compiled code; None where there is none, or others might write to it."""
     try:
+        _fingerprint()  # fails where there are no sources, as in one file made of a program
         folder = _cache_of_the_user() / "topokit"
         if not folder.is_absolute():
             return None
@@ -103,14 +111,13 @@ def _cache_of_the_user() -> Path:
 @cache
 def _fingerprint() -> str:
     """Return a digest of all that compiled code depends on: the source, Python, numba, and the processor."""
-    numba = find_spec("numba")
-    where = numba.origin if numba else None
-    installed = os.stat(where) if where else None
+    where = _place_of_numba() or ""
+    installed = os.stat(where)
     parts = (
         pkgutil.get_data(__package__, "kernel.py"),
         sys.version,
         where,
-        installed and (installed.st_mtime_ns, installed.st_size),
+        (installed.st_mtime_ns, installed.st_size),
         platform.machine(),
         _processor(),
     )
@@ -169,7 +176,7 @@ def _kept(function: str) -> Any:
             folder = _folder(make=True)
             if folder is None:
                 say_once(
-                    "there is no private folder for compiled code, so every process compiles it anew; set NUMBA_CACHE_DIR"
+                    "compiled code is not kept, as its folder cannot be made or others may write to it; set NUMBA_CACHE_DIR"
                 )
                 return
             try:

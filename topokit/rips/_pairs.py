@@ -30,7 +30,7 @@ from ._cloud import Cloud, too_large
 
 LONG = 2000  # points that can take a second
 COMPILING = 20.0  # seconds of a processor that compiling takes
-LOADING = 1.0  # and loading what is compiled, numba included
+LOADING = 0.7  # and loading what is compiled, numba included
 _PATIENCE = 3.0  # seconds before what takes long is announced
 _STOPPED = 1  # what a thread writes into the flag `stop` of another one; the kernel writes other numbers
 _ready: set[bool] = set()  # whether the kernel for points (True) and the kernel for matrices (False) are compiled
