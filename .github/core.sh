@@ -9,7 +9,7 @@ pins=${2:+--requirement $2}
 "$python" -m venv --clear .venv-core
 bin=.venv-core/bin
 [ -d "$bin" ] || bin=.venv-core/Scripts
-"$bin/python" -m pip install --quiet . $pins gudhi hypothesis pytest scikit-learn
+"$bin/python" -m pip install --quiet . $pins gudhi hypothesis psutil pytest scikit-learn
 core=(tests/test_{sampling,compiler,rips,rips_properties,cycles,reduction,seqph,linking,mixture,io,core}.py)
 "$bin/pytest" -o addopts= --import-mode=append "${core[@]}"
 "$bin/python" -m pip uninstall --quiet --yes numba llvmlite

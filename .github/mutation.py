@@ -39,7 +39,7 @@ PARTS = {
     "rips": (
         tuple(
             f"rips/{name}.py"
-            for name in ("_cloud", "_cycles", "_diagram", "_pairs", "_persistence", "kernel", "reduction")
+            for name in ("_cloud", "_cycles", "_diagram", "_pairs", "_persistence", "_plain", "kernel", "reduction")
         ),
         ("rips", "rips_properties", "reduction", "cycles"),
     ),

@@ -13,9 +13,9 @@ try:
 except ImportError:  # the core works without it
     config = None
 
-# The tests of persistence use the compiled kernel from the first cloud on; `fuzz_rips` holds it to plain Python.
+# The tests of persistence use the kernel from the first cloud on; `fuzz_rips` holds it to plain Python.
 INTERPRETED = config is None or bool(config.DISABLE_JIT)
-if not INTERPRETED:
+if config is not None:
     _pairs._load(points=True)
     _pairs._load(points=False)
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 import re
 import resource
+import signal
 import stat
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +187,19 @@ def test_damaged_code_is_compiled_again(tmp_path):
 
 
 # Without numba
+
+
+@pytest.mark.parametrize("call", [rips_persistence, lambda cloud: rips_persistence_many([cloud] * 2, 2)])
+@pytest.mark.usefixtures("ctrl_c")
+def test_plain_python_hears_an_interrupt(call, monkeypatch):
+    monkeypatch.setattr(_pairs, "_ready", set())
+    monkeypatch.setattr(_numba, "is_usable", lambda: False)
+    cloud = np.random.default_rng(0).random((3000, 3))
+    start, main = time.process_time(), threading.main_thread().ident
+    threading.Timer(1.0, signal.pthread_kill, (main, signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        call(cloud)
+    assert time.process_time() - start < 4  # of seven seconds, or fourteen
 
 
 def test_a_numba_that_fails_is_said_and_not_needed(tmp_path):
