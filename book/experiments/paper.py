@@ -50,6 +50,7 @@ ROOT = Path(__file__).parents[2]
 STAGES = ("films", "labels", "trainings", "test", "forecasts", "table")
 PARTS = ("validation", "test")
 MLP_POINTS = 32  # the first of a cloud's points
+SUMMARY = "summary.json"
 CHECKPOINTS = ROOT / "data_small" / "checkpoints"
 
 LOGGED = ("epoch", "step", "seconds", "train_loss", "train_distance", "validation_loss", "validation_distance")
@@ -67,6 +68,30 @@ class Trained:
     epochs: int
     loss: float  #: the smallest on validation films
     folder: Path
+
+    @classmethod
+    def of(cls, folder: Path) -> Trained:
+        """Return what the summary in a folder says."""
+        network, films, seed, rate, epochs = folder.name.rsplit("-", 4)
+        reached = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        return cls(network, int(films), int(seed), float(rate), int(epochs), reached["validation_loss"], folder)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A forecaster to be asked about windows, and where its samples are kept."""
+
+    name: str
+    films: int = 0  #: to train on; 0 where there are none of the experiment
+    seed: int = 0
+    checkpoint: Path | None = None  #: of a network or of Motion
+
+    @property
+    def file(self) -> str:
+        """Return the name of the file of its samples."""
+        if self.films and self.checkpoint is not None:
+            return f"{self.checkpoint.parent.name}.csv"
+        return f"{self.name}-{self.films}-{self.seed}.csv"
 
 
 @dataclass(frozen=True)
@@ -87,9 +112,11 @@ class Experiment:
 
     @property
     def is_whole(self) -> bool:
-        """Return whether all sizes and networks of the protocol are asked for."""
+        """Return whether all sizes and networks of the protocol are asked for, and all their trainings have ended."""
         everything = tuple(self.protocol["sizes"]), tuple(self.protocol["networks"])
-        return (self.sizes, self.networks) == everything
+        seeds = set(self.protocol["seeds"])
+        ended = all(self.ended(network, films).keys() == seeds for network, films in self.trainings)
+        return ended and (self.sizes, self.networks) == everything
 
     # ------------------------------------------------------------------------------------------------------- films and labels
 
@@ -152,8 +179,7 @@ class Experiment:
     def train(self, network: str, films: int, seed: int, rate: float, epochs: int) -> Trained:
         """Train a network, or go on with it, or return what it reached."""
         out = self.folder / "trainings" / f"{network}-{films}-{seed}-{rate:g}-{epochs}"
-        summary = out / "summary.json"
-        if not summary.exists():
+        if not (out / SUMMARY).exists():
             chosen, _ = self.training_films(films)
             windows = _windows(self.folder / "films", tuple(chosen.tolist()), self.shape.points)
             checksum = _checksum(self.folder / "films", chosen)
@@ -161,10 +187,10 @@ class Experiment:
             print(f"{out.name}: {len(windows)} windows of {films} films", flush=True)
             parts = [self.remedied(network, part) for part in (windows, self.validation_windows())]
             found = train(config, (*parts, checksum), progress=True)
-            write_results(summary, {**found, "films": checksum})
-        reached = json.loads(summary.read_text(encoding="utf-8"))
-        print(f"{out.name}: {reached['validation_loss']:.4f} at epoch {reached['best_epoch'] + 1}", flush=True)
-        return Trained(network, films, seed, rate, epochs, reached["validation_loss"], out)
+            write_results(out / SUMMARY, {**found, "films": checksum})
+        training = Trained.of(out)
+        print(f"{out.name}: {training.loss:.4f}", flush=True)
+        return training
 
     def remedied(self, network: str, windows: WindowDataset) -> Remedied:
         """Return windows with the remedies of a network."""
@@ -213,8 +239,8 @@ class Experiment:
         tried = [self.train(network, how["films"], how["seed"], rate, how["epochs"]) for rate in rates]
         return min(tried, key=lambda training: training.loss).rate
 
-    def trained(self, network: str, films: int) -> list[Trained]:
-        """Return a training for each seed, so long that one of twice the length is no better.
+    def train_long_enough(self, network: str, films: int) -> None:
+        """Train a network with each seed, so long that a training of twice the length is no better.
 
         The rate falls to nothing over a training, so that its loss falls to the end, however long it is. So the question whether
         it has been trained for long enough is put to whole trainings.
@@ -228,7 +254,14 @@ class Experiment:
                 break
             best = longer
         assert best is not None
-        return [best, *(self.train(network, films, seed, rate, best.epochs) for seed in others)]
+        for seed in others:
+            self.train(network, films, seed, rate, best.epochs)
+
+    def ended(self, network: str, films: int) -> dict[int, Trained]:
+        """Return for each seed the best of its trainings that have ended, by their validation loss."""
+        paths = (self.folder / "trainings").glob(f"{network}-{films}-*/{SUMMARY}")
+        trainings = sorted((Trained.of(path.parent) for path in paths), key=lambda training: -training.loss)
+        return {training.seed: training for training in trainings}
 
     def ridge(self, films: int) -> Path:
         """Return the checkpoint of the ridge regression on some films."""
@@ -264,65 +297,69 @@ class Experiment:
     def train_all(self) -> None:
         """Train all networks, on few films first."""
         for network, films in self.trainings:
-            self.trained(network, films)
+            self.train_long_enough(network, films)
 
     # -------------------------------------------------------------------------------------------------------------- forecasts
 
-    def names_of_forecasters(self) -> list[tuple[str, int]]:
-        """Return the forecasters to ask, and the number of their training films; 0 where there are none of these."""
+    def asked(self) -> list[Asked]:
+        """Return the forecasters to ask; of the networks those trainings that have ended."""
         most = max(self.sizes)
-        names = [("seqph", 0), *((f"seqph_{points}_points", 0) for points in self.shown_points)]
-        names += [("hold", 0), ("carry", 0), ("motion", 0), ("blind", most), ("ridge", most)]
-        return names + self.trainings
+        names = ["seqph", *(f"seqph_{points}_points" for points in self.shown_points), "hold", "carry"]
+        found = [Asked(name) for name in names]
+        for seed, checkpoint in enumerate(self.protocol["motion"]):
+            found.append(Asked("motion", 0, seed, CHECKPOINTS / f"{checkpoint}.safetensors"))
+        found += [Asked("blind", most), Asked("ridge", most)]
+        for network, films in self.trainings:
+            for seed, training in sorted(self.ended(network, films).items()):
+                found.append(Asked(network, films, seed, training.folder / "best.safetensors"))
+        return found
 
-    def forecasters(self, name: str, films: int, windows: WindowDataset) -> list[Forecaster]:
-        """Return a forecaster for each of its seeds; seqPH is asked about the frame itself."""
-        if name.startswith("seqph"):
-            return [StateTensors.from_labels]
-        if name in ("hold", "carry"):
-            return [of_windows(build(name, self.shape).eval())]
-        if name == "blind":
-            return [of_windows(build(name, self.shape, options={"height": self.height(films)}).eval())]
-        if name == "motion":
-            paths = [CHECKPOINTS / f"{checkpoint}.safetensors" for checkpoint in self.protocol["motion"]]
-            return [turned(of_stream(Predictor.load(path), windows, HORIZONS), 0) for path in paths]
-        if name == "ridge":
-            return [of_windows(Predictor.load(self.ridge(films)).model)]
-        paths = [training.folder / "best.safetensors" for training in self.trained(name, films)]
-        return [self.remedied(name, windows).forecaster(Predictor.load(path).model) for path in paths]
+    def forecaster(self, asked: Asked, windows: WindowDataset) -> Forecaster:
+        """Return a forecaster; seqPH is asked about the frame itself."""
+        if asked.name.startswith("seqph"):
+            return StateTensors.from_labels
+        if asked.name in ("hold", "carry"):
+            return of_windows(build(asked.name, self.shape).eval())
+        if asked.name == "blind":
+            return of_windows(build("blind", self.shape, options={"height": self.height(asked.films)}).eval())
+        if asked.name == "ridge":
+            return of_windows(Predictor.load(self.ridge(asked.films)).model)
+        predictor = Predictor.load(asked.checkpoint)
+        if asked.name == "motion":
+            return turned(of_stream(predictor, windows, HORIZONS), 0)
+        return self.remedied(asked.name, windows).forecaster(predictor.model)
 
     def forecast(self) -> None:
-        """Measure all forecasters on validation films; on test films only when no network and no size is left out."""
-        for part in PARTS:
-            if part == "validation":
-                dataset = Dataset(self.folder / "films")
-                self.forecast_part(part, dataset, self.training_films(1)[1])
-            elif self.is_whole and (self.folder / "test").exists():
-                dataset = Dataset(self.folder / "test")
-                self.forecast_part(part, dataset, dataset.labelled("full"))
+        """Measure all forecasters on validation films; on test films only when no training is missing or left out."""
+        films = Dataset(self.folder / "films")
+        self.forecast_part("validation", films, self.training_films(1)[1])
+        test = self.folder / "test"
+        if self.is_whole and test.exists():
+            self.forecast_part("test", Dataset(test), Dataset(test).labelled("full"))
 
     def forecast_part(self, part: str, dataset: Dataset, episodes: NDArray[np.int64]) -> None:
         """Measure all forecasters on some films; each has a file of samples for each choice of garments."""
         options = {"n_points": self.shape.points}
         for garments, chosen in self.protocol["garments"].items():
             names = chosen or dataset.garments
-            asked = [i for i in episodes.tolist() if dataset.record(i).garment in names]
-            windows = WindowDataset(dataset, asked, **options)
+            numbers = [i for i in episodes.tolist() if dataset.record(i).garment in names]
+            windows = WindowDataset(dataset, numbers, **options)
             rows = spread_windows(windows, math.ceil(self.protocol["windows"] / len(names)))
             clean = windows.select(rows)
-            for name, films in self.names_of_forecasters():
-                path = self.folder / "samples" / part / garments / f"{name}-{films}.csv"
+            for asked in self.asked():
+                path = self.folder / "samples" / part / garments / asked.file
                 if path.exists():
                     continue
                 seen = clean
-                if name.endswith("_points"):
-                    points = int(name.split("_")[1])
+                if asked.name.endswith("_points"):
+                    points = int(asked.name.split("_")[1])
                     if f"observed-{points}" not in dataset.label_names:
                         continue  # of the validation films, which are among those to train on
-                    seen = WindowDataset(dataset, asked, n_points=points, labels=f"observed-{points}").select(rows)
-                found = {name: self.forecasters(name, films, clean)}
-                samples = measure(found, clean, seen, HORIZONS, 0, f"{part}, {garments}, {name}")
-                save_samples(path, samples.assign(films=films))
+                    same = WindowDataset(dataset, numbers, n_points=points, labels=f"observed-{points}")
+                    seen = same.select(rows)
+                found = {asked.name: [self.forecaster(asked, clean)]}
+                samples = measure(found, clean, seen, HORIZONS, 0, f"{part}, {garments}, {path.stem}")
+                save_samples(path, samples.assign(films=asked.films, seed=asked.seed))
 
     # ------------------------------------------------------------------------------------------------------------------ table
 
@@ -339,7 +376,8 @@ class Experiment:
     def samples(self, part: str) -> Iterator[tuple[str, pd.DataFrame]]:
         """Yield the samples of each choice of garments, and of the garments that a choice names."""
         for garments, names in self.protocol["garments"].items():
-            paths = sorted((self.folder / "samples" / part / garments).glob("*.csv"))
+            files = [self.folder / "samples" / part / garments / asked.file for asked in self.asked()]
+            paths = [path for path in files if path.exists()]
             if not paths:
                 continue
             samples = pd.concat([pd.read_csv(path) for path in paths], ignore_index=True)
