@@ -233,7 +233,7 @@ def _load(points: bool) -> bool:
         if points in _ready:
             return True
         what = "points in space" if points else "matrices of distances"
-        message = f"topokit: compiling the persistence kernel for {what} (once; kept for the next time)"
+        message = f"topokit: compiling the persistence kernel for {what} (once)"
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:
