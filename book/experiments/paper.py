@@ -10,7 +10,7 @@ leaves alone what is in the folder already, so the same command goes on after it
 films      garments on coarse meshes, to train and to validate with
 labels     their loops, tracked on all vertices
 trainings  of each network: the rate, then the length, then all seeds, for every number of films
-test       films of another seed, on the usual mesh, and their loops; made when all trainings are there
+tests      films of two other seeds and their loops, on the usual mesh and on the coarse one of the training films
 forecasts  of all windows by all forecasters, on validation films and on test films
 table      shares with intervals, the logs of the trainings, and what became of the claims
 
@@ -47,14 +47,13 @@ from topokit.data import Dataset, DatasetConfig, WindowDataset, generate_dataset
 from topokit.models import LossWeights, Predictor, Shape, StateTensors, TrainConfig, build, train
 
 ROOT = Path(__file__).parents[2]
-STAGES = ("films", "labels", "trainings", "test", "forecasts", "table")
-PARTS = ("validation", "test")
+STAGES = ("films", "labels", "trainings", "tests", "forecasts", "table")
 MLP_POINTS = 32  # the first of a cloud's points
 SUMMARY = "summary.json"
 CHECKPOINTS = ROOT / "data_small" / "checkpoints"
 
 LOGGED = ("epoch", "step", "seconds", "train_loss", "train_distance", "validation_loss", "validation_distance")
-KEYS = ["setting", "garments", "measure", "forecaster", "training_films", "seed", "horizon"]
+KEYS = ["setting", "mesh", "garments", "measure", "forecaster", "training_films", "seed", "horizon"]
 
 
 @dataclass(frozen=True)
@@ -105,10 +104,11 @@ class Experiment:
     sizes: tuple[int, ...]
     networks: tuple[str, ...]
 
-    def config_of(self, part: str) -> DatasetConfig:
-        """Return the configuration of "films" or "test"."""
-        path = self.configs / self.protocol[part]["config"]
-        return DatasetConfig.from_json(json.loads(path.read_text(encoding="utf-8")))
+    def generate(self, described: dict[str, Any], episodes: int, folder: str) -> Dataset:
+        """Make the films that the protocol describes, or go on with them."""
+        path = self.configs / described["config"]
+        config = DatasetConfig.from_json(json.loads(path.read_text(encoding="utf-8")))
+        return generate_dataset(config, self.folder / folder, episodes, described["seed"], n_workers=self.workers)
 
     @property
     def is_whole(self) -> bool:
@@ -127,9 +127,7 @@ class Experiment:
         episodes = first + max(self.sizes)
         missing = 1
         while missing > 0:
-            films = generate_dataset(
-                self.config_of("films"), self.folder / "films", episodes, described["seed"], n_workers=self.workers
-            )
+            films = self.generate(described, episodes, "films")
             missing = max(self.sizes) - int((films.episodes >= first).sum())
             episodes += missing
 
@@ -137,19 +135,13 @@ class Experiment:
         """Track the loops of all films."""
         label_dataset(self.folder / "films", n_workers=self.workers)
 
-    def make_test(self) -> None:
+    def make_tests(self) -> None:
         """Make the test films, and track their loops on all vertices and on the points that networks are shown."""
-        test = self.protocol["test"]
-        generate_dataset(
-            self.config_of("test"), self.folder / "test", test["episodes"], test["seed"], n_workers=self.workers
-        )
-        self.label_for_tests(self.folder / "test")
-
-    def label_for_tests(self, folder: Path) -> None:
-        """Label films on all vertices and on the points that networks are shown."""
-        label_dataset(folder, n_workers=self.workers)
-        for points in self.shown_points:
-            label_dataset(folder, "observed", n_points=points, n_workers=self.workers)
+        for mesh, described in self.protocol["tests"].items():
+            folder = self.generate(described, described["episodes"], f"test_{mesh}").folder
+            label_dataset(folder, n_workers=self.workers)
+            for points in self.shown_points:
+                label_dataset(folder, "observed", n_points=points, n_workers=self.workers)
 
     @cached_property
     def shown_points(self) -> tuple[int, ...]:
@@ -333,9 +325,10 @@ class Experiment:
         """Measure all forecasters on validation films; on test films only when no training is missing or left out."""
         films = Dataset(self.folder / "films")
         self.forecast_part("validation", films, self.training_films(1)[1])
-        test = self.folder / "test"
-        if self.is_whole and test.exists():
-            self.forecast_part("test", Dataset(test), Dataset(test).labelled("full"))
+        for mesh in self.protocol["tests"]:
+            test = self.folder / f"test_{mesh}"
+            if self.is_whole and test.exists():
+                self.forecast_part(f"test_{mesh}", Dataset(test), Dataset(test).labelled("full"))
 
     def forecast_part(self, part: str, dataset: Dataset, episodes: NDArray[np.int64]) -> None:
         """Measure all forecasters on some films; each has a file of samples for each choice of garments."""
@@ -369,8 +362,10 @@ class Experiment:
         found: dict[str, Any] = {"made_with": made_with(), "validation": _checksum(folder, self.training_films(1)[1])}
         for films in self.sizes:
             found[f"{films} films"] = _checksum(folder, self.training_films(films)[0])
-        if (self.folder / "test").exists():
-            found["test"] = Dataset(self.folder / "test").checksum()
+        for mesh in self.protocol["tests"]:
+            test = self.folder / f"test_{mesh}"
+            if test.exists():
+                found[f"test, {mesh} mesh"] = Dataset(test).checksum()
         return found
 
     def samples(self, part: str) -> Iterator[tuple[str, pd.DataFrame]]:
@@ -392,14 +387,16 @@ class Experiment:
         Rows of other settings in these files are kept.
         """
         setting = self.protocol["setting"]
-        for part in PARTS:
+        tests = {f"test_{mesh}": mesh for mesh in self.protocol["tests"]}
+        for name, parts in ((f"{out.stem}_validation", {"validation": "coarse"}), (out.stem, tests)):
             tables = []
             claims = {}
-            for garments, samples in self.samples(part):
-                table, claims[garments] = table_of(samples, self.protocol["extrapolated_to"])
-                tables.append(table.assign(garments=garments, setting=setting))
+            for part, mesh in parts.items():
+                for garments, samples in self.samples(part):
+                    table, differences = table_of(samples, self.protocol["extrapolated_to"])
+                    tables.append(table.assign(setting=setting, mesh=mesh, garments=garments))
+                    claims[f"{garments}, {mesh} mesh"] = differences
             if tables:
-                name = out.stem if part == "test" else f"{out.stem}_{part}"
                 columns = [*KEYS, "share", "low", "high", "films", "windows"]
                 write_rows(out.with_name(f"{name}.csv"), pd.concat(tables)[columns], setting)
                 write_entry(out.with_name(f"{name}_claims.json"), claims, setting)
@@ -482,7 +479,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "films": experiment.make_films,
         "labels": experiment.label_films,
         "trainings": experiment.train_all,
-        "test": experiment.make_test,
+        "tests": experiment.make_tests,
         "forecasts": experiment.forecast,
         "table": lambda: experiment.tabulate(options.out),
     }
