@@ -29,14 +29,13 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import numpy as np
 
 import topokit as tk
-from topokit import rips
 from topokit.io import load_episode
 from topokit.seqph import PAPER, _tracker
 
 PARTS: dict[tuple[Any, str], str] = {
     (_tracker, "as_tree"): "tree of neighbours",
     (tk.SeqPH, "_frame"): "which points count, alpha",
-    (rips.Film, "next_diagram"): "persistence",
+    (_tracker, "rips_persistence"): "persistence",
     (tk.SeqPH, "_motion"): "epsilon",
     (_tracker, "place"): "places",
     (_tracker, "loop_at"): "triangles, neighbours",

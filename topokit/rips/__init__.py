@@ -10,6 +10,6 @@ from topokit._lazy import attach
 
 if TYPE_CHECKING:
     from ._diagram import Diagram, tighten
-    from ._persistence import Film, rips_persistence, rips_persistence_many
+    from ._persistence import rips_persistence, rips_persistence_many
 
 __getattr__, __all__ = attach(__name__, __file__)

@@ -33,8 +33,8 @@ COMPILING = 20.0  # seconds of a processor that compiling takes
 LOADING = 0.7  # and loading what is compiled, numba included
 _PATIENCE = 3.0  # seconds before what takes long is announced
 _STOPPED = 1  # what a thread writes into the flag `stop` of another one; the kernel writes other numbers
-_ready: set[bool] = set()  # whether the kernel for points (True) and the kernel for matrices (False) are compiled
-_spent = {True: 0.0, False: 0.0}  # seconds that plain Python has taken in place of each kernel
+_ready = False  # whether the kernel is loaded
+_spent = 0.0  # seconds that plain Python has taken in its place
 _choosing = threading.RLock()
 _worker = futures.ThreadPoolExecutor(1)  # the thread that works for the main thread
 _thread = threading.local()  # each thread keeps its buffer for edges from one cloud to the next
@@ -47,18 +47,6 @@ class Pairs(NamedTuple):
     killed: Ids  # (c, 4) killer edges, the smaller vertex first, with their two apexes; -1 for none
     birth: Array  # (c,)
     death: Array  # (c,)
-
-
-class CloudBefore:
-    """The kernel's memory of the cloud before: its tree, its list of edges, their reach, and the last length read."""
-
-    def __init__(self) -> None:
-        nothing = np.zeros((1, 3))
-        zero = np.zeros(1, np.int64)
-        self.tree: tuple[Any, ...] = (nothing, zero, zero, zero, nothing, nothing, 0, (0, 0, 0))
-        self.keys: Ids = np.empty(0, np.int64)
-        self.reach = 0.0
-        self.end = 0.0
 
 
 def new_stop() -> NDArray[np.int64]:
@@ -78,41 +66,28 @@ def pairs(cloud: Cloud, max_radius: float, stop: NDArray[np.int64] | None = None
     """
     if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # on a line
         return Pairs(np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0))
-    if not compiled_pays([len(cloud)], points=bool(cloud.axes)):
+    if not compiled_pays([len(cloud)]):
         return _pairs_in_plain_python(cloud, max_radius, stop)
-    if cloud.axes:
-        return _pairs_of_points([cloud], [max_radius], CloudBefore(), stop)[0]
-    from . import kernel
-
-    arguments = (cloud.data, cloud.key_of(max_radius))
-    created, killed = _run(kernel.pair_matrix, arguments, len(cloud), stop)
-    found, _ = _cut(cloud, created, killed, max_radius)
-    return found
+    return _pairs_of_kernel([cloud], [max_radius], stop)[0]
 
 
-def pairs_of_many(
-    clouds: Sequence[Cloud], max_radius: float, before: CloudBefore, stop: NDArray[np.int64] | None = None
-) -> list[Pairs]:
+def pairs_of_many(clouds: Sequence[Cloud], max_radius: float, stop: NDArray[np.int64] | None = None) -> list[Pairs]:
     """Pair the edges of each cloud up to a radius in the unit of the points, short clouds in one compiled call."""
     bounds = [max_radius * cloud.scale for cloud in clouds]
     sizes = [len(cloud) for cloud in clouds]
     if not clouds[0].axes or not 4 <= max(sizes) < LONG or not compiled_pays(sizes):
         return [pairs(cloud, bound, stop) for cloud, bound in zip(clouds, bounds, strict=True)]
-    return _pairs_of_points(clouds, bounds, before, stop)
+    return _pairs_of_kernel(clouds, bounds, stop)
 
 
-def _pairs_of_points(
-    clouds: Sequence[Cloud], bounds: Sequence[float], before: CloudBefore, stop: NDArray[np.int64] | None
-) -> list[Pairs]:
-    from . import kernel
-
-    stack = Cloud(np.concatenate([cloud.data for cloud in clouds]), clouds[0].axes, 1.0)
+def _pairs_of_kernel(clouds: Sequence[Cloud], bounds: Sequence[float], stop: NDArray[np.int64] | None) -> list[Pairs]:
+    """Pair the edges of clouds of points, or of one matrix, each up to a scaled radius."""
+    stack = clouds[0]
+    if len(clouds) > 1:
+        stack = Cloud(np.concatenate([cloud.data for cloud in clouds]), stack.axes, 1.0)
     starts = np.cumsum([0, *map(len, clouds)])
     lengths = np.array([stack.key_of(bound) for bound in bounds])
-    arguments = (stack.data, stack.axes, starts, lengths, before.tree, before.keys, before.reach, before.end)
-    known, created, killed, counts = _run(kernel.pair_clouds, arguments, max(map(len, clouds)), stop)
-    tree, before.keys, before.reach, before.end = known
-    before.tree = tuple(tree)
+    created, killed, counts = _run((stack.data, starts, lengths), max(map(len, clouds)), stop)
 
     # All clouds at once, and then the rows of each.
     number = np.repeat(np.arange(len(clouds)), np.maximum(counts, 0))
@@ -125,10 +100,11 @@ def _pairs_of_points(
 
 
 def _pairs_in_plain_python(cloud: Cloud, max_radius: float, stop: NDArray[np.int64] | None) -> Pairs:
+    global _spent
     start = time.thread_time()
     created, killed = _plain.pair_edges(cloud, cloud.key_of(max_radius), new_stop() if stop is None else stop)
     with _choosing:
-        _spent[bool(cloud.axes)] += time.thread_time() - start
+        _spent += time.thread_time() - start
     return _cut(cloud, created, killed, max_radius)[0]
 
 
@@ -155,13 +131,13 @@ def _cut(cloud: Cloud, created: Ids, killed: Ids, bound: Any, offset: Any = 0) -
     return Pairs(created[inside], killed[inside], birth[inside], death[inside]), inside
 
 
-def _run(pair: Callable[..., Any], arguments: tuple[Any, ...], n: int, stop: NDArray[np.int64] | None) -> Any:
-    """Run a compiled function on clouds of up to n points, without `stop` not in the main thread."""
+def _run(arguments: tuple[Any, ...], n: int, stop: NDArray[np.int64] | None) -> Any:
+    """Run the kernel on clouds of up to n points, without `stop` not in the main thread."""
     if stop is not None or threading.current_thread() is not threading.main_thread():
-        return _run_here(pair, arguments, n, new_stop() if stop is None else stop)
+        return _run_here(arguments, n, new_stop() if stop is None else stop)
     stop = new_stop()
     try:
-        return _worker.submit(_run_here, pair, arguments, n, stop).result()
+        return _worker.submit(_run_here, arguments, n, stop).result()
     except BaseException:  # Ctrl-C, for example
         stop_run(stop)
         raise
@@ -176,7 +152,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_replace_worker)  # a forked process has no thread but its main thread
 
 
-def _run_here(pair: Callable[..., Any], arguments: tuple[Any, ...], n: int, stop: NDArray[np.int64]) -> Any:
+def _run_here(arguments: tuple[Any, ...], n: int, stop: NDArray[np.int64]) -> Any:
     from . import kernel
 
     bits = n * ((n + 63) // 64) * 8
@@ -186,79 +162,61 @@ def _run_here(pair: Callable[..., Any], arguments: tuple[Any, ...], n: int, stop
     buffer = getattr(_thread, "buffer", None)
     if buffer is None or kernel.EDGE_BYTES * len(buffer[0]) > spare // 2:
         buffer = tuple(kernel.new_buffer(min(1 << 16, spare // (2 * kernel.EDGE_BYTES))))
-    buffer, *found = pair(*arguments, buffer, spare, stop)
+    buffer, *found = kernel.pair_clouds(*arguments, buffer, spare, stop)
     if stop[0] == _STOPPED:
         raise futures.CancelledError
     if stop[0] == kernel.TOO_MANY_EDGES:
         raise too_large(n, "more: there are very many edges of the same length")
     if stop[0] == kernel.TOO_MANY_LOOPS:
         raise too_large(n, "more: there are very many loops, however short")
-    _thread.buffer = tuple(buffer) if len(buffer[0]) <= kernel.WINDOW else None
+    _thread.buffer = buffer if len(buffer[0]) <= kernel.WINDOW else None
     return found
 
 
 # The choice -----------------------------------------------------------------------------------------------------------
 
 
-def compiled_pays(sizes: Sequence[int], points: bool = True) -> bool:
-    """Return True if the kernel is loaded, or worth loading or compiling; then this is done here.
-
-    Parameters
-    ----------
-    sizes : sequence of int
-        Numbers of points of the clouds to come.
-    points : bool
-        Whether they are points in space, not matrices of distances.
-    """
-    if points in _ready:
+def compiled_pays(sizes: Sequence[int]) -> bool:
+    """Return True if the kernel is loaded, or worth loading or compiling for clouds of these sizes; then this is done here."""
+    if _ready:
         return True
     expected = sum(map(_plain.seconds, sizes))
     with _choosing:
-        cost = _spent[points] + expected
+        cost = _spent + expected
         if cost < LOADING or not _numba.is_usable():
             if expected > _PATIENCE:
                 _numba.say_once(f"without numba a cloud of {max(sizes)} points takes long, {expected:.0f} s or more")
             return False
-        return (cost >= COMPILING or _numba.is_compiled(_entry(points))) and _load(points)
+        return (cost >= COMPILING or _numba.is_compiled("pair_clouds")) and _load()
 
 
-def _entry(points: bool) -> str:
-    """Return the name of the kernel's function for points or for matrices."""
-    return "pair_clouds" if points else "pair_matrix"
-
-
-def _load(points: bool) -> bool:
-    """Compile a kernel on a tiny cloud, or load it, once a process; announce it when it takes long."""
+def _load() -> bool:
+    """Compile the kernel on a tiny cloud, or load it, once a process; announce it when it takes long."""
+    global _ready
     with _choosing:
-        if points in _ready:
+        if _ready:
             return True
-        what = "points in space" if points else "matrices of distances"
-        message = f"topokit: compiling the persistence kernel for {what} (once)"
+        message = "topokit: compiling the persistence kernel (once)"
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:
-            if not _aside(_compiles, points):
+            if not _aside(_compiles):
                 return False
         finally:
             notice.cancel()
-        _ready.add(points)
+        _ready = True
         return True
 
 
-def _compiles(points: bool) -> bool:
-    """Compile or load a kernel; return False where numba cannot be imported."""
+def _compiles() -> bool:
+    """Compile or load the kernel; return False where numba cannot be imported."""
     if not _numba.imports():
         return False
-    from . import kernel
-
-    if points:
-        _pairs_of_points([Cloud(np.eye(4, 3), (0, 0, 0), 1.0)], [1.0], CloudBefore(), None)
-    else:
-        _run(kernel.pair_matrix, (np.eye(4), 1.0), 4, None)
+    _pairs_of_kernel([Cloud(np.eye(4, 3), (0, 0, 0), 1.0)], [1.0], None)
     return True
 
 
-def _aside(function: Callable[[bool], bool], argument: bool) -> bool:
+def _aside(function: Callable[[], bool]) -> bool:
     """Call a function in a thread that does not keep the process from ending.
 
     In the main thread the compiler would hear Ctrl-C late, or lose it: it makes many objects whose `__del__` may not raise.
@@ -267,7 +225,7 @@ def _aside(function: Callable[[bool], bool], argument: bool) -> bool:
 
     def call() -> None:
         try:
-            answer.set_result(function(argument))
+            answer.set_result(function())
         except BaseException as error:
             answer.set_exception(error)
 

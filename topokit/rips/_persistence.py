@@ -13,7 +13,7 @@ from .._cores import n_cores
 from .._validate import as_sequence, positive, whole
 from ._cloud import Cloud
 from ._diagram import Diagram
-from ._pairs import LONG, CloudBefore, Pairs, compiled_pays, new_stop, pairs, pairs_of_many, stop_run
+from ._pairs import LONG, Pairs, compiled_pays, new_stop, pairs, pairs_of_many, stop_run
 
 
 def rips_persistence(
@@ -40,7 +40,7 @@ def rips_persistence(
     MemoryError
         When the tables would take more than 4.3 GB; take a subset of the points then (`farthest_point_sample`). The tables hold
         a bit for each pair of points (0.3 GB for 50,000 points), a sixteenth of a byte for each pair of loops, short ones
-        included, and 108 bytes for each edge that is sorted at a time. Four million edges are sorted at a time, or more when
+        included, and 36 bytes for each edge that is sorted at a time. Four million edges are sorted at a time, or more when
         more have the same length. Points of more than three dimensions also need their matrix of distances, 8 bytes a pair.
 
     Examples
@@ -111,7 +111,7 @@ def rips_persistence_many(
         for first in range(0, len(arrays), clouds_per_call):
             stops.append(new_stop())
             batch = arrays[first : first + clouds_per_call]
-            jobs.append(pool.submit(_diagrams, batch, cutoff, shortest, CloudBefore(), stops[-1]))
+            jobs.append(pool.submit(_diagrams, batch, cutoff, shortest, stops[-1]))
         try:
             for job in jobs:
                 diagrams += job.result()
@@ -128,42 +128,15 @@ def rips_persistence_many(
     return diagrams
 
 
-class Film:
-    """Persistence of the frames of a film, computed faster when points move little from frame to frame.
-
-    The diagrams are those of `rips_persistence`.
-
-    Examples
-    --------
-    >>> film = Film()
-    >>> square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    >>> [len(film.next_diagram(frame)) for frame in (square, 1.01 * square)]
-    [1, 1]
-    """
-
-    def __init__(self) -> None:
-        self._before = CloudBefore()
-
-    def next_diagram(self, points: ArrayLike) -> Diagram:
-        """Return the diagram of the next frame.
-
-        Parameters
-        ----------
-        points : (n, d) array_like
-        """
-        return _diagrams([points], np.inf, 0.0, self._before)[0]
-
-
 def _diagrams(
     arrays: Sequence[ArrayLike],
     cutoff: float,
     shortest: float,
-    before: CloudBefore,
     stop: NDArray[np.int64] | None = None,
 ) -> list[Diagram]:
     """Compute the diagrams of clouds one after the other, with one call of the kernel."""
     clouds = [Cloud.of(array) for array in arrays]
-    pairs_of_clouds = pairs_of_many(clouds, cutoff, before, stop)
+    pairs_of_clouds = pairs_of_many(clouds, cutoff, stop)
     return [_diagram(cloud, loops, cutoff, shortest) for cloud, loops in zip(clouds, pairs_of_clouds, strict=True)]
 
 

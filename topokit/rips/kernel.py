@@ -13,7 +13,7 @@ it is joined to, so the *lune* of an arriving edge {x, y}, all that is joined to
 Triangles are never listed. The work ends when no loop is alive and no later edge has an empty lune.
 
 The sections of this file follow the data: lengths and their order, bits, a kd-tree of the points, edges a window at a time,
-lunes, relations between loops, when to stop, the pairing itself, and films of clouds.
+lunes, relations between loops, when to stop, and the pairing itself.
 Functions that Python calls take plain arrays and tuples and are cached by numba on disk; the others are compiled into them.
 
 Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtration). Read in chapter 2.
@@ -35,49 +35,35 @@ TOO_MANY_EDGES = 2
 TOO_MANY_LOOPS = 3
 
 WINDOW = 1 << 22  # edges sorted at a time, unless more have one length
-EDGE_BYTES = 108  # bytes of an `EdgeBuffer` for an edge
-FEW_POINTS = 4096  # for so few points, edges too long for a window are kept for the next one
+EDGE_BYTES = 36  # bytes of an `EdgeBuffer` for an edge
 FEW_EDGES = 8  # number of edges up to which insertion sort is fastest
 FEW_WORDS = 32  # length of a row up to which reading it is as quick as comparing places
+SPACE = 3  # coordinates of a point
 LEAF = 8  # largest number of points in a leaf of the tree
-# A lune lies within sqrt(3)/2 of its edge's length from the midpoint: a point within the rest is joined to all of it.
-CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)
 ROUNDING = 4e-16  # error of a place that is a mean of coordinates, which are at most 1
-SLACK = 1.05  # factor of the squared length at which the last cloud ended: this one is expected to end below
-REACH = 1.3  # factor of that length up to which edges are listed, for several clouds
-ALIKE = (
-    0.25  # this part of that length must be certain without a list, or the clouds have nothing to do with each other
-)
+CELLS = 8  # cells of a grid for each point
+GRID_WORDS = 4  # length of a row from which on a vertex near the middle of an edge is looked up
 
 
 # Lengths and the total order ------------------------------------------------------------------------------------------
 #
-# A cloud's `data` are its points, or a symmetric matrix of distances. `axes` is a tuple of zeros as long as the dimension, and
-# empty for a matrix: its length is known when the code is compiled, so the compiler unrolls every loop over coordinates. The
-# "length" of an edge between points is squared here: it orders edges alike and costs no root.
+# A cloud's `data` are its points (n, 3), or a symmetric matrix (n, n) of distances with n > 3. The width shows which of both,
+# and one compiled function serves both. The "length" of an edge between points is squared here: it orders edges alike and costs
+# no root.
 
 
 @njit(forceinline=True)
-def edge_length(data, i, j, axes):
-    """Return the entry of a matrix (no axes), or the squared distance of two points; the same for (i, j) and (j, i).
+def edge_length(data, i, j):
+    """Return the squared distance of two points, or the entry of a matrix; the same for (i, j) and (j, i).
 
-    All compiled code calls it, since it decides ties; `_cloud.squares` is the same in NumPy, to the last bit.
+    It decides ties. `_cloud.squares` is the same in NumPy, to the last bit.
     """
-    if len(axes) == 0:
+    if data.shape[1] != SPACE:
         return data[i, j]
-    total = 0.0
-    for k in range(len(axes)):
-        step = data[i, k] - data[j, k]
-        total += step * step
-    return total
-
-
-@njit(forceinline=True)
-def root_of(length, axes):
-    """Return the length of an edge of which `edge_length` is given."""
-    if len(axes) == 0:
-        return length
-    return np.sqrt(length)
+    a = data[i, 0] - data[j, 0]
+    b = data[i, 1] - data[j, 1]
+    c = data[i, 2] - data[j, 2]
+    return a * a + b * b + c * c
 
 
 @njit(forceinline=True)
@@ -134,31 +120,56 @@ def twice_as_long(table):
 # hold 4 to 8 points. Points are stored in the order of the leaves, so that what is near in space is near in memory; `label`
 # holds their numbers in the cloud. The points of a node are `points[start[node]:end[node]]`, in the box from `low` to `high`.
 
-Tree = namedtuple("Tree", "points label start end low high first_leaf axes")
+Tree = namedtuple("Tree", "points label start end low high first_leaf")
 
 
 @njit()
 def bound_box(points, order, start, end, low, high):
     """Write the corners of the box of points[order[start:end]] into `low` and `high`; return its longest axis."""
-    for k in range(len(low)):
-        low[k] = np.inf
-        high[k] = -np.inf
-    for i in range(start, end):
-        for k in range(len(low)):
-            value = points[order[i], k]
-            low[k] = min(low[k], value)
-            high[k] = max(high[k], value)
     axis = 0
-    for k in range(1, len(low)):
-        if high[k] - low[k] > high[axis] - low[axis]:
+    for k in range(len(low)):
+        least = np.inf
+        most = -np.inf
+        for i in range(start, end):
+            value = points[order[i], k]
+            least = value if value < least else least
+            most = value if value > most else most
+        low[k] = least
+        high[k] = most
+        if most - least > high[axis] - low[axis]:
             axis = k
     return axis
 
 
 @njit()
-def build_tree(points, axes):
-    """Build the tree of an (n, d) cloud, n >= 1."""
-    n, d = points.shape
+def put_in_place(points, axis, order, first, last, middle):
+    """Reorder order[first:last + 1] until what is before `middle` is no farther along an axis than what is after it.
+
+    Source: Hoare 1961 (find).
+    """
+    while first < last:
+        pivot = points[order[middle], axis]
+        i = first
+        j = last
+        while i <= j:
+            while points[order[i], axis] < pivot:
+                i += 1
+            while points[order[j], axis] > pivot:
+                j -= 1
+            if i <= j:
+                order[i], order[j] = order[j], order[i]
+                i += 1
+                j -= 1
+        if j < middle:
+            first = i
+        if i > middle:
+            last = j
+
+
+@njit()
+def build_tree(points):
+    """Build the tree of an (n, 3) cloud, n >= 1."""
+    n = len(points)
     depth = 0
     while n > LEAF << depth:
         depth += 1
@@ -167,8 +178,8 @@ def build_tree(points, axes):
     order = np.arange(n)
     start = np.zeros(n_nodes, dtype=np.int64)
     end = np.zeros(n_nodes, dtype=np.int64)
-    low = np.empty((n_nodes, d))
-    high = np.empty((n_nodes, d))
+    low = np.empty((n_nodes, SPACE))
+    high = np.empty((n_nodes, SPACE))
 
     # Halve the points of each node at the median of its longest axis.
     end[0] = n
@@ -176,18 +187,24 @@ def build_tree(points, axes):
         axis = bound_box(points, order, start[node], end[node], low[node], high[node])
         if node < first_leaf:
             middle = (start[node] + end[node]) >> 1
-            inside = order[start[node] : end[node]]
-            inside[:] = inside[np.argpartition(points[inside, axis], middle - start[node])]
+            put_in_place(points, axis, order, start[node], end[node] - 1, middle)
             start[2 * node + 1] = start[node]
             end[2 * node + 1] = middle
             start[2 * node + 2] = middle
             end[2 * node + 2] = end[node]
 
-    ordered = np.empty((n, d))
+    ordered = np.empty((n, SPACE))
     for i in range(n):
-        for k in range(d):
+        for k in range(SPACE):
             ordered[i, k] = points[order[i], k]
-    return Tree(ordered, order, start, end, low, high, first_leaf, axes)
+    return Tree(ordered, order, start, end, low, high, first_leaf)
+
+
+@njit()
+def _no_tree(n):
+    """Return a tree with one leaf, of the n vertices of a matrix."""
+    nothing = np.zeros((1, SPACE))
+    return Tree(nothing, np.arange(n), np.zeros(1, np.int64), np.full(1, n), nothing, nothing, 0)
 
 
 @njit()
@@ -195,7 +212,7 @@ def has_repeats(tree):
     """Return True if neighbours in the tree's order show that a point occurs twice."""
     for i in range(len(tree.points) - 1):
         same = True
-        for k in range(len(tree.axes)):
+        for k in range(SPACE):
             same = same and tree.points[i, k] == tree.points[i + 1, k]
         if same:
             return True
@@ -203,76 +220,67 @@ def has_repeats(tree):
 
 
 @njit(forceinline=True)
-def place_to_box(tree, place, node):
+def place_to_box(low, high, place, node):
     """Return the smallest squared distance from a place to the box of a node."""
     total = 0.0
-    for k in range(len(tree.axes)):
-        step = max(tree.low[node, k] - place[k], place[k] - tree.high[node, k], 0.0)
+    for k in range(SPACE):
+        step = max(low[node, k] - place[k], place[k] - high[node, k], 0.0)
         total += step * step
     return total
 
 
 @njit(forceinline=True)
-def between_boxes(tree, a, b):
+def between_boxes(low, high, a, b):
     """Return the smallest and the largest squared distance between places of two boxes."""
     least = 0.0
     most = 0.0
-    for k in range(len(tree.axes)):
-        gap = max(tree.low[a, k] - tree.high[b, k], tree.low[b, k] - tree.high[a, k], 0.0)
-        span = max(tree.high[a, k] - tree.low[b, k], tree.high[b, k] - tree.low[a, k])
+    for k in range(SPACE):
+        gap = max(low[a, k] - high[b, k], low[b, k] - high[a, k], 0.0)
+        span = max(high[a, k] - low[b, k], high[b, k] - low[a, k])
         least += gap * gap
         most += span * span
     return least, most
 
 
-@njit()
-def centre(tree, a, b, place):
-    """Write the middle between two boxes into `place`; return how far from it the midpoint of an edge may be."""
-    low = tree.low
-    high = tree.high
-    spread = 0.0
-    for k in range(len(tree.axes)):
+@njit(forceinline=True)
+def middle_of_boxes(low, high, a, b, place):
+    """Write the middle between two boxes into `place`."""
+    for k in range(SPACE):
         place[k] = 0.25 * (low[a, k] + high[a, k] + low[b, k] + high[b, k])
-        spread += (high[a, k] - low[a, k] + high[b, k] - low[b, k]) ** 2
-    return 0.25 * np.sqrt(spread)
 
 
 @njit()
 def nearby_point(tree, place):
-    """Return a point near a place, and its squared distance.
-
-    It is the nearest of the points in the leaf that always taking the nearer box leads to.
-    """
+    """Return a point near a place: the nearest in the leaf that always taking the nearer box leads to."""
     points = tree.points
+    low = tree.low
+    high = tree.high
     node = 0
     while node < tree.first_leaf:
         node = 2 * node + 1
-        node += place_to_box(tree, place, node + 1) < place_to_box(tree, place, node)
+        node += place_to_box(low, high, place, node + 1) < place_to_box(low, high, place, node)
     nearest = -1
     least = np.inf
     for z in range(tree.start[node], tree.end[node]):
         square = 0.0
-        for k in range(len(tree.axes)):
+        for k in range(SPACE):
             step = points[z, k] - place[k]
             square += step * step
         if square < least:
             nearest = z
             least = square
-    return nearest, least
+    return nearest
 
 
 # Edges, a window of lengths at a time ---------------------------------------------------------------------------------
 #
-# The boxes of the tree are walked in pairs, so that only edges of about the right length are looked at. An edge is one integer,
-# its *key*: both ends, and a vertex near its middle.
+# Pairs of leaves of the tree are passed over when they are too far apart. An edge is one integer, its *key*: both ends, and a
+# vertex near its middle.
 
 _BITS = 21  # bits of a key for a vertex, three times: two million vertices
 _MASK = (1 << _BITS) - 1
-# Edges of a window as they are found, then in order (`keys`, `lengths`); how many come before a slice of lengths; edges that
-# wait for a later window, and their number (-1: none was kept waiting).
-EdgeBuffer = namedtuple(
-    "EdgeBuffer", "found_keys found_lengths keys lengths slice_start later_keys later_lengths waiting"
-)
+# Edges of a window as they are found, then in order (`keys`, `lengths`); how many come before a slice of lengths.
+EdgeBuffer = namedtuple("EdgeBuffer", "found_keys found_lengths keys lengths slice_start")
 
 
 @njit(cache=True)
@@ -284,27 +292,13 @@ def new_buffer(capacity):
         np.empty(capacity, np.int64),
         np.empty(capacity),
         np.empty(capacity + 2, np.int32),
-        np.empty(capacity, np.int64),
-        np.empty(capacity),
-        np.zeros(1, np.int64),
     )
 
 
-@njit()
-def _larger_buffer(buffer, capacity):
-    """Return a larger buffer with the edges that wait."""
-    larger = new_buffer(capacity)
-    larger.waiting[0] = buffer.waiting[0]
-    for e in range(buffer.waiting[0]):
-        larger.later_keys[e] = buffer.later_keys[e]
-        larger.later_lengths[e] = buffer.later_lengths[e]
-    return larger
-
-
 @njit(forceinline=True)
-def edge_key(x, y, middle):
-    """Return the key of the edge {x, y}."""
-    return middle << (2 * _BITS) | (y << _BITS) | x
+def edge_key(x, y):
+    """Return the key of the edge {x, y}, with vertex 0 for its middle."""
+    return (y << _BITS) | x
 
 
 @njit(forceinline=True)
@@ -313,122 +307,37 @@ def ends_of(key):
     return key & _MASK, (key >> _BITS) & _MASK, key >> (2 * _BITS)
 
 
-@njit(forceinline=True)
-def _middle_vertex(tree, a, b, shortest, place):
-    """Return a vertex near the middle of the edges between two leaves; -1 when one is near enough for the lunes to be cones."""
-    spread = centre(tree, a, b, place)
-    middle, square = nearby_point(tree, place)
-    near = CONE * np.sqrt(shortest) - spread - ROUNDING
-    if near > 0.0 and square < near * near:
-        return -1
-    return middle
-
-
 @njit()
-def _edges_of_points(tree, shortest, longest, buffer):
-    """Find all edges with shortest <= squared length < longest; return their number, -1 if the buffer is too small.
-
-    Of few points, each two leaves are looked at once: when the window reaches their nearest places. Their longer edges wait.
-    """
+def list_edges(data, tree, shortest, longest, keys, lengths):
+    """Find all edges with shortest <= length < longest; return their number, -1 if there is no space for them."""
     # Names for fields of tuples, which would be counted as used in every turn of a loop.
-    points = tree.points
-    axes = tree.axes
     start = tree.start
     end = tree.end
-    found_keys = buffer.found_keys
-    found_lengths = buffer.found_lengths
-    later_keys = buffer.later_keys
-    later_lengths = buffer.later_lengths
-    once = len(points) <= FEW_POINTS and buffer.waiting[0] >= 0
-    waiting = buffer.waiting[0]
-    size = 0
-    place = np.empty(len(axes))
-    box_pairs = np.zeros((272, 2), dtype=np.int64)
-    top = 0
-    while top >= 0:
-        a = box_pairs[top, 0]
-        b = box_pairs[top, 1]
-        top -= 1
-        least, most = between_boxes(tree, a, b)
-        if least >= longest or most < shortest:
-            continue
-
-        # Two boxes that are no leaves: go on with their halves.
-        if a < tree.first_leaf:
-            for i in range(1, 3):
-                for j in range(1, 3):
-                    if a != b or i <= j:
-                        top += 1
-                        box_pairs[top, 0] = 2 * a + i
-                        box_pairs[top, 1] = 2 * b + j
-            continue
-
-        # Two leaves: write down all edges between them that are not too short.
-        if once and least < shortest:
-            continue
-        if max(size, waiting) + LEAF * LEAF > len(found_keys):
-            return -1
-        middle = _middle_vertex(tree, a, b, max(least, shortest), place)
-        for x in range(start[a], end[a]):
-            for y in range(x + 1 if a == b else start[b], end[b]):
-                length = edge_length(points, x, y, axes)
-                key = edge_key(x, y, middle)
-                # Both places are written to, and one of them is kept: a branch here could not be foreseen.
-                found_keys[size] = key
-                found_lengths[size] = length
-                later_keys[waiting] = key
-                later_lengths[waiting] = length
-                size += (shortest <= length) & (length < longest)
-                waiting += once & (length >= longest)
-    if once:
-        return _take_waiting(buffer, longest, size, waiting)
-    return size
-
-
-@njit()
-def _take_waiting(buffer, longest, size, waiting):
-    """Move the edges that have waited for this window, of `waiting` in all, behind `size` others; return the new size.
-
-    It returns -1 if the buffer is too small.
-    """
-    found_keys = buffer.found_keys
-    found_lengths = buffer.found_lengths
-    later_keys = buffer.later_keys
-    later_lengths = buffer.later_lengths
-    waited = buffer.waiting[0]
-    if size + waited > len(found_keys):
-        return -1
-    still_waiting = 0
-    for e in range(waiting):
-        key = later_keys[e]
-        length = later_lengths[e]
-        if e < waited:  # the others are of this window's leaves, and too long for it
-            found_keys[size] = key
-            found_lengths[size] = length
-            size += length < longest
-        later_keys[still_waiting] = key
-        later_lengths[still_waiting] = length
-        still_waiting += length >= longest
-    buffer.waiting[0] = still_waiting
-    return size
-
-
-@njit()
-def _edges_of_matrix(data, shortest, longest, keys, lengths):
-    """Find all edges with shortest <= length < longest; return their number, -1 if the buffer is too small.
-
-    One end replaces the middle.
-    """
-    size = 0
-    for x in range(len(data)):
-        if size + len(data) - x > len(keys):
-            return -1
-        for y in range(x + 1, len(data)):
-            length = data[x, y]
-            keys[size] = edge_key(x, y, x)
-            lengths[size] = length
-            size += (shortest <= length) & (length < longest)
-    return size
+    low = tree.low
+    high = tree.high
+    last_leaf = len(start) - 1
+    size = np.uint64(0)  # numba looks whether an index with a sign is negative
+    for a in range(tree.first_leaf, last_leaf + 1):
+        b = a
+        while b <= last_leaf:
+            # The next leaves, all in a row, that are not too far.
+            if between_boxes(low, high, a, b)[0] >= longest:
+                b += 1
+                continue
+            first = start[b]
+            while b <= last_leaf and between_boxes(low, high, a, b)[0] < longest:
+                b += 1
+            last = end[b - 1]
+            for x in range(start[a], end[a]):
+                if np.int64(size) + last - first > len(keys):
+                    return -1
+                for y in range(max(first, x + 1), last):
+                    # Every edge is written, and its place is kept or not: a branch here could not be foreseen.
+                    length = edge_length(data, x, y)
+                    keys[size] = edge_key(x, y)
+                    lengths[size] = length
+                    size += np.uint64((shortest <= length) & (length < longest))
+    return np.int64(size)
 
 
 @njit(forceinline=True)
@@ -525,63 +434,54 @@ def sort_edges(buffer, m, label):
 
 
 @njit()
-def edges_between(data, axes, tree, shortest, longest, buffer, max_edges, stop):
+def edges_between(data, tree, shortest, longest, buffer, max_edges, stop):
     """Put the edges with shortest <= length < longest, or a smaller bound, in order.
 
-    Return the buffer, which may have grown, the number of edges, and the bound.
+    Return the buffer, which may be a larger one, the number of edges, and the bound.
     """
     while True:
-        if len(axes) == 0:
-            m = _edges_of_matrix(data, shortest, longest, buffer.found_keys, buffer.found_lengths)
-        else:
-            m = _edges_of_points(tree, shortest, longest, buffer)
+        m = list_edges(data, tree, shortest, longest, buffer.found_keys, buffer.found_lengths)
         if m >= 0:
             sort_edges(buffer, m, tree.label)
             return buffer, m, longest
 
         # Too many: take a shorter window; where it is as short as can be, a larger buffer.
         middle = shortest + 0.5 * (longest - shortest)
-        if len(buffer.found_keys) >= min(WINDOW, max_edges) and shortest < middle < longest:
+        capacity = len(buffer.keys)
+        if capacity >= min(WINDOW, max_edges) and shortest < middle < longest:
             longest = middle
-        elif len(buffer.found_keys) < max_edges:
-            buffer = _larger_buffer(buffer, min(2 * len(buffer.found_keys), max_edges))
+        elif capacity < max_edges:
+            buffer = new_buffer(min(2 * capacity, max_edges))
         else:
             stop[0] = TOO_MANY_EDGES
             return buffer, 0, longest
 
 
 @njit()
-def first_window(data, axes, tree):
-    """Return a length below which most vertices have their nearest neighbours."""
+def first_window(data):
+    """Return a length below which most vertices have their nearest neighbours.
+
+    Vertices that are next to each other in the order of a tree are near.
+    """
     n = len(data)
     total = 0.0
     for x in range(n):
         nearest = np.inf
-        # Points that are next in the tree's order are near.
-        for y in range(n) if len(axes) == 0 else range(max(0, x - 4), min(n, x + 5)):
+        for y in range(max(0, x - 4), min(n, x + 5)) if data.shape[1] == SPACE else range(n):
             if y != x:
-                nearest = min(nearest, edge_length(data, x, y, axes))
-        total += root_of(nearest, axes)
-    first = 2.0 * total / n if len(axes) == 0 else (2.5 * total / n) ** 2
-    return max(first, 1e-6 * greatest_length(data, axes, tree), 5e-324)
+                nearest = min(nearest, edge_length(data, x, y))
+        total += np.sqrt(nearest) if data.shape[1] == SPACE else nearest
+    if data.shape[1] == SPACE:
+        return (2.5 * total / n) ** 2
+    return 2.0 * total / n
 
 
 @njit()
-def next_window(data, axes, shortest, longest, m):
+def next_window(data, shortest, longest, m):
     """Return the bound of the window after one with m edges: as many again or more, and not too many more."""
-    growth = longest
-    if len(axes) == 0 or len(data) <= FEW_POINTS:
-        growth = 0.5 * longest
+    growth = 0.5 * longest
     ratio = max(1.0, 0.5 * WINDOW / (m + 1))
     return longest + max(min(growth, ratio * (longest - shortest)), 1e-6 * longest)
-
-
-@njit()
-def greatest_length(data, axes, tree):
-    """Return an upper bound of all lengths."""
-    if len(axes) == 0:
-        return data.max()
-    return between_boxes(tree, 0, 0)[1]
 
 
 # Lunes ----------------------------------------------------------------------------------------------------------------
@@ -604,17 +504,17 @@ def is_cone(rows, x, y, z):
 
 
 @njit(forceinline=True)
-def is_near_middle(data, axes, x, y, z, length):
+def is_near_middle(data, x, y, z, length):
     """Return True if z is nearer than the length of {x, y} to every place where a point of the lune can be.
 
     With z at distance b from the line through x and y, and a from their midpoint along it, the farthest such place is on the
     lune's rim: a^2 + (sqrt(3)/2 L + b)^2 < L^2. For a matrix it is never known.
     """
-    if len(axes) == 0 or length == 0.0 or z in (x, y):
+    if data.shape[1] != SPACE or length == 0.0 or z in (x, y):
         return False
     along = 0.0
     apart = 0.0
-    for k in range(len(axes)):
+    for k in range(SPACE):
         # In this order it is exact for what is very near.
         step = 0.5 * ((data[z, k] - data[x, k]) + (data[z, k] - data[y, k]))
         along += step * (data[y, k] - data[x, k])
@@ -666,7 +566,7 @@ def is_connected(rows, lune, z, left):
 
 
 @njit(forceinline=True)
-def _take_component(data, axes, rows, label, x, y, z, lune, waiting):
+def _take_component(data, rows, label, x, y, z, lune, waiting):
     """Take the component of z out of the lune; return its apex, whose longer edge to {x, y} is shortest, and that edge."""
     apex = -1
     apex_value = np.inf
@@ -676,7 +576,7 @@ def _take_component(data, axes, rows, label, x, y, z, lune, waiting):
     while top >= 0:
         z = waiting[top]
         top -= 1
-        value = max(edge_length(data, x, z, axes), edge_length(data, y, z, axes))
+        value = max(edge_length(data, x, z), edge_length(data, y, z))
         if value < apex_value or (value == apex_value and label[z] < label[apex]):
             apex = z
             apex_value = value
@@ -691,7 +591,7 @@ def _take_component(data, axes, rows, label, x, y, z, lune, waiting):
 
 
 @njit()
-def _count_components(data, axes, rows, label, x, y, search):
+def _count_components(data, rows, label, x, y, search):
     """Return the number of components of the lune, which is emptied; the apexes are left in the search, nearest first."""
     lune = search.lune
     apexes = search.apexes
@@ -700,7 +600,7 @@ def _count_components(data, axes, rows, label, x, y, search):
     for w in range(len(lune)):
         while lune[w]:
             z = (w << 6) + lowest_bit(lune[w])
-            apex, value = _take_component(data, axes, rows, label, x, y, z, lune, search.waiting)
+            apex, value = _take_component(data, rows, label, x, y, z, lune, search.waiting)
             # Insert the apex by its value, then by its label.
             i = count
             while i > 0 and (values[i - 1] > value or (values[i - 1] == value and label[apexes[i - 1]] > label[apex])):
@@ -783,13 +683,15 @@ def _with_loop(loops, born, x, y, spare, stop):
 
 
 @njit(forceinline=True)
-def _vertex_of_lune(data, axes, rows, label, a, b):
+def _vertex_of_lune(data, rows, label, a, b):
     """Return a vertex of the lune that {a, b} had when it arrived, -1 if there is none.
 
     It is one near the middle, or the one whose longer edge to a and b is shortest.
     """
-    length = edge_length(data, a, b, axes)
-    near = (0.63 if len(axes) == 0 else 0.4) * length  # a little more than half of it, or a quarter of the square
+    length = edge_length(data, a, b)
+    near = (
+        0.4 if data.shape[1] == SPACE else 0.63
+    ) * length  # a little more than half of it, or a quarter of the square
     best = -1
     best_value = np.inf
     for w in range(rows.shape[1]):
@@ -797,8 +699,8 @@ def _vertex_of_lune(data, axes, rows, label, a, b):
         while both:
             z = (w << 6) + lowest_bit(both)
             both &= both - ONE
-            to_a = edge_length(data, a, z, axes)
-            to_b = edge_length(data, b, z, axes)
+            to_a = edge_length(data, a, z)
+            to_b = edge_length(data, b, z)
             value = max(to_a, to_b)
             if z in (a, b) or value > length or value >= best_value:
                 continue
@@ -814,7 +716,7 @@ def _vertex_of_lune(data, axes, rows, label, a, b):
 
 
 @njit(forceinline=True)
-def _add_in_creators(data, axes, rows, label, graph, a, b, column, edges):
+def _add_in_creators(data, rows, label, graph, a, b, column, edges):
     """Add the edge {a, b}, written in creators, to `column` (a bitset, mod 2); `edges` is space for a stack of edges."""
     edges[0, 0] = a
     edges[0, 1] = b
@@ -835,7 +737,7 @@ def _add_in_creators(data, axes, rows, label, graph, a, b, column, edges):
             continue
 
         # Otherwise the two other edges of a triangle that was complete with it replace it.
-        z = _vertex_of_lune(data, axes, rows, label, a, b)
+        z = _vertex_of_lune(data, rows, label, a, b)
         if z < 0:
             raise AssertionError("an edge with an empty lune was passed over: please report this cloud to topokit")
         if top + 2 >= len(edges):
@@ -872,16 +774,16 @@ def reduce_column(column, columns, killed):
 
 
 @njit(forceinline=True)
-def _kill_loops(data, axes, rows, label, graph, loops, x, y, search, edges):
+def _kill_loops(data, rows, label, graph, loops, x, y, search, edges):
     """Reduce the relations that an edge with a disconnected lune brings; return how many loops die of them."""
     dead = 0
-    count = _count_components(data, axes, rows, label, x, y, search)
+    count = _count_components(data, rows, label, x, y, search)
     first = search.apexes[0]
     for i in range(1, count):
         further = search.apexes[i]
         loops.column[:] = 0
         for a, b in ((x, first), (first, y), (y, further), (further, x)):
-            _add_in_creators(data, axes, rows, label, graph, a, b, loops.column, edges)
+            _add_in_creators(data, rows, label, graph, a, b, loops.column, edges)
         loop = reduce_column(loops.column, loops.columns, loops.killed)
         if loop >= 0:
             start = first_word(loop)
@@ -904,20 +806,32 @@ def _kill_loops(data, axes, rows, label, graph, loops, x, y, search, edges):
 
 
 @njit()
-def last_empty_lune(data, axes, tree, shortest):
-    """Return the greatest length of an edge with an empty lune among those not shorter than `shortest`, 0 for none."""
-    if len(axes) == 0:
-        return _last_of_matrix(data, shortest)
-    return _last_of_points(tree, shortest)
+def last_empty_lune(data, tree, rows, shortest):
+    """Return the greatest length of an edge with an empty lune among those not shorter than `shortest`, 0 for none.
+
+    `rows` has all shorter edges.
+    """
+    if data.shape[1] == SPACE:
+        return _last_of_points(tree, rows, shortest)
+    return _last_of_matrix(data, rows, shortest)
+
+
+@njit(forceinline=True)
+def _meet(rows, x, y):
+    """Return True if a vertex is joined to both x and y."""
+    both = np.uint64(0)
+    for w in range(rows.shape[1]):
+        both |= rows[x, w] & rows[y, w]
+    return both != 0
 
 
 @njit()
-def _last_of_matrix(data, shortest):
+def _last_of_matrix(data, rows, shortest):
     latest = 0.0
     for x in range(len(data)):
         for y in range(x + 1, len(data)):
             length = data[x, y]
-            if length >= max(shortest, latest):
+            if length >= max(shortest, latest) and not _meet(rows, x, y):
                 z = 0
                 while z < len(data) and (data[x, z] >= length or data[y, z] >= length):
                     z += 1
@@ -927,14 +841,16 @@ def _last_of_matrix(data, shortest):
 
 
 @njit()
-def _last_of_points(tree, shortest):
+def _last_of_points(tree, rows, shortest):
     points = tree.points
     start = tree.start
     end = tree.end
+    low = tree.low
+    high = tree.high
     latest = 0.0
     box_pairs = np.zeros((272, 3), dtype=np.int64)  # two boxes, and a point that may be between them
     nodes = np.empty(256, dtype=np.int64)
-    place = np.empty(len(tree.axes))
+    place = np.empty(SPACE)
     top = 0
     while top >= 0:
         a = box_pairs[top, 0]
@@ -944,12 +860,12 @@ def _last_of_points(tree, shortest):
         shortest = max(shortest, latest)
 
         # Is a point in the lunes of all edges between the boxes: the one of the larger boxes, or one near the middle?
-        if between_boxes(tree, a, b)[1] < shortest or _is_between(tree, z, a, b):
+        if between_boxes(low, high, a, b)[1] < shortest or _is_between(points, low, high, z, a, b):
             continue
         if a != b:
-            centre(tree, a, b, place)
-            z = nearby_point(tree, place)[0]
-            if _is_between(tree, z, a, b):
+            middle_of_boxes(low, high, a, b, place)
+            z = nearby_point(tree, place)
+            if _is_between(points, low, high, z, a, b):
                 continue
         if a < tree.first_leaf:
             for i in range(1, 3):
@@ -961,74 +877,67 @@ def _last_of_points(tree, shortest):
                         box_pairs[top, 2] = z
             continue
 
-        # Two leaves: edge by edge. The point z, the points of both leaves, and then all are looked at.
+        # Two leaves: edge by edge. The point z, what is joined to both ends, and then all points are looked at.
         for x in range(start[a], end[a]):
             for y in range(x + 1 if a == b else start[b], end[b]):
-                length = edge_length(points, x, y, tree.axes)
-                if length < shortest or length <= latest or _is_in_lune(tree, z, x, y, length):
+                length = edge_length(points, x, y)
+                if length < shortest or length <= latest or _is_in_lune(points, z, x, y, length):
                     continue
-                met = _leaf_meets_lune(tree, x, y, length, a) or _leaf_meets_lune(tree, x, y, length, b)
-                if not met and _is_empty_lune(tree, x, y, length, nodes, place):
+                if not _meet(rows, x, y) and _is_empty_lune(tree, x, y, length, nodes, place):
                     latest = length
     return latest
 
 
 @njit(forceinline=True)
-def _is_in_lune(tree, z, x, y, length):
+def _is_in_lune(points, z, x, y, length):
     """Return True if z is nearer to both ends of {x, y} than its length."""
-    points = tree.points
-    axes = tree.axes
-    return z != x and z != y and edge_length(points, x, z, axes) < length and edge_length(points, y, z, axes) < length
-
-
-@njit(forceinline=True)
-def _leaf_meets_lune(tree, x, y, length, leaf):
-    """Return True if a point of a leaf is in the lune of {x, y}."""
-    met = False
-    for z in range(tree.start[leaf], tree.end[leaf]):
-        met = met or _is_in_lune(tree, z, x, y, length)
-    return met
+    return z != x and z != y and edge_length(points, x, z) < length and edge_length(points, y, z) < length
 
 
 @njit()
 def _is_empty_lune(tree, x, y, length, nodes, place):
     """Return True if no point is in the lune of {x, y}; boxes nearer to its midpoint are looked at first."""
-    for k in range(len(tree.axes)):
-        place[k] = 0.5 * (tree.points[x, k] + tree.points[y, k])
+    points = tree.points
+    low = tree.low
+    high = tree.high
+    for k in range(SPACE):
+        place[k] = 0.5 * (points[x, k] + points[y, k])
     reach = (0.86605 * np.sqrt(length) + ROUNDING) ** 2  # a lune lies within sqrt(3)/2 of the length
     nodes[0] = 0
     top = 0
     while top >= 0:
         node = nodes[top]
         top -= 1
-        if place_to_box(tree, place, node) > reach:
+        if place_to_box(low, high, place, node) > reach:
             continue
         if node < tree.first_leaf:
             nearer = 2 * node + 1
             farther = 2 * node + 2
-            if place_to_box(tree, place, farther) < place_to_box(tree, place, nearer):
+            if place_to_box(low, high, place, farther) < place_to_box(low, high, place, nearer):
                 nearer, farther = farther, nearer
             nodes[top + 1] = farther
             nodes[top + 2] = nearer
             top += 2
-        elif _leaf_meets_lune(tree, x, y, length, node):
-            return False
+        else:
+            for z in range(tree.start[node], tree.end[node]):
+                if _is_in_lune(points, z, x, y, length):
+                    return False
     return True
 
 
 @njit(forceinline=True)
-def _is_nearer(tree, z, a, b):
+def _is_nearer(points, low, high, z, a, b):
     """Return True if the point z is nearer to every place of box b than any place of box a is.
 
     |z - y|^2 - |x - y|^2 is a sum over the axes; along one it is greatest with y at an end of b and x as near to it as a allows.
     """
     total = 0.0
     size = 0.0
-    for k in range(len(tree.axes)):
+    for k in range(SPACE):
         most = -np.inf
-        for y in (tree.low[b, k], tree.high[b, k]):
-            gap = max(tree.low[a, k] - y, y - tree.high[a, k], 0.0)
-            step = tree.points[z, k] - y
+        for y in (low[b, k], high[b, k]):
+            gap = max(low[a, k] - y, y - high[a, k], 0.0)
+            step = points[z, k] - y
             most = max(most, step * step - gap * gap)
             size = max(size, step * step, gap * gap)
         total += most
@@ -1036,9 +945,9 @@ def _is_nearer(tree, z, a, b):
 
 
 @njit(forceinline=True)
-def _is_between(tree, z, a, b):
+def _is_between(points, low, high, z, a, b):
     """Return True if z is in the lune of every edge between two boxes."""
-    return _is_nearer(tree, z, a, b) and _is_nearer(tree, z, b, a)
+    return _is_nearer(points, low, high, z, a, b) and _is_nearer(points, low, high, z, b, a)
 
 
 # The pairing ----------------------------------------------------------------------------------------------------------
@@ -1053,16 +962,107 @@ def _root(parent, x):
     return x
 
 
+# A grid over the points of a tree: for each cell a vertex near its centre, -1 until it is sought; cells along each axis; and
+# cells in a unit of length.
+Grid = namedtuple("Grid", "vertex sides scale")
+
+
 @njit()
-def pair_edges(data, axes, tree, max_length, m, longest, buffer, spare, stop):
+def _new_grid(tree, most):
+    """Return a grid of up to `most` cells."""
+    sides = np.ones(SPACE, np.int64)
+    scale = 0.0
+    if most > 0:
+        width = 0.0
+        for k in range(SPACE):
+            width = max(width, tree.high[0, k] - tree.low[0, k])
+        cells = 1
+        while cells <= most:
+            scale = 1.2 * scale if scale > 0.0 else 1.0 / width
+            cells = 1
+            for k in range(SPACE):
+                cells *= int((tree.high[0, k] - tree.low[0, k]) * scale) + 1
+        scale /= 1.2
+        for k in range(SPACE):
+            sides[k] = int((tree.high[0, k] - tree.low[0, k]) * scale) + 1
+    return Grid(np.full(sides[0] * sides[1] * sides[2], -1, np.int32), sides, scale)
+
+
+@njit()
+def _find_middles(points, tree, grid, keys, lengths, m, far):
+    """Put a vertex near the middle of each of m edges into its key; with `far` -1 where that shows the lune to be a cone."""
+    vertex = grid.vertex
+    sides = grid.sides
+    scale = grid.scale
+    low = tree.low
+    place = np.empty(SPACE)
+    for e in range(m):
+        x, y, _ = ends_of(keys[e])
+        cell = 0
+        for k in range(SPACE):
+            cell = sides[k] * cell + int((0.5 * (points[x, k] + points[y, k]) - low[0, k]) * scale)
+        z = vertex[cell]
+        if z < 0:
+            rest = cell
+            for k in range(SPACE - 1, -1, -1):
+                place[k] = low[0, k] + (rest % sides[k] + 0.5) / scale
+                rest //= sides[k]
+            z = nearby_point(tree, place)
+            vertex[cell] = z
+        if far and is_near_middle(points, x, y, z, lengths[e]):
+            z = -1
+        keys[e] |= np.int64(z) << (2 * _BITS)
+
+
+@njit()
+def next_change(rows, keys, lengths, e, m, longest, alive, lune, left, stop):
+    """Join edges from the e-th on until one changes something; return its number, m for none, and a vertex of its lune or -1.
+
+    Edges longer than `longest` are not read.
+    """
+    while e < m:
+        x, y, middle = ends_of(keys[e])
+        if stop[0] or lengths[e] > longest:
+            return e, -2
+
+        # A cone changes nothing, nor does a connected lune; while no loop is alive, none can be killed either.
+        if middle >= 0 and not is_cone(rows, x, y, middle):
+            z = _write_lune(rows, x, y, lune)
+            if has_bit(lune, middle):
+                z = middle
+            if z < 0 or (alive and not is_connected(rows, lune, z, left)):
+                join(rows, x, y)
+                return e, z
+        join(rows, x, y)
+        e += 1
+    return m, -2
+
+
+@njit()
+def _radius(data, tree, row):
+    """Return a length such that one vertex is joined to all others by no longer edges: later edges change nothing."""
+    if data.shape[1] == SPACE:
+        middle_of_boxes(tree.low, tree.high, 0, 0, row)
+        z = nearby_point(tree, row)
+        radius = 0.0
+        for y in range(len(data)):
+            radius = max(radius, edge_length(data, z, y))
+        return radius
+    radius = np.inf
+    for x in range(len(data)):
+        radius = min(radius, data[x].max())
+    return radius
+
+
+@njit()
+def pair_edges(data, tree, max_length, buffer, spare, stop):
     """Pair the edges that create loops, (c, 2), with the edges that kill them and their two apexes, (c, 4), -1 for none.
 
-    `data` holds distances, or points in the order of `tree`; a matrix needs the tree's labels alone. Lengths are squared for
-    points. The buffer may have the first window already: m edges in order, all that are shorter than `longest`; else m is -1.
-    Besides the n x n bits `spare` bytes may be taken: half for the edges of a window, half for the columns of loops. When these
-    do not suffice, or another thread writes into `stop` (1,), `stop` holds the reason and the result is incomplete.
+    `data` holds distances, or points in the order of `tree`. Lengths are squared for points. Besides the n x n bits `spare`
+    bytes may be taken: half for the edges of a window, half for the columns of loops. When these do not suffice, or another
+    thread writes into `stop` (1,), `stop` holds the reason and the result is incomplete.
 
-    Return the buffer for the next call, both tables, and the length of the edge that was read last.
+    Return the buffer for the next call, and both tables.
     """
     n = len(data)
     label = tree.label
@@ -1085,41 +1085,34 @@ def pair_edges(data, axes, tree, max_length, m, longest, buffer, spare, stop):
     parent = np.arange(n)
     n_components = n
     edges = np.empty((256, 2), dtype=np.int64)
+    row = np.empty(n)
+    greatest = min(_radius(data, tree, row), max_length)  # the greatest length that matters
+    beyond = greatest * (1.0 + 1e-12) + 5e-324
+    has_grid = data.shape[1] == SPACE and words >= GRID_WORDS
+    grid = _new_grid(tree, CELLS * n if has_grid else 0)
     last = -1.0  # the length of the last edge with an empty lune, once it is known
     shortest = 0.0
-    length = 0.0
-    greatest = greatest_length(data, axes, tree)
-    done = greatest == 0
-    if m < 0:
-        longest = first_window(data, axes, tree)
-        buffer.waiting[0] = 0
+    longest = min(max(first_window(data), 1e-6 * greatest, 5e-324), beyond)
+    done = False
     while not done:
-        if m < 0:
-            buffer, m, longest = edges_between(
-                data, axes, tree, shortest, longest, buffer, spare // (2 * EDGE_BYTES), stop
+        buffer, m, longest = edges_between(data, tree, shortest, longest, buffer, spare // (2 * EDGE_BYTES), stop)
+        if has_grid:
+            _find_middles(data, tree, grid, buffer.keys, buffer.lengths, m, words > FEW_WORDS)
+        e = -1
+        while e < m:
+            bound = max_length
+            if alive == 0 and last >= 0:
+                bound = min(bound, last)
+            e, z = next_change(
+                rows, buffer.keys, buffer.lengths, e + 1, m, bound, alive > 0, search.lune, search.left, stop
             )
-        for e in range(m):
-            x, y, middle = ends_of(buffer.keys[e])
-            length = buffer.lengths[e]
-            if stop[0] or length > max_length or (alive == 0 and 0 <= last < length):
-                done = True
+            if z == -2:
+                done = e < m
                 break
-
-            # A cone changes nothing, nor does a connected lune; while no loop is alive, none can be killed either.
-            near = middle < 0 or (words > FEW_WORDS and is_near_middle(data, axes, x, y, middle, length))
-            if near or is_cone(rows, x, y, middle):
-                join(rows, x, y)
-                continue
-            z = _write_lune(rows, x, y, search.lune)
-            if has_bit(search.lune, middle):
-                z = middle
-            connected = z >= 0 and (alive == 0 or is_connected(rows, search.lune, z, search.left))
-            join(rows, x, y)
-            if connected:
-                continue
-
+            x, y, _ = ends_of(buffer.keys[e])
+            length = buffer.lengths[e]
             if z >= 0:  # the lune is disconnected
-                alive -= _kill_loops(data, axes, rows, label, graph, loops, x, y, search, edges)
+                alive -= _kill_loops(data, rows, label, graph, loops, x, y, search, edges)
             else:  # the lune is empty
                 a = _root(parent, x)
                 b = _root(parent, y)
@@ -1135,145 +1128,41 @@ def pair_edges(data, axes, tree, max_length, m, longest, buffer, spare, stop):
 
             # Once all is one component and no loop is alive, compute up to which length edges can matter.
             if alive == 0 and n_components == 1 and last < 0:
-                last = last_empty_lune(data, axes, tree, length)
+                last = last_empty_lune(data, tree, rows, length)
         if stop[0] != 0 or longest > greatest or (alive == 0 and 0 <= last < longest):
             done = True
         start = shortest
         shortest = longest
-        longest = next_window(data, axes, start, longest, m)
-        m = -1
-    return buffer, loops.created[:born], loops.killed[:born], length
+        longest = min(next_window(data, start, longest, m), beyond)
+    return buffer, loops.created[:born], loops.killed[:born]
 
 
 @njit(nogil=True, cache=True)
-def pair_matrix(data, max_length, buffer_arrays, spare, stop):
-    """Pair the edges of a matrix of distances as `pair_edges` does; return the buffer and both tables."""
-    nothing = np.zeros((1, 3))
-    zero = np.zeros(1, np.int64)
-    tree = Tree(nothing, np.arange(len(data)), zero, zero, nothing, nothing, 0, (0, 0, 0))
-    buffer, created, killed, _ = pair_edges(
-        data, (), tree, max_length, -1, 0.0, EdgeBuffer(*buffer_arrays), spare, stop
-    )
-    return buffer, created, killed
+def pair_clouds(data, starts, max_lengths, buffer_arrays, spare, stop):
+    """Pair the edges of clouds as `pair_edges` does, by the numbers of the vertices in their cloud.
 
+    The points of cloud c are data[starts[c]:starts[c + 1]]; or data is one matrix.
 
-# Films of clouds ------------------------------------------------------------------------------------------------------
-#
-# Idea: in a film the points move, but hardly against their neighbours. The list of one frame's edges shorter than some `reach`
-# holds for the next frame all that are shorter than a bound, which follows from the points' motion; only their lengths are new.
-# Where the list ends, the tree takes over, so a bad list costs time and nothing else.
-#
-# Source: Verlet 1967 (lists of neighbours).
-
-
-@njit()
-def _same_tree_around(tree, points):
-    """Return the same tree around other points, which come in its order."""
-    order = np.arange(len(points))
-    low = np.empty(tree.low.shape)
-    high = np.empty(tree.low.shape)
-    for node in range(len(low)):
-        bound_box(points, order, tree.start[node], tree.end[node], low[node], high[node])
-    return Tree(points, tree.label, tree.start, tree.end, low, high, tree.first_leaf, tree.axes)
-
-
-@njit()
-def move_tree(tree, points, reach):
-    """Return the same tree around points that have moved, and a bound.
-
-    All edges whose squared length is below the bound now were shorter than `reach` before: points of two leaves have come
-    nearer by no more than the largest difference of a step of one and a step of the other.
+    Return the buffer, both tables, and how many loops each cloud has, -1 when points are repeated: then nothing is done.
     """
-    places = np.empty(points.shape)
-    steps = np.empty(points.shape)
-    for i in range(len(points)):
-        for k in range(len(tree.axes)):
-            places[i, k] = points[tree.label[i], k]
-            steps[i, k] = places[i, k] - tree.points[i, k]
-    moved = _same_tree_around(tree, places)
-    of_steps = _same_tree_around(tree, steps)
-    bound = reach
-    for a in range(tree.first_leaf, len(tree.low)):
-        for b in range(a, len(tree.low)):
-            apart = between_boxes(moved, a, b)[0]
-            if apart < bound:
-                nearer = np.sqrt(between_boxes(of_steps, a, b)[1])
-                left = max(np.sqrt(reach) - nearer - 1e-12, 0.0)  # coordinates are at most 1
-                bound = min(bound, max(apart, left * left))
-    return moved, bound
-
-
-@njit()
-def _edges_of_list(keys, tree, bound, buffer):
-    """Find the listed edges that are shorter than a bound; return their number.
-
-    An end replaces a middle that was near enough for the lune to be a cone: the points have moved.
-    """
-    buffer.waiting[0] = -1
-    found_keys = buffer.found_keys
-    found_lengths = buffer.found_lengths
-    points = tree.points
-    size = 0
-    for e in range(len(keys)):
-        x, y, middle = ends_of(keys[e])
-        length = edge_length(points, x, y, tree.axes)
-        found_keys[size] = keys[e] if middle >= 0 else edge_key(x, y, x)
-        found_lengths[size] = length
-        size += length < bound
-    return size
-
-
-@njit(nogil=True, cache=True)
-def pair_clouds(data, axes, starts, max_lengths, tree_arrays, keys, reach, end, buffer_arrays, spare, stop):
-    """Pair the edges of clouds of points as `pair_edges` does, by the points' numbers in their cloud.
-
-    The points of cloud c are data[starts[c]:starts[c + 1]]. Known of the cloud before are its tree; the keys of its edges
-    shorter than `reach`, if they are listed; and the length of the last edge that was read, `end`.
-
-    Return the buffer; tree, keys, reach and end of the last cloud; both tables; and how many loops each cloud has, -1 when
-    points are repeated: then nothing is done.
-    """
-    tree = Tree(*tree_arrays)
     buffer = EdgeBuffer(*buffer_arrays)
-    max_edges = spare // (2 * EDGE_BYTES)
     counts = np.zeros(len(max_lengths), np.int64)
     total = 0
     created = np.empty((64, 2), np.int64)
     killed = np.empty((64, 4), np.int64)
     for c in range(len(counts)):
-        points = data[starts[c] : starts[c + 1]]
-        if len(points) < 4:
+        cloud = data[starts[c] : starts[c + 1]]
+        if len(cloud) < 4:
             continue
-
-        # Can the list of the cloud before be used again? Otherwise a new tree is built.
-        moved = tree
-        bound = 0.0
-        if len(points) == len(tree.points):
-            moved, bound = move_tree(tree, points, reach if len(keys) else end)
-        again = 0 < len(keys) <= len(buffer.found_keys) and SLACK * end <= bound
-        if not again:
-            tree = build_tree(points, axes)
-            moved = tree
-            keys = keys[:0]
-        if has_repeats(moved):
-            counts[c] = -1
-            continue
-
-        # The first window: from the list, or from the tree for a new list if the cloud is like the one before.
-        m = -1
-        longest = 0.0
-        if again:
-            longest = SLACK * end
-            m = _edges_of_list(keys, moved, longest, buffer)
-            sort_edges(buffer, m, moved.label)
-        elif bound > ALIKE * end:
-            buffer.waiting[0] = 0
-            buffer, m, longest = edges_between(tree.points, axes, tree, 0.0, REACH * end, buffer, max_edges, stop)
-            keys = buffer.keys[:m].copy()
-            reach = longest
-        buffer, loops, killers, end = pair_edges(
-            moved.points, axes, moved, max_lengths[c], m, longest, buffer, spare, stop
-        )
+        if data.shape[1] == SPACE:
+            tree = build_tree(cloud)
+            cloud = tree.points
+            if has_repeats(tree):
+                counts[c] = -1
+                continue
+        else:
+            tree = _no_tree(len(cloud))
+        buffer, loops, killers = pair_edges(cloud, tree, max_lengths[c], buffer, spare, stop)
 
         # Append the pairs, by the numbers of the points in their cloud.
         counts[c] = len(loops)
@@ -1282,10 +1171,15 @@ def pair_clouds(data, axes, starts, max_lengths, tree_arrays, keys, reach, end, 
             killed = twice_as_long(killed)
         for i in range(len(loops)):
             for k in range(2):
-                created[total, k] = moved.label[loops[i, k]]
+                created[total, k] = tree.label[loops[i, k]]
             for k in range(4):
                 killed[total, k] = -1
                 if killers[i, k] >= 0:
-                    killed[total, k] = moved.label[killers[i, k]]
+                    killed[total, k] = tree.label[killers[i, k]]
             total += 1
-    return buffer, (tree, keys, reach, end), created[:total], killed[:total], counts
+    return (
+        (buffer.found_keys, buffer.found_lengths, buffer.keys, buffer.lengths, buffer.slice_start),
+        created[:total],
+        killed[:total],
+        counts,
+    )

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from topokit._validate import Array, as_sequence, positive, whole
 from topokit.linking import curve_centroid
-from topokit.rips import Diagram, Film, rips_persistence_many
+from topokit.rips import Diagram, rips_persistence, rips_persistence_many
 from topokit.sampling import as_tree, hausdorff
 
 from ._evidence import MISSED, WEAKEST, believe
@@ -146,7 +146,6 @@ class SeqPH:
         self._before: Frame | None = None
         self._time_before: float | None = None
         self._known: list[Known] = []
-        self._film = Film()  # what persistence keeps of the frames before
 
     @classmethod
     def paper(cls, **options: Any) -> SeqPH:
@@ -181,7 +180,7 @@ class SeqPH:
         frame = self._frame(tree)
         check_follows(self._number, frame, time, self._before, self._time_before)
         if diagram is None:
-            diagram = self._film.next_diagram(tree.data[frame.ids])
+            diagram = rips_persistence(tree.data[frame.ids])
         else:
             check_diagram(self._number, diagram, tree.n)
             frame = replace(frame, ids=np.arange(tree.n))
