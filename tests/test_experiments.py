@@ -165,7 +165,7 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
         "epoch": 32,
         "lengths": [1, 2],
         "rates": [1e-3, 3e-3],
-        "windows": 20,
+        "windows": {"validation": 20},
     }
     rates = {"films": 3, "seed": 0, "epochs": 1}
     small |= {"rates_of": rates, "validation_windows": 32, "motion": ["motion"], "garments": {"all": []}}

@@ -298,12 +298,12 @@ class Experiment:
         most = max(self.sizes)
         names = ["seqph", *(f"seqph_{points}_points" for points in self.shown_points), "hold", "carry"]
         found = [Asked(name) for name in names]
-        for seed, checkpoint in enumerate(self.protocol["motion"]):
-            found.append(Asked("motion", 0, seed, CHECKPOINTS / f"{checkpoint}.safetensors"))
         found += [Asked("blind", most), Asked("ridge", most)]
         for network, films in self.trainings:
             for seed, training in sorted(self.ended(network, films).items()):
                 found.append(Asked(network, films, seed, training.folder / "best.safetensors"))
+        for seed, checkpoint in enumerate(self.protocol["motion"]):
+            found.append(Asked("motion", 0, seed, CHECKPOINTS / f"{checkpoint}.safetensors"))
         return found
 
     def forecaster(self, asked: Asked, windows: WindowDataset) -> Forecaster:
@@ -337,7 +337,8 @@ class Experiment:
             names = chosen or dataset.garments
             numbers = [i for i in episodes.tolist() if dataset.record(i).garment in names]
             windows = WindowDataset(dataset, numbers, **options)
-            rows = spread_windows(windows, math.ceil(self.protocol["windows"] / len(names)))
+            most = self.protocol["windows"]["validation" if part == "validation" else "tests"]
+            rows = spread_windows(windows, math.ceil(most / len(names)))
             clean = windows.select(rows)
             for asked in self.asked():
                 path = self.folder / "samples" / part / garments / asked.file
