@@ -158,7 +158,7 @@ def ours(data: Array, is_matrix: bool) -> tk.rips.Diagram:
 
 
 def compile_ours() -> None:
-    """Load topokit's kernel for points, compiled if it is not, by a cloud so large that this pays."""
+    """Load topokit's kernel, compiled if it is not, by a cloud so large that this pays."""
     points = np.random.default_rng(0).random((10_000, 2))
     for n in (10_000, 1000, 100):
         ours(points[:n], False)
