@@ -358,9 +358,11 @@ class Experiment:
     # ------------------------------------------------------------------------------------------------------------------ table
 
     def checksums(self) -> dict[str, Any]:
-        """Return the SHA-256 of the films of each size and their labels, of those to validate with and of those to test on."""
+        """Return the SHA-256 of the protocol, of the films of each size with their labels, and of those to test on."""
         folder = self.folder / "films"
-        found: dict[str, Any] = {"made_with": made_with(), "validation": _checksum(folder, self.training_films(1)[1])}
+        protocol = hashlib.sha256(json.dumps(self.protocol, sort_keys=True).encode()).hexdigest()
+        found: dict[str, Any] = {"made_with": made_with(), "protocol": protocol}
+        found["validation"] = _checksum(folder, self.training_films(1)[1])
         for films in self.sizes:
             found[f"{films} films"] = _checksum(folder, self.training_films(films)[0])
         for mesh in self.protocol["tests"]:
