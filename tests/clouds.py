@@ -16,7 +16,7 @@ except ImportError:  # the core works without it
 # The tests of persistence use the kernel from the first cloud on; `fuzz_rips` holds it to plain Python.
 INTERPRETED = config is None or bool(config.DISABLE_JIT)
 if config is not None:
-    _pairs._load()
+    _pairs._load(_pairs.CLOUDS)
 
 FAMILIES = (
     "gaussian",

@@ -32,10 +32,11 @@ from clouds import FAMILIES, random_cloud, same, sorted_pairs
 
 # What is replaced to make a path take every cloud. Compiled code is what `clouds` has loaded.
 PATHS = {
-    "dense": {"compiled_pays": lambda *_, **__: True},
+    "dense": {"compiled_pays": lambda *_, **__: True, "LARGE": 1 << 21},
+    "large": {"compiled_pays": lambda *_, **__: True, "LARGE": 4, "LONG": 4},
     "plain Python": {"compiled_pays": lambda *_, **__: False},
 }
-LARGE = ("dense",)  # the paths for clouds of 20,000 points
+LARGE = ("dense", "large")  # the paths for clouds of 20,000 points
 
 
 def by(path: str, data: np.ndarray, metric: str = "euclidean", max_radius: float = np.inf) -> Diagram:

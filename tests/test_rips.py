@@ -305,17 +305,39 @@ def test_windows_of_edges_are_bounded_and_leave_none_out():
 
 @compiled
 def test_more_memory_than_is_allowed(monkeypatch):
-    with pytest.raises(MemoryError, match=r"200000 points need 5\.2 GB"):
-        rips_persistence(np.random.default_rng(0).random((200_000, 3)))
+    with pytest.raises(MemoryError, match=r"2200000 points need 4\.7 GB"):
+        rips_persistence(np.random.default_rng(0).random((2_200_000, 3)))
     all_alike = 1.0 - np.eye(2000)
     many_loops = np.random.default_rng(0).random((4500, 3))
     for cloud, metric, spare, what in (
         (all_alike, "precomputed", 1 << 26, "edges"),
-        (many_loops, "euclidean", 2_000_000, "loops"),
+        (many_loops, "euclidean", 500_000, "loops"),
     ):
         monkeypatch.setattr(_cloud, "MEMORY", len(cloud) * ((len(cloud) + 63) // 64) * 8 + spare)
         with pytest.raises(MemoryError, match=f"these {len(cloud)} points need .*{what}"):
             rips_persistence(cloud, metric=metric)
+
+
+@compiled
+@pytest.mark.parametrize("shape", ["plane", "torus", "grid", "far apart", "repeated"])
+def test_large_clouds_are_paired_without_a_table_of_pairs(shape, monkeypatch):
+    rng = np.random.default_rng(0)
+    angles = 2 * np.pi * rng.random((2, 1200))
+    ring = 1 + 0.35 * np.cos(angles[1])
+    torus = np.column_stack([ring * np.cos(angles[0]), ring * np.sin(angles[0]), 0.35 * np.sin(angles[1])])
+    points = {
+        "plane": rng.random((1500, 2)),
+        "torus": torus,  # its lunes grow so large that rows of bits are used
+        "grid": np.argwhere(np.ones((8, 8, 8))),
+        "far apart": np.r_[torus[:500], torus[500:] + [1e6, 0, 0]],
+        "repeated": torus[rng.integers(0, 400, 1200)],
+    }[shape]
+    for max_radius in (np.inf, 0.2):
+        dense = rips_persistence(points, max_radius=max_radius)
+        with monkeypatch.context() as patch:
+            patch.setattr(_pairs, "LARGE", 4)
+            large = rips_persistence(points, max_radius=max_radius)
+        same(dense, large)
 
 
 @compiled
@@ -324,7 +346,7 @@ def test_a_refusal_gives_memory_back(monkeypatch):
     if not statm.exists():
         pytest.skip("only Linux tells what a process holds")
     cloud, held = np.random.default_rng(0).random((8192, 3)), []
-    monkeypatch.setattr(_cloud, "MEMORY", 8192 * 1024 + 2_000_000)
+    monkeypatch.setattr(_cloud, "MEMORY", 8192 * 1024 + 1_000_000)
     for _ in range(12):
         with pytest.raises(MemoryError, match="loops"):
             rips_persistence(cloud)
@@ -397,13 +419,13 @@ def test_ctrl_c_is_heard_at_any_moment(computation, tmp_path):
 @pytest.mark.parametrize("seconds", [0.3, 0.0])
 def test_long_compilation_is_announced(monkeypatch, capsys, seconds):
     monkeypatch.setattr(_pairs, "_PATIENCE", 0.1)
-    monkeypatch.setattr(_pairs, "_ready", False)
+    monkeypatch.setattr(_pairs, "_ready", set())
     monkeypatch.setattr(_pairs, "_pairs_of_kernel", lambda *_: time.sleep(seconds))
-    _pairs._load()
+    _pairs._load(_pairs.CLOUDS)
     time.sleep(0.2)
     assert ("compiling" in capsys.readouterr().err) == bool(seconds)
     monkeypatch.setattr(_pairs, "_pairs_of_kernel", None)
-    _pairs._load()  # once is enough
+    _pairs._load(_pairs.CLOUDS)  # once is enough
 
 
 # Many clouds

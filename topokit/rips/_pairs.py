@@ -29,12 +29,15 @@ from . import _cloud, _numba, _plain
 from ._cloud import Cloud, too_large
 
 LONG = 2000  # points that can take a second
+LARGE = 16_000  # points of a cloud that is paired without a bit for each pair of points
 COMPILING = 20.0  # seconds of a processor that compiling takes
 LOADING = 0.7  # and loading what is compiled, numba included
 _PATIENCE = 3.0  # seconds before what takes long is announced
 _STOPPED = 1  # what a thread writes into the flag `stop` of another one; the kernel writes other numbers
-_ready = False  # whether the kernel is loaded
-_spent = 0.0  # seconds that plain Python has taken in its place
+CLOUDS = "pair_clouds"  # the two functions of the kernel: for clouds of points and for a matrix of distances,
+LARGE_CLOUD = "pair_large"  # and for a large cloud of points
+_ready: set[str] = set()  # those that are loaded
+_spent = 0.0  # seconds that plain Python has taken in their place
 _choosing = threading.RLock()
 _worker = futures.ThreadPoolExecutor(1)  # the thread that works for the main thread
 _thread = threading.local()  # each thread keeps its buffer for edges from one cloud to the next
@@ -66,9 +69,16 @@ def pairs(cloud: Cloud, max_radius: float, stop: NDArray[np.int64] | None = None
     """
     if len(cloud) < 4 or (cloud.axes and not cloud.data[:, 1:].any()):  # on a line
         return Pairs(np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), np.empty(0), np.empty(0))
-    if not compiled_pays([len(cloud)]):
+    n = len(cloud)
+    is_large = n >= LARGE and bool(cloud.axes)
+    if not compiled_pays([n], LARGE_CLOUD if is_large else CLOUDS):
         return _pairs_in_plain_python(cloud, max_radius, stop)
-    return _pairs_of_kernel([cloud], [max_radius], stop)[0]
+    if not is_large:
+        return _pairs_of_kernel([cloud], [max_radius], stop)[0]
+    created, killed, repeated = _run(LARGE_CLOUD, (cloud.data, cloud.key_of(max_radius)), n, stop)
+    if repeated:
+        return _pairs_without_repeats(cloud, max_radius, stop)
+    return _cut(cloud, created, killed, max_radius)[0]
 
 
 def pairs_of_many(clouds: Sequence[Cloud], max_radius: float, stop: NDArray[np.int64] | None = None) -> list[Pairs]:
@@ -87,7 +97,7 @@ def _pairs_of_kernel(clouds: Sequence[Cloud], bounds: Sequence[float], stop: NDA
         stack = Cloud(np.concatenate([cloud.data for cloud in clouds]), stack.axes, 1.0)
     starts = np.cumsum([0, *map(len, clouds)])
     lengths = np.array([stack.key_of(bound) for bound in bounds])
-    created, killed, counts = _run((stack.data, starts, lengths), max(map(len, clouds)), stop)
+    created, killed, counts = _run(CLOUDS, (stack.data, starts, lengths), max(map(len, clouds)), stop)
 
     # All clouds at once, and then the rows of each.
     number = np.repeat(np.arange(len(clouds)), np.maximum(counts, 0))
@@ -131,13 +141,13 @@ def _cut(cloud: Cloud, created: Ids, killed: Ids, bound: Any, offset: Any = 0) -
     return Pairs(created[inside], killed[inside], birth[inside], death[inside]), inside
 
 
-def _run(arguments: tuple[Any, ...], n: int, stop: NDArray[np.int64] | None) -> Any:
-    """Run the kernel on clouds of up to n points, without `stop` not in the main thread."""
+def _run(function: str, arguments: tuple[Any, ...], n: int, stop: NDArray[np.int64] | None) -> Any:
+    """Run a function of the kernel on clouds of up to n points, without `stop` not in the main thread."""
     if stop is not None or threading.current_thread() is not threading.main_thread():
-        return _run_here(arguments, n, new_stop() if stop is None else stop)
+        return _run_here(function, arguments, n, new_stop() if stop is None else stop)
     stop = new_stop()
     try:
-        return _worker.submit(_run_here, arguments, n, stop).result()
+        return _worker.submit(_run_here, function, arguments, n, stop).result()
     except BaseException:  # Ctrl-C, for example
         stop_run(stop)
         raise
@@ -152,17 +162,18 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_replace_worker)  # a forked process has no thread but its main thread
 
 
-def _run_here(arguments: tuple[Any, ...], n: int, stop: NDArray[np.int64]) -> Any:
+def _run_here(function: str, arguments: tuple[Any, ...], n: int, stop: NDArray[np.int64]) -> Any:
     from . import kernel
 
-    bits = n * ((n + 63) // 64) * 8
-    spare = _cloud.MEMORY - bits
+    # What is kept of each point, or of each pair of points; edges and loops come on top.
+    tables = kernel.BYTES_A_POINT * n if function == LARGE_CLOUD else n * ((n + 63) // 64) * 8
+    spare = _cloud.MEMORY - tables
     if spare < 0:
-        raise too_large(n, f"{(bits + kernel.EDGE_BYTES * kernel.WINDOW) / 1e9:.1f} GB")
+        raise too_large(n, f"{(tables + kernel.EDGE_BYTES * kernel.WINDOW) / 1e9:.1f} GB")
     buffer = getattr(_thread, "buffer", None)
     if buffer is None or kernel.EDGE_BYTES * len(buffer[0]) > spare // 2:
         buffer = tuple(kernel.new_buffer(min(1 << 16, spare // (2 * kernel.EDGE_BYTES))))
-    buffer, *found = kernel.pair_clouds(*arguments, buffer, spare, stop)
+    buffer, *found = getattr(kernel, function)(*arguments, buffer, spare, stop)
     if stop[0] == _STOPPED:
         raise futures.CancelledError
     if stop[0] == kernel.TOO_MANY_EDGES:
@@ -176,9 +187,17 @@ def _run_here(arguments: tuple[Any, ...], n: int, stop: NDArray[np.int64]) -> An
 # The choice -----------------------------------------------------------------------------------------------------------
 
 
-def compiled_pays(sizes: Sequence[int]) -> bool:
-    """Return True if the kernel is loaded, or worth loading or compiling for clouds of these sizes; then this is done here."""
-    if _ready:
+def compiled_pays(sizes: Sequence[int], function: str = CLOUDS) -> bool:
+    """Return True if a function of the kernel is loaded, or worth loading or compiling; then this is done here.
+
+    Parameters
+    ----------
+    sizes : sequence of int
+        Numbers of points of the clouds to come.
+    function : str
+        The name of the function.
+    """
+    if function in _ready:
         return True
     expected = sum(map(_plain.seconds, sizes))
     with _choosing:
@@ -187,32 +206,39 @@ def compiled_pays(sizes: Sequence[int]) -> bool:
             if expected > _PATIENCE:
                 _numba.say_once(f"without numba a cloud of {max(sizes)} points takes long, {expected:.0f} s or more")
             return False
-        return (cost >= COMPILING or _numba.is_compiled("pair_clouds")) and _load()
+        return (cost >= COMPILING or _numba.is_compiled(function)) and _load(function)
 
 
-def _load() -> bool:
-    """Compile the kernel on a tiny cloud, or load it, once a process; announce it when it takes long."""
-    global _ready
+def _load(function: str) -> bool:
+    """Compile a function of the kernel on a tiny cloud, or load it, once a process; announce it when it takes long.
+
+    Return False where numba cannot be imported.
+    """
     with _choosing:
-        if _ready:
+        if function in _ready:
             return True
-        message = "topokit: compiling the persistence kernel (once)"
+        what = "large clouds" if function == LARGE_CLOUD else "clouds"
+        message = f"topokit: compiling the persistence kernel for {what} (once)"
         notice = threading.Timer(_PATIENCE, print, [message], {"file": sys.stderr, "flush": True})
         notice.start()
         try:
-            if not _aside(_compiles):
+            if not _aside(lambda: _compiles(function)):
                 return False
         finally:
             notice.cancel()
-        _ready = True
+        _ready.add(function)
         return True
 
 
-def _compiles() -> bool:
-    """Compile or load the kernel; return False where numba cannot be imported."""
+def _compiles(function: str) -> bool:
+    """Compile or load a function of the kernel; return False where numba cannot be imported."""
     if not _numba.imports():
         return False
-    _pairs_of_kernel([Cloud(np.eye(4, 3), (0, 0, 0), 1.0)], [1.0], None)
+    tiny = Cloud(np.eye(4, 3), (0, 0, 0), 1.0)
+    if function == LARGE_CLOUD:
+        _run(function, (tiny.data, 1.0), 4, None)
+    else:
+        _pairs_of_kernel([tiny], [1.0], None)
     return True
 
 

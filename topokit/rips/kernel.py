@@ -220,6 +220,16 @@ def has_repeats(tree):
 
 
 @njit(forceinline=True)
+def place_to_point(place, points, z):
+    """Return the squared distance from a place to a point."""
+    square = 0.0
+    for k in range(SPACE):
+        step = points[z, k] - place[k]
+        square += step * step
+    return square
+
+
+@njit(forceinline=True)
 def place_to_box(low, high, place, node):
     """Return the smallest squared distance from a place to the box of a node."""
     total = 0.0
@@ -249,6 +259,26 @@ def middle_of_boxes(low, high, a, b, place):
         place[k] = 0.25 * (low[a, k] + high[a, k] + low[b, k] + high[b, k])
 
 
+@njit(forceinline=True)
+def push_children(tree, node, place, nodes, top):
+    """Put the children of a node on a stack of nodes, the one nearer to a place last; return the new top."""
+    nearer = 2 * node + 1
+    farther = 2 * node + 2
+    if place_to_box(tree.low, tree.high, place, farther) < place_to_box(tree.low, tree.high, place, nearer):
+        nearer, farther = farther, nearer
+    nodes[top + 1] = farther
+    nodes[top + 2] = nearer
+    return top + 2
+
+
+@njit(forceinline=True)
+def reach_of_lune(points, x, y, length, place):
+    """Write the midpoint of {x, y} into `place`; return the square of how far from it a point of the lune may be."""
+    for k in range(SPACE):
+        place[k] = 0.5 * (points[x, k] + points[y, k])
+    return (0.86605 * np.sqrt(length) + ROUNDING) ** 2  # a lune lies within sqrt(3)/2 of the length
+
+
 @njit()
 def nearby_point(tree, place):
     """Return a point near a place: the nearest in the leaf that always taking the nearer box leads to."""
@@ -262,10 +292,7 @@ def nearby_point(tree, place):
     nearest = -1
     least = np.inf
     for z in range(tree.start[node], tree.end[node]):
-        square = 0.0
-        for k in range(SPACE):
-            step = points[z, k] - place[k]
-            square += step * step
+        square = place_to_point(place, points, z)
         if square < least:
             nearest = z
             least = square
@@ -293,6 +320,12 @@ def new_buffer(capacity):
         np.empty(capacity),
         np.empty(capacity + 2, np.int32),
     )
+
+
+@njit()
+def as_arrays(buffer):
+    """Return the arrays of a buffer as a plain tuple, for Python."""
+    return buffer.found_keys, buffer.found_lengths, buffer.keys, buffer.lengths, buffer.slice_start
 
 
 @njit(forceinline=True)
@@ -601,16 +634,21 @@ def _count_components(data, rows, label, x, y, search):
         while lune[w]:
             z = (w << 6) + lowest_bit(lune[w])
             apex, value = _take_component(data, rows, label, x, y, z, lune, search.waiting)
-            # Insert the apex by its value, then by its label.
-            i = count
-            while i > 0 and (values[i - 1] > value or (values[i - 1] == value and label[apexes[i - 1]] > label[apex])):
-                values[i] = values[i - 1]
-                apexes[i] = apexes[i - 1]
-                i -= 1
-            values[i] = value
-            apexes[i] = apex
+            _insert_apex(apex, value, label, apexes, values, count)
             count += 1
     return count
+
+
+@njit()
+def _insert_apex(apex, value, label, apexes, values, count):
+    """Insert an apex into a list of `count` others, by its value, then by its label."""
+    i = count
+    while i > 0 and (values[i - 1] > value or (values[i - 1] == value and label[apexes[i - 1]] > label[apex])):
+        values[i] = values[i - 1]
+        apexes[i] = apexes[i - 1]
+        i -= 1
+    values[i] = value
+    apexes[i] = apex
 
 
 # Relations between loops ----------------------------------------------------------------------------------------------
@@ -622,9 +660,12 @@ def _count_components(data, rows, label, x, y, search):
 # Edges with an empty lune, as lists at their ends: the first link of a vertex, and for a link the next one, the edge's other
 # end, and the number of the loop that it created (-1: none, it joined two components).
 Graph = namedtuple("Graph", "head links")
-# Loops by number: the edges that create them; killer edges with two apexes, -1 while alive; the columns of the dead ones, the
-# column of loop c from word `first_word(c)` on; and space for one column.
-Loops = namedtuple("Loops", "created killed columns column")
+# Loops by number: the edges that create them; killer edges with two apexes, -1 while alive; for a dead one where its column is
+# in the list of all `columns` and where that ends, which are the creators that remain of its relation; how long that list is;
+# and space for one column, as a bitset.
+Loops = namedtuple("Loops", "created killed column_ends columns n_in_columns column")
+# Space for walks in the complex: edges that wait, nodes of the tree that wait, and a place.
+Walk = namedtuple("Walk", "edges nodes place")
 
 
 @njit()
@@ -642,82 +683,102 @@ def _with_edge(graph, size, a, b, loop):
     return Graph(head, links)
 
 
-@njit(forceinline=True)
-def first_word(loop):
-    """Return where the column of a loop begins.
-
-    Before it are the columns of the older loops, each as long as its youngest creator needs.
-    """
-    full_words = loop >> 6
-    return 32 * full_words * (full_words + 1) + (loop & 63) * (full_words + 1)
-
-
 @njit()
 def _new_loops(capacity):
     return Loops(
         np.empty((capacity, 2), dtype=np.int64),
         np.empty((capacity, 4), dtype=np.int64),
-        np.empty(first_word(capacity), dtype=np.uint64),
-        np.zeros(capacity >> 6, dtype=np.uint64),
+        np.empty((capacity, 2), dtype=np.int64),
+        np.empty((2 * capacity, 1), dtype=np.int64),
+        np.zeros(1, dtype=np.int64),
+        np.zeros((capacity + 63) >> 6, dtype=np.uint64),
     )
+
+
+@njit()
+def _new_walk():
+    return Walk(np.empty((256, 2), dtype=np.int64), np.empty(256, dtype=np.int64), np.empty(3))
 
 
 @njit()
 def _with_loop(loops, born, x, y, spare, stop):
     """Return the loops with one more, created by the edge {x, y}, if `spare` bytes hold them."""
-    if born == len(loops.created):
-        if 8 * (first_word(born) + first_word(2 * born)) > spare:
+    created = loops.created
+    killed = loops.killed
+    column_ends = loops.column_ends
+    column = loops.column
+    if born == len(created):
+        if 16 * 8 * born + 8 * len(loops.columns) > spare:
             stop[0] = TOO_MANY_LOOPS
             return loops
-        columns = np.empty(first_word(2 * born), np.uint64)
-        for w in range(len(loops.columns)):
-            columns[w] = loops.columns[w]
-        loops = Loops(
-            twice_as_long(loops.created), twice_as_long(loops.killed), columns, np.zeros(born >> 5, np.uint64)
-        )
-    loops.created[born, 0] = x
-    loops.created[born, 1] = y
+        created = twice_as_long(created)
+        killed = twice_as_long(killed)
+        column_ends = twice_as_long(column_ends)
+        column = np.zeros(2 * len(column), np.uint64)
+    created[born, 0] = x
+    created[born, 1] = y
     for k in range(4):
-        loops.killed[born, k] = -1
-    return loops
+        killed[born, k] = -1
+    return Loops(created, killed, column_ends, loops.columns, loops.n_in_columns, column)
 
 
 @njit(forceinline=True)
-def _vertex_of_lune(data, rows, label, a, b):
-    """Return a vertex of the lune that {a, b} had when it arrived, -1 if there is none.
+def is_in_lune(data, label, x, y, length, z):
+    """Return True if both edges from z come before {x, y}, of which the length is given."""
+    if z in (x, y):
+        return False
+    to_x = edge_length(data, x, z)
+    to_y = edge_length(data, y, z)
+    if max(to_x, to_y) < length:
+        return True
+    if max(to_x, to_y) > length:
+        return False
+    return precedes(to_x, label[x], label[z], length, label[x], label[y]) and precedes(
+        to_y, label[y], label[z], length, label[x], label[y]
+    )
 
-    It is one near the middle, or the one whose longer edge to a and b is shortest.
-    """
+
+@njit()
+def _vertex_of_lune(data, tree, a, b, walk):
+    """Return a vertex of the lune that {a, b} had when it arrived, one near the middle; -1 if there is none."""
     length = edge_length(data, a, b)
-    near = (
-        0.4 if data.shape[1] == SPACE else 0.63
-    ) * length  # a little more than half of it, or a quarter of the square
+    label = tree.label
     best = -1
-    best_value = np.inf
-    for w in range(rows.shape[1]):
-        both = rows[a, w] & rows[b, w]
-        while both:
-            z = (w << 6) + lowest_bit(both)
-            both &= both - ONE
-            to_a = edge_length(data, a, z)
-            to_b = edge_length(data, b, z)
-            value = max(to_a, to_b)
-            if z in (a, b) or value > length or value >= best_value:
-                continue
-            # `rows` holds later edges too: both edges to z must have come before {a, b}.
-            if precedes(to_a, label[a], label[z], length, label[a], label[b]) and precedes(
-                to_b, label[b], label[z], length, label[a], label[b]
-            ):
-                if value <= near:
-                    return z
+    if data.shape[1] != SPACE:
+        best_value = np.inf
+        for z in range(len(data)):
+            value = max(data[a, z], data[b, z])
+            if value < best_value and is_in_lune(data, label, a, b, length, z):
                 best = z
                 best_value = value
+        return best
+
+    # Points: the nearest to the middle, boxes nearer to it first.
+    nodes = walk.nodes
+    place = walk.place
+    reach = reach_of_lune(data, a, b, length, place)
+    nodes[0] = 0
+    top = 0
+    while top >= 0:
+        node = nodes[top]
+        top -= 1
+        if place_to_box(tree.low, tree.high, place, node) > reach:
+            continue
+        if node < tree.first_leaf:
+            top = push_children(tree, node, place, nodes, top)
+            continue
+        for z in range(tree.start[node], tree.end[node]):
+            square = place_to_point(place, data, z)
+            if square <= reach and is_in_lune(data, label, a, b, length, z):
+                best = z
+                reach = square
     return best
 
 
 @njit(forceinline=True)
-def _add_in_creators(data, rows, label, graph, a, b, column, edges):
-    """Add the edge {a, b}, written in creators, to `column` (a bitset, mod 2); `edges` is space for a stack of edges."""
+def _add_in_creators(data, tree, graph, a, b, column, walk):
+    """Add the edge {a, b}, written in creators, to `column` (a bitset, mod 2)."""
+    edges = walk.edges
     edges[0, 0] = a
     edges[0, 1] = b
     top = 0
@@ -737,7 +798,7 @@ def _add_in_creators(data, rows, label, graph, a, b, column, edges):
             continue
 
         # Otherwise the two other edges of a triangle that was complete with it replace it.
-        z = _vertex_of_lune(data, rows, label, a, b)
+        z = _vertex_of_lune(data, tree, a, b, walk)
         if z < 0:
             raise AssertionError("an edge with an empty lune was passed over: please report this cloud to topokit")
         if top + 2 >= len(edges):
@@ -750,51 +811,67 @@ def _add_in_creators(data, rows, label, graph, a, b, column, edges):
 
 
 @njit()
-def _youngest(column):
-    """Return the youngest creator of a column, -1 when it is empty."""
-    for w in range(len(column) - 1, -1, -1):
-        if column[w]:
+def reduce_column(column, loops):
+    """Reduce a relation, the bitset of its creators, by those of the dead loops; return the loop it kills, -1 for none."""
+    for word in range(len(column) - 1, -1, -1):
+        while column[word]:
             bit = 63
-            while not (column[w] >> np.uint64(bit)) & ONE:
+            while not (column[word] >> np.uint64(bit)) & ONE:
                 bit -= 1
-            return (w << 6) + bit
+            youngest = (word << 6) + bit
+            if loops.killed[youngest, 0] < 0:
+                return youngest
+            for i in range(loops.column_ends[youngest, 0], loops.column_ends[youngest, 1]):
+                creator = loops.columns[i, 0]
+                column[creator >> 6] ^= ONE << np.uint64(creator & 63)
     return -1
 
 
 @njit()
-def reduce_column(column, columns, killed):
-    """Reduce a relation, the bitset of its creators, by those of the dead loops; return the loop it kills, -1 for none."""
-    pivot = _youngest(column)
-    while pivot >= 0 and killed[pivot, 0] >= 0:
-        first = first_word(pivot)
-        for w in range((pivot >> 6) + 1):
-            column[w] ^= columns[first + w]
-        pivot = _youngest(column)
-    return pivot
+def _keep_column(loops, loop, spare, stop):
+    """Append the creators in `loops.column` to the list of columns, as the column of a loop; return the loops."""
+    column = loops.column
+    columns = loops.columns
+    size = loops.n_in_columns[0]
+    loops.column_ends[loop, 0] = size
+    for word in range((loop >> 6) + 1):
+        bits = column[word]
+        while bits:
+            if size == len(columns):
+                if 16 * len(columns) > spare:
+                    stop[0] = TOO_MANY_LOOPS
+                    return loops
+                columns = twice_as_long(columns)
+            columns[size, 0] = (word << 6) + lowest_bit(bits)
+            size += 1
+            bits &= bits - ONE
+    loops.column_ends[loop, 1] = size
+    loops.n_in_columns[0] = size
+    return Loops(loops.created, loops.killed, loops.column_ends, columns, loops.n_in_columns, column)
 
 
-@njit(forceinline=True)
-def _kill_loops(data, rows, label, graph, loops, x, y, search, edges):
-    """Reduce the relations that an edge with a disconnected lune brings; return how many loops die of them."""
+@njit()
+def _kill_loops(data, tree, graph, loops, x, y, apexes, count, walk, spare, stop):
+    """Reduce the relations that an edge brings whose lune has `count` components, each with its apex.
+
+    Return the loops, and how many die.
+    """
     dead = 0
-    count = _count_components(data, rows, label, x, y, search)
-    first = search.apexes[0]
+    first = apexes[0]
     for i in range(1, count):
-        further = search.apexes[i]
+        further = apexes[i]
         loops.column[:] = 0
         for a, b in ((x, first), (first, y), (y, further), (further, x)):
-            _add_in_creators(data, rows, label, graph, a, b, loops.column, edges)
-        loop = reduce_column(loops.column, loops.columns, loops.killed)
+            _add_in_creators(data, tree, graph, a, b, loops.column, walk)
+        loop = reduce_column(loops.column, loops)
         if loop >= 0:
-            start = first_word(loop)
-            for w in range((loop >> 6) + 1):
-                loops.columns[start + w] = loops.column[w]
+            loops = _keep_column(loops, loop, spare, stop)
             loops.killed[loop, 0] = x
             loops.killed[loop, 1] = y
             loops.killed[loop, 2] = first
             loops.killed[loop, 3] = further
             dead += 1
-    return dead
+    return loops, dead
 
 
 # When to stop ---------------------------------------------------------------------------------------------------------
@@ -809,7 +886,7 @@ def _kill_loops(data, rows, label, graph, loops, x, y, search, edges):
 def last_empty_lune(data, tree, rows, shortest):
     """Return the greatest length of an edge with an empty lune among those not shorter than `shortest`, 0 for none.
 
-    `rows` has all shorter edges.
+    `rows` has shorter edges, as many as are known; it has one row when none are.
     """
     if data.shape[1] == SPACE:
         return _last_of_points(tree, rows, shortest)
@@ -877,13 +954,17 @@ def _last_of_points(tree, rows, shortest):
                         box_pairs[top, 2] = z
             continue
 
-        # Two leaves: edge by edge. The point z, what is joined to both ends, and then all points are looked at.
+        # Two leaves: edge by edge. The point z, what is joined to both ends or is in a leaf, and then all points are looked at.
         for x in range(start[a], end[a]):
             for y in range(x + 1 if a == b else start[b], end[b]):
                 length = edge_length(points, x, y)
                 if length < shortest or length <= latest or _is_in_lune(points, z, x, y, length):
                     continue
-                if not _meet(rows, x, y) and _is_empty_lune(tree, x, y, length, nodes, place):
+                if len(rows) > 1:
+                    met = _meet(rows, x, y)
+                else:
+                    met = _leaf_meets_lune(tree, x, y, length, a) or _leaf_meets_lune(tree, x, y, length, b)
+                if not met and _is_empty_lune(tree, x, y, length, nodes, place):
                     latest = length
     return latest
 
@@ -894,15 +975,22 @@ def _is_in_lune(points, z, x, y, length):
     return z != x and z != y and edge_length(points, x, z) < length and edge_length(points, y, z) < length
 
 
+@njit(forceinline=True)
+def _leaf_meets_lune(tree, x, y, length, leaf):
+    """Return True if a point of a leaf is in the lune of {x, y}."""
+    met = False
+    for z in range(tree.start[leaf], tree.end[leaf]):
+        met = met or _is_in_lune(tree.points, z, x, y, length)
+    return met
+
+
 @njit()
 def _is_empty_lune(tree, x, y, length, nodes, place):
     """Return True if no point is in the lune of {x, y}; boxes nearer to its midpoint are looked at first."""
     points = tree.points
     low = tree.low
     high = tree.high
-    for k in range(SPACE):
-        place[k] = 0.5 * (points[x, k] + points[y, k])
-    reach = (0.86605 * np.sqrt(length) + ROUNDING) ** 2  # a lune lies within sqrt(3)/2 of the length
+    reach = reach_of_lune(points, x, y, length, place)
     nodes[0] = 0
     top = 0
     while top >= 0:
@@ -911,13 +999,7 @@ def _is_empty_lune(tree, x, y, length, nodes, place):
         if place_to_box(low, high, place, node) > reach:
             continue
         if node < tree.first_leaf:
-            nearer = 2 * node + 1
-            farther = 2 * node + 2
-            if place_to_box(low, high, place, farther) < place_to_box(low, high, place, nearer):
-                nearer, farther = farther, nearer
-            nodes[top + 1] = farther
-            nodes[top + 2] = nearer
-            top += 2
+            top = push_children(tree, node, place, nodes, top)
         else:
             for z in range(tree.start[node], tree.end[node]):
                 if _is_in_lune(points, z, x, y, length):
@@ -1084,7 +1166,7 @@ def pair_edges(data, tree, max_length, buffer, spare, stop):
     alive = 0
     parent = np.arange(n)
     n_components = n
-    edges = np.empty((256, 2), dtype=np.int64)
+    walk = _new_walk()
     row = np.empty(n)
     greatest = min(_radius(data, tree, row), max_length)  # the greatest length that matters
     beyond = greatest * (1.0 + 1e-12) + 5e-324
@@ -1112,7 +1194,9 @@ def pair_edges(data, tree, max_length, buffer, spare, stop):
             x, y, _ = ends_of(buffer.keys[e])
             length = buffer.lengths[e]
             if z >= 0:  # the lune is disconnected
-                alive -= _kill_loops(data, rows, label, graph, loops, x, y, search, edges)
+                count = _count_components(data, rows, label, x, y, search)
+                loops, dead = _kill_loops(data, tree, graph, loops, x, y, search.apexes, count, walk, spare // 2, stop)
+                alive -= dead
             else:  # the lune is empty
                 a = _root(parent, x)
                 b = _root(parent, y)
@@ -1178,8 +1262,494 @@ def pair_clouds(data, starts, max_lengths, buffer_arrays, spare, stop):
                     killed[total, k] = tree.label[killers[i, k]]
             total += 1
     return (
-        (buffer.found_keys, buffer.found_lengths, buffer.keys, buffer.lengths, buffer.slice_start),
+        as_arrays(buffer),
         created[:total],
         killed[:total],
         counts,
     )
+
+
+# Large clouds ---------------------------------------------------------------------------------------------------------
+#
+# Idea: most edges have a connected lune, and change nothing. Whether a lune is connected follows from the points in it, in
+# whatever order edges are looked at. So nothing is kept for each pair of points, and edges are not sorted: the tree is walked
+# once for each window of lengths, the points around two leaves are gathered, and only edges with an empty or a disconnected
+# lune are listed, a few for each point. These are put in order and paired.
+#
+# Where lunes hold many points, bitsets are faster. Then there are two rows for each point: who was joined to it `before` the
+# window, and who will be `after` it. A lune within the window is at least what the former have in common, and at most what the
+# latter have; when all of the larger set is connected by edges from before, over vertices of the smaller one, so is the lune.
+# With the intersections and unions of the rows of two boxes it is known for all edges between them at once.
+
+# Rows of points, (n, words), and for each small node of the tree the `common` part of the rows before and the `union` of those
+# after. All are of one word while they are not used.
+Rows = namedtuple("Rows", "before after common union")
+# Space for pairs of nodes that wait, for points around two leaves, for a lune, for its apexes and their values, and for a bitset.
+Space = namedtuple("Space", "box_pairs near lune apexes values left")
+
+LUNE_FOR_ROWS = 32  # mean number of points in a lune from which rows pay
+NODE_FOR_ROWS = 64  # largest number of points in a node that has rows
+GROWTH = 1.3  # ratio of the squared lengths where a window ends and begins
+GROWTH_WITH_ROWS = 1.07  # with rows, which are the less certain the longer the window is
+FEW_STEPS = 32  # vertices tried before it is left open whether a lune is connected
+# A lune lies within sqrt(3)/2 of its edge's length from the midpoint: a point within the rest is joined to all of it.
+CONE = (1.0 - np.sqrt(0.75)) * (1.0 - 1e-9)
+BYTES_A_POINT = 2048  # of the tables for a large cloud; two million points have vertices that fit a key
+
+
+@njit()
+def _no_rows():
+    nothing = np.zeros((1, 1), np.uint64)
+    return Rows(nothing, nothing, nothing, nothing)
+
+
+@njit()
+def _new_rows(tree, longest, space, stop):
+    """Return the rows of all points after the edges shorter than `longest`."""
+    n = len(tree.points)
+    n_nodes = len(tree.start)
+    words = (n + 63) >> 6
+    after = np.zeros((n, words), np.uint64)
+    for v in range(n):
+        join(after, v, v)
+    _join_between(tree, 0.0, longest, after, space.box_pairs, stop)
+    return Rows(after.copy(), after, np.zeros((n_nodes, words), np.uint64), np.zeros((n_nodes, words), np.uint64))
+
+
+@njit(forceinline=True)
+def _push_pairs(tree, a, b, z, box_pairs, top):
+    """Put the pairs of children of two nodes on a stack, with a point that may be between them; return the new top."""
+    for i in range(1, 3):
+        for j in range(1, 3):
+            if a != b or i <= j:
+                top += 1
+                box_pairs[top, 0] = 2 * a + i
+                box_pairs[top, 1] = 2 * b + j
+                box_pairs[top, 2] = z
+    return top
+
+
+@njit()
+def _join_between(tree, shortest, longest, rows, box_pairs, stop):
+    """Set the bits of all edges with shortest <= squared length < longest."""
+    points = tree.points
+    box_pairs[0, :] = 0
+    top = 0
+    while top >= 0:
+        a = box_pairs[top, 0]
+        b = box_pairs[top, 1]
+        top -= 1
+        least, most = between_boxes(tree.low, tree.high, a, b)
+        if least >= longest or most < shortest:
+            continue
+        if stop[0]:
+            break
+        if a < tree.first_leaf:
+            top = _push_pairs(tree, a, b, 0, box_pairs, top)
+            continue
+        for x in range(tree.start[a], tree.end[a]):
+            for y in range(x + 1 if a == b else tree.start[b], tree.end[b]):
+                length = edge_length(points, x, y)
+                if shortest <= length < longest:
+                    join(rows, x, y)
+
+
+@njit()
+def _summarise_nodes(tree, rows):
+    """Write the common parts and the unions of the rows of small nodes, children first."""
+    before = rows.before
+    after = rows.after
+    common = rows.common
+    union = rows.union
+    words = before.shape[1]
+    for node in range(len(tree.start) - 1, -1, -1):
+        first = tree.start[node]
+        if tree.end[node] - first > NODE_FOR_ROWS:
+            break
+        if node < tree.first_leaf:
+            for w in range(words):
+                common[node, w] = common[2 * node + 1, w] & common[2 * node + 2, w]
+                union[node, w] = union[2 * node + 1, w] | union[2 * node + 2, w]
+            continue
+        for w in range(words):
+            common[node, w] = before[first, w]
+            union[node, w] = after[first, w]
+        for x in range(first + 1, tree.end[node]):
+            for w in range(words):
+                common[node, w] &= before[x, w]
+                union[node, w] |= after[x, w]
+
+
+@njit()
+def _is_surely_connected(sure, possible, a, b, before, z, left):
+    """Return True if every lune with a certain and a possible part is connected; False may mean that it is not known.
+
+    The vertices that are surely in the lune are in the rows a and b of `sure`, and all that may be are in those of `possible`.
+    From z on, vertices of the lune absorb what is joined to them before. `left` is space for a bitset.
+    """
+    if not (has_bit(sure[a], z) and has_bit(sure[b], z)):
+        return False
+    words = before.shape[1]
+    some_left = np.uint64(0)
+    for w in range(words):
+        some_left |= possible[a, w] & possible[b, w] & ~before[z, w]
+    if not some_left:
+        return True
+    for w in range(words):
+        left[w] = possible[a, w] & possible[b, w] & ~before[z, w]
+    first = 0
+    for _ in range(FEW_STEPS):
+        # The first vertex v that is left. Near it a vertex u is sought that is surely in the lune and absorbed, and joined to v.
+        while first < words and not left[first]:
+            first += 1
+        if first == words:
+            return True
+        v = (first << 6) + lowest_bit(left[first])
+        u = -1
+        for i in range(words):
+            w = first + i
+            if w >= words:
+                w -= words
+            shared = sure[a, w] & sure[b, w] & before[v, w] & ~left[w]
+            if shared:
+                u = (w << 6) + lowest_bit(shared)
+                break
+        if u < 0:
+            return False
+
+        # All that is joined to u is absorbed, v with it; and what is joined to v, if that is surely in the lune.
+        for w in range(first, words):
+            left[w] &= ~before[u, w]
+        if has_bit(sure[a], v) and has_bit(sure[b], v):
+            for w in range(first, words):
+                left[w] &= ~before[v, w]
+    return False
+
+
+@njit(forceinline=True)
+def _spread_of_middles(tree, a, b):
+    """Return how far from the middle between two boxes the midpoint of an edge between them may be."""
+    total = 0.0
+    for k in range(SPACE):
+        total += (tree.high[a, k] - tree.low[a, k] + tree.high[b, k] - tree.low[b, k]) ** 2
+    return 0.25 * np.sqrt(total)
+
+
+@njit()
+def _points_near(tree, a, b, longest, nodes, near):
+    """Write the points that may be in the lune of an edge between two nodes into `near`; return their number.
+
+    The edge is not longer than `longest`, squared.
+    """
+    size = 0
+    nodes[0] = 0
+    top = 0
+    while top >= 0:
+        node = nodes[top]
+        top -= 1
+        if (
+            between_boxes(tree.low, tree.high, a, node)[0] > longest
+            or between_boxes(tree.low, tree.high, b, node)[0] > longest
+        ):
+            continue
+        if node < tree.first_leaf:
+            nodes[top + 1] = 2 * node + 1
+            nodes[top + 2] = 2 * node + 2
+            top += 2
+            continue
+        for z in range(tree.start[node], tree.end[node]):
+            near[size] = z
+            size += 1
+    return size
+
+
+@njit()
+def _points_after(rows, x, y, near):
+    """Write the points that are joined to x and to y after the window into `near`; return their number."""
+    after = rows.after
+    size = 0
+    for w in range(after.shape[1]):
+        both = after[x, w] & after[y, w]
+        while both:
+            near[size] = (w << 6) + lowest_bit(both)
+            size += 1
+            both &= both - ONE
+    return size
+
+
+@njit()
+def _list_lune(points, label, x, y, length, near, n_near, lune):
+    """Write those of the points `near` that are in the lune of {x, y} into `lune`; return their number.
+
+    The first of them is the nearest to the middle.
+    """
+    size = 0
+    best = 0
+    best_value = np.inf
+    for i in range(n_near):
+        z = near[i]
+        to_x = edge_length(points, x, z)
+        to_y = edge_length(points, y, z)
+        if max(to_x, to_y) > length:
+            continue
+        if is_in_lune(points, label, x, y, length, z):
+            lune[size] = z
+            if to_x + to_y < best_value:
+                best_value = to_x + to_y
+                best = size
+            size += 1
+    if size:
+        lune[0], lune[best] = lune[best], lune[0]
+    return size
+
+
+@njit()
+def _end_of_component(points, label, x, y, length, lune, first, size):
+    """Move the component of lune[first] in lune[first:size] to the front; return where it ends."""
+    end = first + 1
+    i = first
+    while i < end < size:
+        z = lune[i]
+        i += 1
+        for j in range(end, size):
+            w = lune[j]
+            side = edge_length(points, z, w)
+            if side < length or (side == length and precedes(side, label[z], label[w], length, label[x], label[y])):
+                lune[j] = lune[end]
+                lune[end] = w
+                end += 1
+    return end
+
+
+@njit()
+def _apexes_of_lune(tree, x, y, length, space, walk):
+    """Write the apexes of the components of the lune of {x, y} into the space, nearest first; return their number."""
+    points = tree.points
+    label = tree.label
+    lune = space.lune
+
+    # Points no farther from the midpoint than a lune reaches.
+    nodes = walk.nodes
+    reach = reach_of_lune(points, x, y, length, walk.place)
+    n_near = 0
+    nodes[0] = 0
+    top = 0
+    while top >= 0:
+        node = nodes[top]
+        top -= 1
+        if place_to_box(tree.low, tree.high, walk.place, node) > reach:
+            continue
+        if node < tree.first_leaf:
+            top = push_children(tree, node, walk.place, nodes, top)
+            continue
+        for z in range(tree.start[node], tree.end[node]):
+            space.near[n_near] = z
+            n_near += 1
+
+    size = _list_lune(points, label, x, y, length, space.near, n_near, lune)
+    count = 0
+    first = 0
+    while first < size:
+        end = _end_of_component(points, label, x, y, length, lune, first, size)
+        apex = -1
+        apex_value = np.inf
+        for i in range(first, end):
+            z = lune[i]
+            value = max(edge_length(points, x, z), edge_length(points, y, z))
+            if value < apex_value or (value == apex_value and label[z] < label[apex]):
+                apex = z
+                apex_value = value
+        _insert_apex(apex, apex_value, label, space.apexes, space.values, count)
+        count += 1
+        first = end
+    return count
+
+
+@njit()
+def _list_edges(tree, shortest, longest, rows, buffer, space, walk, stop):
+    """List the edges with shortest <= squared length < longest whose lune is empty or disconnected, in no order.
+
+    The third part of a key is 1 when the lune is disconnected, 0 when it is empty.
+
+    Return the number of edges, -1 if the buffer is too small; and how many lunes were listed, and the points in them.
+    """
+    points = tree.points
+    label = tree.label
+    start = tree.start
+    end = tree.end
+    box_pairs = space.box_pairs
+    lune = space.lune
+    has_rows = len(rows.before) > 1
+    n_edges = 0
+    n_lunes = 0
+    n_in_lunes = 0
+    helper = 0  # a vertex that was near the middle of an edge like this one
+    box_pairs[0, :] = 0
+    top = 0
+    while top >= 0:
+        a = box_pairs[top, 0]
+        b = box_pairs[top, 1]
+        z = box_pairs[top, 2]
+        top -= 1
+        least, most = between_boxes(tree.low, tree.high, a, b)
+        if least >= longest or most < shortest:
+            continue
+        if stop[0]:
+            break
+
+        # Is it known of all edges between the boxes that their lunes are connected? A point near the middle helps, or the one
+        # that was near the middle of the larger boxes.
+        if least > 0.0:
+            middle_of_larger = z
+            middle_of_boxes(tree.low, tree.high, a, b, walk.place)
+            z = nearby_point(tree, walk.place)
+            spread = _spread_of_middles(tree, a, b)
+            length = np.sqrt(max(shortest, least))
+            near = CONE * length - spread - ROUNDING
+            if near > 0.0 and place_to_point(walk.place, points, z) < near * near:
+                continue
+            if has_rows and end[a] - start[a] <= NODE_FOR_ROWS and spread < 0.2 * length:
+                if _is_surely_connected(rows.common, rows.union, a, b, rows.before, z, space.left):
+                    continue
+                if _is_surely_connected(rows.common, rows.union, a, b, rows.before, middle_of_larger, space.left):
+                    continue
+        if a < tree.first_leaf:
+            top = _push_pairs(tree, a, b, z, box_pairs, top)
+            continue
+
+        # Two leaves: edge by edge.
+        n_near = -1
+        for x in range(start[a], end[a]):
+            for y in range(x + 1 if a == b else start[b], end[b]):
+                length = edge_length(points, x, y)
+                if length < shortest or length >= longest or is_near_middle(points, x, y, z, length):
+                    continue
+                if has_rows:
+                    if _is_surely_connected(rows.before, rows.after, x, y, rows.before, helper, space.left):
+                        continue
+                    if _is_surely_connected(rows.before, rows.after, x, y, rows.before, z, space.left):
+                        continue
+                    n_near = _points_after(rows, x, y, space.near)
+                elif n_near < 0:
+                    n_near = _points_near(tree, a, b, min(most, longest), walk.nodes, space.near)
+                size = _list_lune(points, label, x, y, length, space.near, n_near, lune)
+                n_lunes += 1
+                n_in_lunes += size
+                if size > 0:
+                    helper = lune[0]
+                    if _end_of_component(points, label, x, y, length, lune, 0, size) == size:
+                        continue
+                if n_edges == len(buffer.found_keys):
+                    return -1, n_lunes, n_in_lunes
+                disconnected = np.int64(size > 0)
+                buffer.found_keys[n_edges] = edge_key(x, y) | disconnected << (2 * _BITS)
+                buffer.found_lengths[n_edges] = length
+                n_edges += 1
+    return n_edges, n_lunes, n_in_lunes
+
+
+@njit(nogil=True, cache=True)
+def pair_large(data, max_length, buffer_arrays, spare, stop):
+    """Pair the edges of a large cloud of points as `pair_edges` does, by the points' numbers in the cloud.
+
+    Return the buffer, both tables, and whether points are repeated: then nothing is done.
+    """
+    buffer = EdgeBuffer(*buffer_arrays)
+    tree = build_tree(data)
+    n = len(data)
+    points = tree.points
+    label = tree.label
+    words = (n + 63) >> 6
+    if has_repeats(tree):
+        return as_arrays(buffer), np.empty((0, 2), np.int64), np.empty((0, 4), np.int64), True
+
+    walk = _new_walk()
+    space = Space(
+        np.empty((512, 3), np.int64),
+        np.empty(n, np.int64),
+        np.empty(n, np.int64),
+        np.empty(n, np.int64),
+        np.empty(n),
+        np.empty(words, np.uint64),
+    )
+    rows = _no_rows()
+    bytes_of_rows = 16 * words * (n + len(tree.start))
+    graph = Graph(np.full(n, -1), np.empty((8 * n, 3), np.int64))
+    graph_size = 0
+    loops = _new_loops(64)
+    born = 0
+    alive = 0
+    parent = np.arange(n)
+    n_components = n
+    last = -1.0  # the length of the last edge with an empty lune, once it is known
+    greatest = min(_radius(points, tree, walk.place), max_length)  # the greatest length that matters
+    beyond = greatest * (1.0 + 1e-12) + 5e-324
+    shortest = 0.0
+    longest = min(max(first_window(points), 1e-6 * greatest, 5e-324), beyond)
+    done = False
+    while not done:
+        # The next window of edges; a larger buffer when they do not fit.
+        has_rows = len(rows.before) > 1
+        if has_rows:
+            _join_between(tree, shortest, longest, rows.after, space.box_pairs, stop)
+            _summarise_nodes(tree, rows)
+        m = -1
+        n_lunes = 0
+        n_in_lunes = 0
+        while m < 0:
+            m, n_lunes, n_in_lunes = _list_edges(tree, shortest, longest, rows, buffer, space, walk, stop)
+            if m < 0:
+                if 2 * EDGE_BYTES * len(buffer.found_keys) > spare // 4:
+                    stop[0] = TOO_MANY_EDGES
+                    m = 0
+                else:
+                    buffer = new_buffer(2 * len(buffer.found_keys))
+        sort_edges(buffer, m, label)
+
+        for e in range(m):
+            x, y, disconnected = ends_of(buffer.keys[e])
+            length = buffer.lengths[e]
+            if stop[0] or length > max_length or (alive == 0 and 0 <= last < length):
+                done = True
+                break
+            if disconnected:
+                if alive > 0:
+                    count = _apexes_of_lune(tree, x, y, length, space, walk)
+                    loops, dead = _kill_loops(
+                        points, tree, graph, loops, x, y, space.apexes, count, walk, spare // 4, stop
+                    )
+                    alive -= dead
+            else:
+                a = _root(parent, x)
+                b = _root(parent, y)
+                graph = _with_edge(graph, graph_size, x, y, born if a == b else -1)
+                graph_size += 1
+                if a != b:  # the edge joins two components
+                    parent[a] = b
+                    n_components -= 1
+                else:  # it creates a loop
+                    loops = _with_loop(loops, born, x, y, spare // 4, stop)
+                    born += 1
+                    alive += 1
+            if alive == 0 and n_components == 1 and last < 0:
+                last = last_empty_lune(points, tree, rows.before, length)
+        if stop[0] or longest > greatest or (alive == 0 and 0 <= last < longest):
+            done = True
+
+        shortest = longest
+        if has_rows:
+            rows.before[:] = rows.after
+        elif not done and n_in_lunes > LUNE_FOR_ROWS * n_lunes and bytes_of_rows < spare // 2:
+            rows = _new_rows(tree, longest, space, stop)
+            has_rows = True
+        longest = min(longest * (GROWTH_WITH_ROWS if has_rows else GROWTH), beyond)
+
+    created = loops.created[:born]
+    killed = loops.killed[:born]
+    for i in range(born):
+        for k in range(2):
+            created[i, k] = label[created[i, k]]
+        for k in range(4):
+            if killed[i, k] >= 0:
+                killed[i, k] = label[killed[i, k]]
+    return as_arrays(buffer), created, killed, False
