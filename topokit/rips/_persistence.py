@@ -38,10 +38,10 @@ def rips_persistence(
     ValueError
         When the points or the matrix are not valid, as with nan or an asymmetric matrix.
     MemoryError
-        When the tables would take more than 4.3 GB; take a subset of the points then (`farthest_point_sample`). The tables hold
-        a bit for each pair of points (0.3 GB for 50,000 points), a sixteenth of a byte for each pair of loops, short ones
-        included, and 36 bytes for each edge that is sorted at a time. Four million edges are sorted at a time, or more when
-        more have the same length. Points of more than three dimensions also need their matrix of distances, 8 bytes a pair.
+        When the tables would take more than 4.3 GB; take a subset of the points then (`farthest_point_sample`). Points in up
+        to three dimensions need at most 2 kB each, and loops and edges of the same length may need more. A matrix of distances,
+        as which points of more dimensions are read, needs 8 bytes for each pair, a bit for each pair besides, and 36 bytes for
+        each edge that is sorted at a time, which are four million, or more when more have the same length.
 
     Examples
     --------
