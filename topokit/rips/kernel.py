@@ -3,8 +3,8 @@
 Idea: edges arrive in the total order (length, smaller index, larger index). Every vertex keeps a bitset of the vertices that
 it is joined to, so the *lune* of an arriving edge {x, y}, all that is joined to both, is row x AND row y. There are four cases.
 
-- Most lunes are cones: one vertex is joined to all the others. It is near the middle of the edge, and the same vertex serves
-  all edges between two small boxes. Such an edge changes nothing.
+- Most lunes are cones: one vertex is joined to all the others. It is near the middle of the edge, where a grid gives it. Such
+  an edge changes nothing.
 - An empty lune joins two components or creates a loop; the edge is then a *creator*.
 - A connected lune changes nothing.
 - Each further component of a disconnected lune brings a relation x, z_i, y, z_1: a cycle that bounds from now on. Written in
@@ -13,8 +13,8 @@ it is joined to, so the *lune* of an arriving edge {x, y}, all that is joined to
 Triangles are never listed. The work ends when no loop is alive and no later edge has an empty lune.
 
 The sections of this file follow the data: lengths and their order, bits, a kd-tree of the points, edges a window at a time,
-lunes, relations between loops, when to stop, and the pairing itself.
-Functions that Python calls take plain arrays and tuples and are cached by numba on disk; the others are compiled into them.
+lunes, relations between loops, when to stop, the pairing itself, and large clouds, which are paired without bitsets.
+Functions that Python calls take plain arrays and tuples, and their compiled code is kept; the others are compiled into them.
 
 Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtration). Read in chapter 2.
 """
