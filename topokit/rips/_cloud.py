@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +34,7 @@ class Cloud:
             raise ValueError(f'metric must be "euclidean" or "precomputed", not {metric!r}')
         if metric == "precomputed":
             return cls._of_distances(as_points(points))
-        return cls._of_points(as_points(points, refuse_transposed=True))
+        return cls.of_points(as_points(points, refuse_transposed=True))
 
     @classmethod
     def _of_distances(cls, matrix: Array) -> Cloud:
@@ -51,7 +52,8 @@ class Cloud:
         return cls(scaled, (), scale)
 
     @classmethod
-    def _of_points(cls, points: Array) -> Cloud:
+    def of_points(cls, points: Array) -> Cloud:
+        """Check and copy coordinates that `as_points` has returned."""
         n, d = points.shape
         sizes = np.abs(points)
         largest = sizes.max(initial=0.0)
@@ -65,7 +67,9 @@ class Cloud:
 
         # On a line and in a plane, points have a third coordinate that is 0.
         if d <= 3:
-            return cls(np.hstack([scaled, np.zeros((n, 3 - d))]), (0, 0, 0), scale)
+            if d < 3:
+                scaled = np.hstack([scaled, np.zeros((n, 3 - d))])
+            return cls(scaled, (0, 0, 0), scale)
 
         # In more dimensions their distances are read.
         if 8 * n**2 > MEMORY:
@@ -114,7 +118,7 @@ def too_large(n: int, needs: str) -> MemoryError:
 
 def _power_of_two_below(largest: float) -> float:
     """Return the power of two that scales numbers up to `largest` to at most 1."""
-    return 2.0 ** -max(int(np.frexp(largest)[1]), -1022)
+    return 2.0 ** -max(math.frexp(largest)[1], -1022)
 
 
 def _check_near(points: Array, tiny: NDArray[np.bool_]) -> None:

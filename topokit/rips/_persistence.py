@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._cores import n_cores
-from .._validate import as_sequence, positive, whole
+from .._validate import Array, as_sequence, positive, whole
 from ._cloud import Cloud
 from ._diagram import Diagram
 from ._pairs import LONG, Pairs, compiled_pays, new_stop, pairs, pairs_of_many, stop_run
@@ -54,7 +55,7 @@ def rips_persistence(
     cutoff = positive(max_radius, "max_radius", infinite=True)
     shortest = positive(min_lifetime, "min_lifetime", infinite=True)
     cloud = Cloud.of(points, metric)
-    return _diagram(cloud, pairs(cloud, cutoff * cloud.scale), cutoff, shortest)
+    return _diagrams([cloud], [pairs(cloud, cutoff * cloud.scale)], cutoff, shortest)[0]
 
 
 def rips_persistence_many(
@@ -111,7 +112,7 @@ def rips_persistence_many(
         for first in range(0, len(arrays), clouds_per_call):
             stops.append(new_stop())
             batch = arrays[first : first + clouds_per_call]
-            jobs.append(pool.submit(_diagrams, batch, cutoff, shortest, stops[-1]))
+            jobs.append(pool.submit(_diagrams_of_batch, batch, cutoff, shortest, stops[-1]))
         try:
             for job in jobs:
                 diagrams += job.result()
@@ -128,33 +129,42 @@ def rips_persistence_many(
     return diagrams
 
 
-def _diagrams(
-    arrays: Sequence[ArrayLike],
-    cutoff: float,
-    shortest: float,
-    stop: NDArray[np.int64] | None = None,
+def _diagrams_of_batch(
+    arrays: Sequence[Array], cutoff: float, shortest: float, stop: NDArray[np.int64]
 ) -> list[Diagram]:
-    """Compute the diagrams of clouds one after the other, with one call of the kernel."""
-    clouds = [Cloud.of(array) for array in arrays]
-    pairs_of_clouds = pairs_of_many(clouds, cutoff, stop)
-    return [_diagram(cloud, loops, cutoff, shortest) for cloud, loops in zip(clouds, pairs_of_clouds, strict=True)]
+    """Compute the diagrams of checked clouds with one call of the kernel."""
+    clouds = [Cloud.of_points(array) for array in arrays]
+    return _diagrams(clouds, pairs_of_many(clouds, cutoff, stop), cutoff, shortest)
 
 
-def _diagram(cloud: Cloud, loops: Pairs, cutoff: float, shortest: float) -> Diagram:
-    """Return the diagram of the loops that live long enough, longest lifetime first, in the unit of the cloud."""
-    lifetime = loops.death - loops.birth
-    count = np.count_nonzero((lifetime > 0) & (lifetime >= shortest * cloud.scale))
-    keep = np.argsort(-lifetime, kind="stable")[:count]  # ties keep the order of birth
+def _diagrams(clouds: Sequence[Cloud], found: Sequence[Pairs], cutoff: float, shortest: float) -> list[Diagram]:
+    """Return for each cloud the diagram of the loops that live long enough, longest lifetime first, in the unit of the cloud."""
+    created, killed, birth, death = (np.concatenate(columns) for columns in zip(*found, strict=True))
+    number = np.repeat(np.arange(len(clouds)), [len(loops.birth) for loops in found])
+    scale = np.array([cloud.scale for cloud in clouds])[number]
+    lifetime = death - birth
+
+    # All clouds at once, and then the rows of each. Ties keep the order of birth.
+    order = np.lexsort((-lifetime, number))
+    keep = order[((lifetime > 0) & (lifetime >= shortest * scale))[order]]
+    killed = killed[keep]
     # A killer edge (0, 1) with its two apexes (2, 3) gives two triangles; that of the second apex is first.
-    killed = loops.killed[keep]
-    return Diagram(
-        birth=loops.birth[keep] / cloud.scale,
-        death=loops.death[keep] / cloud.scale,
-        birth_edge=loops.created[keep],
-        killer_edge=killed[:, :2],
-        killer_triangles=killed[:, [[0, 1, 3], [0, 1, 2]]],
-        n_points=len(cloud),
-        max_radius=cutoff,
-        _cloud=cloud,
-        _simplices=(loops.created, loops.killed),
-    )
+    birth = birth[keep] / scale[keep]
+    death = death[keep] / scale[keep]
+    created = created[keep]
+    triangles = killed[:, [[0, 1, 3], [0, 1, 2]]]
+    ends = np.searchsorted(number[keep], np.arange(len(clouds) + 1)).tolist()
+    return [
+        Diagram(
+            birth=birth[a:b],
+            death=death[a:b],
+            birth_edge=created[a:b],
+            killer_edge=killed[a:b, :2],
+            killer_triangles=triangles[a:b],
+            n_points=len(cloud),
+            max_radius=cutoff,
+            _cloud=cloud,
+            _simplices=(loops.created, loops.killed),
+        )
+        for cloud, loops, (a, b) in zip(clouds, found, pairwise(ends), strict=True)
+    ]

@@ -39,6 +39,7 @@ EDGE_BYTES = 36  # bytes of an `EdgeBuffer` for an edge
 FEW_EDGES = 8  # number of edges up to which insertion sort is fastest
 FEW_WORDS = 32  # length of a row up to which reading it is as quick as comparing places
 SPACE = 3  # coordinates of a point
+FIRST = 3.0  # length of the first window, in mean distances to a nearest neighbour
 LEAF = 8  # largest number of points in a leaf of the tree
 ROUNDING = 4e-16  # error of a place that is a mean of coordinates, which are at most 1
 CELLS = 8  # cells of a grid for each point
@@ -260,11 +261,11 @@ def middle_of_boxes(low, high, a, b, place):
 
 
 @njit(forceinline=True)
-def push_children(tree, node, place, nodes, top):
+def push_children(low, high, node, place, nodes, top):
     """Put the children of a node on a stack of nodes, the one nearer to a place last; return the new top."""
     nearer = 2 * node + 1
     farther = 2 * node + 2
-    if place_to_box(tree.low, tree.high, place, farther) < place_to_box(tree.low, tree.high, place, nearer):
+    if place_to_box(low, high, place, farther) < place_to_box(low, high, place, nearer):
         nearer, farther = farther, nearer
     nodes[top + 1] = farther
     nodes[top + 2] = nearer
@@ -505,16 +506,15 @@ def first_window(data):
                 nearest = min(nearest, edge_length(data, x, y))
         total += np.sqrt(nearest) if data.shape[1] == SPACE else nearest
     if data.shape[1] == SPACE:
-        return (2.5 * total / n) ** 2
+        return (FIRST * total / n) ** 2
     return 2.0 * total / n
 
 
 @njit()
 def next_window(data, shortest, longest, m):
     """Return the bound of the window after one with m edges: as many again or more, and not too many more."""
-    growth = 0.5 * longest
     ratio = max(1.0, 0.5 * WINDOW / (m + 1))
-    return longest + max(min(growth, ratio * (longest - shortest)), 1e-6 * longest)
+    return longest + max(min(longest, ratio * (longest - shortest)), 1e-6 * longest)
 
 
 # Lunes ----------------------------------------------------------------------------------------------------------------
@@ -629,11 +629,12 @@ def _count_components(data, rows, label, x, y, search):
     lune = search.lune
     apexes = search.apexes
     values = search.values
+    waiting = search.waiting
     count = 0
     for w in range(len(lune)):
         while lune[w]:
             z = (w << 6) + lowest_bit(lune[w])
-            apex, value = _take_component(data, rows, label, x, y, z, lune, search.waiting)
+            apex, value = _take_component(data, rows, label, x, y, z, lune, waiting)
             _insert_apex(apex, value, label, apexes, values, count)
             count += 1
     return count
@@ -671,16 +672,19 @@ Walk = namedtuple("Walk", "edges nodes place")
 @njit()
 def _with_edge(graph, size, a, b, loop):
     """Return the graph with one more edge {a, b}, after `size` of them; `loop` is the number of the loop that it created."""
-    head = graph.head
-    links = graph.links
-    if 2 * size + 2 > len(links):
-        links = twice_as_long(links)
+    if 2 * size + 2 > len(graph.links):
+        graph = Graph(graph.head, twice_as_long(graph.links))
+    _add_edge(graph.head, graph.links, size, a, b, loop)
+    return graph
+
+
+@njit()
+def _add_edge(head, links, size, a, b, loop):
     for link, vertex, other_end in ((2 * size, a, b), (2 * size + 1, b, a)):
         links[link, 0] = head[vertex]
         links[link, 1] = other_end
         links[link, 2] = loop
         head[vertex] = link
-    return Graph(head, links)
 
 
 @njit()
@@ -703,23 +707,28 @@ def _new_walk():
 @njit()
 def _with_loop(loops, born, x, y, spare, stop):
     """Return the loops with one more, created by the edge {x, y}, if `spare` bytes hold them."""
-    created = loops.created
-    killed = loops.killed
-    column_ends = loops.column_ends
-    column = loops.column
-    if born == len(created):
+    if born == len(loops.created):
         if 16 * 8 * born + 8 * len(loops.columns) > spare:
             stop[0] = TOO_MANY_LOOPS
             return loops
-        created = twice_as_long(created)
-        killed = twice_as_long(killed)
-        column_ends = twice_as_long(column_ends)
-        column = np.zeros(2 * len(column), np.uint64)
+        loops = Loops(
+            twice_as_long(loops.created),
+            twice_as_long(loops.killed),
+            twice_as_long(loops.column_ends),
+            loops.columns,
+            loops.n_in_columns,
+            np.zeros(2 * len(loops.column), np.uint64),
+        )
+    _add_loop(loops.created, loops.killed, born, x, y)
+    return loops
+
+
+@njit()
+def _add_loop(created, killed, born, x, y):
     created[born, 0] = x
     created[born, 1] = y
     for k in range(4):
         killed[born, k] = -1
-    return Loops(created, killed, column_ends, loops.columns, loops.n_in_columns, column)
 
 
 @njit(forceinline=True)
@@ -739,66 +748,97 @@ def is_in_lune(data, label, x, y, length, z):
 
 
 @njit()
-def _vertex_of_lune(data, tree, a, b, walk):
-    """Return a vertex of the lune that {a, b} had when it arrived, one near the middle; -1 if there is none."""
+def _vertex_of_rows(data, label, rows, a, b):
+    """Return a vertex of the lune that {a, b} had when it arrived, -1 if there is none.
+
+    It is the first in the rows that is near the middle, or the one whose longer edge to a and b is shortest.
+    """
     length = edge_length(data, a, b)
-    label = tree.label
+    near = (
+        0.4 if data.shape[1] == SPACE else 0.63
+    ) * length  # a little more than a quarter of the square, or than half
     best = -1
-    if data.shape[1] != SPACE:
-        best_value = np.inf
-        for z in range(len(data)):
-            value = max(data[a, z], data[b, z])
+    best_value = np.inf
+    w = 0
+    while w < rows.shape[1] and best_value > near:
+        both = rows[a, w] & rows[b, w]
+        while both and best_value > near:
+            z = (w << 6) + lowest_bit(both)
+            both &= both - ONE
+            value = max(edge_length(data, a, z), edge_length(data, b, z))
+            # The rows may hold later edges too.
             if value < best_value and is_in_lune(data, label, a, b, length, z):
                 best = z
                 best_value = value
-        return best
+        w += 1
+    return best
 
-    # Points: the nearest to the middle, boxes nearer to it first.
-    nodes = walk.nodes
-    place = walk.place
-    reach = reach_of_lune(data, a, b, length, place)
+
+@njit()
+def _vertex_of_tree(points, label, start, end, low, high, a, b, nodes, place):
+    """Return the vertex nearest to the middle of {a, b} in the lune that it had when it arrived, -1 if there is none."""
+    length = edge_length(points, a, b)
+    best = -1
+    reach = reach_of_lune(points, a, b, length, place)
     nodes[0] = 0
     top = 0
     while top >= 0:
         node = nodes[top]
         top -= 1
-        if place_to_box(tree.low, tree.high, place, node) > reach:
+        if place_to_box(low, high, place, node) > reach:
             continue
-        if node < tree.first_leaf:
-            top = push_children(tree, node, place, nodes, top)
+        if 2 * node + 2 < len(start):
+            top = push_children(low, high, node, place, nodes, top)
             continue
-        for z in range(tree.start[node], tree.end[node]):
-            square = place_to_point(place, data, z)
-            if square <= reach and is_in_lune(data, label, a, b, length, z):
+        for z in range(start[node], end[node]):
+            square = place_to_point(place, points, z)
+            if square <= reach and is_in_lune(points, label, a, b, length, z):
                 best = z
                 reach = square
     return best
 
 
-@njit(forceinline=True)
-def _add_in_creators(data, tree, graph, a, b, column, walk):
-    """Add the edge {a, b}, written in creators, to `column` (a bitset, mod 2)."""
+@njit()
+def _write_in_creators(data, tree, rows, graph, relation, column, walk):
+    """Write a cycle, its vertices (m,), in creators into `column` (a bitset, mod 2).
+
+    The tree is searched where there is one row alone, for a cloud without them.
+    """
+    label = tree.label
+    start = tree.start
+    end = tree.end
+    low = tree.low
+    high = tree.high
+    head = graph.head
+    links = graph.links
     edges = walk.edges
-    edges[0, 0] = a
-    edges[0, 1] = b
-    top = 0
+    nodes = walk.nodes
+    place = walk.place
+    column[:] = 0
+    for i in range(len(relation)):
+        edges[i, 0] = relation[i - 1]
+        edges[i, 1] = relation[i]
+    top = len(relation) - 1
     while top >= 0:
         a = edges[top, 0]
         b = edges[top, 1]
         top -= 1
 
         # Is it in the graph? Then its lune was empty, and it is a creator or an edge of the tree.
-        link = graph.head[a]
-        while link >= 0 and graph.links[link, 1] != b:
-            link = graph.links[link, 0]
+        link = head[a]
+        while link >= 0 and links[link, 1] != b:
+            link = links[link, 0]
         if link >= 0:
-            creator = graph.links[link, 2]
+            creator = links[link, 2]
             if creator >= 0:
                 column[creator >> 6] ^= ONE << np.uint64(creator & 63)
             continue
 
         # Otherwise the two other edges of a triangle that was complete with it replace it.
-        z = _vertex_of_lune(data, tree, a, b, walk)
+        if len(rows) > 1:
+            z = _vertex_of_rows(data, label, rows, a, b)
+        else:
+            z = _vertex_of_tree(data, label, start, end, low, high, a, b, nodes, place)
         if z < 0:
             raise AssertionError("an edge with an empty lune was passed over: please report this cloud to topokit")
         if top + 2 >= len(edges):
@@ -813,17 +853,23 @@ def _add_in_creators(data, tree, graph, a, b, column, walk):
 @njit()
 def reduce_column(column, loops):
     """Reduce a relation, the bitset of its creators, by those of the dead loops; return the loop it kills, -1 for none."""
-    for word in range(len(column) - 1, -1, -1):
-        while column[word]:
-            bit = 63
-            while not (column[word] >> np.uint64(bit)) & ONE:
-                bit -= 1
-            youngest = (word << 6) + bit
-            if loops.killed[youngest, 0] < 0:
-                return youngest
-            for i in range(loops.column_ends[youngest, 0], loops.column_ends[youngest, 1]):
-                creator = loops.columns[i, 0]
-                column[creator >> 6] ^= ONE << np.uint64(creator & 63)
+    killed = loops.killed
+    column_ends = loops.column_ends
+    columns = loops.columns
+    word = len(column) - 1
+    while word >= 0:
+        if not column[word]:
+            word -= 1
+            continue
+        bit = 63
+        while not (column[word] >> np.uint64(bit)) & ONE:
+            bit -= 1
+        youngest = (word << 6) + bit
+        if killed[youngest, 0] < 0:
+            return youngest
+        for i in range(column_ends[youngest, 0], column_ends[youngest, 1]):
+            creator = columns[i, 0]
+            column[creator >> 6] ^= ONE << np.uint64(creator & 63)
     return -1
 
 
@@ -851,25 +897,25 @@ def _keep_column(loops, loop, spare, stop):
 
 
 @njit()
-def _kill_loops(data, tree, graph, loops, x, y, apexes, count, walk, spare, stop):
+def _kill_loops(data, tree, rows, graph, loops, x, y, apexes, count, walk, spare, stop):
     """Reduce the relations that an edge brings whose lune has `count` components, each with its apex.
 
     Return the loops, and how many die.
     """
     dead = 0
-    first = apexes[0]
+    killed = loops.killed
+    column = loops.column
+    relation = np.array([x, apexes[0], y, -1])
     for i in range(1, count):
-        further = apexes[i]
-        loops.column[:] = 0
-        for a, b in ((x, first), (first, y), (y, further), (further, x)):
-            _add_in_creators(data, tree, graph, a, b, loops.column, walk)
-        loop = reduce_column(loops.column, loops)
+        relation[3] = apexes[i]
+        _write_in_creators(data, tree, rows, graph, relation, column, walk)
+        loop = reduce_column(column, loops)
         if loop >= 0:
             loops = _keep_column(loops, loop, spare, stop)
-            loops.killed[loop, 0] = x
-            loops.killed[loop, 1] = y
-            loops.killed[loop, 2] = first
-            loops.killed[loop, 3] = further
+            killed[loop, 0] = x
+            killed[loop, 1] = y
+            killed[loop, 2] = apexes[0]
+            killed[loop, 3] = apexes[i]
             dead += 1
     return loops, dead
 
@@ -963,8 +1009,9 @@ def _last_of_points(tree, rows, shortest):
                 if len(rows) > 1:
                     met = _meet(rows, x, y)
                 else:
-                    met = _leaf_meets_lune(tree, x, y, length, a) or _leaf_meets_lune(tree, x, y, length, b)
-                if not met and _is_empty_lune(tree, x, y, length, nodes, place):
+                    met = _meets_lune(points, x, y, length, start[a], end[a])
+                    met = met or _meets_lune(points, x, y, length, start[b], end[b])
+                if not met and _is_empty_lune(points, start, end, low, high, x, y, length, nodes, place):
                     latest = length
     return latest
 
@@ -976,35 +1023,30 @@ def _is_in_lune(points, z, x, y, length):
 
 
 @njit(forceinline=True)
-def _leaf_meets_lune(tree, x, y, length, leaf):
-    """Return True if a point of a leaf is in the lune of {x, y}."""
+def _meets_lune(points, x, y, length, first, end):
+    """Return True if one of the points `first` to `end` is in the lune of {x, y}."""
     met = False
-    for z in range(tree.start[leaf], tree.end[leaf]):
-        met = met or _is_in_lune(tree.points, z, x, y, length)
+    for z in range(first, end):
+        met = met or _is_in_lune(points, z, x, y, length)
     return met
 
 
 @njit()
-def _is_empty_lune(tree, x, y, length, nodes, place):
+def _is_empty_lune(points, start, end, low, high, x, y, length, nodes, place):
     """Return True if no point is in the lune of {x, y}; boxes nearer to its midpoint are looked at first."""
-    points = tree.points
-    low = tree.low
-    high = tree.high
     reach = reach_of_lune(points, x, y, length, place)
     nodes[0] = 0
     top = 0
-    while top >= 0:
+    is_empty = True
+    while top >= 0 and is_empty:
         node = nodes[top]
         top -= 1
-        if place_to_box(low, high, place, node) > reach:
-            continue
-        if node < tree.first_leaf:
-            top = push_children(tree, node, place, nodes, top)
-        else:
-            for z in range(tree.start[node], tree.end[node]):
-                if _is_in_lune(points, z, x, y, length):
-                    return False
-    return True
+        if place_to_box(low, high, place, node) <= reach:
+            if 2 * node + 2 < len(start):
+                top = push_children(low, high, node, place, nodes, top)
+            else:
+                is_empty = not _meets_lune(points, x, y, length, start[node], end[node])
+    return is_empty
 
 
 @njit(forceinline=True)
@@ -1098,26 +1140,23 @@ def _find_middles(points, tree, grid, keys, lengths, m, far):
 
 @njit()
 def next_change(rows, keys, lengths, e, m, longest, alive, lune, left, stop):
-    """Join edges from the e-th on until one changes something; return its number, m for none, and a vertex of its lune or -1.
+    """Join edges from the e-th on until one changes something; return its number + 1, and a vertex of its lune, -1 for none.
 
-    Edges longer than `longest` are not read.
+    Edges longer than `longest` are not read; where one comes, or all m are read, the second number is -2.
     """
-    while e < m:
-        x, y, middle = ends_of(keys[e])
-        if stop[0] or lengths[e] > longest:
-            return e, -2
-
+    z = -2
+    while e < m and z == -2 and stop[0] == 0 and lengths[e] <= longest:
         # A cone changes nothing, nor does a connected lune; while no loop is alive, none can be killed either.
+        x, y, middle = ends_of(keys[e])
         if middle >= 0 and not is_cone(rows, x, y, middle):
             z = _write_lune(rows, x, y, lune)
             if has_bit(lune, middle):
                 z = middle
-            if z < 0 or (alive and not is_connected(rows, lune, z, left)):
-                join(rows, x, y)
-                return e, z
+            if z >= 0 and (not alive or is_connected(rows, lune, z, left)):
+                z = -2
         join(rows, x, y)
         e += 1
-    return m, -2
+    return e, z
 
 
 @njit()
@@ -1152,14 +1191,18 @@ def pair_edges(data, tree, max_length, buffer, spare, stop):
     rows = np.zeros((n, words), dtype=np.uint64)
     for v in range(n):
         join(rows, v, v)
+    lune = np.empty(words, np.uint64)
+    left = np.empty(words, np.uint64)
     search = LuneSearch(
-        np.empty(words, np.uint64),
-        np.empty(words, np.uint64),
+        lune,
+        left,
         np.empty(n, np.int64),
         np.empty(n, np.int64),
         np.empty(n),
     )
-    graph = Graph(np.full(n, -1), np.empty((8 * n, 3), np.int64))
+    head = np.full(n, -1)
+    links = np.empty((8 * n, 3), np.int64)
+    graph = Graph(head, links)
     graph_size = 0
     loops = _new_loops(64)
     born = 0
@@ -1180,27 +1223,32 @@ def pair_edges(data, tree, max_length, buffer, spare, stop):
         buffer, m, longest = edges_between(data, tree, shortest, longest, buffer, spare // (2 * EDGE_BYTES), stop)
         if has_grid:
             _find_middles(data, tree, grid, buffer.keys, buffer.lengths, m, words > FEW_WORDS)
-        e = -1
+        keys = buffer.keys
+        lengths = buffer.lengths
+        e = 0
         while e < m:
             bound = max_length
             if alive == 0 and last >= 0:
                 bound = min(bound, last)
-            e, z = next_change(
-                rows, buffer.keys, buffer.lengths, e + 1, m, bound, alive > 0, search.lune, search.left, stop
-            )
+            e, z = next_change(rows, keys, lengths, e, m, bound, alive > 0, lune, left, stop)
             if z == -2:
                 done = e < m
                 break
-            x, y, _ = ends_of(buffer.keys[e])
-            length = buffer.lengths[e]
+            x, y, _ = ends_of(keys[e - 1])
+            length = lengths[e - 1]
             if z >= 0:  # the lune is disconnected
                 count = _count_components(data, rows, label, x, y, search)
-                loops, dead = _kill_loops(data, tree, graph, loops, x, y, search.apexes, count, walk, spare // 2, stop)
+                loops, dead = _kill_loops(
+                    data, tree, rows, graph, loops, x, y, search.apexes, count, walk, spare // 2, stop
+                )
                 alive -= dead
             else:  # the lune is empty
                 a = _root(parent, x)
                 b = _root(parent, y)
-                graph = _with_edge(graph, graph_size, x, y, born if a == b else -1)
+                if 2 * graph_size + 2 > len(links):
+                    links = twice_as_long(links)
+                    graph = Graph(head, links)
+                _add_edge(head, links, graph_size, x, y, born if a == b else -1)
                 graph_size += 1
                 if a != b:  # the edge joins two components
                     parent[a] = b
@@ -1540,7 +1588,7 @@ def _apexes_of_lune(tree, x, y, length, space, walk):
         if place_to_box(tree.low, tree.high, walk.place, node) > reach:
             continue
         if node < tree.first_leaf:
-            top = push_children(tree, node, walk.place, nodes, top)
+            top = push_children(tree.low, tree.high, node, walk.place, nodes, top)
             continue
         for z in range(tree.start[node], tree.end[node]):
             space.near[n_near] = z
@@ -1673,6 +1721,7 @@ def pair_large(data, max_length, buffer_arrays, spare, stop):
         np.empty(words, np.uint64),
     )
     rows = _no_rows()
+    no_rows = rows.before
     bytes_of_rows = 16 * words * (n + len(tree.start))
     graph = Graph(np.full(n, -1), np.empty((8 * n, 3), np.int64))
     graph_size = 0
@@ -1716,7 +1765,7 @@ def pair_large(data, max_length, buffer_arrays, spare, stop):
                 if alive > 0:
                     count = _apexes_of_lune(tree, x, y, length, space, walk)
                     loops, dead = _kill_loops(
-                        points, tree, graph, loops, x, y, space.apexes, count, walk, spare // 4, stop
+                        points, tree, no_rows, graph, loops, x, y, space.apexes, count, walk, spare // 4, stop
                     )
                     alive -= dead
             else:
