@@ -51,4 +51,6 @@ def test_an_offence_is_found(source):
 def test_no_source_unpickles_runs_text_or_asks_a_shell():
     files = sorted(PACKAGE.rglob("*.py"))
     assert len(files) > 50
-    assert {path.name: found for path in files if (found := offences(path.read_text(encoding="utf-8")))} == {}
+    found = {path.name: found for path in files if (found := offences(path.read_text(encoding="utf-8")))}
+    # Compiled code is read back as numba wrote it, from a folder in which its user alone may write.
+    assert found == {"_numba.py": ["pickle"]}

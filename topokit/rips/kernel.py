@@ -1614,10 +1614,11 @@ def _apexes_of_lune(tree, x, y, length, space, walk):
 
 
 @njit()
-def _list_edges(tree, shortest, longest, rows, buffer, space, walk, stop):
+def _list_edges(tree, shortest, longest, only_empty, rows, buffer, space, walk, stop):
     """List the edges with shortest <= squared length < longest whose lune is empty or disconnected, in no order.
 
-    The third part of a key is 1 when the lune is disconnected, 0 when it is empty.
+    With `only_empty` those with a disconnected lune are left out: while no loop is alive, they change nothing. The third part of
+    a key is 1 when the lune is disconnected, 0 when it is empty.
 
     Return the number of edges, -1 if the buffer is too small; and how many lunes were listed, and the points in them.
     """
@@ -1651,6 +1652,8 @@ def _list_edges(tree, shortest, longest, rows, buffer, space, walk, stop):
             middle_of_larger = z
             middle_of_boxes(tree.low, tree.high, a, b, walk.place)
             z = nearby_point(tree, walk.place)
+            if only_empty and _is_between(points, tree.low, tree.high, z, a, b):
+                continue
             spread = _spread_of_middles(tree, a, b)
             length = np.sqrt(max(shortest, least))
             near = CONE * length - spread - ROUNDING
@@ -1672,6 +1675,14 @@ def _list_edges(tree, shortest, longest, rows, buffer, space, walk, stop):
                 length = edge_length(points, x, y)
                 if length < shortest or length >= longest or is_near_middle(points, x, y, z, length):
                     continue
+                if only_empty:
+                    if _is_in_lune(points, z, x, y, length):
+                        continue
+                    nearest = _vertex_of_tree(
+                        points, label, start, end, tree.low, tree.high, x, y, walk.nodes, walk.place
+                    )
+                    if nearest >= 0:
+                        continue
                 if has_rows:
                     if _is_surely_connected(rows.before, rows.after, x, y, rows.before, helper, space.left):
                         continue
@@ -1694,6 +1705,20 @@ def _list_edges(tree, shortest, longest, rows, buffer, space, walk, stop):
                 buffer.found_lengths[n_edges] = length
                 n_edges += 1
     return n_edges, n_lunes, n_in_lunes
+
+
+@njit()
+def _closes_loop(buffer, m, parent):
+    """Return True if one of m edges with empty lunes joins vertices of one component, those before it counted."""
+    parent = parent.copy()
+    for e in range(m):
+        x, y, _ = ends_of(buffer.keys[e])
+        a = _root(parent, x)
+        b = _root(parent, y)
+        if a == b:
+            return True
+        parent[a] = b
+    return False
 
 
 @njit(nogil=True, cache=True)
@@ -1734,26 +1759,32 @@ def pair_large(data, max_length, buffer_arrays, spare, stop):
     greatest = min(_radius(points, tree, walk.place), max_length)  # the greatest length that matters
     beyond = greatest * (1.0 + 1e-12) + 5e-324
     shortest = 0.0
-    longest = min(max(first_window(points), 1e-6 * greatest, 5e-324), beyond)
+    longest = min(max(first_window(points), 5e-324), beyond)
     done = False
     while not done:
-        # The next window of edges; a larger buffer when they do not fit.
-        has_rows = len(rows.before) > 1
-        if has_rows:
-            _join_between(tree, shortest, longest, rows.after, space.box_pairs, stop)
-            _summarise_nodes(tree, rows)
-        m = -1
+        # The next window of edges. While no loop is alive, those with an empty lune, and the others if a loop is born then.
+        only_empty = alive == 0 and born > 0
         n_lunes = 0
         n_in_lunes = 0
+        m = -1
         while m < 0:
-            m, n_lunes, n_in_lunes = _list_edges(tree, shortest, longest, rows, buffer, space, walk, stop)
-            if m < 0:
+            if only_empty:
+                rows = _no_rows()
+            elif len(rows.before) > 1:
+                _join_between(tree, shortest, longest, rows.after, space.box_pairs, stop)
+                _summarise_nodes(tree, rows)
+            m, n_lunes, n_in_lunes = _list_edges(tree, shortest, longest, only_empty, rows, buffer, space, walk, stop)
+            if m < 0:  # they do not fit
                 if 2 * EDGE_BYTES * len(buffer.found_keys) > spare // 4:
                     stop[0] = TOO_MANY_EDGES
                     m = 0
                 else:
                     buffer = new_buffer(2 * len(buffer.found_keys))
-        sort_edges(buffer, m, label)
+                continue
+            sort_edges(buffer, m, label)
+            if only_empty and _closes_loop(buffer, m, parent):
+                only_empty = False
+                m = -1
 
         for e in range(m):
             x, y, disconnected = ends_of(buffer.keys[e])
@@ -1786,6 +1817,7 @@ def pair_large(data, max_length, buffer_arrays, spare, stop):
             done = True
 
         shortest = longest
+        has_rows = len(rows.before) > 1
         if has_rows:
             rows.before[:] = rows.after
         elif not done and n_in_lunes > LUNE_FOR_ROWS * n_lunes and bytes_of_rows < spare // 2:
