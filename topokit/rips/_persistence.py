@@ -148,10 +148,10 @@ def _diagrams(clouds: Sequence[Cloud], found: Sequence[Pairs], cutoff: float, sh
     order = np.lexsort((-lifetime, number))
     keep = order[((lifetime > 0) & (lifetime >= shortest * scale))[order]]
     killed = killed[keep]
-    # A killer edge (0, 1) with its two apexes (2, 3) gives two triangles; that of the second apex is first.
     birth = birth[keep] / scale[keep]
     death = death[keep] / scale[keep]
     created = created[keep]
+    # A killer edge (0, 1) with its two apexes (2, 3) gives two triangles; that of the second apex is first.
     triangles = killed[:, [[0, 1, 3], [0, 1, 2]]]
     ends = np.searchsorted(number[keep], np.arange(len(clouds) + 1)).tolist()
     return [

@@ -273,6 +273,19 @@ def push_children(low, high, node, place, nodes, top):
 
 
 @njit(forceinline=True)
+def _push_pairs(a, b, z, box_pairs, top):
+    """Put the pairs of children of two nodes on a stack, with a point that may be between them; return the new top."""
+    for i in range(1, 3):
+        for j in range(1, 3):
+            if a != b or i <= j:
+                top += 1
+                box_pairs[top, 0] = 2 * a + i
+                box_pairs[top, 1] = 2 * b + j
+                box_pairs[top, 2] = z
+    return top
+
+
+@njit(forceinline=True)
 def reach_of_lune(points, x, y, length, place):
     """Write the midpoint of {x, y} into `place`; return the square of how far from it a point of the lune may be."""
     for k in range(SPACE):
@@ -991,20 +1004,14 @@ def _last_of_points(tree, rows, shortest):
             if _is_between(points, low, high, z, a, b):
                 continue
         if a < tree.first_leaf:
-            for i in range(1, 3):
-                for j in range(1, 3):
-                    if a != b or i <= j:
-                        top += 1
-                        box_pairs[top, 0] = 2 * a + i
-                        box_pairs[top, 1] = 2 * b + j
-                        box_pairs[top, 2] = z
+            top = _push_pairs(a, b, z, box_pairs, top)
             continue
 
         # Two leaves: edge by edge. The point z, what is joined to both ends or is in a leaf, and then all points are looked at.
         for x in range(start[a], end[a]):
             for y in range(x + 1 if a == b else start[b], end[b]):
                 length = edge_length(points, x, y)
-                if length < shortest or length <= latest or _is_in_lune(points, z, x, y, length):
+                if length < shortest or length <= latest or _is_strictly_in_lune(points, z, x, y, length):
                     continue
                 if len(rows) > 1:
                     met = _meet(rows, x, y)
@@ -1017,7 +1024,7 @@ def _last_of_points(tree, rows, shortest):
 
 
 @njit(forceinline=True)
-def _is_in_lune(points, z, x, y, length):
+def _is_strictly_in_lune(points, z, x, y, length):
     """Return True if z is nearer to both ends of {x, y} than its length."""
     return z != x and z != y and edge_length(points, x, z) < length and edge_length(points, y, z) < length
 
@@ -1027,7 +1034,7 @@ def _meets_lune(points, x, y, length, first, end):
     """Return True if one of the points `first` to `end` is in the lune of {x, y}."""
     met = False
     for z in range(first, end):
-        met = met or _is_in_lune(points, z, x, y, length)
+        met = met or _is_strictly_in_lune(points, z, x, y, length)
     return met
 
 
@@ -1364,19 +1371,6 @@ def _new_rows(tree, longest, space, stop):
     return Rows(after.copy(), after, np.zeros((n_nodes, words), np.uint64), np.zeros((n_nodes, words), np.uint64))
 
 
-@njit(forceinline=True)
-def _push_pairs(tree, a, b, z, box_pairs, top):
-    """Put the pairs of children of two nodes on a stack, with a point that may be between them; return the new top."""
-    for i in range(1, 3):
-        for j in range(1, 3):
-            if a != b or i <= j:
-                top += 1
-                box_pairs[top, 0] = 2 * a + i
-                box_pairs[top, 1] = 2 * b + j
-                box_pairs[top, 2] = z
-    return top
-
-
 @njit()
 def _join_between(tree, shortest, longest, rows, box_pairs, stop):
     """Set the bits of all edges with shortest <= squared length < longest."""
@@ -1393,7 +1387,7 @@ def _join_between(tree, shortest, longest, rows, box_pairs, stop):
         if stop[0]:
             break
         if a < tree.first_leaf:
-            top = _push_pairs(tree, a, b, 0, box_pairs, top)
+            top = _push_pairs(a, b, 0, box_pairs, top)
             continue
         for x in range(tree.start[a], tree.end[a]):
             for y in range(x + 1 if a == b else tree.start[b], tree.end[b]):
@@ -1665,7 +1659,7 @@ def _list_edges(tree, shortest, longest, only_empty, rows, buffer, space, walk, 
                 if _is_surely_connected(rows.common, rows.union, a, b, rows.before, middle_of_larger, space.left):
                     continue
         if a < tree.first_leaf:
-            top = _push_pairs(tree, a, b, z, box_pairs, top)
+            top = _push_pairs(a, b, z, box_pairs, top)
             continue
 
         # Two leaves: edge by edge.
@@ -1676,7 +1670,7 @@ def _list_edges(tree, shortest, longest, only_empty, rows, buffer, space, walk, 
                 if length < shortest or length >= longest or is_near_middle(points, x, y, z, length):
                     continue
                 if only_empty:
-                    if _is_in_lune(points, z, x, y, length):
+                    if _is_strictly_in_lune(points, z, x, y, length):
                         continue
                     nearest = _vertex_of_tree(
                         points, label, start, end, tree.low, tree.high, x, y, walk.nodes, walk.place
