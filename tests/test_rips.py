@@ -24,6 +24,8 @@ from clouds import FAMILIES, compiled, config, fewer, gudhi_pairs, of_the_kernel
 from conftest import polygon
 
 if config is not None:
+    from numba import njit
+
     from topokit.rips import kernel
 
 SQUARE = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
@@ -206,6 +208,11 @@ def test_a_diagram_does_not_change_with_the_array_it_was_made_of(metric):
 # Parts of the kernel
 
 
+def called(function):
+    """A function of the kernel, most of which are compiled for each other alone, for calls from Python."""
+    return njit(lambda *arguments: function(*arguments))
+
+
 class Counting(np.ndarray):
     """An array that counts what is written into it."""
 
@@ -224,13 +231,14 @@ def test_sorting_edges_of_nearly_equal_length_takes_few_moves(spread, monkeypatc
     def plain(function):
         return getattr(function, "py_func", function)
 
+    for name in ("heap_sort", "_key_precedes", "precedes", "edge_key", "ends_of"):
+        monkeypatch.setattr(kernel, name, plain(getattr(kernel, name)))
     x, y = np.triu_indices(32, 1)
     lengths = 1 + spread * np.linspace(1, -1, len(x))
     m, label = len(x), np.arange(32)[::-1].copy()
     buffer = plain(kernel.new_buffer)(m)._replace(keys=np.empty(m, np.int64).view(Counting))
     buffer.found_keys[:] = [kernel.edge_key(a, b) for a, b in zip(x, y, strict=True)]
     buffer.found_lengths[:] = lengths
-    monkeypatch.setattr(kernel, "heap_sort", plain(kernel.heap_sort))
     monkeypatch.setattr(Counting, "writes", 0)
     plain(kernel.sort_edges)(buffer, m, label)
     assert Counting.writes <= m * (4 + np.log2(m))
@@ -243,10 +251,11 @@ def test_sorting_edges_of_nearly_equal_length_takes_few_moves(spread, monkeypatc
 @of_the_kernel
 def test_lengths_are_the_same_in_numpy_and_compiled():
     points = np.random.default_rng(3).normal(size=(20, 3)) * np.logspace(-3, 3, 3)
+    edge_length = called(kernel.edge_length)
     for i in range(20):
         squares = _cloud.squares(points[i], points)
-        assert squares.tolist() == [kernel.edge_length(points, i, j) for j in range(20)]
-        assert squares.tolist() == [kernel.edge_length(points, j, i) for j in range(20)]
+        assert squares.tolist() == [edge_length(points, i, j) for j in range(20)]
+        assert squares.tolist() == [edge_length(points, j, i) for j in range(20)]
 
 
 @of_the_kernel
@@ -254,19 +263,20 @@ def test_lengths_are_the_same_in_numpy_and_compiled():
 def test_a_point_is_near_the_middle_only_if_it_is_near_all_of_the_lune(d):
     """Against points on the rim of the lune, where it is farthest from what is between its two balls."""
     rng, near = np.random.default_rng(d), 0
+    edge_length, is_near_middle = called(kernel.edge_length), called(kernel.is_near_middle)
     for _ in range(300):
         data = np.zeros((3, 3))
         data[:, :d] = rng.normal(size=(3, d))
         data[2] = data[:2].mean(axis=0)
         data[2, :d] += rng.normal(size=d) * 0.3
-        length = kernel.edge_length(data, 0, 1)
+        length = edge_length(data, 0, 1)
         across = np.zeros((400, 3))
         across[:, :d] = rng.normal(size=(400, d))
         step = (data[1] - data[0]) / np.sqrt(length)
         across -= np.outer(across @ step, step)
         rim = data[:2].mean(axis=0) + np.sqrt(0.75 * length) * across / np.linalg.norm(across, axis=1, keepdims=True)
         farthest = max(((np.vstack([rim, data[:2]]) - data[2]) ** 2).sum(axis=1))
-        is_near = kernel.is_near_middle(data, 0, 1, 2, length)
+        is_near = is_near_middle(data, 0, 1, 2, length)
         assert is_near <= (farthest < length)
         near += is_near
     assert 20 < near < 200
@@ -287,10 +297,11 @@ def test_places_decide_as_the_distances_do(shape):
 @compiled
 def test_windows_of_edges_are_bounded_and_leave_none_out():
     cloud = _cloud.Cloud.of(np.random.default_rng(12).random((3100, 2)))
-    tree = kernel.build_tree(cloud.data)
+    tree = called(kernel.build_tree)(cloud.data)
+    edges_between = called(kernel.edges_between)
     buffer, shortest, count, before, stop = kernel.new_buffer(1 << 16), 0.0, 0, -1.0, np.zeros(1, np.int64)
     while shortest < 4:
-        buffer, m, bound = kernel.edges_between(tree.points, tree, shortest, 5.0, buffer, 1 << 40, stop)
+        buffer, m, bound = edges_between(tree.points, tree, shortest, 5.0, buffer, 1 << 40, stop)
         lengths = buffer.lengths[:m]
         assert m <= len(buffer.found_keys) == kernel.WINDOW
         assert before <= lengths[0]

@@ -1210,9 +1210,9 @@ def pair_edges(data, tree, max_length, buffer, spare, stop):
     head = np.full(n, -1)
     links = np.empty((8 * n, 3), np.int64)
     graph = Graph(head, links)
-    graph_size = 0
+    graph_size = np.int64(0)
     loops = _new_loops(64)
-    born = 0
+    born = np.int64(0)
     alive = 0
     parent = np.arange(n)
     n_components = n
@@ -1232,7 +1232,7 @@ def pair_edges(data, tree, max_length, buffer, spare, stop):
             _find_middles(data, tree, grid, buffer.keys, buffer.lengths, m, words > FEW_WORDS)
         keys = buffer.keys
         lengths = buffer.lengths
-        e = 0
+        e = np.int64(0)
         while e < m:
             bound = max_length
             if alive == 0 and last >= 0:
@@ -1743,9 +1743,9 @@ def pair_large(data, max_length, buffer_arrays, spare, stop):
     no_rows = rows.before
     bytes_of_rows = 16 * words * (n + len(tree.start))
     graph = Graph(np.full(n, -1), np.empty((8 * n, 3), np.int64))
-    graph_size = 0
+    graph_size = np.int64(0)
     loops = _new_loops(64)
-    born = 0
+    born = np.int64(0)
     alive = 0
     parent = np.arange(n)
     n_components = n
