@@ -39,6 +39,7 @@ EDGE_BYTES = 36  # bytes of an `EdgeBuffer` for an edge
 FEW_EDGES = 8  # number of edges up to which insertion sort is fastest
 FEW_WORDS = 32  # length of a row up to which reading it is as quick as comparing places
 SPACE = 3  # coordinates of a point
+ALIKE = 0.1  # largest share by which the squared lengths differ at which two clouds that are alike end
 FIRST = 3.0  # length of the first window, in mean distances to a nearest neighbour
 LEAF = 8  # largest number of points in a leaf of the tree
 ROUNDING = 4e-16  # error of a place that is a mean of coordinates, which are at most 1
@@ -683,16 +684,8 @@ Walk = namedtuple("Walk", "edges nodes place")
 
 
 @njit()
-def _with_edge(graph, size, a, b, loop):
-    """Return the graph with one more edge {a, b}, after `size` of them; `loop` is the number of the loop that it created."""
-    if 2 * size + 2 > len(graph.links):
-        graph = Graph(graph.head, twice_as_long(graph.links))
-    _add_edge(graph.head, graph.links, size, a, b, loop)
-    return graph
-
-
-@njit()
 def _add_edge(head, links, size, a, b, loop):
+    """Add the edge {a, b} to the `size` ones of a graph; `loop` is the number of the loop that it created."""
     for link, vertex, other_end in ((2 * size, a, b), (2 * size + 1, b, a)):
         links[link, 0] = head[vertex]
         links[link, 1] = other_end
@@ -718,30 +711,23 @@ def _new_walk():
 
 
 @njit()
-def _with_loop(loops, born, x, y, spare, stop):
-    """Return the loops with one more, created by the edge {x, y}, if `spare` bytes hold them."""
-    if born == len(loops.created):
-        if 16 * 8 * born + 8 * len(loops.columns) > spare:
-            stop[0] = TOO_MANY_LOOPS
-            return loops
-        loops = Loops(
-            twice_as_long(loops.created),
-            twice_as_long(loops.killed),
-            twice_as_long(loops.column_ends),
-            loops.columns,
-            loops.n_in_columns,
-            np.zeros(2 * len(loops.column), np.uint64),
-        )
-    _add_loop(loops.created, loops.killed, born, x, y)
-    return loops
-
-
-@njit()
-def _add_loop(created, killed, born, x, y):
-    created[born, 0] = x
-    created[born, 1] = y
-    for k in range(4):
-        killed[born, k] = -1
+def _with_space(loops, born, more, spare, stop):
+    """Return the loops with space for one after `born` of them, and for `more` columns, if `spare` bytes hold them."""
+    created = loops.created
+    killed = loops.killed
+    column_ends = loops.column_ends
+    columns = loops.columns
+    column = loops.column
+    if born == len(created):
+        created = twice_as_long(created)
+        killed = twice_as_long(killed)
+        column_ends = twice_as_long(column_ends)
+        column = np.zeros(2 * len(column), np.uint64)
+    while loops.n_in_columns[0] + more * born > len(columns):
+        columns = twice_as_long(columns)
+    if 64 * len(created) + 8 * len(columns) > spare:
+        stop[0] = TOO_MANY_LOOPS
+    return Loops(created, killed, column_ends, columns, loops.n_in_columns, column)
 
 
 @njit(forceinline=True)
@@ -864,11 +850,8 @@ def _write_in_creators(data, tree, rows, graph, relation, column, walk):
 
 
 @njit()
-def reduce_column(column, loops):
+def reduce_column(column, killed, column_ends, columns):
     """Reduce a relation, the bitset of its creators, by those of the dead loops; return the loop it kills, -1 for none."""
-    killed = loops.killed
-    column_ends = loops.column_ends
-    columns = loops.columns
     word = len(column) - 1
     while word >= 0:
         if not column[word]:
@@ -887,50 +870,39 @@ def reduce_column(column, loops):
 
 
 @njit()
-def _keep_column(loops, loop, spare, stop):
-    """Append the creators in `loops.column` to the list of columns, as the column of a loop; return the loops."""
-    column = loops.column
-    columns = loops.columns
-    size = loops.n_in_columns[0]
-    loops.column_ends[loop, 0] = size
-    for word in range((loop >> 6) + 1):
-        bits = column[word]
-        while bits:
-            if size == len(columns):
-                if 16 * len(columns) > spare:
-                    stop[0] = TOO_MANY_LOOPS
-                    return loops
-                columns = twice_as_long(columns)
-            columns[size, 0] = (word << 6) + lowest_bit(bits)
-            size += 1
-            bits &= bits - ONE
-    loops.column_ends[loop, 1] = size
-    loops.n_in_columns[0] = size
-    return Loops(loops.created, loops.killed, loops.column_ends, columns, loops.n_in_columns, column)
+def _kill_loops(data, tree, rows, graph, loops, x, y, apexes, count, walk):
+    """Reduce the relations that an edge brings whose lune has `count` components, each with its apex; return how many loops die.
 
-
-@njit()
-def _kill_loops(data, tree, rows, graph, loops, x, y, apexes, count, walk, spare, stop):
-    """Reduce the relations that an edge brings whose lune has `count` components, each with its apex.
-
-    Return the loops, and how many die.
+    The list of columns must have space for `count` - 1 more.
     """
     dead = 0
     killed = loops.killed
     column = loops.column
+    column_ends = loops.column_ends
+    columns = loops.columns
+    size = loops.n_in_columns[0]
     relation = np.array([x, apexes[0], y, -1])
     for i in range(1, count):
         relation[3] = apexes[i]
         _write_in_creators(data, tree, rows, graph, relation, column, walk)
-        loop = reduce_column(column, loops)
+        loop = reduce_column(column, killed, column_ends, columns)
         if loop >= 0:
-            loops = _keep_column(loops, loop, spare, stop)
+            # Append the creators that remain to the list of columns.
+            column_ends[loop, 0] = size
+            for word in range((loop >> 6) + 1):
+                bits = column[word]
+                while bits:
+                    columns[size, 0] = (word << 6) + lowest_bit(bits)
+                    size += 1
+                    bits &= bits - ONE
+            column_ends[loop, 1] = size
             killed[loop, 0] = x
             killed[loop, 1] = y
             killed[loop, 2] = apexes[0]
             killed[loop, 3] = apexes[i]
             dead += 1
-    return loops, dead
+    loops.n_in_columns[0] = size
+    return dead
 
 
 # When to stop ---------------------------------------------------------------------------------------------------------
@@ -1183,14 +1155,16 @@ def _radius(data, tree, row):
 
 
 @njit()
-def pair_edges(data, tree, max_length, buffer, spare, stop):
+def pair_edges(data, tree, max_length, likely, buffer, spare, stop):
     """Pair the edges that create loops, (c, 2), with the edges that kill them and their two apexes, (c, 4), -1 for none.
 
     `data` holds distances, or points in the order of `tree`. Lengths are squared for points. Besides the n x n bits `spare`
     bytes may be taken: half for the edges of a window, half for the columns of loops. When these do not suffice, or another
     thread writes into `stop` (1,), `stop` holds the reason and the result is incomplete.
 
-    Return the buffer for the next call, and both tables.
+    The first window reaches to the length `likely`, if that is more than most distances of neighbours.
+
+    Return the buffer for the next call, both tables, and the length from which on nothing was read.
     """
     n = len(data)
     label = tree.label
@@ -1200,18 +1174,17 @@ def pair_edges(data, tree, max_length, buffer, spare, stop):
         join(rows, v, v)
     lune = np.empty(words, np.uint64)
     left = np.empty(words, np.uint64)
-    search = LuneSearch(
-        lune,
-        left,
-        np.empty(n, np.int64),
-        np.empty(n, np.int64),
-        np.empty(n),
-    )
+    apexes = np.empty(n, np.int64)
+    search = LuneSearch(lune, left, np.empty(n, np.int64), apexes, np.empty(n))
     head = np.full(n, -1)
     links = np.empty((8 * n, 3), np.int64)
     graph = Graph(head, links)
     graph_size = np.int64(0)
     loops = _new_loops(64)
+    created = loops.created
+    killed = loops.killed
+    n_in_columns = loops.n_in_columns
+    space = len(loops.columns)
     born = np.int64(0)
     alive = 0
     parent = np.arange(n)
@@ -1224,8 +1197,9 @@ def pair_edges(data, tree, max_length, buffer, spare, stop):
     grid = _new_grid(tree, CELLS * n if has_grid else 0)
     last = -1.0  # the length of the last edge with an empty lune, once it is known
     shortest = 0.0
-    longest = min(max(first_window(data), 1e-6 * greatest, 5e-324), beyond)
+    longest = min(max(first_window(data), likely, 1e-6 * greatest, 5e-324), beyond)
     done = False
+    end = longest
     while not done:
         buffer, m, longest = edges_between(data, tree, shortest, longest, buffer, spare // (2 * EDGE_BYTES), stop)
         if has_grid:
@@ -1240,15 +1214,18 @@ def pair_edges(data, tree, max_length, buffer, spare, stop):
             e, z = next_change(rows, keys, lengths, e, m, bound, alive > 0, lune, left, stop)
             if z == -2:
                 done = e < m
+                end = lengths[e] if done else longest
                 break
             x, y, _ = ends_of(keys[e - 1])
             length = lengths[e - 1]
             if z >= 0:  # the lune is disconnected
                 count = _count_components(data, rows, label, x, y, search)
-                loops, dead = _kill_loops(
-                    data, tree, rows, graph, loops, x, y, search.apexes, count, walk, spare // 2, stop
-                )
-                alive -= dead
+                if n_in_columns[0] + (count - 1) * born > space:
+                    loops = _with_space(loops, born, count - 1, spare // 2, stop)
+                    created = loops.created
+                    killed = loops.killed
+                    space = len(loops.columns)
+                alive -= _kill_loops(data, tree, rows, graph, loops, x, y, apexes, count, walk)
             else:  # the lune is empty
                 a = _root(parent, x)
                 b = _root(parent, y)
@@ -1261,7 +1238,14 @@ def pair_edges(data, tree, max_length, buffer, spare, stop):
                     parent[a] = b
                     n_components -= 1
                 else:  # it creates a loop
-                    loops = _with_loop(loops, born, x, y, spare // 2, stop)
+                    if born == len(created):
+                        loops = _with_space(loops, born, 0, spare // 2, stop)
+                        created = loops.created
+                        killed = loops.killed
+                    created[born, 0] = x
+                    created[born, 1] = y
+                    for k in range(4):
+                        killed[born, k] = -1
                     born += 1
                     alive += 1
 
@@ -1273,7 +1257,7 @@ def pair_edges(data, tree, max_length, buffer, spare, stop):
         start = shortest
         shortest = longest
         longest = min(next_window(data, start, longest, m), beyond)
-    return buffer, loops.created[:born], loops.killed[:born]
+    return buffer, created[:born], killed[:born], end
 
 
 @njit(nogil=True, cache=True)
@@ -1289,6 +1273,8 @@ def pair_clouds(data, starts, max_lengths, buffer_arrays, spare, stop):
     total = 0
     created = np.empty((64, 2), np.int64)
     killed = np.empty((64, 4), np.int64)
+    end = 0.0
+    likely = 0.0
     for c in range(len(counts)):
         cloud = data[starts[c] : starts[c + 1]]
         if len(cloud) < 4:
@@ -1301,7 +1287,13 @@ def pair_clouds(data, starts, max_lengths, buffer_arrays, spare, stop):
                 continue
         else:
             tree = _no_tree(len(cloud))
-        buffer, loops, killers = pair_edges(cloud, tree, max_lengths[c], buffer, spare, stop)
+        before = end
+        buffer, loops, killers, end = pair_edges(cloud, tree, max_lengths[c], likely, buffer, spare, stop)
+
+        # Frames of a film, or one scene under several plans, end alike: then the next cloud is read in one window.
+        likely = 0.0
+        if abs(end - before) < ALIKE * end:
+            likely = (1.0 + ALIKE) * end
 
         # Append the pairs, by the numbers of the points in their cloud.
         counts[c] = len(loops)
@@ -1789,20 +1781,23 @@ def pair_large(data, max_length, buffer_arrays, spare, stop):
             if disconnected:
                 if alive > 0:
                     count = _apexes_of_lune(tree, x, y, length, space, walk)
-                    loops, dead = _kill_loops(
-                        points, tree, no_rows, graph, loops, x, y, space.apexes, count, walk, spare // 4, stop
-                    )
-                    alive -= dead
+                    loops = _with_space(loops, born, count - 1, spare // 4, stop)
+                    alive -= _kill_loops(points, tree, no_rows, graph, loops, x, y, space.apexes, count, walk)
             else:
                 a = _root(parent, x)
                 b = _root(parent, y)
-                graph = _with_edge(graph, graph_size, x, y, born if a == b else -1)
+                if 2 * graph_size + 2 > len(graph.links):
+                    graph = Graph(graph.head, twice_as_long(graph.links))
+                _add_edge(graph.head, graph.links, graph_size, x, y, born if a == b else -1)
                 graph_size += 1
                 if a != b:  # the edge joins two components
                     parent[a] = b
                     n_components -= 1
                 else:  # it creates a loop
-                    loops = _with_loop(loops, born, x, y, spare // 4, stop)
+                    loops = _with_space(loops, born, 0, spare // 4, stop)
+                    loops.created[born, 0] = x
+                    loops.created[born, 1] = y
+                    loops.killed[born, :] = -1
                     born += 1
                     alive += 1
             if alive == 0 and n_components == 1 and last < 0:
