@@ -766,7 +766,9 @@ def _vertex_of_rows(data, label, rows, a, b):
             both &= both - ONE
             value = max(edge_length(data, a, z), edge_length(data, b, z))
             # The rows may hold later edges too.
-            if value < best_value and is_in_lune(data, label, a, b, length, z):
+            if value < best_value and (
+                value < length or (value == length and is_in_lune(data, label, a, b, length, z))
+            ):
                 best = z
                 best_value = value
         w += 1
