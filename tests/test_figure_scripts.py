@@ -14,6 +14,7 @@ from test_figures import HOOK, RING, film
 
 from chapter_tools import figures
 from chapter_tools.figures.lune_plots import joined_before, lune_components
+from chapter_tools.figures.pages import LOOPS
 from topokit import SeqPH, lemmas, linking_number, loop_mixture, rips_persistence
 from topokit.linking import close_far
 from topokit.mixture import LoopMixture
@@ -52,7 +53,7 @@ def answers(scripts: list[str], call: str, clouds: list[np.ndarray]) -> list:
     return by_script(scripts, call, [cloud.tolist() for cloud in clouds])
 
 
-# ---- loops: rips.js
+# ---- loops: rips.js and complex.js
 
 RIPS = """(points) => {
   const { loops, merges, edges } = rips(points);
@@ -69,7 +70,7 @@ def as_rows(births, deaths, birth_edges, killer_edges, triangles) -> list:
 def test_loops_are_those_of_rips_persistence_to_the_last_bit():
     clouds = planar_clouds(600, 40, seed=1)
     count = 0
-    for cloud, answer in zip(clouds, answers(["rips.js"], RIPS, clouds), strict=True):
+    for cloud, answer in zip(clouds, answers(LOOPS, RIPS, clouds), strict=True):
         diagram = rips_persistence(cloud)
         names = ("birth", "death", "birth_edge", "killer_edge", "killer_triangles")
         expected = as_rows(*(getattr(diagram, name).tolist() for name in names))
@@ -81,43 +82,40 @@ def test_loops_are_those_of_rips_persistence_to_the_last_bit():
 
 def test_components_merge_along_a_spanning_tree():
     cloud = np.random.default_rng(4).normal(size=(35, 2))
-    [answer] = answers(["rips.js"], RIPS, [cloud])
+    [answer] = answers(LOOPS, RIPS, [cloud])
     np.testing.assert_allclose(answer["merges"], np.sort(minimum_spanning_tree(cdist(cloud, cloud)).data) / 2)
     assert answer["edges"] == 35 * 34 // 2
 
 
-FILM = """({ film, loops: rows }) => {
-  const all = unpack(film), n = all.length / 3 / rows.length;
-  return rows.map((row, t) => {
+FILM = """({ film }) => {
+  const all = unpack(film), [frames, n] = film.shape;
+  return Array.from({ length: frames }, (_, t) => {
     const points = Array.from({ length: n }, (_, v) => [...all.subarray(3 * (n * t + v), 3 * (n * t + v + 1))]);
-    const read = loopsFromRows(points, unpack(row)), own = rips(points);
-    return { points, loops: [read, own].map(({ loops }) => loops.map((loop) => ({ ...loop, cycle: loop.cycle }))) };
+    return { points, loops: rips(points).loops.map((loop) => ({ ...loop, cycle: loop.cycle })) };
   });
 }"""
 
 
 def test_the_loops_of_a_film_are_topokits_on_the_points_of_the_page():
-    [frames] = by_script(["orbit.js", "rips.js"], FILM, [page_data(figures.growth(film()))])
+    [frames] = by_script(["orbit.js", *LOOPS], FILM, [page_data(figures.growth(film()))])
     for cloud, frame in zip(film(), frames, strict=True):
         np.testing.assert_allclose(frame["points"], cloud, rtol=1e-6)
         diagram = rips_persistence(np.array(frame["points"]))
-        read, own = frame["loops"]
-        assert len(read) == len(diagram) > 0
-        for i, loop in enumerate(read):
-            assert (loop["birth"], loop["death"]) == pytest.approx((diagram.birth[i], diagram.death[i]), rel=1e-12)
+        assert len(frame["loops"]) == len(diagram) > 0
+        for i, loop in enumerate(frame["loops"]):
+            assert (loop["birth"], loop["death"]) == (diagram.birth[i], diagram.death[i])
             assert loop["birthEdge"] == diagram.birth_edge[i].tolist()
             assert loop["killerEdge"] == diagram.killer_edge[i].tolist()
             assert loop["triangles"] == diagram.killer_triangles[i].tolist()
             assert loop["cycle"] == diagram.cycle(i).tolist()
-        edges = [sorted((loop["birthEdge"], loop["killerEdge"]) for loop in loops) for loops in (read, own)]
-        assert edges[0] == edges[1]  # the script's own reduction agrees in space
 
 
 def test_the_spacing_of_a_cloud_is_topokits():
     rng = np.random.default_rng(7)
     clouds = [rng.normal(size=(int(n), 2)).round(int(digits)) for n, digits in rng.integers([1, 0], [30, 4], (60, 2))]
     clouds += [np.ones((1, 2)), np.ones((3, 2))]
-    np.testing.assert_allclose(answers(["rips.js"], "(points) => spacing(points)", clouds), list(map(spacing, clouds)))
+    call = "(points) => Math.max(...placeGaps(Float64Array.from(points.flat()), points.length, 2)) / 2"
+    np.testing.assert_allclose(answers(["sampling.js"], call, clouds), list(map(spacing, clouds)))
 
 
 # ---- lunes and the boundary matrix
@@ -155,7 +153,7 @@ def test_every_edge_does_what_the_textbook_says():
     clouds += [rng.normal(size=(int(n), 2)) for n in rng.integers(2, 14, 20)]
     clouds += [rng.integers(0, 4, (int(n), 2)).astype(float) for n in rng.integers(2, 14, 20)]
     acts = set()
-    for cloud, answer in zip(clouds, answers(["rips.js"], LUNES, clouds), strict=True):
+    for cloud, answer in zip(clouds, answers(LOOPS, LUNES, clouds), strict=True):
         expected = acts_of_edges(cloud)
         assert [[x, y, act, sorted(map(sorted, parts))] for x, y, act, parts in answer] == expected
         acts |= {act for _, _, act, _ in expected}
@@ -182,7 +180,7 @@ def test_elimination_reduces_as_the_library_does():
         cases.append((rng.integers(0, 4, (n, 2)).astype(float), float(rng.uniform(0.3, 3))))
     given = [(cloud.tolist(), radius) for cloud, radius in cases]
     additions = 0
-    for (cloud, radius), answer in zip(cases, by_script(["rips.js", "columns.js"], ELIMINATION, given), strict=True):
+    for (cloud, radius), answer in zip(cases, by_script([*LOOPS, "columns.js"], ELIMINATION, given), strict=True):
         ours = reduction.reduce(reduction.filtration(cloud, 2, max_radius=radius))
         edges = [j for j, simplex in enumerate(ours.simplices) if len(simplex.vertices) == 2]
         triangles = [j for j, simplex in enumerate(ours.simplices) if len(simplex.vertices) == 3]
@@ -227,7 +225,9 @@ def test_matchings_have_the_bottleneck_of_the_library():
         other = moved if k % 3 else sample
         cases.append((cloud.tolist(), other.tolist(), k % 3 == 0))
     matched = 0
-    for (a, b, one_sided), answer in zip(cases, by_script(["rips.js", "match.js"], MATCH, cases), strict=True):
+    for (a, b, one_sided), answer in zip(
+        cases, by_script([*LOOPS, "assign.js", "match.js"], MATCH, cases), strict=True
+    ):
         ours = lemmas.match_diagrams(rips_persistence(a), rips_persistence(b), one_sided=one_sided, tolerance=1e-9)
         assert answer["bottleneck"] == pytest.approx(ours.cost, abs=1e-12)
         pairs = [(s, answer["o"][j]) for s, j in zip(answer["s"], answer["partner"], strict=True) if j >= 0]
@@ -262,7 +262,7 @@ def test_the_adversary_reaches_the_bound_and_never_beats_it():
         cases += [(cloud, lifetime, share * lifetime) for share in (0.2, 0.4, 0.505)]
     given = [(cloud.tolist(), epsilon) for cloud, _, epsilon in cases]
     for (cloud, lifetime, epsilon), answer in zip(
-        cases, by_script(["rips.js", "adversary.js"], ATTACK, given), strict=True
+        cases, by_script([*LOOPS, "adversary.js"], ATTACK, given), strict=True
     ):
         assert answer["lives"][0] == pytest.approx(lifetime)
         assert min(answer["lives"]) >= lifetime - 2 * epsilon - 1e-12
@@ -275,7 +275,7 @@ def test_the_adversary_reaches_the_bound_and_never_beats_it():
 
 # ---- places of a loop: places.js
 
-PLACES = ["rips.js", "places.js"]
+PLACES = [*LOOPS, "places.js"]
 
 
 def test_the_places_of_a_loop_are_topokits():
@@ -309,7 +309,7 @@ def test_a_billionth_moves_the_killer_edge_of_a_hexagon_and_nothing_else():
 
 RULES = """(points) => [byAlpha(points), byEvidence(points)].map(({ alpha, cloud, loops, kept }) => (
   { alpha, cloud, kept: kept.length, bars: loops.map((l) => [l.birth, l.death, l.strength, l.needed]) }))"""
-RULE_SCRIPTS = [*PLACES, "rules.js"]
+RULE_SCRIPTS = ["sampling.js", *PLACES, "assign.js", "seqph.js", "rules.js"]
 
 
 def spoilt_clouds() -> list[np.ndarray]:
@@ -372,7 +372,7 @@ def test_mixtures_are_topokits():
         noise = float(10 ** rng.uniform(-4, -2))
         cases.append({"points": cloud.tolist(), "most": 2 + k % 5, "noise": noise, "places": places.tolist()})
     sizes = set()
-    for k, (case, answer) in enumerate(zip(cases, by_script(["rips.js", "mixture.js"], MIXTURE, cases), strict=True)):
+    for k, (case, answer) in enumerate(zip(cases, by_script([*LOOPS, "mixture.js"], MIXTURE, cases), strict=True)):
         state = SeqPH(alpha=1e-9).update(np.array(case["points"]))
         loop = max(state.loops, key=lambda candidate: candidate.lifetime)
         first = slice(case["most"] - 2)

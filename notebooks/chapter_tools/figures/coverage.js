@@ -10,16 +10,6 @@
   const away = (i, j) => Math.hypot(points[i][0] - points[j][0], points[i][1] - points[j][1]);
   const within = ([x, y], far) => data.hand && Math.hypot(x - hand[0], y - hand[1]) < far;
   const ids = () => [...points.keys()].filter((v) => seen[v] && !within(points[v], reach));
-  function farthestFirst() { // the order of farthest-point sampling from point 0, and the covering radius after each
-    const gap = new Array(n).fill(Infinity), order = [], radius = [];
-    for (let next = 0; order.length < n;) {
-      order.push(next);
-      gap.forEach((d, v) => (gap[v] = Math.min(d, away(v, next))));
-      radius.push(Math.max(...gap));
-      next = gap.indexOf(radius[radius.length - 1]);
-    }
-    return { order, radius };
-  }
   function compute() {
     const observed = ids();
     worst = [0, observed[0]];
@@ -38,7 +28,7 @@
   }
   function change() { // the scene itself
     all = rips(points);
-    spread = farthestFirst();
+    spread = farthestPoints(flatOf(points), n, 2, n);
     compute();
   }
   function attempt(what) { // nothing observed has no covering radius
@@ -48,7 +38,7 @@
     compute();
   }
   const observe = (flags) => attempt(() => (seen = flags));
-  const first = (count) => observe(points.map((_, v) => spread.order.indexOf(v) < count));
+  const first = (count) => observe(points.map((_, v) => spread.ids.indexOf(v) < count));
   function reset() {
     points = data.points.map((p) => [...p]);
     seen = points.map((_, v) => data.observed.includes(v));
@@ -115,13 +105,13 @@
     });
   }
   function drawStrip() {
-    const high = 1.05 * Math.max(spread.radius[0], alpha) || 1, [g, X, Y] = axes(strip, n, high, "\u03b1 against the number of points", "points");
+    const high = 1.05 * Math.max(spread.radii[0], alpha) || 1, [g, X, Y] = axes(strip, n, high, "\u03b1 against the number of points", "points");
     all.loops.forEach((loop, k) => {
       if (life(loop) < 0.2 * life(all.loops[0])) return;
       g.strokeStyle = paint(k);
       line(g, X(0), Y(life(loop)), X(n), Y(life(loop)), [5, 4]);
     });
-    trace(g, spread.radius.map((r, k) => [X(k + 1), Y(r)]), css("--soft"), 1.8);
+    trace(g, [...spread.radii].map((r, k) => [X(k + 1), Y(r)]), css("--soft"), 1.8);
     dot(g, [X(ids().length), Y(alpha)], 5.5, css("--ink"), css("--panel"), 1.5);
   }
   function draw() {
@@ -131,7 +121,7 @@
     const size = Math.max(all.cone, 1e-9), digits = Math.max(0, 2 - Math.floor(Math.log10(size))), show = (v) => v.toFixed(digits);
     const [loop] = all.loops, there = loop && some.loops[match.partner[0]], count = ids().length;
     const text = [`${count} of ${n} points`, `\u03b1 = ${show(alpha)}`];
-    if (data.hand) text.push(`guessed ${show(spacing(ids().map((v) => points[v])))}`);
+    if (data.hand) text.push(`guessed ${show(Math.max(...placeGaps(flatOf(ids().map((v) => points[v])), ids().length, 2)) / 2)}`);
     if (data.hand) $("hand").value = 100 * reach / data.hand[2];
     if (loop) {
       text.push(`longest lifetime ${show(life(loop))}` + (alpha > 0 ? `, ${(life(loop) / alpha).toFixed(alpha < life(loop) && life(loop) < 1.01 * alpha ? 4 : 2)} \u03b1` : ""));

@@ -1,12 +1,12 @@
 // The growing complex of topokit.view: balls, edges, triangles and loops of a cloud, its diagram and its bars.
-// Idea: the state is the points and one radius. In the plane a moved point computes all loops anew; of a film in space the loops
-// of every frame are handed over. A new radius only draws.
+// Idea: the state is the points and one radius. A moved point or another frame computes all
+// loops anew. A new radius only draws.
 (() => {
   const [scene, diagram, strip] = [$("scene"), $("diagram"), $("strip")];
-  const film = data.film && unpack(data.film), frames = data.loops?.length, later = lazily(draw);
+  const film = data.film && unpack(data.film), frames = data.film?.shape[0], later = lazily(draw);
   const eye = film && orbit(scene, data.view, later, { " ": () => play() });
   const n = film?.length / 3 / frames, cloud = (t) => Array.from({ length: n }, (_, v) => [...film.subarray(3 * (n * t + v), 3 * (n * t + v + 1))]);
-  const home = film ? data.loops.flatMap((_, t) => cloud(t).map(onto(cloud(t)))) : data.points;
+  const home = film ? Array.from({ length: frames }, (_, t) => cloud(t).map(onto(cloud(t)))).flat() : data.points;
   const widths = [0, 1].map((k) => Math.max(...home.map((p) => p[k])) - Math.min(...home.map((p) => p[k])));
   const frame = framing(home, 0.06 * (Math.max(...widths) || 1));
   let points, complex, end, radius, time = 0, chosen = -1;
@@ -20,7 +20,7 @@
   function compute() {
     const old = complex ? [...complex.loops] : [], free = (k) => !complex.loops.some((l) => l.colour === k);
     const same = (a, b) => a.killerEdge.join() === b.killerEdge.join() || a.birthEdge.join() === b.birthEdge.join();
-    complex = film ? loopsFromRows(points, unpack(data.loops[time])) : rips(points);
+    complex = rips(points);
     for (const loop of complex.loops) {
       const k = old.findIndex((l) => same(l, loop));
       if (k >= 0) loop.colour = old.splice(k, 1)[0].colour;

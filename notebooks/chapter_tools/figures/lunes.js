@@ -1,10 +1,10 @@
 // The lune of one edge after another: the points in it, the components they form, and what the edge does when it arrives.
-// Idea: the state is the points and the rank of an edge. `rips` has found all lunes; one edge's is drawn twice, the second
+// Idea: the state is the points and the rank of an edge. One edge's lune is drawn twice, the second
 // time alone and upright, as the suspension of which the proof speaks.
 (() => {
   const [scene, upright, strip] = [$("scene"), $("suspension"), $("strip")], hue = (k) => (k ? paint(k + 1) : blue());
   let home, points, complex, rank, frame, chosen, mark; // the mark is the first end of an edge that is being chosen
-  const edge = () => (complex.does(rank), complex.edges[rank]);
+  const edge = () => complex.edges[rank];
 
   // ---- what the edge does --------------------------------------------------------------------------------------
   const ink = { kills: 0, begins: 5, joins: 4, void: 3 };

@@ -1,4 +1,4 @@
-// Optimal bottleneck matching of two small diagrams, two-sided or one-sided, as topokit.lemmas does it.
+// Optimal bottleneck matching of two small diagrams, two-sided or one-sided, as topokit.lemmas does it; `assign` is in assign.js.
 // Idea: a bar may also be matched with its own place on the diagonal, and two such places with each other at no cost. The
 // least threshold at which everything finds a partner is the bottleneck; among the matchings below it the cheapest is taken.
 function matchLoops(first, second, oneSided = false) {
@@ -27,32 +27,4 @@ function matchLoops(first, second, oneSided = false) {
   const bottleneck = limits[low] || 0, forbidden = 1 + 2 * size * bottleneck;
   const partner = assign(cost.map((row) => row.map((c) => (c <= bottleneck ? c : forbidden))));
   return { partner: partner.slice(0, n).map((j) => (j < m ? j : -1)), bottleneck };
-}
-
-// The column of every row in a cheapest assignment: shortest augmenting paths with potentials (the Hungarian method).
-function assign(cost) {
-  const n = cost.length, u = new Float64Array(n + 1), v = new Float64Array(n + 1), row = new Int32Array(n + 1);
-  for (let i = 1; i <= n; i++) {
-    const least = new Float64Array(n + 1).fill(Infinity), way = new Int32Array(n + 1), used = new Uint8Array(n + 1);
-    let j = 0;
-    row[0] = i;
-    do {
-      let next = 0, step = Infinity;
-      used[j] = 1;
-      for (let k = 1; k <= n; k++) if (!used[k]) {
-        const reduced = cost[row[j] - 1][k - 1] - u[row[j]] - v[k];
-        if (reduced < least[k]) [least[k], way[k]] = [reduced, j];
-        if (least[k] < step) [step, next] = [least[k], k];
-      }
-      for (let k = 0; k <= n; k++) {
-        if (used[k]) (u[row[k]] += step), (v[k] -= step);
-        else least[k] -= step;
-      }
-      j = next;
-    } while (row[j]);
-    for (; j; j = way[j]) row[j] = row[way[j]];
-  }
-  const column = new Array(n);
-  for (let k = 1; k <= n; k++) column[row[k] - 1] = k - 1;
-  return column;
 }

@@ -1,8 +1,8 @@
 """Interactive figures of the chapters: the reader moves points, and scripts compute the loops anew in the browser.
 
 Idea: `topokit.view.HtmlFigure` joins the data with the scripts of this folder. `rips.js` computes loops by the same lunes as
-`topokit.rips`, `match.js` matches diagrams as `topokit.lemmas` does, `link.js` links curves, and `rules.js` decides which bars
-are loops. Tests compare the answers of the scripts with topokit's.
+`topokit.rips`, `complex.js` hands them to the figures, `seqph.js` decides which bars are loops, `match.js` matches diagrams as
+`topokit.lemmas` does, and `link.js` links curves. Tests compare the answers of the scripts with topokit's.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from topokit import linking_number, rips_persistence
 from topokit.linking import close_far
-from topokit.rips import Diagram
 from topokit.view import HtmlFigure, loop_colour
 
 from ..records import model_label
@@ -29,6 +28,7 @@ MOST_NUDGED = 24  # the script computes 121 clouds at every change
 MOST_REDUCED = 10  # their 120 triangles are columns that can still be told apart
 MOST_FRAMES = 16
 MOST_IN_SPACE = 160  # edges and triangles are drawn one by one
+LOOPS = ("rips.js", "complex.js")  # scripts that compute loops
 NO_SHARE = 65535  # stands for a share that the results lack
 
 # ---- the data-flow picture -----------------------------------------------------------------------------------------
@@ -101,7 +101,7 @@ def growth(
         The caption in the corner of the figure.
     """
     data: dict[str, Any] = {"start": start, "end": max_radius}
-    scripts = ["rips.js", "planar.js"]
+    scripts = [*LOOPS, "planar.js"]
     if np.ndim(points) == 3:
         data |= pack_film(points, max_radius)
         scripts = ["orbit.js", *scripts]
@@ -112,7 +112,7 @@ def growth(
 
 
 def pack_film(film: ArrayLike, max_radius: float | None = None) -> dict[str, Any]:
-    """Return the data of a film (T, n, 3) in space, and the loops of each frame in the form that the script reads."""
+    """Return the data of a film (T, n, 3) in space; its longest lifetime decides which loops are drawn strong."""
     clouds = np.asarray(film, dtype=np.float32)
     frames, n_points, dimensions = clouds.shape
     if not (1 <= frames <= MOST_FRAMES and 1 <= n_points <= MOST_IN_SPACE and dimensions == 3):
@@ -122,22 +122,11 @@ def pack_film(film: ArrayLike, max_radius: float | None = None) -> dict[str, Any
     last_death = max(float(diagram.death.max(initial=0.0)) for diagram in diagrams)
     return {
         "film": clouds,
-        "loops": [_loop_rows(diagram) for diagram in diagrams],
         "view": [-60, 15],
         "frame": frames // 2,
         "longest": longest,
         "end": max_radius or 1.15 * last_death or 1.0,
     }
-
-
-def _loop_rows(diagram: Diagram) -> NDArray[np.int64]:
-    """Return all loops in one row: birth edge, killer edge, two apexes, length of the cycle, cycle, and so on."""
-    rows = [np.zeros(0, np.int64)]
-    for i in range(len(diagram)):
-        cycle = diagram.cycle(i)
-        apexes = diagram.killer_triangles[i, :, 2]
-        rows += [diagram.birth_edge[i], diagram.killer_edge[i], apexes, np.array([len(cycle)]), cycle]
-    return np.concatenate(rows)
 
 
 def elimination(points: ArrayLike, max_radius: float) -> HtmlFigure:
@@ -156,7 +145,7 @@ def elimination(points: ArrayLike, max_radius: float) -> HtmlFigure:
     """
     cloud = planar(points, most=MOST_REDUCED)
     data = {"points": cloud.tolist(), "radius": float(max_radius)}
-    scripts = ["rips.js", "planar.js", "places.js", "columns.js"]
+    scripts = [*LOOPS, "planar.js", "places.js", "columns.js"]
     title = f"The boundary matrix of {len(cloud)} points, reduced"
     return _figure("elimination", data, scripts, 500, "drag a point", title)
 
@@ -173,7 +162,7 @@ def lunes(points: ArrayLike | Mapping[str, ArrayLike]) -> HtmlFigure:
         2 to 60 points, or several such clouds by name, of which the reader chooses one.
     """
     clouds, count = _named_clouds(points, MOST_POINTS)
-    scripts = ["rips.js", "planar.js", "places.js"]
+    scripts = [*LOOPS, "planar.js", "places.js"]
     return _figure(
         "lunes", {"shapes": clouds}, scripts, 500, "drag a point, or click two", f"The lunes of {count} points"
     )
@@ -212,7 +201,7 @@ def coverage(
     data: dict[str, Any] = {"points": cloud.tolist(), "observed": ids}
     if hand is not None:
         data["hand"] = [float(value) for value in hand]
-    scripts = ["rips.js", "match.js", "planar.js"]
+    scripts = ["sampling.js", *LOOPS, "assign.js", "match.js", "planar.js"]
     return _figure("coverage", data, scripts, 500, title, f"{len(ids)} of {len(cloud)} points observed")
 
 
@@ -236,7 +225,7 @@ def motion(points: ArrayLike, epsilon: float, observed: Sequence[int] | None = N
     cloud = planar(points)
     ids = None if observed is None else _ids(observed)
     data = {"points": cloud.tolist(), "observed": ids, "epsilon": float(epsilon)}
-    scripts = ["rips.js", "match.js", "planar.js", "places.js", "adversary.js"]
+    scripts = [*LOOPS, "assign.js", "match.js", "planar.js", "places.js", "adversary.js"]
     title = f"{len(cloud)} points, each within {epsilon:g} of its place"
     return _figure("motion", data, scripts, 440, "drag the points within their discs", title)
 
@@ -255,7 +244,7 @@ def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> HtmlFigure:
     """
     clouds, count = _named_clouds(points, MOST_NUDGED)
     data = {"shapes": clouds, "reaches": [0.05, 1e-3, 1e-6, 1e-9]}
-    scripts = ["rips.js", "planar.js", "places.js"]
+    scripts = [*LOOPS, "planar.js", "places.js"]
     return _figure("nudge", data, scripts, 480, "nudge a point, or drag one", f"Loop of {count} points, nudged")
 
 
@@ -276,7 +265,7 @@ def stray(points: ArrayLike, start: Sequence[float], end: Sequence[float]) -> Ht
     cloud = planar(points, most=MOST_POINTS - 1)
     ends = planar([start, end]).tolist()
     data = {"points": cloud.tolist(), "start": ends[0], "end": ends[1]}
-    scripts = ["rips.js", "planar.js", "places.js", "rules.js"]
+    scripts = ["sampling.js", *LOOPS, "assign.js", "seqph.js", "planar.js", "places.js", "rules.js"]
     return _figure("stray", data, scripts, 480, "drag the stray point away", f"{len(cloud)} points and a stray one")
 
 
@@ -300,7 +289,7 @@ def mixture(points: ArrayLike, border: int) -> HtmlFigure:
     cloud = planar(points)
     data = {"points": cloud.tolist(), "border": int(border)}
     title = f"Mixture of {len(cloud)} points"
-    return _figure("mixture", data, ["rips.js", "planar.js"], 480, "drag a point", title)
+    return _figure("mixture", data, [*LOOPS, "planar.js"], 480, "drag a point", title)
 
 
 def linked(curve: ArrayLike, line: ArrayLike, way: ArrayLike) -> HtmlFigure:

@@ -1,4 +1,4 @@
-// Where a loop is, in three ways, for the longest-lived loop of a planar cloud; `rips` is in rips.js.
+// Where a loop is, in three ways, for the longest-lived loop of a planar cloud; `rips` is in complex.js.
 const mean = (cloud) => [0, 1].map((k) => cloud.reduce((sum, p) => sum + p[k], 0) / cloud.length);
 const apart = (p, q) => Math.hypot(p[0] - q[0], p[1] - q[1]);
 

@@ -1,114 +1,536 @@
-// Degree-1 Rips persistence of a small cloud, by lunes, as topokit.rips does it.
-// Idea: edges arrive by (length, smaller index, larger index). The lune of an edge is the set of points already joined to
-// both of its ends. An empty lune joins two components or creates a loop; each further component of a lune is a relation
-// that may kill one. A cycle is written in creators, a bit each: an edge with a lune counts as the two other edges of a
-// triangle on it, an edge of the spanning forest as nothing.
-function edgesOf(points) { // in order
-  const edges = [];
-  for (let i = 0; i < points.length; i++) for (let j = i + 1; j < points.length; j++) {
-    const square = points[i].reduce((sum, x, k) => sum + (x - points[j][k]) * (x - points[j][k]), 0);
-    edges.push({ i, j, square, value: Math.sqrt(square) / 2 });
-  }
-  return edges.sort((a, b) => a.square - b.square); // stable, and i, j came in order
-}
-function forest(n) { // joins two components, unless they are one
-  const ends = [...Array(n).keys()], find = (i) => (ends[i] === i ? i : (ends[i] = find(ends[i])));
-  return (i, j) => find(i) !== find(j) && ((ends[find(i)] = find(j)), true);
-}
-function rips(points) {
-  const n = points.length, edges = edgesOf(points), at = new Int32Array(n * n).fill(-1), joins = forest(n);
-  edges.forEach((edge, rank) => {
-    edge.cycle = 0n;
-    at[edge.i * n + edge.j] = at[edge.j * n + edge.i] = rank;
-  });
-  const edge = (i, j) => edges[at[i * n + j]], joined = (i, j, rank) => at[i * n + j] >= 0 && at[i * n + j] < rank;
-  const later = (edge, z) => Math.max(edges[at[edge.i * n + z]].square, edges[at[edge.j * n + z]].square);
+// Degree-1 Rips persistence of a cloud with its killers and cycles, as topokit.rips has them: the one kernel of all pages.
+//
+//   const { persistence, cycle, filtration, subset } = ripsKernel();
+//   persistence(points, n, d, { maxRadius, ids, onProgress }) -> loops; `points` is flat (n * d), d at most 3; ids: of these points alone
+//     births, deaths            Float64Array(c), longest lifetime first; radii are half lengths; death Infinity when alive at maxRadius
+//     birthEdges, killerEdges   Int32Array(2 c), smaller vertex first; -1 without a killer
+//     killerTriangles           Int32Array(6 c), edge and apex twice, the thick triangle first
+//     merges                    Float64Array of the radii at which components merge
+//     ids, pairing              what `cycle` needs
+//   cycle(points, n, d, loops, i) -> Int32Array, the closed walk around loop i, as Diagram.cycle
+//   filtration(points, n, d)     all edges in the total order: count, low, high, keys (squared lengths), rank (n * n), scale
+//   subset(points, d, ids)       the points of these ids, in a flat array of their own
+//   onProgress(share) is called now and then; what it throws ends the run.
+//
+// Idea: edges arrive by (length, smaller index, larger index). Every vertex keeps a row of bits, the vertices that it is joined
+// to. So the *lune* of an arriving edge, all that is joined to both its ends, is the AND of two rows. An empty lune joins two
+// components or creates a loop. A connected lune changes nothing. Each further component brings a relation x, z, y, w, a cycle
+// that bounds from now on. Written in creators and reduced, youngest first, it may kill a loop.
+//
+// All is one function, so that a worker can be made from its source.
+// Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtration).
+function ripsKernel() {
+  const OPEN = -2; // an edge whose lune is not empty
+  const TREE = -1; // an edge that joined two components
+  const AT_ONCE = 4096; // edges between two reports
+  const SEARCH_LIMIT = 20000; // pairs (vertex, class) looked at before a search gives up
 
-  // From the moment when one point is joined to all others the complex is a cone: no loop is alive or will be born.
-  let cone = Infinity;
-  for (let i = 0; i < n; i++) cone = Math.min(cone, edges.reduce((m, e) => (e.i === i || e.j === i ? Math.max(m, e.value) : m), 0));
+  // ---- the total order ---------------------------------------------------------------------------------------
 
-  function lune(e, rank) { // its components, each from the point that is joined to both ends first
-    const left = [], found = [];
-    for (let z = 0; z < n; z++) if (joined(e.i, z, rank) && joined(e.j, z, rank)) left.push(z);
-    left.sort((a, b) => later(e, a) - later(e, b) || a - b);
-    while (left.length) {
-      const part = [left.shift()];
-      for (const z of part) for (let k = left.length - 1; k >= 0; k--) if (joined(z, left[k], rank)) part.push(...left.splice(k, 1));
-      found.push(part);
-    }
-    return found;
+  function powerOfTwoBelow(points) { // scales coordinates to at most 1, so that squares neither overflow nor vanish
+    let largest = 0;
+    for (const value of points) largest = Math.max(largest, Math.abs(value));
+    const exponent = largest > 0 ? Math.floor(Math.log2(largest)) + 1 : 0;
+    return 2 ** -Math.max(exponent, -1022);
   }
 
-  const creators = [], merges = [];
-  const through = (e, z) => edge(e.i, z).cycle ^ edge(e.j, z).cycle;
-  edges.every((e, rank) => {
-    if (e.value > cone) return false;
-    const [first, ...further] = (e.parts = lune(e, rank)).map(([apex]) => apex);
-    if (first !== undefined) e.cycle = through(e, first);
-    else if (joins(e.i, e.j)) {
-      merges.push(e.value);
-      e.joins = true;
-    } else {
-      e.cycle = 1n << BigInt(creators.length);
-      creators.push({ e, rank, bit: e.cycle, killer: null });
+  function sortedBy(keys) { // a stable order of numbers that are not negative: their bits, 11 at a time, lowest first
+    const words = new Uint32Array(keys.buffer);
+    let order = Uint32Array.from(keys, (_, e) => e);
+    let next = new Uint32Array(keys.length);
+    for (const half of [0, 1]) for (const shift of [0, 11, 22]) {
+      const starts = new Uint32Array(2049);
+      for (let e = 0; e < keys.length; e++) starts[((words[2 * e + half] >>> shift) & 2047) + 1]++;
+      for (let digit = 0; digit < 2048; digit++) starts[digit + 1] += starts[digit];
+      for (const e of order) next[starts[(words[2 * e + half] >>> shift) & 2047]++] = e;
+      [order, next] = [next, order];
     }
-    for (const z of further) {
-      let column = through(e, first) ^ through(e, z), youngest;
-      while ((youngest = column && creators[column.toString(2).length - 1]) && youngest.killer) column ^= youngest.column;
-      if (!youngest) continue; // a void begins
-      e.kills = (e.kills || 0) + 1;
-      Object.assign(youngest, { column, killer: e, death: rank, apexes: [z, first] }); // the thick triangle first
-    }
-    return true;
-  });
+    return order;
+  }
 
-  // A shortest closed walk at birth through the birth edge, in the very class that the killer ends. (The birth edge and
-  // the shortest way back may run around an older loop as well, and outlive the bar.) Idea: Dijkstra over pairs (vertex,
-  // class of the way so far), classes up to the relations that came before the birth edge.
-  function cycle({ e: born, rank, bit, column }) {
-    const known = creators.filter((c) => c.killer && c.death < rank).reverse();
-    const reduce = (mask) => known.reduce((m, c) => (m & c.bit ? m ^ c.column : m), mask);
-    const goal = reduce(column ^ bit), best = new Map(), open = [{ v: born.i, mask: 0n, length: 0, from: null }];
-    while (open.length) {
-      const here = open.splice(open.reduce((m, s, k) => (s.length < open[m].length ? k : m), 0), 1)[0], key = here.v + ":" + here.mask;
-      if (best.has(key)) continue;
-      best.set(key, here);
-      if (here.v === born.j && here.mask === goal) {
-        const walk = [];
-        for (let s = here; s; s = s.from) walk.push(s.v);
-        return walk;
+  function filtration(points, n, d, { maxRadius = Infinity, toCone = false } = {}) {
+    const scale = powerOfTwoBelow(points);
+    const scaled = points.map((value) => scale * value);
+    const squares = new Float64Array((n * (n - 1)) / 2);
+    const farthest = new Float64Array(n); // from each vertex
+    for (let i = 0, pair = 0; i < n; i++) for (let j = i + 1; j < n; j++, pair++) {
+      let square = 0;
+      for (let k = 0; k < d; k++) {
+        const step = scaled[i * d + k] - scaled[j * d + k];
+        square += step * step;
       }
-      for (let v = 0; v < n; v++) if (joined(here.v, v, rank)) {
-        const e = edge(here.v, v), mask = reduce(here.mask ^ e.cycle);
-        if (!best.has(v + ":" + mask)) open.push({ v, mask, length: here.length + 2 * e.value, from: here });
-      }
+      squares[pair] = square;
+      if (square > farthest[i]) farthest[i] = square;
+      if (square > farthest[j]) farthest[j] = square;
     }
-    return [];
+
+    // Once a vertex is joined to all others, the complex is a cone: no loop is alive and none will be born.
+    const cone = n > 1 ? farthest.reduce((least, square) => Math.min(least, square), Infinity) : 0;
+    const diameter = 2 * maxRadius * scale * (1 + 1e-15);
+    const most = Math.min(diameter * diameter, toCone ? cone : Infinity);
+    let count = 0;
+    for (const square of squares) if (square <= most) count++;
+    const keysFound = new Float64Array(count);
+    const lowFound = new Int32Array(count);
+    const highFound = new Int32Array(count);
+    for (let i = 0, pair = 0, e = 0; i < n; i++) for (let j = i + 1; j < n; j++, pair++) if (squares[pair] <= most) {
+      keysFound[e] = squares[pair];
+      lowFound[e] = i;
+      highFound[e++] = j;
+    }
+
+    const order = sortedBy(keysFound);
+    const low = new Int32Array(count);
+    const high = new Int32Array(count);
+    const keys = new Float64Array(count);
+    const rank = new Int32Array(n * n).fill(count); // when the edge between two vertices arrives; `count` for never
+    for (let e = 0; e < count; e++) {
+      const x = lowFound[order[e]];
+      const y = highFound[order[e]];
+      low[e] = x;
+      high[e] = y;
+      keys[e] = keysFound[order[e]];
+      rank[x * n + y] = rank[y * n + x] = e;
+    }
+    return { n, count, low, high, keys, rank, scale, cone };
   }
 
-  const loops = creators.filter((c) => c.killer && c.killer.value > c.e.value).map((c) => ({
-    birth: c.e.value, death: c.killer.value, birthEdge: [c.e.i, c.e.j], killerEdge: [c.killer.i, c.killer.j],
-    triangles: c.apexes.map((z) => [c.killer.i, c.killer.j, z]),
-    get cycle() { // found when it is first asked for
-      return (this.walk ??= cycle(c));
-    },
-  })).sort((a, b) => b.death - b.birth - (a.death - a.birth));
-  const does = (rank) => { // what an edge does when it arrives, after the cone as well
-    const e = edges[rank], c = (e.parts ??= lune(e, rank)).length;
-    return e.kills ? "kills" : e.joins ? "joins" : ["begins", "nothing"][c] || "void";
-  };
-  return { edges, merges, loops, cone, does, joined };
-}
-function loopsFromRows(points, rows) { // the same from rows that topokit wrote: birth edge, killer edge, two apexes, length of a cycle, cycle
-  const edges = edgesOf(points), joins = forest(points.length), loops = [], value = (a, b) => edges.find((e) => e.i === a && e.j === b).value;
-  for (let k = 0; k < rows.length; k += 7 + rows[k + 6]) {
-    const [a, b, i, j, y, z, many] = rows.subarray(k, k + 7), cycle = [...rows.subarray(k + 7, k + 7 + many)];
-    loops.push({ birth: value(a, b), death: value(i, j), birthEdge: [a, b], killerEdge: [i, j], triangles: [[i, j, y], [i, j, z]], cycle });
+  function firstTriangle({ n, rank }, x, y) { // the vertex that completes the earliest triangle on an edge
+    let apex = -1;
+    let least = Infinity;
+    for (let z = 0; z < n; z++) {
+      const later = Math.max(rank[x * n + z], rank[y * n + z]);
+      if (later < least) [apex, least] = [z, later];
+    }
+    return apex;
   }
-  return { edges, loops, merges: edges.filter((e) => joins(e.i, e.j)).map((e) => e.value) };
-}
-function spacing(points) { // half the largest distance from a point to its nearest other one, as topokit.sampling.spacing
-  const apart = points.map((p) => Math.min(...points.map((q) => Math.hypot(...p.map((x, k) => x - q[k]))).filter((d) => d > 0)));
-  return Math.max(0, ...apart.filter(Number.isFinite)) / 2;
+
+  // ---- the pairing -------------------------------------------------------------------------------------------
+
+  function pairEdges(edges, onProgress) {
+    const { n, count, low, high, keys, rank } = edges;
+    const words = (n + 31) >> 5;
+    const rows = new Int32Array(n * words); // a vertex is joined to itself
+    for (let v = 0; v < n; v++) rows[v * words + (v >> 5)] = 1 << v;
+    const lune = new Int32Array(words);
+    const left = new Int32Array(words);
+    const waiting = new Int32Array(n);
+    const component = Int32Array.from({ length: n }, (_, v) => v);
+    const creator = new Int32Array(count).fill(OPEN); // of each edge: the loop that it created
+    const apexOf = new Int32Array(count).fill(-1); // of each edge its first triangle, once it is asked for
+    const created = []; // edges that create loops
+    const killed = []; // of each loop: killer edge and two apexes, once it is dead
+    const relations = []; // of each dead loop: the creators that its relation is reduced to
+    const merges = []; // edges that join components
+    let column = new Int32Array(1); // a set of loops, as bits
+    let alive = 0;
+
+    function root(v) {
+      while (component[v] !== v) v = component[v] = component[component[v]];
+      return v;
+    }
+
+    // Vertices that the first one reaches are absorbed, and then those that share a neighbour in the lune with them, one by one. False may
+    // also mean that the order was unlucky.
+    function isSurelyConnected(z) {
+      let first = 0;
+      for (let w = 0; w < words; w++) left[w] = lune[w] & ~rows[z * words + w];
+      for (;;) {
+        while (first < words && left[first] === 0) first++;
+        if (first === words) return true;
+        const v = 32 * first + 31 - Math.clz32(left[first] & -left[first]);
+        let shared = 0;
+        for (let w = 0; w < words; w++) {
+          const near = lune[w] & rows[v * words + w];
+          shared |= near & ~left[w];
+          left[w] &= ~near;
+        }
+        if (shared === 0) return false;
+      }
+    }
+
+    function apexes(x, y) { // of each component the vertex whose later edge to {x, y} is shortest, the nearest component first; the lune is emptied
+      const found = [];
+      for (let w = 0; w < words; w++) while (lune[w] !== 0) {
+        let apex = -1;
+        let value = Infinity;
+        let top = 0;
+        waiting[0] = 32 * w + 31 - Math.clz32(lune[w] & -lune[w]);
+        lune[w] &= lune[w] - 1;
+        while (top >= 0) {
+          const z = waiting[top--];
+          const later = keys[Math.max(rank[x * n + z], rank[y * n + z])];
+          if (later < value || (later === value && z < apex)) [apex, value] = [z, later];
+          for (let u = 0; u < words; u++) {
+            let reached = lune[u] & rows[z * words + u];
+            lune[u] ^= reached;
+            for (; reached !== 0; reached &= reached - 1) waiting[++top] = 32 * u + 31 - Math.clz32(reached & -reached);
+          }
+        }
+        found.push({ apex, value });
+      }
+      return found.sort((a, b) => a.value - b.value || a.apex - b.apex).map((part) => part.apex);
+    }
+
+    // An edge with an empty lune stands for the loop that it created. Every other edge is replaced by the two other edges of its
+    // first triangle.
+    function addEdge(a, b) {
+      const stack = [rank[a * n + b]];
+      while (stack.length > 0) {
+        const e = stack.pop();
+        const loop = creator[e];
+        if (loop >= 0) column[loop >> 5] ^= 1 << loop;
+        if (loop !== OPEN) continue;
+        if (apexOf[e] < 0) apexOf[e] = firstTriangle(edges, low[e], high[e]);
+        stack.push(rank[low[e] * n + apexOf[e]], rank[high[e] * n + apexOf[e]]);
+      }
+    }
+
+    function addRelation(x, y, first, further) { // it kills the youngest loop that is left of it
+      column.fill(0);
+      addEdge(x, first);
+      addEdge(first, y);
+      addEdge(y, further);
+      addEdge(further, x);
+      for (let w = column.length - 1; w >= 0; w--) while (column[w] !== 0) {
+        const youngest = 32 * w + 31 - Math.clz32(column[w]);
+        if (killed[youngest] === null) {
+          killed[youngest] = [x, y, first, further];
+          relations[youngest] = loopsOf(column);
+          alive--;
+          return;
+        }
+        for (const loop of relations[youngest]) column[loop >> 5] ^= 1 << loop;
+      }
+    }
+
+    function loopsOf(bits) {
+      const loops = [];
+      bits.forEach((word, w) => {
+        for (; word !== 0; word &= word - 1) loops.push(32 * w + 31 - Math.clz32(word & -word));
+      });
+      return Int32Array.from(loops);
+    }
+
+    for (let e = 0; e < count; e++) {
+      if (onProgress && e % AT_ONCE === 0) onProgress(e / count);
+      const x = low[e];
+      const y = high[e];
+      const rowX = x * words;
+      const rowY = y * words;
+      let some = 0; // a word of the lune that is not 0
+      let seed = -1; // the place of that word
+      if (alive === 0) { // no loop can be killed: only whether the lune is empty matters
+        for (let w = 0; w < words && some === 0; w++) some = rows[rowX + w] & rows[rowY + w];
+      } else {
+        for (let w = 0; w < words; w++) {
+          lune[w] = rows[rowX + w] & rows[rowY + w];
+          if (lune[w] !== 0) [some, seed] = [lune[w], w];
+        }
+      }
+      rows[rowX + (y >> 5)] |= 1 << y;
+      rows[rowY + (x >> 5)] |= 1 << x;
+      if (some === 0) {
+        const a = root(x);
+        const b = root(y);
+        creator[e] = a === b ? created.length : TREE;
+        if (a === b) {
+          created.push(e);
+          killed.push(null);
+          relations.push(null);
+          alive++;
+          if (created.length > 32 * column.length) column = new Int32Array(2 * column.length);
+        } else {
+          component[a] = b;
+          merges.push(e);
+        }
+      } else if (alive > 0 && !isSurelyConnected(32 * seed + 31 - Math.clz32(some))) {
+        const [first, ...others] = apexes(x, y);
+        for (const further of others) addRelation(x, y, first, further);
+      }
+    }
+    return { created, killed, relations, merges };
+  }
+
+  function persistence(points, n, d, { maxRadius = Infinity, ids = null, onProgress } = {}) {
+    const cloud = ids ? subset(points, d, ids) : points;
+    const size = ids ? ids.length : n;
+    const edges = filtration(cloud, size, d, { maxRadius, toCone: true });
+    const { created, killed, relations, merges } = pairEdges(edges, onProgress);
+    const radius = (e) => Math.sqrt(edges.keys[e]) / 2;
+
+    // Bars that are born by the last radius, longest first; in scaled units, which decide ties.
+    const bound = maxRadius * edges.scale;
+    const rows = [];
+    created.forEach((e, loop) => {
+      const birth = radius(e);
+      const killer = killed[loop];
+      let death = killer ? radius(edges.rank[killer[0] * size + killer[1]]) : Infinity;
+      if (death > bound) death = Infinity;
+      if (birth <= bound && death > birth) rows.push({ loop, e, birth, death, killer: death < Infinity ? killer : [-1, -1, -1, -1] });
+    });
+    rows.sort((a, b) => b.death - b.birth - (a.death - a.birth) || a.loop - b.loop); // Infinity - Infinity is not a number
+    const name = (v) => (ids && v >= 0 ? ids[v] : v);
+    const named = (lists) => Int32Array.from(lists.flat(), name);
+    return {
+      births: Float64Array.from(rows, (row) => row.birth / edges.scale),
+      deaths: Float64Array.from(rows, (row) => row.death / edges.scale),
+      birthEdges: named(rows.map(({ e }) => [edges.low[e], edges.high[e]])),
+      killerEdges: named(rows.map(({ killer: [x, y] }) => [x, y])),
+      killerTriangles: named(rows.map(({ killer: [x, y, first, further] }) => [x, y, further, x, y, first])),
+      merges: Float64Array.from(merges, radius).map((value) => value / edges.scale),
+      ids,
+      pairing: { created, killed, relations, loops: rows.map((row) => row.loop) },
+    };
+  }
+
+  function subset(points, d, ids) {
+    const cloud = new Float64Array(ids.length * d);
+    ids.forEach((id, i) => cloud.set(points.subarray(id * d, (id + 1) * d), i * d));
+    return cloud;
+  }
+
+  // ---- cycles ------------------------------------------------------------------------------------------------
+  //
+  // Idea: the birth edge and the shortest way around it may run around an older loop as well, and then outlive the bar. So the search
+  // runs in pairs (vertex, class of the path so far), as in a covering space where unwanted loops are unrolled. A class is a
+  // set of creators, as the bits of one BigInt, reduced by the relations before a time.
+  // Source: Erickson and Nayyeri 2011 (the search in pairs).
+
+  let lastLoops = null;
+  let lastHomology = null;
+
+  function cycle(points, n, d, loops, i) {
+    if (loops !== lastLoops) {
+      const cloud = loops.ids ? subset(points, d, loops.ids) : points;
+      lastHomology = homology(filtration(cloud, loops.ids ? loops.ids.length : n, d, { toCone: true }), loops.pairing);
+      lastLoops = loops;
+    }
+    const dies = loops.deaths[i] < Infinity;
+    const walk = lastHomology(loops.pairing.loops[i], dies);
+    return Int32Array.from(walk, (v) => (loops.ids ? loops.ids[v] : v));
+  }
+
+  function homology({ n, low, high, keys, rank }, { created, killed, relations }) {
+    const lengths = keys.map(Math.sqrt);
+    const bit = (loop) => 1n << BigInt(loop);
+    const columns = relations.map((loops) => loops && loops.reduce((sum, loop) => sum | bit(loop), 0n));
+    const killedAt = killed.map((killer) => (killer ? rank[killer[0] * n + killer[1]] : Infinity));
+    const inCreators = new Map(created.map((e, loop) => [e, bit(loop)])); // edges written in creators
+    let classes = new Map(); // classes of edges at the time that was asked for last
+    let classesAt = -1;
+
+    function writtenInCreators(edge) {
+      const stack = [edge];
+      while (stack.length > 0) {
+        const e = stack.at(-1);
+        if (inCreators.has(e)) {
+          stack.pop();
+          continue;
+        }
+        const apex = firstTriangle({ n, rank }, low[e], high[e]);
+        const sides = [rank[low[e] * n + apex], rank[high[e] * n + apex]];
+        if (Math.max(...sides) > e) {
+          inCreators.set(e, 0n); // an edge of the tree
+        } else if (sides.every((side) => inCreators.has(side))) {
+          inCreators.set(e, inCreators.get(sides[0]) ^ inCreators.get(sides[1]));
+        } else {
+          stack.push(...sides);
+        }
+      }
+      return inCreators.get(edge);
+    }
+
+    function youngestOf(column) {
+      return column.toString(2).length - 1;
+    }
+
+    function classOf(pairs, time) { // of a chain, just before a time; 0 for a boundary
+      if (time !== classesAt) [classes, classesAt] = [new Map(), time];
+      let total = 0n;
+      for (const [a, b] of pairs) {
+        const e = rank[a * n + b];
+        if (!classes.has(e)) {
+          let column = writtenInCreators(e);
+          let left = 0n;
+          while (column) {
+            const youngest = youngestOf(column);
+            if (killedAt[youngest] < time) {
+              column ^= columns[youngest];
+            } else {
+              left |= bit(youngest);
+              column ^= bit(youngest);
+            }
+          }
+          classes.set(e, left);
+        }
+        total ^= classes.get(e);
+      }
+      return total;
+    }
+
+    function neighbours(v, time) {
+      const joined = [];
+      for (let w = 0; w < n; w++) if (rank[v * n + w] < time) joined.push(w);
+      return joined;
+    }
+
+    function shortestPaths(targets, time) { // from each vertex to the nearest target, by Dijkstra's method
+      const distance = new Float64Array(n).fill(Infinity);
+      const done = new Uint8Array(n);
+      for (const target of targets) distance[target] = 0;
+      for (;;) {
+        let v = -1;
+        for (let w = 0; w < n; w++) if (!done[w] && distance[w] < (v < 0 ? Infinity : distance[v])) v = w;
+        if (v < 0) return distance;
+        done[v] = 1;
+        for (let w = 0; w < n; w++) {
+          const e = rank[v * n + w];
+          if (e < time && distance[v] + lengths[e] < distance[w]) distance[w] = distance[v] + lengths[e];
+        }
+      }
+    }
+
+    function path(sources, targets, time) { // a shortest one before a time, with the fewest steps; [] when there is none
+      const distance = shortestPaths(targets, time);
+      const start = sources.reduce((best, v) => (distance[v] < distance[best] ? v : best));
+      if (distance[start] === Infinity) return [];
+      const following = (v) => neighbours(v, time).filter((w) => distance[w] + lengths[rank[v * n + w]] === distance[v]);
+
+      // Vertices on shortest paths, by the number of steps.
+      const levels = [new Map([[start, following(start)]])];
+      const reached = new Set([start]);
+      while (!targets.some((target) => reached.has(target))) {
+        const next = new Map();
+        for (const choices of levels.at(-1).values()) for (const w of choices) if (!reached.has(w)) next.set(w, null);
+        for (const w of next.keys()) {
+          reached.add(w);
+          next.set(w, following(w));
+        }
+        levels.push(next);
+      }
+
+      // Back from the targets: the path that goes to the nearest vertex first.
+      let rest = new Map(targets.filter((target) => levels.at(-1).has(target)).map((target) => [target, [target]]));
+      for (const level of levels.slice(0, -1).reverse()) {
+        const before = new Map();
+        for (const [v, choices] of level) {
+          const open = choices.filter((w) => rest.has(w));
+          if (open.length === 0) continue;
+          const nearest = open.reduce((best, w) => (distance[w] < distance[best] || (distance[w] === distance[best] && w < best) ? w : best));
+          before.set(v, [v, ...rest.get(nearest)]);
+        }
+        rest = before;
+      }
+      return rest.get(start);
+    }
+
+    function pathInClass(source, target, time, death, wanted) { // the shortest before a time whose class before `death` is the one wanted, by A*
+      const remaining = shortestPaths([target], time);
+      const numbers = new Map(); // of classes, in the order in which they are met
+      const named = [];
+      const stateOf = (v, its) => {
+        if (!numbers.has(its)) {
+          numbers.set(its, named.length);
+          named.push(its);
+        }
+        return numbers.get(its) * n + v;
+      };
+      const classAt = (state) => named[Math.floor(state / n)];
+      const start = stateOf(source, 0n);
+      const goal = stateOf(target, wanted);
+      const best = new Map([[start, { length: 0, steps: 0, before: -1 }]]);
+      const done = new Set();
+      const comesFirst = (a, b) => {
+        if (a.bound !== b.bound) return a.bound < b.bound;
+        if (a.steps !== b.steps) return a.steps < b.steps;
+        const [v, w] = [a.state % n, b.state % n];
+        return v !== w ? v < w : classAt(a.state) < classAt(b.state);
+      };
+      const queue = heap(comesFirst);
+      queue.push({ bound: remaining[source], steps: 0, state: start });
+      for (let next; done.size < SEARCH_LIMIT && (next = queue.pop()); ) {
+        const { state } = next;
+        if (state === goal) {
+          const walk = [];
+          for (let s = goal; s >= 0; s = best.get(s).before) walk.unshift(s % n);
+          return walk;
+        }
+        if (done.has(state)) continue;
+        done.add(state);
+        const v = state % n;
+        const { length, steps } = best.get(state);
+        for (const w of neighbours(v, time)) {
+          const further = length + lengths[rank[v * n + w]];
+          const bound = further + remaining[w];
+          if (bound === Infinity) continue;
+          const other = stateOf(w, classAt(state) ^ classOf([[v, w]], death));
+          const known = best.get(other);
+          if (done.has(other) || (known && (known.length < further || (known.length === further && known.steps <= steps + 1)))) continue;
+          best.set(other, { length: further, steps: steps + 1, before: state });
+          queue.push({ bound, steps: steps + 1, state: other });
+        }
+      }
+      return [];
+    }
+
+    function corrected(walk, born, death) { // walks around the older loops that a walk contains are added, over a bridge there and back
+      let whole = walk;
+      for (;;) {
+        const left = classOf(sides(whole), death);
+        if (!left) return whole;
+        const e = created[youngestOf(left)];
+        const other = path([low[e]], [high[e]], e);
+        let bridge = path(whole, other, born);
+        if (bridge.length === 0) bridge = path(whole, other, death);
+        const i = whole.indexOf(bridge[0]);
+        const j = other.indexOf(bridge.at(-1));
+        const back = bridge.slice(0, -1).reverse();
+        whole = [...whole.slice(0, i), ...bridge.slice(0, -1), ...other.slice(j), ...other.slice(0, j + 1), ...back, ...whole.slice(i + 1)];
+      }
+    }
+
+    return (loop, dies) => {
+      const born = created[loop];
+      const [x, y] = [low[born], high[born]];
+      const walk = path([x], [y], born);
+      if (!dies) return walk;
+      const death = killedAt[loop] + 1; // just after the killer edge
+      if (classOf(sides(walk), death) === 0n) return walk;
+      const around = pathInClass(x, y, born, death, classOf([[x, y]], death));
+      return around.length > 0 ? around : corrected(walk, born, death);
+    };
+  }
+
+  function sides(walk) {
+    return walk.map((v, k) => [v, walk[(k + 1) % walk.length]]);
+  }
+
+  function heap(comesFirst) { // the first of its items comes out first
+    const items = [];
+    return {
+      push(item) {
+        let place = items.length;
+        for (; place > 0 && comesFirst(item, items[(place - 1) >> 1]); place = (place - 1) >> 1) items[place] = items[(place - 1) >> 1];
+        items[place] = item;
+      },
+      pop() {
+        const first = items[0];
+        const last = items.pop();
+        if (items.length === 0) return first;
+        let place = 0;
+        for (;;) {
+          let child = 2 * place + 1;
+          if (child + 1 < items.length && comesFirst(items[child + 1], items[child])) child++;
+          if (child >= items.length || !comesFirst(items[child], last)) break;
+          items[place] = items[child];
+          place = child;
+        }
+        items[place] = last;
+        return first;
+      },
+    };
+  }
+
+  return { persistence, cycle, filtration, subset };
 }

@@ -73,7 +73,7 @@
     });
   }
   function draw() {
-    const [paper, evidence] = rules, out = distinct(points).length - evidence.cloud.length;
+    const [paper, evidence] = rules, out = points.length - evidence.cloud.length;
     const far = Math.min(...data.points.map((_, v) => apart(points[v], points[last])));
     const said = [`the paper's rule (lifetime / \u03b1): ${count(paper.kept.length, "loop")}`,
       `evidence (significance): ${count(evidence.kept.length, "loop")}` + (out ? `, ${count(out, "point")} left out` : "")];

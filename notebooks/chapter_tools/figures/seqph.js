@@ -1,0 +1,184 @@
+// seqPH's rule: which bars of a cloud are loops, and which loop of a frame is which of the frames before, as topokit.SeqPH has it.
+//
+//   const { track, evidence, measured, significance } = seqphKernel(ripsKernel(), assign);
+//   track(clouds, d, { onProgress }) -> a state for each cloud, as topokit.track(clouds): { used, alpha, epsilon, diagram, evidence, loops }
+//     used        ids of the points that are not alone; the diagram (`persistence` of rips.js) is of these
+//     evidence    Float64Array, the log-odds that each bar of the diagram is a loop, by this frame alone
+//     loops       [{ id, bar, belief }], longest lifetime first; belief is the log-odds with the frames before
+//   evidence(points, n, d, births, deaths) -> Float64Array, the same log-odds for given bars
+//   measured(points, n, d)   a frame's points that are not alone, and the gaps between them
+//
+// Idea: a bar of the scene is long beside the gaps between neighbouring points, and it dies at many times the radius of its
+// birth. Along a track evidence adds up and is slowly forgotten. A loop is the same as one before when birth, death and place
+// have moved no more than sampling, motion and the jitter of killers allow; the assignment of least total distance decides.
+// Source: Antonova et al. 2021 (Algorithm 1); topokit/seqph/_evidence.py has the reasons for the constants.
+function seqphKernel({ persistence, subset }, assign) {
+  const WEAKEST = -2.5; // a bar of less evidence is never looked at
+  const MISSED = -1; // evidence of a frame in which a known loop is not found
+  const MEMORY = 20; // frames for which a missed loop is remembered
+  const NEIGHBOURS = 5;
+  const OTHER_UNITS = 20; // factor of size above which the units of two frames differ
+
+  function quantile(values, share) { // linear between neighbours
+    const sorted = Float64Array.from(values).sort();
+    const at = share * (sorted.length - 1);
+    const low = Math.floor(at);
+    return sorted[low] + (at - low) * (sorted[Math.ceil(at)] - sorted[low]);
+  }
+
+  // ---- a frame: points that are not alone, and their gaps ----------------------------------------------------
+
+  function measured(points, n, d) {
+    const copies = new Map(); // of each place all points there
+    for (let i = 0; i < n; i++) {
+      const place = points.subarray(i * d, (i + 1) * d).join();
+      if (copies.has(place)) copies.get(place).push(i);
+      else copies.set(place, [i]);
+    }
+
+    // A place is left out when its fifth nearest one is farther than 2.5 times the median; twice, as such places raise the median.
+    let kept = [...copies.values()];
+    let places, nearest, many;
+    for (let round = 0; round < 3; round++) {
+      places = subset(points, d, kept.map(([first]) => first));
+      many = Math.max(1, Math.min(NEIGHBOURS, kept.length - 1));
+      nearest = nearestOthers(places, kept.length, d, many);
+      if (round === 2 || kept.length <= NEIGHBOURS) break;
+      const last = kept.map((_, i) => nearest[i * many + many - 1]);
+      const far = 2.5 * quantile(last, 0.5);
+      if (last.every((gap) => gap <= far)) break;
+      kept = kept.filter((_, i) => last[i] <= far);
+    }
+    const frame = { used: Int32Array.from(kept.flat()).sort(), places, size: kept.length, alpha: 0, spacing: 0, unevenness: 1, extent: 0, widest: 0 };
+    if (kept.length < 2) return frame;
+
+    // Points strewn at random have far fifth neighbours, and some far nearest ones; the smaller of the two measures counts.
+    const firsts = kept.map((_, i) => nearest[i * many]);
+    const first = quantile(firsts, 0.5);
+    const fifth = quantile(kept.map((_, i) => nearest[i * many + many - 1]), 0.5);
+    const axes = Array.from({ length: d }, (_, k) => places.filter((_, c) => c % d === k));
+    return Object.assign(frame, {
+      alpha: quantile(firsts, 0.95) / 2,
+      spacing: fifth,
+      unevenness: Math.min(fifth / first, (1.4 * quantile(firsts, 0.9)) / first),
+      extent: Math.max(...axes.map((values) => Math.max(...values) - Math.min(...values))),
+      widest: Math.max(...firsts),
+    });
+  }
+
+  function significance({ spacing, unevenness, size }, birth, death) { // a loop has more than 1
+    if (spacing === 0) return 0;
+    const strewn = Math.min(Math.max((unevenness - 2.1) / 0.3, 0), 1);
+    const gap = spacing * Math.max(unevenness / 2, 1);
+    return ((1.1 * (death - birth)) / gap) * Math.log(death / birth) ** 0.3 * (1000 / Math.max(size, 128)) ** (0.75 - 0.45 * strewn);
+  }
+
+  function evidenceIn(frame, births, deaths) {
+    return births.map((birth, i) => Math.min(Math.max(5 * Math.log(significance(frame, birth, deaths[i])), -3), 2));
+  }
+
+  function evidence(points, n, d, births, deaths) {
+    return evidenceIn(measured(points, n, d), births, deaths);
+  }
+
+  const believe = (belief, more) => Math.max(0.8 * belief + more, -8);
+
+  // ---- from frame to frame -----------------------------------------------------------------------------------
+
+  // The centroid of a still scene moves when a part of it is hidden. So its shift counts only if the nearest quarter of the points fits
+  // the frame before better with the shift than without it. Epsilon is how far the points move besides.
+  function motionSince(frame, before, d) {
+    const mean = ({ places, size }) => Array.from({ length: d }, (_, k) => places.reduce((sum, v, c) => (c % d === k ? sum + v : sum), 0) / size);
+    const [now, then] = [mean(frame), mean(before)];
+    const shift = now.map((v, k) => v - then[k]);
+    const still = nearestOthers(frame.places, frame.size, d, 1, before.places);
+    const shifted = nearestOthers(frame.places.map((v, c) => v - shift[c % d]), frame.size, d, 1, before.places);
+    const moves = quantile(shifted, 0.25) < quantile(still, 0.25);
+    return { shift: moves ? shift : shift.fill(0), epsilon: quantile(moves ? shifted : still, 0.9) };
+  }
+
+  function paired(found, known, alpha) { // the pairs within their gates, as many as possible, at the least total distance
+    if (found.length === 0 || known.length === 0) return [];
+    let total = 0;
+    const allowed = [];
+    const cost = found.map((loop) => known.map((old) => {
+      const births = Math.abs(loop.birth - old.birth);
+      const deaths = Math.abs(loop.death - old.death);
+      const distance = Math.hypot(...loop.place.map((v, k) => v - old.place[k]));
+      const longest = Math.max(loop.death, old.death);
+      const gate = alpha + old.motion + longest / 4;
+      const fits = births < gate && deaths < gate && distance < 2 * longest + old.motion;
+      if (fits) total += distance + deaths;
+      allowed.push(fits);
+      return distance + deaths;
+    }));
+    const closed = 1 + 2 * total; // a forbidden pair costs more than all others together
+    const table = cost.map((row, i) => row.map((c, j) => (allowed[i * known.length + j] ? c : closed)));
+    let pairs;
+    if (found.length <= known.length) pairs = assign(table).map((j, i) => [i, j]);
+    else pairs = assign(known.map((_, j) => table.map((row) => row[j]))).map((i, j) => [i, j]);
+    return pairs.filter(([i, j]) => allowed[i * known.length + j]);
+  }
+
+  function check(t, frame, before) {
+    if (frame.size === 0) throw new Error(`frame ${t} has no points`);
+    const differ = (size, old) => Math.min(size, old) > 0 && Math.max(size, old) > OTHER_UNITS * Math.min(size, old);
+    if (before && differ(frame.extent, before.extent) && differ(frame.widest, before.widest))
+      throw new Error(`frame ${t} is ${frame.extent.toPrecision(4)} across, and the frame before it ${before.extent.toPrecision(4)}: they seem to be in different units`);
+  }
+
+  function track(clouds, d, { onProgress } = {}) {
+    let known = [];
+    let before = null;
+    let nextId = 0;
+    return clouds.map((points, t) => {
+      const n = points.length / d;
+      const frame = measured(points, n, d);
+      check(t, frame, before);
+      const report = onProgress && ((share) => onProgress((t + share) / clouds.length));
+      const diagram = persistence(points, n, d, { ids: frame.used, onProgress: report });
+      const strength = evidenceIn(frame, diagram.births, diagram.deaths);
+      const { shift, epsilon } = before ? motionSince(frame, before, d) : { shift: new Array(d).fill(0), epsilon: 0 };
+
+      // The bars that may be loops, each at the barycentre of its thick killer triangle; and the loops known from before, moved with the scene.
+      const bars = [...strength.keys()].filter((bar) => strength[bar] > WEAKEST);
+      const found = bars.map((bar) => {
+        const corners = diagram.killerTriangles.subarray(6 * bar, 6 * bar + 3);
+        const place = shift.map((_, k) => corners.reduce((sum, v) => sum + points[v * d + k], 0) / 3);
+        return { bar, birth: diagram.births[bar], death: diagram.deaths[bar], place, belief: 0, id: null, motion: 0, missed: 0 };
+      });
+      known = known.map((loop) => ({ ...loop, place: loop.place.map((v, k) => v + shift[k]), motion: loop.motion + epsilon, missed: loop.missed + 1 }));
+
+      // Known loops that are believed are matched first, then the others.
+      const taken = new Set();
+      for (const believed of [true, false]) {
+        const open = found.filter((loop) => !loop.same);
+        const old = known.filter((loop) => loop.belief > 0 === believed);
+        for (const [i, j] of paired(open, old, frame.alpha)) {
+          open[i].same = old[j];
+          taken.add(old[j]);
+        }
+      }
+
+      // A matched bar takes over belief and identity. A bar whose belief becomes positive gets a new identity.
+      const loops = [];
+      for (const loop of found) {
+        if (loop.same) [loop.belief, loop.id] = [loop.same.belief, loop.same.id];
+        delete loop.same;
+        loop.belief = believe(loop.belief, strength[loop.bar]);
+        if (loop.belief > 0) {
+          loop.id ??= nextId++;
+          loops.push({ id: loop.id, bar: loop.bar, belief: loop.belief });
+        }
+      }
+
+      // Known loops that were not found are remembered for some frames, with less belief.
+      const missed = known.filter((loop) => !taken.has(loop) && loop.missed <= MEMORY);
+      known = [...found, ...missed.map((loop) => ({ ...loop, belief: believe(loop.belief, MISSED) }))];
+      before = frame;
+      return { used: frame.used, alpha: frame.alpha, epsilon, diagram, evidence: strength, loops };
+    });
+  }
+
+  return { track, evidence, measured, significance };
+}
