@@ -309,7 +309,7 @@ def test_a_billionth_moves_the_killer_edge_of_a_hexagon_and_nothing_else():
 
 RULES = """(points) => [byAlpha(points), byEvidence(points)].map(({ alpha, cloud, loops, kept }) => (
   { alpha, cloud, kept: kept.length, bars: loops.map((l) => [l.birth, l.death, l.strength, l.needed]) }))"""
-RULE_SCRIPTS = ["sampling.js", *PLACES, "assign.js", "seqph.js", "rules.js"]
+RULE_SCRIPTS = [*PLACES, "assign.js", "seqph.js", "rules.js"]
 
 
 def spoilt_clouds() -> list[np.ndarray]:

@@ -28,7 +28,7 @@ MOST_NUDGED = 24  # the script computes 121 clouds at every change
 MOST_REDUCED = 10  # their 120 triangles are columns that can still be told apart
 MOST_FRAMES = 16
 MOST_IN_SPACE = 160  # edges and triangles are drawn one by one
-LOOPS = ("rips.js", "complex.js")  # scripts that compute loops
+LOOPS = ("sampling.js", "rips.js", "complex.js")  # scripts that compute loops
 NO_SHARE = 65535  # stands for a share that the results lack
 
 # ---- the data-flow picture -----------------------------------------------------------------------------------------
@@ -201,7 +201,7 @@ def coverage(
     data: dict[str, Any] = {"points": cloud.tolist(), "observed": ids}
     if hand is not None:
         data["hand"] = [float(value) for value in hand]
-    scripts = ["sampling.js", *LOOPS, "assign.js", "match.js", "planar.js"]
+    scripts = [*LOOPS, "assign.js", "match.js", "planar.js"]
     return _figure("coverage", data, scripts, 500, title, f"{len(ids)} of {len(cloud)} points observed")
 
 
@@ -265,7 +265,7 @@ def stray(points: ArrayLike, start: Sequence[float], end: Sequence[float]) -> Ht
     cloud = planar(points, most=MOST_POINTS - 1)
     ends = planar([start, end]).tolist()
     data = {"points": cloud.tolist(), "start": ends[0], "end": ends[1]}
-    scripts = ["sampling.js", *LOOPS, "assign.js", "seqph.js", "planar.js", "places.js", "rules.js"]
+    scripts = [*LOOPS, "assign.js", "seqph.js", "planar.js", "places.js", "rules.js"]
     return _figure("stray", data, scripts, 480, "drag the stray point away", f"{len(cloud)} points and a stray one")
 
 

@@ -1,6 +1,6 @@
 // Degree-1 Rips persistence of a cloud with its killers and cycles, as topokit.rips has them: the one kernel of all pages.
 //
-//   const { persistence, cycle, filtration, subset } = ripsKernel();
+//   const { persistence, cycle, filtration } = ripsKernel();
 //   persistence(points, n, d, { maxRadius, ids, onProgress }) -> loops; `points` is flat (n * d), d at most 3; ids: of these points alone
 //     births, deaths            Float64Array(c), longest lifetime first; radii are half lengths; death Infinity when alive at maxRadius
 //     birthEdges, killerEdges   Int32Array(2 c), smaller vertex first; -1 without a killer
@@ -9,7 +9,6 @@
 //     ids, pairing              what `cycle` needs
 //   cycle(points, n, d, loops, i) -> Int32Array, the closed walk around loop i, as Diagram.cycle
 //   filtration(points, n, d)     all edges in the total order: count, low, high, keys (squared lengths), rank (n * n), scale
-//   subset(points, d, ids)       the points of these ids, in a flat array of their own
 //   onProgress(share) is called now and then; what it throws ends the run.
 //
 // Idea: edges arrive by (length, smaller index, larger index). Every vertex keeps a row of bits, the vertices that it is joined
@@ -17,7 +16,7 @@
 // components or creates a loop. A connected lune changes nothing. Each further component brings a relation x, z, y, w, a cycle
 // that bounds from now on. Written in creators and reduced, youngest first, it may kill a loop.
 //
-// All is one function, so that a worker can be made from its source.
+// All is one function, so that a worker can be made from its source; `axesOf`, `squaresTo` and `subcloud` are in sampling.js.
 // Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtration).
 function ripsKernel() {
   const OPEN = -2; // an edge whose lune is not empty
@@ -35,62 +34,74 @@ function ripsKernel() {
   }
 
   function sortedBy(keys) { // a stable order of numbers that are not negative: their bits, 11 at a time, lowest first
+    const count = keys.length;
     const words = new Uint32Array(keys.buffer);
-    let order = Uint32Array.from(keys, (_, e) => e);
-    let next = new Uint32Array(keys.length);
-    for (const half of [0, 1]) for (const shift of [0, 11, 22]) {
+    let order = new Uint32Array(count);
+    let next = new Uint32Array(count);
+    for (let e = 0; e < count; e++) order[e] = e;
+    for (let pass = 0; pass < 6; pass++) {
+      const half = pass < 3 ? 0 : 1;
+      const shift = 11 * (pass % 3);
       const starts = new Uint32Array(2049);
-      for (let e = 0; e < keys.length; e++) starts[((words[2 * e + half] >>> shift) & 2047) + 1]++;
+      for (let e = 0; e < count; e++) starts[((words[2 * e + half] >>> shift) & 2047) + 1]++;
       for (let digit = 0; digit < 2048; digit++) starts[digit + 1] += starts[digit];
-      for (const e of order) next[starts[(words[2 * e + half] >>> shift) & 2047]++] = e;
-      [order, next] = [next, order];
+      for (let i = 0; i < count; i++) {
+        const e = order[i];
+        next[starts[(words[2 * e + half] >>> shift) & 2047]++] = e;
+      }
+      const sorted = next;
+      next = order;
+      order = sorted;
     }
     return order;
   }
 
   function filtration(points, n, d, { maxRadius = Infinity, toCone = false } = {}) {
     const scale = powerOfTwoBelow(points);
-    const scaled = points.map((value) => scale * value);
-    const squares = new Float64Array((n * (n - 1)) / 2);
-    const farthest = new Float64Array(n); // from each vertex
-    for (let i = 0, pair = 0; i < n; i++) for (let j = i + 1; j < n; j++, pair++) {
-      let square = 0;
-      for (let k = 0; k < d; k++) {
-        const step = scaled[i * d + k] - scaled[j * d + k];
-        square += step * step;
-      }
-      squares[pair] = square;
-      if (square > farthest[i]) farthest[i] = square;
-      if (square > farthest[j]) farthest[j] = square;
-    }
+    const axes = axesOf(points.map((value) => scale * value), n, d);
+    const [X, Y, Z] = axes;
+    const squares = new Float64Array(n);
 
     // Once a vertex is joined to all others, the complex is a cone: no loop is alive and none will be born.
-    const cone = n > 1 ? farthest.reduce((least, square) => Math.min(least, square), Infinity) : 0;
+    const farthest = new Float64Array(n);
+    for (let i = 0; i < n; i++) {
+      squaresTo(axes, n, X[i], Y[i], Z[i], squares);
+      for (let j = i + 1; j < n; j++) {
+        if (squares[j] > farthest[i]) farthest[i] = squares[j];
+        if (squares[j] > farthest[j]) farthest[j] = squares[j];
+      }
+    }
+    const cone = n > 1 ? farthest.reduce((least, square) => Math.min(least, square)) : 0;
     const diameter = 2 * maxRadius * scale * (1 + 1e-15);
-    const most = Math.min(diameter * diameter, toCone ? cone : Infinity);
+    const last = Math.min(diameter * diameter, toCone ? cone : Infinity);
+
+    const foundLow = new Uint16Array((n * (n - 1)) / 2);
+    const foundHigh = new Uint16Array((n * (n - 1)) / 2);
+    const foundKeys = new Float64Array((n * (n - 1)) / 2);
     let count = 0;
-    for (const square of squares) if (square <= most) count++;
-    const keysFound = new Float64Array(count);
-    const lowFound = new Int32Array(count);
-    const highFound = new Int32Array(count);
-    for (let i = 0, pair = 0, e = 0; i < n; i++) for (let j = i + 1; j < n; j++, pair++) if (squares[pair] <= most) {
-      keysFound[e] = squares[pair];
-      lowFound[e] = i;
-      highFound[e++] = j;
+    for (let i = 0; i < n; i++) {
+      squaresTo(axes, n, X[i], Y[i], Z[i], squares);
+      for (let j = i + 1; j < n; j++) {
+        if (squares[j] > last) continue;
+        foundLow[count] = i;
+        foundHigh[count] = j;
+        foundKeys[count++] = squares[j];
+      }
     }
 
-    const order = sortedBy(keysFound);
-    const low = new Int32Array(count);
-    const high = new Int32Array(count);
+    const order = sortedBy(foundKeys.subarray(0, count));
+    const low = new Uint16Array(count);
+    const high = new Uint16Array(count);
     const keys = new Float64Array(count);
     const rank = new Int32Array(n * n).fill(count); // when the edge between two vertices arrives; `count` for never
     for (let e = 0; e < count; e++) {
-      const x = lowFound[order[e]];
-      const y = highFound[order[e]];
+      const x = foundLow[order[e]];
+      const y = foundHigh[order[e]];
       low[e] = x;
       high[e] = y;
-      keys[e] = keysFound[order[e]];
-      rank[x * n + y] = rank[y * n + x] = e;
+      keys[e] = foundKeys[order[e]];
+      rank[x * n + y] = e;
+      rank[y * n + x] = e;
     }
     return { n, count, low, high, keys, rank, scale, cone };
   }
@@ -100,7 +111,10 @@ function ripsKernel() {
     let least = Infinity;
     for (let z = 0; z < n; z++) {
       const later = Math.max(rank[x * n + z], rank[y * n + z]);
-      if (later < least) [apex, least] = [z, later];
+      if (later < least) {
+        apex = z;
+        least = later;
+      }
     }
     return apex;
   }
@@ -117,7 +131,7 @@ function ripsKernel() {
     const waiting = new Int32Array(n);
     const component = Int32Array.from({ length: n }, (_, v) => v);
     const creator = new Int32Array(count).fill(OPEN); // of each edge: the loop that it created
-    const apexOf = new Int32Array(count).fill(-1); // of each edge its first triangle, once it is asked for
+    const apexOf = new Int32Array(count).fill(-1); // of each edge a vertex of its lune, once it is asked for
     const created = []; // edges that create loops
     const killed = []; // of each loop: killer edge and two apexes, once it is dead
     const relations = []; // of each dead loop: the creators that its relation is reduced to
@@ -160,7 +174,10 @@ function ripsKernel() {
         while (top >= 0) {
           const z = waiting[top--];
           const later = keys[Math.max(rank[x * n + z], rank[y * n + z])];
-          if (later < value || (later === value && z < apex)) [apex, value] = [z, later];
+          if (later < value || (later === value && z < apex)) {
+            apex = z;
+            value = later;
+          }
           for (let u = 0; u < words; u++) {
             let reached = lune[u] & rows[z * words + u];
             lune[u] ^= reached;
@@ -172,8 +189,27 @@ function ripsKernel() {
       return found.sort((a, b) => a.value - b.value || a.apex - b.apex).map((part) => part.apex);
     }
 
-    // An edge with an empty lune stands for the loop that it created. Every other edge is replaced by the two other edges of its
-    // first triangle.
+    function vertexOfLune(e) { // a vertex of the lune that an edge had when it arrived: one near the middle, or the first to complete a triangle
+      const near = 0.4 * keys[e]; // of squares, so a little more than half the length
+      const rowX = low[e] * words;
+      const rowY = high[e] * words;
+      let apex = -1;
+      let least = e;
+      for (let w = 0; w < words; w++) {
+        for (let both = rows[rowX + w] & rows[rowY + w]; both !== 0; both &= both - 1) {
+          const z = 32 * w + 31 - Math.clz32(both & -both);
+          const later = Math.max(rank[low[e] * n + z], rank[high[e] * n + z]); // later than e for rows that hold later edges too
+          if (later >= least) continue;
+          apex = z;
+          least = later;
+          if (keys[later] <= near) return apex;
+        }
+      }
+      return apex;
+    }
+
+    // An edge with an empty lune stands for the loop that it created. Every other edge is replaced by the two other edges of a
+    // triangle that was complete with it.
     function addEdge(a, b) {
       const stack = [rank[a * n + b]];
       while (stack.length > 0) {
@@ -181,7 +217,7 @@ function ripsKernel() {
         const loop = creator[e];
         if (loop >= 0) column[loop >> 5] ^= 1 << loop;
         if (loop !== OPEN) continue;
-        if (apexOf[e] < 0) apexOf[e] = firstTriangle(edges, low[e], high[e]);
+        if (apexOf[e] < 0) apexOf[e] = vertexOfLune(e);
         stack.push(rank[low[e] * n + apexOf[e]], rank[high[e] * n + apexOf[e]]);
       }
     }
@@ -225,7 +261,9 @@ function ripsKernel() {
       } else {
         for (let w = 0; w < words; w++) {
           lune[w] = rows[rowX + w] & rows[rowY + w];
-          if (lune[w] !== 0) [some, seed] = [lune[w], w];
+          if (lune[w] === 0) continue;
+          some = lune[w];
+          seed = w;
         }
       }
       rows[rowX + (y >> 5)] |= 1 << y;
@@ -253,7 +291,7 @@ function ripsKernel() {
   }
 
   function persistence(points, n, d, { maxRadius = Infinity, ids = null, onProgress } = {}) {
-    const cloud = ids ? subset(points, d, ids) : points;
+    const cloud = ids ? subcloud(points, d, ids) : points;
     const size = ids ? ids.length : n;
     const edges = filtration(cloud, size, d, { maxRadius, toCone: true });
     const { created, killed, relations, merges } = pairEdges(edges, onProgress);
@@ -284,12 +322,6 @@ function ripsKernel() {
     };
   }
 
-  function subset(points, d, ids) {
-    const cloud = new Float64Array(ids.length * d);
-    ids.forEach((id, i) => cloud.set(points.subarray(id * d, (id + 1) * d), i * d));
-    return cloud;
-  }
-
   // ---- cycles ------------------------------------------------------------------------------------------------
   //
   // Idea: the birth edge and the shortest way around it may run around an older loop as well, and then outlive the bar. So the search
@@ -302,7 +334,7 @@ function ripsKernel() {
 
   function cycle(points, n, d, loops, i) {
     if (loops !== lastLoops) {
-      const cloud = loops.ids ? subset(points, d, loops.ids) : points;
+      const cloud = loops.ids ? subcloud(points, d, loops.ids) : points;
       lastHomology = homology(filtration(cloud, loops.ids ? loops.ids.length : n, d, { toCone: true }), loops.pairing);
       lastLoops = loops;
     }
@@ -532,5 +564,5 @@ function ripsKernel() {
     };
   }
 
-  return { persistence, cycle, filtration, subset };
+  return { persistence, cycle, filtration };
 }

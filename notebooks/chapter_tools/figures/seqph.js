@@ -12,7 +12,7 @@
 // birth. Along a track evidence adds up and is slowly forgotten. A loop is the same as one before when birth, death and place
 // have moved no more than sampling, motion and the jitter of killers allow; the assignment of least total distance decides.
 // Source: Antonova et al. 2021 (Algorithm 1); topokit/seqph/_evidence.py has the reasons for the constants.
-function seqphKernel({ persistence, subset }, assign) {
+function seqphKernel({ persistence }, assign) {
   const WEAKEST = -2.5; // a bar of less evidence is never looked at
   const MISSED = -1; // evidence of a frame in which a known loop is not found
   const MEMORY = 20; // frames for which a missed loop is remembered
@@ -40,7 +40,7 @@ function seqphKernel({ persistence, subset }, assign) {
     let kept = [...copies.values()];
     let places, nearest, many;
     for (let round = 0; round < 3; round++) {
-      places = subset(points, d, kept.map(([first]) => first));
+      places = subcloud(points, d, kept.map(([first]) => first));
       many = Math.max(1, Math.min(NEIGHBOURS, kept.length - 1));
       nearest = nearestOthers(places, kept.length, d, many);
       if (round === 2 || kept.length <= NEIGHBOURS) break;
@@ -91,8 +91,8 @@ function seqphKernel({ persistence, subset }, assign) {
     const mean = ({ places, size }) => Array.from({ length: d }, (_, k) => places.reduce((sum, v, c) => (c % d === k ? sum + v : sum), 0) / size);
     const [now, then] = [mean(frame), mean(before)];
     const shift = now.map((v, k) => v - then[k]);
-    const still = nearestOthers(frame.places, frame.size, d, 1, before.places);
-    const shifted = nearestOthers(frame.places.map((v, c) => v - shift[c % d]), frame.size, d, 1, before.places);
+    const still = nearestAmong(frame.places, frame.size, before.places, before.size, d);
+    const shifted = nearestAmong(frame.places.map((v, c) => v - shift[c % d]), frame.size, before.places, before.size, d);
     const moves = quantile(shifted, 0.25) < quantile(still, 0.25);
     return { shift: moves ? shift : shift.fill(0), epsilon: quantile(moves ? shifted : still, 0.9) };
   }

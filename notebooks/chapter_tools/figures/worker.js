@@ -16,7 +16,7 @@ function withReports(name, given, onProgress) { // the arguments, with `onProgre
 }
 
 function kernelWorker() {
-  const parts = [squareBetween, farthestPoints, nearestOthers, ripsKernel, assign, seqphKernel, kernelCalls, withReports];
+  const parts = [axesOf, subcloud, squaresTo, farthestPoints, nearestOthers, nearestAmong, ripsKernel, assign, seqphKernel, kernelCalls, withReports];
   const answering = `const calls = kernelCalls();
     onmessage = ({ data: { number, name, given } }) => {
       try {
