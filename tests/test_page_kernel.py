@@ -1,0 +1,144 @@
+"""Test that the kernel of the pages computes what the library computes, in Chromium where it is installed, else by node."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from topokit import farthest_point_sample, rips_persistence, track
+from topokit.io import load_episode
+from topokit.rips import _cycles
+from topokit.sim import WARDROBE
+
+from clouds import FAMILIES, random_cloud
+from pages import by_browser, by_script, needs_node
+
+pytestmark = needs_node
+DATA = Path(__file__).parents[1] / "data_small"
+SCRIPTS = ["sampling.js", "rips.js", "assign.js", "seqph.js"]
+
+LOOPS = """({ points, d, maxRadius }) => {
+  const { persistence, cycle } = ripsKernel(), flat = Float64Array.from(points), n = points.length / d;
+  const loops = persistence(flat, n, d, { maxRadius: maxRadius ?? Infinity }), list = (name) => [...loops[name]];
+  return { birth: list("births"), death: list("deaths").map((r) => (r === Infinity ? null : r)), birth_edge: list("birthEdges"),
+    killer_edge: list("killerEdges"), killer_triangles: list("killerTriangles"),
+    cycles: list("births").map((_, i) => [...cycle(flat, n, d, loops, i)]) };
+}"""
+
+
+def pipe() -> np.ndarray:
+    """Return two rings of which neither is the one that dies when the pipe between them is filled."""
+    turns = np.exp(2j * np.pi * np.arange(16) / 16), 0.8 * np.exp(2j * np.pi * np.arange(12) / 12)
+    return np.vstack(
+        [np.column_stack([ring.real, ring.imag, np.full(len(ring), 0.6 * k)]) for k, ring in enumerate(turns)]
+    )
+
+
+def clouds_of_all_kinds() -> list[np.ndarray]:
+    """Return 500 clouds: ties, repeated points, lines, garments with and without noise, a pipe."""
+    rng = np.random.default_rng(11)
+    clouds = [pipe()]
+    for name, make in WARDROBE.items():
+        vertices = make().vertices
+        sample = vertices[farthest_point_sample(vertices, 40 + 8 * len(name))[0]]
+        clouds += [sample, sample + rng.normal(0, 0.004, sample.shape), rng.permutation(vertices)[:60]]
+    while len(clouds) < 500:
+        clouds.append(random_cloud(rng, FAMILIES[len(clouds) % len(FAMILIES)], 40)[:, :3])
+    return clouds
+
+
+def given(cloud: np.ndarray, **more: object) -> dict:
+    return {"points": cloud.ravel().tolist(), "d": cloud.shape[1], **more}
+
+
+def test_loops_and_cycles_are_those_of_rips_persistence_to_the_last_bit():
+    rng = np.random.default_rng(12)
+    cases = [
+        (cloud, None if k % 4 else float(rng.uniform(0, 1) * np.ptp(cloud)))
+        for k, cloud in enumerate(clouds_of_all_kinds())
+    ]
+    found = by_browser(SCRIPTS, LOOPS, [given(cloud, maxRadius=radius) for cloud, radius in cases])
+    ended = 0
+    for (cloud, radius), answer in zip(cases, found, strict=True):
+        diagram = rips_persistence(cloud, max_radius=np.inf if radius is None else radius)
+        answer["death"] = [np.inf if death is None else death for death in answer["death"]]
+        for name in ("birth", "death", "birth_edge", "killer_edge", "killer_triangles"):
+            np.testing.assert_array_equal(
+                answer[name], getattr(diagram, name).ravel(), err_msg=f"{name} of {cloud.tolist()}"
+            )
+        assert answer["cycles"] == [diagram.cycle(i).tolist() for i in range(len(diagram))]
+        ended += int(np.isfinite(diagram.death).sum())
+    assert ended > 2000
+
+
+def test_a_search_that_gives_up_takes_the_same_way(monkeypatch):
+    rng = np.random.default_rng(78)
+    clouds = [rng.uniform(size=(60, 2)) for _ in range(100)]
+    with_search = [rips_persistence(cloud) for cloud in clouds]
+    shortest = [[diagram.cycle(i).tolist() for i in range(len(diagram))] for diagram in with_search]
+    monkeypatch.setattr(_cycles, "SEARCH_LIMIT", 0)
+    kernel = "eval(`(${ripsKernel})`.replace(/SEARCH_LIMIT = \\d+/, 'SEARCH_LIMIT = 0'))()"
+    answers = by_script(SCRIPTS, LOOPS.replace("ripsKernel()", kernel), [given(cloud) for cloud in clouds])
+    for cloud, answer in zip(clouds, answers, strict=True):
+        diagram = rips_persistence(cloud)
+        assert answer["cycles"] == [diagram.cycle(i).tolist() for i in range(len(diagram))]
+    assert [answer["cycles"] for answer in answers] != shortest
+
+
+SAMPLE = """({ points, d, k, start }) => {
+  const { ids, radii } = farthestPoints(Float64Array.from(points), points.length / d, d, k, start);
+  return [[...ids], radii[k - 1]];
+}"""
+
+
+def test_farthest_points_are_those_of_the_library():
+    rng = np.random.default_rng(0)
+    clouds = [random_cloud(rng, FAMILIES[k % len(FAMILIES)], 60)[:, :3] for k in range(100)]
+    cases = [given(cloud, k=int(rng.integers(1, len(cloud) + 1)), start=-(k % 2)) for k, cloud in enumerate(clouds)]
+    for cloud, case, answer in zip(clouds, cases, by_script(SCRIPTS, SAMPLE, cases), strict=True):
+        ids, radius = farthest_point_sample(cloud, case["k"], None if case["start"] else 0)
+        assert answer == [ids.tolist(), radius]
+
+
+TRACK = """({ frames, d }) => {
+  const states = seqphKernel(ripsKernel(), assign).track(frames.map((frame) => Float64Array.from(frame)), d);
+  return states.map(({ alpha, epsilon, diagram, loops }) => ({ alpha, epsilon, loops: loops.map(({ id, bar }) => (
+    [id, diagram.births[bar], diagram.deaths[bar], ...diagram.killerTriangles.subarray(6 * bar, 6 * bar + 6)])) }));
+}"""
+
+
+def films() -> list[list[np.ndarray]]:
+    """Return the films of `data_small`, one with half the points, and rings that come and go beside points that are alone."""
+    recorded = [load_episode(DATA / f"apron_hook_{k}.npz").observed.astype(float) for k in range(3)]
+    recorded.append(recorded[2][:, ::2])
+    rng = np.random.default_rng(2)
+    made = []
+    for t in range(40):
+        turns = np.exp(2j * np.pi * np.arange(30) / 30)
+        rings = [
+            np.column_stack([turns.real, turns.imag, 0 * turns.real]) + [4 * k + 0.1 * t, 0, 0]
+            for k in range(3)
+            if (t + 9 * k) % 27
+        ]
+        noise = rng.uniform(-20, 20, (t % 3, 3))
+        made.append(np.vstack([*rings, rings[0][: t % 5], noise]) + rng.normal(0, 0.02, (1, 3)))
+    return [*map(list, recorded), made]
+
+
+@pytest.mark.parametrize(("k", "ids"), [(0, 1), (1, 1), (2, 1), (3, 8), (4, 3)])
+def test_a_film_is_tracked_as_by_the_library(k, ids):
+    film = films()[k]
+    [answer] = by_script(SCRIPTS, TRACK, [{"frames": [cloud.ravel().tolist() for cloud in film], "d": 3}])
+    seen = set()
+    for state, found in zip(track(film), answer, strict=True):
+        expected = [
+            [loop.id, loop.birth, loop.death, *loop.killer_triangle_ids.ravel().tolist()] for loop in state.loops
+        ]
+        assert found["loops"] == expected
+        assert (found["alpha"], found["epsilon"]) == pytest.approx(
+            [state.parameters[name] for name in ("alpha", "epsilon")]
+        )
+        seen |= {loop.id for loop in state.loops}
+    assert len(seen) == ids
