@@ -41,6 +41,7 @@ extensions = [
     "myst_nb",
     "shell",
     "cards",
+    "clouds",
     "links",
     "teach",
     "sphinx.ext.autodoc",

@@ -35,10 +35,10 @@ def unpack(packed: dict) -> np.ndarray:
 
 
 def by_script(scripts: list[str], call: str, given: object) -> list:
-    """Return what `call`, an arrow function, makes of each item of `given` with the functions of `scripts`."""
+    """Return what `call`, a function that may be async, makes of each item of `given` with the functions of `scripts`."""
     code = _code_of(scripts)
     code += '\nconst given = JSON.parse(require("fs").readFileSync(0, "utf8"));\n'
-    code += f"console.log(JSON.stringify(given.map({call})));"
+    code += f"Promise.all(given.map({call})).then((answers) => console.log(JSON.stringify(answers)));"
     done = subprocess.run(["node", "-e", code], input=json.dumps(given), capture_output=True, text=True, check=True)
     return json.loads(done.stdout)
 

@@ -42,12 +42,12 @@ class HtmlFigure:
         scripts: Sequence[str] = (),
         folder: Path | None = None,
     ) -> HtmlFigure:
-        """Return the figure `name`, which consists of `name`.html, `name`.js and what all figures share.
+        """Return the figure `name`: `name`.html, `name`.js, `name`.css where there is one, and what all figures share.
 
         Parameters
         ----------
         name : str
-            The name of the two files.
+            The name of the files.
         data : mapping
             JSON values and NumPy arrays for the script, which reads the arrays by its function `unpack`.
         height : int
@@ -67,7 +67,7 @@ class HtmlFigure:
         code = "\n".join(_code_lines(folder, ["frame.js", *scripts, f"{name}.js"]))
         parts = {
             "NAME": name,
-            "STYLE": _text(folder, "frame.css"),
+            "STYLE": _text(folder, "frame.css") + _own_style(folder, name),
             "PARTS": _text(folder, f"{name}.html"),
             "SCRIPT": f"(() => {{\n{code}\n}})();",
             "DATA": encoded.replace("</", "<\\/"),  # a "</script>" in the data would end the script element
@@ -103,6 +103,13 @@ def _text(folder: Path, file: str) -> str:
     if not path.exists():
         path = _PARTS / file
     return path.read_text(encoding="utf-8")
+
+
+def _own_style(folder: Path, name: str) -> str:
+    path = folder / f"{name}.css"
+    if path.exists():
+        return path.read_text(encoding="utf-8")
+    return ""
 
 
 def _code_lines(folder: Path, scripts: Sequence[str]) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from .lune_plots import plot_lens, plot_lune
 from .pages import (
+    cloud,
     coverage,
     data_flow,
     elimination,
@@ -16,6 +17,7 @@ from .pages import (
 )
 
 __all__ = [
+    "cloud",
     "coverage",
     "data_flow",
     "elimination",

@@ -269,6 +269,35 @@ def stray(points: ArrayLike, start: Sequence[float], end: Sequence[float]) -> Ht
     return _figure("stray", data, scripts, 480, "drag the stray point away", f"{len(cloud)} points and a stray one")
 
 
+def cloud(samples: Mapping[str, ArrayLike]) -> HtmlFigure:
+    """Return the page on which readers see the loops of their own clouds: files, pasted numbers, or a sample.
+
+    Everything is computed in the browser, in a worker; no file leaves it.
+
+    Parameters
+    ----------
+    samples : mapping of str to (n, 3) or (T, n, 3) array_like
+        Clouds and films by name, metres. They are stored to 0.1 mm.
+    """
+    packed = {}
+    for name, points in samples.items():
+        ticks = np.rint(np.asarray(points, dtype=np.float64) * 10_000).astype(np.int64)
+        low = ticks.reshape(-1, 3).min(axis=0)
+        packed[name] = {"ticks": ticks - low, "low": low.tolist()}
+    scripts = [
+        "sampling.js",
+        "rips.js",
+        "assign.js",
+        "seqph.js",
+        "worker.js",
+        "files.js",
+        "samples.js",
+        "orbit.js",
+        "planar.js",
+    ]
+    return _figure("cloud", {"samples": packed}, scripts, 900, "drag to turn", "Loops of your cloud")
+
+
 # ---- probability, links and results --------------------------------------------------------------------------------
 
 

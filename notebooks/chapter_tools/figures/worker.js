@@ -4,24 +4,24 @@
 //   worker.run(name, given, onProgress) -> Promise      name: persistence, cycle, track, evidence or farthestPoints; given: its arguments
 //   worker.stop()                                       ends all runs; their promises reject with Error("stopped")
 // Where there can be no worker, the page itself computes.
-function kernelCalls() {
+function kernelCalls(more = []) {
   const rips = ripsKernel();
-  return { ...rips, ...seqphKernel(rips, assign), farthestPoints };
+  return Object.assign({ ...rips, ...seqphKernel(rips, assign), farthestPoints }, ...more.map((part) => part()));
 }
 
 function withReports(name, given, onProgress) { // the arguments, with `onProgress` among the options, which come last
-  const options = { persistence: 3, track: 2 }[name];
+  const options = { persistence: 3, track: 2, readFilm: 1 }[name];
   if (options === undefined) return given;
   return Object.assign([...given], { [options]: { ...given[options], onProgress } });
 }
 
-function kernelWorker() {
-  const parts = [axesOf, subcloud, squaresTo, farthestPoints, nearestOthers, nearestAmong, ripsKernel, assign, seqphKernel, kernelCalls, withReports];
-  const answering = `const calls = kernelCalls();
-    onmessage = ({ data: { number, name, given } }) => {
+function kernelWorker(more = []) { // more: functions without arguments that return further calls by name
+  const parts = [axesOf, subcloud, squaresTo, farthestPoints, nearestOthers, nearestAmong, ripsKernel, assign, seqphKernel, kernelCalls, withReports, ...more];
+  const answering = `const calls = kernelCalls([${more.map((part) => part.name)}]);
+    onmessage = async ({ data: { number, name, given } }) => {
       try {
         const onProgress = (share) => postMessage({ number, share });
-        postMessage({ number, result: calls[name](...withReports(name, given, onProgress)) });
+        postMessage({ number, result: await calls[name](...withReports(name, given, onProgress)) });
       } catch (error) {
         postMessage({ number, error: error.message });
       }
@@ -47,7 +47,7 @@ function kernelWorker() {
     try {
       if (!worker) start();
     } catch {
-      return new Promise((resolve) => resolve(kernelCalls()[name](...withReports(name, given, onProgress))));
+      return new Promise((resolve) => resolve(kernelCalls(more)[name](...withReports(name, given, onProgress))));
     }
     return new Promise((resolve, reject) => {
       runs.set(++number, { resolve, reject, onProgress });

@@ -1,0 +1,413 @@
+// What a file of points holds: clouds, flat and in space, or an Error that says in words what is wrong with it.
+// Idea: a reader gets the bytes and returns { clouds: [numbers], columns, python }: numbers point after point, and the expression that
+// reads the same in Python. What a header declares is compared with the bytes that are there before memory is taken.
+function fileReaders() {
+  const MOST_BYTES = 2 ** 28, MOST_POINTS = 5e6, MOST_FRAMES = 2000, MOST_COLUMNS = 16;
+  const CAMERAS = ["240,320", "424,512", "480,640", "480,848", "576,640", "720,1280", "1080,1920"]; // images (h, w, 3), not films
+  const fail = (text) => {
+    throw new Error(text);
+  };
+  const latin = (bytes) => new TextDecoder("latin1").decode(bytes);
+  const many = (count, what) => `${count.toLocaleString("en")} ${what}${count === 1 ? "" : "s"}`;
+  const sum = (list) => list.reduce((total, value) => total + value, 0);
+  const quoted = (name) => JSON.stringify(name);
+  function checkCount(count) {
+    if (!(Number.isInteger(count) && count >= 0)) fail("damaged: its header declares no number of points");
+    if (count > MOST_POINTS) fail(`${many(count, "point")}; this page reads up to ${MOST_POINTS.toLocaleString("en")}: thin the cloud out first`);
+  }
+  function checkRoom(needed, there, what) {
+    if (needed > there) fail(`cut off: ${what} take ${many(needed, "byte")}, and there are ${there.toLocaleString("en")}`);
+  }
+
+  // ---- numbers in bytes ------------------------------------------------------------------------------------------
+  const SIZES = { i1: 1, u1: 1, i2: 2, u2: 2, f2: 2, i4: 4, u4: 4, f4: 4, i8: 8, u8: 8, f8: 8 };
+  function half(bits) { // a number of 16 bits
+    const exponent = (bits >> 10) & 31, share = bits & 1023, sign = bits >> 15 ? -1 : 1;
+    if (exponent === 31) return share ? NaN : sign * Infinity;
+    return sign * (exponent ? 2 ** (exponent - 15) * (1 + share / 1024) : 2 ** -24 * share);
+  }
+  function taker(bytes, type, little) { // the number at a place
+    const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+    return {
+      i1: (at) => view.getInt8(at), u1: (at) => view.getUint8(at), i2: (at) => view.getInt16(at, little), u2: (at) => view.getUint16(at, little),
+      i4: (at) => view.getInt32(at, little), u4: (at) => view.getUint32(at, little), f2: (at) => half(view.getUint16(at, little)),
+      f4: (at) => view.getFloat32(at, little), f8: (at) => view.getFloat64(at, little),
+      i8: (at) => Number(view.getBigInt64(at, little)), u8: (at) => Number(view.getBigUint64(at, little)),
+    }[type];
+  }
+  function strided(count, takes, place) { // one number of each taker for each of `count` rows; place(row, column) is its byte
+    const out = new Float64Array(count * takes.length);
+    takes.forEach((take, c) => {
+      for (let i = 0; i < count; i++) out[i * takes.length + c] = take(place(i, c));
+    });
+    return out;
+  }
+  function placeOf(names) { // where x, y and z are among the columns
+    const at = ["x", "y", "z"].map((axis) => names.indexOf(axis));
+    if (at.includes(-1)) fail(`its points have no x, y and z, but ${names.join(", ") || "nothing"}`);
+    return at;
+  }
+
+  // ---- .ply --------------------------------------------------------------------------------------------------------
+  const PLY_TYPES = { char: "i1", uchar: "u1", short: "i2", ushort: "u2", int: "i4", uint: "u4", float: "f4", double: "f8",
+    int8: "i1", uint8: "u1", int16: "i2", uint16: "u2", int32: "i4", uint32: "u4", float32: "f4", float64: "f8" };
+  function plyHeader(bytes) {
+    const text = latin(bytes.subarray(0, 2 ** 16)), end = /^end_header[ \t]*(\r\n|\n|\r)/m.exec(text), elements = [];
+    if (!/^ply\s/.test(text)) fail("not a PLY file: it does not begin with the word ply");
+    if (!end) fail("its header has no line end_header");
+    let format;
+    for (const line of text.slice(0, end.index).split(/[\r\n]+/)) {
+      const [word, ...rest] = line.trim().split(/\s+/);
+      if (word === "format") format = rest[0];
+      if (word === "element") elements.push({ name: rest[0], count: +rest[1], properties: [] });
+      if (word !== "property") continue;
+      const list = rest[0] === "list", types = rest.slice(list ? 1 : 0, -1).map((name) => PLY_TYPES[name]);
+      if (!elements.length || types.length !== (list ? 2 : 1) || types.includes(undefined)) fail(`a line of its header is not understood: ${line.slice(0, 60)}`);
+      elements.at(-1).properties.push({ name: rest.at(-1), types });
+    }
+    if (!["ascii", "binary_little_endian", "binary_big_endian"].includes(format)) fail(`its format is ${format}, which is none of PLY`);
+    return { format, elements, start: end.index + end[0].length };
+  }
+  function readPly(bytes) {
+    const { format, elements, start } = plyHeader(bytes), body = bytes.subarray(start), little = format === "binary_little_endian";
+    const vertex = elements.find((element) => element.name === "vertex") ?? fail("it has no element vertex");
+    checkCount(vertex.count);
+    const at = placeOf(vertex.properties.map((property) => property.name)), views = {};
+    const text = format === "ascii" ? latin(body) : null, word = /\S+/g;
+    let [here, ended] = [0, false];
+    const take = (type) => { // the next number
+      const found = text === null ? (here += SIZES[type]) <= body.length : word.exec(text);
+      ended ||= !found;
+      if (ended) return NaN;
+      return text === null ? (views[type] ??= taker(body, type, little))(here - SIZES[type]) : Number(found[0]);
+    };
+    const row = ({ name, count, properties }, put = () => {}) => properties.forEach(({ types }, c) => {
+      for (let left = types.length > 1 ? take(types[0]) : 1; left > 0 && !ended; left--) put(c, take(types.at(-1)));
+      if (ended) fail(`cut off: it ends within the ${count.toLocaleString("en")} rows of its element ${name}`);
+    });
+    for (const element of elements.slice(0, elements.indexOf(vertex))) {
+      for (let i = 0; i < element.count && element.properties.length; i++) row(element);
+    }
+
+    // Rows of one width are read column by column, others number by number.
+    const sizes = vertex.properties.map(({ types }) => (types.length > 1 ? NaN : SIZES[types[0]])), wide = sum(sizes);
+    if (text === null && wide) {
+      checkRoom(vertex.count * wide, body.length - here, `${many(vertex.count, "row")} of ${wide} bytes`);
+      const offsets = at.map((c) => here + sum(sizes.slice(0, c))), takes = at.map((c) => taker(body, vertex.properties[c].types[0], little));
+      return cloudOf(strided(vertex.count, takes, (i, c) => offsets[c] + i * wide), "sensors");
+    }
+    const out = new Float64Array(3 * Math.min(vertex.count, body.length));
+    for (let i = 0; i < vertex.count; i++) row(vertex, (c, value) => at.includes(c) && (out[3 * i + at.indexOf(c)] = value));
+    return cloudOf(out, "sensors");
+  }
+  const cloudOf = (numbers, python) => ({ clouds: [numbers], columns: 3, python });
+
+  // ---- .pcd --------------------------------------------------------------------------------------------------------
+  function unpackLzf(packed, length) { // Lehmann's LZF: runs of bytes as they are, and repetitions of what was unpacked before
+    const out = new Uint8Array(length);
+    let from = 0, to = 0;
+    while (from < packed.length) {
+      const control = packed[from++];
+      if (control < 32) {
+        if (from + control + 1 > packed.length || to + control + 1 > length) fail("damaged: its packed points cannot be unpacked");
+        out.set(packed.subarray(from, from + control + 1), to);
+        from += control + 1;
+        to += control + 1;
+        continue;
+      }
+      let size = (control >> 5) + 2;
+      if (size === 9) size += packed[from++];
+      let back = to - ((control & 31) << 8) - packed[from++] - 1;
+      if (!(back >= 0 && to + size <= length)) fail("damaged: its packed points cannot be unpacked");
+      while (size--) out[to++] = out[back++];
+    }
+    if (to !== length) fail(`damaged: ${many(to, "byte")} where ${length.toLocaleString("en")} are declared`);
+    return out;
+  }
+  function readPcd(bytes) {
+    const text = latin(bytes.subarray(0, 2 ** 14)), end = /^DATA[ \t]+(\w+)[^\n]*\n/m.exec(text);
+    if (!end) fail("not a PCD file: its header has no line DATA");
+    const line = (word) => new RegExp(`^${word}[ \\t]+([^\\r\\n]*)`, "m").exec(text.slice(0, end.index))?.[1].trim().split(/\s+/);
+    const names = line("FIELDS") ?? fail("its header has no line FIELDS"), counts = (line("COUNT") ?? names.map(() => 1)).map(Number);
+    const types = names.map((_, c) => (line("TYPE")?.[c] ?? "?").toLowerCase() + (line("SIZE")?.[c] ?? "?"));
+    const points = Number(line("POINTS")?.[0] ?? line("WIDTH")?.[0] * (line("HEIGHT")?.[0] ?? 1));
+    checkCount(points);
+    const at = placeOf(names.map((name) => name.toLowerCase())), kind = end[1].toLowerCase();
+    if (types.some((type) => !(type in SIZES)) || counts.some((count) => !(count >= 0 && count < 4096))) fail("its lines SIZE, TYPE and COUNT do not fit its FIELDS");
+    let body = bytes.subarray(end.index + end[0].length);
+    const widths = names.map((_, c) => SIZES[types[c]] * counts[c]), wide = sum(widths), before = (list, c) => sum(list.slice(0, c));
+    if (kind === "ascii") {
+      const rows = textRows(latin(body)).rows, columns = at.map((c) => before(counts, c));
+      if (rows.length !== points) fail(`${many(points, "point")} in its header, and ${rows.length.toLocaleString("en")} in the file`);
+      return cloudOf(Float64Array.from(rows.flatMap((row) => columns.map((c) => row[c] ?? NaN))), "sensors");
+    }
+    if (kind !== "binary" && kind !== "binary_compressed") fail(`its DATA is ${kind}, which is none of PCD`);
+    if (kind === "binary_compressed") {
+      checkRoom(8, body.length, "the sizes of packed points");
+      const size = taker(body, "u4", true), [packed, whole] = [size(0), size(4)];
+      checkRoom(packed, body.length - 8, "its packed points");
+      if (whole !== points * wide || whole > 100 * packed + 1000) fail(`damaged: ${many(points, "point")} of ${wide} bytes, but ${many(whole, "byte")} packed into ${packed}`);
+      body = unpackLzf(body.subarray(8, 8 + packed), whole);
+    }
+    checkRoom(points * wide, body.length, `${many(points, "point")} of ${wide} bytes`);
+    const takes = at.map((c) => taker(body, types[c], true)), packed = kind === "binary_compressed"; // packed: field after field
+    return cloudOf(strided(points, takes, (i, c) => (packed ? points * before(widths, at[c]) + i * widths[at[c]] : i * wide + before(widths, at[c]))), "sensors");
+  }
+
+  // ---- .npy and .npz -----------------------------------------------------------------------------------------------
+  function readArray(bytes) { // of a .npy: its shape and its numbers, the last index first to change
+    if (latin(bytes.subarray(0, 6)) !== "\x93NUMPY") fail("not a file of NumPy: its first bytes are other ones");
+    checkRoom(12, bytes.length, "its first lines");
+    const long = bytes[6] > 1, room = long ? taker(bytes, "u4", true)(8) : taker(bytes, "u2", true)(8), start = (long ? 12 : 10) + room;
+    checkRoom(start, bytes.length, "its header");
+    const header = latin(bytes.subarray(long ? 12 : 10, start)), type = /'descr':\s*'([<>|=]?)([a-zA-Z]\d*)'/.exec(header), shape = /'shape':\s*\(([^)]*)\)/.exec(header);
+    if (!type || !(type[2] in SIZES)) fail(`it holds ${/'descr':\s*('[^']*'|\[)/.exec(header)?.[1].replace("[", "fields with names") ?? "no numbers"}; save plain numbers instead: np.save(name, points.astype(float))`);
+    if (!shape) fail("damaged: its header declares no shape");
+    const sizes = shape[1].split(",").filter((word) => word.trim()).map(Number), count = sizes.reduce((product, size) => product * size, 1);
+    if (!Number.isSafeInteger(count)) fail(`damaged: its header declares the shape (${shape[1].slice(0, 40)})`);
+    checkRoom(count * SIZES[type[2]], bytes.length - start, `numbers of shape (${sizes})`);
+    const take = taker(bytes.subarray(start), type[2], type[1] !== ">"), size = SIZES[type[2]], numbers = new Float64Array(count);
+    if (!/'fortran_order':\s*True/.test(header)) {
+      for (let i = 0; i < count; i++) numbers[i] = take(i * size);
+      return { shape: sizes, numbers, type: type[2] };
+    }
+    for (let i = 0; i < count; i++) { // the first index is the first to change
+      let [left, place, step] = [i, 0, count];
+      for (const length of sizes) {
+        step /= length;
+        place += step * (left % length);
+        left = Math.floor(left / length);
+      }
+      numbers[place] = take(i * size);
+    }
+    return { shape: sizes, numbers, type: type[2] };
+  }
+  function cloudsOfArray({ shape, numbers }, python) { // (n, 2), (n, 3), (T, n, 3), (T, h, w, 3), or (h, w, 3) of a depth camera
+    const columns = shape.at(-1), given = `(${shape.join(", ")})`;
+    if (shape.length < 2 || shape.length > 4) fail(`its shape is ${given}; a cloud is (n, 3), a film (T, n, 3)`);
+    if (columns < 2 || columns > MOST_COLUMNS) fail(`its shape is ${given}; a row is a point of two or three numbers${shape[0] < 4 ? ": transpose it" : ""}`);
+    const film = shape.length > 2 && !CAMERAS.includes(shape.slice(0, 2).join()), frames = film ? shape[0] : 1, size = numbers.length / (frames || 1);
+    if (frames > MOST_FRAMES) fail(`${many(frames, "frame")}; this page follows up to ${MOST_FRAMES.toLocaleString("en")}`);
+    checkCount(size / columns);
+    const flat = shape.length === 4 || (shape.length === 3 && !film) ? ".reshape(" + (film ? `${frames}, -1, ${columns})` : `-1, ${columns})`) : "";
+    const clouds = Array.from({ length: frames }, (_, t) => numbers.subarray(t * size, (t + 1) * size));
+    return { clouds, columns, film, python: python + flat + (columns > 3 ? "[..., :3]" : "") };
+  }
+  const readNpy = (bytes, name) => cloudsOfArray(readArray(bytes), `np.load(${quoted(name)})`);
+
+  const CHECKS = Int32Array.from({ length: 256 }, (_, n) => {
+    for (let k = 0; k < 8; k++) n = n & 1 ? (n >>> 1) ^ 0xedb88320 : n >>> 1;
+    return n;
+  });
+  function checksum(bytes) { // CRC-32, as zip files have it
+    let check = -1;
+    for (let i = 0; i < bytes.length; i++) check = (check >>> 8) ^ CHECKS[(check ^ bytes[i]) & 255];
+    return ~check >>> 0;
+  }
+  async function inflate(packed, length) {
+    const chunks = [], stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate-raw")).getReader();
+    let got = 0;
+    try {
+      for (let part = await stream.read(); !part.done; part = await stream.read()) {
+        got += part.value.length;
+        if (got > length) break;
+        chunks.push(part.value);
+      }
+    } catch {
+      fail("damaged: one of its arrays cannot be unpacked");
+    }
+    if (got !== length) fail(`damaged: an array of ${many(length, "byte")} unpacks to ${got > length ? "more" : got.toLocaleString("en")}`);
+    const out = new Uint8Array(length);
+    let at = 0;
+    for (const chunk of chunks) {
+      out.set(chunk, at);
+      at += chunk.length;
+    }
+    return out;
+  }
+  function zipEntries(bytes) { // from the list at the end of the file: name, and a promise of what it holds
+    const u2 = taker(bytes, "u2", true), u4 = taker(bytes, "u4", true), entries = new Map();
+    let end = bytes.length - 22;
+    while (end >= Math.max(0, bytes.length - 65557) && u4(end) !== 0x06054b50) end--;
+    if (end < 0 || u4(end) !== 0x06054b50) fail("not a whole .npz: it does not end as a zip file does");
+    for (let k = 0, at = u4(end + 16); k < u2(end + 10); k++) {
+      checkRoom(at + 46, bytes.length, "the entries of its list");
+      if (u4(at) !== 0x02014b50) fail("damaged: its list of arrays is broken");
+      const [method, check, packed, length, start] = [u2(at + 10), u4(at + 16), u4(at + 20), u4(at + 24), u4(at + 42)];
+      const name = latin(bytes.subarray(at + 46, at + 46 + u2(at + 28)));
+      entries.set(name, async () => {
+        checkRoom(start + 30, bytes.length, "its arrays");
+        const from = start + 30 + u2(start + 26) + u2(start + 28);
+        checkRoom(from + packed, bytes.length, `${name}, packed,`);
+        if (length > 2 * MOST_BYTES) fail(`${name} unpacks to ${many(length, "byte")}; this page reads up to ${(2 * MOST_BYTES).toLocaleString("en")}`);
+        if (method !== 0 && method !== 8) fail(`${name} is packed in a way that is not read here (${method})`);
+        const whole = method ? await inflate(bytes.subarray(from, from + packed), length) : bytes.subarray(from, from + packed);
+        if (checksum(whole) !== check) fail(`damaged: ${name} is not what was written`);
+        return whole;
+      });
+      at += 46 + u2(at + 28) + u2(at + 30) + u2(at + 32);
+    }
+    return entries;
+  }
+  async function readNpz(bytes, name) {
+    const entries = zipEntries(bytes), load = async (key) => readArray(await entries.get(key + ".npy")());
+    if (entries.has("header.json")) return readEpisode(entries, load, name);
+    const keys = [...entries.keys()].filter((key) => key.endsWith(".npy")).map((key) => key.slice(0, -4)).filter((key) => key !== "times");
+    if (!keys.length) fail(`it holds no array, but ${[...entries.keys()].join(", ").slice(0, 80) || "nothing"}`);
+    const key = keys.includes("points") ? "points" : keys[0];
+    if (key !== "points" && keys.length > 1) fail(`it holds ${keys.join(", ").slice(0, 80)}: name the array of points "points"`);
+    return cloudsOfArray(await load(key), `np.load(${quoted(name)})[${quoted(key)}]`);
+  }
+  async function readEpisode(entries, load, name) { // of topokit: steps of 0.1 mm, along time their differences (see topokit/io.py)
+    const { kind, frames } = JSON.parse(new TextDecoder().decode(await entries.get("header.json")()));
+    if (kind !== "topokit-episode") fail(`it is a file of topokit, but a ${String(kind).replace("topokit-", "file of ")} and no episode`);
+    const places = async (key) => { // sums of differences, in whole numbers that wrap around as those of the file do
+      const { shape, numbers, type } = await load(key), row = shape[1] * shape[2], wrap = type === "i2" ? (v) => (v << 16) >> 16 : (v) => v | 0;
+      if (shape.length !== 3 || shape[0] !== frames) fail(`damaged: ${key} is of shape (${shape.join(", ")}), and its header has ${many(frames, "frame")}`);
+      for (let i = row; i < numbers.length; i++) numbers[i] = wrap(numbers[i] + numbers[i - row]);
+      return { shape, numbers };
+    };
+    let { shape, numbers } = await places(entries.has("observed.npy") ? "observed" : "points");
+    if (entries.has("observed_ids.npy")) { // of vertices
+      const ids = await load("observed_ids"), [wide, seen] = [3 * shape[1], ids.shape[1]];
+      if (ids.shape[0] !== frames) fail("damaged: it observes another number of frames than its header has");
+      if (ids.numbers.some((id) => id >= shape[1])) fail("damaged: it observes vertices that it does not have");
+      const all = numbers;
+      numbers = new Float64Array(3 * ids.numbers.length);
+      ids.numbers.forEach((id, i) => numbers.set(all.subarray(Math.floor(i / seen) * wide + 3 * id, Math.floor(i / seen) * wide + 3 * id + 3), 3 * i));
+      shape = [frames, seen, 3];
+    }
+    return cloudsOfArray({ shape, numbers: numbers.map((ticks) => Math.fround(ticks / 10000)) }, `load_episode(${quoted(name)}).observed`);
+  }
+
+  // ---- text --------------------------------------------------------------------------------------------------------
+  function textRows(text) { // rows of numbers, after a header of words; a cell that is empty or a word of no number is NaN
+    const rows = [], separator = /[;\t]/.exec(text.slice(0, 5000))?.[0] ?? (/[\d.]\s*,/.test(text.slice(0, 5000)) ? "," : " ");
+    let [skipped, number, names] = [0, 0, null];
+    for (let at = 0; at <= text.length; ) {
+      const stop = text.indexOf("\n", at), raw = text.slice(at, stop < 0 ? text.length : stop), line = raw.split("#")[0].trim();
+      at = stop < 0 ? text.length + 1 : stop + 1;
+      number++;
+      if (!line) continue;
+      const cells = separator === " " ? line.split(/\s+/) : line.split(separator).map((cell) => cell.trim());
+      const values = cells.map((cell) => (/^$|^[+-]?nan$/i.test(cell) ? NaN : Number(cell.replace(/^([+-]?)inf(inity)?$/i, "$1Infinity"))));
+      const wrong = cells.findIndex((cell, c) => Number.isNaN(values[c]) && !/^$|^[+-]?nan$/i.test(cell));
+      if (wrong >= 0 && rows.length) fail(`line ${number} holds ${quoted(cells[wrong].slice(0, 30))} where a number should be`);
+      if (wrong >= 0) [skipped, names] = [number, cells.map((cell) => cell.toLowerCase().replace(/^"(.*)"$/, "$1"))];
+      else rows.push(values);
+      if (wrong >= 0 && skipped > 100) fail("its first hundred lines hold no numbers: it is no table of points");
+      checkCount(rows.length);
+    }
+    return { rows, separator, skipped, names };
+  }
+  function readText(bytes, name) {
+    const start = bytes.subarray(0, 4096);
+    if (start.includes(0)) fail("it is no text: it holds bytes that no letter has");
+    const { rows, separator, skipped, names } = textRows(new TextDecoder().decode(bytes)), columns = rows[0]?.length ?? fail("it holds no numbers");
+    const odd = rows.findIndex((row) => row.length !== columns);
+    if (odd >= 0) fail(`row ${odd + 1} of its numbers has ${rows[odd].length}, the first has ${columns}`);
+    if (columns < 2) fail("it has one number a row; a point has two or three");
+    const named = names?.length === columns && ["x", "y", "z"].every((axis) => names.includes(axis)), at = named ? placeOf(names) : [0, 1, 2].slice(0, columns);
+    const options = [separator === " " ? "" : `, delimiter=${quoted(separator)}`, skipped ? `, skip_header=${skipped}` : "", columns > 3 || named ? `, usecols=(${at.join(", ")})` : ""];
+    const numbers = new Float64Array(rows.length * at.length);
+    rows.forEach((row, i) => at.forEach((c, k) => (numbers[i * at.length + k] = row[c])));
+    return { clouds: [numbers], columns: at.length, python: `np.genfromtxt(${quoted(name)}${options.join("")})` };
+  }
+
+  // ---- vertices of meshes -------------------------------------------------------------------------------------------
+  function readObj(bytes, name) {
+    const text = latin(bytes), line = /^v[ \t]+(.*)$/gm, numbers = [];
+    for (let found = line.exec(text); found; found = line.exec(text)) {
+      const place = found[1].trim().split(/\s+/).slice(0, 3).map(Number);
+      if (place.length < 3 || place.some(Number.isNaN)) fail(`a vertex of it is no three numbers: ${found[0].slice(0, 60)}`);
+      numbers.push(...place);
+      checkCount(numbers.length / 3);
+    }
+    if (!numbers.length) fail("it has no vertices: no line begins with v");
+    return cloudOf(Float64Array.from(numbers), `np.array([line.split()[1:4] for line in open(${quoted(name)}) if line.startswith("v ")], float)`);
+  }
+  function readStl(bytes, name) { // corners of its triangles; a corner that several share is left out as a repeat
+    const count = bytes.length >= 84 ? taker(bytes, "u4", true)(80) : -1, python = `trimesh.load(${quoted(name)}, process=False).vertices`;
+    if (bytes.length === 84 + 50 * count) {
+      checkCount(3 * count);
+      const take = taker(bytes, "f4", true);
+      return cloudOf(strided(3 * count, [take, take, take], (i, c) => 84 + 50 * Math.floor(i / 3) + 12 * (1 + (i % 3)) + 4 * c), python);
+    }
+    const text = latin(bytes.subarray(0, 6)).toLowerCase() === "solid " || /^\s*solid/i.test(latin(bytes.subarray(0, 80))) ? latin(bytes) : "";
+    if (!text) fail(`neither a whole binary STL nor a text: ${many(bytes.length, "byte")}, of which its header makes ${many(count, "triangle")}`);
+    const numbers = [], corner = /\bvertex\s+(\S+)\s+(\S+)\s+(\S+)/gi;
+    for (let found = corner.exec(text); found; found = corner.exec(text)) {
+      numbers.push(...found.slice(1, 4).map(Number));
+      checkCount(numbers.length / 3);
+    }
+    if (!numbers.length || !/endsolid/i.test(text.slice(-200)) || numbers.length % 9) fail("cut off or damaged: a triangle of it has not three corners, or endsolid is missing");
+    return cloudOf(Float64Array.from(numbers), python);
+  }
+
+  // ---- any file ------------------------------------------------------------------------------------------------------
+  const READERS = { ply: readPly, pcd: readPcd, npy: readNpy, npz: readNpz, csv: readText, xyz: readText, txt: readText, obj: readObj, stl: readStl };
+  function tidy(numbers, columns) { // places in space without NaN, a camera's zeros and repeats, and how many of each there were
+    const rows = numbers.length / columns, out = new Float64Array(3 * rows), left = { rows, notFinite: 0, atZero: 0, repeats: 0 };
+    let size = 16;
+    while (size < 2 * rows) size *= 2;
+    const slots = new Int32Array(size).fill(-1), bits = new Uint32Array(out.buffer);
+    let kept = 0;
+    for (let i = 0; i < rows; i++) {
+      const [x, y] = [numbers[i * columns] + 0, numbers[i * columns + 1] + 0], z = columns > 2 ? numbers[i * columns + 2] + 0 : 0; // + 0: -0 is 0
+      if (!(Number.isFinite(x) && Number.isFinite(y) && Number.isFinite(z))) left.notFinite++;
+      else if (columns > 2 && x === 0 && y === 0 && z === 0) left.atZero++;
+      else {
+        out.set([x, y, z], 3 * kept);
+        let slot = 0;
+        for (let b = 6 * kept; b < 6 * kept + 6; b++) slot = Math.imul(slot ^ bits[b], 0x9e3779b1) ^ (slot >>> 15);
+        const same = (other) => out[3 * other] === x && out[3 * other + 1] === y && out[3 * other + 2] === z;
+        for (slot = (slot ^ (slot >>> 16)) & (size - 1); slots[slot] >= 0 && !same(slots[slot]); ) slot = (slot + 1) & (size - 1);
+        if (slots[slot] >= 0) left.repeats++;
+        else slots[slot] = kept++;
+      }
+    }
+    return { points: out.slice(0, 3 * kept), left };
+  }
+  async function readFile(name, bytes) {
+    const suffix = name.toLowerCase().split(".").at(-1), start = latin(bytes.subarray(0, 60)).trimStart().toLowerCase();
+    if (!(suffix in READERS)) fail(`this page reads ${Object.keys(READERS).map((kind) => "." + kind).join(", ")}, not .${suffix.slice(0, 12)}`);
+    if (!bytes.length) fail("the file is empty");
+    if (start.startsWith("version https://git-lfs")) fail("a pointer of git-lfs and not the file itself: fetch it by git lfs pull");
+    if (/^<(!doctype|html|\?xml)/.test(start)) fail("a web page and not the file itself");
+    const read = await READERS[suffix](bytes, name);
+    if (read.python === "sensors") read.python = `next(read_clouds(${quoted(name)}, unit="m"))[1]`;
+    return read;
+  }
+
+  // ---- frames --------------------------------------------------------------------------------------------------------
+  const MOST_SHOWN = 800, MOST_AROUND = 5000;
+  function thinned(numbers, columns) { // a frame: up to 800 farthest points, in their order; all of them, where there are no more; others to be seen around
+    const { points, left } = tidy(numbers, columns), count = points.length / 3, order = new Float64Array(3 * Math.min(count, MOST_SHOWN));
+    if (!count) fail(`none of its ${many(left.rows, "point")} is left: ${left.notFinite} not finite, ${left.atZero} at zero`);
+    const { ids, radii } = farthestPoints(points, count, 3, order.length / 3), step = Math.ceil(count / MOST_AROUND);
+    ids.forEach((id, k) => order.set(points.subarray(3 * id, 3 * id + 3), 3 * k));
+    const around = new Float64Array(3 * Math.ceil(count / step));
+    for (let i = 0; i < around.length / 3; i++) around.set(points.subarray(3 * i * step, 3 * i * step + 3), 3 * i);
+    return { count, order, radii, all: count > MOST_SHOWN ? null : points, around, left };
+  }
+  async function readFilm(files, { onProgress = () => {} } = {}) { // of a file, or of several in natural order; a file that cannot be read is left out and told
+    const sorted = [...files].sort((a, b) => new Intl.Collator("en", { numeric: true }).compare(a.name, b.name));
+    const film = { names: [], frames: [], errors: [], columns: 3, python: "", several: files.length > 1 };
+    for (const [k, file] of sorted.entries()) {
+      try {
+        if (file.size > MOST_BYTES) fail(`${Math.round(file.size / 2 ** 20).toLocaleString("en")} MB; this page reads up to ${MOST_BYTES / 2 ** 20}: thin the cloud out first`);
+        const { clouds, columns, film: whole, python } = await readFile(file.name, new Uint8Array(await file.arrayBuffer()));
+        if (film.several && clouds.length > 1) fail(`it is a film of ${clouds.length} frames; drop it alone`);
+        const frames = clouds.map((numbers, t) => (onProgress((k + t / clouds.length) / sorted.length), thinned(numbers, columns)));
+        if (film.frames.length + frames.length > MOST_FRAMES) fail(`the film would have more than ${MOST_FRAMES.toLocaleString("en")} frames`);
+        film.names.push(file.name);
+        film.frames.push(...frames);
+        Object.assign(film, { columns: Math.min(columns, 3), python: film.python || python, whole });
+      } catch (error) {
+        film.errors.push(`${file.name}: ${error.message}`);
+      }
+    }
+    return film;
+  }
+  return { readFilm, thinned };
+}
