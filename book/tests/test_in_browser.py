@@ -293,6 +293,35 @@ def test_a_lit_part_of_the_complex_is_drawn(chromium: Any) -> None:
         assert visit.trouble == []
 
 
+KERNEL = ["sampling.js", "rips.js", "assign.js", "seqph.js", "worker.js"]
+IN_WORKER = """async () => {
+  const points = Float64Array.from({ length: 1500 }, (_, k) => Math.sin(k * k)), worker = kernelWorker(), shares = [];
+  const found = await worker.run("persistence", [points, 500, 3], (share) => shares.push(share));
+  const film = [[points, points, points], 3];
+  const stopped = worker.run("track", film, () => worker.stop()).catch((error) => error.message);
+  const here = ripsKernel().persistence(points, 500, 3);
+  return { same: JSON.stringify(found) === JSON.stringify(here), loops: found.births.length, shares,
+    stopped: await stopped, wrong: await worker.run("track", [[new Float64Array(0)], 3]).catch((error) => error.message),
+    sample: (await worker.run("farthestPoints", [points, 500, 3, 7])).ids.length };
+}"""
+
+
+def test_the_kernel_works_in_a_worker_from_a_plain_folder(chromium: Any, tmp_path: Path) -> None:
+    scripts = [(ROOT / "notebooks/chapter_tools/figures" / name).read_text("utf-8") for name in KERNEL]
+    page = tmp_path / "page.html"
+    page.write_text(f'<meta charset="utf-8"><script>{"".join(scripts)}</script>', "utf-8")
+    with Visit(chromium, str(page)) as visit:
+        told = visit.ask(IN_WORKER)
+        assert told["same"]
+        assert told["loops"] > 50
+        assert len(told["shares"]) > 10
+        assert told["shares"] == sorted(told["shares"])
+        assert told["stopped"] == "stopped"
+        assert told["wrong"] == "frame 0 has no points"
+        assert told["sample"] == 7
+        assert visit.trouble == []
+
+
 # Move a slider, but not to an end, where other controls may have nothing to show.
 MOVE = """e => {
   const at = (share) => +e.min + share * (e.max - e.min);
