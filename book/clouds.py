@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parent.parent
 # Name, episode and frame. The film is every second frame of the first episode.
 CLOUDS = (
-    ("an apron", "apron_hook_0.npz", 20),
-    ("a tote bag", "dataset/00000002.npz", 40),
-    ("a mask", "dataset/00000022.npz", 40),
+    ("an apron", "apron_hook_0.npz", 8),
+    ("a tote bag", "dataset/00000002.npz", 8),
+    ("a mask", "dataset/00000022.npz", 16),
 )
 FILM = "a film: an apron and its hook"
 FILM_STEP = 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from chapter_tools.figures import cloud
 from topokit.io import load_episode
 
 from pages import by_script, needs_node
@@ -174,3 +177,8 @@ def test_damaged_files_end_in_an_error_of_our_own_or_in_points(files, tmp_path):
         for error in film["errors"]:
             assert not any(word in error for word in INTERNAL), error
     assert sum(bool(film["errors"]) for film in films) > len(films) / 4
+
+
+def test_the_scripts_of_the_page_stay_small():
+    [script] = re.findall("<script>(.*?)</script>", cloud({}).page, re.DOTALL)
+    assert len(gzip.compress(script.encode())) < 60_000

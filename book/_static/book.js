@@ -87,5 +87,7 @@ function lighting(word) {
     part.value = value;
     part.dispatchEvent(new Event(part.type === "range" ? "input" : "change"));
   };
-  word.onkeydown = (e) => ["Enter", " "].includes(e.key) && (e.preventDefault(), word.onclick());
+  word.onkeydown = (e) => { // not an arrow that returns false: it would swallow the Tab key
+    if (["Enter", " "].includes(e.key)) (e.preventDefault(), word.onclick());
+  };
 }

@@ -277,6 +277,8 @@ def test_words_light_up_their_part_of_one_figure(chromium: Any, page: str) -> No
             word.press("Enter")
             now = [frame.evaluate("id => document.getElementById(id)?.value", part) for frame in frames]
             assert not value or value in now, part
+            word.press("Tab")
+            assert not word.evaluate("e => e === document.activeElement")
         assert visit.trouble == []
 
 

@@ -161,7 +161,9 @@ function explain() { // a button that shows what a screen reader reads: the keys
   describe(button, "keys and hands");
   button.setAttribute("aria-controls", "keys");
   button.onclick = () => show($("keys").hidden);
-  button.onkeydown = (e) => e.key === "Escape" && show(false);
+  button.onkeydown = (e) => { // not an arrow that returns false: it would swallow the Tab key
+    if (e.key === "Escape") show(false);
+  };
   show(false);
   $("status").before(button);
 }

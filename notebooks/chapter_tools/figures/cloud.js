@@ -282,7 +282,9 @@
     if (film()) drawStrip();
     [...$("rows").children].forEach((row, bar) => {
       row.className = bar === chosen.bar ? "chosen" : "";
-      row.querySelector("button").setAttribute("aria-pressed", bar === chosen.bar);
+      const button = row.querySelector("button");
+      button.setAttribute("aria-pressed", bar === chosen.bar);
+      button.tabIndex = bar === chosen.bar ? 0 : -1; // one stop of the Tab key for the whole table
     });
     const covering = n < whole.count ? [`covering radius ${whole.radii[n - 1].toPrecision(3)}`] : [], found = state() ? [many(loops, "loop"), many(bars().length, "bar")] : [];
     const text = [...(film() ? [`frame ${frame} of ${source.frames.length - 1}`] : []), `${n.toLocaleString("en")} of ${many(whole.count, "point")}`, ...covering, ...found, ...(counted ? [counted] : []), ...(took ? [`${(took / 1000).toFixed(2)} s`] : [])].join(" \u00b7 ");
@@ -362,7 +364,7 @@
     }
   };
   function address() {
-    const { az, el, zoom } = eye.cam, short = (v) => +v.toFixed(3), view = { sample: source.sample, points: wanted(), frame, bar: chosen.bar, radius: +radius.toPrecision(4), az: short(az), el: short(el), zoom: short(zoom) };
+    const view = { sample: source.sample, points: wanted(), frame, bar: chosen.bar, radius, ...eye.cam };
     return `${outside().location.href.split("#")[0]}#${new URLSearchParams(view)}`;
   }
   function restore() { // the view of a link, or else the first sample
@@ -406,6 +408,8 @@
     if (away[nearest] < 30) choose(nearest);
   };
   keys(diagram, () => ({ ArrowDown: () => step(1), ArrowRight: () => step(1), ArrowUp: () => step(-1), ArrowLeft: () => step(-1) }));
+  const walk = (by) => (step(by), $("rows").children[chosen.bar].querySelector("button").focus());
+  keys($("rows"), () => ({ ArrowDown: () => walk(1), ArrowUp: () => walk(-1) }));
   onReset(() => (eye.back(), (radius = 0), later()));
   $("copy").onclick = () => copy(python(), $("copy"));
   $("save-points").onclick = () => save(`${stem()}.npy`, asNpy());

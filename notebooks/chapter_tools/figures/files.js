@@ -156,7 +156,7 @@ function fileReaders() {
 
   // ---- .npy and .npz -----------------------------------------------------------------------------------------------
   function readArray(bytes) { // of a .npy: its shape and its numbers, the last index first to change
-    if (latin(bytes.subarray(0, 6)) !== "\x93NUMPY") fail("not a file of NumPy: its first bytes are other ones");
+    if (bytes[0] !== 0x93 || latin(bytes.subarray(1, 6)) !== "NUMPY") fail("not a file of NumPy: its first bytes are other ones");
     checkRoom(12, bytes.length, "its first lines");
     const long = bytes[6] > 1, room = long ? taker(bytes, "u4", true)(8) : taker(bytes, "u2", true)(8), start = (long ? 12 : 10) + room;
     checkRoom(start, bytes.length, "its header");
