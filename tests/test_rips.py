@@ -330,7 +330,7 @@ def test_more_memory_than_is_allowed(monkeypatch):
 
 
 @compiled
-@pytest.mark.parametrize("shape", ["plane", "torus", "grid", "far apart", "repeated"])
+@pytest.mark.parametrize("shape", ["plane", "torus", "grid", "far apart", "repeated", "in eight places", "in one place"])
 def test_large_clouds_are_paired_without_a_table_of_pairs(shape, monkeypatch):
     rng = np.random.default_rng(0)
     angles = 2 * np.pi * rng.random((2, 1200))
@@ -342,6 +342,8 @@ def test_large_clouds_are_paired_without_a_table_of_pairs(shape, monkeypatch):
         "grid": np.argwhere(np.ones((8, 8, 8))),
         "far apart": np.r_[torus[:500], torus[500:] + [1e6, 0, 0]],
         "repeated": torus[rng.integers(0, 400, 1200)],
+        "in eight places": rng.integers(0, 2, (600, 3)),
+        "in one place": np.ones((600, 3)),
     }[shape]
     for max_radius in (np.inf, 0.2):
         dense = rips_persistence(points, max_radius=max_radius)

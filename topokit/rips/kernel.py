@@ -1339,6 +1339,7 @@ Space = namedtuple("Space", "box_pairs near lune apexes values left")
 LUNE_FOR_ROWS = 32  # mean number of points in a lune from which rows pay
 NODE_FOR_ROWS = 64  # largest number of points in a node that has rows
 GROWTH = 1.3  # ratio of the squared lengths where a window ends and begins
+SMALLEST_WINDOW = 1e-18  # of the greatest squared length
 GROWTH_WITH_ROWS = 1.07  # with rows, which are the less certain the longer the window is
 FEW_STEPS = 32  # vertices tried before it is left open whether a lune is connected
 # A lune lies within sqrt(3)/2 of its edge's length from the midpoint: a point within the rest is joined to all of it.
@@ -1747,7 +1748,8 @@ def pair_large(data, max_length, buffer_arrays, spare, stop):
     greatest = min(_radius(points, tree, walk.place), max_length)  # the greatest length that matters
     beyond = greatest * (1.0 + 1e-12) + 5e-324
     shortest = 0.0
-    longest = min(max(first_window(points), 5e-324), beyond)
+    # Windows grow by a ratio, so that the first one must not end at nearly nothing: neighbours may be in the same place.
+    longest = min(max(first_window(points), SMALLEST_WINDOW * greatest, 5e-324), beyond)
     done = False
     while not done:
         # The next window of edges. While no loop is alive, those with an empty lune, and the others if a loop is born then.
