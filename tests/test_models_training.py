@@ -236,6 +236,9 @@ def test_every_window_once_an_epoch_and_another_order_the_next():
     assert sorted(first) == sorted(second) == list(range(10))
     assert first != second
     assert epoch_order(10, 8, 0, 0) == first[:8]
+    in_rows = epoch_order(10, None, 0, 0, together=4)
+    assert sorted(in_rows) == list(range(10))
+    assert sum((b - a) % 10 == 1 for a, b in zip(in_rows, in_rows[1:], strict=False)) >= 7  # of ten in three rows
 
 
 def test_too_little_data(tmp_path, windows):

@@ -8,13 +8,13 @@ each always in the same place.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
 from forecasts import Forecaster
 from torch import Tensor
-from torch.utils.data import Dataset
+from torch.utils.data import Dataset, default_collate
 
 from topokit.data import WindowDataset
 from topokit.models import StateTensors
@@ -44,9 +44,14 @@ class Remedied(Dataset[dict[str, Tensor]]):
         return len(self.windows)
 
     def __getitem__(self, i: int) -> dict[str, Tensor]:
-        window = self.windows[i]
-        batch = self.remedied({name: part[None] for name, part in window.items()})
-        return {name: part[0] for name, part in batch.items()}
+        return self.__getitems__([i])[0]
+
+    def __getitems__(self, rows: Sequence[int]) -> list[dict[str, Tensor]]:
+        windows = self.windows.__getitems__(rows)
+        if self.frame == "room" and not self.given:
+            return windows
+        parts = {name: part.unbind() for name, part in self.remedied(default_collate(windows)).items()}
+        return [{name: part[i] for name, part in parts.items()} for i in range(len(windows))]
 
     def remedied(self, window: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return a batch of windows with the remedies."""

@@ -9,7 +9,7 @@ leaves alone what is in the folder already, so the same command goes on after it
 
 films      garments on coarse meshes, to train and to validate with
 labels     their loops, tracked on all vertices
-trainings  of each network: the rate, then the length, then all seeds, for every number of films
+trainings  of each network: the rate, then the length, then every number of films with every seed
 tests      films of two other seeds and their loops, on the usual mesh and on the coarse one of the training films
 forecasts  of all windows by all forecasters, on validation films and on test films
 table      shares with intervals, the logs of the trainings, and what became of the claims
@@ -208,13 +208,14 @@ class Experiment:
             windows_per_epoch=self.protocol["epoch"],
             validation_windows=self.protocol["validation_windows"],
             patience=epochs,
+            together=described.get("together", 1),
             learning_rate=rate,
             threads=1,
         )
 
     @property
     def trainings(self) -> list[tuple[str, int]]:
-        """Return the networks to train and their numbers of films, few films first; variants are trained on some sizes only."""
+        """Return the networks to train and their numbers of films, few films first; some are trained on some sizes only."""
         described = self.protocol["networks"]
         return [
             (network, films)
@@ -224,30 +225,34 @@ class Experiment:
         ]
 
     def rate_of(self, network: str) -> float:
-        """Return the rate of the best of some whole trainings, which differ in nothing else; variants take another network's."""
-        network = self.protocol["networks"][network].get("rate_of", network)
+        """Return the rate of the best of some whole trainings, which differ in nothing else."""
         how = self.protocol["rates_of"]
         rates = self.protocol["rates"]
         tried = [self.train(network, how["films"], how["seed"], rate, how["epochs"]) for rate in rates]
         return min(tried, key=lambda training: training.loss).rate
 
-    def train_long_enough(self, network: str, films: int) -> None:
-        """Train a network with each seed, so long that a training of twice the length is no better.
+    def length_of(self, network: str) -> int:
+        """Return the epochs of a training that is no worse than one of twice the length.
 
         The rate falls to nothing over a training, so that its loss falls to the end, however long it is. So the question whether
         it has been trained for long enough is put to whole trainings.
         """
+        how = self.protocol["lengths_of"]
         rate = self.rate_of(network)
-        first, *others = self.protocol["seeds"]
         best = None
         for epochs in self.protocol["lengths"]:
-            longer = self.train(network, films, first, rate, epochs)
+            longer = self.train(network, how["films"], how["seed"], rate, epochs)
             if best is not None and longer.loss > best.loss * (1 - self.protocol["better"]):
                 break
             best = longer
         assert best is not None
-        for seed in others:
-            self.train(network, films, seed, rate, best.epochs)
+        return best.epochs
+
+    def train_seeds(self, network: str, films: int) -> None:
+        """Train a network with each seed, at the rate and for the length that were found for it, or for the one it is like."""
+        model = self.protocol["networks"][network].get("like", network)
+        for seed in self.protocol["seeds"]:
+            self.train(network, films, seed, self.rate_of(model), self.length_of(model))
 
     def ended(self, network: str, films: int) -> dict[int, Trained]:
         """Return for each seed the best of its trainings that have ended, by their validation loss."""
@@ -289,7 +294,7 @@ class Experiment:
     def train_all(self) -> None:
         """Train all networks, on few films first."""
         for network, films in self.trainings:
-            self.train_long_enough(network, films)
+            self.train_seeds(network, films)
 
     # -------------------------------------------------------------------------------------------------------------- forecasts
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import copy
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +63,9 @@ class _Episode:
     actions: Ticks
     held: NDArray[np.bool_]  # (T,)
     tracked: _Tracked
+    places: dict[int, NDArray[np.int64]] = field(
+        default_factory=dict
+    )  # `_places` of windows that were asked for, by frame
 
     @property
     def nbytes(self) -> int:
@@ -201,24 +204,56 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
 
     def __getitem__(self, i: int) -> dict[str, torch.Tensor]:
         """Return window `i` as a dict of tensors."""
-        number, frame = (int(value) for value in self.index[i])
+        return self.__getitems__([i])[0]
+
+    def __getitems__(self, rows: Sequence[int]) -> list[dict[str, torch.Tensor]]:
+        """Return several windows. A DataLoader asks for a batch by this: it is computed in one piece, which is quicker."""
+        windows = [self._window(*self.index[i].tolist()) for i in rows]
+        whole = {name: np.stack([window[name] for window in windows]) for name in windows[0]}
+        present = whole["place"] >= 0  # (B, h + k, S)
+        numbers = np.where(present[..., None], whole["numbers"], 0)
+        states = {
+            "triangles": _metres(whole["triangles"]) * present[..., None, None, None],
+            "values": np.where(present[..., None], whole["values"], 0),
+            "present": present,
+            **{name: numbers[..., i] for i, name in enumerate(("birth", "death", "killer_shift"))},
+        }
+        past = slice(None, self.history)
+        future = slice(self.history, None)
+        parts = {
+            **{name: _metres(whole[name]) for name in ("clouds", "grippers", "actions")},
+            "held": whole["held"][:, past],
+            "actions_held": whole["held"][:, future],
+            **{name: part[:, future] for name, part in states.items()},
+            **{f"past_{name}": part[:, past] for name, part in states.items()},
+            **{name: whole[name] for name in ("episode", "frame", "garment")},
+        }
+        tensors = {name: torch.from_numpy(np.ascontiguousarray(part)).unbind() for name, part in parts.items()}
+        return [{name: values[i] for name, values in tensors.items()} for i in range(len(windows))]
+
+    def _window(self, number: int, frame: int) -> dict[str, NDArray[Any]]:
+        """Return what an episode has for a window; states of all its frames, where `place` is negative those of another loop."""
         episode = self._memory.get(number, self._decode)
         past = slice(frame - self.history + 1, frame + 1)
         future = slice(frame + 1, frame + self.horizon + 1)
-        order = self._identities(episode.tracked, past, future)
-        parts: dict[str, Any] = {
-            "clouds": _metres(episode.clouds[past]),
-            "grippers": _metres(episode.grippers[past]),
-            "held": episode.held[past].copy(),
-            "actions": _metres(episode.actions[future]),
-            "actions_held": episode.held[future].copy(),
-            **_by_identity(episode.tracked, order, future),
-            **{f"past_{name}": part for name, part in _by_identity(episode.tracked, order, past).items()},
-            "episode": np.int64(number),
-            "frame": np.int64(frame),
-            "garment": np.int64(self.dataset.garments.index(self.dataset.record(number).garment)),
+        frames = np.arange(past.start, future.stop)
+        if frame not in episode.places:
+            episode.places[frame] = self._places(episode.tracked, past, future)
+        place = episode.places[frame]
+        tracked = episode.tracked
+        return {
+            "clouds": episode.clouds[past],
+            "grippers": episode.grippers[past],
+            "actions": episode.actions[future],
+            "held": episode.held[frames],
+            "place": place,
+            "triangles": tracked.triangles[frames[:, None], place],
+            "values": tracked.values[frames[:, None], place],
+            "numbers": tracked.numbers[frames[:, None], place],
+            "episode": np.asarray(number, np.int64),
+            "frame": np.asarray(frame, np.int64),
+            "garment": np.asarray(self.dataset.garments.index(self.dataset.record(number).garment), np.int64),
         }
-        return {name: torch.as_tensor(part) for name, part in parts.items()}
 
     def true_loops(self, i: int) -> tuple[Array, ...]:
         """Return the vertices of every true loop in the frames t+1..t+k of window `i`, (k, L, 3) metres each."""
@@ -248,8 +283,8 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         chosen.episodes = np.unique(chosen.index[:, 0])
         return chosen
 
-    def _identities(self, tracked: _Tracked, past: slice, future: slice) -> NDArray[np.int64]:
-        """Return the identity (S,) in each slot; -2 where there is none."""
+    def _places(self, tracked: _Tracked, past: slice, future: slice) -> NDArray[np.int64]:
+        """Return where the loop of each slot is among those of each frame of a window, (h + k, S); -1 where it is absent."""
         ids = tracked.ids[past]
         numbers = tracked.numbers[past]
 
@@ -263,7 +298,9 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
         later, first = np.unique(tracked.ids[future], return_index=True)
         later = later[np.argsort(first)]
         newcomers = later[(later >= 0) & ~np.isin(later, known)]
-        return np.concatenate([known_first, newcomers, np.full(self.slots, -2)])[: self.slots]
+        order = np.concatenate([known_first, newcomers, np.full(self.slots, -2)])[: self.slots]
+        match = tracked.ids[past.start : future.stop, None, :] == order[None, :, None]  # (h + k, S, S')
+        return np.where(match.any(axis=2), match.argmax(axis=2), -1)
 
     def _decode(self, number: int) -> _Episode:
         episode = self.dataset[number]
@@ -302,19 +339,3 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
 
 def _metres(ticks: Ticks) -> Array:
     return ticks.astype(np.float32) * _TICK
-
-
-def _by_identity(tracked: _Tracked, order: NDArray[np.int64], span: slice) -> dict[str, NDArray[Any]]:
-    """Return the states of some frames in slots; zeros where a loop is absent."""
-    ids = tracked.ids[span]  # (T, S')
-    match = ids[:, None, :] == order[None, :, None]  # (T, S, S')
-    present = match.any(axis=2)
-    place = match.argmax(axis=2)
-    row = np.arange(len(ids))[:, None]
-    numbers = np.where(present[..., None], tracked.numbers[span][row, place], 0)
-    return {
-        "triangles": _metres(tracked.triangles[span][row, place]) * present[..., None, None, None],
-        "values": np.where(present[..., None], tracked.values[span][row, place], 0),
-        "present": present,
-        **{name: numbers[..., i] for i, name in enumerate(("birth", "death", "killer_shift"))},
-    }

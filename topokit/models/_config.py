@@ -49,6 +49,8 @@ class TrainConfig:
     epochs: Count = 20  #: largest number of epochs
     #: Number of windows in an epoch, drawn anew for each; all windows when not given.
     windows_per_epoch: Count | None = None
+    #: Number of windows in a row that stay together in the order of an epoch. A PointNet encodes the clouds that they share once.
+    together: Count = 1
     validation_windows: Count = 2000  #: largest number of windows for validation, the same in every epoch
     #: Learning rate of AdamW. It rises over the first 2 % of steps, and falls along a cosine to a hundredth.
     learning_rate: Positive = 1e-3
@@ -115,10 +117,15 @@ class TrainConfig:
         return Windows(ConcatDataset([new.train, repeated]), new.validation, new.checksum + old.checksum)
 
 
-def epoch_order(n: int, count: int | None, seed: int, epoch: int) -> list[int]:
-    """Return `count` of n windows, or all, in an order that depends only on seed and epoch."""
+def epoch_order(n: int, count: int | None, seed: int, epoch: int, together: int = 1) -> list[int]:
+    """Return `count` of n windows, or all, in an order that depends only on seed and epoch, `together` of them in a row."""
     generator = torch.Generator().manual_seed(seed * 1_000_003 + epoch)
-    return torch.randperm(n, generator=generator)[:count].tolist()
+    first = together * torch.randperm(-(-n // together), generator=generator)
+    # Rows begin at another window in each epoch. The first window follows on the last.
+    start = torch.randint(together, (), generator=generator)
+    order = (first[:, None] + torch.arange(together)).flatten()
+    order = order[order < n]
+    return ((order + start) % n)[:count].tolist()
 
 
 def spread(n: int, most: int) -> list[int]:

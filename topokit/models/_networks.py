@@ -89,11 +89,12 @@ class PointNet(MLP):
         return self.units[-1]
 
     def encode_frames(self, frames: Context) -> Context:
-        # A few clouds at a time, whose codes stay in the cache. The last ReLU comes after the maximum, which is the same.
-        clouds = self.normalise(frames["clouds"])
+        # A cloud that several windows share is encoded once. A few clouds at a time, whose codes stay in the cache. The last
+        # ReLU comes after the maximum, which is the same.
+        clouds, cloud_of_frame = torch.unique(frames["clouds"], dim=0, return_inverse=True)
         before_last = self.points[:-1]
-        parts = [maximum(before_last(part)) for part in clouds.split(_CLOUDS_AT_ONCE)]
-        return {"frame": self.points[-1](torch.cat(parts))}
+        parts = [maximum(before_last(part)) for part in self.normalise(clouds).split(_CLOUDS_AT_ONCE)]
+        return {"frame": self.points[-1](torch.cat(parts))[cloud_of_frame]}
 
 
 def _check_units(name: str, units: Sequence[int]) -> None:

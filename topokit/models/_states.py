@@ -57,14 +57,19 @@ class StateTensors:
     @classmethod
     def from_labels(cls, window: Window) -> StateTensors:
         """Return the states to predict for a batch of windows."""
-        corners, neighbour_values = corners_of(window["triangles"], window["values"])
+        # Most slots are empty: only loops that are present have corners to compute.
+        present = window["present"]
+        triangles = window["triangles"]
+        corners = triangles.new_zeros(*present.shape, 8, 3)
+        neighbour_values = triangles.new_zeros(*present.shape, 4)
+        corners[present], neighbour_values[present] = corners_of(triangles[present], window["values"][present])
         return cls(
             corners=corners,
             neighbour_values=neighbour_values,
             birth=window["birth"],
             death=window["death"],
             killer_shift=torch.nan_to_num(window["killer_shift"]),
-            presence=torch.where(window["present"], 20.0, -20.0),
+            presence=torch.where(present, 20.0, -20.0),
             noise=torch.full_like(window["birth"], NOISE),
         )
 

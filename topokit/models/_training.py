@@ -180,7 +180,9 @@ class _Training:
             group["lr"] = config.learning_rate * share
         seed = config.seed * 1_000_003 + step
         generator = torch.Generator().manual_seed(seed)
-        window = mirrored(window, torch.rand(len(window["actions"]), generator=generator) < 0.5)
+        n = len(window["actions"])
+        turns = torch.rand(-(-n // config.together), generator=generator) < 0.5
+        window = mirrored(window, turns.repeat_interleave(config.together)[:n])
         loss, parts = self._loss(window, seed)
         if not torch.isfinite(loss):
             raise ValueError(f"step {step}: the loss is {loss.item()}; lower learning_rate, or check the data")
@@ -251,7 +253,9 @@ class _Training:
         """Return the batches of the epoch, under a bar."""
         epoch = self.progress.epoch
         config = self.config
-        self.order[:] = epoch_order(len(self.windows.train), config.windows_per_epoch, config.seed, epoch)
+        self.order[:] = epoch_order(
+            len(self.windows.train), config.windows_per_epoch, config.seed, epoch, config.together
+        )
         return tqdm(
             self.loader,
             f"epoch {epoch + 1}",
