@@ -118,11 +118,15 @@ def test_films_and_shapes(tmp_path):
         np.save(tmp_path / f"{name}.npy", array)
     for k in (10, 9, 1):
         np.save(tmp_path / f"frame{k}.npy", film[k % 3])
+    np.savez(tmp_path / "frames.npz", *film)
     several = [tmp_path / f"frame{k}.npy" for k in (10, 9, 1)]
-    *answers, natural = read(*([tmp_path / f"{name}.npy"] for name in arrays), several)
+    *answers, frames, natural = read(
+        *([tmp_path / f"{name}.npy"] for name in arrays), [tmp_path / "frames.npz"], several
+    )
     got = dict(zip(arrays, map(clouds, answers), strict=True))
     np.testing.assert_array_equal(got["film"], film)
     np.testing.assert_array_equal(got["images"], film)
+    np.testing.assert_array_equal(clouds(frames), film)
     np.testing.assert_array_equal(got["plane"][0], np.column_stack([film[0, :, :2], np.zeros(20)]))
     assert [len(cloud) for cloud in got["image"]] == [800]
     for name in ("half", "whole"):

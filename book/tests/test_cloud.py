@@ -251,6 +251,18 @@ def test_numbers_are_pasted(cloud: Cloud) -> None:
     assert cloud.pressed() == "loop 0"
 
 
+@pytest.mark.parametrize(
+    "numbers", ["1 2 3", "1 2\n3 4", "0 0 1\n0 0 2\n0 0 3\n0 0 4", "1e300 0 0\n0 1e300 1\n1 1 1", "1 2 3\n1 2 3"]
+)
+def test_few_points_have_no_loops_and_cause_no_trouble(cloud: Cloud, numbers: str) -> None:
+    cloud.give({"few.txt": numbers.encode()})
+    assert "sample" not in cloud.text("#told")
+    assert cloud.text("#rows") == ""
+    assert "0 loops" in cloud.text("#status")
+    cloud.frame.query_selector("#radius").evaluate(MOVE)
+    assert "edges" in (cloud.shown() and cloud.text("#status"))
+
+
 def test_every_sample_shows_its_loops(cloud: Cloud) -> None:
     samples = cloud.frame.evaluate("[...document.querySelector('#sample').options].map((option) => option.value)")
     assert len(samples) == 8

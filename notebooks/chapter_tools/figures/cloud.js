@@ -287,7 +287,7 @@
       button.tabIndex = bar === chosen.bar ? 0 : -1; // one stop of the Tab key for the whole table
     });
     const covering = n < whole.count ? [`covering radius ${whole.radii[n - 1].toPrecision(3)}`] : [], found = state() ? [many(loops, "loop"), many(bars().length, "bar")] : [];
-    const text = [...(film() ? [`frame ${frame} of ${source.frames.length - 1}`] : []), `${n.toLocaleString("en")} of ${many(whole.count, "point")}`, ...covering, ...found, ...(counted ? [counted] : []), ...(took ? [`${(took / 1000).toFixed(2)} s`] : [])].join(" \u00b7 ");
+    const text = [...(film() ? [`frame ${frame} of ${source.frames.length - 1}`] : []), `${n.toLocaleString("en")} of ${many(whole.count, "point")}`, ...covering, ...found, ...(counted ? [counted] : []), ...(took ? [`computed in ${(took / 1000).toFixed(2)} s`] : [])].join(" \u00b7 ");
     tell(text, $("radius"), Math.round((200 * radius) / end));
     $("radius").setAttribute("aria-valuetext", radius.toPrecision(3));
     $("time").value = frame;

@@ -250,10 +250,16 @@ function fileReaders() {
     return entries;
   }
   async function readNpz(bytes, name) {
-    const entries = zipEntries(bytes), load = async (key) => readArray(await entries.get(key + ".npy")());
+    const entries = zipEntries(bytes), load = async (key) => readArray(await (entries.get(key + ".npy") ?? (() => fail(`it holds no ${key}`)))());
     if (entries.has("header.json")) return readEpisode(entries, load, name);
     const keys = [...entries.keys()].filter((key) => key.endsWith(".npy")).map((key) => key.slice(0, -4)).filter((key) => key !== "times");
     if (!keys.length) fail(`it holds no array, but ${[...entries.keys()].join(", ").slice(0, 80) || "nothing"}`);
+    if (keys.length > 1 && keys.every((key) => /^arr_\d+$/.test(key))) { // unnamed arrays are a cloud each
+      const frames = [];
+      for (let k = 0; k < keys.length; k++) frames.push(cloudsOfArray(await load(`arr_${k}`), ""));
+      if (frames.some(({ clouds, columns }) => clouds.length > 1 || columns !== frames[0].columns)) fail("its arrays are no clouds of one kind");
+      return { ...frames[0], film: true, clouds: frames.map(({ clouds }) => clouds[0]), python: `[np.load(${quoted(name)})[f"arr_{k}"] for k in range(${keys.length})]` };
+    }
     const key = keys.includes("points") ? "points" : keys[0];
     if (key !== "points" && keys.length > 1) fail(`it holds ${keys.join(", ").slice(0, 80)}: name the array of points "points"`);
     return cloudsOfArray(await load(key), `np.load(${quoted(name)})[${quoted(key)}]`);
