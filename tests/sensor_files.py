@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from PIL import Image
 from pypcd4 import Encoding, PointCloud
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from topokit.sensors import read_clouds
@@ -44,9 +47,9 @@ def depth_image(t: float = 0.0) -> np.ndarray:
     return image
 
 
-def header(t: float) -> object:
+def header(t: float, frame: str = "camera") -> object:
     time = MESSAGES.types["builtin_interfaces/msg/Time"](int(t), round(1e9 * (t % 1)))
-    return MESSAGES.types["std_msgs/msg/Header"](time, "camera")
+    return MESSAGES.types["std_msgs/msg/Header"](time, frame)
 
 
 def cloud_message(points: np.ndarray, t: float, order: str = "<") -> object:
@@ -72,23 +75,55 @@ def image_message(image: np.ndarray, t: float, encoding: str = "16UC1") -> objec
     return message(header(t), *image.shape, encoding, 0, step, np.frombuffer(image.tobytes(), np.uint8))
 
 
-def info_message(t: float) -> object:
+def info_message(t: float, frame: str = "camera") -> object:
     roi = MESSAGES.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
     k = np.array([30.0, 0, 20, 0, 30, 15, 0, 0, 1])
     r, p = np.eye(3).ravel(), np.zeros(12)
     message = MESSAGES.types["sensor_msgs/msg/CameraInfo"]
-    return message(header(t), 30, 40, "plumb_bob", np.zeros(5), k, r, p, 0, 0, roi)
+    return message(header(t, frame), 30, 40, "plumb_bob", np.zeros(5), k, r, p, 0, 0, roi)
 
 
-def save_bag(path: Path, topics: dict[str, list[object]], storage: StoragePlugin = StoragePlugin.MCAP) -> Path:
-    """A bag as `ros2 bag record` writes it; message t is received at 100 + t seconds."""
-    with Writer(path, version=9, storage_plugin=storage) as bag:
+def save_bag(
+    path: Path,
+    topics: dict[str, list[object]],
+    storage: StoragePlugin = StoragePlugin.MCAP,
+    mode: CompressionMode = CompressionMode.NONE,
+    empty: Collection[str] = (),
+) -> Path:
+    """A bag as `ros2 bag record` writes it; message t is received at 100 + t seconds. Topics in `empty` have no message."""
+    writer = Writer(path, version=9, storage_plugin=storage)
+    if mode != CompressionMode.NONE:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer as bag:
         for name, messages in topics.items():
             kind = messages[0].__msgtype__
             connection = bag.add_connection(name, kind, typestore=MESSAGES)
-            for t, message in enumerate(messages):
+            for t, message in enumerate([] if name in empty else messages):
                 bag.write(connection, int(1e9 * (100 + t)), MESSAGES.serialize_cdr(message, kind))
     return path
+
+
+def save_ros1_bag(path: Path, topics: dict[str, list[object]]) -> Path:
+    """A bag as `rosbag record -j` writes it."""
+    messages1 = get_typestore(Stores.ROS1_NOETIC)
+    writer = Writer1(path)
+    writer.set_compression(Writer1.CompressionFormat.BZ2)
+    with writer as bag:
+        for name, messages in topics.items():
+            kind = messages[0].__msgtype__
+            connection = bag.add_connection(name, kind, typestore=messages1)
+            for t, message in enumerate(messages):
+                bag.write(connection, int(1e9 * (100 + t)), messages1.serialize_ros1(of_ros1(message), kind))
+    return path
+
+
+def of_ros1(message: object) -> object:
+    """The same message as ROS 1 has it: its header has a number, and a camera's matrices are capitals."""
+    types = get_typestore(Stores.ROS1_NOETIC).types
+    parts = vars(message) | {name.upper(): value for name, value in vars(message).items()}
+    parts["header"] = types["std_msgs/msg/Header"](0, message.header.stamp, message.header.frame_id)
+    kind = types[message.__msgtype__]
+    return kind(**{field.name: parts[field.name] for field in dataclasses.fields(kind)})
 
 
 def npz(**arrays: object) -> bytes:

@@ -13,12 +13,10 @@ import pytest
 
 import topokit as tk
 from topokit import lemmas
-from topokit._config import load
-from topokit.io import load_episode, load_states, save_episode, save_states
+from topokit.io import load_episode, save_episode, save_states
 from topokit.linking import close_far, linking_numbers
 from topokit.mixture import InverseWishart
 from topokit.sampling import spacing
-from topokit.sim import Garment, SimulationConfig
 from topokit.view import plot_cloth
 
 from conftest import DATA, polygon
@@ -149,18 +147,6 @@ def test_a_bad_argument_is_named(call, name):
 
 
 # -- files ------------------------------------------------------------------------------------------------------------------
-
-
-def test_deep_json_of_a_configuration_names_the_file(tmp_path):
-    (tmp_path / "deep.json").write_text("[" * 100_000)
-    with pytest.raises(ValueError, match=r"deep.json"):
-        load(SimulationConfig, tmp_path / "deep.json")
-
-
-@pytest.mark.parametrize("reader", [load_episode, load_states, Garment.from_mesh])
-def test_a_device_is_no_file(reader):
-    with pytest.raises(FileNotFoundError, match="/dev/null"):
-        reader("/dev/null")
 
 
 def test_a_full_disk_names_the_file(tmp_path, monkeypatch):

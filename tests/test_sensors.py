@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import subprocess
@@ -11,9 +10,6 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from numpy.lib import recfunctions
 from PIL import Image
 from pypcd4 import Encoding
 from rosbags.rosbag2 import StoragePlugin
@@ -25,10 +21,6 @@ from sensor_files import (
     image_message,
     info_message,
     npy,
-    npz,
-    pcd,
-    ply,
-    png,
     ring,
     save_bag,
     save_pcd,
@@ -37,7 +29,7 @@ from sklearn.linear_model import RANSACRegressor
 
 import topokit as tk
 from topokit._config import from_mapping
-from topokit.io import FormatError, save_states
+from topokit.io import FormatError
 from topokit.sensors import Cleaner, Pipeline, read_clouds, read_stream
 
 # Each kind of file: a film of the ring at 0 and 1, or its first frame.
@@ -201,79 +193,6 @@ def test_a_bag_of_depth_images(tmp_path):
 # What is refused, and in which words.
 
 
-XYI = recfunctions.unstructured_to_structured(ring(), names=["x", "y", "intensity"])
-# The bytes of a file, None where there is no file, and what the error must mention beside the file.
-BAD = {
-    "none.pcd": (None, ""),
-    "cloud.txt": (b"1 2 3", ".txt"),
-    "empty.npy": (b"", ""),
-    "pickled.npy": (npy(np.array([{}])), ""),
-    "half.npy": (npy(ring())[:300], ""),
-    "words.npy": (npy(np.array([["a", "b", "c"]])), "real numbers"),
-    "flat.npy": (npy(np.zeros(3)), r"\(3,\)"),
-    "number.npy": (npy(3.0), r"\(\)"),
-    "columns.npy": (npy(ring().T), r"\(3, 60\)"),
-    "colours.npy": (npy(np.ones((9, 6))), r"columns=\(0, 1, 2\)"),
-    "named.npy": (npy(XYI), "no z: .* intensity"),
-    "depth.npy": (npy(np.ones((30, 40), np.float32)), "fx, fy, cx and cy"),
-    "millimetres.npy": (npy(1000 * ring()), "unit='mm'"),
-    "two.npz": (npz(a=ring(), b=ring()), "a, b: .*'points'"),
-    "late.npz": (npz(points=[ring()], times=[0.0, 1.0]), "times"),
-    "colour.png": (png(np.zeros((30, 40, 3), np.uint8)), "RGB"),
-    "depth.png": (png(depth_image()), "fx, fy, cx and cy"),
-    "no.png": (b"hello", ""),
-    "half.ply": (ply()[:-8], ""),
-    "fewer.ply": (ply("ascii")[:-40], ""),
-    "no.ply": (b"hello", ""),
-    "half.pcd": (pcd(encoding=Encoding.BINARY)[:-8], ""),
-    "fewer.pcd": (pcd(encoding=Encoding.BINARY)[:-12], "59 of 60"),
-    "many.pcd": (pcd().replace(b"POINTS 60", b"POINTS 600000000"), "600000000"),
-    "fields.pcd": (pcd().replace(b"COUNT 1", b"COUNT 9999999"), "9999999"),
-    "no.pcd": (b"hello", "DATA"),
-    "no.mcap": (b"hello", ""),
-    "no.db3": (b"hello", ""),
-}
-
-
-def test_an_archive_of_topokit_holds_no_film(tmp_path):
-    path = save_states(tmp_path / "states.npz", tk.track([ring()]))
-    with pytest.raises(FormatError, match=r"states\.npz: .*load_states"):
-        clouds(path)
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_bad_files_are_named(name, tmp_path):
-    data, mentions = BAD[name]
-    if data is not None:
-        (tmp_path / name).write_bytes(data)
-    with pytest.raises((FormatError, FileNotFoundError), match=rf"(?s){name}: .*({mentions})"):
-        clouds(tmp_path / name)
-
-
-@pytest.mark.parametrize("kind", ["npy", "npz", "png", "ply", "ascii.ply", "pcd", "binary.pcd", "mcap", "db3"])
-def test_a_file_of_any_bytes_is_read_or_refused(kind, tmp_path):
-    """Bytes are changed, lost, or become large numbers, most of them in the header."""
-    messages = {"/points": [cloud_message(ring().reshape(6, 10, 3), 1)]}
-    if kind in ("mcap", "db3"):
-        bag = save_bag(tmp_path / "bag", messages, StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3)
-        whole = next(path for path in bag.iterdir() if path.suffix == f".{kind}").read_bytes()
-    else:
-        files = {"npy": npy(ring()), "npz": npz(points=[ring()]), "png": png(depth_image()), "ply": ply(), "pcd": pcd()}
-        whole = (files | {"ascii.ply": ply("ascii"), "binary.pcd": pcd(Encoding.BINARY)})[kind]
-    rng = np.random.default_rng(0)
-    path, refused = tmp_path / f"damaged.{kind}", 0
-    for _ in range(40):
-        data = bytearray(whole)
-        for at in rng.integers(min(len(data), 500), size=2).tolist():
-            data[at : at + rng.integers(3)] = [bytes([rng.integers(256)]), b"", b"9999999"][rng.integers(3)]
-        path.write_bytes(data)
-        try:
-            clouds(path, intrinsics=LENS, unit="m")
-        except FormatError:
-            refused += 1
-    assert refused > 5
-
-
 def test_a_film_is_of_one_kind(tmp_path):
     with pytest.raises(FormatError, match="no cloud"):
         clouds(tmp_path)
@@ -305,10 +224,10 @@ def test_units_and_columns_are_declared(tmp_path):
 
 def test_a_missing_reader_is_named(tmp_path):
     save_pcd(tmp_path / "ring.pcd", ring())
-    code = "import sys; sys.modules['pypcd4'] = None\nfrom topokit.sensors import read_clouds\n"
+    code = "import sys; sys.modules['lzf'] = None\nfrom topokit.sensors import read_clouds\n"
     code += f"list(read_clouds({str(tmp_path)!r}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert "ring.pcd: reading it needs pypcd4: pip install 'topokit[sensors]'" in done.stderr
+    assert "ring.pcd: reading it needs lzf: pip install 'topokit[sensors]'" in done.stderr
 
 
 def test_files_of_numpy_need_no_extra(tmp_path):
@@ -325,41 +244,6 @@ def test_files_of_numpy_need_no_extra(tmp_path):
 
 def stream(data: bytes) -> io.BufferedReader:
     return io.BufferedReader(io.BytesIO(data))
-
-
-def header_of(shape: str, content: bytes = b"", kind: str = "<f8") -> bytes:
-    head = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}}}\n".encode()
-    return b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + content
-
-
-BAD_FRAMES = {
-    "a header that declares more than there is memory": header_of("(1000000000000, 3)"),
-    "a negative shape": header_of("(-1, -3)", bytes(24)),
-    "a shape of words": header_of("('a', 3)"),
-    "a header nested deep": header_of("-" * 9000 + "1"),
-    "a header that never ends": header_of("(" * 5000),
-    "a version to come": b"\x93NUMPY\x09\x00aaaa",
-    "an end in the middle": header_of("(4, 3)", bytes(24)),
-    "no array": bytes(100),
-    "objects": header_of("(1,)", kind="|O"),
-    "complex numbers": npy(np.zeros((5, 3), dtype=complex)),
-}
-
-
-@pytest.mark.parametrize("what", BAD_FRAMES)
-def test_a_frame_of_a_stream_that_is_none_is_named(what):
-    frames = read_stream(stream(npy(ring()) + BAD_FRAMES[what]))
-    np.testing.assert_array_equal(next(frames), ring())
-    with pytest.raises(FormatError, match="frame 1"):
-        next(frames)
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.binary(max_size=64), st.integers(0, 120))
-def test_any_stream_is_read_or_refused(noise, at):
-    data = npy(ring())
-    with contextlib.suppress(FormatError):
-        list(read_stream(stream(data[:at] + noise + data[at + len(noise) :])))
 
 
 def test_a_stream_may_be_written_columns_first_and_in_other_units():
@@ -487,8 +371,8 @@ def test_what_cannot_be_cleaned_says_why():
     with pytest.raises(ValueError, match=r"\(9, 6\)"):
         Cleaner()(np.ones((9, 6)))
     clean = Cleaner(Pipeline(crop=((5, 5, 5), (6, 6, 6))))
-    with pytest.raises(ValueError, match="60 outside the box"):
-        clean(ring())
+    assert clean(ring()).shape == (0, 3)
+    assert clean.removed["outside the box"] == 60
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import io
 import json
 import math
 import os
+import re
 import tempfile
 import zipfile
 from collections.abc import Iterator
@@ -21,17 +22,24 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ._strangers import check_unpacked, printable
+
 HEADER = "header.json"
-# An archive may unpack to so many bytes, plus so many times its own size.
-FREE = 2**28
-RATIO = 100
-_MOST_HEADER = 2**26  # bytes
+_MOST_HEADER = 2**24  # bytes: Python's objects take twenty times as much
 _MOST_ROWS = 2**20  # of an array without elements: a list of its empty rows would fill the memory
+_MOST_ARRAY_HEADER = 2**16  # bytes
+_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:[/\\]")  # one letter alone is a disk of Windows
 _LOCAL_HEADER = b"PK\x03\x04"
 
 
 class FormatError(ValueError):
-    """A file that is not a whole one of the kind and schema asked for. The message names the file and the fault."""
+    """A file that is not a whole one of the kind and schema asked for. The message names the file and the fault.
+
+    The message is safe to print: what a stranger wrote into a file cannot steer a terminal.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
 
 
 def existing(path: str | Path) -> Path:
@@ -62,6 +70,8 @@ def save_archive(path: str | Path, kind: str, header: dict[str, Any], arrays: di
     # Every entry is made in memory first: an error leaves no file.
     document = json.dumps({**header, "kind": kind}, sort_keys=True, ensure_ascii=False)
     entries = {HEADER: document.encode()}
+    if len(entries[HEADER]) > _MOST_HEADER:
+        raise ValueError(f"{path}: its header has more than {_MOST_HEADER} bytes, which no reader takes: store less")
     for name in sorted(arrays):
         buffer = io.BytesIO()
         np.lib.format.write_array(buffer, np.ascontiguousarray(arrays[name]), allow_pickle=False)
@@ -69,8 +79,9 @@ def save_archive(path: str | Path, kind: str, header: dict[str, Any], arrays: di
     size = sum(map(len, entries.values()))
     with atomic_file(path) as handle:
         _write(handle, entries, zipfile.ZIP_DEFLATED)
-        if size > FREE + RATIO * handle.tell():
-            # A reader would refuse to unpack so much from so little: store it unpacked.
+        try:
+            check_unpacked(size, handle.tell())
+        except ValueError:  # a reader would refuse to unpack so much from so little: store it unpacked
             handle.seek(0)
             handle.truncate()
             _write(handle, entries, zipfile.ZIP_STORED)
@@ -102,11 +113,14 @@ def load_header(path: str | Path, kind: str) -> dict[str, Any]:
 
 
 def is_archive(path: str | Path) -> bool:
-    """Return whether a file is an archive that topokit wrote, of whatever kind."""
-    if not zipfile.is_zipfile(path):
-        return False
-    with zipfile.ZipFile(path) as archive:
-        return HEADER in archive.namelist()
+    """Return whether a file is an archive that topokit wrote, of whatever kind; one that is damaged counts as one."""
+    try:
+        with zipfile.ZipFile(existing(path)) as archive:
+            return HEADER in archive.namelist()
+    except FileNotFoundError:
+        raise
+    except Exception:  # damage shows in a dozen ways, and its reader finds the words for it
+        return True
 
 
 @contextlib.contextmanager
@@ -131,9 +145,7 @@ def _opened(path: str | Path, kind: str) -> Iterator[tuple[zipfile.ZipFile, dict
 
 def check_size(entries: list[zipfile.ZipInfo], size: int) -> None:
     """Raise ValueError unless an archive of `size` bytes may hold these entries."""
-    unpacked = sum(entry.file_size for entry in entries)
-    if unpacked > FREE + RATIO * size:
-        raise ValueError(f"its {size} bytes claim to hold {unpacked}")
+    check_unpacked(sum(entry.file_size for entry in entries), size)
     for entry in entries:
         # The other methods unpack without bound.
         if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -159,15 +171,12 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
     """Read an array whose header declares the very size that its entry has."""
     with archive.open(entry) as stream:
         # The header of a .npy: its shape and type say how many bytes must follow.
-        version = np.lib.format.read_magic(stream)
-        read_header = np.lib.format.read_array_header_1_0
-        if version != (1, 0):
-            read_header = np.lib.format.read_array_header_2_0
-        shape, column_major, dtype = read_header(stream)
-        if dtype.hasobject:
-            raise ValueError(f"{entry.filename} holds pickled objects")
+        try:
+            shape, column_major, dtype = read_array_header(stream)
+        except ValueError as error:
+            raise ValueError(f"{entry.filename}: {error}") from error
         declared = stream.tell() + dtype.itemsize * math.prod(shape)
-        if min(shape, default=0) < 0 or declared != entry.file_size:
+        if declared != entry.file_size:
             raise ValueError(f"{entry.filename} declares {declared} bytes and has {entry.file_size}")
         if math.prod(shape) == 0 and max(shape) > _MOST_ROWS:
             raise ValueError(f"{entry.filename} is empty and claims the shape {shape}")
@@ -178,6 +187,26 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
     return np.frombuffer(content, dtype).reshape(shape)
 
 
+def read_array_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Read the header of a .npy: shape, whether columns come first, and type; at most 64 kB are read."""
+    version = np.lib.format.read_magic(stream)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"version {version} of .npy: versions (1, 0) and (2, 0) hold arrays of numbers")
+    length = stream.read(2 * version[0])
+    if int.from_bytes(length, "little") > _MOST_ARRAY_HEADER:
+        raise ValueError(f"the header of an array has more than {_MOST_ARRAY_HEADER} bytes")
+    header = io.BytesIO(length + stream.read(int.from_bytes(length, "little")))
+    if version == (1, 0):
+        shape, columns_first, kind = np.lib.format.read_array_header_1_0(header)
+    else:
+        shape, columns_first, kind = np.lib.format.read_array_header_2_0(header)
+    if kind.hasobject:
+        raise ValueError("it holds pickled objects")
+    if min(shape, default=0) < 0:
+        raise ValueError(f"it claims the shape {shape}")
+    return shape, columns_first, kind
+
+
 def _in_words(kind: object) -> str:
     return str(kind).replace("topokit-", "topokit ")
 
@@ -186,6 +215,10 @@ def _in_words(kind: object) -> str:
 def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
     """Open a file that takes the place of `path` when the block ends well, and leaves no trace when it does not."""
     path = Path(path)
+    if _URL.match(str(path)):
+        raise ValueError(
+            f"{path}: an address, and files are written into folders alone: write here, and copy them there"
+        )
     path.parent.mkdir(parents=True, exist_ok=True)
     descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
     try:

@@ -70,7 +70,7 @@ def load(kind: type[T], path: str | Path) -> T:
     """Return a checked dataclass that a JSON file holds; errors name the file and the entry."""
     path = existing(path)
     try:
-        entries = read_json(path.read_text(encoding="utf-8"))
+        entries = read_json(path.read_bytes())
     except (ValueError, RecursionError) as error:  # nested a thousand deep
         raise ValueError(f"{path}: not JSON: {error}") from error
     return from_mapping(kind, entries, str(path))

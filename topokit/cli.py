@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, CycloptsError, Parameter, Token
 
 from . import __version__
+from ._strangers import printable
 
 if TYPE_CHECKING:
     from .io import Episode
@@ -83,8 +84,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _report(command: str, message: str, code: int) -> int:
-    print(f"{command}: {message}", file=sys.stderr)
+    print(f"{command}: {printable(message)}", file=sys.stderr)
     return code
+
+
+def _print(line: str) -> None:
+    """Print a line that may hold names of strangers: of files, garments, loops."""
+    print(printable(line))
 
 
 def _one_line(error: CycloptsError) -> str:
@@ -301,14 +307,12 @@ def track(
 
 
 def _is_archive_of_ours(path: Path) -> bool:
-    """Return whether a file is an archive that topokit wrote; one that is missing or damaged counts as one."""
-    import zipfile
-
+    """Return whether a file is an archive that topokit wrote; one that is damaged counts as one."""
     from ._archive import is_archive
 
     if path.suffix != ".npz":
         return False
-    return not zipfile.is_zipfile(path) or is_archive(path)
+    return is_archive(path)
 
 
 def _tracks_file(episode: Path, out: Path | None) -> Path:
@@ -350,7 +354,7 @@ def _track_episode(path: Path, out: Path, plot: Path | None, cloud: str, tracker
     if as_json:
         print(json.dumps({"episode": str(path), "frames": len(states), "tracks": str(out), "loops": rows}))
         return 0
-    print(f"{path}: {episode.garment} to {episode.target}, {len(states)} frames, {cloud}")
+    _print(f"{path}: {episode.garment} to {episode.target}, {len(states)} frames, {cloud}")
     print("  id  first  last  frames  lifetime  true loop  distance  in hull")
     for row in rows:
         true_loop = row["true_loop"] if row["true_loop"] >= 0 else "-"
@@ -358,7 +362,7 @@ def _track_episode(path: Path, out: Path, plot: Path | None, cloud: str, tracker
         print(f"{_row_of_track(row)}  {compared}")
     _print_where(rows, out)
     if plot is not None:
-        print(f"picture: {plot}")
+        _print(f"picture: {plot}")
     return 0
 
 
@@ -368,6 +372,7 @@ def _track_clouds(path: Path, out: Path, clouds: CloudOptions, tracker: TrackerO
 
     import numpy as np
 
+    from ._archive import FormatError
     from .evaluate import summarise_tracks
     from .sensors import read_clouds
     from .seqph import SeqPH
@@ -384,11 +389,22 @@ def _track_clouds(path: Path, out: Path, clouds: CloudOptions, tracker: TrackerO
     )
     states: list[TopologicalState] = []
     removed = Counter[str]()
-    for time, cloud in film:
-        states.append(follower.update(clean(cloud), time=time))
-        removed.update(clean.removed)
-    if not states:
-        raise ValueError(f"{path}: it holds no cloud")
+    blind = 0
+    try:
+        for time, cloud in film:
+            left = clean(cloud)
+            removed.update(clean.removed)
+            if len(left):
+                states.append(follower.update(left, time=time))
+            else:
+                states.append(follower.skip(time=time))
+                blind += 1
+    except FormatError:  # it names the file
+        raise
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    if blind == len(states):
+        raise ValueError(f"{path}: {_nothing_left(blind, removed)}")
     _write_states(out, states)
 
     # There is no true loop to compare with.
@@ -396,16 +412,25 @@ def _track_clouds(path: Path, out: Path, clouds: CloudOptions, tracker: TrackerO
     summaries = summarise_tracks(states, np.empty((len(states), 0, 3)), ())
     rows = [{name: getattr(summary, name) for name in names} for summary in summaries]
     if as_json:
-        answer = {"film": str(path), "removed": removed, "frames": len(states), "tracks": str(out), "loops": rows}
-        print(json.dumps(answer))
+        answer = {"film": str(path), "removed": removed, "frames": len(states), "blind": blind, "tracks": str(out)}
+        print(json.dumps({**answer, "loops": rows}))
         return 0
-    print(f"{path}: {len(states)} frames")
+    unseen = f", {blind} of them without a point" if blind else ""
+    _print(f"{path}: {len(states)} frames{unseen}")
     print("removed a frame: " + ", ".join(f"{count / len(states):.0f} {step}" for step, count in removed.items()))
     print("  id  first  last  frames  lifetime")
     for row in rows:
         print(_row_of_track(row))
     _print_where(rows, out)
     return 0
+
+
+def _nothing_left(frames: int, removed: dict[str, int]) -> str:
+    """Return why a film gives no state."""
+    if not frames:
+        return "it holds no cloud"
+    counts = ", ".join(f"{count} {name}" for name, count in removed.items())
+    return f"nothing is left of {frames} frames: removed were {counts}; check box and units"
 
 
 def _write_states(path: Path, states: Sequence[TopologicalState]) -> None:
@@ -427,7 +452,7 @@ def _row_of_track(row: dict[str, Any]) -> str:
 def _print_where(rows: Sequence[Any], out: Path) -> None:
     if not rows:
         print("   no loop in any frame")
-    print(f"tracks: {out}")
+    _print(f"tracks: {out}")
 
 
 def _track_live(clouds: CloudOptions, tracker: TrackerOptions) -> int:
@@ -447,12 +472,17 @@ def _track_live(clouds: CloudOptions, tracker: TrackerOptions) -> int:
     )
     prepared = _finite(stream) if clouds.pipeline is None else map(clouds.cleaner(), stream)
     frames = 0
+    blind = 0
     try:
-        for state in follower.stream(prepared):
+        for cloud in prepared:
+            state = follower.update(cloud) if len(cloud) else follower.skip()
             frames += 1
+            blind += not len(cloud)
             print(json.dumps(state.as_dict()), flush=True)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped after {frames} frames, which were printed") from None
+    if blind:
+        print(f"topokit track: {blind} of {frames} frames had no point, and are frames without loops", file=sys.stderr)
     return 0
 
 
@@ -558,7 +588,7 @@ def simulate(
         return 0
     size = f"{answer['frames']} frames, {answer['vertices']} vertices"
     outcome = "it hangs" if episode.success else "it does not hang"
-    print(f"{out}: {episode.garment} to {episode.target}, {size}; {outcome}")
+    _print(f"{out}: {episode.garment} to {episode.target}, {size}; {outcome}")
     return 0
 
 
@@ -641,9 +671,9 @@ def mesh(
         return 0
     x, y, z = sizes
     counts = f"{len(garment.vertices)} vertices, {len(garment.faces)} faces"
-    print(f"{mesh}: {counts}; {x:.2f} by {y:.2f} by {z:.2f} m")
+    _print(f"{mesh}: {counts}; {x:.2f} by {y:.2f} by {z:.2f} m")
     for name, count in loops.items():
-        print(f"  {name}: {count} vertices")
+        _print(f"  {name}: {count} vertices")
     return 0
 
 
@@ -661,7 +691,7 @@ def _plot_garment(path: Path, garment: Garment) -> None:
         plot_cloth(garment.vertices, garment.faces, ax=axes, true_loops=garment.loops, view=view)
         axes.scatter(*garment.vertices[garment.grips].T, color="black", zorder=5)
         for name, loop in garment.named_loops.items():
-            axes.text(*garment.vertices[loop].mean(axis=0), name, ha="center", zorder=6)
+            axes.text(*garment.vertices[loop].mean(axis=0), printable(name), ha="center", zorder=6, parse_math=False)
     with atomic_file(path) as picture:
         figure.savefig(picture, format=path.suffix[1:])
 
@@ -738,7 +768,7 @@ def hang(
         print(json.dumps(answer))
     else:
         decision = 1000 * result.seconds_a_decision
-        print(f"{result.episode.task}: {result.reason}; {result.steps} frames, {decision:.0f} ms a decision")
+        _print(f"{result.episode.task}: {result.reason}; {result.steps} frames, {decision:.0f} ms a decision")
     return int(not result.success)
 
 
@@ -866,7 +896,7 @@ def _make(work: Callable[[], Any], as_json: bool) -> int:
     if as_json:
         print(json.dumps({"out": str(made.folder), "episodes": sum(counts.values()), **counts, "checksum": checksum}))
         return 0
-    print(f"{made.folder}: " + ", ".join(f"{count} {status}" for status, count in sorted(counts.items())))
+    _print(f"{made.folder}: " + ", ".join(f"{count} {status}" for status, count in sorted(counts.items())))
     print(f"checksum: {checksum}")
     return 0
 
@@ -887,9 +917,9 @@ def check(dataset: str, /, *, quiet: Quiet = False, as_json: Json = False) -> in
         print(json.dumps({"dataset": dataset, "problems": [dataclasses.asdict(problem) for problem in problems]}))
     else:
         for problem in problems:
-            print(problem)
+            _print(str(problem))
         summary = f"{len(problems)} problems" if problems else "all is well"
-        print(f"{dataset}: {summary}")
+        _print(f"{dataset}: {summary}")
     return int(bool(problems))
 
 
@@ -938,7 +968,7 @@ def train(
     line = f"{model}, validation loss {loss}"
     if answer["windows_per_second"]:
         line += f", {answer['windows_per_second']:.0f} windows/s"
-    print(line)
+    _print(line)
     return 0
 
 
@@ -979,7 +1009,7 @@ def predict(checkpoint: Path, episode: Path, /, *, frame: Whole = 15, as_json: J
         steps = [[loop.as_dict() for loop in forecast[step]] for step in range(len(forecast))]
         print(json.dumps({"episode": str(episode), "frame": frame, **about, "steps": steps}))
         return 0
-    print(f"{predictor.description.get('model')} at frame {frame} of {episode}: loops that are forecast")
+    _print(f"{predictor.description.get('model')} at frame {frame} of {episode}: loops that are forecast")
     print(f"{'frame':>6} {'slot':>5} {'present':>8} {'lifetime':>9}   mean of the mixture (m)")
     for step in sorted({0, *range(14, shape.horizon, 15), shape.horizon - 1}):
         for loop in forecast[step]:

@@ -258,7 +258,9 @@ def as_ticks(positions: NDArray[Any], name: str = "positions") -> NDArray[np.sig
 
 def as_metres(ticks: NDArray[Any]) -> NDArray[np.float32]:
     """Return positions in metres from ticks."""
-    return np.asarray(ticks / TICKS, dtype=np.float32)
+    metres = np.empty(ticks.shape, dtype=np.float32)
+    np.divide(ticks, TICKS, out=metres, dtype=np.float64, casting="same_kind")  # a buffer at a time
+    return metres
 
 
 def _differences(ticks: NDArray[Any]) -> NDArray[Any]:

@@ -8,6 +8,7 @@ Takes seconds on any machine; `make book` runs it.
 from __future__ import annotations
 
 import argparse
+import html
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -95,7 +96,8 @@ def table_of(rows: Mapping[str, Mapping[str, Any]], horizons: Sequence[str], sha
     body = [
         [model_label(model), *(cell_of(cells.get(key), share) for key in horizons)] for model, cells in rows.items()
     ]
-    return "\n".join("| " + " | ".join(line) + " |" for line in [head, rule, *body])
+    lines = [[html.escape(cell).replace("|", "&#124;") for cell in line] for line in [head, rule, *body]]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def cell_of(entry: Mapping[str, Any] | None, share: bool) -> str:
@@ -118,7 +120,11 @@ def main() -> None:
     parser.add_argument("results", type=Path, help="a record of forecasts (.json)")
     parser.add_argument("--out", type=Path, required=True, help="folder for tables and figures")
     options = parser.parse_args()
-    for path in write_report(json.loads(options.results.read_text(encoding="utf-8")), options.out):
+    try:
+        paths = write_report(json.loads(options.results.read_text(encoding="utf-8")), options.out)
+    except (KeyError, TypeError, AttributeError, StopIteration, ValueError) as error:
+        parser.error(f"{options.results}: no record of forecasts: {error!r}")
+    for path in paths:
         print(path)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from topokit._config import checked
+from topokit._validate import whole
 from topokit.io import EPISODE_KIND, Episode, load_episode
 from topokit.seqph import TopologicalState
 
@@ -166,6 +167,7 @@ class Dataset(NumberedFiles):
         ValueError
             When `by` is unknown, a share is not positive, or garments are unknown or too few.
         """
+        whole(seed, "seed")
         names = sorted(shares, key=lambda name: (_FIRST_AND_LAST.get(name, 0), name))
         weights = np.array([shares[name] for name in names], dtype=np.float64)
         if len(names) < 2 or not (weights > 0).all() or not np.isfinite(weights).all():

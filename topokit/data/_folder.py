@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from topokit import __version__
-from topokit._archive import FormatError, atomic_file, load_header, read_json
+from topokit._archive import FormatError, atomic_file, existing, load_header, read_json
 from topokit._config import checked, from_mapping
+from topokit._validate import whole
 
 MOST_EPISODES = 100_000_000  # a file's name has eight digits
 _NUMBERED = re.compile(r"([0-9]{8})\.(npz|json)")
@@ -107,7 +108,7 @@ class NumberedFiles:
         FormatError
             When its file is damaged.
         """
-        number = int(episode)
+        number = whole(episode, "an episode")
         if number not in self._known:
             self._known[number] = self._read_record(number)
         return self._known[number]
@@ -121,7 +122,7 @@ class NumberedFiles:
             if not path.is_file():
                 raise KeyError(f"{self.folder} has no episode {number}")
             try:
-                document = dict(read_json(path.read_bytes()))
+                document = dict(read_json(existing(path).read_bytes()))
             except (ValueError, TypeError) as error:
                 raise FormatError(f"{path}: damaged ({error}); remove it, and the same command goes on") from error
         known = {f.name: document[f.name] for f in fields(Record) if f.name in document}
@@ -140,7 +141,7 @@ class NumberedFiles:
 
     def path_of(self, episode: int) -> Path:
         """Return the file of a whole episode; raise KeyError with the reason when there is none."""
-        path = archive_path(self.folder, int(episode))
+        path = archive_path(self.folder, whole(episode, "an episode"))
         if not path.is_file():
             record = self.record(episode)
             raise KeyError(f"episode {episode} was {record.status}: {record.reason}")
@@ -148,11 +149,11 @@ class NumberedFiles:
 
     def checksum(self) -> str:
         """Return one SHA-256 of the settings and of all episodes; it does not depend on how the folder was made."""
-        digest = hashlib.sha256((self.folder / self._about).read_bytes())
+        digest = hashlib.sha256(existing(self.folder / self._about).read_bytes())
         paths = [archive_path(self.folder, number) for number in self.episodes.tolist()]
         paths += [failure_path(self.folder, number) for number in self.refused]
         for path in sorted(paths):
-            digest.update(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
+            digest.update(f"{path.name} {hashlib.sha256(existing(path).read_bytes()).hexdigest()}\n".encode())
         return digest.hexdigest()
 
 
@@ -177,7 +178,7 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
 def read_settings(kind: type[Any], path: Path) -> Any:
     """Return the settings of a folder, a checked dataclass, from its JSON file."""
     try:
-        return from_mapping(kind, read_json(path.read_bytes()), "it")
+        return from_mapping(kind, read_json(existing(path).read_bytes()), "it")
     except ValueError as error:
         raise FormatError(f"{path}: not what topokit writes there: {error}") from error
 

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from topokit._validate import whole
 from topokit.io import HISTORY, HORIZON, TICKS, Episode, as_metres, as_ticks
 from topokit.sampling import farthest_point_sample
 from topokit.seqph import track
@@ -124,7 +125,7 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
 
     Parameters
     ----------
-    dataset : Dataset, path or URL
+    dataset : Dataset or path
     episodes : iterable of int, optional
         Numbers of the episodes, such as one part of `Dataset.split`; all labelled ones when not given.
     labels : str
@@ -179,7 +180,9 @@ class WindowDataset(torch.utils.data.Dataset[dict[str, torch.Tensor]]):
 
         # The episodes, all of which must have labels.
         labelled = self.dataset.labelled(labels)
-        self.episodes = labelled if episodes is None else np.unique([*map(int, episodes)])
+        self.episodes = (
+            labelled if episodes is None else np.unique([whole(number, "an episode") for number in episodes])
+        )
         missing = np.setdiff1d(self.episodes, labelled)
         if len(missing):
             lacking = f"{len(missing)} episodes have no labels {labels!r}, the first is {missing[0]}"

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, field, replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import torch
-from pydantic import Field
+from pydantic import ConfigDict, Field, with_config
 from torch.utils.data import ConcatDataset, Subset
+from typing_extensions import TypedDict
 
 from topokit._config import Count, NotNegative, Positive, checked, load
 
@@ -17,6 +19,26 @@ from ._checkpoint import MODELS
 from ._states import LossWeights
 
 Natural = Annotated[int, Field(ge=0)]
+_STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+@with_config(_STRICT)
+class WindowOptions(TypedDict, total=False):
+    """Keyword arguments of `topokit.data.WindowDataset` that a configuration may hold."""
+
+    labels: str
+    stride: Count
+    resampled: bool
+
+
+@with_config(_STRICT)
+class SplitOptions(TypedDict, total=False):
+    """Keyword arguments of `topokit.data.Dataset.split`."""
+
+    by: Literal["episode", "garment"]
+    shares: dict[str, Positive]
+    seed: Natural
+    held_out: Sequence[str]
 
 
 class Windows(NamedTuple):
@@ -38,12 +60,12 @@ class TrainConfig:
     #: Configuration of an earlier training. Half of the windows are its windows, so that `start` is not forgotten.
     rehearse: str = ""
     options: dict[str, Any] = field(default_factory=dict)  #: keyword arguments of the model
-    #: Keyword arguments of `topokit.data.WindowDataset`: labels, stride.
-    windows: dict[str, Any] = field(default_factory=dict)
+    #: Keyword arguments of `topokit.data.WindowDataset`: labels, stride, resampled; of a motion model stride alone.
+    windows: WindowOptions = field(default_factory=WindowOptions)
     shape: Shape = field(default_factory=Shape)  #: sizes of a window
     loss: LossWeights = field(default_factory=LossWeights)  #: weights of the loss
     #: Keyword arguments of `topokit.data.Dataset.split`, whose "train" and "validation" are read.
-    split: dict[str, Any] = field(default_factory=dict)
+    split: SplitOptions = field(default_factory=SplitOptions)
     seed: Natural = 0  #: seed of the weights and of the order of windows
     batch: Count = 64  #: number of windows in a step
     epochs: Count = 20  #: largest number of epochs
@@ -65,6 +87,9 @@ class TrainConfig:
     def __post_init__(self) -> None:
         if self.model not in MODELS:
             raise ValueError(f"model must be one of {', '.join(MODELS)}, not {self.model!r}")
+        for name in self.windows:
+            if self.model == "motion" and name != "stride":
+                raise ValueError(f"windows.{name}: a motion model has windows of the whole cloth: give stride alone")
 
     @classmethod
     def load(cls, path: str | Path) -> TrainConfig:
@@ -108,6 +133,8 @@ class TrainConfig:
     def _open_with_rehearsal(self) -> Windows:
         """Open the windows of this configuration, and at most as many of the one that is rehearsed."""
         earlier = TrainConfig.load(self.rehearse)
+        if earlier.rehearse:
+            raise ValueError(f"{self.rehearse}: cannot be rehearsed, it rehearses another one itself")
         for name in ("model", "shape", "windows"):
             if getattr(earlier, name) != getattr(self, name):
                 raise ValueError(f"{self.rehearse}: cannot be rehearsed, its {name} differs from the configuration's")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from topokit._validate import whole
 from topokit.data import Dataset
 from topokit.sampling import farthest_point_sample
 
@@ -39,7 +40,7 @@ class Scenes(torch.utils.data.Dataset[dict[str, Tensor]]):
 
     def __init__(self, dataset: Dataset, episodes: Iterable[int], *, n_points: int = 160, stride: int = 1) -> None:
         self.dataset = dataset
-        self.episodes = np.unique([int(number) for number in episodes])
+        self.episodes = np.unique([whole(number, "an episode") for number in episodes])
         self.n_points = n_points
         rows = [
             (int(number), frame)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import io
+import codecs
+import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from itertools import count
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -14,8 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topokit._archive import HEADER, FormatError, check_size, existing, read_json
+from topokit._archive import HEADER, FormatError, check_size, existing, read_array_header, read_json
+from topokit._ply import read_ply
+from topokit._strangers import check_unpacked
 from topokit._validate import as_reals, positive
+
+from ._pcd import read_pcd, rows_of
 
 Array = NDArray[Any]
 Frames = Iterator[tuple[float | None, Array]]
@@ -26,10 +32,8 @@ _LARGEST = 30.0  # metres across: a room
 _SMALLEST = 0.02  # metres across: smaller than any garment
 _WIDEST = 16  # columns of a point, at most; an image has more
 _IMAGE_SIZES = {(240, 320), (424, 512), (480, 640), (480, 848), (576, 640), (720, 1280), (1080, 1920)}  # depth cameras
-_MOST_POINTS_A_BYTE = 100
-_MOST_PIXELS = 2**26
-_MOST_NUMBERS = 2**12  # numbers in a field of a point
-_LARGEST_FRAME = 2**28  # bytes of a streamed cloud: eleven million points in space
+_BYTES_A_PIXEL = 4  # of a depth image, in the reckoning of what it may unpack to; its cloud takes ten times as much
+_NUMBER = re.compile(r"((?<![0-9A-Za-z])-(?=\.?\d)|)((?<![A-Za-z])(?:\d+\.\d+|\.\d+)|\d+)")
 _ROS_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _ROS_DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 
@@ -42,6 +46,7 @@ class _Declared:
     columns: Sequence[int | str] | None = None
     intrinsics: Any = None
     topic: str | None = None
+    fps: float | None = None
 
     def __post_init__(self) -> None:
         if self.unit not in (None, *UNITS):
@@ -65,8 +70,8 @@ def read_clouds(
     ----------
     path : path
         A file .npy or .npz ((n, 3), (T, n, 3), (T, h, w, 3); or depth (h, w), (T, h, w)), .ply, .pcd, .png (depth of 16 bits);
-        a bag of ROS 2; a folder or a pattern (``"film/*.pcd"``) of numbered files of one kind. An array (480, 640, 3), or of
-        another size that depth cameras have, is one cloud; a film of that shape is stored as (480, 1, 640, 3).
+        a bag of ROS 1 or ROS 2; a folder or a pattern (``"film/*.pcd"``) of numbered files of one kind. An array (480, 640, 3),
+        or of another size that depth cameras have, is one cloud; a film of that shape is stored as (480, 1, 640, 3).
     unit : {"m", "cm", "mm"}, optional
         Unit of the numbers: by default metres, and millimetres for depth in whole numbers. A cloud of an impossible size is
         refused. With a declared "m" the size is not checked.
@@ -74,22 +79,21 @@ def read_clouds(
         Indices or names of the three numbers of a point that are its place; x, y and z, when the numbers have names.
     intrinsics : mapping or path, optional
         Intrinsics of a depth camera without distortion: fx, fy, cx, cy (or K), or a JSON file of them. By default they are
-        read from the bag, or from intrinsics.json beside the image.
+        read from the bag, or from intrinsics.json beside the image. With a width and a height they are scaled to an image of
+        another size, and an image of another shape is refused.
     topic : str, optional
         Topic of a bag.
     fps : float, optional
-        Frames a second, for files without times.
+        Frames a second, for files without times, or in place of the times that they have.
 
     Raises
     ------
     FileNotFoundError, FormatError
-        When a file is missing or unsound. The message names the file, the problem and a remedy.
+        When a file is missing or unsound, or packs more than `topokit._strangers` allows. The message names the file, the problem
+        and a remedy.
     """
-    declared = _Declared(unit, columns, intrinsics, topic)
-    if fps is None:
-        return _read(Path(path), declared)
-    rate = positive(fps, "fps", zero=False)
-    return ((number / rate, cloud) for number, (_, cloud) in enumerate(_read(Path(path), declared)))
+    rate = None if fps is None else positive(fps, "fps", zero=False)
+    return _read(Path(path), _Declared(unit, columns, intrinsics, topic, rate))
 
 
 def read_stream(
@@ -114,7 +118,8 @@ def read_stream(
     Raises
     ------
     FormatError
-        When a frame is unsound; the message names the frame and the problem. No array of more than 256 MiB is read.
+        When a frame is unsound; the message names the frame and the problem. No array of more than 64 MiB is read, unless the
+        environment variable TOPOKIT_UNPACKED allows it.
     """
     declared = _Declared(unit, columns, intrinsics)
     unsure = check_unit and unit != "m"
@@ -136,14 +141,9 @@ def read_stream(
 
 def _next_array(stream: Any) -> Array:
     """Read the next array of a stream; memory is taken only when its header declares no more than a cloud."""
-    version = np.lib.format.read_magic(stream)
-    if version == (1, 0):
-        shape, columns_first, kind = np.lib.format.read_array_header_1_0(stream)
-    else:
-        shape, columns_first, kind = np.lib.format.read_array_header_2_0(stream)
+    shape, columns_first, kind = read_array_header(stream)
     size = math.prod(shape) * kind.itemsize
-    if kind.hasobject or not 0 <= size <= _LARGEST_FRAME:
-        raise ValueError(f"its header declares {size} bytes of {kind}; {_LARGEST_FRAME} of numbers at most")
+    check_unpacked(size, 0)
     data = stream.read(size)
     if len(data) < size:
         raise ValueError(f"{len(data)} of {size} bytes")
@@ -156,20 +156,31 @@ def _next_array(stream: Any) -> Array:
 def _read(path: Path, declared: _Declared) -> Frames:
     """Yield the clouds of a film in metres, each with its time; errors name the file."""
     unsure = declared.unit != "m"
+    numbers = count()
+    before: float | None = None
     try:
         for file in _files_of(path):
             path = file  # the file that an error names
             for time, cloud in _READERS[_kind(file)](file, declared):
                 if unsure and _size_is_plausible(cloud, declared):
                     unsure = False
+                number = next(numbers)
+                if declared.fps is not None:
+                    time = number / declared.fps
+                elif time is not None and before is not None and time <= before:
+                    told = f"frame {number} has the time {time:.9g} s, the frame before it {before:.9g} s"
+                    raise ValueError(f"{told}: give the frames a second, as fps= or --fps, to count them instead")
+                before = time
                 yield time, cloud
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
         raise ImportError(f"{path}: reading it needs {package}: pip install 'topokit[sensors]'") from error
-    except FileNotFoundError:
+    except (FileNotFoundError, FormatError):  # they name the file
         raise
     except ValueError as error:
         raise FormatError(f"{path}: {error}") from error
+    except MemoryError as error:
+        raise FormatError(f"{path}: reading it takes more memory than there is") from error
     except Exception as error:  # damage shows in a dozen ways
         raise FormatError(f"{path}: cut off or damaged: {type(error).__name__} {error}") from error
 
@@ -181,25 +192,35 @@ def _files_of(path: Path) -> list[Path]:
     elif not path.exists() and set(path.name) & set("*?["):
         files = list(path.parent.glob(path.name))
     elif path.is_dir():
-        files = [path]
+        return [path]
     else:
-        files = [existing(path)]
+        files = [path]
+    files = [file if file.is_dir() else existing(file) for file in files]
     kinds = sorted({_kind(file) for file in files})
     if len(kinds) != 1 or kinds[0] not in _READERS:
         held = "no cloud"
         if kinds:
             held = "files " + ", ".join(kinds)
         raise FormatError(f"{path}: holds {held}; a film is one of {', '.join(_READERS)}")
-    return sorted(files, key=_number_order)
+    return sorted(files, key=lambda file: natural_order(file.stem))
 
 
-def _number_order(file: Path) -> list[str]:
-    return [word.zfill(20) for word in re.split(r"(\d+)", file.name)]
+def natural_order(name: str) -> list[Any]:
+    """Return a key that sorts names by the numbers in them: -2, -1, 0.1, 0.25, 0.3, 9, 10.
+
+    A minus or a point behind a letter separates words (frame-1, frame.10).
+    """
+    key: list[Any] = []
+    end = 0
+    for match in _NUMBER.finditer(name):
+        key += [name[end : match.start()], Decimal(match[0])]
+        end = match.end()
+    return [*key, name[end:]]
 
 
 def _kind(path: Path) -> str:
-    """Return the suffix of a name; a folder with a `metadata.yaml` is a bag of ROS 2."""
-    if (path / "metadata.yaml").is_file():
+    """Return the suffix of a name; a folder with a `metadata.yaml` is a bag of ROS 2, and so is a packed file of one."""
+    if (path / "metadata.yaml").is_file() or path.name.endswith((".mcap.zstd", ".db3.zstd")):
         return ".mcap"
     return path.suffix.lower()
 
@@ -230,6 +251,8 @@ def _as_cloud(frame: Array, declared: _Declared, camera: Path | Mapping[str, Any
     `camera` replaces intrinsics that were not declared: a description of the camera, or the folder of the image.
     """
     names = frame.dtype.names
+    if names is None and frame.ndim == 3 and frame.shape[2] == 1:
+        frame = frame[..., 0]  # an image with its one channel on an axis of its own
     if names is None:
         if frame.ndim < 2 or len(frame) < 4 < _WIDEST < frame.shape[-1]:
             raise ValueError(f"it is of shape {frame.shape}; a cloud is (n, 3), one row a point")
@@ -256,40 +279,56 @@ def _as_cloud(frame: Array, declared: _Declared, camera: Path | Mapping[str, Any
         places = as_reals(frame, "the array").reshape(-1, len(known))
         if columns != known:
             places = places[:, list(columns)]
-    return np.asarray(places * UNITS[declared.unit or "m"], np.result_type(places.dtype, np.float32))
+    # In float64: 16 bits of floating point hold no hundredth of a millimetre.
+    scaled = places * np.float64(UNITS[declared.unit or "m"])
+    return np.asarray(scaled, np.result_type(places.dtype, np.float32))
 
 
 def _seen_by_pixels(depth: Array, camera: Any, unit: str | None) -> Array:
     """Return the places of pixels (h, w): right, down and forward; (0, 0, 0) for pixels without depth."""
-    fx, fy, cx, cy, scale = _lens(camera)
+    lens = _lens(camera, depth.shape)
+    scale = lens[4]
     if unit is not None:
-        scale = np.float32(UNITS[unit])
+        scale = UNITS[unit]
     elif depth.dtype.kind not in "iu":
-        scale = np.float32(1.0)
-    z = depth.astype(np.float32) * scale
+        scale = 1.0
+    z = np.asarray(
+        depth.astype(np.float64) * scale, np.float32
+    )  # millimetres do not fit into 16 bits of floating point
+    fx, fy, cx, cy = np.array(lens[:4], np.float32)
     rows, columns = (np.arange(n, dtype=np.float32) for n in depth.shape)
     x = z * ((columns - cx) / fx)
     y = z * ((rows - cy) / fy)[:, None]
     return np.stack([x, y, z], axis=-1).reshape(-1, 3)
 
 
-def _lens(camera: Any) -> Array:
-    """Return fx, fy, cx, cy in pixels and the metres in a unit of depth, from a maker's description of a camera."""
-    entries: Mapping[str, Any] = {}
-    if isinstance(camera, Mapping):
-        entries = camera
-    elif isinstance(camera, Path) and camera.is_dir():
-        if (camera / _INTRINSICS).is_file():
-            entries = read_json((camera / _INTRINSICS).read_bytes())
-    elif camera is not None:
-        entries = read_json(existing(camera).read_bytes())
+def _lens(camera: Any, shape: tuple[int, ...]) -> list[float]:
+    """Return fx, fy, cx, cy in pixels of an image (h, w) and the metres in a unit of depth, from a maker's description."""
+    if camera is None or isinstance(camera, Mapping):
+        return _numbers_of_lens(camera or {}, shape)
+    file = Path(camera)
+    if file.is_dir():
+        file /= _INTRINSICS
+        if not file.exists():
+            return _numbers_of_lens({}, shape)
+    try:
+        entries = read_json(existing(file).read_bytes())
+        if not isinstance(entries, Mapping):
+            raise ValueError("it must be an object with named entries")
+        return _numbers_of_lens(entries, shape)
+    except (ValueError, TypeError, KeyError) as error:
+        raise FormatError(f"{file}: {error}") from error
 
-    # A matrix, as of a CameraInfo, or single entries.
+
+def _numbers_of_lens(entries: Mapping[str, Any], shape: tuple[int, ...]) -> list[float]:
+    """Return the numbers of a lens for an image of this shape; they are scaled to it from the size that they are for."""
     matrices = [entries[name] for name in ("K", "k", "camera_matrix", "intrinsic_matrix") if name in entries]
     if matrices:
         numbers = matrices[0]
         if isinstance(numbers, Mapping):
             numbers = numbers["data"]  # the form of OpenCV
+        if np.size(numbers) != 9:
+            raise ValueError("the matrix of a camera has nine numbers")
         k = np.array(numbers, float).reshape(3, 3)
         if not k[0, 2]:
             k = k.T  # the form of Open3D, column by column
@@ -297,14 +336,23 @@ def _lens(camera: Any) -> Array:
     lens = []
     for names in (("fx",), ("fy",), ("cx", "ppx"), ("cy", "ppy")):
         values = [float(entries[name]) for name in names if name in entries]
-        lens.append(values[0] if values else np.nan)
+        lens.append(values[0] if values else math.nan)
     scale = float(entries.get("depth_scale", 1e-3))
-    if not np.isfinite([*lens, scale]).all() or not min(*lens[:2], scale) > 0:
+    if not all(map(math.isfinite, [*lens, scale])) or not min(*lens[:2], scale) > 0:
         where = f"(JSON, as in a CameraInfo), as intrinsics=, --intrinsics FILE, or {_INTRINSICS} beside it"
         raise ValueError(f"a depth image needs its camera: fx, fy, cx and cy in pixels {where}")
     if scale >= 1:
         scale = 1 / scale  # units a metre
-    return np.array([*lens, scale], np.float32)
+
+    # Centres of pixels are whole numbers, so their borders are at halves: these are what is scaled.
+    size = [entries.get(name, entries.get(f"image_{name}", 0)) for name in ("width", "height")]
+    if all(size) and tuple(size) != (shape[1], shape[0]):
+        factor = shape[1] / size[0]
+        if not math.isclose(factor, shape[0] / size[1], rel_tol=0.01):
+            raise ValueError(f"it is of images {size[0]} by {size[1]}, and this one is {shape[1]} by {shape[0]} pixels")
+        fx, fy, cx, cy = lens
+        lens = [factor * fx, factor * fy, factor * (cx + 0.5) - 0.5, factor * (cy + 0.5) - 0.5]
+    return [*lens, scale]
 
 
 # -- one reader for each kind of file ---------------------------------------------------------------------------------------
@@ -312,14 +360,26 @@ def _lens(camera: Any) -> Array:
 
 def _frames_of(array: Array) -> list[Array]:
     """Return the frames of (n, 3), (T, n, 3), (T, h, w, 3), (h, w) or (T, h, w); (h, w, 3) of a camera's size is one."""
-    is_image = array.ndim == 3 and array.shape[:2] in _IMAGE_SIZES and array.shape[2] <= _WIDEST
+    is_image = array.ndim == 3 and (
+        array.shape[2] == 1 or (array.shape[:2] in _IMAGE_SIZES and array.shape[2] <= _WIDEST)
+    )
     if array.ndim < 3 or array.dtype.names or is_image:
         return [array]
     return list(array)
 
 
 def _npy(path: Path, declared: _Declared) -> Frames:
-    for frame in _frames_of(np.load(path, mmap_mode="r", allow_pickle=False)):
+    with path.open("rb") as handle:
+        shape, columns_first, kind = read_array_header(handle)
+        start = handle.tell()
+    size = math.prod(shape) * kind.itemsize
+    held = path.stat().st_size - start
+    if size != held:
+        raise ValueError(f"cut off or damaged: its header declares {size} bytes, and {held} follow")
+    array: Array = np.zeros(shape, kind)
+    if size:
+        array = np.memmap(path, kind, "r", start, shape, "F" if columns_first else "C")
+    for frame in _frames_of(array):
         yield None, _as_cloud(frame, declared, path.parent)
 
 
@@ -335,6 +395,7 @@ def _npz(path: Path, declared: _Declared) -> Frames:
         is_film = bool(names) and all(name.startswith("arr_") for name in names)
         if len(names) != 1 and not is_film:
             raise ValueError(f"it holds {', '.join(names) or 'nothing'}: name the array of clouds 'points'")
+        _check_rows(archive.zip, [*names, *(name for name in archive.files if name == "times")])
         arrays = [archive[name] for name in names]
         frames = arrays
         if len(arrays) == 1:
@@ -348,39 +409,27 @@ def _npz(path: Path, declared: _Declared) -> Frames:
         yield time, _as_cloud(frame, declared, path.parent)
 
 
-def _ply(path: Path, declared: _Declared) -> Frames:
-    from trimesh.exchange.ply import load_ply
+def _check_rows(archive: Any, names: Sequence[str]) -> None:
+    """Raise ValueError when an array of an archive declares other bytes than its entry has."""
+    for name in names:
+        entry = archive.getinfo(name if name in archive.namelist() else f"{name}.npy")
+        with archive.open(entry) as stream:
+            shape, _, kind = read_array_header(stream)
+            declared = stream.tell() + math.prod(shape) * kind.itemsize
+        if declared != entry.file_size:
+            raise ValueError(f"its array {name} declares {declared} bytes and has {entry.file_size}")
 
-    with path.open("rb") as handle:
-        counted = re.search(rb"\nelement vertex (\d+)", handle.read(1 << 16))
-        handle.seek(0)
-        points = np.asarray(load_ply(handle, fix_texture=False, skip_materials=True).get("vertices", ()))
-    if counted is None or int(counted[1]) != len(points):
-        raise ValueError(f"cut off or damaged: it holds {len(points)} points, and its header declares another number")
-    yield None, _as_cloud(points, declared, path.parent)
+
+def _ply(path: Path, declared: _Declared) -> Frames:
+    vertex = read_ply(path.read_bytes().removeprefix(codecs.BOM_UTF8)).get("vertex", {})
+    columns = {name: column for name, column in vertex.items() if isinstance(column, np.ndarray)}
+    if not columns:
+        raise ValueError("it holds no points")
+    yield None, _as_cloud(rows_of(columns), declared, path.parent)
 
 
 def _pcd(path: Path, declared: _Declared) -> Frames:
-    from pypcd4.pypcd4 import MetaData, PointCloud
-
-    data = path.read_bytes()
-    head = re.match(rb"[^\0]{0,4096}?^DATA\s+(\w+)[^\n]*\n", data, re.MULTILINE)
-    if head is None:
-        raise ValueError("not a PCD file: its header has no line DATA")
-
-    # What the header declares is compared with the file before anything is unpacked.
-    header = MetaData.parse_header(head[0].decode(errors="replace").splitlines())
-    numbers = max(header.count)
-    unpacked = 0
-    if b"compressed" in head[1]:
-        unpacked = int.from_bytes(data[head.end() + 4 : head.end() + 8], "little")
-    if max(header.points, unpacked) > _MOST_POINTS_A_BYTE * len(data) or numbers > _MOST_NUMBERS:
-        raise ValueError(f"its {len(data)} bytes claim to hold {header.points} points, {numbers} numbers in a field")
-    if header.data == "ascii":  # its reader takes one blank between numbers, and no other
-        data = b"\n".join(b" ".join(line.split()) for line in data.splitlines())
-    rows = np.atleast_1d(PointCloud.from_fileobj(io.BufferedReader(io.BytesIO(data))).pc_data)
-    if len(rows) != header.points:
-        raise ValueError(f"cut off or damaged: {len(rows)} of {header.points} points")
+    rows = read_pcd(path.read_bytes().removeprefix(codecs.BOM_UTF8))
     yield None, _as_cloud(rows, declared, path.parent)
 
 
@@ -388,39 +437,67 @@ def _png(path: Path, declared: _Declared) -> Frames:
     from PIL import Image
 
     with Image.open(path, formats=["PNG"]) as picture:
-        if not picture.mode.startswith("I") or np.prod(picture.size) > _MOST_PIXELS:
+        if not picture.mode.startswith("I"):
             words = f"a picture {picture.size} of mode {picture.mode}: a depth image has 16 bits a pixel"
             raise ValueError(f"{words}; a pattern ('depth*.png') leaves others out")
+        check_unpacked(_BYTES_A_PIXEL * math.prod(picture.size), 0)
         yield None, _as_cloud(np.asarray(picture), declared, path.parent)
 
 
 def _bag(path: Path, declared: _Declared) -> Frames:
     """Yield the messages of one topic of a bag, at the times in their headers."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
+    from ._bag import Bag
 
-    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
+    bag = Bag(path)
+    topic = _topic(bag.kinds, declared.topic)
+    camera = _camera(bag, topic) if bag.kinds[topic] == "Image" and declared.intrinsics is None else {}
+    messages = ((stored.received, stored.decoded()) for stored in bag.messages([topic]))
 
-        def messages(topic: str) -> Iterator[tuple[float, Any]]:
-            connections = [connection for connection in bag.connections if connection.topic == topic]
-            for connection, received, raw in bag.messages(connections):
-                yield 1e-9 * received, bag.deserialize(raw, connection.msgtype)
+    # Headers without a stamp hold 0, and so does the first one of simulated time: the second tells.
+    first = list(itertools.islice(messages, 2))
+    stamped = any(_stamp(message) for _, message in first)
+    for received, message in itertools.chain(first, messages):
+        nanoseconds = _stamp(message) if stamped else received
+        yield nanoseconds / 10**9, _as_cloud(_rows_of_message(message), declared, camera)
 
-        kinds = {connection.topic: connection.msgtype.split("/")[-1] for connection in bag.connections}
-        topic = _topic(kinds, declared.topic)
 
-        # The camera of a depth image: the only one of its namespace, or of the bag.
-        camera: dict[str, Any] = {}
-        cameras = [name for name, kind in kinds.items() if kind == "CameraInfo"]
-        namespace = PurePosixPath(topic).parent
-        cameras = [name for name in cameras if PurePosixPath(name).parent == namespace] or cameras
-        if len(cameras) == 1:
-            camera["K"] = next(messages(cameras[0]))[1].k
+def _stamp(message: Any) -> int:
+    """Return the nanoseconds in the header of a message."""
+    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
 
-        for received, message in messages(topic):
-            stamp = message.header.stamp
-            time = stamp.sec + 1e-9 * stamp.nanosec
-            yield time or received, _as_cloud(_rows_of_message(message), declared, camera)
+
+def _camera(bag: Any, topic: str) -> dict[str, Any]:
+    """Return the camera of a depth image: of its namespace, or else of its frame of reference; none when there is no message.
+
+    A camera for colours beside it has another lens.
+    """
+    infos = [name for name, kind in bag.kinds.items() if kind == "CameraInfo"]
+    units = [name for name in bag.kinds if re.search(r"/option/Depth.Units/value$", name)]
+    found: dict[str, Any] = {}
+    for stored in bag.messages([topic, *infos, *units]):
+        if stored.topic not in found:
+            found[stored.topic] = stored.decoded()
+        if len(found) == 1 + len(infos) + len(units):
+            break
+    if topic not in found:
+        return {}
+
+    # RealSense Viewer writes .../Depth_0/image/data and .../Depth_0/info/camera_info.
+    parent = PurePosixPath(topic).parent
+    near = [name for name in infos if PurePosixPath(name).parent in (parent, parent.parent / "info")]
+    frame = found[topic].header.frame_id
+    same_frame = [name for name in infos if name in found and frame and found[name].header.frame_id == frame]
+    names = [name for name in near if name in found] or same_frame
+    if len(names) != 1:
+        return {}
+    info = found[names[0]]
+    camera = {"K": getattr(info, "k", None), "width": info.width, "height": info.height}
+    if camera["K"] is None:
+        camera["K"] = info.K  # ROS 1
+    for name in units:
+        if name in found:
+            camera["depth_scale"] = found[name].data
+    return camera
 
 
 def _topic(kinds: Mapping[str, str], asked: str | None) -> str:
@@ -428,7 +505,7 @@ def _topic(kinds: Mapping[str, str], asked: str | None) -> str:
     clouds = [name for name, kind in kinds.items() if kind == "PointCloud2"]
     images = [name for name, kind in kinds.items() if kind == "Image"]
     if asked is None:
-        likely = clouds or [name for name in images if "depth" in name]
+        likely = clouds or [name for name in images if "depth" in name.lower()]
     else:
         likely = [name for name in clouds + images if name == asked]
     if len(likely) != 1:
@@ -441,11 +518,13 @@ def _rows_of_message(message: Any) -> Array:
     """Return the points of a PointCloud2, by their names, or the depths of an Image."""
     order = ">" if message.is_bigendian else "<"
     if hasattr(message, "fields"):
+        # Of fields of one name, as several gaps called "_", the first counts.
+        fields = {field.name: field for field in reversed(message.fields) if field.datatype in _ROS_TYPES}
         kind = np.dtype(
             {
-                "names": [field.name for field in message.fields],
-                "formats": [order + _ROS_TYPES[field.datatype] for field in message.fields],
-                "offsets": [field.offset for field in message.fields],
+                "names": list(fields),
+                "formats": [order + _ROS_TYPES[field.datatype] for field in fields.values()],
+                "offsets": [field.offset for field in fields.values()],
                 "itemsize": message.point_step,
             }
         )
@@ -461,4 +540,5 @@ def _rows_of_message(message: Any) -> Array:
     return np.ndarray((message.height, message.width), kind, message.data, strides=steps)
 
 
-_READERS = {".npy": _npy, ".npz": _npz, ".ply": _ply, ".pcd": _pcd, ".png": _png, ".mcap": _bag, ".db3": _bag}
+_READERS = {".npy": _npy, ".npz": _npz, ".ply": _ply, ".pcd": _pcd, ".png": _png}
+_READERS |= dict.fromkeys((".mcap", ".db3", ".bag"), _bag)

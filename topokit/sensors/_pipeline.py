@@ -76,7 +76,7 @@ class Cleaner:
         self._planes: list[Array] = []  # planes of the last frame: unit normal, and its product with the plane's points
 
     def __call__(self, points: ArrayLike) -> Array:
-        """Return the remaining points (k, 3) of a frame, (n, 3) or (h, w, 3) in metres."""
+        """Return the remaining points (k, 3) of a frame, (n, 3) or (h, w, 3) in metres; none of a frame that saw nothing."""
         raw = as_reals(points, "points")
         if raw.ndim not in (2, 3) or raw.shape[-1] != 3:
             raise ValueError(f"points must be (n, 3) or (h, w, 3), not of shape {raw.shape}: pick x, y and z")
@@ -103,9 +103,6 @@ class Cleaner:
             left = self._step("outliers", left, partial(_without_outliers, factor=declared.outliers))
         if declared.points is not None:
             left = self._step("by farthest points", left, partial(_farthest, n=declared.points))
-        if not len(left):
-            removed = ", ".join(f"{count} {name}" for name, count in self.removed.items())
-            raise ValueError(f"nothing is left of frame {self._frame}: removed were {removed}; check box and units")
         self._frame += 1
         return np.asarray(left, dtype=np.float64)
 

@@ -109,14 +109,10 @@ def check_follows(
 ) -> None:
     """Raise ValueError unless a frame and its time can follow the frame before and its time."""
     if frame.tree.n == 0:
-        raise ValueError(f"frame {number} has no points, so that its loops are not known: skip the frame")
-    seconds = time.item() if isinstance(time, np.generic) else time
-    if time is not None and not (isinstance(seconds, (int, float)) and abs(seconds) < 1e300):
-        raise ValueError(f"frame {number} has time {time}; a time must be a finite number of seconds")
+        raise ValueError(f"frame {number} has no points, so that its loops are not known: call skip() for it")
+    check_time(number, time, time_before)
     if before is None:
         return
-
-    _check_time(number, time_before, time)
     if frame.tree.m != before.tree.m:
         raise ValueError(f"frame {number} has {frame.tree.m} dimensions, the frames before it have {before.tree.m}")
 
@@ -129,9 +125,12 @@ def check_follows(
         raise ValueError(f"{sizes}; {reason}: convert one of them, or start a new tracker")
 
 
-def _check_time(number: int, before: float | None, time: float | None) -> None:
+def check_time(number: int, time: float | None, before: float | None) -> None:
     """Raise ValueError unless all frames have a time or none has, and times increase."""
-    if before is None and time is None:
+    seconds = time.item() if isinstance(time, np.generic) else time
+    if time is not None and not (isinstance(seconds, (int, float)) and abs(seconds) < 1e300):
+        raise ValueError(f"frame {number} has time {time}; a time must be a finite number of seconds")
+    if number == 0 or (before is None and time is None):
         return
     advice = "give all frames a time, or none"
     if time is None:

@@ -26,7 +26,7 @@ from topokit.rips import Diagram, rips_persistence, rips_persistence_many
 from topokit.sampling import as_tree, hausdorff
 
 from ._evidence import MISSED, WEAKEST, believe
-from ._frames import Frame, check_diagram, check_follows
+from ._frames import Frame, check_diagram, check_follows, check_time
 from ._matching import Candidates, MatchRule, check_pairs, within_gates
 from ._state import TopologicalState, loop_at
 
@@ -185,6 +185,23 @@ class SeqPH:
             check_diagram(self._number, diagram, tree.n)
             frame = replace(frame, ids=np.arange(tree.n))
         return self._advance(tree.data, frame, diagram, time)
+
+    def skip(self, *, time: float | None = None) -> TopologicalState:
+        """Take a frame in which nothing was seen, and return its state without loops; known loops are remembered.
+
+        Parameters
+        ----------
+        time : float, optional
+            Time in seconds, as in `update`.
+        """
+        check_time(self._number, time, self._time_before)
+        kept = [loop.carried(0.0, self.epsilon or 0.0) for loop in self._known]
+        parameters = {"alpha": self.alpha or 0.0, "beta": self.beta or 0.0, "epsilon": self.epsilon or 0.0}
+        state = TopologicalState(self._number, float(self._number if time is None else time), (), parameters)
+        self._known = [loop for loop in kept if loop.missed <= self.memory]
+        self._time_before = time
+        self._number += 1
+        return state
 
     def stream(self, frames: Iterable[ArrayLike]) -> Iterator[TopologicalState]:
         """Yield the state of every frame as it comes; only the input of the next frame is kept.

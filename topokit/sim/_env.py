@@ -290,6 +290,8 @@ class HangEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         ValueError
             When an option is not known or has an impossible value; the message names it.
         """
+        if seed is not None:
+            whole(seed, "seed")
         chosen = Options(**{**asdict(self._default_options), **(options or {})})
         # A fence before a target without an arm is refused here, before anything is simulated.
         chosen.before_fence(np.zeros((2, 3)), np.zeros((2, 3)), self._given_target)

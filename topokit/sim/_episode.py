@@ -15,14 +15,13 @@ import platform
 import sys
 from collections.abc import Callable, Sequence
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from topokit._processes import ProcessError, in_fresh_processes
-from topokit._validate import WrongKindError, positive
+from topokit._validate import positive, whole
 from topokit.io import FEWEST_FRAMES, Episode, wardrobe_names
 from topokit.sampling import farthest_point_sample
 
@@ -93,11 +92,7 @@ def simulate(
         When `n_observed` is too large, `task` is not known or asks for loops that the garment does not have, or no camera sees
         any cloth in some frame.
     """
-    if garment is not None and not isinstance(garment, Garment):
-        advice = "make one with Garment.from_mesh or from WARDROBE"
-        if isinstance(garment, str | Path):
-            advice = f"make one with Garment.from_mesh({garment!r})"
-        raise WrongKindError(f"garment must be a Garment, not {type(garment).__name__}: {advice}")
+    whole(seed, "seed")
     task, garment, target = resolved(task, garment, target)
     config = config or usual_config(garment)
     check_loops(task, garment)

@@ -1,38 +1,25 @@
 """Read the vertices and the polygons of an OBJ, PLY or STL file, with the ids that the file gives them.
 
 General readers are not used for files, because an id of a loop must mean the same vertex as in the file, and because a
-damaged file must be refused. trimesh 5.2, for one, reads a PLY file of triangles and quads with a wrong triangle, takes
-half a file for a whole one where the counts of the header are wrong, loses the first vertex behind a byte order mark, and
-splits vertices that have several texture coordinates. Here all but places and polygons is skipped.
+damaged file must be refused. trimesh 5.2, for one, loses the first vertex behind a byte order mark, and splits vertices that
+have several texture coordinates. Here all but places and polygons is skipped.
 """
 
-import io
+import codecs
 import itertools
 import re
-import struct
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from topokit._archive import FormatError, existing
+from topokit._ply import read_ply
 from topokit._validate import as_ids
 
 from ._surface import Array
 
 Polygons = list[list[int]]
-Properties = list[tuple[str, list[str]]]  # the name of a property, and its one type, or the two types of a list
-_PLY_CODES = {
-    "char": "b",
-    "uchar": "B",
-    "short": "h",
-    "ushort": "H",
-    "int": "i",
-    "uint": "I",
-    "float": "f",
-    "double": "d",
-}
-_PLY_TYPES = _PLY_CODES | {np.dtype(code).name: code for code in _PLY_CODES.values()}
 _MOST_CORNERS = 1000  # of a face: the time to cut it into triangles grows with the square
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
@@ -47,7 +34,7 @@ def read_mesh(path: str | Path) -> tuple[Array, Polygons]:
     suffix = path.suffix.lower()
     if suffix not in readers:
         raise FormatError(f"{path}: a mesh file ends in {', '.join(readers)}, not in {path.suffix!r}; export it as one")
-    data = path.read_bytes()
+    data = path.read_bytes().removeprefix(codecs.BOM_UTF8)
     try:
         _check_start(data)
         vertices, polygons = readers[suffix](data)
@@ -80,9 +67,9 @@ def _obj(data: bytes) -> tuple[Array, Polygons]:
     """
     vertices: list[list[float]] = []
     polygons: Polygons = []
-    # A backslash at the end of a line continues it. A byte order mark is no part of the first line.
-    text = data.decode("utf-8-sig", errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
-    for number, line in enumerate(text.splitlines(), 1):
+    # A backslash at the end of a line continues it. Files that were joined have byte order marks between.
+    text = data.decode(errors="replace").replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ")
+    for number, line in enumerate(text.replace("\ufeff", "").split("\n"), 1):
         words = line.split("#")[0].split()
         if not words or words[0] not in ("v", "f"):
             continue
@@ -124,80 +111,27 @@ def _stl(data: bytes) -> tuple[Array, Polygons]:
 
 
 def _ply(data: bytes) -> tuple[Array, Polygons]:
-    """Read a PLY file, ASCII or binary of either byte order: the places of its vertices and the lists of its faces."""
-    head, mark, body = data.partition(b"end_header")
-    header = [line.split() for line in head.decode("ascii", errors="replace").splitlines()]
-    if not mark or not header or header[0] != ["ply"]:
-        raise ValueError("not a PLY file: it must begin with 'ply' and have a header that ends in 'end_header'")
-    formats = [line[1] for line in header if len(line) > 1 and line[0] == "format"] or ["missing"]
-    byte_orders = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-    if formats[0] not in byte_orders:
-        raise ValueError(f"PLY format {formats[0]!r}; expected one of {', '.join(byte_orders)}")
-    take = _taker(body, byte_orders[formats[0]])
-    vertices: list[list[float]] = []
+    """Read a PLY file: the places of its vertices and the lists of its faces."""
+    elements = read_ply(data)
+    vertex = elements.get("vertex", {})
+    face = elements.get("face", {})
+    corners = face["vertex_index"] if "vertex_index" in face else face.get("vertex_indices", [])
+    columns = [column for axis in "xyz" if isinstance(column := vertex.get(axis), np.ndarray)]
+    if (
+        len(columns) < 3
+        or not isinstance(corners, list)
+        or (face and not {"vertex_index", "vertex_indices"} & set(face))
+    ):
+        raise ValueError("its vertices have no x, y and z, or its faces no list vertex_indices")
     polygons: Polygons = []
-    elements = _ply_elements(header)
-    try:
-        for name, count, properties in elements:
-            if not properties:
-                continue
-            if not 0 <= count <= len(body):  # a row of anything takes a byte or more
-                raise ValueError(f"the file has {len(body)} bytes for them")
-            for _ in range(count):
-                row = {key: _ply_numbers(take, types) for key, types in properties}
-                if name == "vertex":
-                    vertices.append([row[axis][0] for axis in "xyz"])
-                elif name == "face":
-                    corners = row["vertex_index"] if "vertex_index" in row else row["vertex_indices"]
-                    polygons.append([int(corner) for corner in corners])
-    except KeyError as error:
-        raise ValueError("its vertices have no x, y and z, or its faces no list vertex_indices") from error
-    except (ValueError, IndexError, OverflowError, StopIteration, struct.error) as error:
-        where = f"cut off or damaged among the {count} rows of its element {name!r}"
-        raise ValueError(f"{where}: {str(error) or 'the file ends there'}") from error
-    for face, polygon in enumerate(polygons):
+    for number, polygon in enumerate(corners):
         if len(polygon) < 3:
-            raise ValueError(f"face {face} has {len(polygon)} corners; three at least make a face")
-    return np.array(vertices).reshape(-1, 3), polygons
+            raise ValueError(f"face {number} has {len(polygon)} corners; three at least make a face")
+        polygons.append([_id(corner, number) for corner in polygon])
+    return np.column_stack(columns).astype(np.float64), polygons
 
 
-def _ply_elements(header: list[list[str]]) -> list[tuple[str, int, Properties]]:
-    """Return the name, the number of rows and the properties of each element that a PLY header declares."""
-    elements: list[tuple[str, int, Properties]] = []
-    line: list[str] = []
-    try:
-        for line in header:
-            if line[:1] == ["element"]:
-                elements.append((line[1], int(line[2]), []))
-            elif line[:1] == ["property"]:
-                # "property TYPE NAME", or "property list TYPE_OF_COUNT TYPE NAME"
-                words = line[1:]
-                if words[0] == "list" and len(words) > 3:
-                    words = words[1:]
-                *types, name = words
-                elements[-1][2].append((name, [_PLY_TYPES[kind] for kind in types]))
-    except (IndexError, KeyError, ValueError) as error:
-        raise ValueError(f"a line of the PLY header is not understood: {' '.join(line)!r}") from error
-    return elements
-
-
-def _ply_numbers(take: Callable[[str], float], types: list[str]) -> list[float]:
-    """Take the next number, or, where there are two types, the next list; the first type is that of its length."""
-    count = 1
-    if len(types) == 2:
-        count = int(take(types[0]))
-    return [take(types[-1]) for _ in range(count)]
-
-
-def _taker(body: bytes, byte_order: str) -> Callable[[str], float]:
-    """Return a function that takes the next number of a type from a body: binary of a byte order, or text."""
-    if not byte_order:
-        words = iter(body.split())
-        return lambda _: float(next(words))
-    stream = io.BytesIO(body.split(b"\n", 1)[-1])
-
-    def take(code: str) -> float:
-        code = byte_order + code
-        return float(struct.unpack(code, stream.read(struct.calcsize(code)))[0])
-
-    return take
+def _id(corner: float, face: int) -> int:
+    if corner % 1:
+        raise ValueError(f"face {face} names vertex {corner}: an id is a whole number")
+    return int(corner)

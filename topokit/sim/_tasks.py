@@ -12,12 +12,13 @@ import functools
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from topokit._validate import as_points
+from topokit._validate import WrongKindError, as_points
 from topokit.io import LOOP_NAMES
 
 from ._garments import WARDROBE, Garment
@@ -297,6 +298,11 @@ def as_task(task: str | Task) -> Task:
 
 def resolved(task: str | Task | None, garment: Garment | None, target: Target | None) -> tuple[Task, Garment, Target]:
     """Return a task, its garment and its target, given some of them; by default an apron is hung on a hook."""
+    if garment is not None and not isinstance(garment, Garment):
+        advice = "make one with Garment.from_mesh or from WARDROBE"
+        if isinstance(garment, str | Path):
+            advice = f"make one with Garment.from_mesh({str(garment)!r})"
+        raise WrongKindError(f"garment must be a Garment, not {type(garment).__name__}: {advice}")
     if task is None:
         task = task_for(garment or Garment.apron(), target or Hook())
     task = as_task(task)

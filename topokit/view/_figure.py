@@ -70,7 +70,7 @@ class HtmlFigure:
             "STYLE": _text(folder, "frame.css") + _own_style(folder, name),
             "PARTS": _text(folder, f"{name}.html"),
             "SCRIPT": f"(() => {{\n{code}\n}})();",
-            "DATA": encoded.replace("</", "<\\/"),  # a "</script>" in the data would end the script element
+            "DATA": encoded.replace("<", "\\u003c"),  # "</script>" and "<!--" in a script element are markup
         }
         page = _text(folder, "frame.html")
         for part, text in parts.items():

@@ -1,0 +1,64 @@
+"""What every reader keeps towards files of strangers: a bound on what they unpack to, and text that is safe to print.
+
+Idea: a small file can declare, or be packed from, far more than the memory holds. So a file of n bytes may unpack to 64 MiB and
+100 times n, in all; reading it takes a few times as much. For denser files the environment variable `TOPOKIT_UNPACKED` replaces
+the 64 MiB by another number of bytes.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+VARIABLE = "TOPOKIT_UNPACKED"
+_FREE = 2**26
+_RATIO = 100
+_PIECE = 2**20  # bytes that are unpacked at a time
+
+
+def free_bytes() -> int:
+    """Return how many bytes any file may unpack to, however small it is."""
+    text = os.environ.get(VARIABLE, str(_FREE))
+    if not (text.isascii() and text.isdigit() and len(text) < 19):
+        raise ValueError(f"the environment variable {VARIABLE} must be a number of bytes, not {text!r:.80}")
+    return int(text)
+
+
+class Budget:
+    """How many bytes a file of `size` bytes may still unpack to."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.left = free_bytes() + _RATIO * size
+
+    def take(self, count: int) -> None:
+        """Count bytes that are to be unpacked; raise ValueError when they are more than the file may hold."""
+        if not 0 <= count <= self.left:
+            problem = f"its {self.size} bytes claim to hold {count} more than fit within the bound"
+            if self.left == free_bytes() + _RATIO * self.size:
+                problem = f"its {self.size} bytes claim to hold {count}"
+            raise ValueError(f"{problem}; for such files set {VARIABLE} to more bytes than {free_bytes()}")
+        self.left -= count
+
+    def unpack(self, decompressor: Any, data: bytes) -> bytes:
+        """Return what a decompressor of the standard library's kind makes of packed bytes, a piece at a time."""
+        pieces: list[bytes] = []
+        fed = data
+        while not decompressor.eof:
+            piece = decompressor.decompress(fed, _PIECE)
+            fed = b""
+            if not piece and decompressor.needs_input:
+                raise ValueError(f"its {len(data)} packed bytes end in the middle")
+            self.take(len(piece))
+            pieces.append(piece)
+        return b"".join(pieces)
+
+
+def check_unpacked(unpacked: int, size: int) -> None:
+    """Raise ValueError when a file of `size` bytes declares that it holds more than it may."""
+    Budget(size).take(unpacked)
+
+
+def printable(text: object) -> str:
+    """Return text of a stranger as one line without control characters: they are written as escapes, as Python writes them."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
