@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -40,9 +41,9 @@ def scenes():
     return RingScenes(96, seed=0), RingScenes(24, seed=1), "rings"
 
 
-def config(out, model="mlp", **changes):
+def config(model="mlp", **changes):
     entries = {"options": OPTIONS.get(model, {}), "shape": SHAPE, "batch": 16, "epochs": 3, "threads": 1}
-    return TrainConfig(model, out=str(out), **(entries | changes))
+    return TrainConfig(model, **(entries | changes))
 
 
 def log(out):
@@ -80,8 +81,8 @@ class Interrupted:
     [("mlp", LossWeights()), ("pointnet", LossWeights()), ("pointnet", MORE), ("motion", LossWeights())],
 )
 def test_the_loss_falls_and_the_checkpoint_is_the_best_epoch(tmp_path, windows, scenes, model, loss):
-    how = config(tmp_path, model, loss=loss, epochs=12, learning_rate=3e-3)
-    answer = train(how, scenes if model == "motion" else windows)
+    how = config(model, loss=loss, epochs=12, learning_rate=3e-3)
+    answer = train(how, tmp_path, scenes if model == "motion" else windows)
     losses = [float(row["validation_loss"]) for row in log(tmp_path)]
     assert losses[-1] < 0.7 * losses[0]
     assert answer["validation_loss"] == min(losses)
@@ -97,13 +98,12 @@ def test_the_loss_falls_and_the_checkpoint_is_the_best_epoch(tmp_path, windows, 
 @pytest.mark.parametrize("steps", [0, 4, 6, 13])  # before anything, within an epoch, at its end, in the last
 def test_interrupted_and_resumed_is_as_undisturbed(tmp_path, windows, scenes, steps, model):
     train_data, held_back, name = scenes if model == "motion" else windows
-    whole = config(tmp_path / "whole", model, loss=MORE)
-    parts = dataclasses.replace(whole, out=str(tmp_path / "parts"))
-    train(whole, (train_data, held_back, name))
+    how = config(model, loss=MORE)
+    train(how, tmp_path / "whole", (train_data, held_back, name))
     reads = 16 * steps + (0 if model == "motion" else 96)  # the units are those of all windows
     with pytest.raises(KeyboardInterrupt):
-        train(parts, (Interrupted(train_data, reads), held_back, name))
-    train(parts, (train_data, held_back, name))
+        train(how, tmp_path / "parts", (Interrupted(train_data, reads), held_back, name))
+    train(how, tmp_path / "parts", (train_data, held_back, name))
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "parts"))
     for row, other in zip(log(tmp_path / "whole"), log(tmp_path / "parts"), strict=True):
         assert row | {"seconds": 0} == other | {"seconds": 0}
@@ -119,7 +119,8 @@ torch.set_num_threads(1)
 from test_models_training import config
 from topokit.models import train
 from windows import RingWindows
-train(config(sys.argv[1], epochs=20, patience=99), (RingWindows(96, seed=0), RingWindows(24, seed=1), "rings"))
+data = RingWindows(96, seed=0), RingWindows(24, seed=1), "rings"
+train(config(epochs=20, patience=99), sys.argv[1], data)
 """
     here = str(Path(__file__).parent)
     process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "killed"), here])
@@ -132,7 +133,7 @@ train(config(sys.argv[1], epochs=20, patience=99), (RingWindows(96, seed=0), Rin
     torch.set_num_threads(1)
     try:
         for name in ("killed", "whole"):
-            answer = train(config(tmp_path / name, epochs=20, patience=99), windows)
+            answer = train(config(epochs=20, patience=99), tmp_path / name, windows)
             assert answer["steps"] == 20 * 6
     finally:
         torch.set_num_threads(threads)
@@ -147,7 +148,7 @@ def test_the_bytes_do_not_depend_on_the_threads_outside(tmp_path, windows, scene
         for threads in (1, 2):
             torch.set_num_threads(threads)
             out = tmp_path / str(threads)
-            train(config(out, model, epochs=2), scenes if model == "motion" else windows)
+            train(config(model, epochs=2), out, scenes if model == "motion" else windows)
             made.append((out / "best.safetensors").read_bytes())
             assert torch.get_num_threads() == threads
     finally:
@@ -157,42 +158,65 @@ def test_the_bytes_do_not_depend_on_the_threads_outside(tmp_path, windows, scene
 
 def test_another_seed_gives_other_weights(tmp_path, windows):
     for seed in (0, 1):
-        train(config(tmp_path / str(seed), epochs=1, seed=seed), windows)
+        train(config(epochs=1, seed=seed), tmp_path / str(seed), windows)
     assert not same(weights(tmp_path / "0"), weights(tmp_path / "1"))
 
 
 def test_early_stopping(tmp_path, windows):
-    answer = train(config(tmp_path, epochs=50, patience=1, learning_rate=1e-9), windows)
+    answer = train(config(epochs=50, patience=1, learning_rate=1e-9), tmp_path, windows)
     assert answer["epochs"] < 50
     assert answer["epochs"] == answer["best_epoch"] + 2
 
 
 def test_a_finished_training_is_left_alone(tmp_path, windows):
-    first = train(config(tmp_path), windows)
+    first = train(config(), tmp_path, windows)
     before = (tmp_path / "last.safetensors").read_bytes()
-    assert train(config(tmp_path), windows) == first
+    assert train(config(), tmp_path, windows) == first
     assert (tmp_path / "last.safetensors").read_bytes() == before
 
 
 def test_what_is_no_checkpoint_of_this_training_is_not_resumed_from(tmp_path, windows):
-    how = config(tmp_path, epochs=1)
-    train(how, windows)
+    how = config(epochs=1)
+    train(how, tmp_path, windows)
     with pytest.raises(ValueError, match=r"batch.*16.*8"):
-        train(config(tmp_path, batch=8), windows)
+        train(config(batch=8), tmp_path, windows)
     with pytest.raises(ValueError, match="another dataset"):
-        train(how, (*windows[:2], "others"))
+        train(how, tmp_path, (*windows[:2], "others"))
     last = tmp_path / "last.safetensors"
     whole = last.read_bytes()
     shutil.copy(tmp_path / "best.safetensors", last)
     with pytest.raises(FormatError, match=r"last\.safetensors"):
-        train(how, windows)
+        train(how, tmp_path, windows)
     last.write_bytes(whole[:-50])
     with pytest.raises(FormatError, match=r"last\.safetensors"):
-        train(how, windows)
+        train(how, tmp_path, windows)
+
+
+@pytest.mark.parametrize("name", ["log.csv", "best.safetensors"])
+def test_files_that_are_no_training_are_left_alone(tmp_path, windows, name):
+    (tmp_path / name).symlink_to(tmp_path / "mine")  # of which the other end may be there or not
+    with pytest.raises(ValueError, match=name):
+        train(config(), tmp_path, windows)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links and pipes")
+def test_a_training_follows_no_link_and_waits_for_no_pipe(tmp_path, windows):
+    """They may lie in a folder of somebody else's training, which goes on here."""
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    with pytest.raises(KeyboardInterrupt):
+        train(config(), out, (Interrupted(windows[0], 96), *windows[1:]))
+    mine.write_text("mine")
+    (out / "best.safetensors").symlink_to(mine)
+    os.mkfifo(out / "log.csv")
+    train(config(), out, windows)
+    assert mine.read_text() == "mine"
+    assert len(log(out)) == 3
+    assert len(weights(out)) > 0
 
 
 def test_ridge_is_solved_in_one_pass(tmp_path, windows):
-    answer = train(config(tmp_path, "ridge", options={"penalty": 1.0}), windows)
+    answer = train(config("ridge", options={"penalty": 1.0}), tmp_path, windows)
     assert answer["epochs"] == 1
     assert weights(tmp_path)["coefficients"].abs().sum() > 0
 
@@ -200,15 +224,16 @@ def test_ridge_is_solved_in_one_pass(tmp_path, windows):
 @pytest.mark.parametrize("model", ["mlp", "motion"])
 def test_a_training_starts_from_a_checkpoint_with_other_films(tmp_path, windows, scenes, model):
     data = scenes if model == "motion" else windows
-    first = train(config(tmp_path / "first", model, epochs=6, learning_rate=3e-3), data)
+    first = train(config(model, epochs=6, learning_rate=3e-3), tmp_path / "first", data)
     # With a learning rate of next to nothing the weights are those of the start.
-    still = config(tmp_path / "more", model, start=first["checkpoint"], epochs=1, learning_rate=1e-12)
-    assert train(still, data)["validation_loss"] == pytest.approx(first["validation_loss"], rel=0.01)
-    afresh = config(tmp_path / "afresh", model, epochs=1, learning_rate=3e-3)
-    assert train(afresh, data)["validation_loss"] > first["validation_loss"]
+    still = config(model, start=first["checkpoint"], epochs=1, learning_rate=1e-12)
+    more = train(still, tmp_path / "more", data)
+    assert more["validation_loss"] == pytest.approx(first["validation_loss"], rel=0.01)
+    afresh = config(model, epochs=1, learning_rate=3e-3)
+    assert train(afresh, tmp_path / "afresh", data)["validation_loss"] > first["validation_loss"]
     assert Predictor.load(tmp_path / "more" / "best.safetensors").description["start"] == "best.safetensors"
     with pytest.raises(ValueError, match="options"):
-        train(config(tmp_path / "other", model, options={}, start=first["checkpoint"]), data)
+        train(config(model, options={}, start=first["checkpoint"]), tmp_path / "other", data)
 
 
 def test_few_films_are_learned_beside_those_that_the_start_knows(tmp_path):
@@ -243,7 +268,7 @@ def test_every_window_once_an_epoch_and_another_order_the_next():
 
 def test_too_little_data(tmp_path, windows):
     with pytest.raises(ValueError, match=r"96.*128"):
-        train(config(tmp_path, batch=128), windows)
+        train(config(batch=128), tmp_path, windows)
 
 
 def test_paths_of_a_configuration_are_relative_to_it(tmp_path):
@@ -263,6 +288,7 @@ def test_paths_of_a_configuration_are_relative_to_it(tmp_path):
         ("[]", "object"),
         ('{"model": "gpt"}', "pointnet.*'gpt'"),
         ('{"model": "mlp", "epoch": 3}', "'epoch'.*epochs"),
+        ('{"model": "mlp", "out": "/etc"}', "'out'"),  # the command names the folder
         ('{"model": "mlp", "batch": 0}', "batch.*0"),
         ('{"model": "mlp", "learning_rate": "fast"}', "learning_rate.*'fast'"),
         ('{"model": "mlp", "shape": {"slots": 0}}', r"shape\.slots"),
@@ -311,18 +337,16 @@ def test_mixed_precision_learns_from_exact_coordinates(tmp_path, windows):
     """Targets are not rounded: the loss is about that of 32 bits."""
     losses = []
     for precision in ("32-true", "bf16-mixed"):
-        how = config(tmp_path / precision, "pointnet", loss=MORE, epochs=1, precision=precision)
-        losses.append(train(how, windows)["validation_loss"])
+        how = config("pointnet", loss=MORE, epochs=1, precision=precision)
+        losses.append(train(how, tmp_path / precision, windows)["validation_loss"])
     assert losses[0] != losses[1]
     assert abs(losses[0] - losses[1]) < 0.05 * losses[0]
 
 
 def test_it_learns_to_swing_and_how_sure_it_is(tmp_path):
     data = (RingScenes(96, seed=0), RingScenes(16, seed=1))
-    how = config(
-        tmp_path, "motion", options={"width": 32}, shape=Shape(points=160), batch=8, epochs=16, learning_rate=0.01
-    )
-    train(how, data)
+    how = config("motion", options={"width": 32}, shape=Shape(points=160), batch=8, epochs=16, learning_rate=0.01)
+    train(how, tmp_path, data)
     model = Predictor.load(tmp_path / "best.safetensors").model
     test = default_collate(RingScenes(32, seed=2).items)
     torch.manual_seed(0)

@@ -248,10 +248,18 @@ class ClusterOptions:
     scheduler: str | None = None
 
 
-def _check_suffix(option: str, path: Path | None, suffixes: Sequence[str]) -> None:
-    """Raise ValueError when a path is given whose name ends in none of the suffixes."""
-    if path is not None and path.suffix not in suffixes:
+def _check_output(option: str, path: Path | None, suffixes: Sequence[str]) -> None:
+    """Raise ValueError, before any work, when a path is given that is no place for a file with one of the suffixes."""
+    if path is None:
+        return
+    if path.suffix not in suffixes:
         raise ValueError(f"{option} {path}: the name ends in {', '.join(suffixes)}")
+    if path.is_dir():
+        raise ValueError(f"{option} {path}: that is a folder; name a file")
+    # Folders that are missing will be made.
+    folder = next(parent for parent in path.absolute().parents if os.path.lexists(parent))
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise ValueError(f"{option} {path}: nothing can be written in {folder}")
 
 
 # -- track ------------------------------------------------------------------------------------------------------------------
@@ -294,7 +302,7 @@ def track(
     if episode is None:
         raise ValueError("name an episode or clouds, or give --live to read clouds from standard input")
     out = _tracks_file(episode, out)
-    _check_suffix("--plot", plot, PICTURES)
+    _check_output("--plot", plot, PICTURES)
 
     # Options that do not apply to this kind of input are refused.
     if _is_archive_of_ours(episode):
@@ -326,7 +334,7 @@ def _tracks_file(episode: Path, out: Path | None) -> Path:
         raise ValueError(f"--out: name a file for the tracks of {episode}")
     if out.resolve() == episode.resolve():
         raise ValueError(f"--out {out}: that is the episode itself")
-    _check_suffix("--out", out, (".npz", ".jsonl"))
+    _check_output("--out", out, (".npz", ".jsonl"))
     return out
 
 
@@ -551,7 +559,7 @@ def simulate(
     from .sim import Camera, DepthNoise, Randomisation
     from .sim import simulate as run_simulation
 
-    _check_suffix("--out", out, (".npz",))
+    _check_output("--out", out, (".npz",))
     if cameras < 0 or (noise and not cameras):
         raise ValueError(f"--cameras {cameras}: a number of cameras, one at least with --noise")
     garment, chosen = _garment_and_task(mesh, mesh_options, task, "apron-hook")
@@ -651,7 +659,7 @@ def mesh(
     plot
         Also draw it (.png, .svg or .pdf).
     """
-    _check_suffix("--plot", plot, PICTURES)
+    _check_output("--plot", plot, PICTURES)
     garment = _garment(mesh, mesh_options)
     sizes = garment.vertices.max(axis=0) - garment.vertices.min(axis=0)
     loops = {name: len(loop) for name, loop in garment.named_loops.items()}
@@ -736,8 +744,8 @@ def hang(
     from .control import hang as run_hanging
     from .io import save_episode
 
-    _check_suffix("--out", out, (".npz",))
-    _check_suffix("--film", film, (".gif", ".html"))
+    _check_output("--out", out, (".npz",))
+    _check_output("--film", film, (".gif", ".html"))
     if film is not None:
         from . import view  # noqa: F401 - before the work, so that a missing matplotlib is reported at once
     garment, chosen = _garment_and_task(mesh, mesh_options, task, "tote-hook")
@@ -931,8 +939,8 @@ def train(
     config: Path,
     /,
     *,
+    out: Path,
     seed: Whole | None = None,
-    out: str | None = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
@@ -942,10 +950,10 @@ def train(
     ----------
     config
         Configuration of the model, the training and the dataset (.json).
-    seed
-        A seed in place of the configuration's; with --out, to train several.
     out
-        Folder for checkpoints and log, in place of the configuration's folder.
+        Folder for the checkpoints and the log, new or to go on with.
+    seed
+        A seed in place of the configuration's.
     """
     from .models import TrainConfig
     from .models import train as run_training
@@ -953,13 +961,11 @@ def train(
     settings = TrainConfig.load(config)
     if seed is not None:
         settings = dataclasses.replace(settings, seed=seed)
-    if out is not None:
-        settings = dataclasses.replace(settings, out=out)
     progress = sys.stderr.isatty() and not as_json and not quiet
     try:
-        answer = run_training(settings, progress=progress)
+        answer = run_training(settings, out, progress=progress)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"stopped; the same command goes on from {settings.out}/last.safetensors") from None
+        raise KeyboardInterrupt(f"stopped; the same command goes on from {out / 'last.safetensors'}") from None
     if as_json:
         print(json.dumps(answer))
         return 0

@@ -175,10 +175,10 @@ class Experiment:
             chosen, _ = self.training_films(films)
             windows = _windows(self.folder / "films", tuple(chosen.tolist()), self.shape.points)
             checksum = _checksum(self.folder / "films", chosen)
-            config = self.training_config(network, seed, rate, epochs, out)
+            config = self.training_config(network, seed, rate, epochs)
             print(f"{out.name}: {len(windows)} windows of {films} films", flush=True)
             parts = [self.remedied(network, part) for part in (windows, self.validation_windows())]
-            found = train(config, (*parts, checksum), progress=True)
+            found = train(config, out, (*parts, checksum), progress=True)
             write_results(out / SUMMARY, {**found, "films": checksum})
         training = Trained.of(out)
         print(f"{out.name}: {training.loss:.4f}", flush=True)
@@ -189,7 +189,7 @@ class Experiment:
         described = self.protocol["networks"][network]
         return Remedied(windows, described.get("frame", "room"), tuple(described.get("given", ())))
 
-    def training_config(self, network: str, seed: int, rate: float, epochs: int, out: Path) -> TrainConfig:
+    def training_config(self, network: str, seed: int, rate: float, epochs: int) -> TrainConfig:
         """Return the configuration of a training. It is never stopped early: its rate has to fall to the end."""
         described = self.protocol["networks"][network]
         options = dict(described.get("options", {}))
@@ -198,7 +198,6 @@ class Experiment:
             options["points"] = MLP_POINTS + more
         return TrainConfig(
             model=described["model"],
-            out=str(out),
             options=options,
             loss=LossWeights(**described.get("loss", {})),
             shape=replace(self.shape, points=self.shape.points + more),
@@ -268,14 +267,13 @@ class Experiment:
             windows = _windows(self.folder / "films", tuple(chosen.tolist()), self.shape.points)
             config = TrainConfig(
                 model="ridge",
-                out=str(out),
                 shape=self.shape,
                 batch=self.protocol["batch"],
                 windows_per_epoch=60_000,
                 validation_windows=100,
                 threads=1,
             )
-            train(config, (windows, self.validation_windows(), _checksum(self.folder / "films", chosen)))
+            train(config, out, (windows, self.validation_windows(), _checksum(self.folder / "films", chosen)))
         return out / "best.safetensors"
 
     def height(self, films: int) -> float:

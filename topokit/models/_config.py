@@ -55,7 +55,6 @@ class TrainConfig:
 
     model: str  #: name of the model, see `topokit.models.build`
     dataset: str = "."  #: directory of a dataset, relative to the configuration's file
-    out: str = "run"  #: directory for checkpoints and logs, relative to the configuration's file
     start: str = ""  #: checkpoint whose weights the training starts from, relative to the configuration's file
     #: Configuration of an earlier training. Half of the windows are its windows, so that `start` is not forgotten.
     rehearse: str = ""
@@ -97,7 +96,7 @@ class TrainConfig:
         config = load(cls, path)
         folder = Path(path).parent
         changes: dict[str, Any] = {}
-        for name in ("dataset", "out", "start", "rehearse"):
+        for name in ("dataset", "start", "rehearse"):
             if getattr(config, name):
                 changes[name] = str(folder / getattr(config, name))
         return replace(config, **changes)

@@ -10,9 +10,11 @@ Source: Antonova et al. 2021, section 5 (supervised, from the tracker's labels).
 
 from __future__ import annotations
 
+import codecs
 import csv
 import json
 import math
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -24,7 +26,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Subset, default_collate
 from tqdm import tqdm
 
-from topokit._archive import FormatError
+from topokit._archive import FormatError, atomic_file
 from topokit._config import from_mapping
 from topokit._cores import safe_path
 
@@ -40,7 +42,7 @@ except ModuleNotFoundError:  # conda-forge has it as a part of Lightning
     from lightning.fabric import Fabric  # type: ignore[import-not-found, no-redef]
 
 LAST, BEST, LOG = "last.safetensors", "best.safetensors", "log.csv"
-_FREE = ("workers", "out", "dataset", "start", "rehearse", "accelerator")  # may change when a training goes on
+_FREE = ("workers", "dataset", "start", "rehearse", "accelerator")  # may change when a training goes on
 _OPTIMIZER = "optimizer."  # before the names of the optimiser's tensors in `last.safetensors`
 _PLACES = {
     "clouds",
@@ -56,14 +58,18 @@ _PLACES = {
 }
 
 
-def train(config: TrainConfig, windows: Sequence[Any] | None = None, *, progress: bool = False) -> dict[str, Any]:
-    """Train a model, or go on with a training that was stopped; checkpoints and the log go to `config.out`.
+def train(
+    config: TrainConfig, out: str | Path, windows: Sequence[Any] | None = None, *, progress: bool = False
+) -> dict[str, Any]:
+    """Train a model, or go on with a training that was stopped; nothing is written outside of the folder `out`.
 
     The answer names the checkpoint with the smallest validation loss, that loss, epochs, steps, seconds, and windows a second.
 
     Parameters
     ----------
     config : TrainConfig
+    out : path
+        Folder for the checkpoints and the log.
     windows : pair of torch data sets, optional
         Windows to train on and windows to validate with; those that the configuration names when not given. A third entry, a
         checksum, identifies where they are from.
@@ -81,12 +87,13 @@ def train(config: TrainConfig, windows: Sequence[Any] | None = None, *, progress
     if n_train < config.batch or not n_validation:
         few = f"{n_train} windows to train on and {n_validation} to validate with; a batch has {config.batch}"
         raise ValueError(f"{few}, and one is needed to validate: add episodes or make the batch smaller")
-    Path(config.out).mkdir(parents=True, exist_ok=True)
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
     threads = torch.get_num_threads()
     torch.set_num_threads(config.threads)
     try:
         with safe_path():
-            return _Training(config, windows, progress).run()
+            return _Training(config, out, windows, progress).run()
     finally:
         torch.set_num_threads(threads)
 
@@ -104,11 +111,11 @@ class Progress:
 
 
 class _Training:
-    def __init__(self, config: TrainConfig, windows: Windows, show: bool) -> None:
+    def __init__(self, config: TrainConfig, out: Path, windows: Windows, show: bool) -> None:
         self.config = config
         self.windows = windows
         self.show = show
-        self.out = Path(config.out)
+        self.out = out
         self.progress = Progress()
         self.fabric = Fabric(accelerator=config.accelerator, devices=1, precision=config.precision)  # type: ignore[arg-type]
 
@@ -118,6 +125,8 @@ class _Training:
             saved = load_tensors(self.out / LAST)
             self._check_same(saved[0])
             normalisation = from_mapping(Normalisation, saved[0]["normalisation"], "normalisation")
+        elif others := [name for name in (BEST, LOG) if os.path.lexists(self.out / name)]:
+            raise ValueError(f"{self.out}: holds a {others[0]} and no {LAST} to go on from; name another folder")
         elif config.model == "motion":
             normalisation = Normalisation()
         else:
@@ -144,6 +153,8 @@ class _Training:
         self.steps_per_epoch = min(config.windows_per_epoch or n, n) // config.batch
 
     def run(self) -> dict[str, Any]:
+        if not (self.out / LAST).exists():
+            self._save_last()  # from now on the files of the folder are this training's
         while not self._finished():
             sums: dict[str, float] = {}
             if self.model.learns:
@@ -210,8 +221,8 @@ class _Training:
         row |= {f"validation_{name}": value for name, value in losses.items()}
         progress.log.append(row)
         # The whole log is written each time. Fabric's CSVLogger would delete the rows of the run before this one.
-        with (self.out / LOG).open("w", newline="") as handle:
-            writer = csv.DictWriter(handle, row)
+        with atomic_file(self.out / LOG) as file:
+            writer = csv.DictWriter(codecs.getwriter("utf-8")(file), row)
             writer.writeheader()
             writer.writerows(progress.log)
         if losses["loss"] < progress.best:
@@ -314,9 +325,9 @@ class _Training:
         for name, value in _as_json(asdict(self.config)).items():
             if name not in _FREE and _as_json(earlier[name]) != value:
                 other = f"{name} = {earlier[name]!r}, the configuration says {value!r}"
-                raise ValueError(f"{self.out}: holds a training with {other}; choose another `out`, or remove that one")
+                raise ValueError(f"{self.out}: holds a training with {other}; name another folder, or remove that one")
         if description.get("dataset") != self.windows.checksum:
-            raise ValueError(f"{self.out}: holds a training on another dataset, by its checksum; choose another `out`")
+            raise ValueError(f"{self.out}: holds a training on another dataset, by its checksum; name another folder")
 
 
 def _starting_model(config: TrainConfig) -> Model:

@@ -7,6 +7,7 @@ What they reached is added to rates.json beside this file; the rates of the conf
 
 import json
 import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +21,8 @@ windows.train.load()
 for model in sys.argv[1:]:
     config, found = replace(TrainConfig.load(HERE / f"{model}.json"), epochs=EPOCHS, windows_per_epoch=EACH), {}
     for rate in RATES:
-        told = train(replace(config, learning_rate=rate, out=f"{config.out}-{rate:g}"), windows)
+        with tempfile.TemporaryDirectory() as folder:
+            told = train(replace(config, learning_rate=rate), folder, windows)
         found[f"{rate:g}"] = round(told["validation_loss"], 4)
         print(model, rate, told["validation_loss"], f"{told['windows_per_second']:.0f} windows/s", flush=True)
     path = HERE / "rates.json"
