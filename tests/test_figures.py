@@ -62,6 +62,7 @@ def hanging() -> view.HtmlFigure:
 
 
 PAGES = {
+    "cloud": lambda: figures.cloud({"an </script> apron": RING, "a film": film()}),
     "growth": lambda: figures.growth(SQUARE, start=1, max_radius=3, title="four </script> corners"),
     "growth of a film": lambda: figures.growth(film()),
     "elimination": lambda: figures.elimination(SQUARE, 1.5),

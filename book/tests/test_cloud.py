@@ -128,6 +128,7 @@ BAD = {
     "cut.npz": FILES["packed.npz"][:-30],
     "changed.npz": FILES["plain.npz"].replace(b"NUMPY", b"NUMPI"),
     "none.obj": b"f 1 2 3\n",
+    "pointer.ply": b"version https://git-lfs.github.com/spec/v1\n",
     "cut.stl": FILES["text.stl"][:-30],
     "picture.png": b"\x89PNG",
     "lost.xyz": b"nan nan nan\n0 0 0\n",
@@ -192,6 +193,7 @@ def test_the_loop_of_a_ring_is_found_in_each_kind_of_file(cloud: Cloud, name: st
     cloud.give({name: FILES[name]})
     assert cloud.text("#errors") == ""
     assert f"{name}: 60 points" in cloud.text("#told")
+    assert cloud.frame.evaluate("document.querySelector('#sample').selectedIndex") == -1
     [loop] = json.loads(cloud.saved("#save-json"))["frames"][0]["loops"]
     assert loop["name"] == "loop 0"
     assert loop["birth"] == pytest.approx(math.sin(math.pi / 60), rel=1e-5)

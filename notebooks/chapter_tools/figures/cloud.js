@@ -62,6 +62,7 @@
     $("film").hidden = strip.parentElement.hidden = !film();
     $("time").max = given.frames.length - 1;
     $("link").disabled = !given.sample;
+    $("sample").selectedIndex = names.indexOf(given.sample);
     say($("told"), told());
     measure();
     if (given.columns === 2) Object.assign(eye.cam, { az: -Math.PI / 2, el: 1.5 });
@@ -89,7 +90,6 @@
     const packed = data.samples[name], ticks = packed && unpack(packed.ticks), wide = packed && packed.ticks.shape.at(-2) * 3;
     const numbers = packed ? Float64Array.from(ticks, (v, i) => (v + packed.low[i % 3]) / 1e4) : COMPUTED[name]();
     const frames = Array.from({ length: packed ? ticks.length / wide : 1 }, (_, t) => thinned(packed ? numbers.slice(wide * t, wide * (t + 1)) : numbers, 3));
-    $("sample").value = name;
     eye.back();
     open({ names: [name], frames, errors: [], columns: 3, sample: name, python: "" }, view);
     Object.assign(eye.cam, view.cam);
@@ -149,7 +149,7 @@
     later();
   }
   function rows() {
-    const digits = Math.max(0, 3 - Math.floor(Math.log10(end))), show = (v) => v.toFixed(Math.min(digits, 12));
+    const digits = clamp(2 - Math.floor(Math.log10(end)), 0, 12), show = (v) => v.toFixed(digits);
     $("rows").replaceChildren(...bars().map((bar) => {
       const { births, deaths } = state().diagram, row = document.createElement("tr"), button = document.createElement("button");
       [button.type, button.textContent] = ["button", nameOf(bar)];
@@ -191,7 +191,7 @@
       }
       g.fill();
     }
-    pen(g, fade(dark ? "#9fadbc" : "#5d6b7a", 0.45), 0.8);
+    pen(g, fade(dark ? "#9fadbc" : "#5d6b7a", clamp(1500 / counts.edges, 0.05, 0.45)), 0.8);
     g.beginPath();
     for (const [, i, j] of edges.slice(0, counts.edges)) (g.moveTo(S[i][0], S[i][1]), g.lineTo(S[j][0], S[j][1]));
     g.stroke();
@@ -384,7 +384,8 @@
       getSelection().selectAllChildren(button.id === "copy" ? $("python") : $("address"));
     }
   }
-  const names = ["an apron", "a tote bag", "a mask", ...Object.keys(COMPUTED), "a film: an apron and its hook"];
+  const packed = Object.keys(data.samples), films = packed.filter((name) => data.samples[name].ticks.shape.length > 2);
+  const names = [...packed.filter((name) => !films.includes(name)), ...Object.keys(COMPUTED), ...films];
   $("sample").append(...names.map((name) => new Option(name)));
   $("sample").onchange = (e) => sample(e.target.value);
   $("choose").onclick = () => $("files").click();

@@ -378,7 +378,7 @@ function fileReaders() {
     const suffix = name.toLowerCase().split(".").at(-1), start = latin(bytes.subarray(0, 60)).trimStart().toLowerCase();
     if (!(suffix in READERS)) fail(`this page reads ${Object.keys(READERS).map((kind) => "." + kind).join(", ")}, not .${suffix.slice(0, 12)}`);
     if (!bytes.length) fail("the file is empty");
-    if (start.startsWith("version https://git-lfs")) fail("a pointer of git-lfs and not the file itself: fetch it by git lfs pull");
+    if (/^version \S+git-lfs/.test(start)) fail("a pointer of git-lfs and not the file itself: fetch it by git lfs pull");
     if (/^<(!doctype|html|\?xml)/.test(start)) fail("a web page and not the file itself");
     const read = await READERS[suffix](bytes, name);
     if (read.python === "sensors") read.python = `next(read_clouds(${quoted(name)}, unit="m"))[1]`;

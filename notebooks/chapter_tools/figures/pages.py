@@ -2,7 +2,7 @@
 
 Idea: `topokit.view.HtmlFigure` joins the data with the scripts of this folder. `rips.js` computes loops by the same lunes as
 `topokit.rips`, `complex.js` hands them to the figures, `seqph.js` decides which bars are loops, `match.js` matches diagrams as
-`topokit.lemmas` does, and `link.js` links curves. Tests compare the answers of the scripts with topokit's.
+`topokit.lemmas` does, `link.js` links curves, and `files.js` reads the reader's files. Tests compare the answers of the scripts with topokit's.
 """
 
 from __future__ import annotations
@@ -284,17 +284,8 @@ def cloud(samples: Mapping[str, ArrayLike]) -> HtmlFigure:
         ticks = np.rint(np.asarray(points, dtype=np.float64) * 10_000).astype(np.int64)
         low = ticks.reshape(-1, 3).min(axis=0)
         packed[name] = {"ticks": ticks - low, "low": low.tolist()}
-    scripts = [
-        "sampling.js",
-        "rips.js",
-        "assign.js",
-        "seqph.js",
-        "worker.js",
-        "files.js",
-        "samples.js",
-        "orbit.js",
-        "planar.js",
-    ]
+    kernel = ["sampling.js", "rips.js", "assign.js", "seqph.js", "worker.js"]
+    scripts = [*kernel, "files.js", "samples.js", "orbit.js", "planar.js"]
     return _figure("cloud", {"samples": packed}, scripts, 900, "drag to turn", "Loops of your cloud")
 
 
