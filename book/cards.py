@@ -18,9 +18,10 @@ from sphinx import addnodes
 
 ROOT = Path(__file__).resolve().parent.parent
 CHAPTER = re.compile(r"notebooks/0*(\d+)_")
-TOPICS = re.compile(r"^\| \d+ \[[^]]*\]\((notebooks/\w+)\.ipynb\) \| (.*) \|$", re.MULTILINE)
-WORDS_A_MINUTE = 200
-MINUTES_A_CELL = 0.5  # for a cell of visible code
+TOPICS = re.compile(r"^\| \d+ \[[^]]*\]\(\.\./(notebooks/\w+)\.ipynb\) \| (.*) \|$", re.MULTILINE)
+WORDS_A_MINUTE = 130  # of text with mathematics
+LINES_A_MINUTE = 10  # of code
+EXERCISES = "## Exercises"
 HIDDEN = {"hide-input", "hide-cell", "remove-input"}  # tags of cells whose code is folded
 BEFORE = re.compile(r"^\*\*Before:\*\* .*", re.MULTILINE)
 
@@ -65,15 +66,20 @@ def builds_on(notebook: dict[str, Any]) -> list[int]:
     return numbers
 
 
-def minutes_to_read(notebook: dict[str, Any]) -> int:
-    """Return the time to read the words and the visible code, rounded to five minutes."""
+def minutes_to_read(notebook: dict[str, Any]) -> tuple[int, int]:
+    """Return the time to read text and visible code without the exercises and with them, rounded to five minutes."""
     minutes = 0.0
+    without = None
     for cell in notebook["cells"]:
+        source = "".join(cell["source"])
+        if source.startswith(EXERCISES):
+            without = minutes
         if cell["cell_type"] == "markdown":
-            minutes += len("".join(cell["source"]).split()) / WORDS_A_MINUTE
+            minutes += len(source.split()) / WORDS_A_MINUTE
         elif not HIDDEN & set(cell["metadata"].get("tags", ())):
-            minutes += MINUTES_A_CELL
-    return max(5, 5 * round(minutes / 5))
+            minutes += len(source.splitlines()) / LINES_A_MINUTE
+    short, whole = (max(5, 5 * round(time / 5)) for time in (minutes if without is None else without, minutes))
+    return short, whole
 
 
 def time_to_run(seconds: float | None) -> str:
@@ -88,7 +94,10 @@ def time_to_run(seconds: float | None) -> str:
 def takes(app: Any, chapter: str) -> str:
     """Return how long a chapter takes to read and to run."""
     seconds = app.env.nb_metadata.get(chapter, {}).get("exec_data", {}).get("runtime")
-    text = f"{minutes_to_read(read(chapter))} min to read"
+    without, whole = minutes_to_read(read(chapter))
+    text = f"{without} min to read"
+    if whole > without:
+        text += f" ({whole} with the exercises)"
     if seconds is not None:
         text += f", {time_to_run(seconds)} to run"
     return text
@@ -143,7 +152,7 @@ def _line(app: Any, doctree: nodes.document, docname: str) -> None:
 
 def _cards(app: Any, doctree: nodes.document, docname: str) -> None:
     for place in list(doctree.findall(chapter_cards)):
-        about = dict(TOPICS.findall((ROOT / "README.md").read_text(encoding="utf-8")))
+        about = dict(TOPICS.findall((ROOT / "book" / "chapters.md").read_text(encoding="utf-8")))
         parts = []
         for toc in app.env.tocs[docname].findall(addnodes.toctree):
             cards = [_card(app, chapter, about) for _, chapter in toc["entries"] if CHAPTER.match(chapter or "")]

@@ -1,4 +1,4 @@
-"""Draw the pictures of README and of the first page: python book/pictures.py"""
+"""Draw the pictures of README, of *Usage* and of the first page: python book/pictures.py"""
 
 from __future__ import annotations
 

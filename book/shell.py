@@ -1,6 +1,6 @@
 """An extension of Sphinx: chapter numbers, drawings in the colours of the page, results on the first page, an offline search.
 
-Chapter numbers come from the names of files, the topics of the chapters from the table in README.md, and the results on the first
+Chapter numbers come from the names of files, the topics of chapters from the table in book/chapters.md, and results on the first
 page from book/results.
 """
 
@@ -211,7 +211,7 @@ def _at(value: Any, path: list[str]) -> Any:
 
 
 def _head(app: Any, pagename: str, templatename: str, context: dict[str, Any], doctree: Any) -> None:
-    about = dict(TOPICS.findall((ROOT / "README.md").read_text(encoding="utf-8"))).get(pagename, DESCRIPTION)
+    about = dict(TOPICS.findall((ROOT / "book" / "chapters.md").read_text(encoding="utf-8"))).get(pagename, DESCRIPTION)
     # An ARIA list must have ARIA items, which docutils does not write here.
     context["body"] = context.get("body", "").replace('role="list" class="citation-list"', 'class="citation-list"')
     context["metatags"] = context.get("metatags", "") + f'<meta name="description" content="{html.escape(about)}">\n'

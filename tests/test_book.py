@@ -57,7 +57,7 @@ def test_chapters_are_numbered_without_a_gap_and_listed_in_order(book):
     assert (
         re.findall(r"^/notebooks/(\w+)$", (ROOT / "book/index.md").read_text(encoding="utf-8"), re.MULTILINE) == names
     )
-    topics = dict(book("cards").TOPICS.findall((ROOT / "README.md").read_text(encoding="utf-8")))
+    topics = dict(book("cards").TOPICS.findall((ROOT / "book" / "chapters.md").read_text(encoding="utf-8")))
     assert sorted(topics) == [f"notebooks/{name}" for name in names]
 
 

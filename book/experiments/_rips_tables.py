@@ -1,4 +1,4 @@
-"""The figures of the benchmark of persistence as lines, as a file, and as README's tables."""
+"""The figures of the benchmark of persistence as lines, as a file, and as the tables of the page *Speed*."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def rounded(value: Any) -> Any:
     return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
-def readme(results: Entry) -> str:
-    """Return README's section about time: single clouds against peers, and every entry of the other rows."""
+def tables(results: Entry) -> str:
+    """Return the tables of the page: single clouds against peers, and every entry of the other rows."""
     where = results["machine"]
     rows = results["rows"]
     versions = where["versions"]
@@ -86,7 +86,7 @@ def in_page(page: str, results: Entry) -> str:
     """Return a page with the tables between its two marks made anew."""
     before, rest = page.split(MARKS[0])
     _, after = rest.split(MARKS[1])
-    return f"{before}{MARKS[0]}\n{readme(results)}\n{MARKS[1]}{after}"
+    return f"{before}{MARKS[0]}\n{tables(results)}\n{MARKS[1]}{after}"
 
 
 def sizes(e: Entry) -> str:
@@ -113,7 +113,7 @@ def duration(ms: float) -> str:
     return f"{ms:.3g} ms" if ms < 999.5 else f"{ms / 1e3:.3g} s"
 
 
-MARKS = ("<!-- python book/experiments/rips.py --readme -->", "<!-- until here -->")
+MARKS = ("<!-- python book/experiments/rips.py --page -->", "<!-- until here -->")
 BESIDE = {
     "one_by_one_ms": "one by one {}",
     "plain_ms": "without {}",

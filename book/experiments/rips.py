@@ -7,7 +7,7 @@ killer triangles. A peer is left out of a cloud when a quarter of its points say
 floor computes the lengths of all pairs up to the last death, and nothing else.
 
     python book/experiments/rips.py --json book/results/rips.json    # every row; --rows NAME... replaces some
-    python book/experiments/rips.py --readme                         # puts that file into README's tables
+    python book/experiments/rips.py --page                           # puts that file into book/speed.md
 """
 
 from __future__ import annotations
@@ -242,12 +242,10 @@ def main() -> int:
     parser.add_argument("--patience", type=float, default=10, help="seconds that a peer may take for a cloud")
     parser.add_argument("--limit", type=float, default=200, help="seconds that topokit may take for a large cloud")
     parser.add_argument("--json", type=Path, help="also write the figures there, row by row")
-    parser.add_argument(
-        "--readme", action="store_true", help="put the recorded run into README's tables, and run nothing"
-    )
+    parser.add_argument("--page", action="store_true", help="put the recorded run into book/speed.md, and run nothing")
     options = parser.parse_args()
-    if options.readme:
-        page = ROOT / "README.md"
+    if options.page:
+        page = ROOT / "book" / "speed.md"
         page.write_text(_rips_tables.in_page(page.read_text(), json.loads(RESULTS.read_text())))
         return 0
     if hasattr(os, "sched_setaffinity"):
