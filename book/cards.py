@@ -72,8 +72,9 @@ def minutes_to_read(notebook: dict[str, Any]) -> tuple[int, int]:
     without = None
     for cell in notebook["cells"]:
         source = "".join(cell["source"])
-        if source.startswith(EXERCISES):
-            without = minutes
+        text, heading, _ = source.partition(EXERCISES)
+        if heading and without is None:
+            without = minutes + len(text.split()) / WORDS_A_MINUTE
         if cell["cell_type"] == "markdown":
             minutes += len(source.split()) / WORDS_A_MINUTE
         elif not HIDDEN & set(cell["metadata"].get("tags", ())):
