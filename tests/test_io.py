@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import zipfile
 from pathlib import Path
 
@@ -50,6 +51,18 @@ def some_states():
 
 def ticks(positions):
     return np.rint(np.asarray(positions, dtype=np.float64) * 10_000)
+
+
+# -- writing ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(os.name != "posix", reason="rights of files")
+def test_a_file_has_the_usual_rights_and_the_umask_stays(tmp_path, monkeypatch):
+    """Another thread might make a file while it is 0."""
+    (tmp_path / "plain").touch()
+    monkeypatch.setattr(os, "umask", None)
+    path = save_states(tmp_path / "tracks.npz", some_states())
+    assert path.stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
 # -- round trips ------------------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import matplotlib as mpl
@@ -261,6 +262,23 @@ def test_an_animation_has_its_frames_and_refuses_what_it_cannot_write(episode, s
 
 
 # ---- the player and the wardrobe
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sizes of files are limited in POSIX")
+@pytest.mark.parametrize("name", ["film.html", "film.gif"])
+def test_a_full_disk_leaves_the_film_that_is_there(name, episode, states, tmp_path, no_pyvista):
+    import resource  # Windows has none
+
+    path = tmp_path / name
+    path.write_text("the old film")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(OSError, match=name):
+            view.player(episode, states).save(path) if name.endswith("html") else view.save_animation(path, episode)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["the old film"]
 
 
 def test_the_player_holds_the_episode(episode, states):

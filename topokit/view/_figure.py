@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from topokit._archive import atomic_file
 from topokit.view._looks import loop_colour
 
 _PARTS = Path(__file__).parent
@@ -94,7 +95,8 @@ class HtmlFigure:
         path : str or Path
         """
         path = Path(path)
-        path.write_text(self.page, encoding="utf-8")
+        with atomic_file(path) as file:
+            file.write(self.page.encode())
         return path
 
 
