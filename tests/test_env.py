@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import subprocess
 import sys
 import warnings
@@ -41,6 +42,18 @@ def play(env, seed, policy=None):
         total += reward
         done = terminated or truncated
     return total, info, terminated
+
+
+def test_an_environment_that_is_dropped_gives_its_memory_back():
+    import pybullet
+
+    env = make()
+    env.reset(seed=0)
+    client = env._world._client
+    assert pybullet.isConnected(client)
+    del env
+    gc.collect()
+    assert not pybullet.isConnected(client)
 
 
 @pytest.mark.parametrize(

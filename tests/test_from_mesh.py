@@ -610,6 +610,14 @@ def test_options_that_are_refused(tmp_path, options, says):
         Garment.from_mesh(mesh.obj(tmp_path / "apron.obj"), **options)
 
 
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".stl"])
+def test_a_file_of_far_too_many_vertices_is_refused_before_it_is_cleaned(tmp_path, suffix):
+    path = tmp_path / f"dense{suffix}"
+    trimesh.Trimesh(APRON.vertices, APRON.faces, process=False).export(path)
+    with pytest.raises(ValueError, match="more than 60 vertices"):
+        Garment.from_mesh(path, max_vertices=2)
+
+
 def test_a_loop_with_a_wide_gap_is_refused_naming_its_ends(tmp_path):
     path = Mesh(APRON).obj(tmp_path / "apron.obj")
     half = APRON.loops[0][: len(APRON.loops[0]) // 2]

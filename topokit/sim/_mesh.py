@@ -32,6 +32,7 @@ from ._surface import (
 
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
+_COPIES = 30  # vertices of a file, at most, for each that the cloth may have: copies of it, and other components
 _METRES = (0.15, 2.2)  # largest extent of a garment in metres
 # Which axes of the file become x, y and z, and their signs, for the axis that points up.
 _UP = {"x": ([2, 1, 0], (-1, 1, 1)), "y": ([0, 2, 1], (1, -1, 1)), "z": ([0, 1, 2], (1, 1, 1))}
@@ -78,7 +79,7 @@ def from_mesh(
     weld : float, optional
         Distance within which vertices are one, in the file's units. When not given, the size of rounding errors.
     max_vertices : int
-        A mesh with more of them is refused.
+        A mesh with more of them is refused, and a file with 30 times as many before it is read.
 
     Raises
     ------
@@ -94,7 +95,7 @@ def from_mesh(
         raise ValueError(f"loops must be lists of vertex ids, 'borders' or 'auto', not {loops!r}")
     if size is not None and scale is not None:
         raise ValueError("give size or scale, not both")
-    vertices, polygons = read_mesh(path)
+    vertices, polygons = read_mesh(path, _COPIES * max_vertices)
     if sum(len(polygon) ** 2 for polygon in polygons) > 3e7:  # some seconds of cutting them into triangles
         raise ValueError(f"{path}: {len(polygons)} faces are more than can be cut into triangles; decimate it")
     repairs: list[str] = []

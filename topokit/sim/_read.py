@@ -24,20 +24,21 @@ _MOST_CORNERS = 1000  # of a face: the time to cut it into triangles grows with 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
-def read_mesh(path: str | Path) -> tuple[Array, Polygons]:
+def read_mesh(path: str | Path, most_vertices: float) -> tuple[Array, Polygons]:
     """Return vertices (n, 3) in the file's units and the polygons as lists of vertex ids counted from 0.
 
+    A file of more vertices than `most_vertices` is refused as soon as that many are read.
     An STL file has no vertex ids: corner k of triangle i is vertex 3 i + k.
     """
     path = existing(path)
-    readers: dict[str, Callable[[bytes], tuple[Array, Polygons]]] = {".obj": _obj, ".ply": _ply, ".stl": _stl}
+    readers: dict[str, Callable[[bytes, float], tuple[Array, Polygons]]] = {".obj": _obj, ".ply": _ply, ".stl": _stl}
     suffix = path.suffix.lower()
     if suffix not in readers:
         raise FormatError(f"{path}: a mesh file ends in {', '.join(readers)}, not in {path.suffix!r}; export it as one")
     data = path.read_bytes().removeprefix(codecs.BOM_UTF8)
     try:
         _check_start(data)
-        vertices, polygons = readers[suffix](data)
+        vertices, polygons = readers[suffix](data, most_vertices)
         if not polygons:
             raise ValueError(f"{len(vertices)} vertices and no faces; a garment needs a surface")
         as_ids(list(itertools.chain(*polygons)), "a face", len(vertices))
@@ -47,6 +48,11 @@ def read_mesh(path: str | Path) -> tuple[Array, Polygons]:
     except ValueError as error:
         raise FormatError(f"{path}: {error}") from error
     return vertices, polygons
+
+
+def _check_count(n_vertices: int, most: float) -> None:
+    if n_vertices > most:
+        raise ValueError(f"it has more than {most:,} vertices; decimate the mesh, or raise max_vertices")
 
 
 def _check_start(data: bytes) -> None:
@@ -60,7 +66,7 @@ def _check_start(data: bytes) -> None:
         raise ValueError("a web page and not a mesh; download the file itself, not the page that shows it")
 
 
-def _obj(data: bytes) -> tuple[Array, Polygons]:
+def _obj(data: bytes, most: float) -> tuple[Array, Polygons]:
     """Read all objects and groups of an OBJ file together.
 
     Ids in faces count from 1, or backwards from the last vertex before the face.
@@ -79,6 +85,7 @@ def _obj(data: bytes) -> tuple[Array, Polygons]:
             except ValueError as error:
                 raise ValueError(f"line {number} should hold three coordinates: {line.strip()[:60]!r}") from error
             vertices.append([x, y, z])
+            _check_count(len(vertices), most)
             continue
         # A corner is vertex/texture/normal; the vertex alone counts here.
         try:
@@ -91,10 +98,11 @@ def _obj(data: bytes) -> tuple[Array, Polygons]:
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), polygons
 
 
-def _stl(data: bytes) -> tuple[Array, Polygons]:
+def _stl(data: bytes, most: float) -> tuple[Array, Polygons]:
     """Read an STL file: binary when its length fits the count of triangles in its header, ASCII otherwise."""
     count = int.from_bytes(data[80:84], "little")
     if len(data) >= 84 and len(data) == 84 + count * _TRIANGLE.itemsize:
+        _check_count(3 * count, most)
         corners = np.frombuffer(data, _TRIANGLE, offset=84)["corners"].reshape(-1, 3)
     elif data.lstrip()[:5].lower() == b"solid":
         text = data.decode("ascii", errors="replace").lower()
@@ -102,6 +110,7 @@ def _stl(data: bytes) -> tuple[Array, Polygons]:
         facets = len(re.findall(r"\bfacet\s+normal", text))
         if len(rows) != 3 * facets or "endsolid" not in text:
             raise ValueError(f"cut off or damaged: {facets} facets have {len(rows)} corners, or endsolid is missing")
+        _check_count(len(rows), most)
         corners = np.array(rows, dtype=np.float64).reshape(-1, 3)
     else:
         raise ValueError(f"neither ASCII STL nor whole binary STL: {len(data)} bytes; it counts {count} triangles")
@@ -110,7 +119,7 @@ def _stl(data: bytes) -> tuple[Array, Polygons]:
     return corners, np.arange(len(corners)).reshape(-1, 3).tolist()
 
 
-def _ply(data: bytes) -> tuple[Array, Polygons]:
+def _ply(data: bytes, most: float) -> tuple[Array, Polygons]:
     """Read a PLY file: the places of its vertices and the lists of its faces."""
     elements = read_ply(data)
     vertex = elements.get("vertex", {})
@@ -123,6 +132,7 @@ def _ply(data: bytes) -> tuple[Array, Polygons]:
         or (face and not {"vertex_index", "vertex_indices"} & set(face))
     ):
         raise ValueError("its vertices have no x, y and z, or its faces no list vertex_indices")
+    _check_count(len(columns[0]), most)
     polygons: Polygons = []
     for number, polygon in enumerate(corners):
         if len(polygon) < 3:

@@ -8,6 +8,7 @@ import math
 import os
 import sys
 import tempfile
+import weakref
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -124,6 +125,8 @@ class World(contextlib.AbstractContextManager["World"]):
         self._rods: list[tuple[int, Array, list[float]]] = []  # body, middle and orientation of each
         with _silent():
             self._client = self._p.connect(self._p.DIRECT)
+        # PyBullet ends the process when about a thousand clients are left open: a world that is dropped is closed, too.
+        self._disconnect = weakref.finalize(self, self._p.disconnect, self._client)
         try:
             self._bullet("resetSimulation", self._p.RESET_USE_DEFORMABLE_WORLD)
             self._bullet("setGravity", 0, 0, -config.GRAVITY)
@@ -148,10 +151,9 @@ class World(contextlib.AbstractContextManager["World"]):
         self.close()
 
     def close(self) -> None:
-        """Disconnect. PyBullet ends the process when about a thousand clients are left open."""
-        if self._client >= 0:
-            self._p.disconnect(physicsClientId=self._client)
-            self._client = -1
+        """End the simulation and give its memory back."""
+        self._disconnect()
+        self._client = -1
 
     def add_rods(self, rods: Sequence[tuple[Array, Array, float]]) -> None:
         """Add fixed capsules, each (start, end, radius)."""
