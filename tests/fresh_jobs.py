@@ -41,6 +41,11 @@ def count_up(n: int, report) -> str:
     return tempfile.gettempdir()
 
 
+def blocked(_: int) -> list[int]:
+    """Return the signals that this process does not hear."""
+    return sorted(map(int, signal.pthread_sigmask(signal.SIG_BLOCK, [])))
+
+
 def wait(path: str) -> None:
     """Tell which process this is, and do not end."""
     Path(path).with_suffix(".new").write_text(f"{os.getppid()} {os.getpid()}")

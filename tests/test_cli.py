@@ -150,6 +150,8 @@ def test_tracks_as_lines_and_as_a_picture(episode, tmp_path):
         (["episode.npz", "--out", "episode.npz"], "episode.npz"),
         (["episode.npz", "--out", "tracks.csv"], ".jsonl"),
         (["episode.npz", "--plot", "a.txt"], ".png"),
+        (["episode.npz", "--out", "folder.npz"], "folder"),
+        (["episode.npz", "--plot", "folder.npz/deep.png", "--out", "cloud.txt/t.npz"], "cloud.txt"),
         (["episode.npz", "--unit", "mm"], "--unit"),
         (["film"], "0.pcd"),
         (["film", "--unit", "mm", "--plot", "a.png"], "--plot"),
@@ -169,6 +171,7 @@ def test_bad_calls_of_track_write_nothing(arguments, names, episode, film, tmp_p
     Path("bad.json").write_text('{"voxels": 1}')
     Path("cloud.txt").write_text("1 2 3")
     np.save("depth.npy", depth_image())
+    Path("folder.npz").mkdir()
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     assert names in refused(capsys, "track", *arguments)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
@@ -204,6 +207,15 @@ def test_tracks_of_one_file_do_not_spoil_its_folder(film, capsys):
 def test_track_takes_an_archive_that_topokit_did_not_write(tmp_path, capsys):
     np.savez(tmp_path / "film.npz", [ring(t) for t in range(3)])
     assert answer_of(capsys, "track", tmp_path / "film.npz")["frames"] == 3
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+def test_names_that_the_terminal_cannot_show_are_escaped(episode, encoding):
+    path = episode.rename(episode.with_name("Schürze 围裙.npz"))
+    environment = {**os.environ, "PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"}
+    done = subprocess.run([*COMMAND, "track", str(path)], env=environment, capture_output=True)
+    assert done.returncode == 0, done.stderr
+    assert rb"\u56f4\u88d9.npz" in done.stdout
 
 
 def test_a_bag_is_tracked_into_lines(tmp_path):
@@ -458,7 +470,7 @@ def test_a_simulation_that_is_ended_leaves_no_temporary_file(tmp_path, number):
             time.sleep(0.01)
         command.send_signal(number)
         _, message = command.communicate(timeout=60)
-    assert (command.returncode, message) == (128 + number, f"topokit: stopped by {number.name}\n")
+    assert (command.returncode, message) == (128 + number, "topokit simulate: stopped; nothing is half written\n")
     assert not list(room.iterdir())
     assert not out.exists()
 

@@ -111,7 +111,7 @@ def test_killed_in_every_way_it_goes_on(undisturbed, tmp_path, monkeypatch):
         else:
             process.send_signal(number)
         _, said = process.communicate(timeout=60)
-        assert process.returncode == 130, said
+        assert process.returncode == 128 + number, said
         assert f"of {EPISODES}" in said
         assert "Traceback" not in said
     assert main([*map(str, arguments)]) == 0

@@ -31,8 +31,8 @@ OWNER = """
 import sys
 sys.path.insert(0, sys.argv[1])
 from topokit._processes import in_fresh_processes
-from fresh_jobs import wait
-print(list(in_fresh_processes(wait, [sys.argv[2]])))
+from fresh_jobs import blocked, wait
+print(list(in_fresh_processes(blocked if sys.argv[2] == "blocked" else wait, [sys.argv[2]])))
 """
 
 
@@ -105,6 +105,12 @@ def test_ctrl_c_stops_the_processes(tmp_path, ctrl_c):
     wait_until(lambda: is_gone(pids.read_text().split()[1]), seconds=10)
     assert dict(os.environ) == environment
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def test_the_keys_and_the_end_of_a_terminal_are_for_the_caller_alone():
+    command = [sys.executable, "-c", OWNER, str(Path(__file__).parent), "blocked"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert said == f"[('blocked', [{signal.SIGHUP:d}, {signal.SIGINT:d}])]\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])

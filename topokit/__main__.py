@@ -1,40 +1,61 @@
 """`python -m topokit` is the `topokit` command. A signal ends it in order: one line, and no temporary file is left."""
 
+import io
 import os
 import signal
 import sys
+import threading
 from types import FrameType
+from typing import Any
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # Windows has two of them
+_arrived: list[int] = []
 
 
 def run() -> int:
-    """Run the command; return its exit code."""
-    for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):  # Windows has one of them
-        if signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores the other
-            signal.signal(number, _end)
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a shell's background job ignores it
-        signal.signal(signal.SIGINT, _interrupt)
+    """Run the command; return its exit code, which is 128 and the number of the signal that stopped it."""
+    for number in _SIGNALS:
+        # What is ignored stays so: SIGHUP under nohup, SIGINT in a shell's background job.
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(number, _stop)
+    sys.unraisablehook = _repeat
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a name may hold what the terminal cannot show
     try:
         from .cli import main
 
-        return main()
+        code = main()
     except KeyboardInterrupt:
         print("topokit: stopped", file=sys.stderr)
-        return 130
+        code = 130
+    for number in _SIGNALS:
+        if signal.getsignal(number) is _stop:
+            signal.signal(number, _let_it_end)
+    return 128 + _arrived[0] if _arrived and code == 130 else code
 
 
-def _end(number: int, frame: FrameType | None) -> None:
-    print(f"topokit: stopped by {signal.Signals(number).name}", file=sys.stderr)
-    raise SystemExit(128 + number)  # on its way out everything is closed
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
+def _stop(number: int, frame: FrameType | None) -> None:
     """Raise KeyboardInterrupt, but leave at once while a module is imported: imports may turn it into another error."""
+    _arrived.append(number)
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
             os.write(2, b"topokit: stopped\n")
             os._exit(128 + number)
         frame = frame.f_back
     raise KeyboardInterrupt
+
+
+def _repeat(lost: Any) -> None:
+    """Send a signal again that was raised where no error can be, as in a `__del__`; show any other error there."""
+    if issubclass(lost.exc_type, KeyboardInterrupt) and _arrived:
+        threading.Timer(0.01, os.kill, [os.getpid(), _arrived[-1]]).start()
+    else:
+        sys.__unraisablehook__(lost)
+
+
+def _let_it_end(number: int, frame: FrameType | None) -> None:
+    """Let a command end that has done its work; a second signal kills it."""
+    signal.signal(number, signal.SIG_DFL)
 
 
 if __name__ == "__main__":

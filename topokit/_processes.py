@@ -11,6 +11,7 @@ import collections
 import contextlib
 import math
 import multiprocessing
+import multiprocessing.resource_tracker
 import multiprocessing.spawn
 import os
 import signal
@@ -128,7 +129,8 @@ def _started(process: Any, preload: Sequence[str]) -> Any:
     """Start a process that knows nothing of its caller but the path of its packages.
 
     It does not run the caller's script again, as multiprocessing would have it, and imports nothing from the working directory.
-    Ctrl-C is for the caller alone. A caller that is a daemon, as Dask's workers are, may start one: it ends with its caller.
+    Ctrl-C, and the end of the terminal, are for the caller alone. A caller that is a daemon, as Dask's workers are, may start
+    one: it ends with its caller.
     """
     packages = [path for path in sys.path if path]
     own = {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(packages), **dict.fromkeys(_THREADS, "1")}
@@ -141,8 +143,10 @@ def _started(process: Any, preload: Sequence[str]) -> Any:
     with _starting, contextlib.ExitStack() as restore:
         # A blocked signal stays blocked in the fork server and in all that it forks.
         if hasattr(signal, "pthread_sigmask"):
-            mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
             restore.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
+            multiprocessing.resource_tracker.ensure_running()  # it would unblock Ctrl-C again
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         # The fork server inherits the environment: one thread each, and a safe path.
         restore.callback(os.environ.update, dict(os.environ))
         for name in own.keys() - os.environ.keys():

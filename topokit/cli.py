@@ -1,7 +1,8 @@
 """The `topokit` command: each command is a function of this file, and its options are the function's own parameters.
 
-Exit code 0 when all is well, 1 when the work failed, 2 when the input or the call is wrong or there is no room, 130 after
-Ctrl-C, 141 when nobody reads the output any more. What a command needs is imported when it runs.
+Exit code 0 when all is well, 1 when the work failed, 2 when the input or the call is wrong or there is no room, 141 when nobody
+reads the output any more, 128 and the number of the signal that stopped it, 130 for Ctrl-C. What a command needs is imported
+when it runs.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import dataclasses
 import errno
 import json
 import os
-import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -75,12 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except RuntimeError as error:  # the input was right, and the work failed, as a simulation that exploded
         return _report(command, f"failed: {error}", 1)
     except KeyboardInterrupt as error:
-        return _report(command, str(error) or "stopped; nothing was written", 130)
-    except SystemError as error:
-        # Compiled code turns Ctrl-C into a SystemError whose cause is the KeyboardInterrupt.
-        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
-            raise
-        return _report(command, "stopped; nothing was written", 130)
+        return _report(command, str(error) or "stopped; nothing is half written", 130)
 
 
 def _report(command: str, message: str, code: int) -> int:
@@ -893,12 +888,8 @@ def label(
 
 
 def _make(work: Callable[[], Any], as_json: bool) -> int:
-    """Do work that Ctrl-C and SIGTERM stop without loss, and print the result so far."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # half-written files are removed, as at Ctrl-C
-    try:
-        made = work()
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    """Do work that goes on where it was stopped, and print the result so far."""
+    made = work()
     counts = made.counts
     checksum = made.checksum()
     if as_json:

@@ -107,13 +107,13 @@ def rips_persistence_many(
 
     diagrams: list[Diagram] = []
     stops: list[NDArray[np.int64]] = []
+    jobs = []
     with ThreadPoolExecutor(workers) as pool:
-        jobs = []
-        for first in range(0, len(arrays), clouds_per_call):
-            stops.append(new_stop())
-            batch = arrays[first : first + clouds_per_call]
-            jobs.append(pool.submit(_diagrams_of_batch, batch, cutoff, shortest, stops[-1]))
         try:
+            for first in range(0, len(arrays), clouds_per_call):
+                stops.append(new_stop())
+                batch = arrays[first : first + clouds_per_call]
+                jobs.append(pool.submit(_diagrams_of_batch, batch, cutoff, shortest, stops[-1]))
             for job in jobs:
                 diagrams += job.result()
                 if progress:
