@@ -55,7 +55,7 @@ def by_browser(scripts: list[str], call: str, given: object) -> list:
         page.write_text(f'<!doctype html><meta charset="utf-8"><pre></pre><script>{code}</script>', encoding="utf-8")
         options = ["--headless", "--disable-gpu", f"--user-data-dir={folder}/profile", *["--no-sandbox"] * is_root]
         command = [CHROMIUM, *options, "--dump-dom", page.as_uri()]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=600)
     return json.loads(html.unescape(re.search("<pre>(.*?)</pre>", done.stdout, re.DOTALL)[1]))
 
 

@@ -54,11 +54,14 @@ def given(cloud: np.ndarray, **more: object) -> dict:
 
 
 def test_loops_and_cycles_are_those_of_rips_persistence_to_the_last_bit():
-    rng = np.random.default_rng(12)
-    cases = [
-        (cloud, None if k % 4 else float(rng.uniform(0, 1) * np.ptp(cloud)))
-        for k, cloud in enumerate(clouds_of_all_kinds())
-    ]
+    cases = []
+    for k, cloud in enumerate(clouds_of_all_kinds()):
+        radius = None
+        diagram = rips_persistence(cloud)
+        if k % 3 == 0 and len(diagram):  # the filtration stops at a loop's birth or death, or just before
+            radius = float([diagram.birth, diagram.death][k % 2][len(diagram) // 2])
+            radius = float(np.nextafter(radius, 0)) if k % 4 == 0 else radius
+        cases.append((cloud, radius))
     found = by_browser(SCRIPTS, LOOPS, [given(cloud, maxRadius=radius) for cloud, radius in cases])
     ended = 0
     for (cloud, radius), answer in zip(cases, found, strict=True):
@@ -70,7 +73,7 @@ def test_loops_and_cycles_are_those_of_rips_persistence_to_the_last_bit():
             )
         assert answer["cycles"] == [diagram.cycle(i).tolist() for i in range(len(diagram))]
         ended += int(np.isfinite(diagram.death).sum())
-    assert ended > 2000
+    assert ended > 1500
 
 
 def test_a_search_that_gives_up_takes_the_same_way(monkeypatch):

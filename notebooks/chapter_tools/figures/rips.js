@@ -13,8 +13,8 @@
 //
 // Idea: edges arrive by (length, smaller index, larger index). Every vertex keeps a row of bits, the vertices that it is joined
 // to. So the *lune* of an arriving edge, all that is joined to both its ends, is the AND of two rows. An empty lune joins two
-// components or creates a loop. A connected lune changes nothing. Each further component brings a relation x, z, y, w, a cycle
-// that bounds from now on. Written in creators and reduced, youngest first, it may kill a loop.
+// components or creates a loop. A connected lune changes nothing. Each further component brings a *relation*, a cycle
+// of both ends and two apexes that bounds from now on. Written in creators and reduced, youngest first, it may kill a loop.
 //
 // All is one function, so that a worker can be made from its source; `axesOf`, `squaresTo` and `subcloud` are in sampling.js.
 // Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtration).
@@ -23,6 +23,9 @@ function ripsKernel() {
   const TREE = -1; // an edge that joined two components
   const AT_ONCE = 4096; // edges between two reports
   const SEARCH_LIMIT = 20000; // pairs (vertex, class) looked at before a search gives up
+
+  const highest = (w, word) => 32 * w + 31 - Math.clz32(word); // the number of a bit of the word w of a row
+  const lowest = (w, word) => highest(w, word & -word);
 
   // ---- the total order ---------------------------------------------------------------------------------------
 
@@ -106,19 +109,6 @@ function ripsKernel() {
     return { n, count, low, high, keys, rank, scale, cone };
   }
 
-  function firstTriangle({ n, rank }, x, y) { // the vertex that completes the earliest triangle on an edge
-    let apex = -1;
-    let least = Infinity;
-    for (let z = 0; z < n; z++) {
-      const later = Math.max(rank[x * n + z], rank[y * n + z]);
-      if (later < least) {
-        apex = z;
-        least = later;
-      }
-    }
-    return apex;
-  }
-
   // ---- the pairing -------------------------------------------------------------------------------------------
 
   function pairEdges(edges, onProgress) {
@@ -144,15 +134,15 @@ function ripsKernel() {
       return v;
     }
 
-    // Vertices that the first one reaches are absorbed, and then those that share a neighbour in the lune with them, one by one. False may
-    // also mean that the order was unlucky.
+    // What z is joined to is absorbed. Then a vertex that is joined to an absorbed one is absorbed with all that it is joined to, and so
+    // on. False may also mean that the order was unlucky.
     function isSurelyConnected(z) {
       let first = 0;
       for (let w = 0; w < words; w++) left[w] = lune[w] & ~rows[z * words + w];
       for (;;) {
         while (first < words && left[first] === 0) first++;
         if (first === words) return true;
-        const v = 32 * first + 31 - Math.clz32(left[first] & -left[first]);
+        const v = lowest(first, left[first]);
         let shared = 0;
         for (let w = 0; w < words; w++) {
           const near = lune[w] & rows[v * words + w];
@@ -163,13 +153,13 @@ function ripsKernel() {
       }
     }
 
-    function apexes(x, y) { // of each component the vertex whose later edge to {x, y} is shortest, the nearest component first; the lune is emptied
+    function apexes(x, y) { // of each component the vertex whose longer edge to {x, y} is shortest, the nearest first; the lune is emptied
       const found = [];
       for (let w = 0; w < words; w++) while (lune[w] !== 0) {
         let apex = -1;
         let value = Infinity;
         let top = 0;
-        waiting[0] = 32 * w + 31 - Math.clz32(lune[w] & -lune[w]);
+        waiting[0] = lowest(w, lune[w]);
         lune[w] &= lune[w] - 1;
         while (top >= 0) {
           const z = waiting[top--];
@@ -181,7 +171,7 @@ function ripsKernel() {
           for (let u = 0; u < words; u++) {
             let reached = lune[u] & rows[z * words + u];
             lune[u] ^= reached;
-            for (; reached !== 0; reached &= reached - 1) waiting[++top] = 32 * u + 31 - Math.clz32(reached & -reached);
+            for (; reached !== 0; reached &= reached - 1) waiting[++top] = lowest(u, reached);
           }
         }
         found.push({ apex, value });
@@ -189,7 +179,7 @@ function ripsKernel() {
       return found.sort((a, b) => a.value - b.value || a.apex - b.apex).map((part) => part.apex);
     }
 
-    function vertexOfLune(e) { // a vertex of the lune that an edge had when it arrived: one near the middle, or the first to complete a triangle
+    function vertexOfLune(e) { // that the edge had when it arrived: one near the middle, else the first to complete a triangle
       const near = 0.4 * keys[e]; // of squares, so a little more than half the length
       const rowX = low[e] * words;
       const rowY = high[e] * words;
@@ -197,8 +187,8 @@ function ripsKernel() {
       let least = e;
       for (let w = 0; w < words; w++) {
         for (let both = rows[rowX + w] & rows[rowY + w]; both !== 0; both &= both - 1) {
-          const z = 32 * w + 31 - Math.clz32(both & -both);
-          const later = Math.max(rank[low[e] * n + z], rank[high[e] * n + z]); // later than e for rows that hold later edges too
+          const z = lowest(w, both);
+          const later = Math.max(rank[low[e] * n + z], rank[high[e] * n + z]); // e or later: that edge came after e
           if (later >= least) continue;
           apex = z;
           least = later;
@@ -229,7 +219,7 @@ function ripsKernel() {
       addEdge(y, further);
       addEdge(further, x);
       for (let w = column.length - 1; w >= 0; w--) while (column[w] !== 0) {
-        const youngest = 32 * w + 31 - Math.clz32(column[w]);
+        const youngest = highest(w, column[w]);
         if (killed[youngest] === null) {
           killed[youngest] = [x, y, first, further];
           relations[youngest] = loopsOf(column);
@@ -243,7 +233,7 @@ function ripsKernel() {
     function loopsOf(bits) {
       const loops = [];
       bits.forEach((word, w) => {
-        for (; word !== 0; word &= word - 1) loops.push(32 * w + 31 - Math.clz32(word & -word));
+        for (; word !== 0; word &= word - 1) loops.push(lowest(w, word));
       });
       return Int32Array.from(loops);
     }
@@ -254,8 +244,8 @@ function ripsKernel() {
       const y = high[e];
       const rowX = x * words;
       const rowY = y * words;
-      let some = 0; // a word of the lune that is not 0
-      let seed = -1; // the place of that word
+      let some = 0; // the last word of the lune that is not 0
+      let seed = -1; // the number of that word
       if (alive === 0) { // no loop can be killed: only whether the lune is empty matters
         for (let w = 0; w < words && some === 0; w++) some = rows[rowX + w] & rows[rowY + w];
       } else {
@@ -282,7 +272,7 @@ function ripsKernel() {
           component[a] = b;
           merges.push(e);
         }
-      } else if (alive > 0 && !isSurelyConnected(32 * seed + 31 - Math.clz32(some))) {
+      } else if (alive > 0 && !isSurelyConnected(highest(seed, some))) {
         const [first, ...others] = apexes(x, y);
         for (const further of others) addRelation(x, y, first, further);
       }
@@ -352,6 +342,21 @@ function ripsKernel() {
     let classes = new Map(); // classes of edges at the time that was asked for last
     let classesAt = -1;
 
+    function firstTriangle(e) { // the vertex that completes the earliest triangle on an edge
+      const rowX = low[e] * n;
+      const rowY = high[e] * n;
+      let apex = -1;
+      let least = Infinity;
+      for (let z = 0; z < n; z++) {
+        const later = Math.max(rank[rowX + z], rank[rowY + z]);
+        if (later < least) {
+          apex = z;
+          least = later;
+        }
+      }
+      return apex;
+    }
+
     function writtenInCreators(edge) {
       const stack = [edge];
       while (stack.length > 0) {
@@ -360,7 +365,7 @@ function ripsKernel() {
           stack.pop();
           continue;
         }
-        const apex = firstTriangle({ n, rank }, low[e], high[e]);
+        const apex = firstTriangle(e);
         const sides = [rank[low[e] * n + apex], rank[high[e] * n + apex]];
         if (Math.max(...sides) > e) {
           inCreators.set(e, 0n); // an edge of the tree
@@ -449,7 +454,8 @@ function ripsKernel() {
         for (const [v, choices] of level) {
           const open = choices.filter((w) => rest.has(w));
           if (open.length === 0) continue;
-          const nearest = open.reduce((best, w) => (distance[w] < distance[best] || (distance[w] === distance[best] && w < best) ? w : best));
+          const isNearer = (w, other) => distance[w] < distance[other] || (distance[w] === distance[other] && w < other);
+          const nearest = open.reduce((best, w) => (isNearer(w, best) ? w : best));
           before.set(v, [v, ...rest.get(nearest)]);
         }
         rest = before;
@@ -457,7 +463,8 @@ function ripsKernel() {
       return rest.get(start);
     }
 
-    function pathInClass(source, target, time, death, wanted) { // the shortest before a time whose class before `death` is the one wanted, by A*
+    // The shortest path before a time whose class before `death` is the one wanted, by A*: shortest paths of any class bound what remains.
+    function pathInClass(source, target, time, death, wanted) {
       const remaining = shortestPaths([target], time);
       const numbers = new Map(); // of classes, in the order in which they are met
       const named = [];
