@@ -2,7 +2,7 @@
 // Idea: a reader gets the bytes and returns { clouds: [numbers], columns, python }: numbers point after point, and the expression that
 // reads the same in Python. What a header declares is compared with the bytes that are there before memory is taken.
 function fileReaders() {
-  const MOST_BYTES = 2 ** 28, MOST_POINTS = 5e6, MOST_FRAMES = 2000, MOST_COLUMNS = 16;
+  const MOST_BYTES = 2 ** 28, MOST_POINTS = 5e6, MOST_FRAMES = 2000, MOST_COLUMNS = 16, MOST_NUMBERS = 2 ** 25;
   const CAMERAS = ["240,320", "424,512", "480,640", "480,848", "576,640", "720,1280", "1080,1920"]; // images (h, w, 3), not films
   const fail = (text) => {
     throw new Error(text);
@@ -62,7 +62,8 @@ function fileReaders() {
       if (word === "element") elements.push({ name: rest[0], count: +rest[1], properties: [] });
       if (word !== "property") continue;
       const list = rest[0] === "list", types = rest.slice(list ? 1 : 0, -1).map((name) => PLY_TYPES[name]);
-      if (!elements.length || types.length !== (list ? 2 : 1) || types.includes(undefined)) fail(`a line of its header is not understood: ${line.slice(0, 60)}`);
+      const known = elements.length > 0 && types.length === (list ? 2 : 1) && !types.includes(undefined);
+      if (!known) fail(`a line of its header is not understood: ${line.slice(0, 60)}`);
       elements.at(-1).properties.push({ name: rest.at(-1), types });
     }
     if (!["ascii", "binary_little_endian", "binary_big_endian"].includes(format)) fail(`its format is ${format}, which is none of PLY`);
@@ -133,25 +134,31 @@ function fileReaders() {
     const points = Number(line("POINTS")?.[0] ?? line("WIDTH")?.[0] * (line("HEIGHT")?.[0] ?? 1));
     checkCount(points);
     const at = placeOf(names.map((name) => name.toLowerCase())), kind = end[1].toLowerCase();
-    if (types.some((type) => !(type in SIZES)) || counts.some((count) => !(count >= 0 && count < 4096))) fail("its lines SIZE, TYPE and COUNT do not fit its FIELDS");
+    const fits = types.every((type) => type in SIZES) && counts.every((count) => Number.isInteger(count) && count >= 0 && count < 4096);
+    if (!fits || counts.length !== names.length) fail("its lines SIZE, TYPE and COUNT do not fit its FIELDS");
     let body = bytes.subarray(end.index + end[0].length);
     const widths = names.map((_, c) => SIZES[types[c]] * counts[c]), wide = sum(widths), before = (list, c) => sum(list.slice(0, c));
     if (kind === "ascii") {
-      const rows = textRows(latin(body)).rows, columns = at.map((c) => before(counts, c));
-      if (rows.length !== points) fail(`${many(points, "point")} in its header, and ${rows.length.toLocaleString("en")} in the file`);
-      return cloudOf(Float64Array.from(rows.flatMap((row) => columns.map((c) => row[c] ?? NaN))), "sensors");
+      const { numbers, rows } = table(latin(body), (columns) => {
+        if (columns !== sum(counts)) fail(`its first row has ${many(columns, "number")}, and its header declares ${sum(counts)}`);
+        return at.map((c) => before(counts, c));
+      });
+      if (rows !== points) fail(`${many(points, "point")} in its header, and ${rows.toLocaleString("en")} in the file`);
+      return cloudOf(numbers, "sensors");
     }
     if (kind !== "binary" && kind !== "binary_compressed") fail(`its DATA is ${kind}, which is none of PCD`);
     if (kind === "binary_compressed") {
       checkRoom(8, body.length, "the sizes of packed points");
       const size = taker(body, "u4", true), [packed, whole] = [size(0), size(4)];
       checkRoom(packed, body.length - 8, "its packed points");
-      if (whole !== points * wide || whole > 100 * packed + 1000) fail(`damaged: ${many(points, "point")} of ${wide} bytes, but ${many(whole, "byte")} packed into ${packed}`);
+      const honest = whole === points * wide && whole <= 100 * packed + 1000;
+      if (!honest) fail(`damaged: ${many(points, "point")} of ${wide} bytes, but ${many(whole, "byte")} packed into ${packed}`);
       body = unpackLzf(body.subarray(8, 8 + packed), whole);
     }
     checkRoom(points * wide, body.length, `${many(points, "point")} of ${wide} bytes`);
-    const takes = at.map((c) => taker(body, types[c], true)), packed = kind === "binary_compressed"; // packed: field after field
-    return cloudOf(strided(points, takes, (i, c) => (packed ? points * before(widths, at[c]) + i * widths[at[c]] : i * wide + before(widths, at[c]))), "sensors");
+    const takes = at.map((c) => taker(body, types[c], true)), starts = at.map((c) => before(widths, c)), steps = at.map((c) => widths[c]);
+    if (kind === "binary") return cloudOf(strided(points, takes, (i, c) => i * wide + starts[c]), "sensors");
+    return cloudOf(strided(points, takes, (i, c) => points * starts[c] + i * steps[c]), "sensors"); // field after field
   }
 
   // ---- .npy and .npz -----------------------------------------------------------------------------------------------
@@ -160,11 +167,13 @@ function fileReaders() {
     checkRoom(12, bytes.length, "its first lines");
     const long = bytes[6] > 1, room = long ? taker(bytes, "u4", true)(8) : taker(bytes, "u2", true)(8), start = (long ? 12 : 10) + room;
     checkRoom(start, bytes.length, "its header");
-    const header = latin(bytes.subarray(long ? 12 : 10, start)), type = /'descr':\s*'([<>|=]?)([a-zA-Z]\d*)'/.exec(header), shape = /'shape':\s*\(([^)]*)\)/.exec(header);
-    if (!type || !(type[2] in SIZES)) fail(`it holds ${/'descr':\s*('[^']*'|\[)/.exec(header)?.[1].replace("[", "fields with names") ?? "no numbers"}; save plain numbers instead: np.save(name, points.astype(float))`);
+    const header = latin(bytes.subarray(long ? 12 : 10, start)), shape = /'shape':\s*\(([^)]*)\)/.exec(header);
+    const type = /'descr':\s*'([<>|=]?)([a-zA-Z]\d*)'/.exec(header), given = /'descr':\s*('[^']*'|\[)/.exec(header)?.[1] ?? "no numbers";
+    if (!type || !(type[2] in SIZES)) fail(`it holds ${given.replace("[", "fields with names")}; save plain numbers: np.save(name, points.astype(float))`);
     if (!shape) fail("damaged: its header declares no shape");
     const sizes = shape[1].split(",").filter((word) => word.trim()).map(Number), count = sizes.reduce((product, size) => product * size, 1);
     if (!Number.isSafeInteger(count)) fail(`damaged: its header declares the shape (${shape[1].slice(0, 40)})`);
+    if (count > MOST_NUMBERS) fail(`${many(count, "number")}; this page reads up to ${MOST_NUMBERS.toLocaleString("en")}: thin the film out first`);
     checkRoom(count * SIZES[type[2]], bytes.length - start, `numbers of shape (${sizes})`);
     const take = taker(bytes.subarray(start), type[2], type[1] !== ">"), size = SIZES[type[2]], numbers = new Float64Array(count);
     if (!/'fortran_order':\s*True/.test(header)) {
@@ -239,7 +248,7 @@ function fileReaders() {
         checkRoom(start + 30, bytes.length, "its arrays");
         const from = start + 30 + u2(start + 26) + u2(start + 28);
         checkRoom(from + packed, bytes.length, `${name}, packed,`);
-        if (length > 2 * MOST_BYTES) fail(`${name} unpacks to ${many(length, "byte")}; this page reads up to ${(2 * MOST_BYTES).toLocaleString("en")}`);
+        if (length > MOST_BYTES) fail(`${name} unpacks to ${many(length, "byte")}; this page reads up to ${MOST_BYTES.toLocaleString("en")}`);
         if (method !== 0 && method !== 8) fail(`${name} is packed in a way that is not read here (${method})`);
         const whole = method ? await inflate(bytes.subarray(from, from + packed), length) : bytes.subarray(from, from + packed);
         if (checksum(whole) !== check) fail(`damaged: ${name} is not what was written`);
@@ -258,7 +267,8 @@ function fileReaders() {
       const frames = [];
       for (let k = 0; k < keys.length; k++) frames.push(cloudsOfArray(await load(`arr_${k}`), ""));
       if (frames.some(({ clouds, columns }) => clouds.length > 1 || columns !== frames[0].columns)) fail("its arrays are no clouds of one kind");
-      return { ...frames[0], film: true, clouds: frames.map(({ clouds }) => clouds[0]), python: `[np.load(${quoted(name)})[f"arr_{k}"] for k in range(${keys.length})]` };
+      const python = `[np.load(${quoted(name)})[f"arr_{k}"] for k in range(${keys.length})]`;
+      return { ...frames[0], film: true, clouds: frames.map(({ clouds }) => clouds[0]), python };
     }
     const key = keys.includes("points") ? "points" : keys[0];
     if (key !== "points" && keys.length > 1) fail(`it holds ${keys.join(", ").slice(0, 80)}: name the array of points "points"`);
@@ -287,37 +297,55 @@ function fileReaders() {
   }
 
   // ---- text --------------------------------------------------------------------------------------------------------
-  function textRows(text) { // rows of numbers, after a header of words; a cell that is empty or a word of no number is NaN
-    const rows = [], separator = /[;\t]/.exec(text.slice(0, 5000))?.[0] ?? (/[\d.]\s*,/.test(text.slice(0, 5000)) ? "," : " ");
-    let [skipped, number, names] = [0, 0, null];
+  const EMPTY = /^$|^[+-]?nan$/i, INFINITE = /^([+-]?)inf(inity)?$/i;
+  function valueOf(cell) { // NaN for an empty cell and for the word nan; undefined for other words
+    const value = Number(cell);
+    if (cell !== "" && !Number.isNaN(value)) return value;
+    if (EMPTY.test(cell)) return NaN;
+    return INFINITE.test(cell) ? Number(cell.replace(INFINITE, "$1Infinity")) : undefined;
+  }
+  function table(text, choose) { // numbers in rows, after lines of words; choose(columns, words of the last such line) names the columns to keep
+    const start = text.slice(0, 5000), separator = /[;\t]/.exec(start)?.[0] ?? (/[\d.]\s*,/.test(start) ? "," : " ");
+    const numbers = [];
+    let [rows, columns, skipped, number, names, kept] = [0, 0, 0, 0, null, null];
     for (let at = 0; at <= text.length; ) {
-      const stop = text.indexOf("\n", at), raw = text.slice(at, stop < 0 ? text.length : stop), line = raw.split("#")[0].trim();
-      at = stop < 0 ? text.length + 1 : stop + 1;
+      const stop = text.indexOf("\n", at), end = stop < 0 ? text.length : stop, line = text.slice(at, end).split("#", 1)[0].trim();
+      at = end + 1;
       number++;
       if (!line) continue;
       const cells = separator === " " ? line.split(/\s+/) : line.split(separator).map((cell) => cell.trim());
-      const values = cells.map((cell) => (/^$|^[+-]?nan$/i.test(cell) ? NaN : Number(cell.replace(/^([+-]?)inf(inity)?$/i, "$1Infinity"))));
-      const wrong = cells.findIndex((cell, c) => Number.isNaN(values[c]) && !/^$|^[+-]?nan$/i.test(cell));
-      if (wrong >= 0 && rows.length) fail(`line ${number} holds ${quoted(cells[wrong].slice(0, 30))} where a number should be`);
-      if (wrong >= 0) [skipped, names] = [number, cells.map((cell) => cell.toLowerCase().replace(/^"(.*)"$/, "$1"))];
-      else rows.push(values);
-      if (wrong >= 0 && skipped > 100) fail("its first hundred lines hold no numbers: it is no table of points");
-      checkCount(rows.length);
+      const values = cells.map(valueOf), wrong = values.indexOf(undefined);
+      if (wrong >= 0) {
+        if (rows) fail(`line ${number} holds ${quoted(cells[wrong].slice(0, 30))} where a number should be`);
+        if (number > 100) fail("its first hundred lines hold no numbers: it is no table of points");
+        skipped = number;
+        names = cells.map((cell) => cell.toLowerCase().replace(/^"(.*)"$/, "$1"));
+        continue;
+      }
+      if (!rows) {
+        columns = values.length;
+        kept = choose(columns, names?.length === columns ? names : []);
+      }
+      if (values.length !== columns) fail(`line ${number} has ${many(values.length, "number")}, the first row has ${columns}`);
+      for (const c of kept) numbers.push(values[c]);
+      checkCount(++rows);
     }
-    return { rows, separator, skipped, names };
+    return { numbers: Float64Array.from(numbers), rows, columns, kept, separator, skipped };
   }
   function readText(bytes, name) {
-    const start = bytes.subarray(0, 4096);
-    if (start.includes(0)) fail("it is no text: it holds bytes that no letter has");
-    const { rows, separator, skipped, names } = textRows(new TextDecoder().decode(bytes)), columns = rows[0]?.length ?? fail("it holds no numbers");
-    const odd = rows.findIndex((row) => row.length !== columns);
-    if (odd >= 0) fail(`row ${odd + 1} of its numbers has ${rows[odd].length}, the first has ${columns}`);
-    if (columns < 2) fail("it has one number a row; a point has two or three");
-    const named = names?.length === columns && ["x", "y", "z"].every((axis) => names.includes(axis)), at = named ? placeOf(names) : [0, 1, 2].slice(0, columns);
-    const options = [separator === " " ? "" : `, delimiter=${quoted(separator)}`, skipped ? `, skip_header=${skipped}` : "", columns > 3 || named ? `, usecols=(${at.join(", ")})` : ""];
-    const numbers = new Float64Array(rows.length * at.length);
-    rows.forEach((row, i) => at.forEach((c, k) => (numbers[i * at.length + k] = row[c])));
-    return { clouds: [numbers], columns: at.length, python: `np.genfromtxt(${quoted(name)}${options.join("")})` };
+    if (bytes.subarray(0, 4096).includes(0)) fail("it is no text: it holds bytes that no letter has");
+    let named = false;
+    const { numbers, rows, columns, kept, separator, skipped } = table(new TextDecoder().decode(bytes), (wide, names) => {
+      if (wide < 2) fail("it has one number a row; a point has two or three");
+      named = ["x", "y", "z"].every((axis) => names.includes(axis));
+      return named ? placeOf(names) : [0, 1, 2].slice(0, wide);
+    });
+    if (!rows) fail("it holds no numbers");
+    const options = [quoted(name)];
+    if (separator !== " ") options.push(`delimiter=${quoted(separator)}`);
+    if (skipped) options.push(`skip_header=${skipped}`);
+    if (columns > 3 || named) options.push(`usecols=(${kept.join(", ")})`);
+    return { clouds: [numbers], columns: kept.length, python: `np.genfromtxt(${options.join(", ")})` };
   }
 
   // ---- vertices of meshes -------------------------------------------------------------------------------------------
@@ -346,7 +374,8 @@ function fileReaders() {
       numbers.push(...found.slice(1, 4).map(Number));
       checkCount(numbers.length / 3);
     }
-    if (!numbers.length || !/endsolid/i.test(text.slice(-200)) || numbers.length % 9) fail("cut off or damaged: a triangle of it has not three corners, or endsolid is missing");
+    const whole = numbers.length > 0 && numbers.length % 9 === 0 && /endsolid/i.test(text.slice(-200));
+    if (!whole) fail("cut off or damaged: a triangle of it has not three corners, or endsolid is missing");
     return cloudOf(Float64Array.from(numbers), python);
   }
 
@@ -374,45 +403,51 @@ function fileReaders() {
     }
     return { points: out.slice(0, 3 * kept), left };
   }
-  async function readFile(name, bytes) {
-    const suffix = name.toLowerCase().split(".").at(-1), start = latin(bytes.subarray(0, 60)).trimStart().toLowerCase();
-    if (!(suffix in READERS)) fail(`this page reads ${Object.keys(READERS).map((kind) => "." + kind).join(", ")}, not .${suffix.slice(0, 12)}`);
-    if (!bytes.length) fail("the file is empty");
+  async function readFile(file) {
+    const suffix = file.name.includes(".") ? file.name.toLowerCase().split(".").at(-1) : "", megabytes = Math.round(file.size / 2 ** 20);
+    if (!(suffix in READERS)) fail(`this page reads ${Object.keys(READERS).map((kind) => "." + kind).join(", ")}`);
+    if (file.size > MOST_BYTES) fail(`${megabytes.toLocaleString("en")} MB; this page reads up to ${MOST_BYTES / 2 ** 20}: thin the cloud out first`);
+    if (!file.size) fail("the file is empty");
+    const bytes = new Uint8Array(await file.arrayBuffer()), start = latin(bytes.subarray(0, 60)).trimStart().toLowerCase();
     if (/^version \S+git-lfs/.test(start)) fail("a pointer of git-lfs and not the file itself: fetch it by git lfs pull");
     if (/^<(!doctype|html|\?xml)/.test(start)) fail("a web page and not the file itself");
-    const read = await READERS[suffix](bytes, name);
-    if (read.python === "sensors") read.python = `next(read_clouds(${quoted(name)}, unit="m"))[1]`;
+    const read = await READERS[suffix](bytes, file.name);
+    if (read.python === "sensors") read.python = `next(read_clouds(${quoted(file.name)}, unit="m"))[1]`;
     return read;
   }
 
   // ---- frames --------------------------------------------------------------------------------------------------------
-  const MOST_SHOWN = 800, MOST_AROUND = 5000;
-  function thinned(numbers, columns) { // a frame: up to 800 farthest points, in their order; all of them, where there are no more; others to be seen around
-    const { points, left } = tidy(numbers, columns), count = points.length / 3, order = new Float64Array(3 * Math.min(count, MOST_SHOWN));
+  const MOST_USED = 800, MOST_AROUND = 4000, MOST_ERRORS = 20;
+  function thinned(numbers, columns, frames = 1) { // up to 800 farthest points in their order; all points, where there are no more; some to be seen around them
+    const { points, left } = tidy(numbers, columns), count = points.length / 3;
     if (!count) fail(`none of its ${many(left.rows, "point")} is left: ${left.notFinite} not finite, ${left.atZero} at zero`);
-    const { ids, radii } = farthestPoints(points, count, 3, order.length / 3), step = Math.ceil(count / MOST_AROUND);
-    ids.forEach((id, k) => order.set(points.subarray(3 * id, 3 * id + 3), 3 * k));
-    const around = new Float64Array(3 * Math.ceil(count / step));
-    for (let i = 0; i < around.length / 3; i++) around.set(points.subarray(3 * i * step, 3 * i * step + 3), 3 * i);
-    return { count, order, radii, all: count > MOST_SHOWN ? null : points, around, left };
+    const { ids, radii } = farthestPoints(points, count, 3, Math.min(count, MOST_USED));
+    const step = Math.ceil((count * Math.min(frames, 4)) / MOST_AROUND), around = new Float32Array(3 * Math.ceil(count / step));
+    for (let i = 0; i < around.length; i += 3) around.set(points.subarray(i * step, i * step + 3), i);
+    return { count, order: subcloud(points, 3, ids), radii, all: count > MOST_USED ? null : points, around, left };
   }
-  async function readFilm(files, { onProgress = () => {} } = {}) { // of a file, or of several in natural order; a file that cannot be read is left out and told
+  // Of a file, or of several in natural order. A file that cannot be read is left out and named.
+  async function readFilm(files, { onProgress = () => {} } = {}) {
     const sorted = [...files].sort((a, b) => new Intl.Collator("en", { numeric: true }).compare(a.name, b.name));
     const film = { names: [], frames: [], errors: [], columns: 3, python: "", several: files.length > 1 };
     for (const [k, file] of sorted.entries()) {
       try {
-        if (file.size > MOST_BYTES) fail(`${Math.round(file.size / 2 ** 20).toLocaleString("en")} MB; this page reads up to ${MOST_BYTES / 2 ** 20}: thin the cloud out first`);
-        const { clouds, columns, film: whole, python } = await readFile(file.name, new Uint8Array(await file.arrayBuffer()));
-        if (film.several && clouds.length > 1) fail(`it is a film of ${clouds.length} frames; drop it alone`);
-        const frames = clouds.map((numbers, t) => (onProgress((k + t / clouds.length) / sorted.length), thinned(numbers, columns)));
-        if (film.frames.length + frames.length > MOST_FRAMES) fail(`the film would have more than ${MOST_FRAMES.toLocaleString("en")} frames`);
+        if (k >= MOST_FRAMES) fail(`file number ${k + 1}; a film has up to ${MOST_FRAMES.toLocaleString("en")} frames`);
+        const { clouds, columns, film: whole, python } = await readFile(file);
+        if (film.several && clouds.length > 1) fail(`it is a film of ${clouds.length} frames; give it alone`);
+        for (const [t, numbers] of clouds.entries()) {
+          onProgress((k + t / clouds.length) / sorted.length);
+          film.frames.push(thinned(numbers, columns, sorted.length * clouds.length));
+        }
         film.names.push(file.name);
-        film.frames.push(...frames);
         Object.assign(film, { columns: Math.min(columns, 3), python: film.python || python, whole });
       } catch (error) {
+        if (!film.several) film.frames = []; // a film with a bad frame
         film.errors.push(`${file.name}: ${error.message}`);
       }
     }
+    const more = film.errors.splice(MOST_ERRORS).length;
+    if (more) film.errors.push(`and ${more.toLocaleString("en")} more`);
     return film;
   }
   return { readFilm, thinned };

@@ -2,7 +2,8 @@
 
 Idea: `topokit.view.HtmlFigure` joins the data with the scripts of this folder. `rips.js` computes loops by the same lunes as
 `topokit.rips`, `complex.js` hands them to the figures, `seqph.js` decides which bars are loops, `match.js` matches diagrams as
-`topokit.lemmas` does, `link.js` links curves, and `files.js` reads the reader's files. Tests compare the answers of the scripts with topokit's.
+`topokit.lemmas` does, `link.js` links curves, and `files.js` reads the reader's files. Tests compare the answers of the scripts with
+topokit's.
 """
 
 from __future__ import annotations
@@ -285,7 +286,7 @@ def cloud(samples: Mapping[str, ArrayLike]) -> HtmlFigure:
         low = ticks.reshape(-1, 3).min(axis=0)
         packed[name] = {"ticks": ticks - low, "low": low.tolist()}
     kernel = ["sampling.js", "rips.js", "assign.js", "seqph.js", "worker.js"]
-    scripts = [*kernel, "files.js", "samples.js", "orbit.js", "planar.js"]
+    scripts = [*kernel, "files.js", "samples.js", "out.js", "orbit.js", "planar.js"]
     return _figure("cloud", {"samples": packed}, scripts, 900, "drag to turn", "Loops of your cloud")
 
 
