@@ -32,15 +32,22 @@ import numpy as np
 
 KERNELS = ("_cloud", "_pairs", "_cycles", "kernel")
 SPARED = [*(f"topokit.rips.{name}" for name in KERNELS), "topokit.sim._pattern"]  # Atheris keeps what arrays compare to
+sys.path.append(str(Path(__file__).parent.parent / "tests"))
 with atheris.instrument_imports(include=["topokit"], exclude=SPARED):
+    import sensor_files as files
+    from pypcd4 import Encoding
+    from rosbags.rosbag2 import StoragePlugin
+
     from topokit import SeqPH, track
     from topokit import io as episodes
     from topokit._archive import load_archive
-    from topokit.sensors import read_stream
-    from topokit.sim import Garment
+    from topokit._config import load
+    from topokit.sensors import Pipeline, read_clouds, read_stream
+    from topokit.sim import Garment, SimulationConfig
 
-LONGEST = 1 << 14  # bytes of an input
-ROOM = 512 << 20  # bytes of address space beside what the libraries have taken
+LONGEST = 1 << 15  # bytes of an input
+ROOM = 800 << 20  # bytes of address space beside what the libraries have taken
+CLOUDS = ("npy", "npz", "png", "pcd", "mcap", "db3", "bag")
 DATA = Path(__file__).parent.parent / "data_small"
 TYPES = ("u1", "i4", "i8", "u2", "f4", "f8", "?", "U3", "c16", "M8[s]")
 
@@ -52,6 +59,42 @@ def mesh(suffix: str) -> Callable[[bytes], object]:
     def read(data: bytes) -> None:
         path.write_bytes(data)
         Garment.from_mesh(path)
+
+    return read
+
+
+def cloud(suffix: str) -> Callable[[bytes], object]:
+    """A reader of files of clouds."""
+    path = FOLDER / f"cloud.{suffix}"
+
+    def read(data: bytes) -> None:
+        path.write_bytes(data)
+        for _, points in read_clouds(path, intrinsics=files.LENS, unit="m"):
+            len(points)
+
+    return read
+
+
+def configuration() -> Callable[[bytes], object]:
+    """A reader of configurations: of mutated bytes, or of a whole one of which parts were changed."""
+    with atheris.instrument_imports(include=["topokit"], exclude=SPARED):
+        from topokit.data import DatasetConfig
+        from topokit.models import TrainConfig
+
+    path = FOLDER / "configuration.json"
+    kinds = {SimulationConfig: {}, DatasetConfig: DatasetConfig().to_json(), Pipeline: {"crop": [[0, 0, 0], [1, 1, 1]]}}
+    kinds[TrainConfig] = {"model": "mlp", "split": {"seed": 1}, "windows": {"labels": "full"}, "shape": {"points": 9}}
+
+    def read(data: bytes) -> None:
+        choose = atheris.FuzzedDataProvider(data)
+        kind = list(kinds)[choose.ConsumeIntInRange(0, len(kinds) - 1)]
+        content = choose.ConsumeBytes(LONGEST)
+        if choose.ConsumeBool():
+            words = json.loads(json.dumps(kinds[kind]))
+            change_words(choose, words)
+            content = json.dumps(words).encode()
+        path.write_bytes(content)
+        load(kind, path)
 
     return read
 
@@ -246,6 +289,9 @@ READERS: dict[str, Callable[[], Callable[[bytes], object]]] = {
     "ply": lambda: mesh(".ply"),
     "obj": lambda: mesh(".obj"),
     "stl": lambda: mesh(".stl"),
+    **{suffix: lambda suffix=suffix: cloud(suffix) for suffix in CLOUDS},
+    "cloud.ply": lambda: cloud("ply"),
+    "configuration": configuration,
     "live": lambda: live,
     "episode": episode,
     "states": states,
@@ -262,6 +308,8 @@ def npy(array: np.ndarray) -> bytes:
 
 def seeds(reader: str) -> list[bytes]:
     """Whole inputs to begin with."""
+    if reader in (*CLOUDS, "cloud.ply"):
+        return seeds_of_clouds(reader)
     places = "0 0 0\n1 0 0\n0 0 1\n1 0 1\n"
     head = (
         "ply\nformat {} 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n"
@@ -284,12 +332,31 @@ def seeds(reader: str) -> list[bytes]:
     }.get(reader, [bytes(range(40)), b"\1" * 40])
 
 
+def seeds_of_clouds(reader: str) -> list[bytes]:
+    """Whole files of clouds, as the libraries of each kind write them."""
+    messages = {"/points": [files.cloud_message(files.ring().reshape(6, 10, 3), 1)]}
+    storage = {"mcap": StoragePlugin.MCAP, "db3": StoragePlugin.SQLITE3}
+    if reader in storage:
+        bag = files.save_bag(FOLDER / "bag", messages, storage[reader])
+        return [path.read_bytes() for path in bag.glob(f"*.{reader}")]
+    if reader == "bag":
+        return [files.save_ros1_bag(FOLDER / "seed.bag", messages).read_bytes()]
+    return {
+        "npy": [files.npy(files.ring()), files.npy(files.depth_image())],
+        "npz": [files.npz(points=[files.ring()], times=[0.5]), files.npz(arr_0=files.ring(), arr_1=files.ring())],
+        "png": [files.png(files.depth_image())],
+        "pcd": [files.pcd(encoding) for encoding in (Encoding.ASCII, Encoding.BINARY, Encoding.BINARY_COMPRESSED)],
+        "cloud.ply": [files.ply("ascii"), files.ply(), *seeds("ply")],
+    }[reader]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("reader", choices=READERS)
     parser.add_argument("again", nargs="*", help="inputs that were found, to be read again")
     parser.add_argument("--runs", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1, help="of the changes")
+    parser.add_argument("--seconds", type=int, default=0, help="end after so many; 0 for no end")
     options = parser.parse_args()
     track([np.eye(4)])  # kernels are compiled, or read, before an input is timed
     read = READERS[options.reader]()
@@ -319,6 +386,7 @@ def main() -> None:
         "-rss_limit_mb=0",
         "-print_final_stats=1",
         f"-seed={options.seed}",
+        f"-max_total_time={options.seconds}",
     ]
     atheris.Setup([sys.argv[0], *flags, *(options.again or [str(corpus)])], one)
     import atexit

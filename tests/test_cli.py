@@ -154,7 +154,7 @@ def test_tracks_as_lines_and_as_a_picture(episode, tmp_path):
         (["episode.npz", "--plot", "folder.npz/deep.png", "--out", "cloud.txt/t.npz"], "cloud.txt"),
         (["episode.npz", "--unit", "mm"], "--unit"),
         (["film"], "0.pcd"),
-        (["film", "--unit", "mm", "--plot", "a.png"], "--plot"),
+        (["film", "--unit", "mm", "--plot", "a.txt"], ".png"),
         (["film/*.pcd", "--unit", "mm"], "--out"),
         (["film", "--unit", "mm", "--pipeline", "bad.json"], "voxels"),
         (["film", "--unit", "mm", "--columns", "a,b,c"], "no a"),
@@ -192,6 +192,16 @@ def test_track_takes_a_film(film, tmp_path, capsys):
     assert [[loop.id for loop in state.loops] for state in states] == [[0]] * 5
     assert main([*map(str, arguments)]) == 0
     assert "nan" not in capsys.readouterr().out  # there is no true loop to compare with
+
+
+def test_a_single_cloud_is_told_and_drawn(tmp_path, capsys):
+    np.save(tmp_path / "ring.npy", ring())
+    picture = tmp_path / "ring.svg"
+    assert main(["track", str(tmp_path / "ring.npy"), "--plot", str(picture)]) == 0
+    out = capsys.readouterr().out
+    assert "loop 0 is around (0.000, 0.000, 1.000) m, through 60 points" in out.replace("-0.000", "0.000")
+    assert f"picture: {picture}" in out
+    assert b"</svg>" in picture.read_bytes()
 
 
 def test_track_takes_the_folder_that_it_runs_in(film, monkeypatch, capsys):

@@ -13,6 +13,7 @@ import pytest
 
 import topokit as tk
 from topokit import lemmas
+from topokit.compat import LoopFeatures
 from topokit.io import load_episode, save_episode, save_states
 from topokit.linking import close_far, linking_numbers
 from topokit.mixture import InverseWishart
@@ -137,6 +138,8 @@ BAD_CALLS = [
     (lambda: close_far(RING * 1e308), "1e150"),
     (lambda: close_far(RING, start="up"), "start"),
     (lambda: linking_numbers(["a"], ["b"]), "curves_a"),
+    (lambda: tk.rips_persistence([[0, np.inf], [np.inf, 0]], metric="precomputed"), r"inf at \[0, 1\].* max_radius"),
+    (lambda: LoopFeatures().fit(RING), r"X is one array \(12, 3\)"),
 ]
 
 

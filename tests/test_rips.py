@@ -330,7 +330,9 @@ def test_more_memory_than_is_allowed(monkeypatch):
 
 
 @compiled
-@pytest.mark.parametrize("shape", ["plane", "torus", "grid", "far apart", "repeated", "in eight places", "in one place"])
+@pytest.mark.parametrize(
+    "shape", ["plane", "torus", "grid", "far apart", "repeated", "in eight places", "in one place"]
+)
 def test_large_clouds_are_paired_without_a_table_of_pairs(shape, monkeypatch):
     rng = np.random.default_rng(0)
     angles = 2 * np.pi * rng.random((2, 1200))

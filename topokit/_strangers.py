@@ -13,6 +13,7 @@ from typing import Any
 VARIABLE = "TOPOKIT_UNPACKED"
 _FREE = 2**26
 _RATIO = 100
+_LONGEST = 1000  # characters of a message
 _PIECE = 2**20  # bytes that are unpacked at a time
 
 
@@ -34,10 +35,11 @@ class Budget:
     def take(self, count: int) -> None:
         """Count bytes that are to be unpacked; raise ValueError when they are more than the file may hold."""
         if not 0 <= count <= self.left:
-            problem = f"its {self.size} bytes claim to hold {count} more than fit within the bound"
-            if self.left == free_bytes() + _RATIO * self.size:
-                problem = f"its {self.size} bytes claim to hold {count}"
-            raise ValueError(f"{problem}; for such files set {VARIABLE} to more bytes than {free_bytes()}")
+            free = free_bytes()
+            most = free + _RATIO * self.size
+            what = f"its {self.size} bytes claim" if self.size else "it claims"
+            problem = f"{what} to hold {most - self.left + count} bytes, and {most} are unpacked at most"
+            raise ValueError(f"{problem}: for such files set the environment variable {VARIABLE} to more than {free}")
         self.left -= count
 
     def unpack(self, decompressor: Any, data: bytes) -> bytes:
@@ -60,5 +62,11 @@ def check_unpacked(unpacked: int, size: int) -> None:
 
 
 def printable(text: object) -> str:
-    """Return text of a stranger as one line without control characters: they are written as escapes, as Python writes them."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+    """Return text of a stranger as one line without control characters: they are written as escapes, as Python writes them.
+
+    Of a text that would fill the screen the middle is left out.
+    """
+    words = str(text)
+    if len(words) > _LONGEST:
+        words = f"{words[: _LONGEST // 2]} ... {words[-_LONGEST // 2 :]}"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in words)

@@ -284,7 +284,7 @@ def track(
     out
         Tracks to write (default: PATH.tracks.npz), or a line of JSON for each frame (.jsonl).
     plot
-        Episodes: also draw the tracks (.png, .svg or .pdf).
+        Also draw the tracks of an episode, or the last of the clouds with its loops (.png, .svg or .pdf).
     cloud
         Episodes: all vertices (default), or their observed sample.
     """
@@ -304,9 +304,7 @@ def track(
         if given := clouds.given():
             raise ValueError(f"--{given[0]} is for clouds, and {episode} is an episode: leave it out")
         return _track_episode(episode, out, plot, cloud, tracker, as_json)
-    if plot is not None:
-        raise ValueError(f"--plot is for episodes, and {episode} is not: leave it out")
-    return _track_clouds(episode, out, clouds, tracker, as_json)
+    return _track_clouds(episode, out, plot, clouds, tracker, as_json)
 
 
 def _is_archive_of_ours(path: Path) -> bool:
@@ -369,7 +367,9 @@ def _track_episode(path: Path, out: Path, plot: Path | None, cloud: str, tracker
     return 0
 
 
-def _track_clouds(path: Path, out: Path, clouds: CloudOptions, tracker: TrackerOptions, as_json: bool) -> int:
+def _track_clouds(
+    path: Path, out: Path, plot: Path | None, clouds: CloudOptions, tracker: TrackerOptions, as_json: bool
+) -> int:
     """Track clouds that topokit did not record, each of them cleaned first."""
     from collections import Counter
 
@@ -380,8 +380,11 @@ def _track_clouds(path: Path, out: Path, clouds: CloudOptions, tracker: TrackerO
     from .sensors import read_clouds
     from .seqph import SeqPH
 
+    if plot is not None:
+        from . import view  # noqa: F401 - before the work, so that a missing matplotlib is reported at once
     follower = SeqPH(**tracker.chosen())
     clean = clouds.cleaner()
+    last: Any = None  # the last cloud that has points, and its state
     film = read_clouds(
         path,
         unit=clouds.unit,
@@ -399,6 +402,7 @@ def _track_clouds(path: Path, out: Path, clouds: CloudOptions, tracker: TrackerO
             removed.update(clean.removed)
             if len(left):
                 states.append(follower.update(left, time=time))
+                last = (left, states[-1])
             else:
                 states.append(follower.skip(time=time))
                 blind += 1
@@ -408,6 +412,8 @@ def _track_clouds(path: Path, out: Path, clouds: CloudOptions, tracker: TrackerO
         raise ValueError(f"{path}: {error}") from error
     if blind == len(states):
         raise ValueError(f"{path}: {_nothing_left(blind, removed)}")
+    if plot is not None:
+        _plot_cloud(plot, *last)
     _write_states(out, states)
 
     # There is no true loop to compare with.
@@ -424,8 +430,30 @@ def _track_clouds(path: Path, out: Path, clouds: CloudOptions, tracker: TrackerO
     print("  id  first  last  frames  lifetime")
     for row in rows:
         print(_row_of_track(row))
+    if len(states) == 1:
+        for loop in states[0].loops:
+            x, y, z = loop.cycle_points.mean(axis=0)
+            print(f"   loop {loop.id} is around ({x:.3f}, {y:.3f}, {z:.3f}) m, through {len(loop.cycle)} points")
     _print_where(rows, out)
+    if plot is not None:
+        _print(f"picture: {plot}")
     return 0
+
+
+def _plot_cloud(path: Path, points: Any, state: TopologicalState) -> None:
+    """Draw a cloud, and around each of its loops the cycle and the killer triangles."""
+    from matplotlib.figure import Figure
+
+    from ._archive import atomic_file
+    from .view import plot_cloth
+
+    figure = Figure(figsize=(7, 7), dpi=120)
+    axes: Any = figure.add_subplot(projection="3d")
+    plot_cloth(points, ax=axes, loops=state.loops, true_loops=[loop.cycle for loop in state.loops])
+    for loop in state.loops:
+        axes.text(*loop.cycle_points.mean(axis=0), f"{loop.id}", ha="center", zorder=6)
+    with atomic_file(path) as picture:
+        figure.savefig(picture, format=path.suffix[1:])
 
 
 def _nothing_left(frames: int, removed: dict[str, int]) -> str:

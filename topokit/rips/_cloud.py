@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._validate import Array, as_points
+from .._validate import Array, as_points, as_reals
 
 MEMORY = 4 << 30  # bytes that the tables for one cloud may take
 _SMALLEST_NORMAL = 2.0**-1022  # the smallest number with all its digits
@@ -33,7 +33,7 @@ class Cloud:
         if metric not in ("euclidean", "precomputed"):
             raise ValueError(f'metric must be "euclidean" or "precomputed", not {metric!r}')
         if metric == "precomputed":
-            return cls._of_distances(as_points(points))
+            return cls._of_distances(_finite_distances(points))
         return cls.of_points(as_points(points, refuse_transposed=True))
 
     @classmethod
@@ -146,3 +146,15 @@ def _check_distances(matrix: Array) -> None:
         if wrong.any():
             i, j = np.argwhere(wrong)[0].tolist()
             raise ValueError(f"the matrix of distances is {what} at [{i}, {j}]: {matrix[i, j]} and {matrix[j, i]}")
+
+
+def _finite_distances(points: ArrayLike) -> Array:
+    """Return a matrix of distances, or raise ValueError when one of them is no number."""
+    matrix = as_reals(points, "points")
+    missing = np.argwhere(~np.isfinite(matrix))
+    if matrix.ndim == 2 and len(missing):
+        i, j = missing[0].tolist()
+        problem = f"the matrix of distances is {matrix[i, j]} at [{i}, {j}], and at {len(missing)} places in all"
+        advice = "for pairs that never meet put a number above all others, and give max_radius below half of it"
+        raise ValueError(f"{problem}; {advice}")
+    return as_points(matrix)

@@ -440,7 +440,7 @@ def _png(path: Path, declared: _Declared) -> Frames:
         if not picture.mode.startswith("I"):
             words = f"a picture {picture.size} of mode {picture.mode}: a depth image has 16 bits a pixel"
             raise ValueError(f"{words}; a pattern ('depth*.png') leaves others out")
-        check_unpacked(_BYTES_A_PIXEL * math.prod(picture.size), 0)
+        check_unpacked(_BYTES_A_PIXEL * math.prod(picture.size), path.stat().st_size)
         yield None, _as_cloud(np.asarray(picture), declared, path.parent)
 
 

@@ -133,7 +133,8 @@ def from_mesh(
         if held is None:
             held = _grips(placed, kept, dict(zip(names, cycles, strict=True)), repairs)
     except ValueError as error:
-        raise type(error)(f"{path}: {error}") from error
+        done = f" (done before: {'; '.join(repairs)})" if repairs else ""
+        raise type(error)(f"{path}: {error}{done}") from error
     for repair in repairs:
         _log.warning("%s: %s", path, repair)
     return Path(path).stem, placed, faces, cycles, held, {"scale": factor}, tuple(repairs), names
@@ -245,9 +246,14 @@ def _one_component(vertices: Array, faces: Ids, repairs: list[str]) -> Ids:
         shares = ", ".join(f"{100 * part:.0f} %" for part in share[largest[:5]])
         first = np.unique(faces[component == largest[0]])
         second = np.unique(faces[component == largest[1]])
+        what = f"{count} components that no edge joins, of {shares} of the surface: keep one"
+
+        # Welding helps where the two nearly touch, by less than the edges are long.
         gap = cKDTree(vertices[first]).query(vertices[second])[0].min()
-        what = f"{count} components that no edge joins, of {shares} of the surface"
-        raise ValueError(f"{what}: keep one, or weld more than {gap:.2g}")
+        usual = np.median(edge_lengths(vertices, np.unique(half_edges(faces), axis=0)))
+        if gap < 0.5 * usual:
+            what += f", or weld more than {gap:.2g}"
+        raise ValueError(what)
     lost = f"{100 * (1 - share.max()):.1f} % of the surface"
     repairs.append(f"{count - 1} smaller components, {lost}, were dropped: a cloth is one piece")
     return faces[component == largest[0]]
