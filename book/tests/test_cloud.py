@@ -127,6 +127,7 @@ BAD = {
     "one_column.npy": npy(shape="180, 1"),
     "cut.npz": FILES["packed.npz"][:-30],
     "changed.npz": FILES["plain.npz"].replace(b"NUMPY", b"NUMPI"),
+    "one_line.xyz": b"1.5 " * 5000,
     "none.obj": b"f 1 2 3\n",
     "pointer.ply": b"version https://git-lfs.github.com/spec/v1\n",
     "cut.stl": FILES["text.stl"][:-30],

@@ -2,7 +2,7 @@
 // Idea: a reader gets the bytes and returns { clouds: [numbers], columns, python }: numbers point after point, and the expression that
 // reads the same in Python. What a header declares is compared with the bytes that are there before memory is taken.
 function fileReaders() {
-  const MOST_BYTES = 2 ** 28, MOST_POINTS = 5e6, MOST_FRAMES = 2000, MOST_COLUMNS = 16, MOST_NUMBERS = 2 ** 25;
+  const MOST_BYTES = 2 ** 28, MOST_POINTS = 5e6, MOST_FRAMES = 2000, MOST_COLUMNS = 16, MOST_NUMBERS = 2 ** 25, LONGEST_LINE = 10000;
   const CAMERAS = ["240,320", "424,512", "480,640", "480,848", "576,640", "720,1280", "1080,1920"]; // images (h, w, 3), not films
   const fail = (text) => {
     throw new Error(text);
@@ -309,7 +309,9 @@ function fileReaders() {
     const numbers = [];
     let [rows, columns, skipped, number, names, kept] = [0, 0, 0, 0, null, null];
     for (let at = 0; at <= text.length; ) {
-      const stop = text.indexOf("\n", at), end = stop < 0 ? text.length : stop, line = text.slice(at, end).split("#", 1)[0].trim();
+      const stop = text.indexOf("\n", at), end = stop < 0 ? text.length : stop;
+      if (end - at > LONGEST_LINE) fail(`line ${number + 1} has ${many(end - at, "letter")}: it is no row of a table`);
+      const line = text.slice(at, end).split("#", 1)[0].trim();
       at = end + 1;
       number++;
       if (!line) continue;
@@ -350,7 +352,7 @@ function fileReaders() {
 
   // ---- vertices of meshes -------------------------------------------------------------------------------------------
   function readObj(bytes, name) {
-    const text = latin(bytes), line = /^v[ \t]+(.*)$/gm, numbers = [];
+    const text = latin(bytes), line = /^v[ \t]+([^\r\n]{0,300})/gm, numbers = [];
     for (let found = line.exec(text); found; found = line.exec(text)) {
       const place = found[1].trim().split(/\s+/).slice(0, 3).map(Number);
       if (place.length < 3 || place.some(Number.isNaN)) fail(`a vertex of it is no three numbers: ${found[0].slice(0, 60)}`);

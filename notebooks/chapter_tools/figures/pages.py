@@ -2,8 +2,8 @@
 
 Idea: `topokit.view.HtmlFigure` joins the data with the scripts of this folder. `rips.js` computes loops by the same lunes as
 `topokit.rips`, `complex.js` hands them to the figures, `seqph.js` decides which bars are loops, `match.js` matches diagrams as
-`topokit.lemmas` does, `link.js` links curves, and `files.js` reads the reader's files. Tests compare the answers of the scripts with
-topokit's.
+`topokit.lemmas` does, `link.js` links curves, and `files.js` reads the reader's files. Tests compare the answers of the scripts
+with topokit's.
 """
 
 from __future__ import annotations
