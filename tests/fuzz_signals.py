@@ -123,15 +123,17 @@ def prepared(folder: Path) -> Path:
 
 def started(command: list[str], folder: Path, **options: object) -> subprocess.Popen[bytes]:
     path = os.pathsep.join(filter(None, sys.path))
-    return subprocess.Popen(
-        command,
-        cwd=folder,
-        env={**os.environ, "TMPDIR": str(folder / "tmp"), "PYTHONPATH": path, "MPLBACKEND": "Agg"},
-        stderr=(folder / "stderr").open("wb"),
-        start_new_session=True,
-        preexec_fn=hear_ctrl_c,
-        **options,
-    )
+    with (folder / "stderr").open("wb") as stderr:
+        return subprocess.Popen(
+            command,
+            cwd=folder,
+            env={**os.environ, "TMPDIR": str(folder / "tmp"), "PYTHONPATH": path, "MPLBACKEND": "Agg"},
+            stderr=stderr,
+            bufsize=0,
+            start_new_session=True,
+            preexec_fn=hear_ctrl_c,
+            **options,
+        )
 
 
 def feed(process: subprocess.Popen[bytes]) -> None:
@@ -141,8 +143,8 @@ def feed(process: subprocess.Popen[bytes]) -> None:
     try:
         while True:
             process.stdin.write(stream.getvalue())
-    except (BrokenPipeError, ValueError):
-        pass
+    except BrokenPipeError:
+        process.stdin.close()
 
 
 def family_of(session: int) -> list[psutil.Process]:
@@ -189,8 +191,10 @@ def interrupt_command(
     """Run a command and signal it at a moment; return how it ended, in how many seconds, and what was wrong."""
     command = [sys.executable, "-m", "topokit", *COMMANDS[name].split()]
     process = started(command, folder, stdout=subprocess.DEVNULL, stdin=subprocess.PIPE if name == "live" else None)
+    feeder = None
     if name == "live":
-        threading.Thread(target=feed, args=[process], daemon=True).start()
+        feeder = threading.Thread(target=feed, args=[process], daemon=True)
+        feeder.start()
     wrong: list[str] = []
     try:
         code = process.wait(moment)
@@ -215,6 +219,8 @@ def interrupt_command(
             wrong.append(f"exit code {code}")
         if seconds > PATIENCE:
             wrong.append(f"it took {seconds:.1f} s")
+    if feeder is not None:
+        feeder.join()
     said = (folder / "stderr").read_text(errors="replace")
     wrong += [word for word in WRONG if word in said]
     if outcome == "stopped" and "stopped" not in said:
@@ -241,7 +247,8 @@ def interrupt_loop(name: str, folder: Path, moments: list[float]) -> tuple[str, 
             answers.append(line)
             heard.release()
 
-    threading.Thread(target=listen, daemon=True).start()
+    listener = threading.Thread(target=listen, daemon=True)
+    listener.start()
     if not heard.acquire(timeout=60):
         wrong.append("it does not begin")
     for moment in moments if not wrong else []:
@@ -254,6 +261,8 @@ def interrupt_loop(name: str, folder: Path, moments: list[float]) -> tuple[str, 
         longest = max(longest, time.monotonic() - start)
     process.kill()
     process.wait()
+    listener.join()
+    process.stdout.close()
     said = (folder / "stderr").read_text(errors="replace")
     wrong += [word for word in WRONG if word in said]
     if wrong:

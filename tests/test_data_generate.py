@@ -140,11 +140,14 @@ def test_a_cluster_whose_worker_is_killed_makes_the_same_bytes(undisturbed, tmp_
     assert check_dataset(folder) == []
 
 
-def test_a_scheduler_that_is_not_there(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("address", "error"), [("tcp://127.0.0.1:9", ConnectionError), ("tls://127.0.0.1:9", ValueError)]
+)
+def test_a_scheduler_that_is_not_there_or_needs_certificates(tmp_path, monkeypatch, address, error):
     pytest.importorskip("distributed")
     monkeypatch.setattr(_jobs, "_PATIENCE", 0.5)
-    with pytest.raises(ConnectionError, match=r"tcp://127\.0\.0\.1:9"):
-        generate_dataset(TINY, tmp_path / "data", 1, SEED, scheduler="tcp://127.0.0.1:9", progress=False)
+    with pytest.raises(error, match=address):
+        generate_dataset(TINY, tmp_path / "data", 1, SEED, scheduler=address, progress=False)
 
 
 @pytest.mark.parametrize(

@@ -31,8 +31,8 @@ OWNER = """
 import sys
 sys.path.insert(0, sys.argv[1])
 from topokit._processes import in_fresh_processes
-from fresh_jobs import blocked, wait
-print(list(in_fresh_processes(blocked if sys.argv[2] == "blocked" else wait, [sys.argv[2]])))
+import fresh_jobs
+print(list(in_fresh_processes(getattr(fresh_jobs, sys.argv[2]), [sys.argv[3]])))
 """
 
 
@@ -107,16 +107,16 @@ def test_ctrl_c_stops_the_processes(tmp_path, ctrl_c):
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
-def test_the_keys_and_the_end_of_a_terminal_are_for_the_caller_alone():
-    command = [sys.executable, "-c", OWNER, str(Path(__file__).parent), "blocked"]
+def test_a_process_hears_neither_the_keys_of_a_terminal_nor_the_network():
+    command = [sys.executable, "-c", OWNER, str(Path(__file__).parent), "hears", ""]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert said == f"[('blocked', [{signal.SIGHUP:d}, {signal.SIGINT:d}])]\n"
+    assert said == f"[('', ([{signal.SIGHUP:d}, {signal.SIGINT:d}], 0))]\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_nothing_is_left_of_an_owner_that_is_killed(tmp_path, number):
     pids = tmp_path / "pids"
-    owner = subprocess.Popen([sys.executable, "-c", OWNER, str(Path(__file__).parent), str(pids)])
+    owner = subprocess.Popen([sys.executable, "-c", OWNER, str(Path(__file__).parent), "wait", str(pids)])
     wait_until(pids.exists, owner)
     assert not any(map(is_gone, pids.read_text().split()))
     owner.send_signal(number)

@@ -59,7 +59,8 @@ def generate_dataset(
     seed : int
         Seed of the dataset, from which the seeds of the episodes are drawn.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers see the same folder. When not given, processes of this machine work.
+        Address of a Dask scheduler whose workers see the same folder. When not given, processes of this machine work. Whoever
+        reaches a scheduler runs code on it: use a ``tls://`` address, with the certificates of Dask's own settings.
     n_workers : int, optional
         Number of processes on this machine; one for each core when not given.
     time_limit : float

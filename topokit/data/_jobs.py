@@ -98,12 +98,16 @@ def _outcomes(job: Job, numbers: Sequence[int], workers: Workers) -> Generator[t
 
 
 def _on_cluster(job: Job, numbers: Sequence[int], workers: Workers) -> Generator[tuple[int, Any]]:
+    import dask
     from distributed import Client, KilledWorker, as_completed
 
+    address = str(workers.scheduler)
+    if address.startswith("tls:") and not dask.config.get("distributed.comm.tls.ca-file", None):
+        raise ValueError(f"{address}: Dask's own settings, distributed.comm.tls, must name the certificates")
     try:
-        client = Client(workers.scheduler, timeout=_PATIENCE, set_as_default=False)
+        client = Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, TimeoutError) as error:
-        raise ConnectionError(f"no Dask scheduler answers at {workers.scheduler}: {error}") from error
+        raise ConnectionError(f"no Dask scheduler answers at {address}: {error}") from error
     with client:
         # Dask gives the job of a worker that dies to another one, and gives up when it dies again and again.
         afresh = partial(_one_afresh, job, workers)
