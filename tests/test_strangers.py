@@ -254,7 +254,9 @@ REFUSED: list[tuple[str, str, Any, str]] = [
     ("cloud", "film", folder_with_pipe, "1.npy: a device or a pipe"),
     ("cloud", "lens", partial(image_beside_lens, "{"), r"intrinsics\.json: "),
     ("cloud", "list", partial(image_beside_lens, []), r"intrinsics\.json: it must be an object"),
-    ("cloud", "focal", partial(image_beside_lens, {**LENS, "fx": "wide"}), r"intrinsics\.json: .*wide"),
+    ("cloud", "focal", partial(image_beside_lens, {**LENS, "fx": "wide"}), r"intrinsics\.json: fx .* 'wide'"),
+    ("cloud", "large", partial(image_beside_lens, {**LENS, "fx": 1e300}), r"intrinsics\.json: .* fx, fy"),
+    ("cloud", "matrix", partial(image_beside_lens, {"K": {"rows": 3}}), r"intrinsics\.json: .* nine numbers"),
     ("cloud", "shape", partial(image_beside_lens, {**LENS, "width": 80, "height": 30}), "80 by 30, .* 40 by 30"),
     # Bags.
     ("cloud", "no.mcap", b"hello", "MCAP"),
@@ -265,6 +267,7 @@ REFUSED: list[tuple[str, str, Any, str]] = [
     ("cloud", "message", packed_message, "TOPOKIT_UNPACKED"),
     ("cloud", "file", packed_file, "TOPOKIT_UNPACKED"),
     ("cloud", "computed", computed_messages, "messages"),
+    ("cloud", "times", lambda path: edited(path, "UPDATE messages SET timestamp = 'now'"), "no time"),
     ("cloud", "colour", partial(depth_bag, info="/camera/colour/camera_info"), "needs its camera"),
     ("cloud", "silent", partial(depth_bag, info="/camera/depth/camera_info", empty=True), "needs its camera"),
     # Meshes.
@@ -327,6 +330,7 @@ REFUSED: list[tuple[str, str, Any, str]] = [
     ("episode", "a.npz", partial(zip_of, header__json=b"{}", points__npy=ZEROS), "TOPOKIT_UNPACKED"),
     ("episode", "a.npz", episode_with(lambda head, _: head.update(schema=99)), "schema 99"),
     ("episode", "a.npz", episode_with(lambda head, _: head.update(loops=[[0.5, 1]])), "loop"),
+    ("episode", "a.npz", episode_with(lambda head, _: head.update(loops=[[1, 10**30]])), "vertex 10{30}"),
     ("states", "a.npz", None, "no such file"),
     # Configurations.
     ("config", "a.json", "[" * 100_000, "a.json.*nested"),

@@ -98,8 +98,8 @@ class LoopFeatures(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         if rows.shape[1] % n_dims:
             raise ValueError(f"a row of X has {rows.shape[1]} numbers: no points of n_dims={n_dims} coordinates")
         if rows.shape[1] == n_dims > 1 and len(rows) > 1:
-            question = f"X is one array {rows.shape}: is it a cloud of {len(rows)} points? Then give [X], for with n_dims={n_dims}"
-            raise ValueError(f"{question} each row is a cloud of one point, which has no loop")
+            question = f"X is one array {rows.shape}: is it a cloud of {len(rows)} points? Then give [X]"
+            raise ValueError(f"{question}; with n_dims={n_dims} each row is a cloud of one point, which has no loop")
         return list(rows.reshape(len(rows), -1, n_dims))
 
     def __sklearn_tags__(self) -> Tags:

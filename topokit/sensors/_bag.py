@@ -321,8 +321,10 @@ class _Sqlite:
         rows = [
             (received, row, topic)
             for row, received, topic in self._rows("SELECT rowid, timestamp, topic_id FROM messages")
-            if topic in about and isinstance(received, int)
+            if topic in about
         ]
+        if not all(isinstance(received, int) for received, _, _ in rows):
+            raise ValueError("it is damaged: a message has no time")
         for received, row, topic in sorted(rows):
             for (data,) in self._rows("SELECT data FROM messages WHERE rowid = ?", row):
                 if not isinstance(data, bytes):

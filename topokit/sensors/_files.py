@@ -32,6 +32,7 @@ _LARGEST = 30.0  # metres across: a room
 _SMALLEST = 0.02  # metres across: smaller than any garment
 _WIDEST = 16  # columns of a point, at most; an image has more
 _IMAGE_SIZES = {(240, 320), (424, 512), (480, 640), (480, 848), (576, 640), (720, 1280), (1080, 1920)}  # depth cameras
+_MOST_PIXELS = 1e6  # of a focal length
 _BYTES_A_PIXEL = 4  # of a depth image, in the reckoning of what it may unpack to; its cloud takes ten times as much
 _NUMBER = re.compile(r"((?<![0-9A-Za-z])-(?=\.?\d)|)((?<![A-Za-z])(?:\d+\.\d+|\.\d+)|\d+)")
 _ROS_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -326,33 +327,42 @@ def _numbers_of_lens(entries: Mapping[str, Any], shape: tuple[int, ...]) -> list
     if matrices:
         numbers = matrices[0]
         if isinstance(numbers, Mapping):
-            numbers = numbers["data"]  # the form of OpenCV
-        if np.size(numbers) != 9:
-            raise ValueError("the matrix of a camera has nine numbers")
-        k = np.array(numbers, float).reshape(3, 3)
+            numbers = numbers.get("data", ())  # the form of OpenCV
+        k = as_reals(numbers, "the matrix of a camera").astype(float)
+        if k.size != 9:
+            raise ValueError(f"the matrix of a camera has nine numbers, not {k.size}")
+        k = k.reshape(3, 3)
         if not k[0, 2]:
             k = k.T  # the form of Open3D, column by column
         entries = {**entries, "fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
     lens = []
-    for names in (("fx",), ("fy",), ("cx", "ppx"), ("cy", "ppy")):
-        values = [float(entries[name]) for name in names if name in entries]
-        lens.append(values[0] if values else math.nan)
-    scale = float(entries.get("depth_scale", 1e-3))
-    if not all(map(math.isfinite, [*lens, scale])) or not min(*lens[:2], scale) > 0:
+    for name, other in (("fx", ""), ("fy", ""), ("cx", "ppx"), ("cy", "ppy")):
+        value = entries.get(name, entries.get(other, math.nan))
+        lens.append(_number(value, name))
+    scale = _number(entries.get("depth_scale", 1e-3), "depth_scale")
+    if not all(abs(number) < _MOST_PIXELS for number in [*lens, scale]) or not min(*lens[:2], scale) > 0:
         where = f"(JSON, as in a CameraInfo), as intrinsics=, --intrinsics FILE, or {_INTRINSICS} beside it"
         raise ValueError(f"a depth image needs its camera: fx, fy, cx and cy in pixels {where}")
     if scale >= 1:
         scale = 1 / scale  # units a metre
 
     # Centres of pixels are whole numbers, so their borders are at halves: these are what is scaled.
-    size = [entries.get(name, entries.get(f"image_{name}", 0)) for name in ("width", "height")]
+    size = [_number(entries.get(name, entries.get(f"image_{name}", 0)), name) for name in ("width", "height")]
     if all(size) and tuple(size) != (shape[1], shape[0]):
         factor = shape[1] / size[0]
         if not math.isclose(factor, shape[0] / size[1], rel_tol=0.01):
-            raise ValueError(f"it is of images {size[0]} by {size[1]}, and this one is {shape[1]} by {shape[0]} pixels")
+            raise ValueError(
+                f"it is of images {size[0]:g} by {size[1]:g}, and this one is {shape[1]} by {shape[0]} pixels"
+            )
         fx, fy, cx, cy = lens
         lens = [factor * fx, factor * fy, factor * (cx + 0.5) - 0.5, factor * (cy + 0.5) - 0.5]
     return [*lens, scale]
+
+
+def _number(value: Any, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise ValueError(f"{name} must be a number, not {value!r:.80}")
+    return float(min(max(value, -1e300), 1e300))  # a whole number of Python may be too large
 
 
 # -- one reader for each kind of file ---------------------------------------------------------------------------------------

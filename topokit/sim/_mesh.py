@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from topokit._strangers import printable
 from topokit._validate import as_ids, positive
 from topokit.linking import side_lengths
 
@@ -136,7 +137,7 @@ def from_mesh(
         done = f" (done before: {'; '.join(repairs)})" if repairs else ""
         raise type(error)(f"{path}: {error}{done}") from error
     for repair in repairs:
-        _log.warning("%s: %s", path, repair)
+        _log.warning("%s", printable(f"{path}: {repair}"))
     return Path(path).stem, placed, faces, cycles, held, {"scale": factor}, tuple(repairs), names
 
 
