@@ -27,7 +27,7 @@ SQUARE = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
 RING = np.insert(polygon(8), 2, 0.0, axis=1)
 HOOK = np.array([[0.0, 3, -2], [0, 3, 1], [0, 0, 1], [0, 0, 2]])
 WAY = [[0.0, 0, 1 / 3], [0, 0, 3]]
-MEASURES = {"hull": "hull_accuracy", "strict": "marked curve alone, within 0 cm", "opening": "in_opening"}
+MEASURES = {"hull": "hull_accuracy", "paper": "marked curve alone, within 0 cm", "opening": "in_opening"}
 NETWORK = re.compile(r"https?:|//[a-z]+\.[a-z]|@import|url\(|<link|src=|fetch\(|XMLHttpRequest|WebSocket")
 
 
