@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import forecasts
+import linkers
 import numpy as np
 import pandas as pd
 import paper
@@ -205,6 +206,36 @@ def test_windows_in_the_frame_of_the_grippers_are_the_same_scene():
     # Carry forecasts the same in any frame.
     carry = build("carry", Shape(points=8)).eval()
     assert torch.allclose(remedied.forecaster(carry)(window).corners, carry(window).corners, atol=1e-5)
+
+
+LINKED = {
+    "trackpy": ("trackpy", {"reach": 0.2, "memory": 0}),
+    "LapTrack": ("laptrack", {"reach": 0.2, "memory": 0}),
+    "Stone Soup, nearest": ("stonesoup", {"motion": 0.1, "noise": 0.03, "missed": 3, "memory": 5}),
+    "Stone Soup, JPDA": ("stonesoup", {"motion": 0.1, "noise": 0.03, "missed": 0.95, "memory": 5}),
+    "bottleneck": ("persim", {"distance": "bottleneck"}),
+    "Wasserstein": ("persim", {"distance": "wasserstein"}),
+    "lifted Wasserstein": ("scipy", {"weight": 1.0}),
+}
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("linker", LINKED)
+def test_linkers_follow_two_bars_that_change_their_order(linker):
+    package, options = LINKED[linker]
+    pytest.importorskip(package)
+    places = np.array([[0.0, 0, 0], [1.0, 0, 0]])
+    diagram = np.array([[0.01, 0.3], [0.02, 0.2]])
+    frames = []
+    for t in range(8):
+        order = [0, 1] if t % 3 else [1, 0]
+        centre = places[order] + 0.01 * t
+        frames.append(linkers.Bars(centre, centre + 0.1, diagram[order]))
+    ids = linkers.LINKERS[linker][0](frames, **options)
+    # The identity that each of the two places has in each frame; a filter begins with the second frame.
+    by_place = [names[np.argsort(bars.centre[:, 0])].tolist() for bars, names in zip(frames, ids, strict=True)]
+    assert by_place[1:] == [by_place[1]] * 7
+    assert len(set(by_place[1])) == 2
 
 
 # -- scripts -----------------------------------------------------------------------------------------------------------------

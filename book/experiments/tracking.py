@@ -18,7 +18,7 @@ import json
 import platform
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -88,9 +88,9 @@ def remembered(clouds: Clouds) -> list[tk.TopologicalState]:
     return [memory.open_loops(tracker.update(memory(cloud, eye=CAMERA.eye))) for cloud in clouds]
 
 
-def simulated(folder: Path, seeds: int) -> list[Path]:
+def simulated(folder: Path, seeds: Iterable[int]) -> list[Path]:
     """Return the files of all episodes; those that are missing are simulated. A refused one leaves a note of the reason."""
-    wanted = [(task, seed) for seed in range(seeds) for task in TASKS]
+    wanted = [(task, seed) for seed in seeds for task in TASKS]
     folder.mkdir(parents=True, exist_ok=True)
     for done, (task, seed) in enumerate(wanted):
         path = folder / f"{task}_{seed}.npz"
@@ -465,7 +465,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="file for all tables as JSON")
     parser.add_argument("--clips", type=Path, help="folder for a few frames around some failures")
     options = parser.parse_args()
-    paths = simulated(options.episodes, options.seeds)
+    paths = simulated(options.episodes, range(options.seeds))
     rows = scored(paths, options.episodes / "scores.jsonl")
     tell("")
     command = (
