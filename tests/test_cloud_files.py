@@ -155,6 +155,15 @@ def test_what_is_no_point_is_left_out_and_counted(tmp_path):
     np.testing.assert_array_equal(clouds(gaps)[0], [[1, 2, 3], [4, 5, 6]])
 
 
+def test_a_frame_without_points_is_named(tmp_path):
+    film = np.ones((3, 2, 3))
+    film[1] = 0
+    np.save(tmp_path / "film.npy", film)
+    [answer] = read([tmp_path / "film.npy"])
+    assert answer["frames"] == []
+    assert [error[:19] for error in answer["errors"]] == ["film.npy: frame 1: "]
+
+
 def test_a_bad_file_is_named_and_the_others_are_read(files, tmp_path):
     bad = tmp_path / "bad.npy"
     bad.write_bytes(b"hello")

@@ -420,9 +420,9 @@ function fileReaders() {
 
   // ---- frames --------------------------------------------------------------------------------------------------------
   const MOST_USED = 800, MOST_AROUND = 4000, MOST_ERRORS = 20;
-  function thinned(numbers, columns, frames = 1) { // up to 800 farthest points in their order; all points, where there are no more; some to be seen around them
+  function thinned(numbers, columns, frames = 1, where = "") { // up to 800 farthest points in their order; all points, where there are no more; some to be seen around them
     const { points, left } = tidy(numbers, columns), count = points.length / 3;
-    if (!count) fail(`none of its ${many(left.rows, "point")} is left: ${left.notFinite} not finite, ${left.atZero} at zero`);
+    if (!count) fail(`${where}none of its ${many(left.rows, "point")} is left: ${left.notFinite} not finite, ${left.atZero} at zero`);
     const { ids, radii } = farthestPoints(points, count, 3, Math.min(count, MOST_USED));
     const step = Math.ceil((count * Math.min(frames, 4)) / MOST_AROUND), around = new Float32Array(3 * Math.ceil(count / step));
     for (let i = 0; i < around.length; i += 3) around.set(points.subarray(i * step, i * step + 3), i);
@@ -439,7 +439,7 @@ function fileReaders() {
         if (film.several && clouds.length > 1) fail(`it is a film of ${clouds.length} frames; give it alone`);
         for (const [t, numbers] of clouds.entries()) {
           onProgress((k + t / clouds.length) / sorted.length);
-          film.frames.push(thinned(numbers, columns, sorted.length * clouds.length));
+          film.frames.push(thinned(numbers, columns, sorted.length * clouds.length, clouds.length > 1 ? `frame ${t}: ` : ""));
         }
         film.names.push(file.name);
         Object.assign(film, { columns: Math.min(columns, 3), python: film.python || python, whole });
