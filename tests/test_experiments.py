@@ -15,6 +15,7 @@ import pandas as pd
 import paper
 import pytest
 import torch
+import tracking_benchmark
 from _paper_windows import Remedied
 from forecasts import Clouds, Condition, EvaluationConfig, evaluate_forecasts, load_evaluation
 from scipy.stats import mannwhitneyu
@@ -236,6 +237,38 @@ def test_linkers_follow_two_bars_that_change_their_order(linker):
     by_place = [names[np.argsort(bars.centre[:, 0])].tolist() for bars, names in zip(frames, ids, strict=True)]
     assert by_place[1:] == [by_place[1]] * 7
     assert len(set(by_place[1])) == 2
+
+
+def test_tracks_of_a_film_are_scored_from_either_format(tmp_path, monkeypatch, capsys):
+    conditions = [("every 8th frame", lambda points: list(points[::8]), 8)]
+    monkeypatch.setattr(
+        tracking_benchmark,
+        "conditions",
+        lambda episode: [(name, clouds(episode.points), stride) for name, clouds, stride in conditions],
+    )
+    monkeypatch.setattr(tracking_benchmark, "simulated", lambda *_: [DATA / "apron_hook_0.npz"])
+    films, tracks, out = tmp_path / "films", tmp_path / "tracks", tmp_path / "scores.csv"
+    tracking_benchmark.main(["make", "--episodes", str(tmp_path), "--films", str(films)])
+    score = ["score", "--films", str(films), "--tracks", str(tracks), "--out", str(out)]
+
+    # The truth, as MOTChallenge has it and as CSV, has full marks; without tracks there are none.
+    truth = films / "every-8th-frame" / "apron_hook_0.gt.txt"
+    mine = tracks / "every-8th-frame" / "apron_hook_0.txt"
+    mine.parent.mkdir(parents=True)
+    table = pd.read_csv(truth, header=None)[[0, 1, 7, 8, 9]]
+    table.columns = ["frame", "id", "x", "y", "z"]
+    table["frame"] -= 1
+    found = []
+    for write in (lambda: None, lambda: shutil.copy(truth, mine), lambda: table.to_csv(mine.with_suffix(".csv"))):
+        write()
+        assert tracking_benchmark.main(score) == 0
+        found.append(pd.read_csv(out).loc[0, ["idf1", "hota"]].tolist())
+    assert found == [[0, 0], [1, 1], [1, 1]]
+
+    # An identity that a frame has twice is refused with its row.
+    pd.concat([table, table.iloc[3:4]]).to_csv(mine.with_suffix(".csv"))
+    assert tracking_benchmark.main(score) == 1
+    assert f"row {len(table) + 1}" in capsys.readouterr().err
 
 
 # -- scripts -----------------------------------------------------------------------------------------------------------------

@@ -1,0 +1,202 @@
+"""Make the films of the tracking benchmark, and score anyone's tracks of them.
+
+    python book/experiments/tracking_benchmark.py make --episodes DIR --films FILMS
+    python book/experiments/tracking_benchmark.py seqph --films FILMS --tracks TRACKS
+    python book/experiments/tracking_benchmark.py score --films FILMS --tracks TRACKS --out scores.csv
+
+`make` simulates the 63 episodes of chapter 7 where they are missing (a minute each), and writes each in twenty conditions to
+FILMS/condition/film.npz: an episode whose observed points are what a tracker may see, with the true loops. Clouds of different
+sizes are filled up by repeating points. Beside it lies film.gt.txt, the true loops in the format of MOTChallenge.
+
+`score` reads TRACKS/condition/film.csv with the columns frame, id, x, y, z (frames from 0, metres), or film.txt as MOTChallenge
+and TrackEval have it: frame (from 1), id, four numbers of a box, a confidence, x, y, z. A film without a file has no tracks.
+`seqph` writes the tracks of topokit's default in the first format. The page *A benchmark of trackers* has the rules.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+from tracking import MEASURES, simulated
+
+import topokit as tk
+from topokit.evaluate import TrackingScore, compare, score, true_loops
+from topokit.io import Episode, load_episode, save_episode
+
+from _tracking_clouds import Clouds, conditions
+
+SEEDS = 3
+COLUMNS = ["frame", "id", "x", "y", "z"]
+MOT_COLUMNS = ["frame", "id", "left", "top", "width", "height", "confidence", "x", "y", "z"]
+
+
+def slug(condition: str) -> str:
+    """Return the name of a condition's folder."""
+    return condition.replace(",", "").replace("%", "percent").replace("'", "").replace(" ", "-")
+
+
+def film_of(episode: Episode, clouds: Clouds, stride: int, condition: str) -> Episode:
+    """Return an episode whose observed points are some clouds, one for every `stride` frames."""
+    most = max(len(cloud) for cloud in clouds)
+    arrays: dict[str, Any] = {
+        name: getattr(episode, name)[::stride] for name in ("points", "actions", "grippers", "held")
+    }
+    arrays["observed"] = np.array([cloud[np.resize(np.arange(len(cloud)), most)] for cloud in clouds], np.float32)
+    note = {"condition": condition, "sizes": [len(cloud) for cloud in clouds], "stride": stride}
+    return dataclasses.replace(episode, **arrays, dt=episode.dt * stride, observation=note)
+
+
+def make(episodes: Path, films: Path) -> None:
+    """Write all films, and their true loops in the format of MOTChallenge."""
+    for path in tqdm(simulated(episodes, range(SEEDS)), "films", unit="episode"):
+        episode = load_episode(path)
+        for condition, clouds, stride in conditions(episode):
+            out = films / slug(condition) / path.name
+            if out.exists():
+                continue
+            out.parent.mkdir(parents=True, exist_ok=True)
+            film = film_of(episode, clouds, stride, condition)
+            truth_table(film).to_csv(out.with_suffix(".gt.txt"), header=False, index=False)
+            save_episode(out, film)
+
+
+def truth_table(film: Episode) -> pd.DataFrame:
+    """Return a row for each true loop and frame in which it is present, with the columns of MOTChallenge."""
+    rows = [
+        (frame + 1, loop + 1, -1, -1, -1, -1, 1, *true.centres[loop])
+        for frame, true in enumerate(true_loops(film.points, film.loops))
+        for loop in np.flatnonzero(true.present).tolist()
+    ]
+    return pd.DataFrame(rows, columns=MOT_COLUMNS).round(5)
+
+
+def clouds_of(film: Episode) -> Clouds:
+    """Return the clouds of a film without the repeated points at their ends."""
+    sizes = film.observation["sizes"]
+    return [cloud[:size].astype(float) for cloud, size in zip(film.observed, sizes, strict=True)]
+
+
+def films_in(folder: Path) -> Iterator[tuple[str, Path]]:
+    """Yield condition and path of each film."""
+    paths = sorted(folder.glob("*/*.npz"))
+    if not paths:
+        raise FileNotFoundError(f"{folder}: no film at */*.npz; the command make writes them")
+    for path in paths:
+        yield path.parent.name, path
+
+
+def write_seqph(films: Path, tracks: Path) -> None:
+    """Write the tracks of topokit's default tracker."""
+    for condition, path in tqdm(list(films_in(films)), "seqPH", unit="film"):
+        states = tk.track(clouds_of(load_episode(path)), n_jobs=1)
+        rows = [(state.frame, loop.id, *loop.centre) for state in states for loop in state.loops]
+        out = tracks / condition / f"{path.stem}.csv"
+        out.parent.mkdir(parents=True, exist_ok=True)
+        pd.DataFrame(rows, columns=COLUMNS).round(5).to_csv(out, index=False)
+
+
+def read_tracks(path: Path, frames: int) -> pd.DataFrame:
+    """Read tracks in either format; frames are numbered from 0.
+
+    Raises
+    ------
+    ValueError
+        When a column is missing, a value is no number, a frame is not in the film, or a frame has an identity twice.
+    """
+    if path.suffix == ".txt":
+        table = pd.read_csv(path, header=None, names=MOT_COLUMNS)
+        table["frame"] -= 1
+    else:
+        table = pd.read_csv(path)
+    missing = [column for column in COLUMNS if column not in table]
+    if missing:
+        raise ValueError(f"{path}: the column {missing[0]} is missing; wanted are {', '.join(COLUMNS)}")
+    table = table[COLUMNS].apply(pd.to_numeric, errors="coerce")
+    bad = ~np.isfinite(table).all(axis=1)
+    bad |= (table["frame"] < 0) | (table["frame"] >= frames) | (table[["frame", "id"]] % 1 != 0).any(axis=1)
+    bad |= table.duplicated(["frame", "id"])
+    if bad.any():
+        row = int(np.flatnonzero(bad)[0])
+        raise ValueError(
+            f"{path}: row {row + 1} has no place, a frame that is not among the {frames} of the film, "
+            "an identity that is no whole number, or one that its frame has already"
+        )
+    return table
+
+
+def score_film(film: Episode, table: pd.DataFrame) -> TrackingScore:
+    """Return the score of tracks of a film."""
+    states: list[Any] = []
+    for frame in range(len(film)):
+        rows = table[table["frame"] == frame]
+        loops = [SimpleNamespace(id=int(row.id), centre=np.array([row.x, row.y, row.z])) for row in rows.itertuples()]
+        states.append(SimpleNamespace(loops=loops))
+    return score(compare(states, true_loops(film.points, film.loops)))
+
+
+def score_all(films: Path, tracks: Path) -> pd.DataFrame:
+    """Return a row for each condition: films, films with tracks, measures and switches of all films together."""
+    totals: dict[str, TrackingScore] = {}
+    counts: dict[str, list[int]] = {}
+    for condition, path in tqdm(list(films_in(films)), "scores", unit="film"):
+        film = load_episode(path)
+        found = [each for suffix in (".csv", ".txt") if (each := tracks / condition / f"{path.stem}{suffix}").exists()]
+        table = read_tracks(found[0], len(film)) if found else pd.DataFrame(columns=COLUMNS)
+        reached = score_film(film, table)
+        totals[condition] = totals[condition] + reached if condition in totals else reached
+        count = counts.setdefault(condition, [0, 0])
+        count[0] += 1
+        count[1] += bool(found)
+    rows = [
+        {
+            "condition": condition,
+            "films": counts[condition][0],
+            "with tracks": counts[condition][1],
+            **{name: round(float(getattr(reached, name)), 4) for name in MEASURES},
+            "switches": int(reached.switches),
+        }
+        for condition, reached in totals.items()
+    ]
+    return pd.DataFrame(rows)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Make films, write tracks, or score tracks."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("command", choices=("make", "seqph", "score"))
+    parser.add_argument("--episodes", type=Path, help="folder for the simulated episodes (make)")
+    parser.add_argument("--films", type=Path, required=True, help="folder of the films")
+    parser.add_argument("--tracks", type=Path, help="folder of the tracks (seqph, score)")
+    parser.add_argument("--out", type=Path, help="file for the scores as CSV (score)")
+    options = parser.parse_args(arguments)
+    needed = "episodes" if options.command == "make" else "tracks"
+    if getattr(options, needed) is None:
+        parser.error(f"{options.command} needs --{needed}")
+    if options.command == "make":
+        make(options.episodes, options.films)
+        return 0
+    if options.command == "seqph":
+        write_seqph(options.films, options.tracks)
+        return 0
+    try:
+        table = score_all(options.films, options.tracks)
+    except (ValueError, FileNotFoundError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    print(table.to_string(index=False))
+    if options.out:
+        table.to_csv(options.out, index=False)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
