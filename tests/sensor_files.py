@@ -75,9 +75,9 @@ def image_message(image: np.ndarray, t: float, encoding: str = "16UC1") -> objec
     return message(header(t), *image.shape, encoding, 0, step, np.frombuffer(image.tobytes(), np.uint8))
 
 
-def info_message(t: float, frame: str = "camera") -> object:
+def info_message(t: float, frame: str = "camera", focal: float = 30.0) -> object:
     roi = MESSAGES.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-    k = np.array([30.0, 0, 20, 0, 30, 15, 0, 0, 1])
+    k = np.array([focal, 0, 20, 0, focal, 15, 0, 0, 1])
     r, p = np.eye(3).ravel(), np.zeros(12)
     message = MESSAGES.types["sensor_msgs/msg/CameraInfo"]
     return message(header(t, frame), 30, 40, "plumb_bob", np.zeros(5), k, r, p, 0, 0, roi)
@@ -120,6 +120,8 @@ def save_ros1_bag(path: Path, topics: dict[str, list[object]]) -> Path:
 def of_ros1(message: object) -> object:
     """The same message as ROS 1 has it: its header has a number, and a camera's matrices are capitals."""
     types = get_typestore(Stores.ROS1_NOETIC).types
+    if not hasattr(message, "header"):
+        return types[message.__msgtype__](message.data)
     parts = vars(message) | {name.upper(): value for name, value in vars(message).items()}
     parts["header"] = types["std_msgs/msg/Header"](0, message.header.stamp, message.header.frame_id)
     kind = types[message.__msgtype__]

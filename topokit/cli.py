@@ -152,7 +152,7 @@ class CloudOptions:
     intrinsics
         Intrinsics fx, fy, cx and cy of a depth camera (.json).
     topic
-        Topic of a ROS 2 bag.
+        Topic of a bag.
     fps
         Frames a second, of clouds without times.
     """
@@ -278,7 +278,7 @@ def track(
     Parameters
     ----------
     episode
-        A recorded episode (.npz), or clouds: .npy, .npz, .ply, .pcd, depth images (.png), a ROS 2 bag, a folder of files.
+        A recorded episode (.npz), or clouds: .npy, .npz, .ply, .pcd, depth images (.png), a bag of ROS 1 or 2, a folder of files.
     live
         Read clouds from standard input, .npy arrays one after another, and print a line of JSON for each as it comes.
     out

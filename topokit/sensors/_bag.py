@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import bz2
 import contextlib
+import functools
 import io
 import re
 import sqlite3
@@ -48,16 +49,22 @@ class Message:
 
     def decoded(self) -> Any:
         """Return the message; its type is ROS's own, whatever the file declares."""
-        from rosbags.typesys import Stores, get_typestore
-
         if self.of_ros1:
-            return get_typestore(Stores.ROS1_NOETIC).deserialize_ros1(self.data, self._type)
-        return get_typestore(Stores.LATEST).deserialize_cdr(self.data, self._type)
+            return _types("ROS1_NOETIC").deserialize_ros1(self.data, self._type)
+        return _types("LATEST").deserialize_cdr(self.data, self._type)
 
     @property
     def _type(self) -> str:
         package = "std_msgs" if self.kind == "Float32" else "sensor_msgs"
         return f"{package}/msg/{self.kind}"
+
+
+@functools.cache
+def _types(version: str) -> Any:
+    """Return the types of messages of a version of ROS; code that decodes each of them is made once."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores[version])
 
 
 class Bag:
