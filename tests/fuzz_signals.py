@@ -55,11 +55,12 @@ GO_ON = ("generate", "label", "train")
 
 # Loops of a user: what is computed again and again, after this beginning.
 LOOP = """
-import signal, sys
+import faulthandler, signal, sys
 import numpy as np
 import topokit as tk
 from topokit.io import load_episode
 
+faulthandler.register(signal.SIGUSR1)
 signal.signal(signal.SIGINT, signal.default_int_handler)
 film = load_episode("episode.npz")
 states = tk.track(film.points[:20])
@@ -256,7 +257,9 @@ def interrupt_loop(name: str, folder: Path, moments: list[float]) -> tuple[str, 
         start = time.monotonic()
         process.send_signal(signal.SIGINT)
         if not heard.acquire(timeout=PATIENCE):
-            wrong.append(f"not heard after {moment:.3f} s; it ended by {process.poll()}")
+            wrong.append(f"not heard after {moment:.3f} s; it ended by {process.poll()}, or is here:")
+            process.send_signal(signal.SIGUSR1)
+            time.sleep(1)
             break
         longest = max(longest, time.monotonic() - start)
     process.kill()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import gc
+import os
+import signal
 import subprocess
 import sys
 import warnings
@@ -42,6 +44,26 @@ def play(env, seed, policy=None):
         total += reward
         done = terminated or truncated
     return total, info, terminated
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_ctrl_c_while_a_world_begins_leaves_the_output(monkeypatch, ctrl_c, capfd):
+    """What PyBullet prints meanwhile is discarded; the signal comes between giving back the one output and the other."""
+    dup2 = os.dup2
+    calls = []
+
+    def interrupted(*arguments):
+        dup2(*arguments)
+        calls.append(arguments)
+        if len(calls) == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(os, "dup2", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        make().reset(seed=0)
+    monkeypatch.undo()
+    os.write(2, b"heard")
+    assert capfd.readouterr().err == "heard"
 
 
 def test_an_environment_that_is_dropped_gives_its_memory_back():

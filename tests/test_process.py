@@ -78,9 +78,10 @@ def test_a_script_is_not_run_again_nor_a_module_of_the_working_directory(tmp_pat
     script.write_text(SIMULATE)
     here.mkdir()
     for name in ("dataclasses", "multiprocessing", "signal", "scipy", "pybullet"):
-        (here / f"{name}.py").write_text("raise SystemExit('what lies around was run')\n")
+        (here / f"{name}.py").write_text("open('was run', 'w')\nraise SystemExit('what lies around was run')\n")
     done = subprocess.run([sys.executable, str(script)], cwd=here, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+    assert not (here / "was run").exists()
     assert len(done.stdout.splitlines()) == 1  # the script ran once, and PyBullet printed nothing
 
 

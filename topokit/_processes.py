@@ -71,7 +71,7 @@ def in_fresh_processes(
                     item, failures = waiting.popleft()
                     ours, theirs = _CONTEXT.Pipe(duplex=False)
                     arguments = (theirs, function, item, report is not None, folder)
-                    with _deferred_signals():  # so that every process that was started is stopped
+                    with deferred_signals():  # so that every process that was started is stopped
                         process = _started(_CONTEXT.Process(target=_perform, args=arguments), preload)
                         theirs.close()
                         running[ours] = _Job(item, failures, process, time.monotonic() + time_limit)
@@ -141,17 +141,17 @@ def _started(process: Any, preload: Sequence[str]) -> Any:
         return {**data, "sys_path": packages}
 
     with _starting, contextlib.ExitStack() as restore:
+        # The fork server inherits the environment: one thread each, and a safe path.
+        restore.callback(os.environ.update, dict(os.environ))
+        for name in own.keys() - os.environ.keys():
+            restore.callback(os.environ.pop, name)
+        os.environ.update(own)
         # A blocked signal stays blocked in the fork server and in all that it forks.
         if hasattr(signal, "pthread_sigmask"):
             mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
             restore.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
             multiprocessing.resource_tracker.ensure_running()  # it would unblock Ctrl-C again
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        # The fork server inherits the environment: one thread each, and a safe path.
-        restore.callback(os.environ.update, dict(os.environ))
-        for name in own.keys() - os.environ.keys():
-            restore.callback(os.environ.pop, name)
-        os.environ.update(own)
         # The fork server listens at a path in the folder of temporary files, which may be too long for an address.
         if len(tempfile.gettempdir()) > _LONGEST_FOLDER and os.path.isdir("/tmp"):
             restore.callback(setattr, tempfile, "tempdir", tempfile.tempdir)
@@ -168,18 +168,18 @@ def _started(process: Any, preload: Sequence[str]) -> Any:
 
 
 @contextlib.contextmanager
-def _deferred_signals() -> Iterator[None]:
-    """Let the signals that end this process act after the block, for the fork server complains of half a message."""
+def deferred_signals() -> Iterator[None]:
+    """Let the signals that end this process act after the block, which must not be left half done."""
     if threading.current_thread() is not threading.main_thread():  # signals are handled in the main thread alone
         yield
         return
     arrived: list[int] = []
     handlers = {}
-    for number in {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
-        if signal.getsignal(number) is not None:
-            handlers[number] = signal.getsignal(number)
-            signal.signal(number, lambda arrival, _: arrived.append(arrival))
     try:
+        for number in {signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}:
+            if signal.getsignal(number) is not None:
+                handlers[number] = signal.getsignal(number)
+                signal.signal(number, lambda arrival, _: arrived.append(arrival))
         yield
     finally:
         for number, handler in handlers.items():

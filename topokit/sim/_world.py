@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from topokit._config import Count, NotNegative, Positive, checked
+from topokit._processes import deferred_signals
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
@@ -93,17 +94,18 @@ def _silent() -> Iterator[None]:
     flush_c = ctypes.CDLL(None).fflush if os.name == "posix" else (lambda _: None)  # C keeps a buffer of its own
     sys.stdout.flush()
     sys.stderr.flush()
-    saved = [os.dup(1), os.dup(2)]
-    try:
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 1)
-            os.dup2(nowhere.fileno(), 2)
-            yield
-    finally:
-        flush_c(None)
-        for descriptor, copy in zip((1, 2), saved, strict=True):
-            os.dup2(copy, descriptor)
-            os.close(copy)
+    with deferred_signals():  # one of them would leave the output discarded
+        saved = [os.dup(1), os.dup(2)]
+        try:
+            with open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), 1)
+                os.dup2(nowhere.fileno(), 2)
+                yield
+        finally:
+            flush_c(None)
+            for descriptor, copy in zip((1, 2), saved, strict=True):
+                os.dup2(copy, descriptor)
+                os.close(copy)
 
 
 class World(contextlib.AbstractContextManager["World"]):
