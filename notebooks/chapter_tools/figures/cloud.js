@@ -404,11 +404,11 @@
     sample(asked.get("sample"), { ...view, cam: { az, el, zoom } });
   }
   async function copy(button, place) { // where the browser does not let a page write to the clipboard, the text is selected, to be copied by hand
-    const was = button.textContent;
+    const label = (button.dataset.label ??= button.textContent); // two clicks in a row leave it as it was
     try {
       await navigator.clipboard.writeText(place.textContent);
       button.textContent = "copied";
-      setTimeout(() => (button.textContent = was), 1500);
+      setTimeout(() => (button.textContent = label), 1500);
     } catch {
       getSelection().selectAllChildren(place);
     }
