@@ -22,15 +22,14 @@ import topokit
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "topokit"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+LOCKS = [ROOT / "requirements.txt", ROOT / "requirements-torch.txt"]
 EXTRAS = PROJECT["project"]["optional-dependencies"]
 PYPI_NAMES = {"pytorch": "torch", "matplotlib-base": "matplotlib", "dask-core": "dask", "lightning": "lightning-fabric"}
 
 
 def locked() -> dict[str, str]:
-    """Return the version of every package of the lock, and of torch, by name."""
-    pins = re.findall(r"^([A-Za-z0-9._-]+)==(\S+)", (ROOT / "requirements.txt").read_text(), re.MULTILINE)
-    (torch,) = PROJECT["dependency-groups"]["torch"]
-    return dict([*pins, tuple(torch.split("=="))])
+    """Return the version of every package of the locks by name."""
+    return dict(re.findall(r"^([A-Za-z0-9._-]+)==(\S+)", "".join(map(Path.read_text, LOCKS)), re.MULTILINE))
 
 
 def requirements() -> list[Requirement]:
@@ -45,14 +44,20 @@ def requirements() -> list[Requirement]:
 def test_the_lock_has_what_is_asked_for_and_what_that_needs():
     for requirement in requirements():
         assert locked()[requirement.name] in requirement.specifier, requirement
-    missing = needed(map(str, requirements())) - {canonicalize_name(name) for name in locked()}
-    assert not {name for name in missing if not name.startswith(("cuda", "nvidia", "triton"))}  # torch's CUDA build
+    assert not needed(map(str, requirements())) - {canonicalize_name(name) for name in locked()}
+    assert PROJECT["dependency-groups"]["torch"] == [f"torch=={locked()['torch']}"]
 
 
-def test_every_entry_of_the_lock_has_hashes():
-    entries = (ROOT / "requirements.txt").read_text().replace("\\\n", "").splitlines()
-    for entry in entries:
-        assert entry.startswith("#") or re.fullmatch(r"\S+==\S+( *--hash=sha256:[0-9a-f]{64})+", entry), entry
+@pytest.mark.parametrize("lock", LOCKS, ids=str)
+def test_every_entry_of_the_locks_has_hashes(lock):
+    for entry in lock.read_text().replace("\\\n", "").splitlines():
+        assert entry.startswith("#") or re.fullmatch(r"\S+==\S+( ;[^-]*)?( *--hash=sha256:[0-9a-f]{64})+", entry), entry
+
+
+def test_actions_of_workflows_are_pinned_by_commit():
+    workflows = "".join(path.read_text() for path in (ROOT / ".github" / "workflows").glob("*.yml"))
+    for action in re.findall("uses: (.*)", workflows):
+        assert re.fullmatch(r"actions/[a-z-]+@[0-9a-f]{40} # v[0-9.]+", action), action
 
 
 def test_conda_has_the_same_versions():
