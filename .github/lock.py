@@ -11,8 +11,9 @@ has the hashes of its release.
 import subprocess
 import sys
 import tempfile
-import tomllib
 from pathlib import Path
+
+import tomllib
 
 ROOT = Path(__file__).parent.parent
 LOCK = ROOT / "requirements.txt"

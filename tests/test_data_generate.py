@@ -6,6 +6,7 @@ import dataclasses
 import errno
 import json
 import os
+import shutil
 import signal
 import time
 
@@ -138,6 +139,17 @@ def test_a_cluster_whose_worker_is_killed_makes_the_same_bytes(undisturbed, tmp_
         labels = label_dataset(folder, options=OPTIONS, scheduler=address, progress=False)
     assert labels.counts == {"ok": EPISODES}
     assert check_dataset(folder) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links")
+def test_labels_follow_no_link_out_of_the_dataset(undisturbed, tmp_path):
+    copy, elsewhere = tmp_path / "data", tmp_path / "elsewhere"
+    shutil.copytree(undisturbed, copy)
+    elsewhere.mkdir()
+    (copy / "labels").symlink_to(elsewhere)
+    with pytest.raises(ValueError, match="labels"):
+        label_dataset(copy, progress=False)
+    assert not list(elsewhere.iterdir())
 
 
 @pytest.mark.parametrize(

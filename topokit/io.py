@@ -291,7 +291,9 @@ def _loop_of(ids: object) -> NDArray[np.int32]:
     if not isinstance(ids, list) or {type(i) for i in ids} - {int}:
         raise WrongKindError(f"a loop must be a list of vertex ids, not {ids!r:.80}")
     if not all(0 <= i < 2**31 for i in ids):
-        raise ValueError(f"a loop names vertex {next(i for i in ids if not 0 <= i < 2**31)!s:.80}, which no episode has")
+        raise ValueError(
+            f"a loop names vertex {next(i for i in ids if not 0 <= i < 2**31)!s:.80}, which no episode has"
+        )
     return np.array(ids, dtype=np.int32)
 
 

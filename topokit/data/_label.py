@@ -74,6 +74,8 @@ def label_dataset(
         raise ValueError(f"name {name!r} of labels: letters, digits, dots, hyphens and underscores only")
     workers = Workers(scheduler, n_workers, preload=_PRELOAD)
     target = dataset.folder / "labels" / name
+    if not target.resolve().is_relative_to(dataset.folder.resolve()):
+        raise ValueError(f"{target}: a link leads out of the dataset, and labels are written into it alone")
     begin(target, ABOUT, dataclasses.asdict(settings))
     labels = Labels(target)
     missing = [number for number in dataset.episodes.tolist() if not labels.is_done(number)]
