@@ -360,16 +360,73 @@ def test_grips_at_the_floor_are_refused_and_a_lying_mesh_is_reported(tmp_path):
     with pytest.raises(ValueError, match=r"grips.*up"):
         Garment.from_mesh(path, grips=VEST.grips, up="z")
     assert Garment.from_mesh(path, grips=VEST.grips, up="-z").loops == ()
-    low = written(tmp_path / "low.obj", VEST.vertices * [1, 3, 0.7], VEST.faces)
+    low = written(tmp_path / "low.obj", TOTE.vertices * [1, 3, 0.3], TOTE.faces)
     for options, lies in (({}, True), ({"up": "z"}, False)):
         assert any("lie" in repair for repair in Garment.from_mesh(low, **options).repairs) == lies
+
+
+def tube(widths: list[float], height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a tube around z of rings of some half widths, from the floor up; half as deep as it is wide."""
+    n = 24
+    angle = 2 * np.pi * np.arange(n) / n
+    ring = np.column_stack([np.cos(angle), 0.5 * np.sin(angle), 0 * angle])
+    levels = np.linspace(0, height, len(widths))
+    vertices = np.concatenate([width * ring + [0, 0, z] for width, z in zip(widths, levels, strict=True)])
+    faces = []
+    for row in range(len(widths) - 1):
+        for i in range(n):
+            a, b = row * n + i, row * n + (i + 1) % n
+            faces += [[a, b, b + n], [a, b + n, a + n]]
+    return vertices, np.array(faces)
+
+
+Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # z of the garment becomes y of the file
+
+
+def test_a_short_skirt_stands_by_its_hem_and_has_a_waist(tmp_path):
+    vertices, faces = tube([0.4, 0.35, 0.3, 0.25], 0.3)
+    for turn in (np.eye(3), Y_UP):
+        skirt = Garment.from_mesh(written(tmp_path / "m.obj", vertices @ turn.T, faces), loops="auto")
+        np.testing.assert_allclose(skirt.vertices, vertices, atol=1e-9)
+        assert set(skirt.loop_names) == {"waist", "hem"}
+        assert skirt.vertices[skirt.named_loops["waist"], 2].min() == pytest.approx(0.3)
+        assert not any("lie" in words for words in skirt.repairs)
+
+
+@pytest.mark.parametrize("name", ["apron", "mask", "shirt", "backpack"])
+def test_a_mesh_turned_about_the_vertical_gets_the_same_names_and_grips(tmp_path, name):
+    garment = WARDROBE[name](spacing=0.025 if name == "mask" else 0.05)
+    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    found = []
+    for vertices in (garment.vertices, garment.vertices @ turn.T):
+        loaded = Garment.from_mesh(written(tmp_path / "m.obj", vertices, garment.faces), loops="auto")
+        found.append((set(loaded.grips.tolist()), {key: cyclic(loop) for key, loop in loaded.named_loops.items()}))
+    assert found[0] == found[1]
+
+
+def test_a_sack_has_no_loop_and_is_told_why(tmp_path):
+    vertices, faces = tube([0.1, 0.4, 0.4, 0.3], 0.5)
+    bottom = np.array([[0, (i + 1) % 24, i] for i in range(1, 23)])
+    sack = Garment.from_mesh(written(tmp_path / "m.obj", vertices, np.concatenate([faces, bottom])), loops="auto")
+    assert sack.loops == ()
+    assert any("no rod can go through it" in words for words in sack.repairs)
+
+
+def test_a_missing_face_is_no_loop(tmp_path):
+    path = written(tmp_path / "m.obj", VEST.vertices, np.delete(VEST.faces, len(VEST.faces) // 2, axis=0))
+    vest = Garment.from_mesh(path, loops="auto")
+    assert set(vest.loop_names) == {"hem", "neck", "arm 1", "arm 2"}
+    assert any("too small for a rod" in words for words in vest.repairs)
+    assert len(Garment.from_mesh(path, loops="borders").loops) == 5
 
 
 def test_an_open_front_is_reported(tmp_path, capsys):
     middle = VEST.vertices[VEST.faces].mean(axis=1)
     strip = (np.abs(middle[:, 0]) < 0.05) & (middle[:, 1] < 0)
     path = written(tmp_path / "waistcoat.obj", VEST.vertices, VEST.faces[~strip])
-    (said,) = [words for words in Garment.from_mesh(path, loops="auto").repairs if "open front" in words]
+    waistcoat = Garment.from_mesh(path, loops="auto")
+    (said,) = [words for words in waistcoat.repairs if "open front" in words]
+    assert waistcoat.loop_names == ("arm 1", "arm 2")
     whole = written(tmp_path / "vest.obj", VEST.vertices, VEST.faces)
     assert not any("open front" in words for words in Garment.from_mesh(whole, loops="auto").repairs)
     assert main(["mesh", str(path), "--json"]) == 0
@@ -452,6 +509,7 @@ NAMED = {
     "mask": ["ear 1", "ear 2"],
     "sheet": ["hole"],
     "sheet2": ["hole 1", "hole 2"],
+    "trousers": ["leg 1", "leg 2", "loop", "waist"],
 }
 
 

@@ -16,7 +16,7 @@ from topokit._strangers import printable
 from topokit._validate import as_ids, positive
 from topokit.linking import side_lengths
 
-from ._names import is_flat, kind, named
+from ._names import is_flat, is_open_front, kind, named
 from ._read import read_mesh
 from ._surface import (
     Array,
@@ -28,16 +28,20 @@ from ._surface import (
     face_areas,
     half_edges,
     joined,
+    vector_area,
     wind,
 )
 
 _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
 _COPIES = 30  # vertices of a file, at most, for each that the cloth may have: copies of it, and other components
+_FEW = 4  # edges of a hole that is only a missing face or two
+_ROUND_A_ROD = 0.1  # metres: a shorter loop fits closely around a rod of 3 cm
 _METRES = (0.15, 2.2)  # largest extent of a garment in metres
 # Which axes of the file become x, y and z, and their signs, for the axis that points up.
 _UP = {"x": ([2, 1, 0], (-1, 1, 1)), "y": ([0, 2, 1], (1, -1, 1)), "z": ([0, 1, 2], (1, 1, 1))}
 _AXES = (*_UP, *(f"-{axis}" for axis in _UP))
+_TURNED = "its y axis was taken for up and turned to z; give up='z' if it is not"
 _UNITS = ((1.0, "metres"), (0.001, "millimetres"), (0.01, "centimetres"))
 
 
@@ -76,7 +80,8 @@ def from_mesh(
         Metres in one unit of the file. When neither size nor scale is given: the first of metres, millimetres and
         centimetres that makes the largest extent 0.15 to 2.2 m; if none does, the largest extent becomes 1 m.
     up : {"x", "y", "z", "-x", "-y", "-z"}, optional
-        The axis that points up. When not given, y or z: the one along which the grips lie higher, or the garment is longer.
+        The axis that points up. When not given, y or z: the one along which the grips lie higher, or along which the widest
+        border faces, or the garment is longer. Without grips it is then turned about that axis to be wider than deep.
     weld : float, optional
         Distance within which vertices are one, in the file's units. When not given, the size of rounding errors.
     max_vertices : int
@@ -110,13 +115,17 @@ def from_mesh(
         new_id = new_id[vertex_of]
         # How it stands, and how large it is.
         held = None if grips is None else _carry(grips, new_id, "grips")
+        if up is None and held is None:
+            up = _up_of_borders(vertices[kept], faces, repairs)
         upright = _upright(vertices[kept], held, up, repairs)
         placed, factor = _scaled(upright, size, scale, repairs)
+        if held is None:
+            placed = _facing(placed, repairs)
         _report_lying(placed, held, up, repairs)
         _report_short_edges(placed, faces, kept, repairs)
         # Its loops: found when a rule for them is named, else those that are given.
         if isinstance(loops, str):
-            _report_open_front(placed, faces, repairs)
+            _report_borders(placed, faces, repairs)
             cycles = _found(placed, faces, loops, repairs)
             names = named(placed, faces, cycles)
             if loops == "auto":
@@ -286,6 +295,27 @@ def _carry(given: ArrayLike, new_id: Ids, name: str) -> Ids:
     return new_id[ids]
 
 
+def _up_of_borders(vertices: Array, faces: Ids, repairs: list[str]) -> Literal["y", "z"] | None:
+    """Return the axis that points up, if the widest border of a garment that is not flat shows it.
+
+    Idea: the widest border of what is worn or carried (a hem, a waist, the rim of a bag) is level, and faces up or down. A band
+    has two that are alike, and hangs with both sideways: its borders show nothing.
+    """
+    curves = [vertices[border] for border in border_cycles(faces)]
+    areas = [np.linalg.norm(vector_area(curve)) for curve in curves]
+    if not curves or is_flat(vertices, faces) or max(areas) < 1.5 * max([0.0, *sorted(areas)[:-1]]):
+        return None
+    widest = curves[int(np.argmax(areas))]
+    _, of_y, of_z = np.abs(vector_area(widest))
+    rises = np.ptp(widest, axis=0) > 0.2 * np.ptp(vertices, axis=0)
+    if of_y > 2 * of_z and not rises[1]:
+        repairs.append(_TURNED)
+        return "y"
+    if of_z > 2 * of_y and not rises[2]:
+        return "z"
+    return None
+
+
 def _upright(vertices: Array, grips: Ids | None, up: str | None, repairs: list[str]) -> Array:
     """Return the vertices with z up. Grips are above the middle; without them, a garment hangs and does not lie."""
     if up is None:
@@ -298,12 +328,21 @@ def _upright(vertices: Array, grips: Ids | None, up: str | None, repairs: list[s
         up = "z"
         if y_is_up:
             up = "y"
-            repairs.append("its y axis was taken for up and turned to z; give up='z' if it is not")
+            repairs.append(_TURNED)
     order, signs = _UP[up[-1]]
     upright = vertices[:, order] * signs
     if up[0] == "-":
         upright = upright * [-1, 1, -1]
     return upright
+
+
+def _facing(vertices: Array, repairs: list[str]) -> Array:
+    """Return the vertices turned about the vertical so that the garment is wider from left to right (x) than deep (y)."""
+    wide, deep, _ = np.ptp(vertices, axis=0)
+    if deep <= 1.2 * wide:
+        return vertices
+    repairs.append("it was turned by 90 degrees about the vertical, to be wider (x) than deep (y)")
+    return vertices[:, [1, 0, 2]] * [1, -1, 1]
 
 
 def _report_lying(vertices: Array, grips: Ids | None, up: str | None, repairs: list[str]) -> None:
@@ -316,15 +355,16 @@ def _report_lying(vertices: Array, grips: Ids | None, up: str | None, repairs: l
         repairs.append("it seems to lie: its thinnest axis is upright; say which axis is up if it is not z")
 
 
-def _report_open_front(vertices: Array, faces: Ids, repairs: list[str]) -> None:
-    """Report a border that runs from the top to the bottom of a garment that is not flat."""
-    if is_flat(vertices, faces):
+def _report_borders(vertices: Array, faces: Ids, repairs: list[str]) -> None:
+    """Report a surface that nothing can go through, and a border that runs down the front of a garment."""
+    borders = border_cycles(faces)
+    if len(borders) == 1 and not _count_classes(vertices, faces, borders):
+        repairs.append("its only border is its own edge, as that of a disc or a sack: no rod can go through it")
         return
-    height = (vertices[:, 2] - vertices[:, 2].min()) / np.ptp(vertices[:, 2])
-    for border in border_cycles(faces):
-        if height[border].min() < 0.1 and height[border].max() > 0.8:
+    for border in borders:
+        if is_open_front(vertices, faces, border):
             what = f"neck, slit and hem are one border of {len(border)} vertices: an open front"
-            repairs.append(f"{what}; close it, or give loops by vertex ids")
+            repairs.append(f"{what}, which is no loop; close it, or give loops by vertex ids")
 
 
 def _scaled(vertices: Array, size: float | None, scale: float | None, repairs: list[str]) -> tuple[Array, float]:
@@ -382,11 +422,18 @@ def _found(vertices: Array, faces: Ids, rule: str, repairs: list[str]) -> tuple[
     """
     cycles = border_cycles(faces)
     classes = _count_classes(vertices, faces, cycles, must_have_borders=rule == "borders")
+    if rule == "auto" and not classes:
+        return ()  # a disc, or a sack
     what = "borders were found"
     if rule == "auto" and classes >= max(len(cycles), 1):
         cycles = EdgeGraph(vertices, np.unique(half_edges(faces), axis=0)).loops(classes)
         what = "loops were found by persistence along the mesh"
     repairs.append(f"{len(cycles)} {what}, the longest first")
+    lengths = [float(side_lengths(vertices[cycle]).sum()) for cycle in cycles]
+    if rule == "auto":
+        small = [len(cycle) <= _FEW or length < _ROUND_A_ROD for cycle, length in zip(cycles, lengths, strict=True)]
+        _note(repairs, sum(small), "of them are too small for a rod, such as a missing face, and were left out")
+        cycles = [cycle for cycle, is_small in zip(cycles, small, strict=True) if not is_small]
     return tuple(sorted(cycles, key=lambda cycle: -side_lengths(vertices[cycle]).sum()))
 
 

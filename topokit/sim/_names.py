@@ -1,6 +1,7 @@
 """Name the loops of a stranger's garment by their place and size on the mesh as it stands, z up.
 
 A border low down and wide is a hem, and then the garment is a tube: a loop aside of it is for an arm, one on top for the neck.
+A tube of two wide borders is a skirt, of a waist and a hem. Two low borders side by side, and one on top, are those of trousers.
 A border that goes around another loop is the edge of the cloth. Of the rest, the loops of a flat cloth (an apron) are a neck
 at the top, a waist or holes; those of a bag are handles at the top, or straps.
 """
@@ -50,6 +51,15 @@ def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
     boxes = [_box(vertices, loop) for loop in loops]
     borders = [_box(vertices, border) for border in outlines]
     flat = is_flat(vertices, faces)
+    # An open front is an edge of the cloth.
+    fronts = [is_open_front(vertices, faces, loop) for loop in loops]
+    if any(fronts):
+        others = [loop for loop, front in zip(loops, fronts, strict=True) if not front]
+        rest = iter(numbered([_kind_on_tube(_box(vertices, loop)) for loop in others]))
+        return numbered(["edge" if front else next(rest) for front in fronts])
+    lower_body = None if flat else _kinds_of_skirt_or_trousers(boxes)
+    if lower_body is not None:
+        return numbered(lower_body)
     # A tube: hem, arms and neck.
     if not flat and any(_is_hem(box) for box in borders):
         return numbered([_kind_on_tube(box) for box in boxes])
@@ -83,6 +93,36 @@ def _box(vertices: Array, loop: Ids) -> Array:
 def _is_hem(box: Array) -> bool:
     """Return True for a border low down and wide."""
     return bool(box[1, 2] < 0.35 and np.ptp(box[:, :2], axis=0).max() > 0.3)
+
+
+def is_open_front(vertices: Array, faces: Ids, border: Ids) -> bool:
+    """Return True for a border that runs from the top to the bottom of a garment that is not flat, and is not plane itself."""
+    height = (vertices[border, 2] - vertices[:, 2].min()) / max(np.ptp(vertices[:, 2]), 1e-12)
+    extents = np.linalg.svd(vertices[border] - vertices[border].mean(axis=0), compute_uv=False)
+    plane = extents[2] < 0.12 * extents[0]
+    return bool(height.min() < 0.1 and height.max() > 0.8 and not plane and not is_flat(vertices, faces))
+
+
+def _kinds_of_skirt_or_trousers(boxes: Sequence[Array]) -> list[str] | None:
+    """Return the kinds of the loops of a skirt or of trousers, or None for another garment."""
+    low = [i for i, box in enumerate(boxes) if box[1, 2] < 0.35]
+    high = [i for i, box in enumerate(boxes) if box[0, 2] > 0.65]
+    if not high or len(low) + len(high) != len(boxes) or len(low) > 2:
+        return None
+    widths = [float(np.ptp(box[:, :2], axis=0).max()) for box in boxes]
+    waist = max(high, key=lambda i: widths[i])
+    sides = [float(boxes[i][:, 0].mean()) for i in low]
+    if len(low) == 2 and min(sides) < -0.1 and max(sides) > 0.1:
+        below = "leg"
+    elif len(boxes) == 2 and len(low) == 1 and widths[waist] > 0.3 * widths[low[0]]:
+        below = "hem"
+    else:
+        return None
+    kinds = ["loop"] * len(boxes)
+    kinds[waist] = "waist"
+    for i in low:
+        kinds[i] = below
+    return kinds
 
 
 def is_flat(vertices: Array, faces: Ids) -> bool:

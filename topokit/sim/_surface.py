@@ -31,6 +31,12 @@ def face_areas(vertices: Array, faces: Ids) -> Array:
     return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
 
 
+def vector_area(curve: Array) -> Array:
+    """Return the area (3,) of a closed curve (k, 3), along its normal."""
+    arms = curve - curve.mean(axis=0)
+    return np.asarray(np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0) / 2)
+
+
 def wind(faces: Ids) -> tuple[Ids, int, bool]:
     """Turn faces so that neighbours run through their common edge in opposite directions.
 
