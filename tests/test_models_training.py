@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import itertools
 import json
 import os
 import shutil
@@ -263,7 +264,7 @@ def test_every_window_once_an_epoch_and_another_order_the_next():
     assert epoch_order(10, 8, 0, 0) == first[:8]
     in_rows = epoch_order(10, None, 0, 0, together=4)
     assert sorted(in_rows) == list(range(10))
-    assert sum((b - a) % 10 == 1 for a, b in zip(in_rows, in_rows[1:], strict=False)) >= 7  # of ten in three rows
+    assert sum((b - a) % 10 == 1 for a, b in itertools.pairwise(in_rows)) >= 7  # of ten in three rows
 
 
 def test_too_little_data(tmp_path, windows):

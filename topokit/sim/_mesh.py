@@ -302,10 +302,13 @@ def _up_of_borders(vertices: Array, faces: Ids, repairs: list[str]) -> Literal["
     has two that are alike, and hangs with both sideways: its borders show nothing.
     """
     curves = [vertices[border] for border in border_cycles(faces)]
-    areas = [np.linalg.norm(vector_area(curve)) for curve in curves]
-    if not curves or is_flat(vertices, faces) or max(areas) < 1.5 * max([0.0, *sorted(areas)[:-1]]):
+    areas = [float(np.linalg.norm(vector_area(curve))) for curve in curves]
+    if not curves or is_flat(vertices, faces):
         return None
-    widest = curves[int(np.argmax(areas))]
+    *others, largest = sorted(areas)
+    if others and largest < 1.5 * others[-1]:
+        return None
+    widest = curves[areas.index(largest)]
     _, of_y, of_z = np.abs(vector_area(widest))
     rises = np.ptp(widest, axis=0) > 0.2 * np.ptp(vertices, axis=0)
     if of_y > 2 * of_z and not rises[1]:
