@@ -27,6 +27,7 @@ from ._surface import (
     edge_lengths,
     face_areas,
     half_edges,
+    is_inside,
     joined,
     vector_area,
     wind,
@@ -429,7 +430,12 @@ def _found(vertices: Array, faces: Ids, rule: str, repairs: list[str]) -> tuple[
         return ()  # a disc, or a sack
     what = "borders were found"
     if rule == "auto" and classes >= max(len(cycles), 1):
-        cycles = EdgeGraph(vertices, np.unique(half_edges(faces), axis=0)).loops(classes)
+        edges, uses = np.unique(half_edges(faces), axis=0, return_counts=True)
+        cycles = EdgeGraph(vertices, edges).loops(classes)
+        if (uses == 2).all():
+            # Half of the classes of a solid go around its tubes, and no rod can go through them.
+            around = [cycle for cycle in cycles if not is_inside(vertices, faces, vertices[cycle].mean(axis=0))]
+            cycles = sorted(around, key=lambda cycle: side_lengths(vertices[cycle]).sum())[: classes // 2]
         what = "loops were found by persistence along the mesh"
     repairs.append(f"{len(cycles)} {what}, the longest first")
     lengths = [float(side_lengths(vertices[cycle]).sum()) for cycle in cycles]

@@ -37,6 +37,19 @@ def vector_area(curve: Array) -> Array:
     return np.asarray(np.cross(arms, np.roll(arms, -1, axis=0)).sum(axis=0) / 2)
 
 
+def is_inside(vertices: Array, faces: Ids, place: Array) -> bool:
+    """Return True if a closed surface is around a place (3,), by the sum of the solid angles of its faces.
+
+    Source: van Oosterom, Strackee 1983, *The solid angle of a plane triangle*.
+    """
+    a, b, c = np.moveaxis(vertices[faces] - place, 1, 0)
+    long_a, long_b, long_c = (np.linalg.norm(arm, axis=1) for arm in (a, b, c))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+    products = [np.einsum("ij,ij->i", one, other) for one, other in ((a, b), (b, c), (c, a))]
+    against = long_a * long_b * long_c + products[0] * long_c + products[1] * long_a + products[2] * long_b
+    return bool(abs(2 * np.arctan2(volume, against).sum()) > 2 * np.pi)
+
+
 def wind(faces: Ids) -> tuple[Ids, int, bool]:
     """Turn faces so that neighbours run through their common edge in opposite directions.
 
