@@ -110,7 +110,14 @@ def prepared(folder: Path) -> Path:
     shutil.copytree(DATA / "dataset", folder / "dataset")
     (folder / "tiny.json").write_text(json.dumps(TINY.to_json()))
     training = {"model": "mlp", "dataset": str(DATA / "dataset"), "options": {"hidden": [64, 32]}, "batch": 8}
-    training |= {"epochs": 4, "windows_per_epoch": 64, "validation_windows": 16, "threads": 1, "patience": 9}
+    training |= {
+        "epochs": 4,
+        "windows_per_epoch": 64,
+        "validation_windows": 16,
+        "threads": 1,
+        "patience": 9,
+        "workers": 1,
+    }
     (folder / "train.json").write_text(json.dumps(training))
     grid = np.array([[x, 0, z] for z in range(40) for x in range(40)]) / 80
     corners = [
@@ -214,9 +221,13 @@ def interrupt_command(
             os.killpg(process.pid, signal.SIGKILL)
             code = process.wait()
         seconds = time.monotonic() - start
-        # Python itself is killed while it is loaded, and after the command has ended.
-        outcome = {0: "done", -number: "killed"}.get(code, "stopped")
-        if code not in (0, 128 + number, -number):
+        # Python itself is killed before the command begins, in its own words or none, and after it has ended.
+        said = (folder / "stderr").read_text(errors="replace")
+        loads = ("<frozen site>" in said or "<frozen runpy>" in said) and "__main__.py" not in said
+        outcome = "killed" if loads else {0: "done", -number: "killed"}.get(code, "stopped")
+        if loads:
+            (folder / "stderr").write_text("")
+        elif code not in (0, 128 + number, -number):
             wrong.append(f"exit code {code}")
         if seconds > PATIENCE:
             wrong.append(f"it took {seconds:.1f} s")

@@ -31,7 +31,9 @@ def run() -> int:
     for number in _SIGNALS:
         if signal.getsignal(number) is _stop:
             signal.signal(number, _let_it_end)
-    return 128 + _arrived[0] if _arrived and code == 130 else code
+    if hasattr(signal, "SIGCHLD"):
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # PyTorch's raises when one of its processes ends
+    return 128 + _arrived[0] if _arrived and code else code
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
@@ -46,11 +48,14 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _repeat(lost: Any) -> None:
-    """Send a signal again that was raised where no error can be, as in a `__del__`; show any other error there."""
-    if issubclass(lost.exc_type, KeyboardInterrupt) and _arrived:
-        threading.Timer(0.01, os.kill, [os.getpid(), _arrived[-1]]).start()
-    else:
+    """Send a signal again that was raised where no error can be, as in a `__del__`; any other error there is shown.
+
+    But what ends because of a signal may complain of what else was ended.
+    """
+    if not _arrived:
         sys.__unraisablehook__(lost)
+    elif issubclass(lost.exc_type, KeyboardInterrupt):
+        threading.Timer(0.01, os.kill, [os.getpid(), _arrived[-1]]).start()
 
 
 def _let_it_end(number: int, frame: FrameType | None) -> None:
