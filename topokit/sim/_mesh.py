@@ -29,6 +29,7 @@ from ._surface import (
     half_edges,
     is_inside,
     joined,
+    simplified,
     vector_area,
     wind,
 )
@@ -86,7 +87,8 @@ def from_mesh(
     weld : float, optional
         Distance within which vertices are one, in the file's units. When not given, the size of rounding errors.
     max_vertices : int
-        A mesh with more of them is refused, and a file with 30 times as many before it is read.
+        A mesh with more of them is simplified to at most as many, with loops and grips at the nearest vertices that are left.
+        A file with 30 times as many is refused before it is read.
 
     Raises
     ------
@@ -109,10 +111,13 @@ def from_mesh(
     try:
         # What is left of the surface, and which of its vertices each vertex of the file is now (-1 for none).
         faces, vertex_of, kept = _repaired(vertices, polygons, weld, repairs)
-        if len(kept) > max_vertices:
-            raise ValueError(f"{len(kept)} vertices after repair; more than {max_vertices}; decimate the mesh")
         new_id = np.full(len(vertices), -1)
         new_id[kept] = np.arange(len(kept))
+        if len(kept) > max_vertices:
+            chosen, faces, nearest = simplified(vertices[kept], faces, max_vertices)
+            repairs.append(f"its {len(kept)} vertices were simplified to {len(chosen)}; max_vertices is {max_vertices}")
+            new_id[kept] = nearest
+            kept = kept[chosen]
         new_id = new_id[vertex_of]
         # How it stands, and how large it is.
         held = None if grips is None else _carry(grips, new_id, "grips")

@@ -114,6 +114,49 @@ def border_cycles(faces: Ids) -> list[Ids]:
     return [np.array(cycle, dtype=np.int64) for cycle in cycles]
 
 
+def simplified(vertices: Array, faces: Ids, most: int) -> tuple[Ids, Ids, Ids]:
+    """Return at most `most` vertices (k,) of a surface, the faces between them, and which is nearest to each vertex (N,).
+
+    Idea: vertices are chosen so that no two are within a radius along the mesh, those of borders first. Each vertex belongs to
+    its nearest chosen one, and where three of these regions meet in a face, there is a face of the new mesh: the dual of a
+    Voronoi diagram, with edges of nearly the same length. Classes of loops and borders stay, which is checked.
+
+    Raises
+    ------
+    ValueError
+        When there are not enough vertices for these loops.
+    """
+    edges = np.unique(half_edges(faces), axis=0)
+    graph = csr_matrix((edge_lengths(vertices, edges), edges.T), shape=(len(vertices),) * 2)
+    borders = border_cycles(faces)
+    everything = np.arange(len(vertices))
+    on_border = np.unique(np.concatenate([*borders, everything[:0]]))
+    order = np.concatenate([on_border, np.setdiff1d(everything, on_border)]).tolist()
+    radius = float(np.sqrt(face_areas(vertices, faces).sum() / most))
+    chosen = list(order)
+    while len(chosen) > most:
+        chosen = []
+        covered = np.zeros(len(vertices), dtype=bool)
+        for i in order:
+            if not covered[i]:
+                chosen.append(i)
+                covered |= np.isfinite(dijkstra(graph, directed=False, indices=i, limit=radius))
+        radius *= 1.1
+
+    chosen.sort()
+    _, _, source = dijkstra(graph, directed=False, indices=chosen, min_only=True, return_predecessors=True)
+    nearest = np.searchsorted(chosen, source)
+    met = nearest[faces]
+    met = met[(met != np.roll(met, 1, axis=1)).all(axis=1)]
+    _, first = np.unique(np.sort(met, axis=1), axis=0, return_index=True)
+    new_faces = met[np.sort(first)]
+    new_edges = np.unique(half_edges(new_faces), axis=0)
+    lost = len(vertices) - len(edges) + len(faces) != len(chosen) - len(new_edges) + len(new_faces)
+    if lost or len(border_cycles(new_faces)) != len(borders) or len(np.unique(new_faces)) != len(chosen):
+        raise ValueError(f"{most} vertices are not enough for its loops; raise max_vertices, or decimate the mesh")
+    return np.array(chosen), new_faces, nearest
+
+
 class EdgeGraph:
     """The vertices (N, 3) and the edges (E, 2) of a mesh, weighted by length."""
 
