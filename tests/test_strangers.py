@@ -219,6 +219,8 @@ REFUSED: list[tuple[str, str, Any, str]] = [
     ("cloud", "half.npy", npy(ring())[:300], "720 bytes"),
     ("cloud", "longer.npy", npy(ring()) + bytes(12), "732 follow"),
     ("cloud", "version.npy", npy_header("(4, 3)", bytes(96), version=b"\4\0"), "version"),
+    ("cloud", "rows.npy", npy_header("(1000000000, 0, 3)"), "is empty and claims"),
+    ("cloud", "nothing.npy", npy_header("(1000000000, 3, 3)", kind="|S0"), "is empty and claims"),
     ("cloud", "words.npy", npy(np.array([["a", "b", "c"]])), "real numbers"),
     ("cloud", "flat.npy", npy(np.zeros(3)), r"\(3,\)"),
     ("cloud", "number.npy", npy(3.0), r"\(\)"),

@@ -178,8 +178,6 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
         declared = stream.tell() + dtype.itemsize * math.prod(shape)
         if declared != entry.file_size:
             raise ValueError(f"{entry.filename} declares {declared} bytes and has {entry.file_size}")
-        if math.prod(shape) == 0 and max(shape) > _MOST_ROWS:
-            raise ValueError(f"{entry.filename} is empty and claims the shape {shape}")
         # Reading to the end compares the CRC-32.
         content = bytearray(stream.read())
     if column_major:
@@ -204,6 +202,8 @@ def read_array_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtyp
         raise ValueError("it holds pickled objects")
     if min(shape, default=0) < 0:
         raise ValueError(f"it claims the shape {shape}")
+    if math.prod(shape) * kind.itemsize == 0 and max(shape, default=0) > _MOST_ROWS:
+        raise ValueError(f"it is empty and claims the shape {shape}")
     return shape, columns_first, kind
 
 
