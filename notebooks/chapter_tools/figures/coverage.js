@@ -125,7 +125,7 @@
     if (data.hand) $("hand").value = 100 * reach / data.hand[2];
     if (loop) {
       text.push(`longest lifetime ${show(life(loop))}` + (alpha > 0 ? `, ${(life(loop) / alpha).toFixed(alpha < life(loop) && life(loop) < 1.01 * alpha ? 4 : 2)} \u03b1` : ""));
-      text.push(there ? `seen: ${show(there.birth - loop.birth)} later born, ${show(there.death - loop.death)} later dead` : "not seen");
+      text.push(there ? `observed: birth ${show(there.birth - loop.birth)} later, death ${show(there.death - loop.death)} later` : "not observed");
     }
     $("status").textContent = text.join(" \u00b7 ");
     $("count").value = count;

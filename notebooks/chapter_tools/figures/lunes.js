@@ -11,9 +11,9 @@
   const loop = (e) => complex.loops.find((l) => [l.birthEdge, l.killerEdge].some(([i, j]) => i === e.i && j === e.j));
   function explanation(e) {
     const found = loop(e), act = complex.does(rank), c = e.parts.length, inside = e.parts.flat().length;
-    const words = { joins: "joins two components", nothing: "kills nothing", void: "kills nothing: the dashed walk was filled before, so a void begins",
-      begins: found ? `begins a loop, which dies at ${found.death.toFixed(3)}` : "begins a loop, which dies at once",
-      kills: found ? `kills the loop born at ${found.birth.toFixed(3)}` : "kills a loop that was born just now" };
+    const words = { joins: "joins two components", nothing: "kills nothing", void: "kills nothing: the dashed walk was filled before, so a void is created",
+      begins: found ? `creates a loop, which dies at ${found.death.toFixed(3)}` : "creates a loop, which dies at once",
+      kills: found ? `kills the loop born at ${found.birth.toFixed(3)}` : "kills a loop that was born at the same radius" };
     return [`edge ${e.i}\u2013${e.j}, ${rank + 1} of ${complex.edges.length}`, `r = ${e.value.toFixed(3)}`,
       inside ? `lune: ${inside} point${inside > 1 ? "s" : ""}, ${c === 1 ? "connected" : c + " components"}` : "lune empty", words[act]].join(" \u00b7 ");
   }

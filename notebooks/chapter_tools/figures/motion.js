@@ -97,7 +97,7 @@
     });
   }
   function drawStrip() { // bars before and after, and between them what no motion can take
-    const [g, X, , box] = axes(strip, high, 1, "bars; thin: what no motion can take", "r", []), rows = strong.length + (seen ? 1 : 0), step = Math.min(30, box.h / Math.max(1, rows));
+    const [g, X, , box] = axes(strip, high, 1, "bars; thin: what every motion leaves", "r", []), rows = strong.length + (seen ? 1 : 0), step = Math.min(30, box.h / Math.max(1, rows));
     const bar = (from, to, y, style, width) => to > from && trace(g, [[X(from), y], [X(to), y]], style, width);
     g.lineCap = "butt";
     strong.forEach((loop, k) => {

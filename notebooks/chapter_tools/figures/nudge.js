@@ -67,7 +67,7 @@
     const there = rows.filter((row) => row.at), large = Math.max(...there.map((row) => row.at.death), 1e-12), { at, moved: by } = now();
     // Three names stand above the lines; and no scale so small that a billionth looks like a leap.
     const high = Math.max(1.6 * Math.max(...there.flatMap((row) => row.moved), 0), 0.3 * large);
-    chart(moves, "how far from where it was at the left end", high, NAMES.map((name, k) => ({ name, ink: colour(k), value: (row) => row.moved[k] })));
+    chart(moves, "distance from its place at the left end", high, NAMES.map((name, k) => ({ name, ink: colour(k), value: (row) => row.moved[k] })));
     chart(sizes, "size: death above, birth below", 1.3 * large, ["death", "birth"].map((key) => ({ name: "", ink: css("--soft"), value: (row) => row.at[key] })));
     const text = `point ${vertex} nudged by ${signed(shift(step))}: ` + (at ? `killer edge ${at.ids.join("\u2013")}, moved ${by[0].toFixed(3)} \u00b7 `
       + `barycentre moved ${by[1].toFixed(3)} \u00b7 centroid moved ${by[2].toFixed(3)} \u00b7 born ${at.birth.toFixed(3)}, dies ${at.death.toFixed(3)}` : "no loop");

@@ -154,7 +154,7 @@ def elimination(points: ArrayLike, max_radius: float) -> HtmlFigure:
 def lunes(points: ArrayLike | Mapping[str, ArrayLike]) -> HtmlFigure:
     """Return an interactive figure of the lune of one edge after another, in the order in which the edges arrive.
 
-    The lune has a colour for each component. The figure states whether the edge joins two pieces, begins a loop, kills one,
+    The lune has a colour for each component. The figure states whether the edge joins two components, creates a loop, kills one,
     or does neither. Beside the cloud the lune is drawn alone, with its points and the two ends of the edge.
 
     Parameters
