@@ -141,6 +141,18 @@ def test_a_cluster_whose_worker_is_killed_makes_the_same_bytes(undisturbed, tmp_
     assert check_dataset(folder) == []
 
 
+def test_what_a_stopped_process_was_writing_is_removed(tmp_path, monkeypatch):
+    def stopped(*_, **__):
+        (tmp_path / "data" / ".00000000.npz.1234.part").touch()
+        raise KeyboardInterrupt
+        yield
+
+    monkeypatch.setattr(_jobs, "in_fresh_processes", stopped)
+    with pytest.raises(KeyboardInterrupt, match="0 of 1 are done"):
+        generate_dataset(TINY, tmp_path / "data", 1, SEED, progress=False)
+    assert [path.name for path in (tmp_path / "data").iterdir()] == ["dataset.json"]
+
+
 @pytest.mark.skipif(os.name != "posix", reason="links")
 def test_labels_follow_no_link_out_of_the_dataset(undisturbed, tmp_path):
     copy, elsewhere = tmp_path / "data", tmp_path / "elsewhere"

@@ -201,7 +201,12 @@ def begin(folder: Path, about: str, settings: Mapping[str, Any]) -> None:
     elif folder.exists() and any(not name.endswith(".part") for name in os.listdir(folder)):
         raise ValueError(f"{folder} holds other files and no {about}: name a new folder, or an empty one")
     write_json(path, settings)
-    for left in folder.glob(".*.part"):  # files that killed commands left half written
+    remove_parts(folder)
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove the files that killed processes left half written."""
+    for left in folder.glob(".*.part"):
         left.unlink(missing_ok=True)
 
 

@@ -19,7 +19,7 @@ from typing import Any
 from topokit._cores import n_cores
 from topokit._processes import ProcessError, in_fresh_processes
 
-from ._folder import failure_path, write_json
+from ._folder import failure_path, remove_parts, write_json
 
 _TRIES = 3
 _PATIENCE = 20.0  # seconds for a scheduler to answer
@@ -80,6 +80,9 @@ def make_files(
             raise
         message = f"{folder}: the disk is full; what was finished is whole: make room, and the same command goes on"
         raise OSError(error.errno, message) from error
+    finally:
+        if workers.scheduler is None:  # workers of a cluster may still be writing
+            remove_parts(folder)
 
 
 def _outcomes(job: Job, numbers: Sequence[int], workers: Workers) -> Generator[tuple[int, Any]]:
