@@ -18,6 +18,7 @@ from topokit.data._folder import Record, write_json
 from topokit.data._labels import KIND, arrays_of, states_of
 from topokit.rips import rips_persistence
 
+from conftest import memory
 from small_datasets import OPTIONS, SEED, TINY, in_this_process, labelled, part_of
 
 EPISODES = 8
@@ -219,6 +220,15 @@ def test_check_finds_damage_and_says_where(copy, damage, where, says):
         assert problems == []
     else:
         assert any(problem.where == where and says in problem.what for problem in problems), problems
+
+
+def test_a_dataset_that_claims_a_hundred_million_episodes_is_checked_at_once(copy):
+    about = copy / "dataset.json"
+    about.write_text(json.dumps({**json.loads(about.read_text()), "episodes": 100_000_000}))
+    with memory() as peak:
+        problems = check_dataset(copy)
+        assert peak() < 100_000_000
+    assert any("not there yet" in problem.what and "9999999" in problem.what for problem in problems)
 
 
 def test_damage_is_refused_by_every_reader(copy):

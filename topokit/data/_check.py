@@ -13,7 +13,7 @@ import numpy as np
 from topokit._archive import FormatError
 
 from ._dataset import ABOUT, Dataset
-from ._folder import NumberedFiles, archive_path, failure_path
+from ._folder import NumberedFiles, archive_path, failure_path, number_of
 from ._labels import ABOUT as ABOUT_LABELS
 from ._labels import Labels
 
@@ -50,11 +50,18 @@ def check_dataset(folder: str | Path, *, progress: bool = False) -> list[Problem
     return problems
 
 
-def _strangers(files: NumberedFiles, known: set[str], wanted: Iterable[int], prefix: str) -> Iterator[Problem]:
+def _members(numbers: Sequence[int]) -> range | set[int]:
+    """Return numbers in a form that is quick to look in; a range stays one, for it may be of a hundred million."""
+    return numbers if isinstance(numbers, range) else set(numbers)
+
+
+def _strangers(files: NumberedFiles, known: set[str], wanted: Sequence[int], prefix: str) -> Iterator[Problem]:
     """Yield the files that do not belong to a folder."""
-    for number in wanted:
-        known |= {archive_path(files.folder, number).name, failure_path(files.folder, number).name}
+    members = _members(wanted)
     for name in sorted(set(os.listdir(files.folder)) - known):
+        number = number_of(name)
+        if number is not None and number in members:
+            continue
         what = "does not belong here"
         if name.endswith(".part"):
             what = "left by a command that was stopped; the same command removes it and goes on"
@@ -64,11 +71,11 @@ def _strangers(files: NumberedFiles, known: set[str], wanted: Iterable[int], pre
 def _missing(files: NumberedFiles, wanted: Sequence[int], prefix: str) -> Iterator[Problem]:
     """Yield one problem that counts the missing episodes."""
     tried = {*files.episodes.tolist(), *files.refused}
-    missing = [number for number in wanted if number not in tried]
+    members = _members(wanted)
+    missing = len(members) - sum(number in members for number in tried)
     if missing:
-        yield Problem(
-            f"{prefix}{missing[0]:08d}.npz", f"not there yet, the first of {len(missing)}; the same command goes on"
-        )
+        first = next(number for number in wanted if number not in tried)
+        yield Problem(f"{prefix}{first:08d}.npz", f"not there yet, the first of {missing}; the same command goes on")
 
 
 def _episode_problems(dataset: Dataset, progress: bool) -> Iterator[Problem]:

@@ -75,8 +75,9 @@ class NumberedFiles:
         # Names are listed now; a header is read on first use of its record.
         found: dict[str, set[int]] = {"npz": set(), "json": set()}
         for name in os.listdir(self.folder):
-            if match := _NUMBERED.fullmatch(name):
-                found[match[2]].add(int(match[1]))
+            number = number_of(name)
+            if number is not None:
+                found[name.rpartition(".")[2]].add(number)
         self.episodes: NDArray[np.int64] = np.array(
             sorted(found["npz"]), dtype=np.int64
         )  #: (n,) numbers of the whole episodes
@@ -155,6 +156,12 @@ class NumberedFiles:
         for path in sorted(paths):
             digest.update(f"{path.name} {hashlib.sha256(existing(path).read_bytes()).hexdigest()}\n".encode())
         return digest.hexdigest()
+
+
+def number_of(name: str) -> int | None:
+    """Return the number of the episode that a file is named after; None for any other file."""
+    match = _NUMBERED.fullmatch(name)
+    return int(match[1]) if match else None
 
 
 def archive_path(folder: Path, number: int) -> Path:
