@@ -20,16 +20,20 @@ group = $(shell $(PYTHON) -c 'import tomllib; print(*tomllib.load(open("pyprojec
 help:
 	@sed -n 's/^# make/make/p' Makefile
 
-# The environment is rebuilt when the lock or the package's own metadata change. torch comes after the lock (see pyproject.toml).
+# The environment is rebuilt when the locks or the package's own metadata change. torch has a lock of its own: its CPU build where
+# pip finds one, else the build of PyPI.
+PIP_LOCKED = $(BIN)/python -m pip install --quiet --require-hashes --no-deps
 env: $(VENV)/ready
-$(VENV)/ready: requirements.txt pyproject.toml
+$(VENV)/ready: requirements.txt requirements-torch.txt pyproject.toml
 	@$(or $(PYTHON),false) $(IS_311) 2>/dev/null || { echo "topokit: needs Python 3.11$(if $(PYTHON), and '$(PYTHON)' is not that):\
 	 install it, or name it (make PYTHON=/path/to/python3.11 ...), or for other versions: conda env create -f environment.yml" >&2; exit 1; }
 	@echo "topokit: making the environment in $(VENV) (a few minutes, once)"
 	@$(PYTHON) -m venv --clear $(VENV)
 	@sed '/^# make lab/,$$d' requirements.txt >$(VENV)/lock.txt
-	@$(BIN)/python -m pip install --quiet --require-hashes --no-deps --requirement $(VENV)/lock.txt
-	@$(BIN)/python -m pip install --quiet $(call group,torch)
+	@$(PIP_LOCKED) --requirement $(VENV)/lock.txt
+	@sed '/^# its builds on PyPI/,$$d' requirements-torch.txt >$(VENV)/torch-cpu.txt
+	@sed '1,/^# its builds on PyPI/d' requirements-torch.txt >$(VENV)/torch.txt
+	@$(PIP_LOCKED) --no-index --requirement $(VENV)/torch-cpu.txt 2>/dev/null || $(PIP_LOCKED) --requirement $(VENV)/torch.txt
 	@$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
