@@ -170,7 +170,13 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
         "windows": {"validation": 20},
     }
     rates = {"films": 3, "seed": 0, "epochs": 1}
-    small |= {"rates_of": rates, "validation_windows": 32, "motion": ["motion"], "garments": {"all": []}}
+    small |= {
+        "rates_of": rates,
+        "lengths_of": {"films": 3, "seed": 0},
+        "validation_windows": 32,
+        "motion": ["motion"],
+        "garments": {"all": []},
+    }
     (tmp_path / "little.json").write_text(json.dumps(protocol | small))
     shutil.copytree(DATA / "dataset", tmp_path / "films")
     out = tmp_path / "paper.csv"
