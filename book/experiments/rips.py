@@ -147,7 +147,7 @@ def large(race: Race) -> Iterator[Entry]:
 
 
 def child(code: str, *arguments: object, limit: float | None = None, **environment: str) -> Entry:
-    """Run code in a fresh process; return what it prints as its last line, else the time that it took, or its error."""
+    """Run code in a fresh process; return the JSON object of its last line, else the time that it took, or its error."""
     command = [sys.executable, "-c", code, *map(str, arguments)]
     start = time.perf_counter()
     start_of_processor = processor_time()
@@ -162,7 +162,8 @@ def child(code: str, *arguments: object, limit: float | None = None, **environme
     if done.returncode:
         print(done.stderr.splitlines()[-1], file=sys.stderr)
         return {"ms": None, "refused": done.stderr.splitlines()[-1].split(":")[0]}
-    return json.loads(done.stdout.splitlines()[-1]) if done.stdout else took
+    last = done.stdout.splitlines()[-1] if done.stdout else ""
+    return json.loads(last) if last.startswith("{") else took
 
 
 def processor_time() -> float:
