@@ -41,6 +41,9 @@ def _stop(number: int, frame: FrameType | None) -> None:
     _arrived.append(number)
     while frame is not None:
         if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            archive = sys.modules.get("topokit._archive")
+            if archive is not None and hasattr(archive, "remove_unfinished"):  # it may be half imported itself
+                archive.remove_unfinished()
             os.write(2, b"topokit: stopped\n")
             os._exit(128 + number)
         frame = frame.f_back

@@ -30,6 +30,7 @@ _MOST_ROWS = 2**20  # of an array without elements: a list of its empty rows wou
 _MOST_ARRAY_HEADER = 2**16  # bytes
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:[/\\]")  # one letter alone is a disk of Windows
 _LOCAL_HEADER = b"PK\x03\x04"
+_unfinished: set[tuple[int, Path]] = set()  # files that are being written, each with the process that writes it
 
 
 class FormatError(ValueError):
@@ -221,6 +222,7 @@ def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    _unfinished.add((os.getpid(), temporary))
     try:
         with temporary.open("xb") as handle:  # follows no link, and has the usual rights
             yield handle
@@ -232,3 +234,12 @@ def atomic_file(path: str | Path) -> Iterator[IO[bytes]]:
             error.filename = str(path)  # Python does not name the file when a disk is full
         temporary.unlink(missing_ok=True)
         raise
+    finally:
+        _unfinished.discard((os.getpid(), temporary))
+
+
+def remove_unfinished() -> None:
+    """Remove the files that this process is writing: it ends without any cleaning up."""
+    for process, temporary in list(_unfinished):
+        if process == os.getpid():
+            temporary.unlink(missing_ok=True)
