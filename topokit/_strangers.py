@@ -1,4 +1,4 @@
-"""What every reader keeps towards files of strangers: a bound on what they unpack to, and text that is safe to print.
+"""Bound what files of strangers unpack to, and make their text safe to print: every reader calls this.
 
 Idea: a small file can declare, or be packed from, far more than the memory holds. So a file of n bytes may unpack to 64 MiB and
 100 times n, in all; reading it takes a few times as much. For denser files the environment variable `TOPOKIT_UNPACKED` replaces
@@ -26,7 +26,7 @@ def free_bytes() -> int:
 
 
 class Budget:
-    """How many bytes a file of `size` bytes may still unpack to."""
+    """Count how many bytes a file of `size` bytes may still unpack to."""
 
     def __init__(self, size: int) -> None:
         self.size = size

@@ -34,7 +34,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 from tables import write_results
 from tqdm import tqdm
-from tracking import FIELDS, MEASURES, interval, pack, simulated, table_of, total, unpack
+from tracking import pack, simulated, total, unpack, weights_of, with_intervals
 
 import topokit as tk
 from topokit.evaluate import TrackingScore, compare, score, true_loops
@@ -380,21 +380,12 @@ def best_options(rows: list[dict[str, Any]]) -> list[tuple[str, str, dict[str, A
     return found
 
 
-def table(rows: list[dict[str, Any]], keys: list[str], draws: int = 1000) -> dict[str, Any]:
-    """Return for each condition and linker its measures with 95 % intervals, over draws of films within tasks."""
-    rng = np.random.default_rng(0)
-    weights = rng.multinomial(len(rows), np.full(len(rows), 1 / len(rows)), size=draws)
+def table(rows: list[dict[str, Any]], keys: list[str]) -> dict[str, Any]:
+    """Return for each condition and linker its measures with 95 % intervals, over draws of films."""
+    weights = weights_of(rows)
     found: dict[str, Any] = {}
     for condition in rows[0]["scores"][keys[0]]:
-        found[condition] = {}
-        for key in keys:
-            scores = scores_in(rows, key, condition)
-            stacked = [np.array([getattr(one, name) for one in scores]) for name in FIELDS]
-            drawn = [TrackingScore(*parts) for parts in zip(*(weights @ values for values in stacked), strict=True)]
-            line = table_of(total(scores))
-            for name in MEASURES:
-                line[f"{name}_interval"] = interval(np.array([getattr(one, name) for one in drawn]))
-            found[condition][key] = line
+        found[condition] = {key: with_intervals(scores_in(rows, key, condition), weights)[0] for key in keys}
     return found
 
 

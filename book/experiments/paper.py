@@ -250,8 +250,10 @@ class Experiment:
     def train_seeds(self, network: str, films: int) -> None:
         """Train a network with each seed, at the rate and for the length that were found for it, or for the one it is like."""
         model = self.protocol["networks"][network].get("like", network)
+        rate = self.rate_of(model)
+        length = self.length_of(model)
         for seed in self.protocol["seeds"]:
-            self.train(network, films, seed, self.rate_of(model), self.length_of(model))
+            self.train(network, films, seed, rate, length)
 
     def ended(self, network: str, films: int) -> dict[int, Trained]:
         """Return for each seed the best of its trainings that have ended, by their validation loss."""

@@ -239,22 +239,35 @@ def pooled(rows: list[dict[str, Any]], samples: int = 1000) -> dict[str, Any]:
 
     All are given the same samples, so that a gain is that on the same episodes.
     """
-    weights = draw_episodes(pd.Series("any garment", index=range(len(rows))), samples).to_numpy()[1:]
+    weights = weights_of(rows, samples)
     table: dict[str, Any] = {}
     for condition in (*rows[0]["scores"], SOME, TOGETHER):
         table[condition] = {}
         first = None
         for tracker in {TOGETHER: MAIN, SOME: TRACKERS}.get(condition) or rows[0]["scores"][condition]:
             scores = [score_of(row, condition, tracker) for row in rows]
-            stacked = [np.array([getattr(one, name) for one in scores]) for name in FIELDS]
-            many = [TrackingScore(*parts) for parts in zip(*(weights @ values for values in stacked), strict=True)]
-            drawn_values = {name: np.array([getattr(one, name) for one in many]) for name in MEASURES}
+            line, drawn_values = with_intervals(scores, weights)
+            table[condition][tracker] = line
             first = first or drawn_values
-            table[condition][tracker] = line = table_of(total(scores))
             for name in MEASURES:
-                line[name + "_interval"] = interval(drawn_values[name])
                 line[name + "_gain"] = interval(drawn_values[name] - first[name])
     return table
+
+
+def with_intervals(scores: list[TrackingScore], weights: np.ndarray) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return a line with 95 % intervals of all episodes together, and each measure over the draws, which weigh the episodes."""
+    stacked = [np.array([getattr(one, name) for one in scores]) for name in FIELDS]
+    many = [TrackingScore(*parts) for parts in zip(*(weights @ values for values in stacked), strict=True)]
+    drawn = {name: np.array([getattr(one, name) for one in many]) for name in MEASURES}
+    line = table_of(total(scores))
+    for name, values in drawn.items():
+        line[name + "_interval"] = interval(values)
+    return line, drawn
+
+
+def weights_of(rows: list[dict[str, Any]], samples: int = 1000) -> np.ndarray:
+    """Return how often each of some bootstrap samples takes each episode, (samples, episodes)."""
+    return draw_episodes(pd.Series("any garment", index=range(len(rows))), samples).to_numpy()[1:]
 
 
 def score_of(row: dict[str, Any], condition: str, tracker: str) -> TrackingScore:
@@ -409,6 +422,15 @@ def telling(failures: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return chosen
 
 
+def film_of(episode: Episode, clouds: Clouds, stride: int, note: dict[str, Any], first: int = 0) -> Episode:
+    """Return an episode of every `stride`-th frame whose observed points are some clouds; small ones are filled up by repeats."""
+    rows = slice(first * stride, (first + len(clouds)) * stride, stride)
+    arrays = {name: getattr(episode, name)[rows] for name in ("points", "actions", "grippers", "held")}
+    most = max(len(cloud) for cloud in clouds)
+    arrays["observed"] = np.array([cloud[np.resize(np.arange(len(cloud)), most)] for cloud in clouds])
+    return dataclasses.replace(episode, **arrays, dt=episode.dt * stride, observation=note)
+
+
 def clip(folder: Path, failure: dict[str, Any], path: Path, around: int = 3) -> None:
     """Save the frames around a failure as an episode, its observation what the tracker saw, and what the tracker said."""
     episode = load_episode(folder / f"{failure['episode']}.npz")
@@ -418,12 +440,8 @@ def clip(folder: Path, failure: dict[str, Any], path: Path, around: int = 3) -> 
     last = min(middle + around, len(clouds))
     follow = TRACKERS[failure["tracker"]]
     states = follow(clouds[:last], tk.rips_persistence_many(clouds[:last]))[first:]
-    most = max(len(cloud) for cloud in clouds[first:last])
-    rows = slice(first * stride, last * stride, stride)
-    arrays = {name: getattr(episode, name)[rows] for name in ("points", "actions", "grippers", "held")}
-    arrays["observed"] = np.array([cloud[np.resize(np.arange(len(cloud)), most)] for cloud in clouds[first:last]])
     note = {**failure, "shown": middle - first}
-    save_episode(path, dataclasses.replace(episode, **arrays, dt=episode.dt * stride, observation=note))
+    save_episode(path, film_of(episode, clouds[first:last], stride, note, first))
     save_states(path.with_suffix(".tracks.npz"), states)
 
 

@@ -16,7 +16,6 @@ and TrackEval have it: frame (from 1), id, four numbers of a box, a confidence, 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -26,7 +25,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from tqdm import tqdm
-from tracking import MEASURES, simulated
+from tracking import MEASURES, film_of, simulated
 
 import topokit as tk
 from topokit.evaluate import TrackingScore, compare, score, true_loops
@@ -44,17 +43,6 @@ def slug(condition: str) -> str:
     return condition.replace(",", "").replace("%", "percent").replace("'", "").replace(" ", "-")
 
 
-def film_of(episode: Episode, clouds: Clouds, stride: int, condition: str) -> Episode:
-    """Return an episode whose observed points are some clouds, one for every `stride` frames."""
-    most = max(len(cloud) for cloud in clouds)
-    arrays: dict[str, Any] = {
-        name: getattr(episode, name)[::stride] for name in ("points", "actions", "grippers", "held")
-    }
-    arrays["observed"] = np.array([cloud[np.resize(np.arange(len(cloud)), most)] for cloud in clouds], np.float32)
-    note = {"condition": condition, "sizes": [len(cloud) for cloud in clouds], "stride": stride}
-    return dataclasses.replace(episode, **arrays, dt=episode.dt * stride, observation=note)
-
-
 def make(episodes: Path, films: Path) -> None:
     """Write all films, and their true loops in the format of MOTChallenge."""
     for path in tqdm(simulated(episodes, range(SEEDS)), "films", unit="episode"):
@@ -64,7 +52,8 @@ def make(episodes: Path, films: Path) -> None:
             if out.exists():
                 continue
             out.parent.mkdir(parents=True, exist_ok=True)
-            film = film_of(episode, clouds, stride, condition)
+            note = {"condition": condition, "sizes": [len(cloud) for cloud in clouds], "stride": stride}
+            film = film_of(episode, clouds, stride, note)
             truth_table(film).to_csv(out.with_suffix(".gt.txt"), header=False, index=False)
             save_episode(out, film)
 
