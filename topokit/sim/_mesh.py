@@ -29,6 +29,8 @@ from ._surface import (
     half_edges,
     is_inside,
     joined,
+    of_three_vertices,
+    once_each,
     simplified,
     vector_area,
     wind,
@@ -240,13 +242,13 @@ def _weld(vertices: Array, distance: float, repairs: list[str]) -> Ids:
 
 def _clean(faces: Ids, repairs: list[str]) -> Ids:
     """Return the faces of three different vertices, each once."""
-    whole = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    whole = of_three_vertices(faces)
     _note(repairs, len(faces) - len(whole), "faces without area, which named a vertex twice, were dropped")
-    _, first = np.unique(np.sort(whole, axis=1), axis=0, return_index=True)
-    _note(repairs, len(whole) - len(first), "faces that lay on another one were dropped")
-    if not len(first):
+    single = once_each(whole)
+    _note(repairs, len(whole) - len(single), "faces that lay on another one were dropped")
+    if not len(single):
         raise ValueError("no face with three different vertices is left")
-    return whole[np.sort(first)]
+    return single
 
 
 def _one_component(vertices: Array, faces: Ids, repairs: list[str]) -> Ids:

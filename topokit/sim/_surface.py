@@ -114,6 +114,22 @@ def border_cycles(faces: Ids) -> list[Ids]:
     return [np.array(cycle, dtype=np.int64) for cycle in cycles]
 
 
+def of_three_vertices(faces: Ids) -> Ids:
+    """Return the faces that name three different vertices."""
+    return faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+
+
+def once_each(faces: Ids) -> Ids:
+    """Return the faces in their order, without those that lie on an earlier one."""
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    return faces[np.sort(first)]
+
+
+def _weighted(vertices: Array, edges: Ids) -> csr_matrix:
+    """Return the graph of edges (E, 2) between vertices (N, 3), weighted by length."""
+    return csr_matrix((edge_lengths(vertices, edges), edges.T), shape=(len(vertices),) * 2)
+
+
 def simplified(vertices: Array, faces: Ids, most: int) -> tuple[Ids, Ids, Ids]:
     """Return at most `most` vertices (k,) of a surface, the faces between them, and which is nearest to each vertex (N,).
 
@@ -127,7 +143,7 @@ def simplified(vertices: Array, faces: Ids, most: int) -> tuple[Ids, Ids, Ids]:
         When there are not enough vertices for these loops.
     """
     edges = np.unique(half_edges(faces), axis=0)
-    graph = csr_matrix((edge_lengths(vertices, edges), edges.T), shape=(len(vertices),) * 2)
+    graph = _weighted(vertices, edges)
     borders = border_cycles(faces)
     everything = np.arange(len(vertices))
     on_border = np.unique(np.concatenate([*borders, everything[:0]]))
@@ -147,9 +163,7 @@ def simplified(vertices: Array, faces: Ids, most: int) -> tuple[Ids, Ids, Ids]:
     _, _, source = dijkstra(graph, directed=False, indices=chosen, min_only=True, return_predecessors=True)
     nearest = np.searchsorted(chosen, source)
     met = nearest[faces]
-    met = met[(met != np.roll(met, 1, axis=1)).all(axis=1)]
-    _, first = np.unique(np.sort(met, axis=1), axis=0, return_index=True)
-    new_faces = met[np.sort(first)]
+    new_faces = once_each(of_three_vertices(met))
     new_edges = np.unique(half_edges(new_faces), axis=0)
     lost = len(vertices) - len(edges) + len(faces) != len(chosen) - len(new_edges) + len(new_faces)
     if lost or len(border_cycles(new_faces)) != len(borders) or len(np.unique(new_faces)) != len(chosen):
@@ -161,7 +175,7 @@ class EdgeGraph:
     """The vertices (N, 3) and the edges (E, 2) of a mesh, weighted by length."""
 
     def __init__(self, vertices: Array, edges: Ids) -> None:
-        self._graph = csr_matrix((edge_lengths(vertices, edges), edges.T), shape=(len(vertices),) * 2)
+        self._graph = _weighted(vertices, edges)
 
     def distances(self, ids: Ids) -> Array:
         """Return (k, k) the lengths of the shortest paths between vertices."""
