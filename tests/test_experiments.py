@@ -161,7 +161,8 @@ def test_the_papers_experiment_goes_from_films_to_a_table_and_goes_on(tmp_path, 
     protocol = json.loads((EXPERIMENTS / "paper.json").read_text())
     protocol["films"]["validation"] = 3
     small = {
-        "sizes": [3],
+        "training_films": 3,
+        "curve": {"films": [2], "networks": ["mlp"], "seed": 0},
         "seeds": [0, 1],
         "batch": 32,
         "epoch": 32,

@@ -84,6 +84,20 @@ def test_every_weight_learns(window, name):
     assert [key for key, part in model.named_parameters() if part.grad is None or not part.grad.any()] == []
 
 
+def test_a_pointnet_encodes_a_cloud_and_has_the_gradient_as_its_layers_one_after_the_other(window):
+    model = make("pointnet")
+    clouds = window["clouds"].flatten(0, 1)
+    found = model.encode_frames({"clouds": clouds})["frame"]
+    expected = model.points(model.normalise(clouds)).amax(dim=1)
+    assert torch.allclose(found, expected, atol=1e-6)
+    weights = torch.rand(expected.shape, generator=torch.Generator().manual_seed(0))
+    parameters = list(model.points.parameters())
+    gradients = torch.autograd.grad((found * weights).sum(), parameters)
+    wanted = torch.autograd.grad((expected * weights).sum(), parameters)
+    for gradient, want in zip(gradients, wanted, strict=True):
+        assert torch.allclose(gradient, want, rtol=1e-4, atol=1e-4)
+
+
 def test_the_order_of_points_does_not_count_for_a_pointnet(window):
     mixed = window | {"clouds": window["clouds"][:, :, torch.randperm(POINTS)]}
     with torch.inference_mode():

@@ -60,12 +60,15 @@ def shares_of(samples: pd.DataFrame) -> dict[str, tuple[pd.DataFrame, pd.Series]
     return answer
 
 
-def table_of(samples: pd.DataFrame, extrapolated_to: int) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """Return the tidy table, with the learning curves carried on to more films; and the differences of the claims."""
+def table_of(samples: pd.DataFrame, films: int, extrapolated_to: int) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """Return the tidy table, with the learning curves carried on to more films; and the differences of the claims.
+
+    Claims are about the networks trained on `films` films.
+    """
     rows = []
     claims = {}
     for measure, (shares, counts) in shares_of(samples).items():
-        claims[measure] = differences(shares)
+        claims[measure] = differences(shares, films)
         cells = interval(pd.concat([shares, carried_on(shares, extrapolated_to)], axis=1))
         for (model, seed, horizon), cell in zip(cells.index, cells.itertuples(), strict=True):
             forecaster, _, training_films = model.partition("|")
@@ -80,7 +83,8 @@ def table_of(samples: pd.DataFrame, extrapolated_to: int) -> tuple[pd.DataFrame,
 def carried_on(shares: pd.DataFrame, films: int) -> pd.DataFrame:
     """Return the learning curves at more films: straight lines through the logarithms of misses and of films.
 
-    The line is fitted in every draw, so that its interval has the noise of films and seeds, and not that of its being no line.
+    The line is fitted in every draw, so that its interval has the noise of films, and not that of its being no line. A curve is
+    of one seed: where a network was trained with several, the first is taken.
     """
     sizes: dict[str, list[int]] = {}
     for model in shares.columns.unique(0):
@@ -93,8 +97,9 @@ def carried_on(shares: pd.DataFrame, films: int) -> pd.DataFrame:
             continue
         logs = np.log(sorted(known))
         offsets = logs - logs.mean()
+        seeds = {size: "0" if "0" in shares[f"{name}|{size}"].columns.unique(0) else "all" for size in known}
         for horizon in shares[f"{name}|{known[0]}"]["all"]:
-            misses = np.column_stack([1 - shares[f"{name}|{size}", "all", horizon] for size in sorted(known)])
+            misses = np.column_stack([1 - shares[f"{name}|{size}", seeds[size], horizon] for size in sorted(known)])
             heights = np.log(np.maximum(misses, 1e-3))
             slopes = heights @ offsets / (offsets @ offsets)
             ahead = heights.mean(axis=1) + slopes * (np.log(films) - logs.mean())
@@ -102,24 +107,24 @@ def carried_on(shares: pd.DataFrame, films: int) -> pd.DataFrame:
     return pd.DataFrame(found, index=shares.index)
 
 
-def differences(shares: pd.DataFrame) -> dict[str, Any]:
+def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
     """Return the differences that the claims are about, in points: mean, low and high, by horizon.
 
-    Of each network the one with most training films is taken. `later` is the mean of t+15, t+30 and t+60.
+    Networks are those trained on `films` films. `later` is the mean of t+15, t+30 and t+60.
     """
-    largest: dict[str, int] = {}
+    models = {}
     for model in shares.columns.unique(0):
-        name, _, films = model.partition("|")
-        largest[name] = max(largest.get(name, 0), int(films))
-    rivals = [name for name in largest if name.startswith(("mlp", "pointnet"))]
+        name, _, trained_on = model.partition("|")
+        if int(trained_on) in (0, films):
+            models[name] = model
+    rivals = [name for name in models if name.startswith(("mlp", "pointnet"))]
     pairs = [(rival, other) for rival in rivals for other in ("seqph", SAME_POINTS, "hold", "carry", "blind")]
-    pairs += [("pointnet", "mlp"), *(("motion", other) for other in largest if other != "motion")]
+    pairs += [("pointnet", "mlp"), *(("motion", other) for other in models if other != "motion")]
     found = {}
     for one, other in pairs:
-        if one not in largest or other not in largest:
+        if one not in models or other not in models:
             continue
-        models = [f"{name}|{largest[name]}" for name in (one, other)]
-        points = 100 * (shares[models[0]]["all"] - shares[models[1]]["all"])
+        points = 100 * (shares[models[one]]["all"] - shares[models[other]]["all"])
         points["later"] = points[["15", "30", "60"]].mean(axis=1)
         cells = interval(points).round(2)
         found[f"{one} - {other}"] = {step: cells.loc[step].tolist() for step in cells.index}

@@ -138,7 +138,10 @@ class _Training:
             self.model = _starting_model(config)
         if self.model.learns:
             optimizer = torch.optim.AdamW(
-                self.model.parameters(), config.learning_rate, weight_decay=config.weight_decay
+                self.model.parameters(),
+                config.learning_rate,
+                weight_decay=config.weight_decay,
+                fused=True,  # a few times as fast on a CPU
             )
             _, self.optimizer = self.fabric.setup(self.model, optimizer)
         if saved is not None:
