@@ -26,9 +26,9 @@ SHAPE = Shape(points=160)
 FILMS = DATA / "motion"
 
 
-def make(width: int = 16, seed: int = 0, strong: float = 0.3) -> Motion:
+def make(width: int = 16, seed: int = 0, strong: float = 0.3, **options) -> Motion:
     torch.manual_seed(seed)
-    model = build("motion", SHAPE, Normalisation(), {"width": width}).eval()
+    model = build("motion", SHAPE, Normalisation(), {"width": width, **options}).eval()
     torch.nn.init.normal_(model.out[2].weight, std=strong)  # an untrained one carries, and little can be seen
     return model
 
@@ -122,6 +122,28 @@ def test_untrained_it_carries(batch):
     ahead = carried(start, batch["grippers"][:, 0], batch["actions"][:, -1])
     assert (places[:, -1] - ahead).norm(dim=-1).max() < UNIT / 2
     assert (start - ahead).norm(dim=-1).min() > 0.01
+
+
+def test_an_ablation_leaves_out_the_parts_that_it_names(batch):
+    shift = torch.tensor([2.0, -1.0, 0.3])
+    beside = {**batch, "target": batch["target"] + 0.1, "floor": batch["floor"] + 0.1}
+    told, anywhere = {}, {}
+    for part in ("target", "frame", "carry"):
+        model = make(without=[part])
+        with torch.inference_mode():
+            places, others, elsewhere = (
+                model(scene)[0] for scene in (batch, beside, moved(batch, torch.eye(3), shift))
+            )
+        told[part] = not torch.allclose(places, others, atol=1e-4)
+        anywhere[part] = torch.allclose(places + shift, elsewhere, atol=1e-4)
+    assert told == {"target": False, "frame": True, "carry": True}
+    assert not anywhere["frame"]
+    assert anywhere["carry"]
+    still, _ = make(strong=0.0, without=["carry"])(batch)
+    start = torch.cat([batch["cloud"][:, :CARRIERS], batch["points"]], dim=1)
+    assert torch.allclose(still[:, -1], start, atol=1e-4)
+    with pytest.raises(ValueError, match="target, frame, carry"):
+        make(without=["floor"])
 
 
 def test_points_are_forecast_alike_alone_and_in_company(batch):

@@ -21,7 +21,7 @@ codes pooled as in Qi et al. 2017, *PointNet*; edge convolutions of Wang et al. 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -36,6 +36,7 @@ CARRIERS = 24  # points whose codes are pooled for all others
 _POOLED = 16  # numbers of a carrier's code that are pooled
 _NEIGHBOURS = 12  # neighbours of a point
 _REACH = 0.3 / UNIT  # distance over which target and floor fade
+PARTS = ("target", "frame", "carry")  # that an ablation leaves out
 Scene = Mapping[str, Tensor]
 
 
@@ -96,12 +97,19 @@ class Motion(nn.Module):
         Normalisation for the checkpoint; the network itself needs none.
     width : int
         Units of a point's code.
+    without : sequence of str
+        Parts that are left out, to measure what each is worth: ``target`` (target and floor are unknown), ``frame`` (inputs are
+        in the frame of the room), ``carry`` (the network predicts the whole motion, and no correction of being carried).
     """
 
     learns = True
 
-    def __init__(self, shape: Shape, normalisation: Normalisation, width: int = 64) -> None:
+    def __init__(
+        self, shape: Shape, normalisation: Normalisation, width: int = 64, without: Sequence[str] = ()
+    ) -> None:
         super().__init__()
+        if isinstance(without, str) or not set(without) <= set(PARTS):
+            raise ValueError(f"without names parts to leave out, some of {', '.join(PARTS)}, not {without!r:.80}")
         if type(width) is not int or not 1 <= width <= 4096:
             raise ValueError(f"width must be a whole number from 1 to 4096, not {width!r}")
         if shape.horizon != KNOTS[-1]:
@@ -109,6 +117,7 @@ class Motion(nn.Module):
         self.shape = shape
         self.normalisation = normalisation
         self.options: dict[str, Any] = {}
+        self.without = frozenset(without)
         # The inputs of a point, of an edge between neighbours, and of the code before any plan.
         self.point = nn.Sequential(
             nn.Linear(3 + 9 + 5 + 2 + 2 + 12 + 2 + 16, width), nn.GELU(), nn.Linear(width, width)
@@ -138,9 +147,19 @@ class Motion(nn.Module):
     def encode(self, scene: Scene) -> Codes:
         """Return the codes of the points, which do not depend on the plan."""
         # Convert everything to the grippers' frame.
+        if "target" in self.without:
+            nowhere = scene["target"].new_tensor([0.0, 0.0, -1000.0])
+            scene = {
+                **scene,
+                "target": nowhere.expand_as(scene["target"]),
+                "floor": nowhere[2].expand_as(scene["floor"]),
+            }
         swapped = _behind(scene["grippers"][:, 0], scene["target"][:, -1])
         grippers = _renamed(scene["grippers"], swapped)
         origin, axes = _frame(grippers[:, 0])
+        if "frame" in self.without:
+            origin = torch.zeros_like(origin)
+            axes = torch.eye(3).to(axes).expand_as(axes)
         cloud = _local(scene["cloud"], origin, axes)  # (B, M, 3)
         points = _local(scene["points"], origin, axes)  # (B, n, 3)
         hands = _local(grippers, origin, axes)  # (B, 4, 2, 3)
@@ -210,6 +229,9 @@ class Motion(nn.Module):
         before = torch.cat([start, hands[:, :-1]], dim=1)
         turns = _turns(before.flatten(0, 1), hands.flatten(0, 1)).unflatten(0, hands.shape[:2])  # (C, 13, 3, 3)
         shifts = hands.mean(dim=2, keepdim=True) - before.mean(dim=2, keepdim=True) @ turns  # (C, 13, 1, 3)
+        if "carry" in self.without:
+            turns = torch.eye(3).to(turns).expand_as(turns)
+            shifts = torch.zeros_like(shifts)
         lengths = torch.tensor((0, *KNOTS)).to(hands).diff() / 6  # (13,) of the steps
         reach = _reach(hands.flatten(1, 2), target).unflatten(1, hands.shape[1:3]).flatten(2)  # (C, 13, 16)
         plan_features = torch.cat(
