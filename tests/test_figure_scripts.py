@@ -7,10 +7,10 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
-from test_figures import HOOK, RING, film
+from test_figures import HOOK, RING, edge_is_critical, film, some_edges
 
 from chapter_tools import figures
 from chapter_tools.figures.lune_plots import joined_before, lune_components
@@ -271,6 +271,106 @@ def test_the_adversary_reaches_the_bound_and_never_beats_it():
             assert min(answer["lives"]) < lifetime - 1.9 * epsilon
         elif cloud is five:
             assert len(answer["lives"]) < 150  # the loop is gone
+
+
+# ---- critical edges: lens.js
+
+LENS = [*LOOPS, "lens.js"]
+CRITICAL = """([points, x, y, alpha, epsilon]) => {
+  const table = distancesOf(points);
+  return { critical: isCritical(table, x, y, alpha, epsilon), hardest: hardest(table, x, y, alpha, epsilon) };
+}"""
+BETAS = """([points, alpha, epsilon]) => {
+  const [{ killerEdge, death }] = rips(points).loops, table = distancesOf(points);
+  return [betaAll(table, killerEdge, death, alpha), betaCritical(table, killerEdge, death, alpha, epsilon)];
+}"""
+
+
+def holed_clouds(count: int, seed: int) -> list[np.ndarray]:
+    """Return shaken grids with a hole."""
+    rng = np.random.default_rng(seed)
+    grid = np.mgrid[-2:2.1:0.5, -2:2.1:0.5].reshape(2, -1).T
+    ring = grid[np.linalg.norm(grid, axis=1) > 0.9]
+    return [ring + rng.normal(0, 0.08, ring.shape) for _ in range(count)]
+
+
+def joined(distances: np.ndarray, x: int, y: int, alpha: float, epsilon: float, path: list, slack: float) -> bool:
+    """Return whether a path joins the ends of `path` when every limit of `beta_critical` is `slack` longer."""
+    length = distances[x, y]
+    end = length - alpha - 4 * epsilon + slack
+    inner = np.flatnonzero(np.maximum(distances[x], distances[y]) < end)
+    inner = np.setdiff1d(inner, [x, y])
+    steps = distances[np.ix_(inner, inner)] < end - alpha
+    _, label = connected_components(steps)
+    touched = [set(label[distances[end_point, inner] < end]) for end_point in (path[0], path[-1])]
+    return bool(touched[0] & touched[1])
+
+
+def test_edges_are_critical_as_in_the_library_and_the_path_of_the_hardest_pair_decides_it():
+    rng = np.random.default_rng(3)
+    cases = []
+    for cloud in holed_clouds(5, 3):
+        for alpha, epsilon in ((0.0, 0.0), (0.15, 0.0), (0.1, 0.02)):
+            cases += [(cloud, x, y, alpha, epsilon) for x, y in some_edges(cloud, rng, 15)]
+    given = [(cloud.tolist(), *rest) for cloud, *rest in cases]
+    verdicts = []
+    for (cloud, *edge), answer in zip(cases, by_script(LENS, CRITICAL, given), strict=True):
+        distances = cdist(cloud, cloud)
+        critical = edge_is_critical(distances, *edge)
+        assert answer["critical"] == critical
+        verdicts.append(critical)
+        if answer["hardest"] is None:  # no two points of the lens are far enough apart
+            assert not critical
+            continue
+        path, excess = answer["hardest"]["path"], answer["hardest"]["excess"]
+        assert critical == (excess >= 0)
+        assert len(path) > 2
+        assert joined(distances, *edge, path, excess + 1e-9)
+        assert not joined(distances, *edge, path, excess - 1e-9)
+    assert 20 < sum(verdicts) < len(verdicts) - 20
+
+
+def test_betas_are_those_of_the_library():
+    clouds = [*holed_clouds(3, 1), *rings(6, 4)]
+    cases = [(cloud, alpha, epsilon) for cloud in clouds for alpha, epsilon in ((0.0, 0.0), (0.12, 0.01))]
+    given = [(cloud.tolist(), *rest) for cloud, *rest in cases]
+    for (cloud, alpha, epsilon), answer in zip(cases, by_script(LENS, BETAS, given), strict=True):
+        every = lemmas.beta_all(cloud, alpha, min_lifetime=0.0).value[0]
+        critical = lemmas.beta_critical(cloud, alpha, epsilon, min_lifetime=0.0).value[0]
+        np.testing.assert_allclose(answer, [every, critical])
+
+
+COROLLARY = """([points, first, second]) => {
+  const scene = scenery(points), [a, b] = [first, second].map((hidden) => observer(scene, hidden));
+  return { killers: [a.killer, b.killer], ...compared(scene, a, b) };
+}"""
+
+
+def test_two_observers_are_compared_as_by_the_corollary():
+    """The seven points of the counterexample, and rings of which one or two points are hidden."""
+    rng = np.random.default_rng(2)
+    case = lemmas.COUNTEREXAMPLES["killers two beta apart"]
+    cases = [(case.before, [6], [4]), (case.before, [6], []), (case.before, [0], [4])]
+    some = rings(40, 8, 7, 20)
+    cases += [(ring, *(rng.choice(len(ring), k, replace=False).tolist() for k in (1, 2))) for ring in some]
+    given = [(cloud.tolist(), *hidden) for cloud, *hidden in cases]
+    promised = refuted = 0
+    scripts = [*LENS, "assign.js", "match.js", "corollary.js"]
+    for (cloud, *hidden), answer in zip(cases, by_script(scripts, COROLLARY, given), strict=True):
+        seen = [np.delete(np.arange(len(cloud)), missed) for missed in hidden]
+        check = lemmas.corollary(cloud, seen[0], cloud, seen[1])
+        assert answer["alpha"] == pytest.approx(check.alpha)
+        row = next((row for row in check.loops if row.loop == 0 and row.bounds), None)
+        if row is None or "corrected" not in row.bounds:
+            assert answer["corrected"] is None
+            continue
+        assert answer["distance"] == pytest.approx(row.statistic)
+        assert answer["paper"] == pytest.approx(row.bounds["paper"])
+        assert answer["corrected"] == pytest.approx(row.bounds["corrected"])
+        promised += 1
+        refuted += answer["distance"] > answer["paper"]
+    assert promised > 10
+    assert refuted >= 1
 
 
 # ---- places of a loop: places.js

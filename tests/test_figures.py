@@ -70,6 +70,8 @@ PAGES = {
     "coverage": lambda: figures.coverage(SQUARE, [2, 0, 2], hand=(1, 0.5, 2)),
     "motion": lambda: figures.motion(SQUARE, 0.25, [2, 0, 1]),
     "nudge": lambda: figures.nudge(SQUARE),
+    "critical": lambda: figures.critical(SQUARE, 0.1, 0.01),
+    "hiding": lambda: figures.hiding(SQUARE, [1]),
     "stray": lambda: figures.stray(SQUARE, [2.5, 0.0], [9.0, 1 / 3]),
     "mixture": lambda: figures.mixture(SQUARE, 3),
     "linked": lambda: figures.linked(RING, HOOK, WAY),

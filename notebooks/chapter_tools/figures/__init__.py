@@ -4,9 +4,11 @@ from .lune_plots import plot_lens, plot_lune
 from .pages import (
     cloud,
     coverage,
+    critical,
     data_flow,
     elimination,
     growth,
+    hiding,
     linked,
     lunes,
     mixture,
@@ -19,9 +21,11 @@ from .pages import (
 __all__ = [
     "cloud",
     "coverage",
+    "critical",
     "data_flow",
     "elimination",
     "growth",
+    "hiding",
     "linked",
     "lunes",
     "mixture",

@@ -29,6 +29,7 @@ MOST_NUDGED = 24  # the script computes 121 clouds at every change
 MOST_REDUCED = 10  # their 120 triangles are columns that can still be told apart
 MOST_FRAMES = 16
 MOST_IN_SPACE = 160  # edges and triangles are drawn one by one
+MOST_TESTED = 160  # of their edges those of one length are tested at every change
 LOOPS = ("sampling.js", "rips.js", "complex.js")  # scripts that compute loops
 NO_SHARE = 65535  # stands for a share that the results lack
 
@@ -247,6 +248,63 @@ def nudge(points: ArrayLike | Mapping[str, ArrayLike]) -> HtmlFigure:
     data = {"shapes": clouds, "reaches": [0.05, 1e-3, 1e-6, 1e-9]}
     scripts = [*LOOPS, "planar.js", "places.js"]
     return _figure("nudge", data, scripts, 480, "nudge a point, or drag one", f"Loop of {count} points, nudged")
+
+
+def critical(points: ArrayLike, alpha: float, epsilon: float = 0.0) -> HtmlFigure:
+    """Return an interactive figure of one edge of a planar cloud: whether it is critical, and the path that decides it.
+
+    The reader drags the ends of the edge from point to point, and sets alpha and epsilon. The dashed lens contains the points
+    that need a path; the shaded lens contains the points that a path may use. The hardest pair is marked, with its best path;
+    a chart compares each step of this path with its limit. Another chart shows all edges of about the killer's length, as
+    `topokit.lemmas.beta_critical` tests them.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        At most 160 points with at least one loop. Radii, births and deaths are in their unit.
+    alpha, epsilon : float
+        The first values of the sliders, in the unit of the points.
+
+    Raises
+    ------
+    ValueError
+        When the points have no loop.
+    """
+    cloud = planar(points, most=MOST_TESTED)
+    if not len(rips_persistence(cloud)):
+        raise ValueError(f"the {len(cloud)} points have no loop, so there is no killer edge to start from")
+    data = {"points": cloud.tolist(), "alpha": float(alpha), "epsilon": float(epsilon)}
+    scripts = [*LOOPS, "planar.js", "places.js", "lens.js"]
+    title = f"A critical edge of {len(cloud)} points?"
+    return _figure("critical", data, scripts, 520, "drag an end of the edge", title)
+
+
+def hiding(points: ArrayLike, hidden: Sequence[int] = ()) -> HtmlFigure:
+    """Return an interactive figure of two observers of a planar cloud, and of the killer edge that each of them sees.
+
+    The reader hides points from one observer. A chart compares its killer with that of every observer who misses one point or
+    none, and with two bounds of `topokit.lemmas.corollary`: the paper's, and the corrected one. A strip shows the components of
+    the lunes of the edges that the first observer sees. The reader can drag points.
+
+    Parameters
+    ----------
+    points : (n, 2) array_like
+        4 to 24 points with at least one loop.
+    hidden : sequence of int
+        The points that are hidden at first.
+
+    Raises
+    ------
+    ValueError
+        When there are too few points, or they have no loop.
+    """
+    cloud = planar(points, most=MOST_NUDGED)
+    if not len(rips_persistence(cloud)):
+        raise ValueError(f"the {len(cloud)} points have no loop, so there is no killer edge to observe")
+    data = {"points": cloud.tolist(), "hidden": _ids(hidden)}
+    scripts = [*LOOPS, "assign.js", "match.js", "planar.js", "places.js", "lens.js", "corollary.js"]
+    title = f"The killer edges that observers of {len(cloud)} points see"
+    return _figure("hiding", data, scripts, 480, "click a point to hide it", title)
 
 
 def stray(points: ArrayLike, start: Sequence[float], end: Sequence[float]) -> HtmlFigure:
