@@ -16,9 +16,11 @@ from docutils import nodes
 from docutils.parsers.rst import Directive
 from sphinx import addnodes
 
+from chapter_tools import quiz
+
 ROOT = Path(__file__).resolve().parent.parent
-CHAPTER = re.compile(r"notebooks/0*(\d+)_")
-TOPICS = re.compile(r"^\| \d+ \[[^]]*\]\(\.\./(notebooks/\w+)\.ipynb\) \| (.*) \|$", re.MULTILINE)
+APPENDIX_A = "book/modules"  # the only appendix without code
+TOPICS = re.compile(r"^\| \w+ \[[^]]*\]\(\.\./(notebooks/\w+)\.ipynb\) \| (.*) \|$", re.MULTILINE)
 WORDS_A_MINUTE = 130  # of text with mathematics
 LINES_A_MINUTE = 10  # of code
 EXERCISES = "## Exercises"
@@ -45,10 +47,22 @@ def setup(app: Any) -> dict[str, bool]:
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
-def chapters(app: Any) -> dict[int, str]:
-    """Return the pages of all chapters by their numbers."""
-    pages = filter(CHAPTER.match, sorted(app.env.found_docs))
-    return {int(CHAPTER.match(page)[1]): page for page in pages}
+def label(page: str) -> str | None:
+    """Return the number of a chapter's page, the letter of an appendix, or None for other pages."""
+    folder, _, name = page.rpartition("/")
+    if page == APPENDIX_A:
+        return "A"
+    return quiz.label(name) if folder == "notebooks" else None
+
+
+def is_chapter(page: str | None) -> bool:
+    """Return whether a page is made from a notebook."""
+    return page is not None and page != APPENDIX_A and label(page) is not None
+
+
+def chapters(app: Any) -> dict[str, str]:
+    """Return the pages of all chapters and appendices by their numbers and letters."""
+    return {label(page): page for page in sorted(app.env.found_docs) if label(page) is not None}
 
 
 def read(chapter: str) -> dict[str, Any]:
@@ -109,8 +123,9 @@ def links_to(app: Any, page: str, numbers: list[int]) -> str:
     pages = chapters(app)
     links = []
     for number in numbers:
-        title = html.escape(app.env.titles[pages[number]].astext().partition(". ")[2], quote=True)
-        address = app.builder.get_relative_uri(page, pages[number])
+        chapter = pages[str(number)]
+        title = html.escape(app.env.titles[chapter].astext().partition(". ")[2], quote=True)
+        address = app.builder.get_relative_uri(page, chapter)
         links.append(f'<a href="{address}" title="{title}">{number}</a>')
     if len(links) == 1:
         return f"chapter {links[0]}"
@@ -141,7 +156,7 @@ def elsewhere(repository: str, chapter: str) -> str:
 def _line(app: Any, doctree: nodes.document, docname: str) -> None:
     """Add a line below a chapter's title: how long it takes, and where else it can be read."""
     title = next(doctree.findall(nodes.title), None)
-    if CHAPTER.match(docname) and title is not None and app.builder.format == "html":
+    if is_chapter(docname) and title is not None and app.builder.format == "html":
         notebook = docname.rpartition("/")[2] + ".ipynb"
         words = (
             f'{takes(app, docname)} &middot; <a href="{notebook}" download>download the notebook</a>'
@@ -156,7 +171,7 @@ def _cards(app: Any, doctree: nodes.document, docname: str) -> None:
         about = dict(TOPICS.findall((ROOT / "book" / "chapters.md").read_text(encoding="utf-8")))
         parts = []
         for toc in app.env.tocs[docname].findall(addnodes.toctree):
-            cards = [_card(app, chapter, about) for _, chapter in toc["entries"] if CHAPTER.match(chapter or "")]
+            cards = [_card(app, chapter, about) for _, chapter in toc["entries"] if is_chapter(chapter)]
             if cards:
                 caption = f'<h3 class="topokit-part">{toc["caption"]}</h3>'
                 parts.append(f'{caption}<ul class="topokit-cards">{"".join(cards)}</ul>')

@@ -43,6 +43,7 @@ extensions = [
     "cards",
     "clouds",
     "links",
+    "moved",
     "teach",
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",

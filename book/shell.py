@@ -16,7 +16,7 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-from cards import CHAPTER, TOPICS, thumbnail
+from cards import TOPICS, is_chapter, label, thumbnail
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from PIL import Image
@@ -40,11 +40,11 @@ def setup(app: Any) -> dict[str, bool]:
 
 
 def _number(app: Any, doctree: nodes.document) -> None:
-    """Put the number of a chapter's file before its title: on the page, in the sidebar, in the tab."""
-    chapter = CHAPTER.match(app.env.docname)
+    """Put the number of a chapter, or the letter of an appendix, before its title: on the page, in the sidebar, in the tab."""
+    number = label(app.env.docname)
     title = next(doctree.findall(nodes.title), None)
-    if chapter and title is not None:
-        title.insert(0, nodes.Text(f"{chapter[1]}. "))
+    if number is not None and title is not None:
+        title.insert(0, nodes.Text(f"{number}. "))
 
 
 _NOTHING = re.compile(r"\[?<(Axes|matplotlib|Figure)[^>]*>")  # the text of a plotting call's return value
@@ -231,7 +231,7 @@ def _finish(app: Any, error: Exception | None) -> None:
     (out / "index.html").write_text(page, encoding="utf-8")
     thumbnails = out / "_static" / "thumbnails"
     thumbnails.mkdir(parents=True, exist_ok=True)
-    for chapter in filter(CHAPTER.match, app.env.found_docs):
+    for chapter in filter(is_chapter, app.env.found_docs):
         picture = Path(shutil.copy(thumbnail(app, chapter), thumbnails))
         if picture.suffix == ".png":
             with Image.open(picture) as whole:

@@ -9,7 +9,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from cards import ROOT, chapters
+from cards import ROOT, chapters, is_chapter
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from sphinx.util.docutils import SphinxDirective
@@ -74,10 +74,12 @@ class Questions(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         asked = quiz.questions()
         text = ""
-        for chapter in sorted({question.chapter for question in asked.values()}):
-            text += f"*Chapter {chapter}*\n\n"  # links.py makes it a link
+        for chapter in dict.fromkeys(question.chapter for question in asked.values()):
+            kind = "Chapter" if chapter.isdigit() else "Appendix"
+            text += f"*{kind} {chapter}*\n\n"  # links.py makes it a link
             text += "".join(for_teachers(name, each) for name, each in asked.items() if each.chapter == chapter)
-            self.env.note_dependency(str(TOOLS / "questions" / f"{chapter:02}.json"))
+        for file in (TOOLS / "questions").glob("*.json"):
+            self.env.note_dependency(str(file))
         self.env.note_dependency(str(TOOLS / "quiz.py"))
         place = nodes.Element()
         self.state.nested_parse(text.splitlines(), self.content_offset, place)
@@ -89,11 +91,11 @@ class Slides(Directive):
 
     def run(self) -> list[nodes.Node]:
         pages = sorted(path.stem for path in (ROOT / "notebooks").glob("*.ipynb"))
-        links = [f'<a href="../notebooks/{page}.html?slides">{int(page[:2])}</a>' for page in pages]
+        links = [f'<a href="../notebooks/{page}.html?slides">{quiz.label(page)}</a>' for page in pages]
         return [nodes.raw("", f"<p>Slides of chapter {', '.join(links)}.</p>", format="html")]
 
 
 def _notebooks_beside_their_pages(app: Any, error: Exception | None) -> None:
     if error is None and app.builder.name == "html":
-        for chapter in chapters(app).values():
+        for chapter in filter(is_chapter, chapters(app).values()):
             shutil.copy(ROOT / f"{chapter}.ipynb", Path(app.outdir) / f"{chapter}.ipynb")

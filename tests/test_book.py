@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from chapter_tools.quiz import questions
+from chapter_tools.quiz import label, questions
 
 pytest.importorskip("sphinx", reason="the book's extension needs Sphinx: pip install 'topokit[book]'")
 ROOT = Path(__file__).resolve().parent.parent
@@ -53,7 +53,11 @@ def test_every_chapter_called_by_its_number_is_a_link(page):
 
 def test_chapters_are_numbered_without_a_gap_and_listed_in_order(book):
     names = [path.stem for path in CHAPTERS]
-    assert [int(name[:2]) for name in names] == list(range(len(names)))
+    labels = [label(name) for name in names]
+    numbers = [int(name) for name in labels if name.isdigit()]
+    letters = [name for name in labels if not name.isdigit()]  # appendix A is a page of prose
+    assert numbers == list(range(len(numbers)))
+    assert letters == ["B", "C"]
     assert (
         re.findall(r"^/notebooks/(\w+)$", (ROOT / "book/index.md").read_text(encoding="utf-8"), re.MULTILINE) == names
     )
@@ -64,12 +68,23 @@ def test_chapters_are_numbered_without_a_gap_and_listed_in_order(book):
 def test_chapters_build_on_earlier_ones(book):
     cards = book("cards")
     for path in CHAPTERS:
-        chapter = int(path.name[:2])
+        chapter = label(path.name)
         before = cards.builds_on(cards.read(f"notebooks/{path.stem}"))
-        assert all(number < chapter for number in before)
-        assert bool(before) or chapter < 2
+        assert not chapter.isdigit() or all(number < int(chapter) for number in before)
+        assert before or chapter in ("0", "1")
     words = "**Before:** [chapters 2](02_a.ipynb) to [4](04_b.ipynb); [chapter 0](00_c.ipynb) at least."
     assert cards.builds_on({"cells": [{"source": ["# A\n", "\n", words]}]}) == [2, 3, 4]
+
+
+def test_an_old_address_leads_to_a_chapter(book):
+    moved = book("moved")
+    names = {path.stem for path in CHAPTERS}
+    assert set(moved.MOVED.values()) <= names
+    assert not set(moved.MOVED) & names
+    page = moved.page_that_leads_to("07_new.html")
+    assert 'content="1; url=07_new.html"' in page
+    assert 'href="07_new.html"' in page
+    assert 'location.replace("07_new.html" + location.search + location.hash)' in page
 
 
 def test_chapters_called_by_their_numbers_are_found(book):
@@ -77,8 +92,9 @@ def test_chapters_called_by_their_numbers_are_found(book):
     text = "Chapters 3 to 6 show, and chapters 1, 2 and 14"
     pieces = links.pieces(text)
     assert "".join(piece for piece, _ in pieces) == text
-    assert [(piece, chapter) for piece, chapter in pieces if chapter] == [(str(k), k) for k in (3, 6, 1, 2, 14)]
-    assert links.pieces("as in chapter 3.") == [("as in ", None), ("chapter 3", 3), (".", None)]
+    assert [(piece, chapter) for piece, chapter in pieces if chapter] == [(k, k) for k in ("3", "6", "1", "2", "14")]
+    assert links.pieces("as in chapter 3.") == [("as in ", None), ("chapter 3", "3"), (".", None)]
+    assert links.pieces("Appendix B shows") == [("Appendix B", "B"), (" shows", None)]
     assert links.names("definition", " (Bar, killer edge, and diagram)") == ["bar", "killer edge", "diagram"]
     assert links.names("theorem", " (Lune theorem)") == ["Lune theorem"]
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from chapter_tools import ask
-from chapter_tools.quiz import Question, questions
+from chapter_tools.quiz import Question, label, questions
 
 ROOT = Path(__file__).parent.parent
-CHAPTERS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+CHAPTERS = {label(path.name): path for path in sorted((ROOT / "notebooks").glob("*.ipynb"))}
 ASKED = re.compile(r'^ask\("([^"]+)", \.\.\.\)$', re.MULTILINE)
 
 
@@ -27,7 +27,7 @@ def loud_simulator():
     logger.setLevel(level)
 
 
-def code_cells(chapter: int) -> dict[str, str]:
+def code_cells(chapter: str) -> dict[str, str]:
     cells = json.loads(CHAPTERS[chapter].read_text(encoding="utf-8"))["cells"]
     return {cell["id"]: "".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"}
 
@@ -51,7 +51,7 @@ def test_stored_answers_are_what_their_expressions_compute(name, monkeypatch):
 
 
 def test_the_chapters_ask_each_question_once():
-    asked = {k: ASKED.findall("\n".join(code_cells(k).values())) for k in range(len(CHAPTERS))}
+    asked = {k: ASKED.findall("\n".join(code_cells(k).values())) for k in CHAPTERS}
     stored = {k: [name for name, question in questions().items() if question.chapter == k] for k in asked}
     assert {k: sorted(names) for k, names in asked.items()} == {k: sorted(names) for k, names in stored.items()}
 
@@ -86,7 +86,7 @@ def test_dots_ask_the_question():
 
 
 def test_words_ignore_case_and_brackets_and_numbers_have_a_tolerance():
-    words = Question(2, 1, "Which edge?", "(1, 3)", "", [], "")
+    words = Question("2", 1, "Which edge?", "(1, 3)", "", [], "")
     assert words.same((1, 3), words.answer)
     assert not words.same((1, 4), words.answer)
     assert ask("rooms-1", "C").right

@@ -4,7 +4,7 @@ Positions of an episode are stored as whole ticks of 0.1 mm, so reading costs at
 differences, which are small and compress well: ``np.cumsum(archive["points"], axis=0) / 10_000`` are the vertices in metres.
 States are stored to the last bit. Every text and number that is no array is in the header.
 
-Source: the paper's section 6 defines the contents of an episode; the format is ours. Taught in chapters 0 and 9.
+Source: the paper's section 6 defines the contents of an episode; the format is ours. Taught in chapters 0 and 11.
 """
 
 from __future__ import annotations

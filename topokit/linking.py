@@ -4,7 +4,7 @@ Idea: for a segment of either curve the differences `b - a` fill a parallelogram
 over all pairs of segments, is 4 pi times the Gauss integral, hence 4 pi times an integer.
 
 Source: van Oosterom and Strackee, *The solid angle of a plane triangle*, 1983; Arai, *A rigorous numerical algorithm for
-computing the linking number of links*, 2013. Taught in chapters 8 and 14.
+computing the linking number of links*, 2013. Taught in chapters 9 and 10.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Idea: the triangles around a loop's killer are samples of where the loop closes last. Each triangle gives one Gaussian: its mean
 is the barycentre of the triangle, its covariance is that of the three vertices, and its weight is the filtration value.
 
-Source: Antonova et al. 2021, section 5, equation 1. Taught in chapter 10. `topokit.models.loop_mixtures` computes the same
+Source: Antonova et al. 2021, section 5, equation 1. Taught in chapter 12. `topokit.models.loop_mixtures` computes the same
 density for batches of tensors, and is differentiable.
 """
 

@@ -4,7 +4,7 @@ Idea: a condition is a choice of episodes and of what is done to their clouds. E
 of it. `topokit.evaluate.measure_forecasts` measures each forecast, one row of a table for each model, training seed, window and
 step; the record has means of these rows with bootstrap intervals (tables.py).
 
-Source: the figure is that of Antonova et al. 2021, section 6. Taught in chapter 13.
+Source: the figure is that of Antonova et al. 2021, section 6. Taught in chapter 15.
 """
 
 from __future__ import annotations

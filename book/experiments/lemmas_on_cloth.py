@@ -3,7 +3,7 @@
     python book/experiments/lemmas_on_cloth.py data_small [more folders or episodes] --out book/results/lemmas_on_cloth.json
     python book/experiments/lemmas_on_cloth.py --dataset runs/dataset --each 1 --out book/results/lemmas_on_test.json
 
-With --dataset: the first episodes of each garment in the test part of the split by episode, those of chapter 13.
+With --dataset: the first episodes of each garment in the test part of the split by episode, those of chapter 6.
 
 The state is all vertices of the garment, the observation what the episode recorded when that is a subsample of them; for
 episodes seen by cameras, and with --observed, a farthest-point sample of the first frame's vertices, the same in all frames.

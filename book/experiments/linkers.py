@@ -12,7 +12,7 @@ scored once with these options. seqPH was tuned on the same tuning films.
 Rows are appended to linkers.jsonl in the folder of the films; an interrupted run goes on where it was.
 
 Source: Allan et al., *trackpy*; Fukai and Kawaguchi 2023, *LapTrack*; Thomas et al. 2017, *Stone Soup*; Saul, Tralie, *persim*;
-Soler et al. 2018, *Lifted Wasserstein matcher for fast and robust topology tracking*. Taught in chapter 7.
+Soler et al. 2018, *Lifted Wasserstein matcher for fast and robust topology tracking*. Taught in chapter 8.
 """
 
 from __future__ import annotations

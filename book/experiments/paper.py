@@ -18,7 +18,7 @@ table      shares with intervals, the logs of the trainings, and what became of 
 when every network has been trained with every seed; the learning curve is measured on the validation films. On one core: 1.5
 hours of films, half an hour of labels; an MLP sees 1,000 windows a second, the small PointNet 450, and the published one 150.
 
-Source: Antonova et al. 2021, section 6 and figure 4. Taught in chapter 13.
+Source: Antonova et al. 2021, section 6 and figure 4. Taught in chapter 15.
 """
 
 from __future__ import annotations

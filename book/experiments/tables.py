@@ -5,7 +5,7 @@ films with replacement, among those of the same garment, and training seeds like
 over a thousand such draws is its interval. All models get the same draws of films, so a difference between two of them is on
 the same films.
 
-Source: Efron and Tibshirani 1993; for samples in clusters, Davison and Hinkley 1997, section 3.8. Taught in chapter 13.
+Source: Efron and Tibshirani 1993; for samples in clusters, Davison and Hinkley 1997, section 3.8. Taught in chapter 15.
 """
 
 from __future__ import annotations

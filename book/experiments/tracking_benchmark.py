@@ -4,7 +4,7 @@
     python book/experiments/tracking_benchmark.py seqph --films FILMS --tracks TRACKS
     python book/experiments/tracking_benchmark.py score --films FILMS --tracks TRACKS --out scores.csv
 
-`make` simulates the 63 episodes of chapter 7 where they are missing (a minute each), and writes each in twenty conditions to
+`make` simulates the 63 episodes of chapter 8 where they are missing (a minute each), and writes each in twenty conditions to
 FILMS/condition/film.npz: an episode whose observed points are what a tracker may see, with the true loops. Clouds of different
 sizes are filled up by repeating points. Beside it lies film.gt.txt, the true loops in the format of MOTChallenge.
 

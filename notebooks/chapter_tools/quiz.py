@@ -1,11 +1,12 @@
 """Questions of the chapters: the reader guesses before running a cell, and learns whether the guess is right.
 
-The questions lie in the folder `questions`, a file for each chapter.
+The questions lie in the folder `questions`, a file for each chapter: `07.json`, or `C.json` for an appendix.
 """
 
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from functools import cache
 from numbers import Real
@@ -13,11 +14,19 @@ from pathlib import Path
 from typing import Any
 
 
+def label(name: str) -> str | None:
+    """Return the number of a chapter, or the letter of an appendix, from the name of its file; None for other names."""
+    found = re.match(r"0?(\d+)_|appendix_([a-z])_", name)
+    if found is None:
+        return None
+    return found[1] or found[2].upper()
+
+
 @dataclass(frozen=True)
 class Question:
     """A question, its answer, and the replies to wrong guesses. Texts are Markdown."""
 
-    chapter: int  #: the chapter that asks it
+    chapter: str  #: the chapter that asks it: its number, or the letter of an appendix
     level: int  #: 1: one idea of the page; 2: two ideas together; 3: a surprise
     question: str  #: the question itself
     answer: float | str  #: a number, the letter of a choice, or a few words
@@ -70,7 +79,7 @@ def questions() -> dict[str, Question]:
     for file in sorted((Path(__file__).parent / "questions").glob("*.json")):
         entries = json.loads(file.read_text(encoding="utf-8"))
         for name, entry in entries.items():
-            by_name[name] = Question(chapter=int(file.stem), **entry)
+            by_name[name] = Question(chapter=file.stem.removeprefix("0"), **entry)
     return by_name
 
 

@@ -1,4 +1,4 @@
-"""Figures of a record of forecasts, `book/results/motion.json` or `unseen.json`. Taught in chapter 13."""
+"""Figures of a record of forecasts, `book/results/motion.json` or `unseen.json`. Taught in chapter 15."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trackers and similarities to compare seqPH with. Taught in chapter 7."""
+"""Trackers and similarities to compare seqPH with. Taught in chapter 8."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Datasets of many episodes: made in parallel, one file an episode, labelled, checked, and read as windows for training.
 
-Source: Antonova et al. 2021, section 6 (23,000 trajectories). Taught in chapter 9.
+Source: Antonova et al. 2021, section 6 (23,000 trajectories). Taught in chapter 11.
 """
 
 from typing import TYPE_CHECKING

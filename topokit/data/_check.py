@@ -1,4 +1,4 @@
-"""Check a dataset: every file, its shapes, its numbers and its identities. Taught in chapter 9."""
+"""Check a dataset: every file, its shapes, its numbers and its identities. Taught in chapter 11."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read a dataset: its episodes, its labels, and its parts for training and test. Taught in chapter 9."""
+"""Read a dataset: its episodes, its labels, and its parts for training and test. Taught in chapter 11."""
 
 from __future__ import annotations
 

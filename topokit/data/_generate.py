@@ -1,6 +1,6 @@
 """Make the episodes of a dataset in parallel; a run that was stopped goes on with the episodes that are missing.
 
-Source: the 23,000 trajectories of Antonova et al. 2021, section 6. Taught in chapter 9.
+Source: the 23,000 trajectories of Antonova et al. 2021, section 6. Taught in chapter 11.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Label the episodes of a dataset: the tracked state of every frame, written as safely as the episodes.
 
-Source: Antonova et al. 2021, Algorithm 1. Taught in chapter 9.
+Source: Antonova et al. 2021, Algorithm 1. Taught in chapter 11.
 """
 
 from __future__ import annotations

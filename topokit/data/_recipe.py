@@ -1,6 +1,6 @@
 """The configuration of a dataset, and an episode as a pure function of the configuration, a seed and a number.
 
-Source: Antonova et al. 2021, section 6 (garments, paths and physics are randomised). Taught in chapter 9.
+Source: Antonova et al. 2021, section 6 (garments, paths and physics are randomised). Taught in chapter 11.
 """
 
 from __future__ import annotations

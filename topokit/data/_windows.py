@@ -1,6 +1,6 @@
 """Windows for training: 16 clouds of the past, 60 planned actions and the states that followed.
 
-Source: Antonova et al. 2021, section 5 (h = 16, k = 60). Taught in chapter 9.
+Source: Antonova et al. 2021, section 5 (h = 16, k = 60). Taught in chapter 11.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ judged, as in the paper. They are matched to true loops in the way that favours 
 of its class, but other curves are as true (straight across a skirt, or behind a tie). So the hull of a true loop also contains
 the edge that ends its class.
 
-Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 13.
+Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapter 15.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ COLUMNS = (
     "hull_distance_marked_curve",  # the same for hulls of the marked curves alone, of loops that are not present, too
     "hull_distance_presence_ignored",  # as `hull_distance`, with loops ranked by lifetime times presence and none left out
     "in_plane",  # 1 when all k are in the curve's outline, seen along its normal, and near its plane
-    "in_opening",  # 1 when all are nearer to the centres than the curves' farthest vertices, as for tracks in chapter 7
+    "in_opening",  # 1 when all are nearer to the centres than the curves' farthest vertices, as for tracks in chapter 8
     "distance",  # of the k means from these centres, metres
     "same_slot",  # of the true loops found at the first step and still present, the share found by the same slot
     "nll",  # negative log-likelihood of points of the openings, nats

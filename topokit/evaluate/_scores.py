@@ -3,7 +3,7 @@
 Idea: the measures follow from counts, and counts of several sequences can be added.
 
 Source: Bernardin and Stiefelhagen 2008 (MOTA, switches), Ristani et al. 2016 (IDF1), Luiten et al. 2021 (HOTA); as in
-TrackEval, to which the tests hold every number. Taught in chapter 7.
+TrackEval, to which the tests hold every number. Taught in chapter 8.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ their centres decides which can be matched to which. Topology decides what is pr
 the class of a true loop (`Diagram.killers_of`), and the loop counts when it has lived for alpha or longer by then. A strap that
 lies flat does not count, nor does the hem of a shirt: it is the sum of the neck and the sleeves, and has no bar of its own.
 
-Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapters 0 and 7.
+Source: the hull measure is that of Antonova et al. 2021, section 6. Taught in chapters 0 and 8.
 """
 
 from __future__ import annotations

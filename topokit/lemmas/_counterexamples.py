@@ -1,6 +1,6 @@
 """All statements on one step, and small literal instances on which a statement fails or a constant is seen to be sharp.
 
-Taught in chapters 3 to 6.
+Taught in chapters 3 to 5.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@ distances between loops.
 
 Idea of a critical edge: the killer of a loop seen through samples is an edge whose lune falls apart there, see `beta_critical`.
 
-Source: Antonova et al. 2021, Assumptions 1 and 3. Taught in chapters 3 and 6.
+Source: Antonova et al. 2021, Assumptions 1 and 3. Taught in chapters 3 and 5.
 """
 
 from __future__ import annotations

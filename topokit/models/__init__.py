@@ -1,7 +1,7 @@
 """Predictive models: from the last clouds and the planned actions to the topological states of the next frames.
 
 Needs `pip install topokit[learn]`; nothing here imports torch before it is used.
-Source: Antonova et al. 2021, section 5. Taught in chapter 11.
+Source: Antonova et al. 2021, section 5. Taught in chapter 13.
 """
 
 from typing import TYPE_CHECKING

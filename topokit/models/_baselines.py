@@ -1,6 +1,6 @@
 """The parts of a model that reads windows; and the baselines hold, carry and ridge, which start from the tracked states.
 
-Source: Hoerl and Kennard 1970 (ridge regression). Taught in chapter 11.
+Source: Hoerl and Kennard 1970 (ridge regression). Taught in chapter 13.
 """
 
 from __future__ import annotations

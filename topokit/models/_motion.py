@@ -16,7 +16,7 @@ The network also predicts a scale of each point's error, learned with the motion
 
 Source: rollouts by messages as in Sanchez-Gonzalez et al. 2020, *Learning to simulate complex physics with graph networks*, with
 codes pooled as in Qi et al. 2017, *PointNet*; edge convolutions of Wang et al. 2019, *Dynamic graph CNN*; gates of Cho et al.
-2014, *Learning phrase representations using RNN encoder-decoder*. Taught in chapter 12.
+2014, *Learning phrase representations using RNN encoder-decoder*. Taught in chapter 14.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The two networks of the paper, as far as it describes them: inputs and outputs are in the coordinates of the room.
 
 Source: Antonova et al. 2021, section 5; Qi, Su, Mo, Guibas 2017, *PointNet* (a network shared by all points, then the maximum
-over them), without its transforms of the input. Taught in chapter 11.
+over them), without its transforms of the input. Taught in chapter 13.
 """
 
 import itertools

@@ -4,7 +4,7 @@ Idea: the two killer triangles share the killer edge, and each neighbour shares 
 eight corners: the ends x, y of the killer edge, the apexes z1 (thick) and z2 of the killer triangles, and one apex for each of
 the four neighbours. Triangles that share an edge stay together when corners are predicted, and there are half as many numbers.
 
-Source: Antonova et al. 2021, section 5 (the L2 loss) and equation 1; slots as in Carion et al. 2020. Taught in chapters 10, 11.
+Source: Antonova et al. 2021, section 5 (the L2 loss) and equation 1; slots as in Carion et al. 2020. Taught in chapters 12, 13.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ The order of windows and all that is random depend on the seed, the epoch and th
 Sums depend on how many threads share them; their number is therefore an entry of the configuration. On one kind of machine
 `best.safetensors` has the same bytes wherever it is made. `last.safetensors` has not: it holds the seconds that were spent.
 
-Source: Antonova et al. 2021, section 5 (supervised, from the tracker's labels). Taught in chapter 11.
+Source: Antonova et al. 2021, section 5 (supervised, from the tracker's labels). Taught in chapter 13.
 """
 
 from __future__ import annotations

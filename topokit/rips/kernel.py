@@ -16,7 +16,7 @@ The sections of this file follow the data: lengths and their order, bits, a kd-t
 lunes, relations between loops, when to stop, the pairing itself, and large clouds, which are paired without bitsets.
 Functions that Python calls take plain arrays and tuples, and their compiled code is kept; the others are compiled into them.
 
-Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtration). Read in chapter 2.
+Source: Koyama, Memoli, Robins, Turner 2023 (the reduced Vietoris-Rips filtration). Read in appendix B.
 """
 
 from __future__ import annotations

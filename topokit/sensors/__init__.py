@@ -1,6 +1,6 @@
 """Clouds of sensors, made ready for the tracker: from files, streams, depth images and ROS bags, through a declared pipeline.
 
-Taught in chapter 7.
+Taught in chapter 8.
 """
 
 from typing import TYPE_CHECKING

@@ -3,7 +3,7 @@
 Idea: a state is the list of loops of one frame. The tracker finds the loops by Rips persistence and decides which of them is
 which of the frame before. `follow` needs no matching: it moves tracked loops along with the points of their cloud.
 
-Source: Antonova et al. 2021, section 4 and Algorithm 1. Taught in chapters 0, 7 and 12.
+Source: Antonova et al. 2021, section 4 and Algorithm 1. Taught in chapters 0, 7 and 14.
 """
 
 from typing import TYPE_CHECKING

@@ -4,7 +4,7 @@ Idea: a tracked loop is more than its killer. Its cycle names vertices, and the 
 cloud of the same points: the edge that ends it there lies across the opening. So where the motion of the points is known or
 predicted, the motion of the loops is known too, and no two frames are matched.
 
-Source: the elder rule for given cycles is that of `Diagram.killers_of`. Taught in chapter 12.
+Source: the elder rule for given cycles is that of `Diagram.killers_of`. Taught in chapter 14.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Simulated garments: made by code, carried by two grippers, hung on hooks, hangers and mannequins, in PyBullet.
 
-Source: Antonova et al. 2021, section 6. Taught in chapters 0 and 8.
+Source: Antonova et al. 2021, section 6. Taught in chapters 0 and 10.
 """
 
 import importlib.util

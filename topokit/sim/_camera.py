@@ -3,7 +3,7 @@
 A camera draws the whole scene, so that near surfaces hide what is behind them. Only the pixels of the cloth become points.
 
 Source: Hartley and Zisserman 2004, chapter 6 (the pinhole camera); Nguyen, Izadi and Lovell 2012, *Modeling Kinect sensor
-noise for improved 3D reconstruction and tracking* (the noise). Taught in chapter 8.
+noise for improved 3D reconstruction and tracking* (the noise). Taught in chapter 10.
 """
 
 from __future__ import annotations

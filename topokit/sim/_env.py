@@ -4,7 +4,7 @@
     >>> env = gymnasium.make("topokit/HangApronHook-v1", reward="topological")
 
 Source: Towers et al. 2024, *Gymnasium: a standard interface for reinforcement learning environments*; Ng, Harada and Russell
-1999, *Policy invariance under reward transformations*. Taught in chapter 8.
+1999, *Policy invariance under reward transformations*. Taught in chapter 10.
 """
 
 from __future__ import annotations

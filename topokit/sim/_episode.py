@@ -3,7 +3,7 @@
 Everything that varies between episodes is drawn from declared ranges, and the draws are recorded in the episode. Each purpose
 (path, physics, cameras, noise) has a generator of its own.
 
-Source: Antonova et al. 2021, section 6 (stiffness and paths are randomised). Taught in chapters 0 and 8.
+Source: Antonova et al. 2021, section 6 (stiffness and paths are randomised). Taught in chapters 0 and 10.
 """
 
 from __future__ import annotations

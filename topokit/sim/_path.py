@@ -8,7 +8,7 @@ Films of plans that succeed do not show how the cloth moves under other plans. S
 miss, hesitate, take a detour, let go too early, push, or wander. Each change has its own probability, and several can come
 together; the draws are noted in `GripperPath.drawn`.
 
-Source: Flash and Hogan 1985, *The coordination of arm movements*. Taught in chapter 8.
+Source: Flash and Hogan 1985, *The coordination of arm movements*. Taught in chapter 10.
 """
 
 from __future__ import annotations

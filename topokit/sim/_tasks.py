@@ -3,7 +3,7 @@
 Idea: a script carries the loop by which a person would hang the garment (`Garment.hanging_loop`). It places a few stations
 relative to target and garment, and moves them by draws from given ranges.
 
-Source: Antonova et al. 2021, section 6. Taught in chapter 8.
+Source: Antonova et al. 2021, section 6. Taught in chapter 10.
 """
 
 from __future__ import annotations
