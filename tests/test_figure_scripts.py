@@ -15,7 +15,7 @@ from test_figures import HOOK, RING, edge_is_critical, film, some_edges
 from chapter_tools import figures
 from chapter_tools.figures.lune_plots import joined_before, lune_components
 from chapter_tools.figures.pages import LOOPS
-from topokit import SeqPH, lemmas, linking_number, loop_mixture, rips_persistence
+from topokit import SeqPH, lemmas, linking_number, loop_mixture, rips_persistence, track
 from topokit.linking import close_far
 from topokit.mixture import LoopMixture
 from topokit.rips import reduction
@@ -450,6 +450,83 @@ def test_a_stray_point_takes_the_papers_loop_and_not_the_other():
     clouds = [np.vstack([polygon(20, 2.0), [[2 + distance, 0.1]]]) for distance in (0.3, 2, 6, 60)]
     kept = [[rule["kept"] for rule in rules] for rules in answers(RULE_SCRIPTS, RULES, clouds)]
     assert kept == [[1, 1], [1, 1], [0, 1], [0, 1]]
+
+
+# ---- belief along a film: evidence.js
+
+BELIEF = """({ frames, d }) => {
+  const clouds = frames.map((points) => Float64Array.from(points.flat()));
+  const { track } = seqphKernel(kernel, assign), states = track(clouds, d);
+  const strength = states.map(({ evidence: [first] }) => Math.exp(first / 5)), beliefs = beliefsOf(strength);
+  return { beliefs, tracked: states.map(({ loops: [loop] }) => (loop ? loop.belief : null)) };
+}"""
+
+
+def test_belief_adds_up_as_in_the_tracker():
+    """A ring of many points and of few by turns; the tracker of the page is that of the library, by another test."""
+    rng = np.random.default_rng(4)
+    counts = [24, 24, 16, 12, 10, 8, *[6] * 4, *[5] * 14, 6, 8, 10, 12, 16, *[24] * 8]
+    clouds = [polygon(n) + rng.normal(0, 0.02, (n, 2)) for n in counts]
+    scripts = [*LOOPS, "assign.js", "seqph.js", "evidence.js"]
+    [answer] = by_script(scripts, BELIEF, [{"frames": [cloud.tolist() for cloud in clouds], "d": 2}])
+    reported = [len(state) > 0 for state in track(clouds)]
+    assert [belief > 0 for belief in answer["beliefs"]] == reported
+    assert 3 < sum(reported) < len(reported) - 3
+    pairs = [(b, t) for b, t in zip(answer["beliefs"], answer["tracked"], strict=True) if t is not None]
+    np.testing.assert_allclose(*np.transpose(pairs))
+
+
+def test_a_higher_threshold_lowers_the_belief_and_without_memory_it_is_the_evidence():
+    rng = np.random.default_rng(0)
+    found = rng.uniform(
+        1, 2.5, 200
+    )  # by no threshold below 1.6 is one missed: a missed frame counts less than a weak one
+    weak = rng.uniform(0.4, 2.5, 200)
+    cases = [(found, {}), (found, {"threshold": 1.5}), (weak, {"kept": 0.0})]
+    given = [[strength.tolist(), options] for strength, options in cases]
+    call = "([strength, options]) => beliefsOf(strength, options)"
+    usual, strict, forgetful = np.array(by_script(["evidence.js"], call, given))
+    assert (strict < usual).sum() > 100
+    assert (strict <= usual).all()
+    evidence = np.clip(5 * np.log(weak), -3, 2)
+    np.testing.assert_allclose(forgetful, np.where(evidence > -2.5, evidence, -1.0))
+
+
+# ---- names by gates: follow.js
+
+
+def ringed_film(rng: np.random.Generator) -> np.ndarray:
+    """Return a film of two or three rings in space that drift, and near each other change their loops."""
+    rings_of_it = []
+    for _ in range(int(rng.integers(2, 4))):
+        ring = np.insert(polygon(int(rng.integers(9, 16)), float(rng.uniform(0.8, 1.2))), 2, 0.0, axis=1)
+        drift = rng.normal(0, 0.1, 3) * np.arange(8)[:, None, None]
+        rings_of_it.append(ring + rng.normal(0, 1.2, 3) + drift)
+    film_of_it = np.concatenate(rings_of_it, axis=1)
+    return film_of_it + rng.normal(0, 0.05, film_of_it.shape)
+
+
+def test_names_are_those_of_the_tracker_for_all_gates():
+    rng = np.random.default_rng(8)
+    cases = []
+    expected = []
+    for k in range(60):
+        clouds = ringed_film(rng)
+        options = dict(zip(("alpha", "beta", "epsilon"), rng.uniform(0, [0.3, 1.0, 0.2]).tolist(), strict=True))
+        rule = ("paper", "proved", "near")[k % 3]
+        tracker = SeqPH(**options, loops="alpha", gates=rule, identity="killer-edge", memory=0)
+        expected.append([[loop.id for loop in state.loops] for state in tracker.stream(clouds)])
+        frames = []
+        for cloud in clouds:
+            diagram = rips_persistence(cloud)
+            ends = cloud[diagram.killer_edge].tolist()
+            bars = zip(diagram.birth.tolist(), diagram.death.tolist(), ends, strict=True)
+            frames.append([{"birth": birth, "death": death, "ends": places} for birth, death, places in bars])
+        cases.append([frames, {**options, "gates": rule}])
+    call = "([film, options]) => followed(film, options).map(({ names }) => names)"
+    assert by_script(["assign.js", "follow.js"], call, cases) == expected
+    counts = {len({name for frame in names for name in frame}) for names in expected}
+    assert min(counts) < 5 < max(counts)
 
 
 # ---- mixtures

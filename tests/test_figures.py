@@ -71,6 +71,8 @@ PAGES = {
     "motion": lambda: figures.motion(SQUARE, 0.25, [2, 0, 1]),
     "nudge": lambda: figures.nudge(SQUARE),
     "critical": lambda: figures.critical(SQUARE, 0.1, 0.01),
+    "belief": lambda: figures.belief({"a </script> film": [0.5, 1.5, 2.0], "another": [1, 1]}),
+    "gates": lambda: figures.gates(film() / 100, alpha=0.01, beta=0.1, epsilon=0.02),
     "hiding": lambda: figures.hiding(SQUARE, [1]),
     "stray": lambda: figures.stray(SQUARE, [2.5, 0.0], [9.0, 1 / 3]),
     "mixture": lambda: figures.mixture(SQUARE, 3),
@@ -124,6 +126,19 @@ def test_a_film_opens_in_its_middle_and_ends_after_the_last_death():
     assert data["end"] == pytest.approx(1.15 * last_death, rel=1e-4)
     np.testing.assert_allclose(unpack(data["film"]), film(), rtol=1e-6)
     assert page_data(figures.growth([np.eye(3)]))["end"] == 1.0  # a film without loops
+
+
+def test_gates_store_the_long_bars_of_every_frame():
+    clouds = film() / 100
+    data = page_data(figures.gates(clouds, alpha=0.01, beta=0.1, epsilon=0.02))
+    diagrams = [rips_persistence(cloud, min_lifetime=0.005) for cloud in clouds]
+    assert data["counts"] == [len(diagram) for diagram in diagrams]
+    bars = unpack(data["bars"])
+    np.testing.assert_allclose(bars[:, 0], np.concatenate([diagram.birth for diagram in diagrams]), rtol=1e-6)
+    ends = np.concatenate([cloud[diagram.killer_edge] for cloud, diagram in zip(clouds, diagrams, strict=True)])
+    np.testing.assert_allclose(bars[:, 2:].reshape(-1, 2, 3), ends, rtol=1e-6)
+    dots = unpack(data["cloud"]) * data["scale"] + data["low"]
+    assert all(abs(clouds[0] - dot).max(axis=1).min() < 0.0006 for dot in dots[0])
 
 
 def test_the_data_flow_highlights_its_stages():

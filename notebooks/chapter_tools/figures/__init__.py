@@ -2,11 +2,13 @@
 
 from .lune_plots import plot_lens, plot_lune
 from .pages import (
+    belief,
     cloud,
     coverage,
     critical,
     data_flow,
     elimination,
+    gates,
     growth,
     hiding,
     linked,
@@ -19,11 +21,13 @@ from .pages import (
 )
 
 __all__ = [
+    "belief",
     "cloud",
     "coverage",
     "critical",
     "data_flow",
     "elimination",
+    "gates",
     "growth",
     "hiding",
     "linked",

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit import linking_number, rips_persistence
+from topokit import farthest_point_sample, linking_number, rips_persistence, rips_persistence_many
 from topokit.linking import close_far
 from topokit.view import HtmlFigure, loop_colour
 
@@ -29,6 +29,8 @@ MOST_NUDGED = 24  # the script computes 121 clouds at every change
 MOST_REDUCED = 10  # their 120 triangles are columns that can still be told apart
 MOST_FRAMES = 16
 MOST_IN_SPACE = 160  # edges and triangles are drawn one by one
+MOST_DOTS = 120  # points of a film that are drawn
+LEAST_LIFETIME = 0.005  # metres; shorter bars of a film are not stored
 MOST_TESTED = 160  # of their edges those of one length are tested at every change
 LOOPS = ("sampling.js", "rips.js", "complex.js")  # scripts that compute loops
 NO_SHARE = 65535  # stands for a share that the results lack
@@ -326,6 +328,81 @@ def stray(points: ArrayLike, start: Sequence[float], end: Sequence[float]) -> Ht
     data = {"points": cloud.tolist(), "start": ends[0], "end": ends[1]}
     scripts = [*LOOPS, "assign.js", "seqph.js", "planar.js", "places.js", "rules.js"]
     return _figure("stray", data, scripts, 480, "drag the stray point away", f"{len(cloud)} points and a stray one")
+
+
+def gates(
+    film: ArrayLike,
+    *,
+    alpha: float,
+    beta: float,
+    epsilon: float,
+    rule: str = "paper",
+    view: tuple[float, float] = (-75.0, 12.0),
+) -> HtmlFigure:
+    """Return an interactive figure of a film, the table of costs of each step with its assignment, and the names of the loops.
+
+    Sliders set alpha, beta and epsilon, a menu chooses the gates. The names are those of `topokit.SeqPH` with these options,
+    ``loops="alpha"``, ``identity="killer-edge"`` and no memory. A cell of the table shows the cost of a pair, or the gate that
+    closes the pair. A chart shows the names along the film.
+
+    Parameters
+    ----------
+    film : (T, n, 3) array_like
+        Clouds, metres. Their bars of 5 mm and more are stored, and 120 of their points.
+    alpha, beta, epsilon : float
+        The first values of the sliders, metres.
+    rule : {"paper", "proved", "near"}
+        The gates at first, as in `topokit.SeqPH`.
+    view : (2,) tuple of float
+        Azimuth and elevation of the eye, degrees.
+    """
+    clouds = np.asarray(film, dtype=np.float64)
+    diagrams = rips_persistence_many(list(clouds), min_lifetime=LEAST_LIFETIME)
+    rows = []
+    for diagram, points in zip(diagrams, clouds, strict=True):
+        ends = points[diagram.killer_edge].reshape(-1, 6)
+        rows.append(np.column_stack([diagram.birth, diagram.death, ends]))
+    bars = np.concatenate(rows)
+
+    # The picture needs few points, to the millimetre.
+    shown, _ = farthest_point_sample(clouds[0], min(MOST_DOTS, clouds.shape[1]))
+    dots = clouds[:, shown]
+    low = dots.min(axis=(0, 1))
+    high = dots.max(axis=(0, 1))
+    data = {
+        "frames": len(clouds),
+        "counts": [len(diagram) for diagram in diagrams],
+        "bars": bars,
+        "cloud": np.rint((dots - low) * 1000).astype(np.int64),
+        "scale": 1e-3,
+        "low": low.tolist(),
+        "middle": ((low + high) / 2).tolist(),
+        "spread": float((high - low).max()),
+        "view": list(view),
+        "least": LEAST_LIFETIME,
+        "most": float(1.1 * max(diagram.lifetime.max(initial=LEAST_LIFETIME) for diagram in diagrams)),
+        "options": {"alpha": float(alpha), "beta": float(beta), "epsilon": float(epsilon), "gates": rule},
+    }
+    scripts = ["orbit.js", "planar.js", "assign.js", "follow.js"]
+    return _figure("gates", data, scripts, 560, "drag to turn", f"The loops of {len(clouds)} frames, matched by gates")
+
+
+def belief(films: Mapping[str, ArrayLike]) -> HtmlFigure:
+    """Return an interactive figure of the significance of a loop's bar along a film, and of the belief that adds up.
+
+    Sliders set the threshold of significance, the share of the belief that is kept, and the belief above which the loop is
+    reported; their first values are those of `topokit.SeqPH`. The reader can drag the significance of each frame. A strip
+    shows the frames in which the loop is reported, by each frame alone and by belief.
+
+    Parameters
+    ----------
+    films : mapping of str to (T,) array_like
+        Significances of the loop's bar by frame, for each film; the reader chooses one.
+    """
+    strengths = {name: np.asarray(film, dtype=np.float64).tolist() for name, film in films.items()}
+    scripts = ["planar.js", "places.js", "evidence.js"]
+    title = f"Belief along {' or '.join(strengths)}"
+    return _figure("belief", {"shapes": strengths}, scripts, 500, "drag a dot up or down", title)
 
 
 def cloud(samples: Mapping[str, ArrayLike]) -> HtmlFigure:
