@@ -20,7 +20,7 @@ from topokit import track
 from topokit.cli import main
 from topokit.io import load_episode, load_states
 
-from conftest import hear_ctrl_c, polygon
+from conftest import DATA, hear_ctrl_c, polygon
 
 COMMAND = [sys.executable, "-m", "topokit"]
 COMMANDS = ("track", "simulate", "mesh", "hang", "generate", "label", "check", "train", "predict")
@@ -384,6 +384,21 @@ def test_mesh_reports_and_draws_what_is_understood(bag, capsys):
     assert list(answer["loops"]) == ["handle 1", "handle 2"]
     assert max(answer["metres"]) < 0.01
     assert ".svg" in refused(capsys, *command, "--plot", bag / "bag.txt")
+
+
+# -- train ----------------------------------------------------------------------------------------------------------------
+
+
+def test_train_takes_dataset_and_start_in_place_of_the_configuration_s(tmp_path, capsys):
+    shares = {"train": 0.5, "validation": 0.5}
+    entries = {"model": "motion", "dataset": "old", "start": "old.safetensors", "batch": 4, "split": {"shares": shares}}
+    config = tmp_path / "train.json"
+    config.write_text(json.dumps(entries))
+    missing = refused(capsys, "train", config, "--dataset", tmp_path / "films", "--out", tmp_path / "out")
+    assert f"{tmp_path / 'films'}: there is no dataset" in missing
+    start = tmp_path / "mine.safetensors"
+    arguments = ["--dataset", DATA / "motion", "--start", start, "--out", tmp_path / "out"]
+    assert str(start) in refused(capsys, "train", config, *arguments)
 
 
 # -- errors -----------------------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 pytest.importorskip("pybullet")
 pytest.importorskip("gymnasium")
@@ -85,6 +86,28 @@ def test_grippers_go_apart_for_a_head():
     assert servo.reason == ""
     first, second = actions[-1][:6].reshape(2, 3)
     assert second[0] - first[0] > 0.1
+
+
+def way_of_a_rigid_ring(servo, frames):
+    """The places of the hands until they let go of a ring that is rigid in them; they are where they are sent."""
+    hands = np.array([[-0.1, -0.6, 1.42], [0.1, -0.6, 1.42]])
+    loop = ring(60, centre=(0, 0, -0.17))
+    servo.reset(seen(loop + hands.mean(axis=0), hands))
+    way = []
+    for _ in range(frames):
+        way.append(hands.mean(axis=0))
+        if servo.act(seen(loop + way[-1], hands))[6] > 0:
+            return np.array(way)
+        hands = servo.goals
+    raise AssertionError(servo.reason or "it was not let go")
+
+
+def test_slow_hands_go_the_same_way_as_fast_ones():
+    """A stop that is not reached in time is left; hands at a quarter of the speed once went down in front of the hook."""
+    usual = way_of_a_rigid_ring(Servo(), 300)
+    slow = way_of_a_rigid_ring(Servo(max_step=0.0108), 1200)
+    assert len(slow) > 2 * len(usual)
+    assert cKDTree(usual).query(slow)[0].max() < 0.02
 
 
 def test_it_looks_before_it_moves_and_turns_towards_the_arm():

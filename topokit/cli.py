@@ -959,6 +959,8 @@ def train(
     /,
     *,
     out: Path,
+    dataset: Path | None = None,
+    start: Path | None = None,
     seed: Whole | None = None,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -971,6 +973,10 @@ def train(
         Configuration of the model, the training and the dataset (.json).
     out
         Folder for the checkpoints and the log, new or to go on with.
+    dataset
+        A dataset in place of the configuration's.
+    start
+        A checkpoint to start from, in place of the configuration's.
     seed
         A seed in place of the configuration's.
     """
@@ -978,8 +984,8 @@ def train(
     from .models import train as run_training
 
     settings = TrainConfig.load(config)
-    if seed is not None:
-        settings = dataclasses.replace(settings, seed=seed)
+    given = {"dataset": dataset and str(dataset), "start": start and str(start), "seed": seed}
+    settings = dataclasses.replace(settings, **{name: value for name, value in given.items() if value is not None})
     progress = sys.stderr.isatty() and not as_json and not quiet
     try:
         answer = run_training(settings, out, progress=progress)

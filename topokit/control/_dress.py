@@ -20,7 +20,7 @@ from topokit._geometry import turned
 from topokit.linking import close_far, curve_centroid, linking_number
 
 from ._arm import Arm, Array, angle, lies_flat
-from ._servo import PATIENCE, SURE, TURN, Servo
+from ._servo import SURE, TURN, USUAL_STEP, Servo
 
 _NEW_WEIGHT = 0.1  # weight of a new measurement of the middle of the cloth
 _CLEAR = 0.06  # metres between the head and cloth that is carried over it
@@ -69,7 +69,7 @@ class _Wearing(Servo):
 
     _SPEEDS: ClassVar[dict[str, float]]  # the stops, and the shares of the largest step on the way to them
 
-    def __init__(self, *, max_step: float = 0.0432, cloud_delay: int = 0) -> None:
+    def __init__(self, *, max_step: float = USUAL_STEP, cloud_delay: int = 0) -> None:
         super().__init__(max_step=max_step, cloud_delay=cloud_delay)
 
     def reset(self, observation: Mapping[str, Any]) -> None:
@@ -115,9 +115,9 @@ class _Wearing(Servo):
         arrived = np.linalg.norm(move) < _NEAR and abs(facing) < _FACING and abs(apart) < _APART
         # Let go, go on to the next stop, or begin again at the first one.
         self._waited += 1
-        if self._worn(stop, body) and stop == "down" and (arrived or self._waited > PATIENCE):
+        if self._worn(stop, body) and stop == "down" and (arrived or self._waited > self._patience):
             return np.eye(7, dtype=np.float32)[6]
-        if (arrived and stop != "down") or self._waited > 2 * PATIENCE:
+        if (arrived and stop != "down") or self._waited > 2 * self._patience:
             self._stop += 1
             self._waited = 0
         if self._stop == len(self._SPEEDS):

@@ -23,7 +23,7 @@ from topokit._validate import positive, whole
 from topokit.linking import linking_numbers
 
 from ._arm import Arm, Array, angle
-from ._servo import DOWN, LIFT, PATIENCE, SURE, TURN, Servo
+from ._servo import DOWN, LIFT, SURE, TURN, USUAL_STEP, Servo
 
 _KNOTS = np.array([0, 8, 18, 30, 44, 60])  # frames at which a path is described
 FRAMES = 60  # frames of a forecast
@@ -121,7 +121,7 @@ class Planner(Servo):
         goal: ArrayLike | None = None,
         *,
         radius: float = 0.02,
-        max_step: float = 0.0432,
+        max_step: float = USUAL_STEP,
         cloud_delay: int = 0,
         pace: float = 0.6,
         plans: int = 24,
@@ -209,13 +209,13 @@ class Planner(Servo):
         linked = min(loop.around for loop in self._chosen)
         self._waited += bool(np.linalg.norm(rim - arm.tip) < _CLOSE)
         seated = np.linalg.norm(self._seat(arm) - rim) < _SEATED and speed < _STILL
-        if linked >= SURE and (seated or self._waited > PATIENCE / 2):
+        if linked >= SURE and (seated or self._waited > self._patience / 2):
             if all(loop.is_seen for loop in self._chosen):
                 return np.eye(7, dtype=np.float32)[6]
             self._stop = DOWN
             self._waited = 0
             return super()._next_action(arm, grippers)
-        if self._waited > PATIENCE:
+        if self._waited > self._patience:
             self._stop = LIFT
             self._waited = 0
             self._last = None

@@ -31,6 +31,7 @@ from ._arm import Arm, Array, Opening, angle, drawn, lies_flat
 _FIRST_LOOKS = 6  # frames in which loops are tracked before anything moves
 SURE = 5  # frames in a row in which the loops must be around the target before the grippers let go
 PATIENCE = 60  # frames at most until a stop on the rail is reached, and until a loop is seen
+USUAL_STEP = 0.0432  # metres in a frame with which stops are reached in that time; slower grippers get more frames
 _QUARTER = 45  # frames in which a garment that shows no loop is turned by 90 degrees
 _SHOWN = PATIENCE // 2 + 3 * _QUARTER  # frames after which a garment that shows no loop has been turned to both sides
 _TRIES = 4  # runs along the rail before the servo gives up
@@ -111,7 +112,7 @@ class Servo(Controller):
     """
 
     def __init__(
-        self, goal: ArrayLike | None = None, *, radius: float = 0.02, max_step: float = 0.0432, cloud_delay: int = 0
+        self, goal: ArrayLike | None = None, *, radius: float = 0.02, max_step: float = USUAL_STEP, cloud_delay: int = 0
     ) -> None:
         self._count = 1  # how many loops are to hang
         self._place: Array | None = None  # the place whose nearest loop is to hang
@@ -125,6 +126,7 @@ class Servo(Controller):
                 )
         self.radius = positive(radius, "radius")
         self.max_step = positive(max_step, "max_step", zero=False)
+        self._patience = PATIENCE * max(1.0, USUAL_STEP / self.max_step)
         self._delay = whole(cloud_delay, "cloud_delay", 0, _LONGEST_DELAY)
 
     def reset(self, observation: Mapping[str, Any]) -> None:
@@ -175,6 +177,11 @@ class Servo(Controller):
             elif loop.is_seen or self._stop < DOWN:
                 loop.around = 0
         return self._next_action(arm, grippers)
+
+    @property
+    def goals(self) -> Array:
+        """Return the places (2, 3) to which the last action moves the grippers, metres; a robot is sent there."""
+        return self._goals.copy()
 
     def _follow(self, points: Array, grippers: Array, line: Array) -> None:
         """Take in a frame: the age of its cloud, the loops of a new cloud, and the motion of the target."""
@@ -309,9 +316,9 @@ class Servo(Controller):
         # Let go, go on to the next stop, or begin again at the second one.
         sure = min(loop.around for loop in self._chosen) >= SURE
         self._waited += 1
-        if stop == "down" and sure and (arrived or self._waited > PATIENCE / 2):
+        if stop == "down" and sure and (arrived or self._waited > self._patience / 2):
             return np.eye(7, dtype=np.float32)[6]
-        if (arrived and stop != "down") or self._waited > PATIENCE:
+        if (arrived and stop != "down") or self._waited > self._patience:
             self._stop += 1
             self._waited = 0
         if self._stop == len(_RAIL):

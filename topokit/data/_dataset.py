@@ -60,7 +60,7 @@ class Dataset(NumberedFiles):
 
     def __init__(self, folder: str | Path) -> None:
         if not (Path(folder) / ABOUT).is_file():
-            raise FileNotFoundError(f"{folder}: there is no dataset (no {ABOUT})")
+            raise FileNotFoundError(f"{folder}: there is no dataset (no {ABOUT}); topokit generate makes one")
         super().__init__(folder, EPISODE_KIND, ABOUT)
         self.settings: DatasetSettings = read_settings(DatasetSettings, self.folder / ABOUT)  #: its settings
         self._labels: dict[str, Labels] = {}
