@@ -15,7 +15,7 @@ from scipy.spatial.distance import cdist
 
 from chapter_tools import figures
 from chapter_tools.figures.lune_plots import joined_before, lens_witness, lune_components
-from topokit import rips_persistence, track, view
+from topokit import farthest_point_sample, lemmas, rips_persistence, track, view
 from topokit.io import Episode, load_episode
 from topokit.sim import WARDROBE
 
@@ -71,6 +71,7 @@ PAGES = {
     "motion": lambda: figures.motion(SQUARE, 0.25, [2, 0, 1]),
     "nudge": lambda: figures.nudge(SQUARE),
     "critical": lambda: figures.critical(SQUARE, 0.1, 0.01),
+    "verdicts": lambda: figures.verdicts(*film()[:2] / 100, levels=(3, 2)),
     "belief": lambda: figures.belief({"a </script> film": [0.5, 1.5, 2.0], "another": [1, 1]}),
     "gates": lambda: figures.gates(film() / 100, alpha=0.01, beta=0.1, epsilon=0.02),
     "hiding": lambda: figures.hiding(SQUARE, [1]),
@@ -139,6 +140,37 @@ def test_gates_store_the_long_bars_of_every_frame():
     np.testing.assert_allclose(bars[:, 2:].reshape(-1, 2, 3), ends, rtol=1e-6)
     dots = unpack(data["cloud"]) * data["scale"] + data["low"]
     assert all(abs(clouds[0] - dot).max(axis=1).min() < 0.0006 for dot in dots[0])
+
+
+def test_verdicts_are_those_of_the_library_for_every_step_of_both_sliders():
+    before, after = film()[:2] / 100
+    data = page_data(figures.verdicts(before, after, levels=(4, 3)))
+    outcomes = unpack(data["outcomes"])
+    numbers = unpack(data["numbers"])
+    seen = unpack(data["seen"])
+    assert [row[0] for row in data["alphas"]] == sorted(row[0] for row in data["alphas"])
+    assert data["epsilons"][0] == 0.0
+    assert data["epsilons"][2] == pytest.approx(lemmas.max_displacement(before, after))
+    found = set()
+    for a, e in np.ndindex(4, 3):
+        moved = before + e / 2 * (after - before)
+        observed = np.flatnonzero(seen[a])
+        assert len(observed) == data["counts"][a]
+        then, _ = farthest_point_sample(moved, len(observed), start=1)
+        checks = lemmas.verify_step(before, observed, moved, then)
+        assert data["alphas"][a][e] == pytest.approx(checks["corollary"].alpha)
+        for s, name in enumerate(data["statements"]):
+            for v, version in enumerate(data["versions"]):
+                outcome = ("", "no loop", "not met", "true", "false")[outcomes[a, e, s, v]]
+                verdict = checks[name].versions.get(version)
+                assert (verdict is None) == (outcome == "")
+                if verdict is None:
+                    continue
+                assert verdict.applies == (outcome in ("true", "false"))
+                assert (verdict.violated and verdict.loops > 0) == (outcome == "false")
+                assert numbers[a, e, s, v].tolist() == pytest.approx([verdict.statistic, verdict.bound], rel=1e-6)
+                found.add(outcome)
+    assert found >= {"no loop", "true", "false"}
 
 
 def test_the_data_flow_highlights_its_stages():

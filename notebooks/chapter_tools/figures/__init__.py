@@ -18,6 +18,7 @@ from .pages import (
     nudge,
     shares,
     stray,
+    verdicts,
 )
 
 __all__ = [
@@ -39,4 +40,5 @@ __all__ = [
     "plot_lune",
     "shares",
     "stray",
+    "verdicts",
 ]

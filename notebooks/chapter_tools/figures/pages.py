@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit import farthest_point_sample, linking_number, rips_persistence, rips_persistence_many
+from topokit import farthest_point_sample, lemmas, linking_number, rips_persistence, rips_persistence_many
+from topokit.lemmas import Verdict
 from topokit.linking import close_far
 from topokit.view import HtmlFigure, loop_colour
 
@@ -31,6 +32,8 @@ MOST_FRAMES = 16
 MOST_IN_SPACE = 160  # edges and triangles are drawn one by one
 MOST_DOTS = 120  # points of a film that are drawn
 LEAST_LIFETIME = 0.005  # metres; shorter bars of a film are not stored
+VERSIONS = ("paper", "corrected", "intrinsic")  # of a statement
+OF_MOTION = ("temporal persistence", "regularity of killers")  # statements that depend on epsilon more than on alpha
 MOST_TESTED = 160  # of their edges those of one length are tested at every change
 LOOPS = ("sampling.js", "rips.js", "complex.js")  # scripts that compute loops
 NO_SHARE = 65535  # stands for a share that the results lack
@@ -403,6 +406,115 @@ def belief(films: Mapping[str, ArrayLike]) -> HtmlFigure:
     scripts = ["planar.js", "places.js", "evidence.js"]
     title = f"Belief along {' or '.join(strengths)}"
     return _figure("belief", {"shapes": strengths}, scripts, 500, "drag a dot up or down", title)
+
+
+def verdicts(
+    before: ArrayLike, after: ArrayLike, *, levels: tuple[int, int] = (8, 6), view: tuple[float, float] = (-75.0, 12.0)
+) -> HtmlFigure:
+    """Return an interactive figure of one frame of cloth, with sliders for alpha and epsilon and a verdict on every statement.
+
+    The alpha slider hides points: the observed ones are farthest-point samples. The epsilon slider makes a part of the motion
+    from `before` to `after`. For each step of both, `topokit.lemmas.verify_step` has checked all statements in the paper's
+    version, the corrected one, and the intrinsic one. A chart shows what is measured, and the bounds, for one statement.
+
+    Parameters
+    ----------
+    before, after : (n, 3) array_like
+        The same points in two frames, metres. A step with 130 points takes a fifth of a second.
+    levels : (2,) tuple of int
+        The numbers of steps of the two sliders, alpha and epsilon, each at least 2.
+    view : (2,) tuple of float
+        Azimuth and elevation of the eye, degrees.
+
+    Raises
+    ------
+    ValueError
+        When the points of `before` have no loop.
+    """
+    state = np.asarray(before, dtype=np.float64)
+    motion = np.asarray(after, dtype=np.float64) - state
+    diagram = rips_persistence(state)
+    if not len(diagram):
+        raise ValueError(f"the {len(state)} points have no loop, so there is nothing that a statement could promise")
+    counts = _sample_sizes(state, levels[0], 1.25 * float(diagram.lifetime[0]))
+    observed = [farthest_point_sample(state, count)[0] for count in counts]
+    shares = np.linspace(0, 1, levels[1])
+    states = [state + share * motion for share in shares]
+
+    # Check every pair of levels.
+    shape = (*levels, len(lemmas.STATEMENTS), len(VERSIONS))
+    outcomes = np.zeros(shape, dtype=np.uint8)
+    numbers = np.zeros((*shape, 2))
+    killers_then = np.zeros((*levels, 2), dtype=np.int64)
+    alphas = np.zeros(levels)
+    for a, ids in enumerate(observed):
+        for e, moved in enumerate(states):
+            ids_then, _ = farthest_point_sample(moved, len(ids), start=1)
+            killers_then[a, e] = _killer(moved, ids_then)
+            checks = lemmas.verify_step(state, ids, moved, ids_then)
+            alphas[a, e] = checks["gates"].alpha
+            for s, check in enumerate(checks.values()):
+                for v, version in enumerate(VERSIONS):
+                    verdict = check.versions.get(version)
+                    if verdict is not None:
+                        outcomes[a, e, s, v] = _outcome(verdict)
+                        numbers[a, e, s, v] = verdict.statistic, verdict.bound
+
+    low = state.min(axis=0)
+    high = state.max(axis=0)
+    seen = np.zeros((levels[0], len(state)), dtype=bool)
+    for a, ids in enumerate(observed):
+        seen[a, ids] = True
+    data = {
+        "statements": list(lemmas.STATEMENTS),
+        "versions": VERSIONS,
+        "along": ["epsilon" if name in OF_MOTION else "alpha" for name in lemmas.STATEMENTS],
+        "counted": [name == "feature approximation" for name in lemmas.STATEMENTS],
+        "alphas": alphas.tolist(),
+        "epsilons": [lemmas.max_displacement(state, moved) for moved in states],
+        "distortions": [lemmas.distortion(state, moved) for moved in states],
+        "counts": counts,
+        "life": float(diagram.lifetime[0]),
+        "outcomes": outcomes,
+        "numbers": numbers,
+        "before": state,
+        "motion": motion,
+        "seen": seen,
+        "killers": np.array([_killer(state, ids) for ids in observed]),
+        "killersThen": killers_then,
+        "middle": ((low + high) / 2).tolist(),
+        "spread": float((high - low).max()),
+        "view": list(view),
+        "start": [1, 1],
+    }
+    title = f"The lemmas on {len(state)} points of cloth"
+    return _figure("verdicts", data, ["orbit.js", "planar.js"], 600, "drag to turn", title)
+
+
+def _sample_sizes(points: NDArray[np.float64], levels: int, largest: float) -> list[int]:
+    """Return numbers of farthest-point samples whose covering radii are spread evenly from 0 to `largest`."""
+    n_points = len(points)
+    radii = np.array([farthest_point_sample(points, count)[1] for count in range(1, n_points + 1)])
+    least = float(radii[radii > 0].min())
+    wanted = [0.0, *np.linspace(least, largest, levels - 1)]
+    return [int(np.argmax(radii <= radius * (1 + 1e-9))) + 1 for radius in wanted]
+
+
+def _killer(points: NDArray[np.float64], ids: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the killer edge (2,) of the longest bar of some points; twice their first point where there is no bar."""
+    diagram = rips_persistence(points[ids])
+    if not len(diagram):
+        return ids[[0, 0]]
+    return ids[diagram.killer_edge[0]]
+
+
+def _outcome(verdict: Verdict) -> int:
+    """Return 1 where no loop is long enough, 2 where the assumptions are not met, 3 for a true conclusion, 4 for a false one."""
+    if not verdict.loops:
+        return 1
+    if not verdict.hypotheses:
+        return 2
+    return 3 if verdict.holds else 4
 
 
 def cloud(samples: Mapping[str, ArrayLike]) -> HtmlFigure:
