@@ -1,5 +1,5 @@
 # make book        build the environment if needed, run every chapter on data_small, build the book in _build/html
-# make lab         open JupyterLab on the first chapter
+# make lab         open JupyterLab on the first of the chapters' copies in plain Markdown (runs/lab)
 # make test        unit tests, doctests, every chapter, lint; in the same environment
 # make check-book  open every page of the built book in Chromium, without a network, and use every control of its figures
 # make pdf         print the whole book by Chromium
@@ -77,7 +77,8 @@ $(VENV)/lab: $(VENV)/ready
 	@touch $@
 
 lab: $(VENV)/lab opengl
-	$(BIN)/jupyter lab --ServerApp.root_dir=$(CURDIR) --LabApp.default_url=/lab/tree/$(firstword $(sort $(wildcard notebooks/*.ipynb)))
+	@$(BIN)/python book/lab.py
+	$(BIN)/jupyter lab --ServerApp.root_dir=$(CURDIR)/runs/lab --LabApp.default_url=/lab/tree/$(firstword $(sort $(wildcard notebooks/*.ipynb)))
 
 clean:
 	rm -rf .venv .venv-* _build build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis *.egg-info

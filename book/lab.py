@@ -1,7 +1,7 @@
 """Write the chapters for JupyterLab, in plain Markdown: python book/lab.py
 
 The chapters are written in MyST, whose roles and directives only the book resolves. Other readers of notebooks show them as they
-are: {term}`loop`, :::{prf:theorem}. The copies in _build/lab read well there. Terms show their meaning at the pointer, theorems
+are: {term}`loop`, :::{prf:theorem}. The copies in runs/lab read well there. Terms show their meaning at the pointer, theorems
 and exercises are called by their titles, equations by their labels, and citations by author and year.
 
 A copy that its reader has changed is kept.
@@ -35,7 +35,6 @@ _FENCE = re.compile(r"^(:{3,})\{([a-z:]+)\} *([^\n]*)\n((?::[a-z]+:[^\n]*\n)*)(.
 _ROLE = re.compile(r"\{([a-z:]+)\}`([^`]+)`")
 _TAGGED = re.compile(r"\$\$((?:(?!\$\$).)+?)\$\$ *\(([a-z0-9-]+)\)", re.DOTALL)
 _IMAGE = re.compile(r"^```\{image\} *(\S+)\n((?::[a-z]+:.*\n)*)```$", re.MULTILINE)
-_COMMENT = re.compile(r"^%.*\n?", re.MULTILINE)  # MyST shows no such line, and other readers do
 # A role, or code, which is left as it is.
 _ROLE_OR_CODE = re.compile(r"\{([a-z:]+)\}`([^`]+)`|^```.*?^```$|`[^`\n]+`", re.MULTILINE | re.DOTALL)
 _NAMES = {"margin": "Note", "prf:proof": "Proof"}
@@ -61,7 +60,7 @@ class Names:
             self.places[label] = (file, f"({label})")
 
 
-def main(folder: Path = ROOT / "_build" / "lab") -> None:
+def main(folder: Path = ROOT / "runs" / "lab") -> None:
     """Write a copy of each chapter, with links to the folders that it reads."""
     chapters = {path.name: json.loads(path.read_text()) for path in sorted((ROOT / "notebooks").glob("*.ipynb"))}
     names = Names(glossary(ROOT / "book" / "glossary.md"), bibliography(ROOT / "book" / "references.bib"))
@@ -84,7 +83,7 @@ def plain(source: str, names: Names, file: str = "") -> str:
     file : str
         The chapter's own file, to which no link is needed.
     """
-    text = _COMMENT.sub("", source)
+    text = source.replace(OUTSIDE, "")
     while _FENCE.search(text):
         text = _FENCE.sub(lambda match: _box(*match.groups()[1:]), text)
     text = _IMAGE.sub(lambda match: f"![{_option(match[2], 'alt')}]({match[1]})", text)

@@ -31,7 +31,7 @@ NAMES.add("01_b.ipynb", ":::{prf:theorem} Lune theorem\n:label: thm-lune\n\nText
         ("$$ x = y $$ (sum)", "$$ x = y \\tag{sum} $$"),
         (":::{prf:proof}\nTwo\n\nlines.\n:::", "> **Proof.** Two\n>\n> lines."),
         ("::::{exercise} A sock\n:label: ex-a\n\n**Warm-up.** Why?\n::::", "### Exercise: A sock\n\n**Warm-up.** Why?\n"),
-        ("% seen elsewhere\nText", "Text"),
+        (f"Text\n\n{lab.OUTSIDE}", "Text\n\n"),
         ("`{term}` is `code`, {term}`complex <rips complex>`", f"`{{term}}` is `code`, {SHOWN}"),
     ],
 )  # fmt: skip
