@@ -346,6 +346,38 @@ def test_cloth_before_a_wall_is_no_wall():
     assert (kept[:, 2] == 1).all()
 
 
+def cloth_on_a_table(rng: np.random.Generator, thick: float, hole: float = 0.0, error: float = 0.001) -> np.ndarray:
+    """A cloth of 40 cm with a fold across and a hole, seen from 0.8 m above; between folds it touches the table."""
+    x, y = rng.uniform(-0.5, 0.5, (2, 90_000))
+    fold = 0.04 * np.exp(-(((x + 0.4 * y) / 0.03) ** 2)) + 0.03 * np.exp(-(((np.hypot(x, y) - 0.16) / 0.02) ** 2))
+    on_cloth = (np.abs([x, y]).max(axis=0) < 0.2) & (np.hypot(x - 0.02, y) > hole)
+    height = np.where(on_cloth, thick + fold, 0) + error * rng.standard_normal(len(x)) + 0.002 * x * x
+    return np.column_stack([x, y, 0.8 - height])
+
+
+@pytest.mark.parametrize(("hole", "loops"), [(0.0, 0), (0.08, 1)])
+def test_cloth_that_touches_the_table_is_not_torn(hole, loops, caplog):
+    points = cloth_on_a_table(np.random.default_rng(0), 0.003, hole)
+    left = Cleaner(Pipeline(planes=1))(points)
+    assert len(tk.track([left])[0]) == loops
+    assert np.abs(left[:, :2]).max() < 0.23
+    assert not caplog.records
+    if not loops:  # the points that are farther than a centimetre from the table are not the whole cloth
+        assert len(tk.track([Cleaner()(points[points[:, 2] < 0.79])])[0]) > 0
+
+
+def test_cloth_that_cannot_be_told_from_the_table_is_kept_and_reported(caplog):
+    """The camera errs by more than the cloth is thick, the same in cells that are close together."""
+    rng = np.random.default_rng(1)
+    points = cloth_on_a_table(rng, 0.001)
+    waves = rng.uniform(-40, 40, (2, 60)), rng.uniform(0, 2 * np.pi, 60)
+    points[:, 2] += 0.0003 * np.sin(points[:, :2] @ waves[0] + waves[1]).sum(axis=1)
+    clean = Cleaner(Pipeline(planes=1))
+    for _ in range(2):
+        assert len(tk.track([clean(points)])[0]) == 0
+    assert len(caplog.records) == 1
+
+
 def test_voxels_keep_the_means_of_cubes():
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (3000, 3))
     means = Cleaner(Pipeline(voxel=0.1, points=None))(points)

@@ -1,29 +1,33 @@
 """The declared pipeline: it removes points from a raw cloud before the search for loops, step by step, and counts them.
 
-Source: Fischler and Bolles 1981 (RANSAC); outliers and farthest points as in `topokit.sampling`.
+Source: planes as in `_planes`; outliers and farthest points as in `topokit.sampling`.
 """
 
 from __future__ import annotations
 
-import contextlib
+import logging
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field
 
 from topokit._config import Count, Place, Positive, as_tuple, checked
 from topokit._validate import Array, as_reals
 from topokit.sampling import farthest_point_sample, inliers
 
+from ._planes import followed, found, near, of_plane
+
 Box = Annotated[tuple[Place, Place], BeforeValidator(as_tuple)]
 _SAMPLE = 2000  # points that a plane is fitted to
-_SHARE = 0.1  # least share of the points that are on a table or a wall
-_BEHIND = 0.03  # largest share of the points behind it: otherwise it is cloth with the room behind
 _REST = 30  # frames until a plane is searched for again that was not there: a search takes half a second
-_TURN = np.cos(np.radians(10))  # a plane turns less from one frame to the next
+_DOUBT = (
+    "parts within the cloth are no farther from the table than the camera errs: they are kept as cloth, and a hole there is "
+    "missed; bring the camera nearer, lift the cloth, or remove the table by its colour"
+)
+_log = logging.getLogger(__name__)
 
 
 @checked
@@ -39,7 +43,7 @@ class Pipeline:
     finite: bool = True  #: drop points with a NaN or infinite coordinate
     zeros: bool = True  #: drop points at (0, 0, 0): pixels where a depth camera saw nothing
     crop: Box | None = None  #: lowest and highest corner of the box that is kept, metres
-    #: walls and tables to remove: planes that are not seen through, the largest first
+    #: walls and tables to remove: planes that are not seen through, the largest first; cloth that lies on them is kept
     planes: Annotated[int, Field(ge=0, le=10)] = 0
     eye: Place = (0.0, 0.0, 0.0)  #: place of the camera
     thickness: Positive = 0.01  #: largest distance from a plane of points that belong to it, metres
@@ -73,6 +77,7 @@ class Cleaner:
         self.removed: dict[str, int] = {}
         self._frame = 0
         self._search_from = 0  # the frame from which on planes are searched for
+        self._warned = False  # whether cloth that may be a plane has been reported
         self._planes: list[Array] = []  # planes of the last frame: unit normal, and its product with the plane's points
 
     def __call__(self, points: ArrayLike) -> Array:
@@ -115,8 +120,9 @@ class Cleaner:
         return left
 
     def _off_planes(self, points: Array) -> Array:
-        """Return the points that are on none of the planes, the largest first."""
+        """Return the points that are part of none of the planes, the largest first; what lies on a plane is left."""
         thickness = self.pipeline.thickness
+        eye = np.array(self.pipeline.eye)
         sample = points[:: max(1, len(points) // _SAMPLE)].astype(np.float64)
         before = self._planes
         self._planes = []
@@ -124,17 +130,21 @@ class Cleaner:
             # A plane of the last frame is followed. When it is lost, or there was none, a new one is searched for.
             plane = None
             if number < len(before):
-                plane = _followed(sample, before[number], thickness)
+                plane = followed(sample, before[number], thickness)
             if plane is None and self._frame >= self._search_from:
-                plane = _found(sample, thickness, np.array(self.pipeline.eye))
+                plane = found(sample, thickness, eye)
                 self._search_from = self._frame
                 if plane is None:
                     self._search_from += _REST
             if plane is None:
                 break
             self._planes.append(plane)
-            points = points[~_on(points, plane, thickness)]
-            sample = sample[~_on(sample, plane, thickness)]
+            on_plane, doubtful = of_plane(points, plane, thickness, eye)
+            points = points[~on_plane]
+            sample = sample[~near(sample, plane, thickness)]
+            if doubtful and not self._warned:
+                self._warned = True
+                _log.warning("%s", _DOUBT)
         return points
 
 
@@ -159,70 +169,6 @@ def _sieve(points: Array, finite: bool, zeros: bool, box: Array) -> tuple[Array,
         left ^= removed
         counts.append(int(np.count_nonzero(removed)))
     return points.compress(left, axis=0), counts
-
-
-def _fitted(points: Array) -> Array:
-    """Return the plane of least squares."""
-    middle = points.mean(axis=0)
-    normal = np.linalg.eigh((points - middle).T @ (points - middle))[1][:, 0]
-    return np.array([*normal, normal @ middle])
-
-
-def _on(points: Any, plane: Array, thickness: float) -> NDArray[np.bool_]:
-    plane = plane.astype(points.dtype)
-    return np.abs(points @ plane[:3] - plane[3]) <= thickness
-
-
-def _followed(points: Array, plane: Array, thickness: float) -> Array | None:
-    """Return the present place of a plane of the last frame; None when it is gone."""
-    for width in (3 * thickness, thickness):
-        near = _on(points, plane, width)
-        if near.sum() < max(3, _SHARE * len(points)):
-            return None
-        before = plane
-        plane = _fitted(points[near])
-        if abs(before[:3] @ plane[:3]) < _TURN:
-            return None
-    return plane
-
-
-def _found(sample: Array, thickness: float, eye: Array) -> Array | None:
-    """Return the plane with the most points, among the planes that are not seen through.
-
-    RANSAC looks for it along each axis, and least squares refine it.
-    """
-    from sklearn.linear_model import RANSACRegressor
-
-    points = sample[::4]
-    best = np.zeros(len(points), bool)
-    for axis in range(3):
-        # Along this axis the plane is a function of the other two coordinates.
-        others = np.delete(points, axis, axis=1)
-        search = RANSACRegressor(
-            residual_threshold=thickness,
-            max_trials=300,
-            random_state=0,
-            is_model_valid=partial(_is_opaque, points=points, axis=axis, thickness=thickness, eye=eye),
-        )
-        with contextlib.suppress(ValueError):  # none of its trials was valid
-            on_plane = search.fit(others, points[:, axis]).inlier_mask_
-            if on_plane.sum() > best.sum():
-                best = on_plane
-    if not best.any():
-        return None
-    return _followed(sample, _fitted(points[best]), thickness)
-
-
-def _is_opaque(
-    model: Any, _others: Array, _values: Array, *, points: Array, axis: int, thickness: float, eye: Array
-) -> bool:
-    """Return True if few points lie behind the plane of a linear model, from the eye, and some lie on it."""
-    normal = np.insert(model.coef_, axis, -1.0)
-    offsets = points @ normal + model.intercept_
-    side_of_eye = np.sign(eye @ normal + model.intercept_)
-    behind = offsets * side_of_eye < -3 * thickness * np.linalg.norm(normal)
-    on_plane = np.abs(offsets) <= thickness
-    return bool(behind.mean() <= _BEHIND and on_plane.sum() > 10)
 
 
 def _voxel_means(points: Array, edge: float) -> Array:
