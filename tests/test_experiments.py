@@ -15,6 +15,7 @@ import pandas as pd
 import paper
 import pytest
 import torch
+import tracking
 import tracking_benchmark
 from _paper_windows import Remedied
 from forecasts import Clouds, Condition, EvaluationConfig, evaluate_forecasts, load_evaluation
@@ -246,6 +247,63 @@ def test_linkers_follow_two_bars_that_change_their_order(linker):
     assert len(set(by_place[1])) == 2
 
 
+def test_linkers_are_tuned_scored_and_shown_once(tmp_path, monkeypatch):
+    name = "every 8th frame"
+    monkeypatch.setattr(linkers, "conditions", lambda episode: [(name, list(episode.points[::8].astype(float)), 8)])
+    monkeypatch.setattr(linkers, "TUNED_IN", (name,))
+    monkeypatch.setattr(linkers, "TIMED", name)
+    monkeypatch.setattr(linkers, "WITH", {"alpha": ("lifted Wasserstein",)})
+    monkeypatch.setattr(linkers, "PAGE", tmp_path / "page.md")
+    monkeypatch.setattr(linkers, "RESULTS", tmp_path / "linkers.json")
+    (tmp_path / "page.md").write_text("before {} {} after".format(*linkers.MARKS))
+    for folder in ("tuning", "episodes"):
+        (tmp_path / folder).mkdir()
+        shutil.copy(DATA / "apron_hook_0.npz", tmp_path / folder / "apron-hook_0.npz")
+    command = ["--made", "--tuning", str(tmp_path / "tuning"), "--episodes", str(tmp_path / "episodes")]
+    linkers.main([*command, "--out", str(linkers.RESULTS)])
+    results = json.loads(linkers.RESULTS.read_text())
+    stranger = "lifted Wasserstein, bars by alpha"
+    assert results["films"] == results["tuned_on"] == ["apron-hook_0"]
+    assert set(results["table"][name]) == {*linkers.OURS, stranger}
+    assert results["table"][name]["seqPH"]["idf1"] == 1  # one neck, seen in each frame
+    assert results["against_strangers"][name]["hota"]["stranger"] == stranger
+
+    # Rows are kept: a second run reads no film.
+    monkeypatch.setattr(linkers, "row_of", None)
+    linkers.main([*command, "--out", str(linkers.RESULTS)])
+    linkers.main(["--page"])
+    page = (tmp_path / "page.md").read_text()
+    assert page.startswith("before ")
+    assert page.endswith(" after")
+    assert f"| {stranger} | " in page
+    assert linkers.in_page(page, results) == page
+
+
+def test_the_films_of_the_benchmark_stay_those_of_the_record():
+    record = json.loads((ROOT / "book" / "results" / "tracking.json").read_text())
+    assert record["episodes"] == [f"{task}_{seed}" for seed in range(3) for task in tracking.FILMED]
+
+
+def trackeval_scores(folder: Path, condition: str) -> list[float]:
+    """Return IDF1, HOTA and switches of exported tracks by TrackEval."""
+    trackeval = pytest.importorskip("trackeval")
+    dataset = tracking_benchmark.trackeval_dataset()(
+        {
+            "GT_FOLDER": str(folder / "gt"),
+            "TRACKERS_FOLDER": str(folder / "trackers"),
+            "BENCHMARK": condition,
+            "SPLIT_TO_EVAL": "all",
+            "PRINT_CONFIG": False,
+        }
+    )
+    quiet = {"PRINT_RESULTS": False, "PRINT_CONFIG": False, "TIME_PROGRESS": False, "PLOT_CURVES": False}
+    quiet |= {"OUTPUT_SUMMARY": False, "OUTPUT_DETAILED": False, "OUTPUT_EMPTY_CLASSES": False}
+    metrics = [trackeval.metrics.HOTA(), trackeval.metrics.Identity(), trackeval.metrics.CLEAR()]
+    answer, _ = trackeval.Evaluator(trackeval.Evaluator.get_default_eval_config() | quiet).evaluate([dataset], metrics)
+    found = answer["Loops"]["mine"]["COMBINED_SEQ"]["pedestrian"]
+    return [found["Identity"]["IDF1"], found["HOTA"]["HOTA"].mean(), found["CLEAR"]["IDSW"]]
+
+
 def test_tracks_of_a_film_are_scored_from_either_format(tmp_path, monkeypatch, capsys):
     conditions = [("every 8th frame", lambda points: list(points[::8]), 8)]
     monkeypatch.setattr(
@@ -271,6 +329,15 @@ def test_tracks_of_a_film_are_scored_from_either_format(tmp_path, monkeypatch, c
         assert tracking_benchmark.main(score) == 0
         found.append(pd.read_csv(out).loc[0, ["idf1", "hota"]].tolist())
     assert found == [[0, 0], [1, 1], [1, 1]]
+
+    # TrackEval scores other tracks of the film as the command does.
+    table.assign(id=table["id"] + table["frame"] // 4, x=table["x"] + 0.005 * table["frame"]).to_csv(
+        mine.with_suffix(".csv")
+    )
+    tracking_benchmark.main(score)
+    tracking_benchmark.main(["export", *score[1:-1], str(tmp_path / "trackeval")])
+    expected = pd.read_csv(out).loc[0, ["idf1", "hota", "switches"]].tolist()
+    assert trackeval_scores(tmp_path / "trackeval", "every-8th-frame") == pytest.approx(expected, abs=1e-4)
 
     # An identity that a frame has twice is refused with its row.
     pd.concat([table, table.iloc[3:4]]).to_csv(mine.with_suffix(".csv"))

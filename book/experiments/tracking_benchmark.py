@@ -3,14 +3,16 @@
     python book/experiments/tracking_benchmark.py make --episodes DIR --films FILMS
     python book/experiments/tracking_benchmark.py seqph --films FILMS --tracks TRACKS
     python book/experiments/tracking_benchmark.py score --films FILMS --tracks TRACKS --out scores.csv
+    python book/experiments/tracking_benchmark.py export --films FILMS --tracks TRACKS --out FOLDER --name mine
 
 `make` simulates the 63 episodes of chapter 8 where they are missing (a minute each), and writes each in twenty conditions to
 FILMS/condition/film.npz: an episode whose observed points are what a tracker may see, with the true loops. Clouds of different
 sizes are filled up by repeating points. Beside it lies film.gt.txt, the true loops in the format of MOTChallenge.
 
 `score` reads TRACKS/condition/film.csv with the columns frame, id, x, y, z (frames from 0, metres), or film.txt as MOTChallenge
-and TrackEval have it: frame (from 1), id, four numbers of a box, a confidence, x, y, z. A film without a file has no tracks.
-`seqph` writes the tracks of topokit's default in the first format. The page *A benchmark of trackers* has the rules.
+has it: frame (from 1), id, four numbers of a box, a confidence, x, y, z. A film without a file has no tracks.
+`seqph` writes the tracks of topokit's default in the first format. `export` writes truth and tracks into the folders that
+TrackEval reads; `trackeval_dataset` is the class that makes it score loops. The page *A benchmark of trackers* has the rules.
 """
 
 from __future__ import annotations
@@ -74,6 +76,54 @@ def clouds_of(film: Episode) -> Clouds:
     return [cloud[:size].astype(float) for cloud, size in zip(film.observed, sizes, strict=True)]
 
 
+def exported_truth(film: Episode) -> pd.DataFrame:
+    """Return a row for each true loop and frame, as TrackEval reads it: x, y, z and the radius stand for a box.
+
+    A loop that is closed in a frame has the class of a distractor, 8: TrackEval then leaves out a track that fits it.
+    """
+    rows = [
+        (frame + 1, loop + 1, *true.centres[loop], true.radii[loop], int(present), 1 if present else 8, 1)
+        for frame, true in enumerate(true_loops(film.points, film.loops))
+        for loop, present in enumerate(true.present.tolist())
+    ]
+    return pd.DataFrame(rows).round(6)
+
+
+def export(films: Path, tracks: Path, out: Path, name: str) -> None:
+    """Write truth and tracks into the folders of TrackEval, a benchmark for each condition, as MOTChallenge has them."""
+    for condition, path in tqdm(list(films_in(films)), "export", unit="film"):
+        film = load_episode(path)
+        benchmark = f"{condition}-all"
+        truth = out / "gt" / benchmark / path.stem / "gt" / "gt.txt"
+        mine = out / "trackers" / benchmark / name / "data" / f"{path.stem}.txt"
+        sequences = out / "gt" / "seqmaps" / f"{benchmark}.txt"
+        for file in (truth, mine, sequences):
+            file.parent.mkdir(parents=True, exist_ok=True)
+        exported_truth(film).to_csv(truth, header=False, index=False)
+        (truth.parents[1] / "seqinfo.ini").write_text(f"[Sequence]\nname={path.stem}\nseqLength={len(film)}\n")
+        names = sorted(each.stem for each in path.parent.glob("*.npz"))
+        sequences.write_text("\n".join(["name", *names]) + "\n")
+
+        # The fourth number of a track's box is not used: a tracker does not know the radius.
+        table = tracks_of(tracks / condition, path.stem, len(film))
+        table = table.assign(frame=table["frame"] + 1, radius=0, confidence=1, kind=1, seen=1)
+        table.to_csv(mine, header=False, index=False)
+
+
+def trackeval_dataset() -> type[Any]:
+    """Return a class that makes TrackEval score exported loops: MOTChallenge's, with the similarity of this benchmark."""
+    from trackeval.datasets import MotChallenge2DBox
+
+    class Loops(MotChallenge2DBox):  # type: ignore[misc]
+        """Loops of a film: a box is x, y, z and a radius."""
+
+        def _calculate_similarities(self, truth: np.ndarray, tracks: np.ndarray) -> np.ndarray:
+            distance = np.linalg.norm(truth[:, None, :3] - tracks[None, :, :3], axis=2)
+            return np.maximum(1 - distance / (2 * truth[:, None, 3]), 0)
+
+    return Loops
+
+
 def films_in(folder: Path) -> Iterator[tuple[str, Path]]:
     """Yield condition and path of each film."""
     paths = sorted(folder.glob("*/*.npz"))
@@ -122,6 +172,14 @@ def read_tracks(path: Path, frames: int) -> pd.DataFrame:
     return table
 
 
+def tracks_of(folder: Path, film: str, frames: int) -> pd.DataFrame:
+    """Return the tracks of a film in a folder, from a file in either format; none when there is no file."""
+    for path in (folder / f"{film}.csv", folder / f"{film}.txt"):
+        if path.exists():
+            return read_tracks(path, frames)
+    return pd.DataFrame(columns=COLUMNS)
+
+
 def score_film(film: Episode, table: pd.DataFrame) -> TrackingScore:
     """Return the score of tracks of a film."""
     states: list[Any] = []
@@ -138,13 +196,12 @@ def score_all(films: Path, tracks: Path) -> pd.DataFrame:
     counts: dict[str, list[int]] = {}
     for condition, path in tqdm(list(films_in(films)), "scores", unit="film"):
         film = load_episode(path)
-        found = [each for suffix in (".csv", ".txt") if (each := tracks / condition / f"{path.stem}{suffix}").exists()]
-        table = read_tracks(found[0], len(film)) if found else pd.DataFrame(columns=COLUMNS)
+        table = tracks_of(tracks / condition, path.stem, len(film))
         reached = score_film(film, table)
         totals[condition] = totals[condition] + reached if condition in totals else reached
         count = counts.setdefault(condition, [0, 0])
         count[0] += 1
-        count[1] += bool(found)
+        count[1] += not table.empty
     rows = [
         {
             "condition": condition,
@@ -159,17 +216,19 @@ def score_all(films: Path, tracks: Path) -> pd.DataFrame:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Make films, write tracks, or score tracks."""
+    """Make films, write tracks, score tracks, or export them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("make", "seqph", "score"))
+    parser.add_argument("command", choices=("make", "seqph", "score", "export"))
     parser.add_argument("--episodes", type=Path, help="folder for the simulated episodes (make)")
     parser.add_argument("--films", type=Path, required=True, help="folder of the films")
-    parser.add_argument("--tracks", type=Path, help="folder of the tracks (seqph, score)")
-    parser.add_argument("--out", type=Path, help="file for the scores as CSV (score)")
+    parser.add_argument("--tracks", type=Path, help="folder of the tracks (seqph, score, export)")
+    parser.add_argument("--out", type=Path, help="file for the scores as CSV (score), or folder for TrackEval (export)")
+    parser.add_argument("--name", default="mine", help="name of the tracker (export)")
     options = parser.parse_args(arguments)
-    needed = "episodes" if options.command == "make" else "tracks"
-    if getattr(options, needed) is None:
-        parser.error(f"{options.command} needs --{needed}")
+    needed = {"make": ["episodes"], "export": ["tracks", "out"]}.get(options.command, ["tracks"])
+    for name in needed:
+        if getattr(options, name) is None:
+            parser.error(f"{options.command} needs --{name}")
     if options.command == "make":
         make(options.episodes, options.films)
         return 0
@@ -177,6 +236,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_seqph(options.films, options.tracks)
         return 0
     try:
+        if options.command == "export":
+            export(options.films, options.tracks, options.out, options.name)
+            return 0
         table = score_all(options.films, options.tracks)
     except (ValueError, FileNotFoundError) as error:
         print(error, file=sys.stderr)
