@@ -15,9 +15,9 @@ pytest.importorskip("gymnasium")
 
 import topokit as tk
 from topokit import cli
-from topokit._geometry import turned
+from topokit._geometry import angle, turned
 from topokit.control import Carried, Planner, PullOverController, Servo, StrapController, ThrowController, hang
-from topokit.control._arm import Arm, angle
+from topokit.control._arm import Arm
 from topokit.io import load_episode, save_episode
 from topokit.sim import Garment, Hanger, Hook, Mannequin, Placed
 

@@ -12,3 +12,8 @@ def turned(places: ArrayLike, degrees: ArrayLike) -> NDArray[np.float64]:
     cos = np.cos(np.radians(degrees))
     sin = np.sin(np.radians(degrees))
     return np.stack(np.broadcast_arrays(cos * x - sin * y, sin * x + cos * y, z), axis=-1)
+
+
+def angle(start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
+    """Return the angle from one level direction to another, -180 to 180 degrees, from x towards y."""
+    return float(np.degrees(np.arctan2(start[0] * end[1] - start[1] * end[0], start[:2] @ end[:2])))

@@ -549,7 +549,7 @@ def simulate(
     mesh_options: MeshOptions = MeshOptions(),
     as_json: Json = False,
 ) -> int:
-    """Record an episode: a garment carried to a target and let go there.
+    """Record an episode: a garment carried to a target and let go there; the exit code is 1 when it does not hang.
 
     A task is a garment and a target, such as tote-hook. There are
       -hook, -hanger: apron apron2 tote tote2 backpack mask sheet sheet2
@@ -579,7 +579,7 @@ def simulate(
         A garment of one's own (.obj, .ply, .stl).
     """
     from .io import save_episode
-    from .sim import Camera, DepthNoise, Randomisation
+    from .sim import Camera, DepthNoise, Randomisation, explain
     from .sim import simulate as run_simulation
 
     _check_output("--out", out, (".npz",))
@@ -598,9 +598,10 @@ def simulate(
         cameras=around,
         n_observed=observed,
         time_limit=time_limit,
-        progress=sys.stderr.isatty() and not as_json,
+        progress=True,
     )
     save_episode(out, episode)
+    reason = explain(episode, chosen)
 
     answer = {
         "episode": str(out),
@@ -613,14 +614,15 @@ def simulate(
         "vertices": episode.points.shape[1],
         "observed": episode.observed.shape[1],
         "success": episode.success,
+        "reason": reason or "it hangs",
     }
     if as_json:
         print(json.dumps(answer))
-        return 0
+        return int(not episode.success)
     size = f"{answer['frames']} frames, {answer['vertices']} vertices"
-    outcome = "it hangs" if episode.success else "it does not hang"
+    outcome = f"it does not hang: {reason}" if reason else "it hangs"
     _print(f"{out}: {episode.garment} to {episode.target}, {size}; {outcome}")
-    return 0
+    return int(not episode.success)
 
 
 def _garment_and_task(path: Path | None, options: MeshOptions, task: str | None, default: str) -> tuple[Any, Task]:
@@ -641,7 +643,7 @@ def _garment_and_task(path: Path | None, options: MeshOptions, task: str | None,
         if given:
             raise ValueError(f"--{given[0]} is an option of meshes: give --mesh FILE, or leave it out")
         return None, TASKS[name]
-    garment = _garment(path, options)
+    garment = _garment(path, options).evened()
     if name in targets:
         return garment, task_for(garment, targets[name]().raised_for(garment))
     return garment, TASKS[name]
@@ -779,8 +781,7 @@ def hang(
         scene.update(place="anywhere", start="anywhere")
     if fence:
         scene.update(fence=fence)
-    progress = sys.stderr.isatty() and not as_json
-    result = run_hanging(chosen, seed=seed, garment=garment, model=model, progress=progress, **scene)
+    result = run_hanging(chosen, seed=seed, garment=garment, model=model, progress=True, **scene)
     if out is not None:
         save_episode(out, result.episode)
     if film is not None:

@@ -1,8 +1,4 @@
-"""The measures of a servo: the arm of a target, and the opening of a loop.
-
-Idea: a loop is hung by passing its *rim*, the place that will lie on the arm, over the tip. Three measures of a loop suffice:
-where its rim is, which direction its opening faces, and how large it is. For a target, the last part that runs sideways suffices.
-"""
+"""The arm of a target, as a servo needs it: the last part of the centre line that runs sideways."""
 
 from __future__ import annotations
 
@@ -13,31 +9,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial import cKDTree
 
-from topokit._geometry import turned
-from topokit.linking import close_far, curve_centroid, linking_number
+from topokit._geometry import angle, turned
+from topokit.linking import close_far, linking_number
 
 Array = NDArray[np.float64]
 _BEHIND = 0.05  # metres behind a head, and above its shoulders, where a neck strap is let go
 _RETREATS = 0.003  # metres in a frame by which an arm retreats, at least
 _NEAR = 0.06  # metres from a curve within which cloth can belong to it
-_FLAT = 0.7  # least share of a flat loop's area that faces up or down
-
-
-def angle(start: Array, end: Array) -> float:
-    """Return the angle from one level direction to another, -180 to 180 degrees, from x towards y."""
-    return float(np.degrees(np.arctan2(start[0] * end[1] - start[1] * end[0], start[:2] @ end[:2])))
-
-
-def lies_flat(curve: Array) -> bool:
-    """Return whether a closed curve lies flat, as the tube of a shirt does, which cannot go over an arm."""
-    area = _area(curve)
-    return bool(abs(area[2]) > _FLAT * np.linalg.norm(area))
-
-
-def _area(curve: Array) -> Array:
-    """Return twice the vector area (3,) of a closed curve."""
-    corners = curve - curve[0]
-    return np.asarray(np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0))
 
 
 def drawn(cycle: Array, last: Array, cloth: cKDTree) -> Array:
@@ -125,49 +103,3 @@ class Arm(NamedTuple):
         if abs(aside) < 60:
             return np.asarray(self.tip + far * self.out)
         return np.asarray(self.start + (self.reach + far) * turned(self.out, aside - 30 * np.sign(aside)))
-
-
-class Opening(NamedTuple):
-    """The measures of a loop that is to hang."""
-
-    rim: Array  # (3,) the highest place of the curve above its centroid
-    normal: Array  # (3,) unit, level: the direction for the arm, from its pole to its tip
-    size: Array  # (2,) metres: from the rim down to the curve, and level from side to side
-
-    @classmethod
-    def of(cls, cycle: Array) -> Opening | None:
-        """Return the opening of a closed curve (L, 3), with either of its normals; None when it lies flat or in one line."""
-        after = np.roll(cycle, -1, axis=0)
-        area = _area(cycle) * [1, 1, 0]
-        if len(cycle) < 3 or np.linalg.norm(area) < 1e-6:
-            return None
-        normal = area / np.linalg.norm(area)
-        # Find the places where the curve crosses the upright line through its centroid. The rim is the highest of them.
-        across = (cycle - curve_centroid(cycle)) @ np.cross([0, 0, 1], normal)
-        step = np.roll(across, -1) - across
-        crossed = np.flatnonzero((across < 0) != (across + step < 0))
-        share = -(across[crossed] / step[crossed])[:, None]
-        places = (1 - share) * cycle[crossed] + share * after[crossed]
-        return cls(places[places[:, 2].argmax()], normal, np.array([np.ptp(places[:, 2]), np.ptp(across)]))
-
-    def along(self, direction: Array) -> Opening:
-        """Return the opening with that of its two normals that is nearer to a direction."""
-        return self if self.normal @ direction > 0 else self._replace(normal=-self.normal)
-
-    def blended(self, new: Opening, weight: float) -> Opening:
-        """Return the weighted mean of this and a later opening; the normal keeps its side."""
-        mixed = Opening(*((1 - weight) * a + weight * b for a, b in zip(self, new.along(self.normal), strict=True)))
-        return mixed._replace(normal=mixed.normal / np.linalg.norm(mixed.normal))
-
-    def gap(self, other: Opening) -> float:
-        """Return the difference of two openings, metres."""
-        return float(np.linalg.norm(self.rim - other.rim) + abs(self.size[0] - other.size[0]) / 2)
-
-    def blocked(self, cloud: Array, depth: float) -> int:
-        """Return the number of points (n, 3) before the opening, or within a depth behind it."""
-        from_rim = cloud - self.rim
-        across = from_rim @ np.cross([0, 0, 1], self.normal)
-        behind = from_rim @ self.normal
-        # A point is framed when it is within the middle of the opening, as seen along the normal.
-        framed = (np.abs(across) < 0.3 * self.size[1]) & (np.abs(from_rim[:, 2] / self.size[0] + 0.5) < 0.3)
-        return int((framed & (np.abs(behind) > 0.03) & (behind < depth)).sum())

@@ -16,10 +16,11 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from topokit._geometry import turned
+from topokit._geometry import angle, turned
+from topokit._opening import lies_flat
 from topokit.linking import close_far, curve_centroid, linking_number
 
-from ._arm import Arm, Array, angle, lies_flat
+from ._arm import Arm, Array
 from ._servo import SURE, TURN, USUAL_STEP, Servo
 
 _NEW_WEIGHT = 0.1  # weight of a new measurement of the middle of the cloth

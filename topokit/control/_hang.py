@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from topokit._progress import Progress
 from topokit._validate import WrongKindError
 from topokit.io import Episode
-from topokit.sim import Garment, HangEnv, Mannequin, Target, Task
+from topokit.sim import Garment, HangEnv, Mannequin, Target, Task, explain
 
 from ._dress import PullOverController, StrapController
 from ._planner import Carried, MotionForecaster, Planner
@@ -140,6 +140,7 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
     controller.reset(observation)
     seconds: list[float] = []
     ends = False
+    show = Progress("hanging", f"of at most {env.max_steps}")
     while not ends:
         started = time.perf_counter()
         action = controller.act(observation)
@@ -149,8 +150,7 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
             observation, _, terminated, truncated, info = env.step(action)
             ends = terminated or truncated
         if progress:
-            line = f"\rhanging: frame {len(seconds)} of at most {env.max_steps}"
-            print(line, end="\n" * ends, file=sys.stderr, flush=True)
+            show(len(seconds), ends)
     # Record the outcome, and how the episode ended.
     episode = env.episode(type(controller).__name__)
     loops = env.garment.named_loops
@@ -164,5 +164,5 @@ def _run(env: HangEnv, controller: Controller, seed: int, progress: bool) -> Han
     elif observation["held"]:
         reason = "it was not let go in time"
     else:
-        reason = "it was let go, and does not hang"
+        reason = f"it was let go, and does not hang: {explain(episode, env.task, env.standing)}"
     return Hanging(bool(info["success"]), linked, reason, len(episode) - 1, float(np.mean(seconds)), episode)

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from topokit._geometry import turned
+from topokit._geometry import angle, turned
 from topokit._validate import positive, whole
 from topokit.linking import linking_numbers
 
-from ._arm import Arm, Array, angle
+from ._arm import Arm, Array
 from ._servo import DOWN, LIFT, SURE, TURN, USUAL_STEP, Servo
 
 _KNOTS = np.array([0, 8, 18, 30, 44, 60])  # frames at which a path is described

@@ -20,13 +20,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from topokit._geometry import turned
+from topokit._geometry import angle, turned
+from topokit._opening import Opening, lies_flat
 from topokit._validate import as_reals, positive, whole
 from topokit.rips import tighten
 from topokit.sampling import as_tree
 from topokit.seqph import SeqPH
 
-from ._arm import Arm, Array, Opening, angle, drawn, lies_flat
+from ._arm import Arm, Array, drawn
 
 _FIRST_LOOKS = 6  # frames in which loops are tracked before anything moves
 SURE = 5  # frames in a row in which the loops must be around the target before the grippers let go

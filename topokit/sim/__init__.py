@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from ._camera import Camera, DepthNoise
     from ._cloth import Cloth
     from ._env import HangEnv
-    from ._episode import simulate
+    from ._episode import explain, simulate
     from ._garments import WARDROBE, Garment
     from ._path import GripperPath, Via, off_script
     from ._randomisation import Randomisation

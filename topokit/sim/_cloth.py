@@ -76,8 +76,8 @@ Cloth.KINDS = {
 }
 
 
-def usual_config(garment: Garment) -> SimulationConfig:
+def usual_config(garment: Garment, **options: Any) -> SimulationConfig:
     """Return the default physics of a garment: the standard one for the wardrobe, else one for its area and edges."""
     if garment.name in WARDROBE:
-        return SimulationConfig()
-    return Cloth().config(garment)
+        return SimulationConfig(**options)
+    return Cloth().config(garment, **options)

@@ -9,10 +9,8 @@ Source: Antonova et al. 2021, section 6 (stiffness and paths are randomised). Ta
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 import platform
-import sys
 from collections.abc import Callable, Sequence
 from importlib import metadata
 from typing import Any
@@ -21,8 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topokit._processes import ProcessError, in_fresh_processes
+from topokit._progress import Progress
 from topokit._validate import positive, whole
 from topokit.io import FEWEST_FRAMES, Episode, wardrobe_names
+from topokit.linking import side_lengths
 from topokit.sampling import farthest_point_sample
 
 from ._camera import Camera
@@ -128,12 +128,18 @@ def simulate(
     noise = int(Randomisation.generator(seed, "noise").integers(2**63))
     rods, moves = rods_of(target, np.arange(frames + 1) * config.frame_time)
     run = Run(garment, rods, moves, goals, round(path.release / config.dt), config, tuple(cameras), n_observed, noise)
-    report = functools.partial(_show, frames) if progress else None
+    report = _reporter(frames) if progress else None
     if time_limit is None:
         recording = record(run, report)
     else:
         recording = record_afresh(run, positive(time_limit, "time_limit", zero=False, infinite=True), report)
     return as_episode(run, recording, task, target, seed, drawn)
+
+
+def _reporter(frames: int) -> Report:
+    """Return a report that writes the number of frames done to stderr."""
+    show = Progress("simulating", f"of {frames}")
+    return lambda frame: show(frame + 1, frame + 1 == frames)
 
 
 def as_episode(
@@ -202,10 +208,50 @@ def _version(package: str) -> str:
         return "0+unknown"
 
 
-def _show(frames: int, frame: int) -> None:
-    """Write to stderr how many of the frames are done."""
-    end = "\n" if frame + 1 == frames else ""
-    print(f"\rsimulating: frame {frame + 1} of {frames}", end=end, file=sys.stderr, flush=True)
+def explain(episode: Episode, task: Task, target: Target | None = None) -> str:
+    """Return in a sentence why a garment does not hang at the end of an episode; "" when it hangs.
+
+    Parameters
+    ----------
+    episode : Episode
+    task : Task
+        The task that the episode was to do.
+    target : Target, optional
+        Where the target is at the end; the task's own when not given.
+    """
+    if episode.success:
+        return ""
+    target = target or task.target
+    wanted = task.wanted(episode.named_loops)
+    if not wanted:
+        return f"none of its loops is one that {task.name} asks for"
+    if episode.held[-1]:
+        return "it is still held at the end"
+    released = int(episode.held.sum())
+    around = {name: [_is_around(target, frame[loop]) for frame in episode.points[1:]] for name, loop in wanted.items()}
+    # Name the loop that stayed on longest, or of several that must all hang, the one that did not.
+    sort = min if task.all_loops else max
+    name = sort(around, key=lambda name: (around[name][-1], sum(around[name])))
+    last = len(around[name]) - around[name][::-1].index(True) if any(around[name]) else 0
+    where = f"the {target.name}"
+    if not last:
+        loop = episode.points[0][wanted[name]]
+        size = f"it is {side_lengths(loop).sum():.2f} m around"
+        return f"the loop {name!r} never came around {where}; {size}"
+    if last < len(around[name]):
+        when = "while it was held" if last < released else "after it was let go"
+        return f"the loop {name!r} was around {where} until {last * episode.dt:.1f} s, and slipped off {when}"
+    if episode.points[-1][:, 2].max() <= target.lowest:
+        return f"the loop {name!r} is around {where}, but the garment slid down to its foot"
+    return "it hangs, but does not come to rest before the end"
+
+
+def _is_around(target: Target, curve: Array) -> bool:
+    """Return whether a closed curve winds around a target; one that touches its centre line does not."""
+    try:
+        return target.holds(curve)
+    except ValueError:
+        return False
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ParamSpec
@@ -15,13 +16,16 @@ from typing import Any, ParamSpec
 import numpy as np
 
 from topokit._geometry import turned
+from topokit._strangers import printable
 from topokit._validate import as_ids, as_points
 from topokit.io import LOOP_NAMES
 
 from . import _mesh, _names, _wardrobe
+from ._even import evened, is_even, usual_spacing
 from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, half_edges
 
 Sizes = ParamSpec("Sizes")
+_log = logging.getLogger("topokit.sim")
 
 
 def _sewn(pattern: Callable[Sizes, tuple[Any, ...]]) -> Callable[Sizes, Garment]:
@@ -130,6 +134,26 @@ class Garment:
         degrees : float
         """
         return replace(self, vertices=turned(self.vertices, degrees)) if degrees else self
+
+    def evened(self) -> Garment:
+        """Return the garment with edges of nearly equal length that suit its size; itself when it has them already.
+
+        A simulation needs such a mesh: short edges tear, and long ones let a rod through. Loops and grips stay where they are.
+        """
+        spacing = usual_spacing(self.vertices, self.faces)
+        if is_even(self.vertices, self.faces, spacing):
+            return self
+        even = evened(self.vertices, self.faces, spacing, self.loops)
+        note = f"{len(self.vertices)} vertices were replaced by {len(even.vertices)}, about {spacing:.2g} m apart"
+        _log.warning("%s", printable(f"{self.name}: {note}"))
+        return replace(
+            self,
+            vertices=even.vertices,
+            faces=even.faces,
+            loops=tuple(even.cycles),
+            grips=even.nearest[self.grips],
+            repairs=(*self.repairs, note),
+        )
 
     apron = staticmethod(_sewn(_wardrobe.apron))
     tote = staticmethod(_sewn(_wardrobe.tote))

@@ -16,6 +16,7 @@ from topokit._strangers import printable
 from topokit._validate import as_ids, positive
 from topokit.linking import side_lengths
 
+from ._even import simplified
 from ._names import is_flat, is_open_front, kind, named
 from ._read import read_mesh
 from ._surface import (
@@ -31,7 +32,6 @@ from ._surface import (
     joined,
     of_three_vertices,
     once_each,
-    simplified,
     vector_area,
     wind,
 )
@@ -40,6 +40,7 @@ _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
 _COPIES = 30  # vertices of a file, at most, for each that the cloth may have: copies of it, and other components
 _FEW = 4  # edges of a hole that is only a missing face or two
+_SQUARE = 1.05  # depth over width below which a garment is as deep as it is wide
 _ROUND_A_ROD = 0.1  # metres: a shorter loop fits closely around a rod of 3 cm
 _METRES = (0.15, 2.2)  # largest extent of a garment in metres
 # Which axes of the file become x, y and z, and their signs, for the axis that points up.
@@ -115,17 +116,21 @@ def from_mesh(
         faces, vertex_of, kept = _repaired(vertices, polygons, weld, repairs)
         new_id = np.full(len(vertices), -1)
         new_id[kept] = np.arange(len(kept))
+        corners = vertices[kept]
         if len(kept) > max_vertices:
-            chosen, faces, nearest = simplified(vertices[kept], faces, max_vertices)
-            repairs.append(f"its {len(kept)} vertices were simplified to {len(chosen)}; max_vertices is {max_vertices}")
-            new_id[kept] = nearest
-            kept = kept[chosen]
+            simple = simplified(corners, faces, max_vertices)
+            count = len(simple.vertices)
+            repairs.append(f"its {len(kept)} vertices were simplified to {count}; max_vertices is {max_vertices}")
+            new_id[kept] = simple.nearest
+            kept = kept[cKDTree(corners).query(simple.vertices)[1]]  # messages name the nearest vertices of the file
+            corners = simple.vertices
+            faces = simple.faces
         new_id = new_id[vertex_of]
         # How it stands, and how large it is.
         held = None if grips is None else _carry(grips, new_id, "grips")
         if up is None and held is None:
-            up = _up_of_borders(vertices[kept], faces, repairs)
-        upright = _upright(vertices[kept], held, up, repairs)
+            up = _up_of_borders(corners, faces, repairs)
+        upright = _upright(corners, held, up, repairs)
         placed, factor = _scaled(upright, size, scale, repairs)
         if held is None:
             placed = _facing(placed, repairs)
@@ -348,9 +353,14 @@ def _upright(vertices: Array, grips: Ids | None, up: str | None, repairs: list[s
 
 
 def _facing(vertices: Array, repairs: list[str]) -> Array:
-    """Return the vertices turned about the vertical so that the garment is wider from left to right (x) than deep (y)."""
-    wide, deep, _ = np.ptp(vertices, axis=0)
-    if deep <= 1.2 * wide:
+    """Return the vertices turned about the vertical so that the garment is wider from left to right (x) than deep (y).
+
+    The rule has no range in which nothing is done: so a mesh that was turned by 90 degrees becomes the same garment.
+    """
+    deep_to_wide = np.ptp(vertices[:, 1]) / np.ptp(vertices[:, 0]) if np.ptp(vertices[:, 0]) else np.inf
+    if 1 / _SQUARE < deep_to_wide < _SQUARE:  # as deep as it is wide: the way along which most of it lies counts
+        deep_to_wide = vertices[:, 1].std() / vertices[:, 0].std()
+    if deep_to_wide <= 1 + 1e-9:
         return vertices
     repairs.append("it was turned by 90 degrees about the vertical, to be wider (x) than deep (y)")
     return vertices[:, [1, 0, 2]] * [1, -1, 1]
@@ -454,17 +464,19 @@ def _found(vertices: Array, faces: Ids, rule: str, repairs: list[str]) -> tuple[
 
 
 def _grips(vertices: Array, kept: Ids, loops: Mapping[str, Ids], repairs: list[str]) -> Ids:
-    """Return the tops of two handles or straps, the sides of a tube's neck, or two vertices far left and right near the top."""
+    """Return the tops of two handles, straps or ears, the sides of a tube's neck, or two vertices left and right at the top."""
     x = vertices[:, 0]
-    pair = [loop for name, loop in loops.items() if kind(name) in ("handle", "strap")]
+    pair = [loop for name, loop in loops.items() if kind(name) in ("handle", "strap", "ear")]
     if "hem" in loops and "neck" in loops:
         neck = loops["neck"]
         held = [int(neck[np.argmin(x[neck])]), int(neck[np.argmax(x[neck])])]
-    elif len(pair) == 2:
+    else:
         from_the_left = sorted(pair, key=lambda loop: float(x[loop].mean()))
         held = [_top(vertices[loop], loop) for loop in from_the_left]
-    else:
-        held = _outermost(vertices)
+        # Two loops of which one is above the other are not held by both hands.
+        apart = np.abs(np.ptp(vertices[held], axis=0)) if len(held) == 2 else np.array([0, 0, np.inf])
+        if apart[2] > np.linalg.norm(apart[:2]):
+            held = _outermost(vertices)
     left, right = kept[held]
     repairs.append(f"vertices {left} and {right}, left and right near the top, were taken for grips")
     return np.array(held)

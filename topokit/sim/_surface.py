@@ -125,57 +125,16 @@ def once_each(faces: Ids) -> Ids:
     return faces[np.sort(first)]
 
 
-def _weighted(vertices: Array, edges: Ids) -> csr_matrix:
+def weighted(vertices: Array, edges: Ids) -> csr_matrix:
     """Return the graph of edges (E, 2) between vertices (N, 3), weighted by length."""
     return csr_matrix((edge_lengths(vertices, edges), edges.T), shape=(len(vertices),) * 2)
-
-
-def simplified(vertices: Array, faces: Ids, most: int) -> tuple[Ids, Ids, Ids]:
-    """Return at most `most` vertices (k,) of a surface, the faces between them, and which is nearest to each vertex (N,).
-
-    Idea: vertices are chosen so that no two are within a radius along the mesh, those of borders first. Each vertex belongs to
-    its nearest chosen one, and where three of these regions meet in a face, there is a face of the new mesh: the dual of a
-    Voronoi diagram, with edges of nearly the same length. Classes of loops and borders stay, which is checked.
-
-    Raises
-    ------
-    ValueError
-        When there are not enough vertices for these loops.
-    """
-    edges = np.unique(half_edges(faces), axis=0)
-    graph = _weighted(vertices, edges)
-    borders = border_cycles(faces)
-    everything = np.arange(len(vertices))
-    on_border = np.unique(np.concatenate([*borders, everything[:0]]))
-    order = np.concatenate([on_border, np.setdiff1d(everything, on_border)]).tolist()
-    radius = float(np.sqrt(face_areas(vertices, faces).sum() / most))
-    chosen = list(order)
-    while len(chosen) > most:
-        chosen = []
-        covered = np.zeros(len(vertices), dtype=bool)
-        for i in order:
-            if not covered[i]:
-                chosen.append(i)
-                covered |= np.isfinite(dijkstra(graph, directed=False, indices=i, limit=radius))
-        radius *= 1.1
-
-    chosen.sort()
-    _, _, source = dijkstra(graph, directed=False, indices=chosen, min_only=True, return_predecessors=True)
-    nearest = np.searchsorted(chosen, source)
-    met = nearest[faces]
-    new_faces = once_each(of_three_vertices(met))
-    new_edges = np.unique(half_edges(new_faces), axis=0)
-    lost = len(vertices) - len(edges) + len(faces) != len(chosen) - len(new_edges) + len(new_faces)
-    if lost or len(border_cycles(new_faces)) != len(borders) or len(np.unique(new_faces)) != len(chosen):
-        raise ValueError(f"{most} vertices are not enough for its loops; raise max_vertices, or decimate the mesh")
-    return np.array(chosen), new_faces, nearest
 
 
 class EdgeGraph:
     """The vertices (N, 3) and the edges (E, 2) of a mesh, weighted by length."""
 
     def __init__(self, vertices: Array, edges: Ids) -> None:
-        self._graph = _weighted(vertices, edges)
+        self._graph = weighted(vertices, edges)
 
     def distances(self, ids: Ids) -> Array:
         """Return (k, k) the lengths of the shortest paths between vertices."""

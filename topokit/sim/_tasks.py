@@ -20,17 +20,19 @@ from numpy.typing import ArrayLike
 
 from topokit._validate import WrongKindError, as_points
 from topokit.io import LOOP_NAMES
+from topokit.linking import side_lengths
 
 from ._garments import WARDROBE, Garment
+from ._hung import choose, hang_by_opening
 from ._names import kind, to_hang_by
 from ._path import GripperPath, Via
-from ._surface import Array
+from ._surface import Array, EdgeGraph
 from ._targets import Hanger, Hook, Mannequin, Placed, Target
 
 Loop = TypeVar("Loop", bound=ArrayLike)
 _SMALL = ("scarf", "belt", "net", "trousers")
-_BESIDE = 0.08  # least level distance in metres of a loop that lies beside its grip
-_ASIDE = 30  # degrees by which a loop may face aside of the arm
+_STRETCH = 1.15  # how far a loop can be stretched, as a multiple of its length
+_REACH = 1.4  # the same for the strip between the grips alone
 _log = logging.getLogger("topokit.sim")
 PathScript = Callable[[Garment, Target, np.random.Generator], GripperPath]
 
@@ -130,7 +132,10 @@ def pull_over_head(garment: Garment, target: Target, rng: np.random.Generator) -
     dummy = _mannequin(target)
     spread = _spread(garment)
     below = _opening(garment)[1]
-    wide = max(1.0, (2 * dummy.head_radius + 0.06) / float(np.linalg.norm(spread[0] - spread[1])))
+    needed = 2 * dummy.head_radius + 0.06
+    _check_fits(garment, dummy)
+    _check_reach(garment, needed, "to go over the head")
+    wide = max(1.0, needed / float(np.linalg.norm(spread[0] - spread[1])))
     top = dummy.height + below
     axis = dummy.distance
     # Stations: far before the head, before it, over it, behind it, and down at the nape.
@@ -151,6 +156,7 @@ def put_on_shoulders(garment: Garment, target: Target, rng: np.random.Generator)
     spread = _spread(garment)
     x, y, z = dummy.shoulder
     half = float(np.linalg.norm(spread[0] - spread[1])) / 2
+    _check_reach(garment, 2 * (x + 0.11), "to pass the shoulders")
     wide = (x + 0.11) / half
     narrow = (x - 0.08) / half
     # Stations: far before the shoulders, before them, past them, together behind them, and down.
@@ -165,6 +171,7 @@ def put_on_shoulders(garment: Garment, target: Target, rng: np.random.Generator)
 def dress(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
     """Lift a garment by its shoulders over a mannequin, and lower it over head and shoulders."""
     dummy = _mannequin(target)
+    _check_fits(garment, dummy)
     top = dummy.height
     axis = dummy.distance
     # Stations: before the body, above it, with the grippers at the head, and down at the shoulders.
@@ -182,6 +189,27 @@ def _mannequin(target: Target) -> Mannequin:
     if not isinstance(target, Mannequin):
         raise TypeError(f"this path is for a Mannequin, not for a {type(target).__name__}")
     return target
+
+
+def _check_fits(garment: Garment, dummy: Mannequin) -> None:
+    """Raise ValueError when the loop that goes over the head of a mannequin is too small for it."""
+    if not garment.loops:
+        return
+    around = float(side_lengths(garment.vertices[garment.hanging_loop]).sum())
+    head = 2 * np.pi * dummy.head_radius
+    if _STRETCH * around < head:
+        sizes = f"is {around:.2f} m around, the head {head:.2f} m"
+        raise ValueError(f"the loop that goes over the head {sizes}: give the garment another size")
+
+
+def _check_reach(garment: Garment, needed: float, what: str) -> None:
+    """Raise ValueError when the grips cannot go so far apart, because the cloth between them is too short."""
+    along = float(EdgeGraph(garment.vertices, garment.edges).distances(garment.grips)[0, 1])
+    if _REACH * along < needed:
+        raise ValueError(
+            f"the cloth between the grips is {along:.2f} m long, and they must be {needed:.2f} m apart {what}: "
+            "give the garment another size, or other grips"
+        )
 
 
 def _spread(garment: Garment) -> Array:
@@ -229,29 +257,14 @@ def warn_of_floor(garment: Garment, target: Target) -> None:
         _log.warning("the %s hangs %.2f m down from a %s %.2f m high: %s", garment.name, long, target.name, high, hint)
 
 
-def _behind(garment: Garment) -> bool:
-    """Return whether the hanging loop lies beside its grip, as a backpack's strap does, not under it, as a handle does."""
-    gaps = garment.vertices[garment.hanging_loop].mean(axis=0) - garment.vertices[garment.grips]
-    return bool(np.linalg.norm(gaps[:, :2], axis=1).min() > _BESIDE)
-
-
-def _facing(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
-    """Return a path; a garment whose loops face aside is turned so that the arm goes through its front loop."""
-    # The loop faces along the normal of the area that it encloses; either side may come first.
-    curve = garment.vertices[garment.hanging_loop] if garment.loops else np.zeros((1, 3))
-    x, y, z = np.cross(curve, np.roll(curve, -1, axis=0)).sum(axis=0)
-    yaw = float((np.degrees(np.arctan2(x, y)) + 90) % 180 - 90)
-    if abs(yaw) < _ASIDE or np.hypot(x, y) < abs(z):
-        return hang_by_strap(garment, target, rng)
-    # Plan for the turned garment with its front loop alone.
-    faced = garment.turned(yaw)
-    ahead = {name: float(faced.vertices[faced.named_loops[name], 1].mean()) for name in to_hang_by(faced.loop_names)}
-    front = max(ahead, key=ahead.__getitem__)
-    only = replace(faced, loops=(faced.named_loops[front],), loop_names=(front,))
-    back = [0, ahead[front] - float(faced.vertices[faced.grips, 1].mean()), 0]
-    path = hang_by_strap(only, target, rng, rest=2.0)
-    vias = [replace(via, yaw=via.yaw + yaw, place=np.asarray(via.place) - back) for via in path.vias]
-    return replace(path, vias=vias, spread=_spread(garment))
+def hang_as_it_hangs(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
+    """Carry the loop that an arm enters most easily as the garment hangs, or the first one where none is open."""
+    choice = choose(garment, target)
+    return (
+        hang_by_strap(garment, target, rng, rest=2.0)
+        if choice is None
+        else hang_by_opening(garment, target, choice, rng)
+    )
 
 
 def _about(rng: np.random.Generator, place: ArrayLike, *ranges: tuple[float, float]) -> Array:
@@ -330,8 +343,7 @@ def task_for(garment: Garment, target: Target) -> Task:
     make = functools.partial(_itself, garment)
     straps = kinds.count("strap") > 1
     if not isinstance(target, Mannequin):
-        plan: PathScript = _sideways if straps and _behind(garment) else _facing
-        return Task(name, make, target, plan, tuple(names))
+        return Task(name, make, target, hang_as_it_hangs, tuple(names))
     if {"neck", "hem"} <= {*kinds}:
         return Task(name, make, target, dress, ("neck", "hem"), all_loops=True)
     if straps:
