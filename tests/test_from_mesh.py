@@ -6,6 +6,7 @@ import json
 import logging
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -408,9 +409,11 @@ def test_a_fine_mesh_is_simplified_and_keeps_its_loops(tmp_path, name):
         assert np.linalg.norm(coarse.vertices[coarse.grips] - fine.vertices[fine.grips], axis=1).max() < 0.06
 
 
-@pytest.mark.parametrize("name", ["apron", "mask", "shirt", "backpack"])
+@pytest.mark.parametrize("name", ["apron", "mask", "shirt", "backpack", "tote2", "scarf"])
 def test_a_mesh_turned_about_the_vertical_gets_the_same_names_and_grips(tmp_path, name):
     garment = WARDROBE[name](spacing=0.025 if name == "mask" else 0.05)
+    if name == "scarf":  # as deep as it is wide, but for a hair
+        garment = replace(garment, vertices=garment.vertices * [1, 1.02, 1])
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     found = []
     for vertices in (garment.vertices, garment.vertices @ turn.T):
@@ -742,6 +745,18 @@ def test_meshes_of_others_load_hang_and_are_tracked():
         tracks = [track for track in summarise_tracks(tk.track(frames), frames, garment.loops) if track.distance < 0.15]
         found = {track.true_loop for track in tracks if track.frames >= 0.8 * present[track.true_loop]}
         assert found == set(np.flatnonzero(present).tolist()) == set(range(len(garment.loops))), name
+
+
+def test_ear_loops_and_straps_are_held_in_their_middle(tmp_path):
+    backpack = Garment.backpack(spacing=0.05)
+    loaded = Garment.from_mesh(written(tmp_path / "b.obj", backpack.vertices, backpack.faces), loops="auto")
+    assert set(loaded.loop_names) == {"strap 1", "strap 2"}
+    for grip in loaded.vertices[loaded.grips]:  # as far out as the straps go, within an edge
+        assert abs(grip[0]) > np.abs(backpack.vertices[:, 0]).max() - 0.08
+    # A mask whose ear loops are above each other is held at its upper one.
+    mask = WARDROBE["mask"](spacing=0.025)
+    loaded = Garment.from_mesh(written(tmp_path / "m.obj", mask.vertices, mask.faces), loops="auto")
+    assert (loaded.vertices[loaded.grips, 2] > mask.vertices[:, 2].max() - 0.12).all()
 
 
 def test_a_bag_is_held_above_the_middle_of_each_strap(tmp_path):

@@ -1,8 +1,9 @@
 """Hang strangers' garments, from a file to a film: book/results/garments.json.
 
     python book/experiments/garments.py --folder runs/bag --meshes FOLDER
+    python book/experiments/garments.py --folder runs/bag --bag strangers --command hang --out runs/strangers_hang.json
 
-Takes a film's simulation for each of 40 meshes.
+Takes a film's simulation for each of 40 meshes; `--bag strangers` has the 30 of strangers.py instead, all of which can hang.
 
 Writes a bag of 40 meshes as other tools would write them (OBJ, PLY, STL; metres, centimetres, millimetres, no unit; any axis up;
 turned, remeshed, decimated, in pieces with doubled vertices, with half an annotation or none), some of which no cloth can be made
@@ -24,6 +25,7 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
+import strangers
 import trimesh
 
 from topokit.io import load_episode
@@ -134,13 +136,19 @@ def _text(path: Path, text: str) -> Path:
     return path
 
 
-def outcome(case: Case, folder: Path, seed: int) -> dict[str, Any]:
+def bag_of_strangers() -> Iterator[Case]:
+    """Return the garments of strangers.py."""
+    for stranger in strangers.strangers():
+        yield Case(stranger.name, stranger.write, stranger.target)
+
+
+def outcome(case: Case, folder: Path, seed: int, command: str) -> dict[str, Any]:
     """Run the command on a mesh and return the outcome."""
     mesh = case.write(folder)
     film = folder / "episodes" / f"{case.name.replace(' ', '_').replace(',', '')}.npz"
     film.parent.mkdir(exist_ok=True)
     asked = [
-        "simulate",
+        command,
         "--mesh",
         str(mesh),
         "--task",
@@ -155,14 +163,17 @@ def outcome(case: Case, folder: Path, seed: int) -> dict[str, Any]:
     run = subprocess.run([sys.executable, "-m", "topokit", *asked, "--json"], capture_output=True, text=True)
     row: dict[str, Any] = {"mesh": case.name, "file": mesh.name, "target": case.target, "expected": case.expected}
     row["seconds"] = round(time.perf_counter() - began, 1)
-    if run.returncode:
+    if not run.stdout:  # 2: it was refused; 1: the simulation failed
         said = [line for line in run.stderr.splitlines() if line.strip()]
-        return row | {"outcome": "refused", "said": said[-1].replace(str(mesh), mesh.name) if said else ""}
+        what = "refused" if run.returncode == 2 else "does not hang"
+        return row | {"outcome": what, "said": said[-1].replace(str(mesh), mesh.name) if said else ""}
     answer = json.loads(run.stdout)
     episode = load_episode(film)
-    row |= {"outcome": "hangs" if answer["success"] else "does not hang", "loops": answer["loops"]}
+    row |= {"outcome": "hangs" if answer["success"] else "does not hang", "loops": [*episode.named_loops]}
+    if not answer["success"]:
+        row["said"] = answer["reason"]
     return row | {
-        "vertices": answer["vertices"],
+        "vertices": episode.points.shape[1],
         "frames": len(episode),
         "lowest": float(episode.points[-1, :, 2].min()),
     }
@@ -172,6 +183,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, required=True, help="where meshes and episodes are written")
     parser.add_argument("--meshes", type=Path, help="folder with OBJ files of others")
+    parser.add_argument("--bag", choices=["ours", "strangers"], default="ours")
+    parser.add_argument("--command", choices=["simulate", "hang"], default="simulate")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("book/results/garments.json"))
     parser.add_argument("--only", help="cases whose name has this in it")
@@ -179,10 +192,11 @@ def main() -> None:
     options.folder.mkdir(parents=True, exist_ok=True)
     rows = json.loads(options.out.read_text())["meshes"] if options.out.exists() else []
     done = {row["mesh"] for row in rows}
-    for case in bag(options.meshes):
+    cases = bag_of_strangers() if options.bag == "strangers" else bag(options.meshes)
+    for case in cases:
         if case.name in done or (options.only or "") not in case.name:
             continue
-        rows.append(outcome(case, options.folder, options.seed))
+        rows.append(outcome(case, options.folder, options.seed, options.command))
         print(json.dumps(rows[-1]), flush=True)
         counts = {what: sum(row["outcome"] == what for row in rows) for what in ("hangs", "does not hang", "refused")}
         options.out.write_text(json.dumps({"seed": options.seed, **counts, "meshes": rows}, indent=1) + "\n")

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from topokit._strangers import printable
@@ -33,6 +34,7 @@ from ._surface import (
     of_three_vertices,
     once_each,
     vector_area,
+    weighted,
     wind,
 )
 
@@ -40,6 +42,7 @@ _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
 _COPIES = 30  # vertices of a file, at most, for each that the cloth may have: copies of it, and other components
 _FEW = 4  # edges of a hole that is only a missing face or two
+_NEAR_LOOP = 0.1  # of its length: what is nearer to a loop may be the strap itself
 _SQUARE = 1.05  # depth over width below which a garment is as deep as it is wide
 _ROUND_A_ROD = 0.1  # metres: a shorter loop fits closely around a rod of 3 cm
 _METRES = (0.15, 2.2)  # largest extent of a garment in metres
@@ -154,7 +157,7 @@ def from_mesh(
             cycles = _closed(placed, faces, kept, carried, repairs)
             names = tuple(loops) if isinstance(loops, Mapping) else named(placed, faces, cycles)
         if held is None:
-            held = _grips(placed, kept, dict(zip(names, cycles, strict=True)), repairs)
+            held = _grips(placed, faces, kept, dict(zip(names, cycles, strict=True)), repairs)
     except ValueError as error:
         done = f" (done before: {'; '.join(repairs)})" if repairs else ""
         raise type(error)(f"{path}: {error}{done}") from error
@@ -463,23 +466,36 @@ def _found(vertices: Array, faces: Ids, rule: str, repairs: list[str]) -> tuple[
     return tuple(sorted(cycles, key=lambda cycle: -side_lengths(vertices[cycle]).sum()))
 
 
-def _grips(vertices: Array, kept: Ids, loops: Mapping[str, Ids], repairs: list[str]) -> Ids:
-    """Return the tops of two handles, straps or ears, the sides of a tube's neck, or two vertices left and right at the top."""
+def _grips(vertices: Array, faces: Ids, kept: Ids, loops: Mapping[str, Ids], repairs: list[str]) -> Ids:
+    """Return the middles of two handles, straps or ears, the sides of a neck, or two vertices left and right at the top."""
     x = vertices[:, 0]
+    held = _outermost(vertices)
     pair = [loop for name, loop in loops.items() if kind(name) in ("handle", "strap", "ear")]
     if "hem" in loops and "neck" in loops:
         neck = loops["neck"]
         held = [int(neck[np.argmin(x[neck])]), int(neck[np.argmax(x[neck])])]
-    else:
+    elif len(pair) == 2:
         from_the_left = sorted(pair, key=lambda loop: float(x[loop].mean()))
-        held = [_top(vertices[loop], loop) for loop in from_the_left]
+        middles = _middles(vertices, faces, from_the_left)
         # Two loops of which one is above the other are not held by both hands.
-        apart = np.abs(np.ptp(vertices[held], axis=0)) if len(held) == 2 else np.array([0, 0, np.inf])
-        if apart[2] > np.linalg.norm(apart[:2]):
-            held = _outermost(vertices)
+        wide, deep, high = np.ptp(vertices[middles], axis=0)
+        if high < np.hypot(wide, deep):
+            held = middles
     left, right = kept[held]
     repairs.append(f"vertices {left} and {right}, left and right near the top, were taken for grips")
     return np.array(held)
+
+
+def _middles(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> list[int]:
+    """Return for each loop the vertex in the middle of its strap: the farthest along the mesh from what is near no loop."""
+    graph = weighted(vertices, np.unique(half_edges(faces), axis=0))
+    away = dijkstra(graph, directed=False, indices=np.concatenate(loops), min_only=True)
+    shortest = min(side_lengths(vertices[loop]).sum() for loop in loops)
+    body = np.flatnonzero(away > _NEAR_LOOP * shortest)
+    if not len(body):
+        return [_top(vertices[loop], loop) for loop in loops]
+    out = dijkstra(graph, directed=False, indices=body, min_only=True)
+    return [int(loop[np.argmax(out[loop])]) for loop in loops]
 
 
 def _top(curve: Array, loop: Ids) -> int:

@@ -345,11 +345,16 @@ def task_for(garment: Garment, target: Target) -> Task:
     if not isinstance(target, Mannequin):
         return Task(name, make, target, hang_as_it_hangs, tuple(names))
     if {"neck", "hem"} <= {*kinds}:
-        return Task(name, make, target, dress, ("neck", "hem"), all_loops=True)
+        # Of several necks, such as the openings of a dress with shoulder straps, the head goes through the one above the hem.
+        loops = {called: garment.vertices[loop].mean(axis=0) for called, loop in garment.named_loops.items()}
+        hem = next(place for called, place in loops.items() if kind(called) == "hem")
+        necks = [called for called in loops if kind(called) == "neck"]
+        neck = min(necks, key=lambda called: float(np.linalg.norm((loops[called] - hem)[:2])))
+        return Task(name, make, target, dress, (neck, "hem"), all_loops=True)
     if straps:
         return Task(name, make, target, put_on_shoulders, ("strap",), all_loops=True)
-    loops = ("neck",) if "neck" in kinds else tuple(names)
-    return Task(name, make, target, pull_over_head, loops)
+    over = ("neck",) if "neck" in kinds else tuple(names)
+    return Task(name, make, target, pull_over_head, over)
 
 
 def _itself(garment: Garment) -> Garment:
