@@ -42,7 +42,9 @@ _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
 _COPIES = 30  # vertices of a file, at most, for each that the cloth may have: copies of it, and other components
 _FEW = 4  # edges of a hole that is only a missing face or two
-_NEAR_LOOP = 0.1  # of its length: what is nearer to a loop may be the strap itself
+_NEAR_LOOP = 0.2  # of its length: what is nearer to a loop may be the strap itself
+_STRAP = 0.3  # of its length: how far the middle of a strap is from the body, at least
+_APART = 0.2  # of the width: how far apart the middles of two straps are at least
 _SQUARE = 1.05  # depth over width below which a garment is as deep as it is wide
 _ROUND_A_ROD = 0.1  # metres: a shorter loop fits closely around a rod of 3 cm
 _METRES = (0.15, 2.2)  # largest extent of a garment in metres
@@ -81,7 +83,8 @@ def from_mesh(
         the mesh. In a mapping each loop has the name that tasks ask for ("neck", "handle 1", ...); otherwise it gets a name
         by place and size.
     grips : (2,) int, optional
-        Vertex ids as the file numbers them. When not given, two vertices near the top, to the left and to the right.
+        Vertex ids as the file numbers them. When not given: the sides of a shirt's neck, the middles of two straps, handles or
+        ear loops, two places on one strap, or else two vertices near the top, to the left and to the right.
     size : float, optional
         Largest extent that the garment shall have, metres.
     scale : float, optional
@@ -467,35 +470,53 @@ def _found(vertices: Array, faces: Ids, rule: str, repairs: list[str]) -> tuple[
 
 
 def _grips(vertices: Array, faces: Ids, kept: Ids, loops: Mapping[str, Ids], repairs: list[str]) -> Ids:
-    """Return the middles of two handles, straps or ears, the sides of a neck, or two vertices left and right at the top."""
+    """Return the two vertices by which a person would hold the garment to hang it.
+
+    They are the sides of a shirt's neck, the middles of two straps, two places on one strap, or else left and right at the top.
+    """
     x = vertices[:, 0]
     held = _outermost(vertices)
-    pair = [loop for name, loop in loops.items() if kind(name) in ("handle", "strap", "ear")]
+    straps = [loop for name, loop in loops.items() if kind(name) in ("handle", "strap", "ear", "neck")]
     if "hem" in loops and "neck" in loops:
         neck = loops["neck"]
         held = [int(neck[np.argmin(x[neck])]), int(neck[np.argmax(x[neck])])]
-    elif len(pair) == 2:
-        from_the_left = sorted(pair, key=lambda loop: float(x[loop].mean()))
-        middles = _middles(vertices, faces, from_the_left)
-        # Two loops of which one is above the other are not held by both hands.
-        wide, deep, high = np.ptp(vertices[middles], axis=0)
-        if high < np.hypot(wide, deep):
-            held = middles
+    elif len(straps) in (1, 2):
+        middles = _middles(vertices, faces, sorted(straps, key=lambda loop: float(x[loop].mean())))
+        if len(straps) == 2 and len(middles) == 2:
+            # Two loops of which one is above the other, or on one strap, are not held by both hands.
+            wide, deep, high = np.ptp(vertices[middles], axis=0)
+            if np.hypot(wide, deep) > max(high, _APART * np.ptp(vertices[:, :2], axis=0).max()):
+                held = middles
+        elif len(straps) == len(middles) == 1:
+            held = sorted(_beside(vertices, straps[0], middles[0]), key=lambda i: float(x[i]))
     left, right = kept[held]
     repairs.append(f"vertices {left} and {right}, left and right near the top, were taken for grips")
     return np.array(held)
 
 
 def _middles(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> list[int]:
-    """Return for each loop the vertex in the middle of its strap: the farthest along the mesh from what is near no loop."""
+    """Return for each loop of a strap the vertex in its middle: the farthest along the mesh from what is near no loop.
+
+    A loop without a strap, such as a hole in a sheet, is about as far from the rest everywhere; it has none.
+    """
     graph = weighted(vertices, np.unique(half_edges(faces), axis=0))
+    lengths = [float(side_lengths(vertices[loop]).sum()) for loop in loops]
     away = dijkstra(graph, directed=False, indices=np.concatenate(loops), min_only=True)
-    shortest = min(side_lengths(vertices[loop]).sum() for loop in loops)
-    body = np.flatnonzero(away > _NEAR_LOOP * shortest)
+    body = np.flatnonzero(away > _NEAR_LOOP * min(lengths))
     if not len(body):
-        return [_top(vertices[loop], loop) for loop in loops]
+        return [_top(vertices[loop], loop) for loop in loops] if len(loops) > 1 else []
     out = dijkstra(graph, directed=False, indices=body, min_only=True)
-    return [int(loop[np.argmax(out[loop])]) for loop in loops]
+    pairs = zip(loops, lengths, strict=True)
+    return [int(loop[np.argmax(out[loop])]) for loop, length in pairs if out[loop].max() > _STRAP * length]
+
+
+def _beside(vertices: Array, loop: Ids, middle: int) -> list[int]:
+    """Return two vertices of a loop on either side of one of it, each a sixth of the loop away."""
+    order = np.roll(loop, -int(np.argmax(loop == middle)))
+    steps = side_lengths(vertices[order])
+    along = np.concatenate([[0.0], np.cumsum(steps)[:-1]])
+    total = float(steps.sum())
+    return [int(order[np.argmin(np.abs(along - share * total))]) for share in (1 / 6, 5 / 6)]
 
 
 def _top(curve: Array, loop: Ids) -> int:

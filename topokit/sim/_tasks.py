@@ -23,7 +23,7 @@ from topokit.io import LOOP_NAMES
 from topokit.linking import side_lengths
 
 from ._garments import WARDROBE, Garment
-from ._hung import choose, hang_by_opening
+from ._hung import choose, hang_by_opening, hung
 from ._names import kind, to_hang_by
 from ._path import GripperPath, Via
 from ._surface import Array, EdgeGraph
@@ -182,6 +182,20 @@ def dress(garment: Garment, target: Target, rng: np.random.Generator) -> Gripper
     down = [0, axis, dummy.shoulder_height + 0.03]
     vias = [Via(0.1, start), Via(1.2, above, rest=True), Via(2.8, head), Via(3.9, down)]
     return GripperPath(vias, _spread(garment), release=4.0, end=5.2)
+
+
+def dress_as_it_hangs(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
+    """Lower a garment over a mannequin as `dress` does, with the middle of its open ends as they hang over the head."""
+    path = dress(garment, target, rng)
+    shape = hung(garment)
+    ends = [shape[loop].mean(axis=0) for name, loop in garment.named_loops.items() if kind(name) in ("neck", "hem")]
+    aside = np.mean(ends, axis=0) * [1, 1, 0]
+    # What hangs longer than it is on the mesh is lifted higher before it is over the head.
+    length = float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min())
+    longer = max(0.0, -float(shape[:, 2].min()) - length)
+    vias = [replace(via, place=np.asarray(via.place) - aside + [0, 0, longer]) for via in path.vias[:2]]
+    vias += [replace(via, place=np.asarray(via.place) - aside) for via in path.vias[2:]]
+    return replace(path, vias=vias)
 
 
 def _mannequin(target: Target) -> Mannequin:
@@ -350,7 +364,7 @@ def task_for(garment: Garment, target: Target) -> Task:
         hem = next(place for called, place in loops.items() if kind(called) == "hem")
         necks = [called for called in loops if kind(called) == "neck"]
         neck = min(necks, key=lambda called: float(np.linalg.norm((loops[called] - hem)[:2])))
-        return Task(name, make, target, dress, (neck, "hem"), all_loops=True)
+        return Task(name, make, target, dress_as_it_hangs, (neck, "hem"), all_loops=True)
     if straps:
         return Task(name, make, target, put_on_shoulders, ("strap",), all_loops=True)
     over = ("neck",) if "neck" in kinds else tuple(names)
