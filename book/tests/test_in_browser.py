@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from importlib import resources
@@ -293,6 +294,47 @@ def test_a_lit_part_of_the_complex_is_drawn(chromium: Any) -> None:
             figure.wait_for_function(f"(dark) => ({drawn})() !== dark", arg=dark)
             word.evaluate("e => e.blur()")
             figure.wait_for_function(f"(dark) => ({drawn})() === dark", arg=dark)
+        assert visit.trouble == []
+
+
+# A figure, how it is turned, what the library printed on the same page, and where the figure states the same number.
+SET = """(e, value) => {
+  e.value = value;
+  e.dispatchEvent(new Event(e.type === "range" ? "input" : "change"));
+}"""
+TURNED = [
+    ("05", "hiding", {"keys": "n" * 7 + "E"}, r"killers (\d\.\d+) apart", r"(\d\.\d+) away, more than"),
+    ("05", "critical", {}, r"epsilon 0\.00: beta (\d\.\d\d)", r"\u03b2 = (\d\.\d+)"),
+    ("05", "critical", {"epsilon": 88}, r"epsilon 0\.08: beta (\d\.\d\d)", r"\u03b2 = (\d\.\d+)"),
+    ("06", "verdicts", {"alpha": 5}, r"the neck lives for (\d\.\d)", r"lifetime (\d\.\d)"),
+    ("07", "belief", {"shape": "50 points"}, r"50 points: significant in (\d+)", r"alone: reported in (\d+)"),
+    ("07", "belief", {"shape": "50 points"}, r"50 points: .* reported in (\d+)", r"belief: reported in (\d+)"),
+    ("07", "gates", {"beta": 0}, r"beta 0\.00 m: (\d+) names", r"(\d+) names in the film"),
+    ("07", "gates", {"beta": 33}, r"beta 0\.05 m: (\d+) names", r"(\d+) names in the film"),
+    ("07", "gates", {"beta": 80}, r"beta 0\.12 m: (\d+) names", r"(\d+) names in the film"),
+]
+
+
+@pytest.mark.parametrize(("chapter", "name", "turns", "printed", "shown"), TURNED)
+def test_a_turned_figure_states_what_the_library_printed(
+    chromium: Any, chapter: str, name: str, turns: dict[str, Any], printed: str, shown: str
+) -> None:
+    page = next(page for page in CHAPTERS if page.startswith(f"notebooks/{chapter}"))
+    with Visit(chromium, page) as visit:
+        frame = next(frame for frame in visit.figures() if frame.query_selector(f"body.{name}"))
+        for control, value in turns.items():
+            if control == "keys":
+                frame.query_selector("#scene").focus()
+                for key in value:
+                    frame.query_selector("#scene").press({"E": "Enter"}.get(key, key))
+            else:
+                frame.query_selector(f"#{control}").evaluate(SET, value)
+        frame.evaluate(SETTLED)
+        there = re.search(printed, visit.page.inner_text("body"))
+        here = re.search(shown, frame.query_selector("#status").inner_text())
+        assert there is not None
+        assert here is not None
+        assert float(here[1]) == pytest.approx(float(there[1]), abs=0.006)  # printed with two digits
         assert visit.trouble == []
 
 
