@@ -61,6 +61,18 @@ def hanging() -> view.HtmlFigure:
     return view.plans(episode, 80, actions, clouds, [1, 3], episode.loops[0])
 
 
+def tube_film() -> tuple[np.ndarray, np.ndarray]:
+    """Return two frames of a short tube in metres, the second one larger, and the vertices of its rim."""
+    rims = [np.insert(polygon(20, 0.2), 2, height, axis=1) for height in (0.0, 0.05, 0.1)]
+    tube = np.concatenate(rims)
+    return np.stack([tube, 2 * tube]), np.arange(20)
+
+
+def treated() -> view.HtmlFigure:
+    film, rim = tube_film()
+    return figures.treatments(film, {"a </script> rim": rim}, {"middle": film.mean(axis=1, keepdims=True)}, [1, 2])
+
+
 PAGES = {
     "cloud": lambda: figures.cloud({"an </script> apron": RING, "a film": film()}),
     "growth": lambda: figures.growth(SQUARE, start=1, max_radius=3, title="four </script> corners"),
@@ -79,6 +91,10 @@ PAGES = {
     "mixture": lambda: figures.mixture(SQUARE, 3),
     "linked": lambda: figures.linked(RING, HOOK, WAY),
     "shares": lambda: figures.shares(results(), MEASURES),
+    "repaint": lambda: figures.repaint({"two </script>": ["aab-", "bba-"]}),
+    "treatments": treated,
+    "planning": lambda: figures.planning(RING / 1000, HOOK, (0, 1)),
+    "turning": lambda: figures.turning({"</script>": np.eye(3)[None]}, np.eye(3), np.eye(3), [0], [1, 2, 3]),
     "player": lambda: view.player(replace(apron(), garment="an </script> apron"), track(apron().observed[:, ::9])),
     "wardrobe": lambda: view.wardrobe({"a mask": WARDROBE["mask"]()}),
     "plans": hanging,

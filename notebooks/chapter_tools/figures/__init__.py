@@ -1,5 +1,6 @@
-"""Figures that the chapters alone show: the data-flow picture, planar clouds under the reader's hand, and lunes."""
+"""Figures that the chapters alone show: the data-flow picture, clouds and films under the reader's hand, and lunes."""
 
+from .films import planning, repaint, treatments, turning
 from .lune_plots import plot_lens, plot_lune
 from .pages import (
     belief,
@@ -36,9 +37,13 @@ __all__ = [
     "mixture",
     "motion",
     "nudge",
+    "planning",
     "plot_lens",
     "plot_lune",
+    "repaint",
     "shares",
     "stray",
+    "treatments",
+    "turning",
     "verdicts",
 ]
