@@ -312,6 +312,13 @@ TURNED = [
     ("07", "gates", {"beta": 0}, r"beta 0\.00 m: (\d+) names", r"(\d+) names in the film"),
     ("07", "gates", {"beta": 33}, r"beta 0\.05 m: (\d+) names", r"(\d+) names in the film"),
     ("07", "gates", {"beta": 80}, r"beta 0\.12 m: (\d+) names", r"(\d+) names in the film"),
+    ("08", "repaint", {}, r"aaaaaabbbbbb\s+(\d\.\d\d)", r"MOTA (\d\.\d\d)"),
+    ("08", "repaint", {}, r"aaaaaabbbbbb +\S+ +(\d\.\d\d)", r"IDF1 (\d\.\d\d)"),
+    ("08", "repaint", {"keys": "RRRRRRb" + "Ra" * 6}, r"aaaaabaaaaaa +\S+ +(\d\.\d\d)", r"IDF1 (\d\.\d\d)"),
+    ("08", "repaint", {"keys": "RRRRRRb" + "Ra" * 6}, r"aaaaabaaaaaa +\S+ +\S+ +(\d\.\d\d)", r"HOTA (\d\.\d\d)"),
+    ("13", "turning", {"angle": 2}, r"30 degrees: PointNet is (\d+\.\d) cm", r"pointnet (\d+\.\d)$"),
+    ("15", "treatments", {}, r"seqPH is (\d+\.\d) cm outside of the marked waist", r"seqPH (\d+\.\d) cm"),
+    ("16", "planning", {}, r"guide at the start: (\d+) cm", r"guide (\d+) cm, not around"),
 ]
 
 
@@ -326,7 +333,7 @@ def test_a_turned_figure_states_what_the_library_printed(
             if control == "keys":
                 frame.query_selector("#scene").focus()
                 for key in value:
-                    frame.query_selector("#scene").press({"E": "Enter"}.get(key, key))
+                    frame.query_selector("#scene").press({"E": "Enter", "R": "ArrowRight"}.get(key, key))
             else:
                 frame.query_selector(f"#{control}").evaluate(SET, value)
         frame.evaluate(SETTLED)
