@@ -332,7 +332,7 @@ def test_edges_are_critical_as_in_the_library_and_the_path_of_the_hardest_pair_d
 
 def test_betas_are_those_of_the_library():
     clouds = [*holed_clouds(3, 1), *rings(6, 4)]
-    cases = [(cloud, alpha, epsilon) for cloud in clouds for alpha, epsilon in ((0.0, 0.0), (0.12, 0.01))]
+    cases = [(cloud, alpha, epsilon) for cloud in clouds for alpha, epsilon in ((0.0, 0.0), (0.12, 0.01), (0.0, 0.05))]
     given = [(cloud.tolist(), *rest) for cloud, *rest in cases]
     for (cloud, alpha, epsilon), answer in zip(cases, by_script(LENS, BETAS, given), strict=True):
         every = lemmas.beta_all(cloud, alpha, min_lifetime=0.0).value[0]

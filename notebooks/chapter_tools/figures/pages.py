@@ -1,9 +1,10 @@
 """Interactive figures of the chapters: the reader moves points, and scripts compute the loops anew in the browser.
 
 Idea: `topokit.view.HtmlFigure` joins the data with the scripts of this folder. `rips.js` computes loops by the same lunes as
-`topokit.rips`, `complex.js` hands them to the figures, `seqph.js` decides which bars are loops, `match.js` matches diagrams as
-`topokit.lemmas` does, `link.js` links curves, and `files.js` reads the reader's files. Tests compare the answers of the scripts
-with topokit's.
+`topokit.rips`, `complex.js` hands them to the figures, `seqph.js` decides which bars are loops, `match.js`, `lens.js` and
+`corollary.js` match diagrams and find critical edges as `topokit.lemmas` does, `follow.js` and `evidence.js` track with the
+reader's numbers, `link.js` links curves, and `files.js` reads the reader's files. Tests compare the answers of the scripts with
+topokit's.
 """
 
 from __future__ import annotations
