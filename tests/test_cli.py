@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import os
@@ -349,6 +350,19 @@ def test_simulate_takes_a_mesh(bag, capsys):
     assert (answer["garment"], answer["target"], answer["task"]) == ("bag", "hook", "bag-hook")
     assert answer["success"]
     assert list(load_episode(out).named_loops) == answer["loops"] == ["handle 1", "handle 2"]
+
+
+def test_a_film_that_does_not_end_well_says_why_and_so_does_the_exit_code(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("pybullet")
+    film = load_episode(DATA / "apron_hook_1.npz")
+    aside = dataclasses.replace(film, success=False, points=film.points + np.float32([0, -2, 0]))
+    monkeypatch.setattr("topokit.sim.simulate", lambda *_, **__: aside)
+    out = tmp_path / "e.npz"
+    assert main(["simulate", "--out", str(out)]) == 1
+    assert "it does not hang: the loop 'neck' never came around the hook" in capsys.readouterr().out
+    assert main(["simulate", "--out", str(out), "--json"]) == 1
+    assert "never came around" in json.loads(capsys.readouterr().out)["reason"]
+    assert not load_episode(out).success
 
 
 @pytest.mark.parametrize(
