@@ -41,7 +41,7 @@ app = App(
 )
 
 PICTURES = (".png", ".svg", ".pdf")
-METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -131,7 +131,7 @@ class MeshOptions:
     """
 
     loops: str | None = None
-    unit: Literal["m", "cm", "mm"] | None = None
+    unit: Literal["m", "cm", "mm", "in"] | None = None
     size: float | None = None
     up: Annotated[Literal["x", "y", "z", "-x", "-y", "-z"] | None, Parameter(allow_leading_hyphen=True)] = None
 
