@@ -213,6 +213,13 @@ def test_it_hangs_and_the_episode_is_like_any_other(hanging, tmp_path):
     assert episode.physics["controller"] == "Servo"
 
 
+def test_a_small_loop_on_a_large_cloth_gets_more_points():
+    sheet = Garment.sheet(spacing=0.035, width=0.7, height=0.6, hole_radius=0.06)
+    mine = dataclasses.replace(sheet, name="mine")
+    assert hang(garment=mine, max_steps=1).episode.observed.shape[1] > 256
+    assert hang(garment=mine, max_steps=1, n_points=100).episode.observed.shape[1] == 100
+
+
 def test_too_few_frames_and_models_are_told_of():
     late = hang("apron-hook", garment=COARSE, seed=1, max_steps=2)
     assert (late.success, late.reason, late.steps) == (False, "it was not let go in time", 2)

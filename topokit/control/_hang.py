@@ -13,12 +13,15 @@ from numpy.typing import ArrayLike
 from topokit._progress import Progress
 from topokit._validate import WrongKindError
 from topokit.io import Episode
+from topokit.linking import side_lengths
 from topokit.sim import Garment, HangEnv, Mannequin, Target, Task, explain
 
 from ._dress import PullOverController, StrapController
 from ._planner import Carried, MotionForecaster, Planner
 from ._servo import Controller, Servo
 from ._thrower import ThrowController
+
+_POINTS = (256, 512)  # observed points: the usual number, and the largest
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -83,6 +86,8 @@ def hang(
     forecast = _forecast(model)
     if task is None and garment is None:
         garment = Garment.tote()
+    elif garment is not None:
+        options.setdefault("n_points", _points_that_show(garment))
     env = HangEnv(task, garment=garment, target=target, max_steps=max_steps, **options)
     try:
         if controller is None:
@@ -90,6 +95,16 @@ def hang(
         return _run(env, controller, seed, progress)
     finally:
         env.close()
+
+
+def _points_that_show(garment: Garment) -> int:
+    """Return how many observed points show the loop to hang a garment by: twelve around it, between the usual 256 and 512."""
+    if garment.hanging_loop is None:
+        return min(_POINTS[0], len(garment.vertices))
+    spacing = float(side_lengths(garment.vertices[garment.hanging_loop]).sum()) / 12
+    a, b, c = np.moveaxis(garment.vertices[garment.faces], 1, 0)
+    area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+    return min(int(np.clip(area / spacing**2, *_POINTS)), len(garment.vertices))
 
 
 def _usual(
