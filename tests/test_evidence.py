@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from topokit import SeqPH, rips_persistence, track
-from topokit.sampling import as_tree
+from topokit.sampling import as_tree, farthest_point_sample
 from topokit.seqph import Frame, belief_after
+
+from conftest import polygon
 
 
 def ring(rng: np.random.Generator, shift: float = 0.0) -> np.ndarray:
@@ -72,6 +74,29 @@ def test_a_loop_seen_well_is_kept_when_it_is_hardly_seen_and_a_chance_bar_is_not
     weak = next(r for r in np.arange(0.3, 0.05, -0.01) if significance(belt(r)).max() < 1)
     assert ids([belt(weak)] * 4) == [[]] * 4
     assert ids([belt(0.5), belt(0.4), belt(0.3), *[belt(weak + 0.03)] * 2])[3:] == [[0], [0]]
+
+
+def evenly(points: np.ndarray, n: int = 1000) -> np.ndarray:
+    return points[farthest_point_sample(points, n)[0]]
+
+
+def test_a_small_hole_is_a_loop_where_the_other_bars_are_short_and_adds_up_along_a_film():
+    rng = np.random.default_rng(4)
+    sheet = rng.uniform(-1, 1, (20_000, 2))
+    clouds = [evenly(sheet[np.linalg.norm(sheet, axis=1) > radius]) for radius in np.arange(0.08, 0.1, 0.004)]
+    small = next(cloud for cloud in clouds if 0.65 < significance(cloud).max() < 0.95)
+    assert np.sort(significance(small))[-2] < 0.29
+    assert ids([small] * 4) == [[0]] * 4
+    assert ids([evenly(sheet)] * 4) == [[]] * 4
+
+
+@pytest.mark.parametrize(("squares", "found"), [(5, 0), (8, 1)])
+def test_things_far_apart_are_a_loop_when_there_are_many_around(squares, found):
+    """Squares of a grid in a ring: the bar is born at more than ten times the spacing, and dies 1.7 or 2.9 times later."""
+    grid = np.stack(np.meshgrid(np.arange(8.0), np.arange(8.0)), axis=-1).reshape(-1, 2) - 3.5
+    places = 50 * polygon(squares)
+    cloud = np.vstack([grid + place for place in places])
+    assert len(SeqPH().update(cloud)) == found
 
 
 def significance(cloud: np.ndarray) -> np.ndarray:

@@ -25,6 +25,11 @@ _FEW = 128  # points; the rule was not tried on fewer
 _MANY = 1000  # points for which significance needs no factor
 _EVEN = 2.1  # unevenness of points that keep their distance from each other
 _STREWN = 2.4  # unevenness of points strewn at random
+_WIDE = 3.0  # birth, in spacings, from which the cycle of a bar crosses gaps of another kind than those between points
+_OPEN = 2.0  # death / birth of a loop across gaps twice as wide as that
+_BARS = 100  # bars; the noise of fewer is not known
+_GRID = 1.3  # unevenness of points of a grid, whose bars are so short that they are no measure of noise
+_QUIET = 0.55  # least significance of a loop in a cloud without noise
 _AGAINST = -3.0  # least evidence of one frame
 _FOR = 2.0  # most evidence of one frame
 _FORGET = 0.8  # share of a belief that is left a frame later
@@ -56,20 +61,38 @@ def significance(birth: Array, death: Array, gaps: Gaps, n_points: int) -> Array
 
     It is 1.1 lifetime / spacing * log(death / birth)^0.3 * (1000 / n)^p, whatever the unit of length. Points strewn at random
     leave wide gaps, in a small sample as in a large one: for them the spacing counts 1.3 times, and p is 0.3 instead of 3/4.
+
+    A birth far above the spacing shows that the cycle crosses gaps, between objects or where points are sparse. The spacing of
+    the cloud says nothing about such a bar: it is a loop when it dies at twice its birth, as a hexagon nearly does.
     """
     if gaps.spacing == 0:
         return np.zeros(np.shape(death))
     power = np.interp(gaps.unevenness, (_EVEN, _STREWN), (0.75, 0.3))
     spacing = gaps.spacing * max(gaps.unevenness / 2, 1.0)
     with np.errstate(divide="ignore"):  # points that coincide are born at 0
-        ratio = np.log(death / birth) ** 0.3
-    return np.asarray(1.1 * (death - birth) / spacing * ratio * (_MANY / max(n_points, _FEW)) ** power)
+        ratio = np.log(death / birth)
+    strength = 1.1 * (death - birth) / spacing * ratio**0.3 * (_MANY / max(n_points, _FEW)) ** power
+
+    # From 3 to 6 spacings the first measure gives way to the second.
+    wide = np.clip(birth / (_WIDE * gaps.spacing) - 1, 0, 1)
+    return np.asarray(strength ** (1 - wide) * np.minimum(strength, ratio / np.log(_OPEN)) ** wide)
 
 
-def evidence(significance: Array) -> Array:
-    """Return the log-odds that bars are loops, by one frame alone."""
+def needed(significance: Array, birth: Array, gaps: Gaps) -> Array:
+    """Return the significance that each bar of a cloud needs to be a loop: 1, or less where the other bars have little.
+
+    Few clouds have four loops, so that the fourth bar is taken for noise. Where it is a loop, nothing changes.
+    """
+    if len(significance) < _BARS or gaps.unevenness < _GRID:
+        return np.ones(len(significance))
+    fourth = np.partition(significance, -4)[-4]
+    return np.where(birth > _WIDE * gaps.spacing, 1.0, np.clip(2 * fourth, _QUIET, 1.0))
+
+
+def evidence(significance: Array, needed: Array | float = 1.0) -> Array:
+    """Return the log-odds that bars are loops, by one frame alone, given the significance that a loop needs there."""
     with np.errstate(divide="ignore"):
-        return np.clip(5 * np.log(significance), _AGAINST, _FOR)
+        return np.clip(5 * np.log(significance / needed), _AGAINST, _FOR)
 
 
 def believe(belief: float, evidence: float) -> float:

@@ -92,7 +92,7 @@ def follow_all(loops: Sequence[Loop], cloud: ArrayLike, frame: Frame | None = No
     # A loop is born where the frame has evidence for a bar that ends none of the classes.
     born: list[Loop] = []
     if frame is not None:
-        evidence = frame.loop_evidence(diagram.birth, diagram.death)
+        evidence = frame.diagram_evidence(diagram)
         identity = max((loop.id for loop in loops), default=-1)
         for bar in np.argsort(-diagram.lifetime).tolist():
             if evidence[bar] > 0 and bar not in bars:

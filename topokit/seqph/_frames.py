@@ -11,7 +11,7 @@ from topokit._validate import Array, Ids
 from topokit.rips import Diagram
 from topokit.sampling import inliers_and_tree, spacing
 
-from ._evidence import Gaps, evidence, significance
+from ._evidence import Gaps, evidence, needed, significance
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -75,7 +75,7 @@ class Frame:
         return significance(birth, death, self.gaps, self.tree.n)
 
     def loop_evidence(self, birth: Array, death: Array) -> Array:
-        """Return the log-odds that each bar is a loop, by this frame alone.
+        """Return the log-odds that each bar is a loop, by this frame alone, whatever its other bars.
 
         Parameters
         ----------
@@ -83,6 +83,17 @@ class Frame:
             Of bars of these points.
         """
         return evidence(self.significance(birth, death))
+
+    def diagram_evidence(self, diagram: Diagram) -> Array:
+        """Return the log-odds that each bar of a diagram is a loop, by this frame alone; each is judged beside the others.
+
+        Parameters
+        ----------
+        diagram : Diagram
+            Of these points.
+        """
+        strength = self.significance(diagram.birth, diagram.death)
+        return evidence(strength, needed(strength, diagram.birth, self.gaps))
 
     def motion_since(self, before: Frame) -> tuple[Array, float]:
         """Return the shift (d,) of the scene since an earlier frame, and how far its points have moved in addition.

@@ -297,7 +297,7 @@ class SeqPH:
         """Return the evidence (m,) that each bar is a loop; by alpha alone it is infinite, for or against."""
         if self.loops == "alpha":
             return np.where(diagram.lifetime >= frame.alpha, np.inf, -np.inf)
-        return frame.loop_evidence(diagram.birth, diagram.death)
+        return frame.diagram_evidence(diagram)
 
     def _motion(self, frame: Frame) -> tuple[Array | float, float]:
         """Return the motion of the scene as a whole, and epsilon, given or estimated."""

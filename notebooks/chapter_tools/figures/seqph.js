@@ -5,11 +5,11 @@
 //     used        ids of the points that are not alone; the diagram (`persistence` of rips.js) is of these
 //     evidence    Float64Array, the log-odds that each bar of the diagram is a loop, by this frame alone
 //     loops       [{ id, bar, belief }], longest lifetime first; belief is the log-odds with the frames before
-//   evidence(points, n, d, births, deaths) -> Float64Array, the same log-odds for given bars
+//   evidence(points, n, d, births, deaths) -> Float64Array, the same log-odds for all bars of a cloud
 //   measured(points, n, d)   a frame's points that are not alone, and the gaps between them
 //
 // Idea: a bar of the scene is long beside the gaps between neighbouring points, and it dies at many times the radius of its
-// birth. Along a track evidence adds up and is slowly forgotten. A loop is the same as one before when birth, death and place
+// birth. In a cloud with little noise twice the significance of the fourth bar is enough. Along a track evidence adds up and is slowly forgotten. A loop is the same as one before when birth, death and place
 // have moved no more than sampling, motion and the jitter of killers allow; the assignment of least total distance decides.
 // Source: Antonova et al. 2021 (Algorithm 1); topokit/seqph/_evidence.py has the reasons for the constants.
 function seqphKernel({ persistence }, assign) {
@@ -17,6 +17,11 @@ function seqphKernel({ persistence }, assign) {
   const MISSED = -1; // evidence of a frame in which a known loop is not found
   const MEMORY = 20; // frames for which a missed loop is remembered
   const NEIGHBOURS = 5;
+  const WIDE = 3; // birth, in spacings, from which the cycle of a bar crosses gaps of another kind than those between points
+  const OPEN = 2; // death / birth of a loop across gaps twice as wide as that
+  const BARS = 100; // bars; the noise of fewer is not known
+  const GRID = 1.3; // unevenness of points of a grid, whose bars are so short that they are no measure of noise
+  const QUIET = 0.55; // least significance of a loop in a cloud without noise
   const OTHER_UNITS = 20; // factor of size above which the units of two frames differ
 
   function quantile(values, share) { // linear between neighbours
@@ -70,11 +75,21 @@ function seqphKernel({ persistence }, assign) {
     if (spacing === 0) return 0;
     const strewn = Math.min(Math.max((unevenness - 2.1) / 0.3, 0), 1);
     const gap = spacing * Math.max(unevenness / 2, 1);
-    return ((1.1 * (death - birth)) / gap) * Math.log(death / birth) ** 0.3 * (1000 / Math.max(size, 128)) ** (0.75 - 0.45 * strewn);
+    const ratio = Math.log(death / birth);
+    const strength = ((1.1 * (death - birth)) / gap) * ratio ** 0.3 * (1000 / Math.max(size, 128)) ** (0.75 - 0.45 * strewn);
+    const wide = Math.min(Math.max(birth / (WIDE * spacing) - 1, 0), 1); // the share of a cycle's own gaps in the measure
+    return strength ** (1 - wide) * Math.min(strength, ratio / Math.log(OPEN)) ** wide;
   }
 
+  // Each bar of a cloud is judged beside the others: the fourth is taken for noise.
   function evidenceIn(frame, births, deaths) {
-    return births.map((birth, i) => Math.min(Math.max(5 * Math.log(significance(frame, birth, deaths[i])), -3), 2));
+    const strengths = births.map((birth, i) => significance(frame, birth, deaths[i]));
+    const judged = births.length >= BARS && frame.unevenness >= GRID;
+    const least = judged ? Math.min(Math.max(2 * Float64Array.from(strengths).sort().at(-4), QUIET), 1) : 1;
+    return strengths.map((strength, i) => {
+      const needed = births[i] > WIDE * frame.spacing ? 1 : least;
+      return Math.min(Math.max(5 * Math.log(strength / needed), -3), 2);
+    });
   }
 
   function evidence(points, n, d, births, deaths) {
