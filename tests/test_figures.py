@@ -95,6 +95,7 @@ PAGES = {
     "treatments": treated,
     "planning": lambda: figures.planning(RING / 1000, HOOK, (0, 1)),
     "turning": lambda: figures.turning({"</script>": np.eye(3)[None]}, np.eye(3), np.eye(3), [0], [1, 2, 3]),
+    "leak": lambda: figures.leak(np.eye(3), np.eye(3), [1, 1, 1], [0, 0, 1], [1, 2, 1], ["</script>", "b", "c"], 0.1),
     "player": lambda: view.player(replace(apron(), garment="an </script> apron"), track(apron().observed[:, ::9])),
     "wardrobe": lambda: view.wardrobe({"a mask": WARDROBE["mask"]()}),
     "plans": hanging,

@@ -278,3 +278,37 @@ def test_forecasts_of_other_numbers_of_angles_are_refused():
     ]
     with pytest.raises(ValueError, match="3"):
         figures.turning(forecasts, np.zeros((3, 3)), np.zeros((2, 3)), [0, 45, 90], [1, 2, 3])
+
+
+# ---- a forecaster that copies: copycat.js
+
+COPIES = """({ features, futures, alive, film, frame, cut, asked }) => {
+  const ranked = rankedOf(features, alive), windows = { film, frame, cut };
+  return asked.map(([gap, byCut]) => scoreOfCopies(ranked, windows, futures, alive, gap, byCut));
+}"""
+
+
+def test_the_copycat_copies_the_nearest_window_that_it_may():
+    rng = np.random.default_rng(7)
+    film = np.repeat(np.arange(6), 10)
+    frame = np.tile(np.arange(10), 6)
+    cut = film % 3
+    features = rng.normal(size=(6, 4))[film] + 0.1 * frame[:, None] + rng.normal(0, 0.02, (60, 4))
+    futures = rng.normal(size=(60, 3))
+    alive = rng.random(60) < 0.8
+    asked = [(gap, by_cut) for gap in (1, 4, 10) for by_cut in (False, True)]
+    window = {"film": film.tolist(), "frame": frame.tolist(), "cut": cut.tolist(), "alive": alive.astype(int).tolist()}
+    given = window | {"features": features.tolist(), "futures": futures.tolist(), "asked": asked}
+    [answer] = by_script(["copycat.js"], COPIES, [given])
+    apart = cdist(features, features)
+    same_film = film[:, None] == film
+    for (gap, by_cut), got in zip(asked, answer, strict=True):
+        barred = same_film & (abs(frame[:, None] - frame) < gap) | ~alive[None]
+        if by_cut:
+            barred = barred | (cut[:, None] == cut)
+        nearest = np.where(barred | np.eye(60, dtype=bool), np.inf, apart).argmin(axis=1)
+        off = np.linalg.norm(futures[nearest] - futures, axis=1)[alive]
+        assert got["error"] == pytest.approx(off.mean())
+        assert got["same"] == pytest.approx((film[nearest] == film)[alive].mean())
+    assert answer[0]["same"] > 0.9
+    assert answer[4]["same"] == 0

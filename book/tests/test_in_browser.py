@@ -316,6 +316,7 @@ TURNED = [
     ("08", "repaint", {}, r"aaaaaabbbbbb +\S+ +(\d\.\d\d)", r"IDF1 (\d\.\d\d)"),
     ("08", "repaint", {"keys": "RRRRRRb" + "Ra" * 6}, r"aaaaabaaaaaa +\S+ +(\d\.\d\d)", r"IDF1 (\d\.\d\d)"),
     ("08", "repaint", {"keys": "RRRRRRb" + "Ra" * 6}, r"aaaaabaaaaaa +\S+ +\S+ +(\d\.\d\d)", r"HOTA (\d\.\d\d)"),
+    ("11", "leak", {"gap": 999}, r"by episode: error at t\+60 (\d+\.\d) cm", r"mean error (\d+\.\d) cm"),
     ("13", "turning", {"angle": 2}, r"30 degrees: PointNet is (\d+\.\d) cm", r"pointnet (\d+\.\d)$"),
     ("15", "treatments", {}, r"seqPH is (\d+\.\d) cm outside of the marked waist", r"seqPH (\d+\.\d) cm"),
     ("16", "planning", {}, r"guide at the start: (\d+) cm", r"guide (\d+) cm, not around"),

@@ -1,6 +1,6 @@
 """Figures that the chapters alone show: the data-flow picture, clouds and films under the reader's hand, and lunes."""
 
-from .films import planning, repaint, treatments, turning
+from .films import leak, planning, repaint, treatments, turning
 from .lune_plots import plot_lens, plot_lune
 from .pages import (
     belief,
@@ -32,6 +32,7 @@ __all__ = [
     "gates",
     "growth",
     "hiding",
+    "leak",
     "linked",
     "lunes",
     "mixture",

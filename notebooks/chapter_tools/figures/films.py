@@ -17,6 +17,8 @@ from .pages import _figure
 NAMES = "abcdef"  # the figures have a colour for each
 MOST_PAINTED = 40  # frames of a strip; narrower cells cannot be hit
 MOST_FORECASTERS = 3
+MOST_CUTS = 7  # six colours and grey
+MOST_COMPONENTS = 20  # of features; with these the chapter's mean errors are right to a millimetre
 MOST_TURNED = 5  # the figure has a colour for each
 MOST_DOTS = 120  # of the cloth in a picture
 
@@ -213,3 +215,68 @@ def turning(
     }
     scripts = ["orbit.js", "planar.js", "turns.js"]
     return _figure("turning", data, scripts, 520, "drag sideways to turn the scene", "Forecasts in a turned scene")
+
+
+def leak(
+    features: ArrayLike,
+    futures: ArrayLike,
+    present: ArrayLike,
+    films: ArrayLike,
+    frames: ArrayLike,
+    cuts: Sequence[str],
+    stays: float,
+) -> HtmlFigure:
+    """Return an interactive figure of a forecaster that copies the nearest window, and of what it may copy.
+
+    The reader sets how many frames must lie between a window and those of its own film that may be copied, up to the whole
+    film, and may leave out the garment. The picture shows the windows by their first two principal components.
+
+    Parameters
+    ----------
+    features : (N, F) array_like
+        The windows, each film's in order; their Euclidean distances decide which is nearest. They are stored by their first
+        principal components.
+    futures : (N, 3) array_like
+        What is to be forecast, metres.
+    present : (N,) array_like of bool
+        Whether it is there.
+    films, frames : (N,) array_like of int
+        The film of each window, and its frame.
+    cuts : (N,) sequence of str
+        The cut of each window's garment, of at most seven.
+    stays : float
+        The mean error of the forecast that nothing moves, metres.
+
+    Raises
+    ------
+    ValueError
+        When there are more than seven cuts, or the numbers of windows differ.
+    """
+    table = np.asarray(features, dtype=np.float64)
+    film = np.asarray(films, dtype=np.int64)
+    frame = np.asarray(frames, dtype=np.int64)
+    places = np.asarray(futures, dtype=np.float64)
+    names = sorted(set(cuts))
+    counts = {len(table), len(film), len(frame), len(places), len(cuts)}
+    if len(counts) != 1 or len(names) > MOST_CUTS:
+        raise ValueError(
+            f"{counts} windows of {len(names)} cuts; give one number of windows, of at most {MOST_CUTS} cuts"
+        )
+    centred = table - table.mean(axis=0)
+    left, sizes, _ = np.linalg.svd(centred, full_matrices=False)
+    components = max(2, min(MOST_COMPONENTS, len(sizes)))
+    data = {
+        "features": np.float32((left * sizes)[:, :components]),
+        "futures": np.float32(places),
+        "alive": [int(there) for there in np.asarray(present, dtype=bool)],
+        "film": film.tolist(),
+        "frame": frame.tolist(),
+        "longest": int(max(np.ptp(frame[film == one]) for one in np.unique(film))),
+        "cut": [names.index(cut) for cut in cuts],
+        "cuts": names,
+        "titles": dict(zip(film.tolist(), cuts, strict=True)),
+        "stays": float(stays),
+    }
+    scripts = ["orbit.js", "planar.js", "copycat.js"]
+    title = f"{len(table)} windows of {len(np.unique(film))} films, and which is copied"
+    return _figure("leak", data, scripts, 520, "a window and its copy", title)
