@@ -32,7 +32,7 @@ from ._targets import Hanger, Hook, Mannequin, Placed, Target
 Loop = TypeVar("Loop", bound=ArrayLike)
 _SMALL = ("scarf", "belt", "net", "trousers")
 _STRETCH = 1.15  # how far a loop can be stretched, as a multiple of its length
-_REACH = 1.4  # the same for the strip between the grips alone
+_REACH = 1.7  # the same for the strip between the grips alone; a coarse apron goes over a head at 1.57
 _log = logging.getLogger("topokit.sim")
 PathScript = Callable[[Garment, Target, np.random.Generator], GripperPath]
 
