@@ -384,7 +384,7 @@ def tube(widths: list[float], height: float) -> tuple[np.ndarray, np.ndarray]:
 Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # z of the garment becomes y of the file
 
 
-def test_a_short_skirt_stands_by_its_hem_and_has_a_waist(tmp_path):
+def test_a_short_skirt_stands_by_its_hem_has_a_waist_and_is_not_hung_by_either(tmp_path, capsys):
     vertices, faces = tube([0.4, 0.35, 0.3, 0.25], 0.3)
     for turn in (np.eye(3), Y_UP):
         skirt = Garment.from_mesh(written(tmp_path / "m.obj", vertices @ turn.T, faces), loops="auto")
@@ -392,6 +392,9 @@ def test_a_short_skirt_stands_by_its_hem_and_has_a_waist(tmp_path):
         assert set(skirt.loop_names) == {"waist", "hem"}
         assert skirt.vertices[skirt.named_loops["waist"], 2].min() == pytest.approx(0.3)
         assert not any("lie" in words for words in skirt.repairs)
+    command = ["simulate", "--mesh", str(tmp_path / "m.obj"), "--task", "hook", "--out", str(tmp_path / "e.npz")]
+    assert main(command) == 2
+    assert "not hung by these" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["vest", "apron", "backpack"])

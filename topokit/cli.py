@@ -645,7 +645,12 @@ def _garment_and_task(path: Path | None, options: MeshOptions, task: str | None,
         return None, TASKS[name]
     garment = _garment(path, options).evened()
     if name in targets:
-        return garment, task_for(garment, targets[name]().raised_for(garment))
+        own = task_for(garment, targets[name]().raised_for(garment))
+        if not own.loops:
+            raise ValueError(
+                f"{path}: its loops are {', '.join(garment.loop_names)}, and a garment is not hung by these"
+            )
+        return garment, own
     return garment, TASKS[name]
 
 
