@@ -81,12 +81,13 @@ def significance(birth: Array, death: Array, gaps: Gaps, n_points: int) -> Array
 def needed(significance: Array, birth: Array, gaps: Gaps) -> Array:
     """Return the significance that each bar of a cloud needs to be a loop: 1, or less where the other bars have little.
 
-    Few clouds have four loops, so that the fourth bar is taken for noise. Where it is a loop, nothing changes.
+    Few clouds have four loops, so that the fourth bar is taken for noise. Where it is a loop, nothing changes. A bar born above
+    the spacing is not of a cycle that is seen well, and needs 1.
     """
     if len(significance) < _BARS or gaps.unevenness < _GRID:
         return np.ones(len(significance))
     fourth = np.partition(significance, -4)[-4]
-    return np.where(birth > _WIDE * gaps.spacing, 1.0, np.clip(2 * fourth, _QUIET, 1.0))
+    return np.where(birth > gaps.spacing, 1.0, np.clip(2 * fourth, _QUIET, 1.0))
 
 
 def evidence(significance: Array, needed: Array | float = 1.0) -> Array:

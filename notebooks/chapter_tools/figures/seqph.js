@@ -87,7 +87,7 @@ function seqphKernel({ persistence }, assign) {
     const judged = births.length >= BARS && frame.unevenness >= GRID;
     const least = judged ? Math.min(Math.max(2 * Float64Array.from(strengths).sort().at(-4), QUIET), 1) : 1;
     return strengths.map((strength, i) => {
-      const needed = births[i] > WIDE * frame.spacing ? 1 : least;
+      const needed = births[i] > frame.spacing ? 1 : least;
       return Math.min(Math.max(5 * Math.log(strength / needed), -3), 2);
     });
   }
