@@ -91,7 +91,7 @@ def hang_by_opening(garment: Garment, target: Target, choice: Choice, rng: np.ra
     out /= np.linalg.norm(out)
     opening = choice.opening
     yaw = angle(opening.normal, out)
-    rim = turned(opening.rim, yaw)
+    rim = turned(_fallen(opening, *shape[garment.grips]), yaw)
     # The tip goes through the middle of the opening, as far as there is room.
     clear = radius + float(np.clip((opening.size[0] - tip[2] + line[-2][2]) / 2 - radius, 0.015, 0.06))
     height = tip[2] + clear
@@ -108,6 +108,19 @@ def hang_by_opening(garment: Garment, target: Target, choice: Choice, rng: np.ra
     vias += [Via(2.2, stations[-1], rest=True, yaw=yaw), Via(2.8, down, yaw=yaw)]
     grips = garment.vertices[garment.grips]
     return GripperPath(vias, grips - grips.mean(axis=0), release=2.85, end=4.6)
+
+
+def _fallen(opening: Opening, first: Array, second: Array) -> Array:
+    """Return the rim (3,) for a path: a strap that stands out from the line between the grips may fall on the way.
+
+    It then hangs below that line, as far as it stands out now. The path is high enough for both, and level between them.
+    """
+    rim = opening.rim
+    line = second - first
+    nearest = first + np.clip((rim - first) @ line / (line @ line), 0, 1) * line
+    low = nearest[2] - float(np.linalg.norm(rim - nearest))
+    drop = float(np.clip(rim[2] - low, 0, opening.size[0] / 4))
+    return np.array([*((rim + nearest)[:2] / 2), rim[2] - drop])
 
 
 def _about(rng: np.random.Generator, place: ArrayLike, *ranges: float) -> Array:
