@@ -21,7 +21,7 @@ from chapter_tools import quiz
 ROOT = Path(__file__).resolve().parent.parent
 APPENDIX_A = "book/modules"  # the only appendix without code
 TOPICS = re.compile(r"^\| \w+ \[[^]]*\]\(\.\./(notebooks/\w+)\.ipynb\) \| (.*) \|$", re.MULTILINE)
-WORDS_A_MINUTE = 130  # of text with mathematics
+WORDS_A_MINUTE = 120  # of text with mathematics
 LINES_A_MINUTE = 10  # of code
 EXERCISES = "## Exercises"
 HIDDEN = {"hide-input", "hide-cell", "remove-input"}  # tags of cells whose code is folded
@@ -112,7 +112,7 @@ def takes(app: Any, chapter: str) -> str:
     without, whole = minutes_to_read(read(chapter))
     text = f"{without} min to read"
     if whole > without:
-        text += f" ({whole} with the exercises)"
+        text += f" ({whole} with reading the exercises)"
     if seconds is not None:
         text += f", {time_to_run(seconds)} to run"
     return text
