@@ -125,4 +125,4 @@ def _fallen(opening: Opening, first: Array, second: Array) -> Array:
 
 def _about(rng: np.random.Generator, place: ArrayLike, *ranges: float) -> Array:
     """Return a place moved along each axis by a draw of at most its range."""
-    return np.asarray(place + rng.uniform(-1, 1, 3) * ranges)
+    return np.asarray(place, dtype=np.float64) + rng.uniform(-1, 1, 3) * ranges
