@@ -990,7 +990,7 @@ def train(
     from .models import train as run_training
 
     settings = TrainConfig.load(config)
-    given = {"dataset": dataset and str(dataset), "start": start and str(start), "seed": seed}
+    given: dict[str, Any] = {"dataset": dataset and str(dataset), "start": start and str(start), "seed": seed}
     settings = dataclasses.replace(settings, **{name: value for name, value in given.items() if value is not None})
     progress = sys.stderr.isatty() and not as_json and not quiet
     try:
