@@ -21,7 +21,7 @@ function seqphKernel({ persistence }, assign) {
   const OPEN = 2; // death / birth of a loop across gaps twice as wide as that
   const BARS = 100; // bars; the noise of fewer is not known
   const GRID = 1.3; // unevenness of points of a grid, whose bars are so short that they are no measure of noise
-  const QUIET = 0.55; // least significance of a loop in a cloud without noise
+  const QUIET = 0.72; // least significance of a loop in a cloud without noise
   const OTHER_UNITS = 20; // factor of size above which the units of two frames differ
 
   function quantile(values, share) { // linear between neighbours
@@ -85,7 +85,7 @@ function seqphKernel({ persistence }, assign) {
   function evidenceIn(frame, births, deaths) {
     const strengths = births.map((birth, i) => significance(frame, birth, deaths[i]));
     const judged = births.length >= BARS && frame.unevenness >= GRID;
-    const least = judged ? Math.min(Math.max(2 * Float64Array.from(strengths).sort().at(-4), QUIET), 1) : 1;
+    const least = judged ? Math.min(Math.max(2.6 * Float64Array.from(strengths).sort().at(-4), QUIET), 1) : 1;
     return strengths.map((strength, i) => {
       const needed = births[i] > frame.spacing ? 1 : least;
       return Math.min(Math.max(5 * Math.log(strength / needed), -3), 2);
