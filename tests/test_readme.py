@@ -72,8 +72,8 @@ def test_numbers_of_readme():
     by = {model: [per_cent(row, model) for row in (wide, paper)] for model in ("seqph", "ours", "carry")}
     said = "{} % by the wide measure, {} % by the paper's"
     assert rows["the tracked loop lies in the true one"].startswith(said.format(*by["seqph"]))
-    forecast = rows["the forecast loop does, 1 to 60 frames ahead"]
-    assert forecast == f"{said.format(*by['ours'])} | carried by the hand: {by['carry'][0]} %, {by['carry'][1]} %"
+    forecast = rows["the forecast loop lies in the true one, 1 to 60 frames ahead"]
+    assert forecast == f"{said.format(*by['ours'])} | carried by the hands: {by['carry'][0]} %, {by['carry'][1]} %"
     hung = rows["garments hung on hooks and hangers, simulated"].split(" |")[0]
     found = [e["success"] for e in record("hanging")["episodes"] if is_servo(e)]
     assert hung == f"{sum(found)} of {len(found)}"
