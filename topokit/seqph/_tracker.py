@@ -81,9 +81,9 @@ class SeqPH:
         left out (`topokit.sampling.inliers`). "alpha", as in the paper: bars that live alpha or longer, with all points.
         The default is "alpha" when alpha is given, else "evidence".
     gates : {"near", "proved", "paper"}
-        Largest changes of birth, death and place for the same loop. "near": ``alpha + epsilon`` for birth, a quarter of the
-        larger death for death, and ``beta + epsilon`` with the beta of this pair for the place. "proved": the bounds of
-        the proofs, ``alpha + epsilon`` and ``2 beta + epsilon``. "paper": ``2 alpha + epsilon`` and
+        Largest changes of birth, death and place for the same loop. "near": ``alpha + epsilon`` and a quarter of the larger
+        death for birth and for death, and ``beta + epsilon`` with the beta of this pair for the place. "proved": the bounds
+        of the proofs, ``alpha + epsilon`` and ``2 beta + epsilon``. "paper": ``2 alpha + epsilon`` and
         ``2 alpha + beta + epsilon``.
     identity : {"killer-edge", "killer-triangles", "cycle"}
         Place of a loop. In the paper it is the two ends of the killer edge, compared by Hausdorff distance. On a nearly
