@@ -73,7 +73,7 @@ def read(chapter: str) -> dict[str, Any]:
 def builds_on(notebook: dict[str, Any]) -> list[int]:
     """Return the chapters that a chapter asks for in its line "**Before:** ..."; "[3] to [5]" are three chapters."""
     line = BEFORE.search("".join(notebook["cells"][0]["source"]))[0]
-    line = re.sub(r"; [^;]* at least", "", line)  # the minimum for readers who skip the others
+    line = re.sub(r"; you need at least [^;]*", "", line)  # the minimum for readers who skip the others
     numbers = [int(number) for number in re.findall(r"\]\((\d+)_\w+\.ipynb\)", line)]
     if ") to [" in line:
         return list(range(numbers[0], numbers[-1] + 1))

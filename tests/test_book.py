@@ -72,7 +72,7 @@ def test_chapters_build_on_earlier_ones(book):
         before = cards.builds_on(cards.read(f"notebooks/{path.stem}"))
         assert not chapter.isdigit() or all(number < int(chapter) for number in before)
         assert before or chapter in ("0", "1")
-    words = "**Before:** [chapters 2](02_a.ipynb) to [4](04_b.ipynb); [chapter 0](00_c.ipynb) at least."
+    words = "**Before:** [chapters 2](02_a.ipynb) to [4](04_b.ipynb); you need at least [chapter 0](00_c.ipynb)."
     assert cards.builds_on({"cells": [{"source": ["# A\n", "\n", words]}]}) == [2, 3, 4]
 
 
