@@ -102,9 +102,7 @@ def _points_that_show(garment: Garment) -> int:
     if garment.hanging_loop is None:
         return min(_POINTS[0], len(garment.vertices))
     spacing = float(side_lengths(garment.vertices[garment.hanging_loop]).sum()) / 12
-    a, b, c = np.moveaxis(garment.vertices[garment.faces], 1, 0)
-    area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
-    return min(int(np.clip(area / spacing**2, *_POINTS)), len(garment.vertices))
+    return min(int(np.clip(garment.area / spacing**2, *_POINTS)), len(garment.vertices))
 
 
 def _usual(

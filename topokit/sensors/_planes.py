@@ -33,9 +33,7 @@ _SURE = 3.0  # height of cloth, in deviations of the cells of the table
 _PATCH = 10.0  # least area of cloth, in squares of the plane's thickness
 _REACH = 1.5  # half the width of gaps in cloth that are closed, in thicknesses
 _HOLE = 4.0  # least area of a hole, in squares of the thickness
-_THIN = (
-    0.25  # height of cloth, in thicknesses, above which cells must tell cloth from the table for a hole to be believed
-)
+_THIN = 0.25  # least height of cloth, in thicknesses, up to which cells alone tell a hole from cloth
 
 
 def fitted(points: Array) -> Array:

@@ -29,6 +29,7 @@ _WIDE = 3.0  # birth, in spacings, from which the cycle of a bar crosses gaps of
 _OPEN = 2.0  # death / birth of a loop across gaps twice as wide as that
 _BARS = 100  # bars; the noise of fewer is not known
 _GRID = 1.3  # unevenness of points of a grid, whose bars are so short that they are no measure of noise
+_ABOVE = 2.6  # significance of a loop where the fourth bar is noise, as a multiple of that bar's
 _QUIET = 0.72  # least significance of a loop in a cloud without noise: bays between folds of cloth have up to 0.70
 _AGAINST = -3.0  # least evidence of one frame
 _FOR = 2.0  # most evidence of one frame
@@ -87,7 +88,7 @@ def needed(significance: Array, birth: Array, gaps: Gaps) -> Array:
     if len(significance) < _BARS or gaps.unevenness < _GRID:
         return np.ones(len(significance))
     fourth = np.partition(significance, -4)[-4]
-    return np.where(birth > gaps.spacing, 1.0, np.clip(2.6 * fourth, _QUIET, 1.0))
+    return np.where(birth > gaps.spacing, 1.0, np.clip(_ABOVE * fourth, _QUIET, 1.0))
 
 
 def evidence(significance: Array, needed: Array | float = 1.0) -> Array:

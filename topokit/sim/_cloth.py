@@ -16,7 +16,6 @@ import numpy as np
 from topokit._config import NotNegative, Positive, checked
 
 from ._garments import WARDROBE, Garment
-from ._surface import face_areas
 from ._world import SimulationConfig
 
 _FRAME = 0.036  # time between two frames, seconds
@@ -48,7 +47,7 @@ class Cloth:
         **options
             Fields of `SimulationConfig` that replace the computed ones.
         """
-        area = float(face_areas(garment.vertices, garment.faces).sum())
+        area = garment.area
         mass = self.density * area
         shortest = float(garment.edge_lengths.min())
         usual = float(np.median(garment.edge_lengths))

@@ -22,7 +22,7 @@ from topokit.io import LOOP_NAMES
 
 from . import _mesh, _names, _wardrobe
 from ._even import evened, is_even, usual_spacing
-from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, half_edges
+from ._surface import Array, Ids, check_loop, check_mesh, edge_lengths, face_areas, half_edges
 
 Sizes = ParamSpec("Sizes")
 _log = logging.getLogger("topokit.sim")
@@ -134,6 +134,11 @@ class Garment:
         degrees : float
         """
         return replace(self, vertices=turned(self.vertices, degrees)) if degrees else self
+
+    @property
+    def area(self) -> float:
+        """Return the area of the cloth, square metres."""
+        return float(face_areas(self.vertices, self.faces).sum())
 
     def evened(self) -> Garment:
         """Return the garment with edges of nearly equal length that suit its size; itself when it has them already.

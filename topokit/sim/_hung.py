@@ -33,9 +33,7 @@ class Choice(NamedTuple):
     """A loop that is to hang, as the garment hangs between the grippers."""
 
     name: str
-    opening: (
-        Opening  # relative to the middle between the grips; its normal is the direction of the arm, from pole to tip
-    )
+    opening: Opening  # relative to the middle between the grips; its normal is the arm's direction, from pole to tip
     effort: float  # metres
 
 

@@ -274,11 +274,9 @@ def warn_of_floor(garment: Garment, target: Target) -> None:
 def hang_as_it_hangs(garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
     """Carry the loop that an arm enters most easily as the garment hangs, or the first one where none is open."""
     choice = choose(garment, target)
-    return (
-        hang_by_strap(garment, target, rng, rest=2.0)
-        if choice is None
-        else hang_by_opening(garment, target, choice, rng)
-    )
+    if choice is None:
+        return hang_by_strap(garment, target, rng, rest=2.0)
+    return hang_by_opening(garment, target, choice, rng)
 
 
 def _about(rng: np.random.Generator, place: ArrayLike, *ranges: tuple[float, float]) -> Array:

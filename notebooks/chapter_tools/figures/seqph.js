@@ -9,7 +9,7 @@
 //   measured(points, n, d)   a frame's points that are not alone, and the gaps between them
 //
 // Idea: a bar of the scene is long beside the gaps between neighbouring points, and it dies at many times the radius of its
-// birth. In a cloud with little noise twice the significance of the fourth bar is enough. Along a track evidence adds up and is slowly forgotten. A loop is the same as one before when birth, death and place
+// birth. In a cloud with little noise 2.6 times the significance of the fourth bar is enough. Along a track evidence adds up and is slowly forgotten. A loop is the same as one before when birth, death and place
 // have moved no more than sampling, motion and the jitter of killers allow; the assignment of least total distance decides.
 // Source: Antonova et al. 2021 (Algorithm 1); topokit/seqph/_evidence.py has the reasons for the constants.
 function seqphKernel({ persistence }, assign) {
