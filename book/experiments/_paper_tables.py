@@ -60,7 +60,9 @@ def shares_of(samples: pd.DataFrame) -> dict[str, tuple[pd.DataFrame, pd.Series]
     return answer
 
 
-def table_of(samples: pd.DataFrame, films: int, extrapolated_to: int) -> tuple[pd.DataFrame, dict[str, Any]]:
+def table_of(
+    samples: pd.DataFrame, films: int, extrapolated_to: int, curve_seed: int
+) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Return the tidy table, with the learning curves carried on to more films; and the differences of the claims.
 
     Claims are about the networks trained on `films` films.
@@ -69,7 +71,7 @@ def table_of(samples: pd.DataFrame, films: int, extrapolated_to: int) -> tuple[p
     claims = {}
     for measure, (shares, counts) in shares_of(samples).items():
         claims[measure] = differences(shares, films)
-        cells = interval(pd.concat([shares, carried_on(shares, extrapolated_to)], axis=1))
+        cells = interval(pd.concat([shares, carried_on(shares, extrapolated_to, curve_seed)], axis=1))
         for (model, seed, horizon), cell in zip(cells.index, cells.itertuples(), strict=True):
             forecaster, _, training_films = model.partition("|")
             row = {"measure": measure, "forecaster": forecaster, "training_films": int(training_films), "seed": seed}
@@ -80,11 +82,11 @@ def table_of(samples: pd.DataFrame, films: int, extrapolated_to: int) -> tuple[p
     return pd.DataFrame(rows), claims
 
 
-def carried_on(shares: pd.DataFrame, films: int) -> pd.DataFrame:
+def carried_on(shares: pd.DataFrame, films: int, seed: int) -> pd.DataFrame:
     """Return the learning curves at more films: straight lines through the logarithms of misses and of films.
 
     The line is fitted in every draw, so that its interval has the noise of films, and not that of its being no line. A curve is
-    of one seed: where a network was trained with several, the first is taken.
+    of one seed: where a network was trained with several, `seed` is taken.
     """
     sizes: dict[str, list[int]] = {}
     for model in shares.columns.unique(0):
@@ -97,7 +99,10 @@ def carried_on(shares: pd.DataFrame, films: int) -> pd.DataFrame:
             continue
         logs = np.log(sorted(known))
         offsets = logs - logs.mean()
-        seeds = {size: "0" if "0" in shares[f"{name}|{size}"].columns.unique(0) else "all" for size in known}
+        seeds = {size: "all" for size in known}
+        for size in known:
+            if str(seed) in shares[f"{name}|{size}"].columns.unique(0):
+                seeds[size] = str(seed)
         for horizon in shares[f"{name}|{known[0]}"]["all"]:
             misses = np.column_stack([1 - shares[f"{name}|{size}", seeds[size], horizon] for size in sorted(known)])
             heights = np.log(np.maximum(misses, 1e-3))

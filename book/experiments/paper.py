@@ -101,6 +101,7 @@ class Experiment:
     folder: Path
     configs: Path  #: the folder that paths of the protocol are relative to
     workers: int
+    accelerator: str
     sizes: tuple[int, ...]
     networks: tuple[str, ...]
 
@@ -124,6 +125,8 @@ class Experiment:
         described = self.protocol["films"]
         first = described["validation"]
         episodes = first + max(self.sizes)
+        if (self.folder / "films").exists():
+            episodes = max(episodes, len(Dataset(self.folder / "films").wanted))
         missing = 1
         while missing > 0:
             films = self.generate(described, episodes, "films")
@@ -209,6 +212,7 @@ class Experiment:
             together=described.get("together", 1),
             learning_rate=rate,
             threads=1,
+            accelerator=self.accelerator,
         )
 
     @property
@@ -404,8 +408,9 @@ class Experiment:
             claims = {}
             for part, mesh in parts.items():
                 for garments, samples in self.samples(part):
+                    protocol = self.protocol
                     table, differences = table_of(
-                        samples, self.protocol["training_films"], self.protocol["extrapolated_to"]
+                        samples, protocol["training_films"], protocol["extrapolated_to"], protocol["curve"]["seed"]
                     )
                     tables.append(table.assign(setting=setting, mesh=mesh, garments=garments))
                     claims[f"{garments}, {mesh} mesh"] = differences
@@ -477,6 +482,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--sizes", nargs="+", type=int, help="numbers of training films, of those of the protocol")
     parser.add_argument("--networks", nargs="+", help="of those of the protocol")
     parser.add_argument("--workers", type=int, default=1, help="processes for films and labels (default 1)")
+    parser.add_argument("--accelerator", default="cpu", help="of the trainings: cpu (default) or cuda")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     protocol = json.loads(options.protocol.read_text(encoding="utf-8"))
@@ -485,6 +491,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         options.work,
         options.protocol.parent,
         options.workers,
+        options.accelerator,
         tuple(options.sizes or [protocol["training_films"], *protocol["curve"]["films"]]),
         tuple(options.networks or protocol["networks"]),
     )

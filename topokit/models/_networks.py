@@ -50,6 +50,9 @@ class _LinearMaximum(torch.autograd.Function):
 
 def linear_maximum(layer: nn.Module, codes: Tensor) -> Tensor:
     """Return the maximum (N, out) over the points of a linear layer of their codes (N, P, in)."""
+    if codes.device.type != "cpu":
+        maximum: Tensor = layer(codes).amax(dim=1)  # one step for all clouds is quicker there
+        return maximum
     return _LinearMaximum.apply(codes, layer.weight, layer.bias)
 
 
@@ -117,11 +120,12 @@ class PointNet(MLP):
         return self.units[-1]
 
     def encode_frames(self, frames: Context) -> Context:
-        # A cloud that several windows share is encoded once. A few clouds at a time, whose codes stay in the cache. The last
-        # ReLU comes after the maximum, which is the same.
+        # A cloud that several windows share is encoded once. On a CPU a few clouds at a time, whose codes stay in its cache. The
+        # last ReLU comes after the maximum, which is the same.
         clouds, cloud_of_frame = torch.unique(frames["clouds"], dim=0, return_inverse=True)
         shared, last, rectified = self.points[:-2], self.points[-2], self.points[-1]
-        parts = [linear_maximum(last, shared(part)) for part in self.normalise(clouds).split(_CLOUDS_AT_ONCE)]
+        at_once = _CLOUDS_AT_ONCE if clouds.device.type == "cpu" else len(clouds)
+        parts = [linear_maximum(last, shared(part)) for part in self.normalise(clouds).split(at_once)]
         return {"frame": rectified(torch.cat(parts))[cloud_of_frame]}
 
 
