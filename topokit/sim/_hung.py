@@ -11,7 +11,6 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from topokit._geometry import angle, turned
 from topokit._opening import Opening, lies_flat
@@ -19,7 +18,7 @@ from topokit._opening import Opening, lies_flat
 from ._cloth import usual_config
 from ._garments import Garment
 from ._names import kind, to_hang_by
-from ._path import GripperPath, Via
+from ._path import GripperPath, Via, drawn_about
 from ._surface import Array
 from ._targets import Target
 from ._world import World, check_stretch
@@ -58,10 +57,8 @@ def hung(garment: Garment) -> Array:
 def choose(garment: Garment, target: Target) -> Choice | None:
     """Return the loop that goes over the target's arm with least effort, or None when the arm fits into none."""
     shape = hung(garment)
-    line = target.centre_line
     radius = target.rods[0][2]
-    arm = (line[-2] - line[-3]) * [1, 1, 0]
-    reach = float(np.linalg.norm(arm))
+    out, reach = _arm(target)
     half = abs(float(np.ptp(shape[garment.grips, 0]))) / 2
     choices = []
     for name in to_hang_by(garment.loop_names):
@@ -73,7 +70,7 @@ def choose(garment: Garment, target: Target) -> Choice | None:
         nearest = [np.clip(opening.rim[0], -half, half), 0, 0]
         far = float(np.linalg.norm(opening.rim - nearest)) - _NECK * (kind(name) == "neck")
         for side in (opening, opening.along(-opening.normal)):
-            turn = abs(angle(side.normal, arm / reach))
+            turn = abs(angle(side.normal, out))
             choices.append(Choice(name, side, far + turn / 1800 + 0.002 * side.blocked(shape, reach / 2)))
     return min(choices, key=lambda choice: choice.effort, default=None)
 
@@ -85,8 +82,7 @@ def hang_by_opening(garment: Garment, target: Target, choice: Choice, rng: np.ra
     tip = line[-1]
     seat = target.seat
     radius = target.rods[0][2]
-    out = (line[-2] - line[-3]) * [1, 1, 0]
-    out /= np.linalg.norm(out)
+    out, _ = _arm(target)
     opening = choice.opening
     yaw = angle(opening.normal, out)
     rim = turned(_fallen(opening, *shape[garment.grips]), yaw)
@@ -95,10 +91,10 @@ def hang_by_opening(garment: Garment, target: Target, choice: Choice, rng: np.ra
     height = tip[2] + clear
     ahead = -float(((shape - opening.rim) @ opening.normal).min())
     # Stations of the rim: far before the tip, before it, above the seat. Then the grippers go down to the seat themselves.
-    start = _about(rng, tip + (0.37 + ahead) * out + [0, 0, clear], 0.1, 0.05, 0.08)
-    before = _about(rng, tip + 0.13 * out + [0, 0, clear], 0.01, 0.02, 0.005)
-    over = _about(rng, [*seat[:2], height], 0.01, 0.01, 0)
-    middle = _about(rng, (start + before) / 2, 0.05, 0.03, 0.04)
+    start = drawn_about(rng, tip + (0.37 + ahead) * out + [0, 0, clear], (-0.1, 0.1), (-0.05, 0.05), (-0.08, 0.08))
+    before = drawn_about(rng, tip + 0.13 * out + [0, 0, clear], (-0.01, 0.01), (-0.02, 0.02), (-0.005, 0.005))
+    over = drawn_about(rng, [*seat[:2], height], (-0.01, 0.01), (-0.01, 0.01), (0, 0))
+    middle = drawn_about(rng, (start + before) / 2, (-0.05, 0.05), (-0.03, 0.03), (-0.04, 0.04))
     stations = [start - rim, middle - rim, before - rim, over - rim]
     down = [*stations[-1][:2], min(seat[2] + radius + 0.005, stations[-1][2])]
     timed = zip((0.1, 0.8, 1.4), stations, strict=False)
@@ -121,6 +117,9 @@ def _fallen(opening: Opening, first: Array, second: Array) -> Array:
     return np.array([*((rim + nearest)[:2] / 2), rim[2] - drop])
 
 
-def _about(rng: np.random.Generator, place: ArrayLike, *ranges: float) -> Array:
-    """Return a place moved along each axis by a draw of at most its range."""
-    return np.asarray(place, dtype=np.float64) + rng.uniform(-1, 1, 3) * ranges
+def _arm(target: Target) -> tuple[Array, float]:
+    """Return the level direction (3,) of the target's arm, from the pole to the tip, and its length in metres."""
+    line = target.centre_line
+    arm = (line[-2] - line[-3]) * [1, 1, 0]
+    length = float(np.linalg.norm(arm))
+    return arm / length, length

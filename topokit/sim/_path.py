@@ -148,6 +148,11 @@ class GripperPath:
         return velocities, accelerations
 
 
+def drawn_about(rng: np.random.Generator, place: ArrayLike, *ranges: tuple[float, float]) -> Array:
+    """Return a place (3,) moved along each axis by a draw from its range, in metres."""
+    return np.asarray(place + rng.uniform(*np.transpose(ranges)))
+
+
 def off_script(path: GripperPath, garment: Garment, target: Target, rng: np.random.Generator) -> GripperPath:
     """Return a path that differs from the script.
 

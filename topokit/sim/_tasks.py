@@ -25,7 +25,7 @@ from topokit.linking import side_lengths
 from ._garments import WARDROBE, Garment
 from ._hung import choose, hang_by_opening, hung
 from ._names import kind, to_hang_by
-from ._path import GripperPath, Via
+from ._path import GripperPath, Via, drawn_about
 from ._surface import Array, EdgeGraph
 from ._targets import Hanger, Hook, Mannequin, Placed, Target
 
@@ -117,10 +117,10 @@ def hang_by_strap(
     radius = target.rods[0][2]
     # Stations of the middle between the grippers: far before the tip, before it, above the seat, and down.
     over = np.array([-aside, seat[1], tip[2] + radius + 0.04 + below])
-    start = _about(rng, [over[0], tip[1] - _reach(garment), over[2]], (-0.12, 0.12), (-0.42, -0.32), (-0.06, 0.10))
-    before = _about(rng, [over[0], tip[1], over[2]], (-0.015, 0.015), (-0.14, -0.10), (0.0, 0.02))
-    middle = _about(rng, (start + before) / 2, (-0.05, 0.05), (-0.03, 0.03), (-0.04, 0.04))
-    over = _about(rng, over, (-0.015, 0.015), (-0.01, 0.01), (0, 0))
+    start = drawn_about(rng, [over[0], tip[1] - _reach(garment), over[2]], (-0.12, 0.12), (-0.42, -0.32), (-0.06, 0.10))
+    before = drawn_about(rng, [over[0], tip[1], over[2]], (-0.015, 0.015), (-0.14, -0.10), (0.0, 0.02))
+    middle = drawn_about(rng, (start + before) / 2, (-0.05, 0.05), (-0.03, 0.03), (-0.04, 0.04))
+    over = drawn_about(rng, over, (-0.015, 0.015), (-0.01, 0.01), (0, 0))
     down = over * [1, 1, 0] + [0, 0, seat[2] + radius + 0.005]
     approach = [Via(0.1, start), Via(0.7, middle, (1 + opening) / 2), Via(1.2, before, opening)]
     vias = [*approach, Via(1.8, over, opening, rest=True), Via(2.35, down, opening)]
@@ -140,9 +140,9 @@ def pull_over_head(garment: Garment, target: Target, rng: np.random.Generator) -
     axis = dummy.distance
     # Stations: far before the head, before it, over it, behind it, and down at the nape.
     far = axis - dummy.depth / 2 - 0.1 - _reach(garment)
-    start = _about(rng, [0, far, dummy.height], (-0.1, 0.1), (-0.4, -0.3), (-0.15, 0.05))
-    before = _about(rng, [0, axis - 0.12, top + 0.06], (-0.02, 0.02), (-0.03, 0.0), (0.0, 0.02))
-    over = _about(rng, [0, axis + dummy.head_radius + 0.05, top + 0.03], (-0.01, 0.01), (0, 0.02), (0, 0.02))
+    start = drawn_about(rng, [0, far, dummy.height], (-0.1, 0.1), (-0.4, -0.3), (-0.15, 0.05))
+    before = drawn_about(rng, [0, axis - 0.12, top + 0.06], (-0.02, 0.02), (-0.03, 0.0), (0.0, 0.02))
+    over = drawn_about(rng, [0, axis + dummy.head_radius + 0.05, top + 0.03], (-0.01, 0.01), (0, 0.02), (0, 0.02))
     behind = np.array([over[0], over[1], dummy.head_centre[2] - 0.02])
     nape = np.array([over[0], axis + dummy.neck_radius + 0.04, dummy.shoulder_height + 0.06])
     stations = zip((1.2, 2.1, 2.8, 3.4), (before, over, behind, nape), strict=True)
@@ -160,9 +160,9 @@ def put_on_shoulders(garment: Garment, target: Target, rng: np.random.Generator)
     wide = (x + 0.11) / half
     narrow = (x - 0.08) / half
     # Stations: far before the shoulders, before them, past them, together behind them, and down.
-    start = _about(rng, [0, y - 0.45, z + 0.10], (-0.08, 0.08), (-0.25, -0.15), (-0.1, 0.1))
-    before = _about(rng, [0, y - 0.10, z + 0.11], (-0.01, 0.01), (-0.02, 0.0), (0.0, 0.02))
-    past = _about(rng, [0, y + 0.13, z + 0.11], (-0.01, 0.01), (-0.005, 0.005), (0.0, 0.01))
+    start = drawn_about(rng, [0, y - 0.45, z + 0.10], (-0.08, 0.08), (-0.25, -0.15), (-0.1, 0.1))
+    before = drawn_about(rng, [0, y - 0.10, z + 0.11], (-0.01, 0.01), (-0.02, 0.0), (0.0, 0.02))
+    past = drawn_about(rng, [0, y + 0.13, z + 0.11], (-0.01, 0.01), (-0.005, 0.005), (0.0, 0.01))
     approach = [Via(0.1, start), Via(1.2, before, wide), Via(2.0, past, wide, rest=True)]
     vias = [*approach, Via(2.5, past, narrow, rest=True), Via(3.1, past + [0, -0.03, -0.18], narrow)]
     return GripperPath(vias, spread, release=3.15, end=4.3)
@@ -176,9 +176,9 @@ def dress(garment: Garment, target: Target, rng: np.random.Generator) -> Gripper
     axis = dummy.distance
     # Stations: before the body, above it, with the grippers at the head, and down at the shoulders.
     length = float(garment.vertices[garment.grips, 2].mean() - garment.vertices[:, 2].min())
-    start = _about(rng, [0, axis, top + length + 0.10], (-0.08, 0.08), (-0.45, -0.35), (-0.05, 0.05))
-    above = _about(rng, [0, axis, top + length + 0.06], (-0.01, 0.01), (-0.01, 0.01), (0, 0.03))
-    head = _about(rng, [0, axis, top + 0.03], (-0.01, 0.01), (-0.01, 0.01), (0, 0))
+    start = drawn_about(rng, [0, axis, top + length + 0.10], (-0.08, 0.08), (-0.45, -0.35), (-0.05, 0.05))
+    above = drawn_about(rng, [0, axis, top + length + 0.06], (-0.01, 0.01), (-0.01, 0.01), (0, 0.03))
+    head = drawn_about(rng, [0, axis, top + 0.03], (-0.01, 0.01), (-0.01, 0.01), (0, 0))
     down = [0, axis, dummy.shoulder_height + 0.03]
     vias = [Via(0.1, start), Via(1.2, above, rest=True), Via(2.8, head), Via(3.9, down)]
     return GripperPath(vias, _spread(garment), release=4.0, end=5.2)
@@ -277,11 +277,6 @@ def hang_as_it_hangs(garment: Garment, target: Target, rng: np.random.Generator)
     if choice is None:
         return hang_by_strap(garment, target, rng, rest=2.0)
     return hang_by_opening(garment, target, choice, rng)
-
-
-def _about(rng: np.random.Generator, place: ArrayLike, *ranges: tuple[float, float]) -> Array:
-    """Return a place moved along each axis by a draw from its range."""
-    return np.asarray(place + rng.uniform(*np.transpose(ranges)))
 
 
 _sideways = functools.partial(hang_by_strap, opening=1.15, rest=2.0)
