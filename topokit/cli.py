@@ -204,7 +204,7 @@ class TrackerOptions:
     identity
         Place of a loop (default: killer-triangles; the paper's killer edge can jump).
     memory
-        Number of frames for which a missed loop is remembered (default: 20).
+        Number of frames for which a missed loop is remembered (default: 40).
     """
 
     alpha: float | None = None

@@ -58,7 +58,7 @@ SEEDS = {"tuning": range(100, 103), "episodes": range(3)}
 DROPPED = -1  # identity of a bar that a linker leaves out
 OURS: dict[str, Callable[[], tk.SeqPH]] = {
     "seqPH": tk.SeqPH,
-    "seqPH, memory of 60 frames": partial(tk.SeqPH, memory=60),
+    "seqPH, memory of 20 frames": partial(tk.SeqPH, memory=20),
     "seqPH, the paper's": tk.SeqPH.paper,
 }
 TUNED_IN = ("250 points", "noise of 10 mm", "a hand", "one camera")

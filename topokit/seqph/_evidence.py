@@ -33,7 +33,7 @@ _ABOVE = 2.6  # significance of a loop where the fourth bar is noise, as a multi
 _QUIET = 0.72  # least significance of a loop in a cloud without noise: bays between folds of cloth have up to 0.70
 _AGAINST = -3.0  # least evidence of one frame
 _FOR = 2.0  # most evidence of one frame
-_FORGET = 0.8  # share of a belief that is left a frame later
+_FORGET = 0.9  # share of a belief that is left a frame later
 _LEAST = -8.0  # least belief
 
 

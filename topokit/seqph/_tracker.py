@@ -119,7 +119,7 @@ class SeqPH:
         loops: str | None = None,
         gates: str = "near",
         identity: str = "killer-triangles",
-        memory: int = 20,
+        memory: int = 40,
         match: MatchRule | None = None,
     ) -> None:
         self.alpha = None if alpha is None else positive(alpha, "alpha")

@@ -2,7 +2,7 @@
 // Idea: the state is a number for each frame, which the reader can drag, and three thresholds. The belief is computed anew at every change.
 (() => {
   const [scene, chart, strip] = [$("scene"), $("beliefs"), $("reported")], LEAST = 0.3, HIGHEST = 5;
-  const USUAL = { threshold: 1, kept: 0.8, report: 0 };
+  const USUAL = { threshold: 1, kept: 0.9, report: 0 };
   let home, strength, beliefs, options, chosen;
   const later = lazily(draw), frames = () => strength.length;
 

@@ -4,10 +4,10 @@
 //   beliefsOf(significances, { threshold, kept }) -> log-odds with the frames before, for one bar that is found in each frame
 const WEAKEST = -2.5; // with less evidence a frame counts as one without the bar
 const MISSED = -1; // evidence of a frame without the bar
-const MEMORY = 20; // frames for which a missed bar is remembered
+const MEMORY = 40; // frames for which a missed bar is remembered
 const evidenceOf = (significance, threshold = 1) => Math.min(Math.max(5 * Math.log(significance / threshold), -3), 2);
 
-function beliefsOf(significances, { threshold = 1, kept = 0.8 } = {}) {
+function beliefsOf(significances, { threshold = 1, kept = 0.9 } = {}) {
   let belief = 0;
   let missed = Infinity; // frames since the bar was found
   return significances.map((significance) => {

@@ -15,7 +15,7 @@
 function seqphKernel({ persistence }, assign) {
   const WEAKEST = -2.5; // a bar of less evidence is never looked at
   const MISSED = -1; // evidence of a frame in which a known loop is not found
-  const MEMORY = 20; // frames for which a missed loop is remembered
+  const MEMORY = 40; // frames for which a missed loop is remembered
   const NEIGHBOURS = 5;
   const WIDE = 3; // birth, in spacings, from which the cycle of a bar crosses gaps of another kind than those between points
   const OPEN = 2; // death / birth of a loop across gaps twice as wide as that
@@ -96,7 +96,7 @@ function seqphKernel({ persistence }, assign) {
     return evidenceIn(measured(points, n, d), births, deaths);
   }
 
-  const believe = (belief, more) => Math.max(0.8 * belief + more, -8);
+  const believe = (belief, more) => Math.max(0.9 * belief + more, -8);
 
   // ---- from frame to frame -----------------------------------------------------------------------------------
 
