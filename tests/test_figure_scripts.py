@@ -15,7 +15,7 @@ from test_figures import HOOK, RING, edge_is_critical, film, some_edges
 from chapter_tools import figures
 from chapter_tools.figures.lune_plots import joined_before, lune_components
 from chapter_tools.figures.pages import LOOPS
-from topokit import SeqPH, lemmas, linking_number, loop_mixture, rips_persistence, track
+from topokit import SeqPH, farthest_point_sample, lemmas, linking_number, loop_mixture, rips_persistence, track
 from topokit.linking import close_far
 from topokit.mixture import LoopMixture
 from topokit.rips import reduction
@@ -108,6 +108,32 @@ def test_the_loops_of_a_film_are_topokits_on_the_points_of_the_page():
             assert loop["killerEdge"] == diagram.killer_edge[i].tolist()
             assert loop["triangles"] == diagram.killer_triangles[i].tolist()
             assert loop["cycle"] == diagram.cycle(i).tolist()
+
+
+THINNED = """({ points }) => {
+  const cloud = Float64Array.from(unpack(points)), n = points.shape[0], { ids, radii } = farthestPoints(cloud, n, 3, n);
+  const lives = Array.from(ids, (_, k) => {
+    const { births, deaths } = ripsKernel().persistence(subcloud(cloud, 3, ids.subarray(0, k + 1)), k + 1, 3);
+    return Array.from(deaths, (death, i) => death - births[i]);
+  });
+  return { points: [...cloud], ids: [...ids], radii: [...radii], lives };
+}"""
+
+
+def test_every_sample_of_a_thinned_cloud_has_topokits_radius_and_lifetimes():
+    [answer] = by_script(
+        ["sampling.js", "rips.js", "orbit.js"], THINNED, [page_data(figures.thinned(film()[0], start=9, least=5))]
+    )
+    cloud = np.reshape(answer["points"], (-1, 3))
+    np.testing.assert_allclose(cloud, film()[0], rtol=1e-6)
+    with_loops = 0
+    for k, lives in enumerate(answer["lives"], start=1):
+        chosen, radius = farthest_point_sample(cloud, k)
+        assert answer["ids"][:k] == chosen.tolist()
+        assert answer["radii"][k - 1] == pytest.approx(radius)
+        assert lives == rips_persistence(cloud[chosen]).lifetime.tolist()
+        with_loops += len(lives) > 0
+    assert with_loops > 20
 
 
 def test_the_spacing_of_a_cloud_is_topokits():

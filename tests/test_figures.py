@@ -88,6 +88,7 @@ PAGES = {
     "gates": lambda: figures.gates(film() / 100, alpha=0.01, beta=0.1, epsilon=0.02),
     "hiding": lambda: figures.hiding(SQUARE, [1]),
     "stray": lambda: figures.stray(SQUARE, [2.5, 0.0], [9.0, 1 / 3]),
+    "thinned": lambda: figures.thinned(film()[0], start=20, least=5),
     "mixture": lambda: figures.mixture(SQUARE, 3),
     "linked": lambda: figures.linked(RING, HOOK, WAY),
     "shares": lambda: figures.shares(results(), MEASURES),
@@ -130,6 +131,8 @@ def test_pages_keep_every_digit_of_their_points():
         (lambda: figures.growth(np.zeros((17, 3, 3))), "(17, 3, 3)"),
         (lambda: figures.coverage(np.zeros((5, 3)), [0]), "(5, 3)"),
         (lambda: figures.nudge({"cloud": np.zeros((25, 2))}), "(25, 2)"),
+        (lambda: figures.thinned(np.zeros((601, 3))), "(601, 3)"),
+        (lambda: figures.thinned(np.zeros((9, 3)), start=10, least=5), "(9, 3)"),
     ],
 )
 def test_a_cloud_that_cannot_be_shown_is_refused(draw, shape):

@@ -303,6 +303,12 @@ SET = """(e, value) => {
   e.dispatchEvent(new Event(e.type === "range" ? "input" : "change"));
 }"""
 TURNED = [
+    ("00", "thinned", {"count": 100}, r"\n +100 +(\d+\.\d)", r"covering radius (\d+\.\d) mm"),
+    ("00", "thinned", {"count": 551}, r"\n +551 +\S+ +(\d+)", r"(\d+) of 344 loops"),
+    ("00", "thinned", {}, r"\n +200 +\S+ +(\d+)", r"(\d+) of \d+ loops"),
+    ("00", "thinned", {}, r"\n +200 +\S+ +\S+ +(\d+\.\d)", r"longest lives (\d+\.\d) mm"),
+    ("00", "thinned", {"count": 50}, r"\n +50 +\S+ +(\d+)", r"(\d+) of \d+ loops"),
+    ("00", "thinned", {"count": 50, "alpha": 15}, r"50 points: (\d+) loops", r"(\d+) of \d+ loops"),
     ("05", "hiding", {"keys": "n" * 7 + "E"}, r"killers (\d\.\d+) apart", r"(\d\.\d+) away, more than"),
     ("05", "critical", {}, r"epsilon 0\.00: beta (\d\.\d\d)", r"\u03b2 = (\d\.\d+)"),
     ("05", "critical", {"epsilon": 88}, r"epsilon 0\.08: beta (\d\.\d\d)", r"\u03b2 = (\d\.\d+)"),

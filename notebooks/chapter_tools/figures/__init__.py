@@ -19,6 +19,7 @@ from .pages import (
     nudge,
     shares,
     stray,
+    thinned,
     verdicts,
 )
 
@@ -44,6 +45,7 @@ __all__ = [
     "repaint",
     "shares",
     "stray",
+    "thinned",
     "treatments",
     "turning",
     "verdicts",

@@ -27,6 +27,7 @@ from ..records import model_label
 
 HERE = Path(__file__).parent
 MOST_POINTS = 60  # the scripts compute the loops of so many while a point is dragged
+MOST_THINNED = 600  # the script computes the loops of so many while a slider moves
 MOST_NUDGED = 24  # the script computes 121 clouds at every change
 MOST_REDUCED = 10  # their 120 triangles are columns that can still be told apart
 MOST_FRAMES = 16
@@ -211,6 +212,48 @@ def coverage(
         data["hand"] = [float(value) for value in hand]
     scripts = [*LOOPS, "assign.js", "match.js", "planar.js"]
     return _figure("coverage", data, scripts, 500, title, f"{len(ids)} of {len(cloud)} points observed")
+
+
+def thinned(
+    points: ArrayLike, *, start: int = 200, least: int = 50, view: tuple[float, float] = (-60.0, 15.0)
+) -> HtmlFigure:
+    """Return an interactive figure of a cloud in space, thinned to fewer points, and of a threshold alpha on its loops.
+
+    Sliders set the number of points of a farthest-point sample and alpha, which at first is the sample's covering radius. The
+    picture shows the killer edges and the killer triangles of the loops that live alpha or longer; the diagram has their line.
+
+    Parameters
+    ----------
+    points : (n, 3) array_like
+        At most 600 points, metres, shown in single precision.
+    start, least : int
+        The number of points at first, and the smallest one.
+    view : (2,) tuple of float
+        Azimuth and elevation of the eye, degrees.
+
+    Raises
+    ------
+    ValueError
+        When there are too many points, or `least`, `start` and n do not ascend.
+    """
+    cloud = np.asarray(points, dtype=np.float32)
+    if cloud.ndim != 2 or cloud.shape[1] != 3 or not 1 <= least <= start <= len(cloud) <= MOST_THINNED:
+        raise ValueError(
+            f"the figure thins at most {MOST_THINNED} points in space to {start} and to {least}, not an array of shape "
+            f"{cloud.shape}"
+        )
+    low = cloud.min(axis=0)
+    high = cloud.max(axis=0)
+    data = {
+        "points": cloud,
+        "start": int(start),
+        "least": int(least),
+        "middle": ((low + high) / 2).tolist(),
+        "spread": float((high - low).max()) or 1.0,
+        "view": list(view),
+    }
+    scripts = ["sampling.js", "rips.js", "orbit.js", "planar.js"]
+    return _figure("thinned", data, scripts, 480, "drag to turn", f"A cloud of {len(cloud)} points, thinned")
 
 
 def motion(points: ArrayLike, epsilon: float, observed: Sequence[int] | None = None) -> HtmlFigure:
