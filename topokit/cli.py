@@ -174,11 +174,13 @@ class CloudOptions:
         return [int(word) if word.isdigit() else word for word in self.columns.split(",")]
 
     def cleaner(self) -> Cleaner:
-        from ._config import load
         from .sensors import Cleaner, Pipeline
 
         if self.pipeline is None:
             return Cleaner()
+
+        from ._config import load  # needs pydantic
+
         return Cleaner(load(Pipeline, self.pipeline))
 
 
@@ -248,7 +250,7 @@ def _check_output(option: str, path: Path | None, suffixes: Sequence[str]) -> No
     if path is None:
         return
     if path.suffix not in suffixes:
-        raise ValueError(f"{option} {path}: the name ends in {', '.join(suffixes)}")
+        raise ValueError(f"{option} {path}: the name must end in {', '.join(suffixes)}")
     if path.is_dir():
         raise ValueError(f"{option} {path}: that is a folder; name a file")
     # Folders that are missing will be made.
@@ -426,7 +428,7 @@ def _track_clouds(
         return 0
     unseen = f", {blind} of them without a point" if blind else ""
     _print(f"{path}: {len(states)} frames{unseen}")
-    print("removed a frame: " + ", ".join(f"{count / len(states):.0f} {step}" for step, count in removed.items()))
+    print("points removed per frame: " + ", ".join(f"{count / len(states):.0f} {step}" for step, count in removed.items()))
     print("  id  first  last  frames  lifetime")
     for row in rows:
         print(_row_of_track(row))

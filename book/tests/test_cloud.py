@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 from test_in_browser import BOOK, CHAPTERS, CHROMIUM, MOVE, OVERFLOW, ROOT, SETTLED, SHOWN, Visit, chromium  # noqa: F401
 
-pytest.importorskip("playwright", reason="Playwright is not installed: make env")
+pytest.importorskip("playwright", reason="Playwright is not installed: make check-book")
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: apt-get install chromium"),
     pytest.mark.skipif(not CHAPTERS, reason=f"no book in {BOOK}: make book"),

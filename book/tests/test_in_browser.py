@@ -29,7 +29,7 @@ PAGES = sorted(page.relative_to(BOOK).as_posix() for page in BOOK.glob("[!_]*/**
 ]
 CHAPTERS = [page for page in PAGES if page.startswith("notebooks/")]
 
-pytest.importorskip("playwright", reason="Playwright is not installed: make env")
+pytest.importorskip("playwright", reason="Playwright is not installed: make check-book")
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: apt-get install chromium"),
     pytest.mark.skipif(not CHAPTERS, reason=f"no book in {BOOK}: make book"),
