@@ -428,7 +428,9 @@ def _track_clouds(
         return 0
     unseen = f", {blind} of them without a point" if blind else ""
     _print(f"{path}: {len(states)} frames{unseen}")
-    print("points removed per frame: " + ", ".join(f"{count / len(states):.0f} {step}" for step, count in removed.items()))
+    print(
+        "points removed per frame: " + ", ".join(f"{count / len(states):.0f} {step}" for step, count in removed.items())
+    )
     print("  id  first  last  frames  lifetime")
     for row in rows:
         print(_row_of_track(row))
