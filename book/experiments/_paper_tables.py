@@ -99,10 +99,8 @@ def carried_on(shares: pd.DataFrame, films: int, seed: int) -> pd.DataFrame:
             continue
         logs = np.log(sorted(known))
         offsets = logs - logs.mean()
-        seeds = {size: "all" for size in known}
-        for size in known:
-            if str(seed) in shares[f"{name}|{size}"].columns.unique(0):
-                seeds[size] = str(seed)
+        alone = {size: str(seed) in shares[f"{name}|{size}"].columns.unique(0) for size in known}
+        seeds = {size: str(seed) if alone[size] else "all" for size in known}
         for horizon in shares[f"{name}|{known[0]}"]["all"]:
             misses = np.column_stack([1 - shares[f"{name}|{size}", seeds[size], horizon] for size in sorted(known)])
             heights = np.log(np.maximum(misses, 1e-3))

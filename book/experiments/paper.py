@@ -401,14 +401,14 @@ class Experiment:
 
         Rows of other settings in these files are kept.
         """
-        setting = self.protocol["setting"]
-        tests = {f"test_{mesh}": mesh for mesh in self.protocol["tests"]}
+        protocol = self.protocol
+        setting = protocol["setting"]
+        tests = {f"test_{mesh}": mesh for mesh in protocol["tests"]}
         for name, parts in ((f"{out.stem}_validation", {"validation": "coarse"}), (out.stem, tests)):
             tables = []
             claims = {}
             for part, mesh in parts.items():
                 for garments, samples in self.samples(part):
-                    protocol = self.protocol
                     table, differences = table_of(
                         samples, protocol["training_films"], protocol["extrapolated_to"], protocol["curve"]["seed"]
                     )
