@@ -176,7 +176,7 @@ def stonesoup_link(
         Use joint probabilistic data association.
     """
     from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
-    from stonesoup.dataassociator.probability import JPDA
+    from stonesoup.dataassociator.probability import JPDAwithEHM2
     from stonesoup.deleter.time import UpdateTimeStepsDeleter
     from stonesoup.hypothesiser.distance import DistanceHypothesiser
     from stonesoup.hypothesiser.probability import PDAHypothesiser
@@ -195,7 +195,7 @@ def stonesoup_link(
     updater = KalmanUpdater(model)
     if probabilistic:
         hypothesiser = PDAHypothesiser(predictor, updater, clutter_spatial_density=0.1, prob_gate=missed)
-        associator = JPDA(hypothesiser)
+        associator = JPDAwithEHM2(hypothesiser)  # probabilities as JPDA has, without listing all joint hypotheses
         tracker_class = MultiTargetMixtureTracker
     else:
         hypothesiser = DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=missed)
