@@ -67,6 +67,7 @@ def loads(monkeypatch):
     monkeypatch.setattr(_pairs, "_load", lambda function: loaded.append(function) or True)
     monkeypatch.setattr(_numba, "is_usable", lambda: True)
     monkeypatch.setattr(_numba, "is_compiled", lambda _: False)
+    monkeypatch.setattr(_numba, "seconds_before", lambda: 0.0)
     return loaded
 
 
@@ -96,6 +97,23 @@ def test_many_clouds_are_counted_together(loads, monkeypatch):
     assert loads == []
     rips_persistence_many([ring(40)] * 100)
     assert loads[0]
+
+
+@needs_numba
+def test_short_processes_are_counted_together(tmp_path):
+    """A command of few seconds, called again and again, is at last compiled."""
+    code = """
+from topokit.rips import _pairs, rips_persistence
+_pairs.LOADING, _pairs.COMPILING = 0.0, 1.0
+_pairs._load = lambda function: True
+pays = _pairs.compiled_pays([40])
+if not pays:
+    rips_persistence([[0, 0], [2, 0], [2, 2], [0, 2]])
+    _pairs._spent = 0.6
+print(pays)
+"""
+    answers = [run(code, tmp_path).stdout for _ in range(3)]
+    assert answers == ["False\n", "False\n", "True\n"]
 
 
 # Where compiled code is kept

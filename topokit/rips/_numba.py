@@ -56,6 +56,30 @@ def is_compiled(function: str) -> bool:
     return folder is not None and any(folder.glob(f"{function}-{_fingerprint()}-*"))
 
 
+@cache
+def seconds_before() -> float:
+    """Return the seconds that earlier processes spent in plain Python where this kernel was not compiled."""
+    folder = _folder(make=False)
+    if folder is None:
+        return 0.0
+    seconds = 0.0
+    with contextlib.suppress(OSError, ValueError):
+        seconds = sum(map(float, (folder / _file_of_seconds()).read_text(encoding="ascii").split()))
+    return seconds
+
+
+def add_seconds(seconds: float) -> None:
+    """Keep the seconds that this process spent in plain Python, for later processes."""
+    folder = _folder(make=True)
+    if folder is not None:
+        with contextlib.suppress(OSError), open(folder / _file_of_seconds(), "a", encoding="ascii") as file:
+            file.write(f"{seconds:.1f}\n")
+
+
+def _file_of_seconds() -> str:
+    return f"seconds-{_fingerprint()}"
+
+
 def njit(*, cache: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return numba's decorator; with `cache`, what it compiles is kept by this module, and Python can call it.
 

@@ -1,9 +1,9 @@
 """The pairs of edges that create and kill the loops of clouds, by the compiled kernel or without a compiler.
 
 Idea: compiling takes as long as thousands of small clouds take in plain Python. So clouds are paired by `_plain` until that would
-have cost as much as compiling, or, where compiled code is kept from another time, as loading it. From then on the kernel is
-used. This costs at most twice what the better choice would have cost, whatever clouds come (Karlin et al. 1988, the rent of
-skis). Both ways return the same pairs to the last bit.
+have cost as much as compiling, in this process and those before it, or, where compiled code is kept from another time, as loading
+it. From then on the kernel is used. This costs at most twice what the better choice would have cost, whatever clouds come (Karlin
+et al. 1988, the rent of skis). Both ways return the same pairs to the last bit.
 
 The kernel runs without Python's lock, in threads that share the clouds. The main thread, which alone hears Ctrl-C, never runs it:
 it waits for another thread, and ends the run through the array `stop`, which the kernel reads at every edge. An interrupt in the
@@ -12,6 +12,7 @@ main thread while numba makes Python's objects of what the kernel returns would 
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
 import threading
@@ -37,7 +38,7 @@ _STOPPED = 1  # what a thread writes into the flag `stop` of another one; the ke
 CLOUDS = "pair_clouds"  # the two functions of the kernel: for clouds of points and for a matrix of distances,
 LARGE_CLOUD = "pair_large"  # and for a large cloud of points
 _ready: set[str] = set()  # those that are loaded
-_spent = 0.0  # seconds that plain Python has taken in their place
+_spent = 0.0  # seconds that plain Python has taken in their place in this process
 _choosing = threading.RLock()
 _worker = futures.ThreadPoolExecutor(1)  # the thread that works for the main thread
 _thread = threading.local()  # each thread keeps its buffer for edges from one cloud to the next
@@ -114,8 +115,16 @@ def _pairs_in_plain_python(cloud: Cloud, max_radius: float, stop: NDArray[np.int
     start = time.thread_time()
     created, killed = _plain.pair_edges(cloud, cloud.key_of(max_radius), new_stop() if stop is None else stop)
     with _choosing:
+        if not _spent:
+            atexit.register(_keep_spent)
         _spent += time.thread_time() - start
     return _cut(cloud, created, killed, max_radius)[0]
+
+
+def _keep_spent() -> None:
+    """Let the next process know the seconds of plain Python, until the kernel is compiled."""
+    if _spent >= LOADING and _numba.is_usable() and not _ready:
+        _numba.add_seconds(_spent)
 
 
 def _pairs_without_repeats(cloud: Cloud, bound: float, stop: NDArray[np.int64] | None) -> Pairs:
@@ -206,7 +215,8 @@ def compiled_pays(sizes: Sequence[int], function: str = CLOUDS) -> bool:
             if expected > _PATIENCE:
                 _numba.say_once(f"without numba a cloud of {max(sizes)} points takes long, {expected:.0f} s or more")
             return False
-        return (cost >= COMPILING or _numba.is_compiled(function)) and _load(function)
+        pays = _numba.is_compiled(function) or cost + _numba.seconds_before() >= COMPILING
+        return pays and _load(function)
 
 
 def _load(function: str) -> bool:
