@@ -95,6 +95,10 @@ class Episode:
     def __len__(self) -> int:
         return len(self.points)
 
+    def __repr__(self) -> str:
+        sizes = f"{len(self)} frames of {self.points.shape[1]} vertices, {self.observed.shape[1]} observed points"
+        return f"Episode({self.garment} and {self.target}, {sizes}, loops {list(self.named_loops)}, success={self.success})"
+
     @property
     def times(self) -> NDArray[np.float64]:
         """Return the times (T,) of the frames, in seconds since the first."""

@@ -86,6 +86,10 @@ class LoopMixture:
     def __post_init__(self) -> None:
         own_arrays(self)
 
+    def __repr__(self) -> str:
+        mean = np.array2string(self.mean, precision=3, separator=", ")
+        return f"LoopMixture({len(self.weights)} components, mean={mean})"
+
     @property
     def mean(self) -> Array:
         """Return the mean (d,) of the whole mixture."""

@@ -26,7 +26,8 @@ def follow(loops: Sequence[Loop], cloud: ArrayLike) -> list[Loop]:
     """Return the loops where the same points are now, those that are still there, longest lifetime first.
 
     Each keeps its identity and its birth, which is of the sampling and not of the motion; its death is that of its cycle's class
-    in the moved cloud. A loop is gone when its class ends before its birth, or with a longest edge of its cycle.
+    in the moved cloud. A loop is gone when its class ends before its birth, or with a longest edge of its cycle. The points must
+    be the same in each frame, as an episode's `points` are; its `observed` points are drawn anew for each frame.
 
     Parameters
     ----------

@@ -45,6 +45,10 @@ class Loop:
     def __post_init__(self) -> None:
         own_arrays(self)
 
+    def __repr__(self) -> str:
+        centre = np.array2string(self.centre, precision=3, separator=", ")
+        return f"Loop(id={self.id}, birth={self.birth:.4g}, death={self.death:.4g}, centre={centre})"
+
     @property
     def lifetime(self) -> float:
         """Return how long the loop lasts in the filtration: death - birth."""
@@ -158,6 +162,9 @@ class TopologicalState:
 
     def __len__(self) -> int:
         return len(self.loops)
+
+    def __repr__(self) -> str:
+        return f"TopologicalState(frame={self.frame}, time={self.time}, loops={self.loops})"
 
     def __getitem__(self, loop_id: int) -> Loop:
         """Return the loop with that identity; raise KeyError when this frame has none."""

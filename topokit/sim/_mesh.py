@@ -51,7 +51,8 @@ _METRES = (0.15, 2.2)  # largest extent of a garment in metres
 # Which axes of the file become x, y and z, and their signs, for the axis that points up.
 _UP = {"x": ([2, 1, 0], (-1, 1, 1)), "y": ([0, 2, 1], (1, -1, 1)), "z": ([0, 1, 2], (1, 1, 1))}
 _AXES = (*_UP, *(f"-{axis}" for axis in _UP))
-_TURNED = "its y axis was taken for up and turned to z; give up='z' if it is not"
+_logged: set[str] = set()  # what this process has logged
+_TURNED = "its y axis was taken for up and turned to z; give up='z' (--up z) if it is not"
 _UNITS = ((1.0, "metres"), (0.001, "millimetres"), (0.01, "centimetres"))
 
 
@@ -164,8 +165,12 @@ def from_mesh(
     except ValueError as error:
         done = f" (done before: {'; '.join(repairs)})" if repairs else ""
         raise type(error)(f"{path}: {error}{done}") from error
+    # A dataset reads its mesh for each film; its repairs are logged once.
     for repair in repairs:
-        _log.warning("%s", printable(f"{path}: {repair}"))
+        message = printable(f"{path}: {repair}")
+        if message not in _logged:
+            _logged.add(message)
+            _log.warning("%s", message)
     return Path(path).stem, placed, faces, cycles, held, {"scale": factor}, tuple(repairs), names
 
 
@@ -377,7 +382,7 @@ def _report_lying(vertices: Array, grips: Ids | None, up: str | None, repairs: l
     wide, deep, high = np.ptp(vertices, axis=0)
     floor = vertices[:, 2].min()
     if grips is not None and vertices[grips, 2].mean() < floor + high / 3:
-        raise ValueError("its grips would be in the lowest third, near the floor: say which axis is up (up='-z')")
+        raise ValueError("its grips would be in the lowest third, near the floor: say which axis is up: up='-z' (--up -z)")
     if up is None and high < min(wide, deep):
         repairs.append("it seems to lie: its thinnest axis is upright; say which axis is up if it is not z")
 
@@ -407,7 +412,7 @@ def _scaled(vertices: Array, size: float | None, scale: float | None, repairs: l
         fitting = [(factor, unit) for factor, unit in _UNITS if low <= factor * largest <= high]
         scale, unit = (*fitting, (1 / largest, "no unit"))[0]
         if unit != "metres":
-            metres = f"{unit}: {scale * largest:.3g} m; give size or scale"
+            metres = f"{unit}: {scale * largest:.3g} m; give size or scale (--size or --unit)"
             repairs.append(f"its largest extent, {largest:.4g}, was taken for {metres}")
     vertices = scale * vertices
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
