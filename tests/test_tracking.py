@@ -193,6 +193,17 @@ def test_a_detection_of_what_is_not_there_is_set_aside():
         compare(states, [truth, truth])
 
 
+def test_a_detection_that_fits_a_present_loop_best_is_not_set_aside():
+    """As TrackEval removes distractors: it matches for the greatest similarity, not for the largest number of pairs."""
+    centres = [(9.0 * k, 0, 0) for k in range(3)]
+    points = np.vstack([ring(30, 1.0, centre) for centre in centres])
+    (truth,) = true_loops(points[None], np.arange(90).reshape(3, 30))
+    two = type(truth)(truth.centres, truth.radii, truth.killers, np.array([True, True, False]))
+    table = np.array([[0.9, 0.5, 0], [0, 0.9, 0.5], [0.5, 0, 0]])
+    (overlap,) = compare(track([points]), [two], lambda *_: table)
+    assert overlap.similarity.tolist() == table[:2].tolist()
+
+
 def test_places_are_compared_by_the_size_of_the_true_loop():
     (truth,) = true_loops(ring(30, 2.0)[None], [np.arange(30)])
     (state,) = track([ring(30, 2.0) + [1.0, 0, 0]], alpha=0.1)

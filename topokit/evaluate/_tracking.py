@@ -217,9 +217,9 @@ def compare(
     for true, state in zip(truth, states, strict=True):
         table = similarity(true, state)
         objects = np.flatnonzero(true.present)
-        # Take out detections that fit a true loop which is not present.
-        pairs = assign(1 - table, table >= THRESHOLD)
-        aside = [column for row, column in pairs if not true.present[row]]
+        # Take out detections that fit a true loop which is not present, in the matching of greatest similarity.
+        fit = np.where(table >= THRESHOLD, table, 0)
+        aside = [column for row, column in assign(-fit) if fit[row, column] > 0 and not true.present[row]]
         kept = np.setdiff1d(np.arange(len(state.loops)), aside)
         ids = np.array([loop.id for loop in state.loops], dtype=np.int64)
         overlaps.append(Overlap(objects, ids[kept], table[np.ix_(objects, kept)]))
