@@ -316,6 +316,10 @@ def test_tracks_of_a_film_are_scored_from_either_format(tmp_path, monkeypatch, c
     tracking_benchmark.main(["make", "--episodes", str(tmp_path), "--films", str(films)])
     score = ["score", "--films", str(films), "--tracks", str(tracks), "--out", str(out)]
 
+    # A folder without tracks of these films is refused. An empty file is a film without tracks.
+    assert tracking_benchmark.main(score) == 1
+    assert str(tracks) in capsys.readouterr().err
+
     # The truth, as MOTChallenge has it and as CSV, has full marks; without tracks there are none.
     truth = films / "every-8th-frame" / "apron_hook_0.gt.txt"
     mine = tracks / "every-8th-frame" / "apron_hook_0.txt"
@@ -324,7 +328,7 @@ def test_tracks_of_a_film_are_scored_from_either_format(tmp_path, monkeypatch, c
     table.columns = ["frame", "id", "x", "y", "z"]
     table["frame"] -= 1
     found = []
-    for write in (lambda: None, lambda: shutil.copy(truth, mine), lambda: table.to_csv(mine.with_suffix(".csv"))):
+    for write in (mine.touch, lambda: shutil.copy(truth, mine), lambda: table.to_csv(mine.with_suffix(".csv"))):
         write()
         assert tracking_benchmark.main(score) == 0
         found.append(pd.read_csv(out).loc[0, ["idf1", "hota"]].tolist())
@@ -337,6 +341,14 @@ def test_tracks_of_a_film_are_scored_from_either_format(tmp_path, monkeypatch, c
     tracking_benchmark.main(score)
     tracking_benchmark.main(["export", *score[1:-1], str(tmp_path / "trackeval")])
     expected = pd.read_csv(out).loc[0, ["idf1", "hota", "switches"]].tolist()
+
+    # What was exported for TrackEval is read and has the same scores.
+    exported = tmp_path / "trackeval" / "trackers" / "every-8th-frame-all" / "mine" / "data"
+    (tmp_path / "back").mkdir()
+    shutil.copytree(exported, tmp_path / "back" / "every-8th-frame")
+    again = tmp_path / "again.csv"
+    assert tracking_benchmark.main([*score[:4], str(tmp_path / "back"), "--out", str(again)]) == 0
+    assert again.read_text() == out.read_text()
     assert trackeval_scores(tmp_path / "trackeval", "every-8th-frame") == pytest.approx(expected, abs=1e-4)
 
     # An identity that a frame has twice is refused with its row.

@@ -10,7 +10,8 @@ FILMS/condition/film.npz: an episode whose observed points are what a tracker ma
 sizes are filled up by repeating points. Beside it lies film.gt.txt, the true loops in the format of MOTChallenge.
 
 `score` reads TRACKS/condition/film.csv with the columns frame, id, x, y, z (frames from 0, metres), or film.txt as MOTChallenge
-has it: frame (from 1), id, four numbers of a box, a confidence, x, y, z. A film without a file has no tracks.
+has it: frame (from 1), id, four numbers of a box, a confidence, x, y, z. A film.txt of nine columns is one that `export` wrote.
+A film without a file has no tracks.
 `seqph` writes the tracks of topokit's default in the first format. `export` writes truth and tracks into the folders that
 TrackEval reads; `trackeval_dataset` is the class that makes it score loops. The page *A benchmark of trackers* has the rules.
 """
@@ -30,7 +31,7 @@ from tqdm import tqdm
 from tracking import MEASURES, film_of, simulated
 
 import topokit as tk
-from topokit.evaluate import TrackingScore, compare, score, true_loops
+from topokit.evaluate import TrackingScore, TrueLoops, compare, score, true_loops
 from topokit.io import Episode, load_episode, save_episode
 
 from _tracking_clouds import Clouds, conditions
@@ -38,6 +39,10 @@ from _tracking_clouds import Clouds, conditions
 SEEDS = 3
 COLUMNS = ["frame", "id", "x", "y", "z"]
 MOT_COLUMNS = ["frame", "id", "left", "top", "width", "height", "confidence", "x", "y", "z"]
+SUFFIXES = (".csv", ".txt")  # of files with tracks
+EXPORTED_COLUMNS = [*COLUMNS, "radius", "confidence", "kind", "seen"]
+TRUTHS: dict[bytes, list[TrueLoops]] = {}
+"""The true loops of films by their points. An episode has the same ones in nineteen conditions."""
 
 
 def slug(condition: str) -> str:
@@ -60,11 +65,19 @@ def make(episodes: Path, films: Path) -> None:
             save_episode(out, film)
 
 
+def truth_of(film: Episode) -> list[TrueLoops]:
+    """Return the true loops of a film; they are computed once for the same points."""
+    key = film.points.tobytes()
+    if key not in TRUTHS:
+        TRUTHS[key] = true_loops(film.points, film.loops)
+    return TRUTHS[key]
+
+
 def truth_table(film: Episode) -> pd.DataFrame:
     """Return a row for each true loop and frame in which it is present, with the columns of MOTChallenge."""
     rows = [
         (frame + 1, loop + 1, -1, -1, -1, -1, 1, *true.centres[loop])
-        for frame, true in enumerate(true_loops(film.points, film.loops))
+        for frame, true in enumerate(truth_of(film))
         for loop in np.flatnonzero(true.present).tolist()
     ]
     return pd.DataFrame(rows, columns=MOT_COLUMNS).round(5)
@@ -83,7 +96,7 @@ def exported_truth(film: Episode) -> pd.DataFrame:
     """
     rows = [
         (frame + 1, loop + 1, *true.centres[loop], true.radii[loop], int(present), 1 if present else 8, 1)
-        for frame, true in enumerate(true_loops(film.points, film.loops))
+        for frame, true in enumerate(truth_of(film))
         for loop, present in enumerate(true.present.tolist())
     ]
     return pd.DataFrame(rows).round(6)
@@ -107,7 +120,7 @@ def export(films: Path, tracks: Path, out: Path, name: str) -> None:
         # The fourth number of a track's box is not used: a tracker does not know the radius.
         table = tracks_of(tracks / condition, path.stem, len(film))
         table = table.assign(frame=table["frame"] + 1, radius=0, confidence=1, kind=1, seen=1)
-        table.to_csv(mine, header=False, index=False)
+        table[EXPORTED_COLUMNS].to_csv(mine, header=False, index=False)
 
 
 def trackeval_dataset() -> type[Any]:
@@ -144,15 +157,19 @@ def write_seqph(films: Path, tracks: Path) -> None:
 
 
 def read_tracks(path: Path, frames: int) -> pd.DataFrame:
-    """Read tracks in either format; frames are numbered from 0.
+    """Read tracks in any of the formats; frames are numbered from 0. An empty file has no tracks.
 
     Raises
     ------
     ValueError
         When a column is missing, a value is no number, a frame is not in the film, or a frame has an identity twice.
     """
+    if not path.stat().st_size:
+        return pd.DataFrame(columns=COLUMNS)
     if path.suffix == ".txt":
-        table = pd.read_csv(path, header=None, names=MOT_COLUMNS)
+        table = pd.read_csv(path, header=None)
+        columns = EXPORTED_COLUMNS if table.shape[1] == len(EXPORTED_COLUMNS) else MOT_COLUMNS
+        table = table.rename(columns=dict(enumerate(columns)))
         table["frame"] -= 1
     else:
         table = pd.read_csv(path)
@@ -173,8 +190,9 @@ def read_tracks(path: Path, frames: int) -> pd.DataFrame:
 
 
 def tracks_of(folder: Path, film: str, frames: int) -> pd.DataFrame:
-    """Return the tracks of a film in a folder, from a file in either format; none when there is no file."""
-    for path in (folder / f"{film}.csv", folder / f"{film}.txt"):
+    """Return the tracks of a film in a folder, from a file in any of the formats; none when there is no file."""
+    for suffix in SUFFIXES:
+        path = folder / f"{film}{suffix}"
         if path.exists():
             return read_tracks(path, frames)
     return pd.DataFrame(columns=COLUMNS)
@@ -187,14 +205,21 @@ def score_film(film: Episode, table: pd.DataFrame) -> TrackingScore:
         rows = table[table["frame"] == frame]
         loops = [SimpleNamespace(id=int(row.id), centre=np.array([row.x, row.y, row.z])) for row in rows.itertuples()]
         states.append(SimpleNamespace(loops=loops))
-    return score(compare(states, true_loops(film.points, film.loops)))
+    return score(compare(states, truth_of(film)))
 
 
 def score_all(films: Path, tracks: Path) -> pd.DataFrame:
     """Return a row for each condition: films, films with tracks, measures and switches of all films together."""
+    films_found = list(films_in(films))
+    if not any(
+        (tracks / condition / (path.stem + end)).exists() for condition, path in films_found for end in SUFFIXES
+    ):
+        raise FileNotFoundError(
+            f"{tracks}: no tracks of any film; wanted is CONDITION/FILM.csv, with the names of {films}"
+        )
     totals: dict[str, TrackingScore] = {}
     counts: dict[str, list[int]] = {}
-    for condition, path in tqdm(list(films_in(films)), "scores", unit="film"):
+    for condition, path in tqdm(films_found, "scores", unit="film"):
         film = load_episode(path)
         table = tracks_of(tracks / condition, path.stem, len(film))
         reached = score_film(film, table)
