@@ -110,6 +110,7 @@ def _meshed_anew(vertices: Array, faces: Ids, spacing: float, cycles: Sequence[I
     edges, uses = np.unique(half_edges(faces), axis=0, return_counts=True)
     on_border = np.unique(edges[uses != 2])
     graph = weighted(vertices, edges)
+    both_ways = graph + graph.T  # searched as it is; of a graph without directions each search would make this anew
     order = np.concatenate([on_border, np.setdiff1d(everything, on_border)])
     pinched = _n_fans(faces, len(vertices)) > 1
     radius = np.full(len(vertices), _RADIUS * spacing)
@@ -120,7 +121,7 @@ def _meshed_anew(vertices: Array, faces: Ids, spacing: float, cycles: Sequence[I
         for i in order[distance[order] > radius[order]].tolist():
             if distance[i] > radius[i]:
                 chosen.append(i)
-                near = dijkstra(graph, directed=False, indices=i, limit=_RADIUS * spacing)
+                near = dijkstra(both_ways, indices=i, limit=_RADIUS * spacing)
                 distance = np.minimum(distance, near)
         # The new faces are where three cells meet. Once they have the topology of the surface, the mesh is done.
         _, _, source = dijkstra(graph, directed=False, indices=chosen, min_only=True, return_predecessors=True)
