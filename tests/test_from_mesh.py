@@ -441,6 +441,26 @@ def test_a_missing_face_is_no_loop(tmp_path):
     assert len(Garment.from_mesh(path, loops="borders").loops) == 5
 
 
+def test_missing_faces_make_no_outline_of_a_disc_and_no_tube_of_a_ring_a_loop(tmp_path):
+    """A disc and a ring without a face, and an apron without the faces around a vertex."""
+    vertices, faces = tube([0.01, 0.1, 0.2, 0.3, 0.4], 0.05)
+    bottom = np.array([[0, (i + 1) % 24, i] for i in range(1, 23)])
+    disc = np.delete(np.concatenate([faces, bottom]), 70, axis=0)
+    hat = Garment.from_mesh(written(tmp_path / "disc.obj", vertices, disc), loops="auto")
+    assert hat.loops == ()
+    assert any("no rod can go through it" in words for words in hat.repairs)
+
+    ring = trimesh.creation.torus(0.2, 0.03, major_sections=24, minor_sections=8)
+    path = written(tmp_path / "ring.obj", ring.vertices, np.delete(ring.faces, 50, axis=0))
+    assert len(Garment.from_mesh(path, loops="auto").loops) == 1
+
+    apron = WARDROBE["apron"]()
+    away = np.linalg.norm(apron.vertices - apron.vertices.mean(axis=0), axis=1)
+    star = (apron.faces == np.argmin(away)).any(axis=1)
+    path = written(tmp_path / "apron.obj", apron.vertices, apron.faces[~star])
+    assert Garment.from_mesh(path, loops="auto").loop_names == ("neck",)
+
+
 def test_an_open_front_is_reported(tmp_path, capsys):
     middle = VEST.vertices[VEST.faces].mean(axis=1)
     strip = (np.abs(middle[:, 0]) < 0.05) & (middle[:, 1] < 0)

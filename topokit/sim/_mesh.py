@@ -42,6 +42,7 @@ _log = logging.getLogger("topokit.sim")
 _WELD = 1e-5  # of the diagonal of the bounding box: what six decimals leave of one place, and less than any edge
 _COPIES = 30  # vertices of a file, at most, for each that the cloth may have: copies of it, and other components
 _FEW = 4  # edges of a hole that is only a missing face or two
+_STAR = 7  # edges of a hole, at most, that is left where the faces around a vertex are missing
 _NEAR_LOOP = 0.2  # of its length: what is nearer to a loop may be the strap itself
 _STRAP = 0.3  # of its length: how far the middle of a strap is from the body, at least
 _APART = 0.2  # of the width: how far apart the middles of two straps are at least
@@ -382,7 +383,9 @@ def _report_lying(vertices: Array, grips: Ids | None, up: str | None, repairs: l
     wide, deep, high = np.ptp(vertices, axis=0)
     floor = vertices[:, 2].min()
     if grips is not None and vertices[grips, 2].mean() < floor + high / 3:
-        raise ValueError("its grips would be in the lowest third, near the floor: say which axis is up: up='-z' (--up -z)")
+        raise ValueError(
+            "its grips would be in the lowest third, near the floor: say which axis is up: up='-z' (--up -z)"
+        )
     if up is None and high < min(wide, deep):
         repairs.append("it seems to lie: its thinnest axis is upright; say which axis is up if it is not z")
 
@@ -390,7 +393,8 @@ def _report_lying(vertices: Array, grips: Ids | None, up: str | None, repairs: l
 def _report_borders(vertices: Array, faces: Ids, repairs: list[str]) -> None:
     """Report a surface that nothing can go through, and a border that runs down the front of a garment."""
     borders = border_cycles(faces)
-    if len(borders) == 1 and not _count_classes(vertices, faces, borders):
+    large = [border for border in borders if not _is_small(vertices, faces, border)]
+    if len(large) == 1 and not _classes_of_large(_count_classes(vertices, faces, borders), borders, large):
         repairs.append("its only border is its own edge, as that of a disc or a sack: no rod can go through it")
         return
     for border in borders:
@@ -447,6 +451,28 @@ def _count_classes(vertices: Array, faces: Ids, borders: Sequence[Ids], *, must_
     return classes
 
 
+def _is_small(vertices: Array, faces: Ids, loop: Ids) -> bool:
+    """Return whether a loop is too small for a rod, or a hole that is left where the faces around one vertex are missing.
+
+    Such a hole lies in the surface around it. The end of a sleeve of few edges does not.
+    """
+    if len(loop) <= _FEW or side_lengths(vertices[loop]).sum() < _ROUND_A_ROD:
+        return True
+    beside = faces[np.isin(faces, loop).sum(axis=1) >= 2]
+    if len(loop) > _STAR or 3 * len(loop) > len(np.unique(faces)) ** 0.5:
+        return False
+    a, b, c = np.moveaxis(vertices[beside], 1, 0)
+    normal = np.cross(b - a, c - a).sum(axis=0)
+    hole = vector_area(vertices[loop])
+    return bool(abs(normal @ hole) > 0.8 * np.linalg.norm(normal) * np.linalg.norm(hole))
+
+
+def _classes_of_large(classes: int, borders: Sequence[Ids], large: Sequence[Ids]) -> int:
+    """Return how many classes are left when all borders but the large ones are closed, each by a disc."""
+    small = len(borders) - len(large)
+    return classes - small + int(small > 0 and not large)
+
+
 def _found(vertices: Array, faces: Ids, rule: str, repairs: list[str]) -> tuple[Ids, ...]:
     """Return loops that nobody marked, the longest first.
 
@@ -454,23 +480,25 @@ def _found(vertices: Array, faces: Ids, rule: str, repairs: list[str]) -> tuple[
     """
     cycles = border_cycles(faces)
     classes = _count_classes(vertices, faces, cycles, must_have_borders=rule == "borders")
-    if rule == "auto" and not classes:
+    large = [cycle for cycle in cycles if not _is_small(vertices, faces, cycle)]
+    if rule == "auto" and not _classes_of_large(classes, cycles, large):
         return ()  # a disc, or a sack
     what = "borders were found"
-    if rule == "auto" and classes >= max(len(cycles), 1):
+    if rule == "auto" and _classes_of_large(classes, cycles, large) >= max(len(large), 1):
+        classes = _classes_of_large(classes, cycles, large)
         edges, uses = np.unique(half_edges(faces), axis=0, return_counts=True)
         cycles = EdgeGraph(vertices, edges).loops(classes)
-        if (uses == 2).all():
+        if not large and (uses <= 2).all():
             # Half of the classes of a solid go around its tubes, and no rod can go through them.
             around = [cycle for cycle in cycles if not is_inside(vertices, faces, vertices[cycle].mean(axis=0))]
             cycles = sorted(around, key=lambda cycle: side_lengths(vertices[cycle]).sum())[: classes // 2]
         what = "loops were found by persistence along the mesh"
     repairs.append(f"{len(cycles)} {what}, the longest first")
-    lengths = [float(side_lengths(vertices[cycle]).sum()) for cycle in cycles]
     if rule == "auto":
-        small = [len(cycle) <= _FEW or length < _ROUND_A_ROD for cycle, length in zip(cycles, lengths, strict=True)]
-        _note(repairs, sum(small), "of them are too small for a rod, such as a missing face, and were left out")
-        cycles = [cycle for cycle, is_small in zip(cycles, small, strict=True) if not is_small]
+        kept = [cycle for cycle in cycles if not _is_small(vertices, faces, cycle)]
+        what = "of them are too small for a rod, such as missing faces, and were left out"
+        _note(repairs, len(cycles) - len(kept), what)
+        cycles = kept
     return tuple(sorted(cycles, key=lambda cycle: -side_lengths(vertices[cycle]).sum()))
 
 
