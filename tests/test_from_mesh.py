@@ -397,6 +397,32 @@ def test_a_short_skirt_stands_by_its_hem_has_a_waist_and_is_not_hung_by_either(t
     assert "not hung by these" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("widths", "deeper", "height"), [([0.5, 0.4, 0.3, 0.2], 1.9, 0.3), ([0.25, 0.235, 0.22], 1.0, 0.35)]
+)
+def test_a_flared_skirt_and_a_narrow_one_stand_upright(tmp_path, widths, deeper, height):
+    """Most of the first one faces up. The borders of the second one are nearly alike."""
+    vertices, faces = tube(widths, height)
+    vertices = vertices * [1, deeper, 1]
+    for turn in (np.eye(3), Y_UP):
+        skirt = Garment.from_mesh(written(tmp_path / "m.obj", vertices @ turn.T, faces), loops="auto")
+        np.testing.assert_allclose(skirt.vertices, vertices, atol=1e-9)
+        assert set(skirt.loop_names) == {"waist", "hem"}
+
+
+def test_a_flat_garment_stands_upright_in_any_plane_and_what_is_unclear_is_asked(tmp_path):
+    apron = WARDROBE["apron"]()
+    low = apron.vertices * [1, 1, 0.8]  # 0.56 by 0.84 m
+    sideways = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    for turn in (np.eye(3), sideways, Y_UP, Y_UP @ sideways):
+        loaded = Garment.from_mesh(written(tmp_path / "m.obj", low @ turn.T, apron.faces), loops="auto")
+        assert loaded.loop_names == ("neck",)
+        np.testing.assert_allclose(np.ptp(loaded.vertices, axis=0), np.ptp(low, axis=0), atol=1e-9)
+    vertices, faces = tube([0.25, 0.25, 0.25], 0.3)
+    straight = Garment.from_mesh(written(tmp_path / "m.obj", vertices, faces), loops="auto")
+    assert any("its y or its z axis" in words for words in straight.repairs)
+
+
 @pytest.mark.parametrize("name", ["vest", "apron", "backpack"])
 def test_a_fine_mesh_is_simplified_and_keeps_its_loops(tmp_path, name):
     fine = WARDROBE[name](spacing=0.015)

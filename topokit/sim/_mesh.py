@@ -47,6 +47,11 @@ _NEAR_LOOP = 0.2  # of its length: what is nearer to a loop may be the strap its
 _STRAP = 0.3  # of its length: how far the middle of a strap is from the body, at least
 _APART = 0.2  # of the width: how far apart the middles of two straps are at least
 _SQUARE = 1.05  # depth over width below which a garment is as deep as it is wide
+_LONGER = 1.7  # height over depth from which on the height is surely up
+_LIKE_MIRRORED = (
+    0.04,
+    3.0,
+)  # of the size, and as a ratio: how much less a garment is like its mirror image upside down
 _ROUND_A_ROD = 0.1  # metres: a shorter loop fits closely around a rod of 3 cm
 _METRES = (0.15, 2.2)  # largest extent of a garment in metres
 # Which axes of the file become x, y and z, and their signs, for the axis that points up.
@@ -54,6 +59,7 @@ _UP = {"x": ([2, 1, 0], (-1, 1, 1)), "y": ([0, 2, 1], (1, -1, 1)), "z": ([0, 1, 
 _AXES = (*_UP, *(f"-{axis}" for axis in _UP))
 _logged: set[str] = set()  # what this process has logged
 _TURNED = "its y axis was taken for up and turned to z; give up='z' (--up z) if it is not"
+_UNCLEAR = "whether its y or its z axis points up is unclear, and z was taken; give up='y' (--up y) if it is y"
 _UNITS = ((1.0, "metres"), (0.001, "millimetres"), (0.01, "centimetres"))
 
 
@@ -348,11 +354,15 @@ def _upright(vertices: Array, grips: Ids | None, up: str | None, repairs: list[s
     """Return the vertices with z up. Grips are above the middle; without them, a garment hangs and does not lie."""
     if up is None:
         half = np.ptp(vertices, axis=0) / 2
-        if grips is None:
-            y_is_up = half[1] > 1.7 * half[2]
-        else:
+        if grips is not None:
             height = vertices[grips].mean(axis=0) - (vertices.min(axis=0) + half)
             y_is_up = height[1] > abs(height[2])
+        elif half[2] < half[1] <= _LONGER * half[2]:
+            y_is_up = _is_upright_along_y(vertices)
+        else:
+            y_is_up = half[1] > _LONGER * half[2]
+        if grips is None and not y_is_up and _LONGER * half[1] > half[2]:
+            repairs.append(_UNCLEAR)
         up = "z"
         if y_is_up:
             up = "y"
@@ -362,6 +372,23 @@ def _upright(vertices: Array, grips: Ids | None, up: str | None, repairs: list[s
     if up[0] == "-":
         upright = upright * [-1, 1, -1]
     return upright
+
+
+def _is_upright_along_y(vertices: Array) -> bool:
+    """Return whether a garment is like its mirror image behind a plane of constant z, and not behind one of constant y.
+
+    Garments are alike on the left and on the right, and often in front and behind, but not above and below.
+    """
+    low = vertices.min(axis=0)
+    high = vertices.max(axis=0)
+    tree = cKDTree(vertices)
+    unlike = []
+    for axis in (1, 2):
+        mirrored = vertices.copy()
+        mirrored[:, axis] = low[axis] + high[axis] - vertices[:, axis]
+        unlike.append(float(np.quantile(tree.query(mirrored)[0], 0.99)) / float((high - low).max()))
+    least, ratio = _LIKE_MIRRORED
+    return unlike[0] > max(least, ratio * unlike[1])
 
 
 def _facing(vertices: Array, repairs: list[str]) -> Array:

@@ -19,6 +19,9 @@ from ._surface import Array, Ids, border_cycles
 
 _TOP = 0.12  # of the height: a strap is at most as wide
 _SLACK = np.array([0.05, 0.15, 0.05])  # by which a loop may stand out of the one around it
+_LEVEL = (
+    0.07  # of the largest extent: a level border rises less, and two that are twice as far apart are those of a skirt
+)
 _OUTSIDE = ("edge", "hem", "waist", "rim", "leg", "mesh")  # a garment is not hung by these
 
 
@@ -127,10 +130,22 @@ def _kinds_of_skirt_or_trousers(boxes: Sequence[Array]) -> list[str] | None:
 
 
 def is_flat(vertices: Array, faces: Ids) -> bool:
-    """Return True when most of the surface faces one way; the sides of a bag cancel."""
+    """Return True when most of the surface faces one way; the sides of a bag cancel.
+
+    A wide skirt also faces one way, along its axis. But its two borders are level, and one is above the other.
+    """
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     normal = np.cross(b - a, c - a)
-    return bool(np.linalg.norm(normal.sum(axis=0)) > 0.6 * np.linalg.norm(normal, axis=1).sum())
+    total = normal.sum(axis=0)
+    length = float(np.linalg.norm(total))
+    if length <= 0.6 * np.linalg.norm(normal, axis=1).sum():
+        return False
+    height = vertices @ total / length
+    size = np.ptp(vertices, axis=0).max()
+    longest = sorted(border_cycles(faces), key=lambda border: -side_lengths(vertices[border]).sum())[:2]
+    level = [np.ptp(height[border]) < _LEVEL * size for border in longest]
+    apart = len(longest) == 2 and abs(height[longest[0]].mean() - height[longest[1]].mean()) > 2 * _LEVEL * size
+    return not (apart and all(level))
 
 
 def _kind_on_tube(box: Array) -> str:
