@@ -69,7 +69,7 @@ def named(vertices: Array, faces: Ids, loops: Sequence[Ids]) -> tuple[str, ...]:
     # A border that goes around a clearly shorter loop is the edge of the cloth; so is the only border of the only loop.
     lengths = [side_lengths(vertices[loop]).sum() for loop in loops]
     is_border = [any(set(loop.tolist()) == set(border.tolist()) for border in outlines) for loop in loops]
-    is_edge = [len(borders) == len(boxes) == 1] * len(boxes)
+    is_edge = [len(borders) == len(boxes) == 1 and is_border[0]] * len(boxes)
     for (i, box), (j, other) in itertools.permutations(enumerate(boxes), 2):
         around = (box[0] < other[0] + _SLACK).all() and (box[1] > other[1] - _SLACK).all()
         is_edge[i] |= bool(is_border[i] and around and lengths[i] > 1.3 * lengths[j])
