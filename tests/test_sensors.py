@@ -15,6 +15,7 @@ from pypcd4 import Encoding
 from rosbags.rosbag2 import StoragePlugin
 from sensor_files import (
     LENS,
+    MESSAGES,
     cloud_message,
     clouds,
     depth_image,
@@ -188,6 +189,18 @@ def test_a_bag_of_depth_images(tmp_path):
         next(read_clouds(bag, topic="/nothing"))
     with pytest.raises(FormatError, match="mono8"):
         next(read_clouds(bag, topic="/rgb/image"))
+
+
+def test_a_part_of_an_image_is_seen_where_the_whole_one_shows_it(tmp_path):
+    """A camera that reads out a region of interest describes the lens of the whole image."""
+    info = info_message(0)
+    info.roi = MESSAGES.types["sensor_msgs/msg/RegionOfInterest"](10, 5, 15, 20, True)
+    part = np.ascontiguousarray(depth_image()[5:20, 10:30])
+    topics = {"/depth/image": [image_message(part, 0)], "/depth/camera_info": [info]}
+    (found,) = clouds(save_bag(tmp_path / "part", topics))
+    topics = {"/depth/image": [image_message(depth_image(), 0)], "/depth/camera_info": [info_message(0)]}
+    (whole,) = clouds(save_bag(tmp_path / "whole", topics))
+    np.testing.assert_allclose(found, whole.reshape(30, 40, 3)[5:20, 10:30].reshape(-1, 3), atol=1e-6)
 
 
 # What is refused, and in which words.

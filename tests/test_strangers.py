@@ -252,7 +252,8 @@ REFUSED: list[tuple[str, str, Any, str]] = [
     ("cloud", "size.pcd", PCD.replace("WIDTH 3", "WIDTH 4"), "3 points, in an image of 4"),
     ("cloud", "many.pcd", pcd().replace(b"POINTS 60", b"POINTS 600000000"), "600000000"),
     ("cloud", "fields.pcd", pcd().replace(b"COUNT 1", b"COUNT 9999999"), "9999999"),
-    ("cloud", "type.pcd", PCD.replace("TYPE F", "TYPE Q"), "header"),
+    ("cloud", "type.pcd", PCD.replace("TYPE F", "TYPE Q"), "header .* TYPE Q of SIZE 4"),
+    ("cloud", "count.pcd", PCD.replace("COUNT 1 1 1", "COUNT 1"), "3 FIELDS and 1 numbers of COUNT"),
     ("cloud", "bomb.pcd", lzf_bomb, "TOPOKIT_UNPACKED"),
     ("cloud", "no.pcd", b"hello", "DATA"),
     ("cloud", "zero.npy", lambda path: path.symlink_to("/dev/zero"), "a device"),
@@ -264,6 +265,8 @@ REFUSED: list[tuple[str, str, Any, str]] = [
     ("cloud", "large", partial(image_beside_lens, {**LENS, "fx": 1e300}), r"intrinsics\.json: .* fx, fy"),
     ("cloud", "matrix", partial(image_beside_lens, {"K": {"rows": 3}}), r"intrinsics\.json: .* nine numbers"),
     ("cloud", "shape", partial(image_beside_lens, {**LENS, "width": 80, "height": 30}), "80 by 30, .* 40 by 30"),
+    ("cloud", "width", partial(image_beside_lens, {**LENS, "width": 80}), r"80 by \?, .* 40 by 30"),
+    ("cloud", "middle", partial(image_beside_lens, {**LENS, "cx": 60}), "cx 60 and cy 15, .* 40 by 30"),
     # Bags.
     ("cloud", "no.mcap", b"hello", "MCAP"),
     ("cloud", "no.db3", b"hello", "SQLite"),
@@ -398,6 +401,11 @@ READ: list[tuple[str, Any, Any]] = [
     ),
     ("bom.pcd", "\ufeff" + PCD, CORNERS),
     ("blanks.pcd", PCD.replace("\n0 ", "\n\n 0  ").replace("\n", "\r\n"), CORNERS),
+    (
+        "names.pcd",
+        PCD.replace("SIZE 4 4 4\n", "").replace("TYPE F F F\n", "").replace("COUNT 1 1 1\n", "").replace(".7", ".5"),
+        CORNERS,
+    ),
     (
         "none.pcd",
         PCD.split("0 0 1\n")[0].replace("WIDTH 3", "WIDTH 0").replace("POINTS 3", "POINTS 0"),

@@ -243,7 +243,7 @@ def _size_is_plausible(cloud: Array, declared: _Declared) -> bool:
         raise ValueError(f"{across}: are these millimetres? Declare unit='mm' (--unit mm), or 'm' for metres")
     if 0 < size < _SMALLEST:
         raise ValueError(f"{across}: are these metres? Declare unit='m' (--unit m)")
-    return True
+    return size > 0
 
 
 def _as_cloud(frame: Array, declared: _Declared, camera: Path | Mapping[str, Any] | None) -> Array:
@@ -348,14 +348,20 @@ def _numbers_of_lens(entries: Mapping[str, Any], shape: tuple[int, ...]) -> list
 
     # Centres of pixels are whole numbers, so their borders are at halves: these are what is scaled.
     size = [_number(entries.get(name, entries.get(f"image_{name}", 0)), name) for name in ("width", "height")]
-    if all(size) and tuple(size) != (shape[1], shape[0]):
-        factor = shape[1] / size[0]
-        if not math.isclose(factor, shape[0] / size[1], rel_tol=0.01):
-            raise ValueError(
-                f"it is of images {size[0]:g} by {size[1]:g}, and this one is {shape[1]} by {shape[0]} pixels"
-            )
-        fx, fy, cx, cy = lens
+    fx, fy, cx, cy = lens
+    pixels = (shape[1], shape[0])
+    other = any(declared not in (0, given) for declared, given in zip(size, pixels, strict=True))
+    if other:
+        factor = shape[1] / (size[0] or math.inf)
+        if not math.isclose(factor, shape[0] / (size[1] or math.inf), rel_tol=0.01):
+            declared = " by ".join(f"{number:g}" if number else "?" for number in size)
+            raise ValueError(f"the lens is of images {declared}, and this one is {pixels[0]} by {pixels[1]} pixels")
         lens = [factor * fx, factor * fy, factor * (cx + 0.5) - 0.5, factor * (cy + 0.5) - 0.5]
+    elif not all(size) and not (-0.5 <= cx <= pixels[0] - 0.5 and -0.5 <= cy <= pixels[1] - 0.5):
+        where = (
+            f"the middle of the lens, cx {cx:g} and cy {cy:g}, is outside of the image of {pixels[0]} by {pixels[1]}"
+        )
+        raise ValueError(f"{where} pixels: is the lens of another size? Give the width and height that it is for")
     return [*lens, scale]
 
 
@@ -504,6 +510,11 @@ def _camera(bag: Any, topic: str) -> dict[str, Any]:
     camera = {"K": getattr(info, "k", None), "width": info.width, "height": info.height}
     if camera["K"] is None:
         camera["K"] = info.K  # ROS 1
+    roi = info.roi
+    if roi.width and roi.height:  # the image is a part of what the lens sees
+        k = np.array(camera["K"], np.float64)
+        k[[2, 5]] -= roi.x_offset, roi.y_offset
+        camera.update(K=k, width=roi.width, height=roi.height)
     for name in units:
         if name in found:
             camera["depth_scale"] = found[name].data

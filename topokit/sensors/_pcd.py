@@ -21,6 +21,7 @@ from topokit._strangers import check_unpacked
 
 Array = NDArray[Any]
 _MOST_NUMBERS = 2**12  # numbers of a point
+_TYPES = {"F4": "<f4", "F8": "<f8"} | {f"{c}{n}": f"<{c.lower()}{n}" for c in "IU" for n in (1, 2, 4, 8)}
 _DATA = re.compile(rb"^[ \t]*DATA[ \t]+(\w+)[^\n]*\n", re.MULTILINE | re.IGNORECASE)
 
 
@@ -72,13 +73,23 @@ def _header(text: str) -> tuple[np.dtype[Any], int]:
             entries[words[0].upper()] = words[1:]
     try:
         names = entries.get("FIELDS", entries.get("COLUMNS", []))
-        counts = [int(word) for word in entries.get("COUNT", ["1"] * len(names))]
-        sizes = [int(word) for word in entries["SIZE"]]
+        usual = {"COUNT": "1", "SIZE": "4", "TYPE": "F"}
+        if {"SIZE", "TYPE"} & set(entries):  # else the numbers are floats: files of version .5 may have the names alone
+            usual = {"COUNT": "1"}
+        columns = {word: entries.get(word, len(names) * [usual.get(word, "")]) for word in ("COUNT", "SIZE", "TYPE")}
+        for word, values in columns.items():
+            if len(values) != len(names):
+                raise ValueError(f"{len(names)} FIELDS and {len(values)} numbers of {word}")
+        counts = [int(word) for word in columns["COUNT"]]
         if sum(counts) > _MOST_NUMBERS or min(counts, default=0) < 0:
             raise ValueError(f"COUNT {max(counts)}")
         fields: dict[str, str] = {}
-        for number, (name, letter, size, times) in enumerate(zip(names, entries["TYPE"], sizes, counts, strict=True)):
-            form = f"<{ {'F': 'f', 'U': 'u', 'I': 'i'}[letter.upper()] }{size}"
+        for number, (name, letter, size, times) in enumerate(
+            zip(names, columns["TYPE"], columns["SIZE"], counts, strict=True)
+        ):
+            form = _TYPES.get(letter.upper() + size)
+            if form is None:
+                raise ValueError(f"TYPE {letter} of SIZE {size}; known are {', '.join(_TYPES)}")
             for i in range(times):
                 # A field of several numbers becomes several; gaps called "_" get numbers.
                 unique = name if times == 1 else f"{name}__{i:04d}"
