@@ -48,14 +48,6 @@ class _LinearMaximum(torch.autograd.Function):
         return of_codes, of_weight, gradient.sum(dim=0).to(weight)
 
 
-def linear_maximum(layer: nn.Module, codes: Tensor) -> Tensor:
-    """Return the maximum (N, out) over the points of a linear layer of their codes (N, P, in)."""
-    if codes.device.type != "cpu":
-        maximum: Tensor = layer(codes).amax(dim=1)  # one step for all clouds is quicker there
-        return maximum
-    return _LinearMaximum.apply(codes, layer.weight, layer.bias)
-
-
 class MLP(PredictiveModel):
     """Fully connected network of `hidden` units, in the coordinates of the room.
 
@@ -120,13 +112,17 @@ class PointNet(MLP):
         return self.units[-1]
 
     def encode_frames(self, frames: Context) -> Context:
-        # A cloud that several windows share is encoded once. On a CPU a few clouds at a time, whose codes stay in its cache. The
-        # last ReLU comes after the maximum, which is the same.
+        # A cloud that several windows share is encoded once. The last ReLU comes after the maximum, which is the same.
         clouds, cloud_of_frame = torch.unique(frames["clouds"], dim=0, return_inverse=True)
+        places = self.normalise(clouds)
         shared, last, rectified = self.points[:-2], self.points[-2], self.points[-1]
-        at_once = _CLOUDS_AT_ONCE if clouds.device.type == "cpu" else len(clouds)
-        parts = [linear_maximum(last, shared(part)) for part in self.normalise(clouds).split(at_once)]
-        return {"frame": rectified(torch.cat(parts))[cloud_of_frame]}
+        if places.device.type == "cpu":
+            # A few clouds at a time, whose codes stay in the processor's cache.
+            parts = places.split(_CLOUDS_AT_ONCE)
+            codes = torch.cat([_LinearMaximum.apply(shared(part), last.weight, last.bias) for part in parts])
+        else:
+            codes = last(shared(places)).amax(dim=1)
+        return {"frame": rectified(codes)[cloud_of_frame]}
 
 
 def _check_units(name: str, units: Sequence[int]) -> None:
