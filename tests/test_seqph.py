@@ -247,6 +247,14 @@ def test_memory_gives_a_loop_that_was_missed_its_identity_back():
     assert ids(track(too_far, memory=2, **options)) == [[0], [], [], [1]]
 
 
+def test_a_loop_whose_place_leaps_keeps_its_identity():
+    """Beta is the length of the killer edge, 1.7. The first ring leaps, and the second one stands still."""
+    second = polygon(100) + [10.0, 0]
+    frames = [np.vstack([polygon(100) + [x, 0], second]) for x in (0.0, 0.0, 2.5, -1.5)]
+    assert [set(frame) for frame in ids(track(frames, epsilon=0.1))] == [{0, 1}, {0, 1}, {0, 1}, {1, 2}]
+    assert [set(frame) for frame in ids(track(frames[:3], epsilon=0.1, loops="alpha"))][-1] == {1, 2}
+
+
 def test_a_remembered_loop_may_have_moved_in_every_frame_since():
     """Three steps of 0.1 are farther than the gates of one step allow, and not farther than those of three."""
     options = {"alpha": 0.3, "beta": 0.05, "epsilon": 0.1, "gates": "proved", "memory": 2}

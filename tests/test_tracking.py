@@ -242,7 +242,7 @@ def test_baselines_on_what_they_cannot_see():
     small = ring(24, 0.5)
     large = ring(24, 1.5)
     for match, ids in ((by_midpoint, [0, 0]), (None, [0, 1])):
-        tracker = SeqPH(epsilon=0.1, match=match)
+        tracker = SeqPH(epsilon=0.1, loops="alpha", match=match)
         assert [tracker.update(cloud).loops[0].id for cloud in (small, large)] == ids
 
 

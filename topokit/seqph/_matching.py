@@ -107,6 +107,16 @@ def within_gates(gates: str, loops: Candidates) -> list[tuple[int, int]]:
     return assign(cost, (births < gate) & (deaths < gate) & (distance < bound))
 
 
+def lost_nearby(loops: Candidates) -> list[tuple[int, int]]:
+    """Return the matching of new loops with lost ones, of least total distance, of those whose places are within 2 beta.
+
+    A killer that leaps along an opening leaves its gate, so that the loop is lost and found as a new one. Each of the two killers
+    is within beta of the loop.
+    """
+    distance = hausdorff_table(loops.places, loops.known_places)
+    return assign(distance, distance < 2 * loops.beta)
+
+
 def check_pairs(pairs: object, n_found: int, n_known: int) -> list[tuple[int, int]]:
     """Return the checked pairs of a match rule, or raise ValueError when they are no matching."""
     try:

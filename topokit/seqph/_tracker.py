@@ -27,7 +27,7 @@ from topokit.sampling import as_tree, hausdorff
 
 from ._evidence import MISSED, WEAKEST, believe
 from ._frames import Frame, check_diagram, check_follows, check_time
-from ._matching import Candidates, MatchRule, check_pairs, within_gates
+from ._matching import Candidates, MatchRule, check_pairs, lost_nearby, within_gates
 from ._state import TopologicalState, loop_at
 
 if TYPE_CHECKING:
@@ -82,16 +82,17 @@ class SeqPH:
         The default is "alpha" when alpha is given, else "evidence".
     gates : {"near", "proved", "paper"}
         Largest changes of birth, death and place for the same loop. "near": ``alpha + epsilon`` and a quarter of the larger
-        death for birth and for death, and ``beta + epsilon`` with the beta of this pair for the place. "proved": the bounds
-        of the proofs, ``alpha + epsilon`` and ``2 beta + epsilon``. "paper": ``2 alpha + epsilon`` and
-        ``2 alpha + beta + epsilon``.
+        death for birth and for death, and ``beta + epsilon`` with the beta of this pair for the place. With evidence, a loop
+        that would get a new identity takes that of a lost loop within ``2 beta``, if there is one. "proved": the bounds of the
+        proofs, ``alpha + epsilon`` and ``2 beta + epsilon``. "paper": ``2 alpha + epsilon`` and ``2 alpha + beta + epsilon``.
     identity : {"killer-edge", "killer-triangles", "cycle"}
         Place of a loop. In the paper it is the two ends of the killer edge, compared by Hausdorff distance. On a nearly
         round loop that edge can jump across the loop between two frames. The barycentre of the thick killer triangle and
         the centroid of the representative cycle do not jump; the cycle needs a search of its own.
     memory : int
-        Number of frames for which a missed loop is remembered. When it returns within its gates, widened by the motion
-        since, it keeps its identity. With evidence it is returned once its belief is large enough, some frames later.
+        Number of frames for which a missed loop is remembered, 40 by default. When it returns within its gates, widened by
+        the motion since, it keeps its identity. With evidence it is returned once its belief is large enough: after 25 missed
+        frames, some three frames later.
     match : callable, optional
         Function of `Candidates` that returns the pairs (i, j) of a found loop i and the same known loop j, each at most once.
         It is called for the known loops with positive belief, then for the rest. By default it minimises the total
@@ -134,6 +135,7 @@ class SeqPH:
         for name, choices in (("loops", _LOOPS), ("gates", _GATES), ("identity", _IDENTITIES)):
             if getattr(self, name) not in choices:
                 raise ValueError(f"{name} must be one of {choices}, not {getattr(self, name)!r}")
+        self._finds_lost = match is None and gates == "near" and loops == "evidence"
         if match is None:
             match = partial(within_gates, gates)
         if not callable(match):
@@ -254,31 +256,31 @@ class SeqPH:
         )
         matched = self._pairs(candidates, known)
 
-        # A matched bar takes over belief and identity. A bar whose belief becomes positive gets a new identity.
+        # A matched bar takes over belief and identity. A bar whose belief becomes positive gets the identity of a lost loop
+        # near it, or else a new one.
+        beliefs = []
+        for i, bar in enumerate(bars):
+            belief = known[matched[i]].belief if i in matched else 0.0
+            beliefs.append(believe(belief, evidence[bar]))
+        same = {i: j for i, j in matched.items() if known[j].id is not None}
+        nameless = [i for i, belief in enumerate(beliefs) if belief > 0 and i not in same]
+        same |= self._lost(candidates, known, nameless, set(matched.values()))
         loops = []
         found = []
         next_id = self._next_id
         for i, bar in enumerate(bars):
-            belief = 0.0
-            identity = None
-            edge_before = None
-            if i in matched:
-                before = known[matched[i]]
-                belief = before.belief
-                identity = before.id
-                if identity is not None:
-                    edge_before = before.killer_edge
-            belief = believe(belief, evidence[bar])
-            if belief > 0:
+            identity = known[same[i]].id if i in same else None
+            edge_before = known[same[i]].killer_edge if i in same else None
+            if beliefs[i] > 0:
                 if identity is None:
                     identity = next_id
                     next_id += 1
                 loops.append(loop_at(diagram, bar, cloud, frame.ids, identity, edge_before))
             killer_edge = points[diagram.killer_edge[bar]]
-            found.append(Known(diagram.birth[bar], diagram.death[bar], places[i], killer_edge, belief, identity))
+            found.append(Known(diagram.birth[bar], diagram.death[bar], places[i], killer_edge, beliefs[i], identity))
 
         # Known loops that were not found are remembered for some frames, with less belief. The paper forgets them.
-        taken = set(matched.values())
+        taken = {*matched.values(), *same.values()}
         missed = [loop for j, loop in enumerate(known) if j not in taken and loop.missed <= self.memory]
         remembered = [replace(loop, belief=believe(loop.belief, MISSED)) for loop in missed]
 
@@ -326,6 +328,14 @@ class SeqPH:
                 for i, j in check_pairs(rule_pairs, len(rows), len(columns)):
                     pairs[rows[i]] = columns[j]
         return pairs
+
+    def _lost(self, candidates: Candidates, known: list[Known], nameless: list[int], taken: set[int]) -> dict[int, int]:
+        """Return for found loops without a name the known loop with one that was lost near them."""
+        lost = [j for j, loop in enumerate(known) if loop.id is not None and j not in taken]
+        if not self._finds_lost or not nameless or not lost:
+            return {}
+        pairs = lost_nearby(candidates.subset(nameless, lost))
+        return {nameless[i]: lost[j] for i, j in pairs}
 
 
 def track(

@@ -112,27 +112,36 @@ function seqphKernel({ persistence }, assign) {
     return { shift: moves ? shift : shift.fill(0), epsilon: quantile(moves ? shifted : still, 0.9) };
   }
 
+  const apart = (loop, old) => Math.hypot(...loop.place.map((v, k) => v - old.place[k]));
+
   function paired(found, known, alpha) { // the pairs within their gates, as many as possible, at the least total distance
-    if (found.length === 0 || known.length === 0) return [];
-    let total = 0;
-    const allowed = [];
-    const cost = found.map((loop) => known.map((old) => {
+    return matched(found, known, (loop, old) => {
       const births = Math.abs(loop.birth - old.birth);
       const deaths = Math.abs(loop.death - old.death);
-      const distance = Math.hypot(...loop.place.map((v, k) => v - old.place[k]));
+      const distance = apart(loop, old);
       const longest = Math.max(loop.death, old.death);
       const gate = alpha + old.motion + longest / 4;
-      const fits = births < gate && deaths < gate && distance < 2 * longest + old.motion;
-      if (fits) total += distance + deaths;
-      allowed.push(fits);
-      return distance + deaths;
-    }));
-    const closed = 1 + 2 * total; // a forbidden pair costs more than all others together
-    const table = cost.map((row, i) => row.map((c, j) => (allowed[i * known.length + j] ? c : closed)));
-    let pairs;
-    if (found.length <= known.length) pairs = assign(table).map((j, i) => [i, j]);
-    else pairs = assign(known.map((_, j) => table.map((row) => row[j]))).map((i, j) => [i, j]);
-    return pairs.filter(([i, j]) => allowed[i * known.length + j]);
+      return { fits: births < gate && deaths < gate && distance < 2 * longest + old.motion, cost: distance + deaths };
+    });
+  }
+
+  // New loops and lost ones whose places are within 2 beta, twice the longer killer edge.
+  const lostNearby = (found, lost) => matched(found, lost, (loop, old) => {
+    const distance = apart(loop, old);
+    return { fits: distance < 4 * Math.max(loop.death, old.death), cost: distance };
+  });
+
+  function matched(found, known, compare) { // as many pairs that fit as possible, at the least total cost
+    if (found.length === 0 || known.length === 0) return [];
+    const pairs = found.map((loop) => known.map((old) => compare(loop, old)));
+    let total = 0;
+    for (const { fits, cost } of pairs.flat()) if (fits) total += cost;
+    const closed = 1 + 2 * total; // a pair that does not fit costs more than all others together
+    const table = pairs.map((row) => row.map(({ fits, cost }) => (fits ? cost : closed)));
+    let chosen;
+    if (found.length <= known.length) chosen = assign(table).map((j, i) => [i, j]);
+    else chosen = assign(known.map((_, j) => table.map((row) => row[j]))).map((i, j) => [i, j]);
+    return chosen.filter(([i, j]) => pairs[i][j].fits);
   }
 
   function check(t, frame, before) {
@@ -175,12 +184,21 @@ function seqphKernel({ persistence }, assign) {
         }
       }
 
-      // A matched bar takes over belief and identity. A bar whose belief becomes positive gets a new identity.
-      const loops = [];
+      // A matched bar takes over belief and identity. A bar whose belief becomes positive gets the identity of a lost loop near
+      // it, or else a new one.
       for (const loop of found) {
         if (loop.same) [loop.belief, loop.id] = [loop.same.belief, loop.same.id];
         delete loop.same;
         loop.belief = believe(loop.belief, strength[loop.bar]);
+      }
+      const nameless = found.filter((loop) => loop.belief > 0 && loop.id === null);
+      const lost = known.filter((loop) => loop.id !== null && !taken.has(loop));
+      for (const [i, j] of lostNearby(nameless, lost)) {
+        nameless[i].id = lost[j].id;
+        taken.add(lost[j]);
+      }
+      const loops = [];
+      for (const loop of found) {
         if (loop.belief > 0) {
           loop.id ??= nextId++;
           loops.push({ id: loop.id, bar: loop.bar, belief: loop.belief });
