@@ -423,6 +423,13 @@ def test_a_flat_garment_stands_upright_in_any_plane_and_what_is_unclear_is_asked
     assert any("its y or its z axis" in words for words in straight.repairs)
 
 
+def test_the_command_line_says_how_far_a_mesh_is_simplified(tmp_path, capsys):
+    fine = WARDROBE["apron"](spacing=0.02)
+    path = written(tmp_path / "m.obj", fine.vertices, fine.faces)
+    assert main(["mesh", str(path), "--max-vertices", "400", "--json"]) == 0
+    assert 200 <= json.loads(capsys.readouterr().out)["vertices"] <= 400
+
+
 @pytest.mark.parametrize("name", ["vest", "apron", "backpack"])
 def test_a_fine_mesh_is_simplified_and_keeps_its_loops(tmp_path, name):
     fine = WARDROBE[name](spacing=0.015)

@@ -128,12 +128,15 @@ class MeshOptions:
         Largest extent of the mesh in metres, instead of a unit.
     up
         The axis of the mesh that points up (default: found).
+    max_vertices
+        Most vertices; a finer mesh is simplified.
     """
 
     loops: str | None = None
     unit: Literal["m", "cm", "mm", "in"] | None = None
     size: float | None = None
     up: Annotated[Literal["x", "y", "z", "-x", "-y", "-z"] | None, Parameter(allow_leading_hyphen=True)] = None
+    max_vertices: Whole = 3000
 
 
 @Parameter(name="*", group="Clouds")
@@ -672,9 +675,12 @@ def _garment(path: Path, options: MeshOptions) -> Garment:
         if not isinstance(loops, dict | list):
             raise FormatError(f"--loops {options.loops}: it must hold lists of vertex ids, by name or in a list")
     scale = METRES[options.unit] if options.unit else None
-    garment = Garment.from_mesh(path, loops=loops, scale=scale, size=options.size, up=options.up)
+    garment = Garment.from_mesh(
+        path, loops=loops, scale=scale, size=options.size, up=options.up, max_vertices=options.max_vertices
+    )
     if not garment.loops:
-        reasons = [repair for repair in garment.repairs if "open front" in repair]
+        whys = ("open front", "too small for a rod", "no rod can go through it")
+        reasons = [repair for repair in garment.repairs if any(why in repair for why in whys)]
         reasons.append("its border is its edge")
         raise ValueError(f"{path}: it has no loop to hang it by; {reasons[0]}")
     return garment
