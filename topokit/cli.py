@@ -129,14 +129,14 @@ class MeshOptions:
     up
         The axis of the mesh that points up (default: found).
     max_vertices
-        Most vertices; a finer mesh is simplified.
+        Most vertices; a finer mesh is simplified (default: 3000).
     """
 
     loops: str | None = None
     unit: Literal["m", "cm", "mm", "in"] | None = None
     size: float | None = None
     up: Annotated[Literal["x", "y", "z", "-x", "-y", "-z"] | None, Parameter(allow_leading_hyphen=True)] = None
-    max_vertices: Whole = 3000
+    max_vertices: Whole | None = None
 
 
 @Parameter(name="*", group="Clouds")
@@ -675,9 +675,8 @@ def _garment(path: Path, options: MeshOptions) -> Garment:
         if not isinstance(loops, dict | list):
             raise FormatError(f"--loops {options.loops}: it must hold lists of vertex ids, by name or in a list")
     scale = METRES[options.unit] if options.unit else None
-    garment = Garment.from_mesh(
-        path, loops=loops, scale=scale, size=options.size, up=options.up, max_vertices=options.max_vertices
-    )
+    bound = {} if options.max_vertices is None else {"max_vertices": options.max_vertices}
+    garment = Garment.from_mesh(path, loops=loops, scale=scale, size=options.size, up=options.up, **bound)
     if not garment.loops:
         whys = ("open front", "too small for a rod", "no rod can go through it")
         reasons = [repair for repair in garment.repairs if any(why in repair for why in whys)]

@@ -520,14 +520,20 @@ def table(rows: list[dict[str, Any]], keys: dict[str, str]) -> dict[str, Any]:
 
 
 def against_strangers(lines: dict[str, Any]) -> dict[str, Any]:
-    """Return for each condition and measure the best stranger and its value, beside the value of seqPH."""
+    """Return for each condition and measure the best stranger and its value, beside the value of seqPH.
+
+    Apart from it is the best of those that get the loops of seqPH.
+    """
+    helped = f", bars by {DEFAULT}"
     found: dict[str, Any] = {}
     for condition, of in lines.items():
         found[condition] = {}
         for measure in ("hota", "idf1"):
             strangers = {label: line[measure] for label, line in of.items() if label not in OURS}
-            best = max(strangers, key=lambda label: strangers[label])
-            found[condition][measure] = {"seqPH": of["seqPH"][measure], "best": strangers[best], "stranger": best}
+            best = max((label for label in strangers if not label.endswith(helped)), key=lambda label: strangers[label])
+            entry = {"seqPH": of[DEFAULT][measure], "best": strangers[best], "stranger": best}
+            given = [value for label, value in strangers.items() if label.endswith(helped)]
+            found[condition][measure] = entry | ({"given_its_loops": max(given)} if given else {})
     return found
 
 
@@ -554,16 +560,18 @@ def tables(results: dict[str, Any]) -> str:
         text.append(f"| {label} | {' | '.join(cells)} |")
     text += [
         "",
-        "The second table compares seqPH with the stranger that is best in a condition, by each of two measures.",
+        "The second table compares seqPH with the stranger that is best in a condition, by each of two measures; and with the",
+        "best of those that get the loops of seqPH.",
         "",
-        "| condition | IDF1 of seqPH | of the best stranger | HOTA of seqPH | of the best stranger |",
-        "|---|---|---|---|---|",
+        "| condition | IDF1: seqPH | best stranger | given its loops | HOTA: seqPH | best stranger | given its loops |",
+        "|---|---|---|---|---|---|---|",
     ]
     for condition, of in results["against_strangers"].items():
         cells = [condition]
         for measure in ("idf1", "hota"):
             one = of[measure]
-            cells += [f"{one['seqPH']:.3f}", f"{one['best']:.3f}, {one['stranger']}"]
+            given = f"{one['given_its_loops']:.3f}" if "given_its_loops" in one else ""
+            cells += [f"{one['seqPH']:.3f}", f"{one['best']:.3f}, {one['stranger']}", given]
         text.append(f"| {' | '.join(cells)} |")
     return "\n".join(text)
 
