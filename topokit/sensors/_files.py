@@ -350,8 +350,8 @@ def _numbers_of_lens(entries: Mapping[str, Any], shape: tuple[int, ...]) -> list
     size = [_number(entries.get(name, entries.get(f"image_{name}", 0)), name) for name in ("width", "height")]
     fx, fy, cx, cy = lens
     pixels = (shape[1], shape[0])
-    other = any(declared not in (0, given) for declared, given in zip(size, pixels, strict=True))
-    if other:
+    differs = any(declared not in (0, given) for declared, given in zip(size, pixels, strict=True))
+    if differs:
         factor = shape[1] / (size[0] or math.inf)
         if not math.isclose(factor, shape[0] / (size[1] or math.inf), rel_tol=0.01):
             declared = " by ".join(f"{number:g}" if number else "?" for number in size)

@@ -52,7 +52,9 @@ def read_mesh(path: str | Path, most_vertices: float) -> tuple[Array, Polygons]:
 
 def _check_count(n_vertices: int, most: float) -> None:
     if n_vertices > most:
-        raise ValueError(f"it has more than {most:,} vertices; decimate the mesh, or raise max_vertices (--max-vertices)")
+        raise ValueError(
+            f"it has more than {most:,} vertices; decimate the mesh, or raise max_vertices (--max-vertices)"
+        )
 
 
 def _check_start(data: bytes) -> None:
