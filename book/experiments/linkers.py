@@ -412,7 +412,8 @@ def row_of(path: Path, part: str, asked: list[Asked], known: dict[str, Any]) -> 
     unknown = [name for name in OURS if key_of(name, "", {}) not in scores]
     for condition, clouds, stride in conditions(episode):
         rules = {rule for _, rule, _ in asked if in_condition(rule, condition, part)}
-        if part == "tuning" and condition not in {*TUNED_IN, *RIPSER_IN}:
+        is_asked = part == "episodes" or condition in {*TUNED_IN, *RIPSER_IN}
+        if not is_asked or not (rules or unknown):
             continue
         diagrams = tk.rips_persistence_many(clouds, 1)
         clean = [len(inliers(cloud)) == len(cloud) for cloud in clouds]

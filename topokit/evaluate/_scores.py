@@ -125,7 +125,7 @@ def score(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Tracking
     frames_together = np.zeros(shape)
     for overlap in overlaps:
         frames_together[np.ix_(overlap.objects, overlap.ids)] += overlap.similarity >= threshold - _SLACK
-    id_matches = int(sum(frames_together[pair] for pair in _greatest(frames_together)))
+    id_matches = int(sum(frames_together[pair] for pair in greatest(frames_together)))
 
     level_matches, level_association = _higher_order(overlaps, shape)
     return TrackingScore(
@@ -164,7 +164,7 @@ def events(overlaps: Sequence[Overlap], threshold: float = THRESHOLD) -> Iterato
         # A kept match gains more than all similarities together.
         kept = np.array([[current.get(loop) == identity for identity in ids] for loop in objects])
         gain = np.where(overlap.similarity >= threshold - _SLACK, overlap.similarity + 1000 * kept, 0)
-        matched = {objects[row]: ids[column] for row, column in _greatest(gain)}
+        matched = {objects[row]: ids[column] for row, column in greatest(gain)}
 
         for loop in objects:
             if loop not in matched:
@@ -200,14 +200,14 @@ def _higher_order(overlaps: Sequence[Overlap], shape: tuple[int, int]) -> tuple[
     # Match each frame by that, and count the matches that reach each level.
     together = np.zeros((len(LEVELS), *shape))
     for overlap in overlaps:
-        for row, column in _greatest(alignment[np.ix_(overlap.objects, overlap.ids)] * overlap.similarity):
+        for row, column in greatest(alignment[np.ix_(overlap.objects, overlap.ids)] * overlap.similarity):
             reached = overlap.similarity[row, column] >= LEVELS - _SLACK
             together[reached, overlap.objects[row], overlap.ids[column]] += 1
     association = together / np.maximum(frames_of_object + frames_of_id - together, 1)
     return together.sum(axis=(1, 2)), (together * association).sum(axis=(1, 2))
 
 
-def _greatest(gain: Array) -> list[tuple[int, int]]:
+def greatest(gain: Array) -> list[tuple[int, int]]:
     """Return the assignment of greatest total gain, without pairs that gain nothing."""
     return [pair for pair in assign(-gain) if gain[pair] > 0]
 

@@ -20,9 +20,9 @@ from topokit._validate import Array, Ids, as_points
 from topokit.linking import curve_centroid, side_lengths
 from topokit.rips import rips_persistence
 from topokit.sampling import spacing
-from topokit.seqph import TopologicalState, assign
+from topokit.seqph import TopologicalState
 
-from ._scores import THRESHOLD, Overlap
+from ._scores import THRESHOLD, Overlap, greatest
 
 
 def distance_to_hull(point: ArrayLike, points: ArrayLike) -> float:
@@ -219,7 +219,7 @@ def compare(
         objects = np.flatnonzero(true.present)
         # Take out detections that fit a true loop which is not present, in the matching of greatest similarity.
         fit = np.where(table >= THRESHOLD, table, 0)
-        aside = [column for row, column in assign(-fit) if fit[row, column] > 0 and not true.present[row]]
+        aside = [column for row, column in greatest(fit) if not true.present[row]]
         kept = np.setdiff1d(np.arange(len(state.loops)), aside)
         ids = np.array([loop.id for loop in state.loops], dtype=np.int64)
         overlaps.append(Overlap(objects, ids[kept], table[np.ix_(objects, kept)]))

@@ -48,10 +48,8 @@ _STRAP = 0.3  # of its length: how far the middle of a strap is from the body, a
 _APART = 0.2  # of the width: how far apart the middles of two straps are at least
 _SQUARE = 1.05  # depth over width below which a garment is as deep as it is wide
 _LONGER = 1.7  # height over depth from which on the height is surely up
-_LIKE_MIRRORED = (
-    0.04,
-    3.0,
-)  # of the size, and as a ratio: how much less a garment is like its mirror image upside down
+# How much less a garment is like its mirror image upside down: of its size, and as a ratio.
+_LIKE_MIRRORED = (0.04, 3.0)
 _ROUND_A_ROD = 0.1  # metres: a shorter loop fits closely around a rod of 3 cm
 _METRES = (0.15, 2.2)  # largest extent of a garment in metres
 # Which axes of the file become x, y and z, and their signs, for the axis that points up.
@@ -508,17 +506,17 @@ def _found(vertices: Array, faces: Ids, rule: str, repairs: list[str]) -> tuple[
     cycles = border_cycles(faces)
     classes = _count_classes(vertices, faces, cycles, must_have_borders=rule == "borders")
     large = [cycle for cycle in cycles if not _is_small(vertices, faces, cycle)]
-    if rule == "auto" and not _classes_of_large(classes, cycles, large):
+    of_large = _classes_of_large(classes, cycles, large)
+    if rule == "auto" and not of_large:
         return ()  # a disc, or a sack
     what = "borders were found"
-    if rule == "auto" and _classes_of_large(classes, cycles, large) >= max(len(large), 1):
-        classes = _classes_of_large(classes, cycles, large)
+    if rule == "auto" and of_large >= max(len(large), 1):
         edges, uses = np.unique(half_edges(faces), axis=0, return_counts=True)
-        cycles = EdgeGraph(vertices, edges).loops(classes)
+        cycles = EdgeGraph(vertices, edges).loops(of_large)
         if not large and (uses <= 2).all():
             # Half of the classes of a solid go around its tubes, and no rod can go through them.
             around = [cycle for cycle in cycles if not is_inside(vertices, faces, vertices[cycle].mean(axis=0))]
-            cycles = sorted(around, key=lambda cycle: side_lengths(vertices[cycle]).sum())[: classes // 2]
+            cycles = sorted(around, key=lambda cycle: side_lengths(vertices[cycle]).sum())[: of_large // 2]
         what = "loops were found by persistence along the mesh"
     repairs.append(f"{len(cycles)} {what}, the longest first")
     if rule == "auto":

@@ -19,9 +19,8 @@ from ._surface import Array, Ids, border_cycles
 
 _TOP = 0.12  # of the height: a strap is at most as wide
 _SLACK = np.array([0.05, 0.15, 0.05])  # by which a loop may stand out of the one around it
-_LEVEL = (
-    0.07  # of the largest extent: a level border rises less, and two that are twice as far apart are those of a skirt
-)
+# Of the largest extent: a level border rises less, and two that are twice as far apart are those of a skirt.
+_LEVEL = 0.07
 _OUTSIDE = ("edge", "hem", "waist", "rim", "leg", "mesh")  # a garment is not hung by these
 
 
