@@ -115,8 +115,13 @@ class Experiment:
     def is_decided(self) -> bool:
         """Return whether all trainings that the claims are about have ended."""
         films = self.protocol["training_films"]
-        seeds = set(self.protocol["seeds"])
-        return all(seeds <= self.ended(network, films).keys() for network in self.protocol["networks"])
+        networks = self.protocol["networks"]
+        return all(set(self.seeds_of(network)) <= self.ended(network, films).keys() for network in networks)
+
+    def seeds_of(self, network: str) -> list[int]:
+        """Return the seeds of a network's trainings on the films that the claims are about."""
+        seeds: list[int] = self.protocol["networks"][network].get("seeds", self.protocol["seeds"])
+        return seeds
 
     # ------------------------------------------------------------------------------------------------------- films and labels
 
@@ -219,7 +224,7 @@ class Experiment:
     def trainings(self) -> list[tuple[str, int, list[int]]]:
         """Return the networks to train, their numbers of films and their seeds; those that the claims are about first."""
         curve = self.protocol["curve"]
-        found = [(network, self.protocol["training_films"], self.protocol["seeds"]) for network in self.networks]
+        found = [(network, self.protocol["training_films"], self.seeds_of(network)) for network in self.networks]
         for films in curve["films"]:
             found += [(network, films, [curve["seed"]]) for network in self.networks if network in curve["networks"]]
         return [training for training in found if training[1] in self.sizes]
