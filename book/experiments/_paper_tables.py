@@ -123,6 +123,7 @@ def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
     rivals = [name for name in models if name.startswith(("mlp", "pointnet"))]
     pairs = [(rival, other) for rival in rivals for other in ("seqph", SAME_POINTS, "hold", "carry", "blind")]
     pairs += [("pointnet", "mlp"), *(("motion", other) for other in models if other != "motion")]
+    pairs += [("motion_whole", other) for other in models if other != "motion_whole"]
     found = {}
     for one, other in pairs:
         if one not in models or other not in models:

@@ -44,7 +44,7 @@ from tables import write_results
 
 import topokit
 from topokit.data import Dataset, DatasetConfig, WindowDataset, generate_dataset, label_dataset
-from topokit.models import LossWeights, Predictor, Shape, StateTensors, TrainConfig, build, train
+from topokit.models import LossWeights, Predictor, Scenes, Shape, StateTensors, TrainConfig, build, train
 
 ROOT = Path(__file__).parents[2]
 STAGES = ("films", "labels", "trainings", "tests", "forecasts", "table")
@@ -179,17 +179,28 @@ class Experiment:
         """Train a network, or go on with it, or return what it reached."""
         out = self.folder / "trainings" / f"{network}-{films}-{seed}-{rate:g}-{epochs}"
         if not (out / SUMMARY).exists():
-            chosen, _ = self.training_films(films)
-            windows = _windows(self.folder / "films", tuple(chosen.tolist()), self.shape.points)
+            chosen, validation = self.training_films(films)
             checksum = _checksum(self.folder / "films", chosen)
             config = self.training_config(network, seed, rate, epochs)
-            print(f"{out.name}: {len(windows)} windows of {films} films", flush=True)
-            parts = [self.remedied(network, part) for part in (windows, self.validation_windows())]
+            parts = [self.seen_by(network, episodes) for episodes in (chosen, validation)]
+            print(f"{out.name}: {len(parts[0])} windows of {films} films", flush=True)
             found = train(config, out, (*parts, checksum), progress=True)
             write_results(out / SUMMARY, {**found, "films": checksum})
         training = Trained.of(out)
         print(f"{out.name}: {training.loss:.4f}", flush=True)
         return training
+
+    def is_motion(self, network: str) -> bool:
+        """Return whether a network is a Motion, which learns from scenes and forecasts from whole clouds."""
+        described = self.protocol["networks"].get(network, {"model": network})
+        return bool(described["model"] == "motion")
+
+    def seen_by(self, network: str, episodes: NDArray[np.int64]) -> Scenes | Remedied:
+        """Return what a network sees of some films in its training."""
+        if self.is_motion(network):
+            return Scenes(Dataset(self.folder / "films"), episodes.tolist())
+        windows = _windows(self.folder / "films", tuple(episodes.tolist()), self.shape.points)
+        return self.remedied(network, windows)
 
     def remedied(self, network: str, windows: WindowDataset) -> Remedied:
         """Return windows with the remedies of a network."""
@@ -203,6 +214,10 @@ class Experiment:
         more = sum(GIVEN[name] for name in described.get("given", ()))
         if described["model"] == "mlp":
             options["points"] = MLP_POINTS + more
+        if described["model"] == "motion":
+            of_scenes = {"shape": Shape(points=160), "patience": epochs, "threads": 1, "accelerator": self.accelerator}
+            of_scenes |= described["training"]
+            return TrainConfig("motion", options=options, seed=seed, **of_scenes)
         return TrainConfig(
             model=described["model"],
             options=options,
@@ -254,10 +269,18 @@ class Experiment:
         return best.epochs
 
     def train_seeds(self, network: str, films: int, seeds: Sequence[int]) -> None:
-        """Train a network with some seeds, at the rate and for the length that were found for it, or for the one it is like."""
-        model = self.protocol["networks"][network].get("like", network)
-        rate = self.rate_of(model)
-        length = self.length_of(model)
+        """Train a network with some seeds, at the rate and for the length that were found for it, or for the one it is like.
+
+        Those of a Motion are in the protocol.
+        """
+        if self.is_motion(network):
+            training = self.protocol["networks"][network]["training"]
+            rate = training["learning_rate"]
+            length = training["epochs"]
+        else:
+            model = self.protocol["networks"][network].get("like", network)
+            rate = self.rate_of(model)
+            length = self.length_of(model)
         for seed in seeds:
             self.train(network, films, seed, rate, length)
 
@@ -334,7 +357,7 @@ class Experiment:
         if asked.name == "ridge":
             return of_windows(Predictor.load(self.ridge(asked.films)).model)
         predictor = Predictor.load(asked.checkpoint)
-        if asked.name == "motion":
+        if self.is_motion(asked.name):
             return turned(of_stream(predictor, windows, HORIZONS), 0)
         return self.remedied(asked.name, windows).forecaster(predictor.model)
 
