@@ -116,6 +116,24 @@ print(pays)
     assert answers == ["False\n", "False\n", "True\n"]
 
 
+@needs_numba
+def test_fresh_processes_of_one_command_are_counted_together(tmp_path):
+    """Each film of `topokit label` has a process of its own, which ends before its exit functions."""
+    code = """
+import numpy as np
+from topokit._processes import in_fresh_processes
+from topokit.rips import _numba, rips_persistence
+
+before = _numba.seconds_before()
+cloud = np.random.default_rng(0).normal(size=(1500, 3))
+for _, found in in_fresh_processes(rips_persistence, [cloud]):
+    found.death
+print(before)
+"""
+    answers = [float(run(code, tmp_path).stdout) for _ in range(2)]
+    assert answers[0] == 0 < 0.7 <= answers[1]
+
+
 # Where compiled code is kept
 
 

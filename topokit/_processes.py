@@ -200,6 +200,9 @@ def _perform(connection: Connection, function: Callable[..., Any], item: Any, re
         outcome = function(*arguments)
     except Exception as error:
         outcome = error
+    pairs = sys.modules.get("topokit.rips._pairs")
+    if pairs is not None:
+        pairs.keep_seconds()  # now, since this process is killed when its outcome has arrived
     with contextlib.suppress(BrokenPipeError):  # the caller has ended
         connection.send(("outcome", outcome))
 

@@ -116,12 +116,12 @@ def _pairs_in_plain_python(cloud: Cloud, max_radius: float, stop: NDArray[np.int
     created, killed = _plain.pair_edges(cloud, cloud.key_of(max_radius), new_stop() if stop is None else stop)
     with _choosing:
         if not _spent:
-            atexit.register(_keep_spent)
+            atexit.register(keep_seconds)
         _spent += time.thread_time() - start
     return _cut(cloud, created, killed, max_radius)[0]
 
 
-def _keep_spent() -> None:
+def keep_seconds() -> None:
     """Let the next process know the seconds of plain Python, until the kernel is compiled."""
     if _spent >= LOADING and _numba.is_usable() and not _ready:
         _numba.add_seconds(_spent)
