@@ -113,12 +113,12 @@ def carried_on(shares: pd.DataFrame, films: int, seed: int) -> pd.DataFrame:
 def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
     """Return the differences that the claims are about, in points: mean, low and high, by horizon.
 
-    Networks are those trained on `films` films. `later` is the mean of t+15, t+30 and t+60.
+    Networks are those trained on `films` films, but for the parts of Motion, which have one number of films each. `later` is the mean of t+15, t+30 and t+60.
     """
     models = {}
     for model in shares.columns.unique(0):
         name, _, trained_on = model.partition("|")
-        if int(trained_on) in (0, films):
+        if int(trained_on) in (0, films) or name.startswith("motion"):
             models[name] = model
     rivals = [name for name in models if name.startswith(("mlp", "pointnet"))]
     pairs = [(rival, other) for rival in rivals for other in ("seqph", SAME_POINTS, "hold", "carry", "blind")]

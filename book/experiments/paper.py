@@ -114,14 +114,14 @@ class Experiment:
     @property
     def is_decided(self) -> bool:
         """Return whether all trainings that the claims are about have ended."""
-        films = self.protocol["training_films"]
-        networks = self.protocol["networks"]
-        return all(set(self.seeds_of(network)) <= self.ended(network, films).keys() for network in networks)
+        wanted = [self.claimed(network) for network in self.protocol["networks"]]
+        return all(set(seeds) <= self.ended(network, films).keys() for network, films, seeds in wanted)
 
-    def seeds_of(self, network: str) -> list[int]:
-        """Return the seeds of a network's trainings on the films that the claims are about."""
-        seeds: list[int] = self.protocol["networks"][network].get("seeds", self.protocol["seeds"])
-        return seeds
+    def claimed(self, network: str) -> tuple[str, int, list[int]]:
+        """Return a network, and the number of films and the seeds of those of its trainings that the claims are about."""
+        described = {"films": self.protocol["training_films"], "seeds": self.protocol["seeds"]}
+        described |= self.protocol["networks"][network]
+        return network, described["films"], described["seeds"]
 
     # ------------------------------------------------------------------------------------------------------- films and labels
 
@@ -239,7 +239,7 @@ class Experiment:
     def trainings(self) -> list[tuple[str, int, list[int]]]:
         """Return the networks to train, their numbers of films and their seeds; those that the claims are about first."""
         curve = self.protocol["curve"]
-        found = [(network, self.protocol["training_films"], self.seeds_of(network)) for network in self.networks]
+        found = [self.claimed(network) for network in self.networks]
         for films in curve["films"]:
             found += [(network, films, [curve["seed"]]) for network in self.networks if network in curve["networks"]]
         return [training for training in found if training[1] in self.sizes]
@@ -337,7 +337,7 @@ class Experiment:
         found = [Asked(name) for name in names]
         found += [Asked("blind", most), Asked("ridge", most)]
         for network, films, seeds in self.trainings:
-            if part != "validation" and films != most:
+            if part != "validation" and films != self.claimed(network)[1]:
                 continue
             for seed, training in sorted(self.ended(network, films).items()):
                 if seed in seeds:
