@@ -113,7 +113,7 @@ def carried_on(shares: pd.DataFrame, films: int, seed: int) -> pd.DataFrame:
 def differences(shares: pd.DataFrame, films: int) -> dict[str, Any]:
     """Return the differences that the claims are about, in points: mean, low and high, by horizon.
 
-    Networks are those trained on `films` films, but for the parts of Motion, which have one number of films each. `later` is the mean of t+15, t+30 and t+60.
+    Networks are those trained on `films` films; a Motion has one number of films. `later` is the mean of t+15, t+30 and t+60.
     """
     models = {}
     for model in shares.columns.unique(0):
