@@ -27,7 +27,7 @@ import contextlib
 import json
 import platform
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from functools import partial
 from itertools import product
@@ -377,9 +377,9 @@ def named(frames: list[Bars], ids: Ids) -> list[Any]:
     ]
 
 
-def key_of(linker: str, rule: str, options: dict[str, Any]) -> str:
-    """Return the name of a linker with its options, for a row."""
-    return json.dumps([linker, rule, options], sort_keys=True)
+def key_of(linker: str, rule: str = "", options: Mapping[str, Any] | None = None) -> str:
+    """Return the name of a linker with its options, for a row; a tracker of our own has none."""
+    return json.dumps([linker, rule, dict(options or {})], sort_keys=True)
 
 
 def in_condition(rule: str, condition: str, part: str) -> bool:
@@ -409,7 +409,7 @@ def row_of(path: Path, part: str, asked: list[Asked], known: dict[str, Any]) -> 
     scores: dict[str, dict[str, Any]] = known.get("scores", {})
     times: dict[str, float] = known.get("ms", {})
     asked = [one for one in asked if key_of(*one) not in scores]
-    unknown = [name for name in OURS if key_of(name, "", {}) not in scores]
+    unknown = [name for name in OURS if key_of(name) not in scores]
     for condition, clouds, stride in conditions(episode):
         rules = {rule for _, rule, _ in asked if in_condition(rule, condition, part)}
         is_asked = part == "episodes" or condition in {*TUNED_IN, *RIPSER_IN}
@@ -431,7 +431,7 @@ def row_of(path: Path, part: str, asked: list[Asked], known: dict[str, Any]) -> 
                 given = [True] * len(clouds) if name == PAPER else clean
                 start = time.process_time()
                 states[name] = followed(OURS[name](), clouds, diagrams, given)
-                keep(key_of(name, "", {}), start, states[name])
+                keep(key_of(name), start, states[name])
 
         # The bars that linkers get.
         bars: dict[str, list[Bars]] = {}
@@ -457,7 +457,7 @@ def rows_of(folder: Path, part: str, asked: list[Asked], made: bool) -> list[dic
     kept = folder / "linkers.jsonl"
     lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
     known = {row["episode"]: row for row in map(json.loads, lines)}
-    wanted = {*(key_of(*one) for one in asked), *(key_of(name, "", {}) for name in OURS)}
+    wanted = {*(key_of(*one) for one in asked), *(key_of(name) for name in OURS)}
     for path in tqdm(paths, part, unit="film"):
         row = known.get(path.stem, {})
         if not wanted <= row.get("scores", {}).keys():
@@ -602,7 +602,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tuned = rows_of(options.tuning, "tuning", everything(), options.made)
     best = best_options(tuned)
     rows = rows_of(options.episodes, "episodes", list(best.values()), options.made)
-    keys = {name: key_of(name, "", {}) for name in OURS} | {label: key_of(*one) for label, one in best.items()}
+    keys = {name: key_of(name) for name in OURS} | {label: key_of(*one) for label, one in best.items()}
     lines = table(rows, keys)
     answer = {
         "command": "python book/experiments/linkers.py --tuning DIR --episodes DIR" + " --made" * options.made,

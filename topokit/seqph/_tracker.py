@@ -331,8 +331,10 @@ class SeqPH:
 
     def _lost(self, candidates: Candidates, known: list[Known], nameless: list[int], taken: set[int]) -> dict[int, int]:
         """Return for found loops without a name the known loop with one that was lost near them."""
+        if not self._finds_lost or not nameless:
+            return {}
         lost = [j for j, loop in enumerate(known) if loop.id is not None and j not in taken]
-        if not self._finds_lost or not nameless or not lost:
+        if not lost:
             return {}
         pairs = lost_nearby(candidates.subset(nameless, lost))
         return {nameless[i]: lost[j] for i, j in pairs}
